@@ -6,9 +6,7 @@ import difflib
 import errno
 import os
 import re
-import stat
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 
@@ -56,35 +54,6 @@ def plain_fault(message: str) -> str:
     )
     words = words.replace("a valid dictionary", "a table").replace("an object", "a table")
     return f"{words[:1].lower()}{words[1:]}"
-
-
-_KINDS: tuple[tuple[str, Callable[[int], bool]], ...] = (
-    ("is a directory", stat.S_ISDIR),
-    ("is a named pipe", stat.S_ISFIFO),
-    ("is a socket", stat.S_ISSOCK),
-    ("is a device", lambda mode: not stat.S_ISREG(mode)),
-)
-
-
-def no_file(path: Path) -> str:
-    """The reason why ``path`` is no regular file, such as ``does not exist`` or ``is a directory``;
-    "" if it is one. Files that the kernel makes up while they are read, which may wait for ever or
-    hold the memory of a process, are none."""
-    try:
-        found = path.stat()
-    except (FileNotFoundError, NotADirectoryError):
-        return "does not exist"
-    except OSError as error:
-        return f"cannot be read ({os.strerror(error.errno or 0)})"
-    except ValueError:
-        return "is no name of a file: it has a zero byte"
-    for kind, holds in _KINDS:
-        if holds(found.st_mode):
-            return kind
-    made_up = (where for where in ("/proc", "/sys") if os.path.ismount(where))
-    if any(os.stat(where).st_dev == found.st_dev for where in made_up):
-        return "is a file of the kernel's state"
-    return ""
 
 
 _REMEDIES = {

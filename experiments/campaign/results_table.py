@@ -22,6 +22,7 @@ from touchdown.experiments.io.results import (
     load_result,
 )
 from touchdown.experiments.io.run_directory import RUN_FILES, whole_file
+from touchdown.sim.files.opening import no_file
 
 CRASHED = "CRASHED"
 """Outcome of a run whose flight raised, died, or exceeded a limit."""
@@ -249,7 +250,7 @@ def is_whole(run: Path) -> bool:
 
 def _ends_in(path: Path, mark: bytes) -> bool:
     try:
-        if not path.is_file():
+        if no_file(path):
             return False
         with path.open("rb") as file:
             file.seek(-min(8, os.fstat(file.fileno()).st_size), os.SEEK_END)
@@ -274,7 +275,7 @@ def _rows_at(results: Path, stamp: str) -> list[dict[str, Any]] | None:
     import pyarrow.lib
     import pyarrow.parquet as pq
 
-    if not results.is_file():  # a pipe would be waited for
+    if no_file(results):  # a pipe would be waited for
         return None
     try:
         metadata = pq.read_schema(results).metadata or {}

@@ -37,7 +37,8 @@ def view(run: Path, web: bool) -> int:
 
     Example: touchdown view runs/crossroad-livo-0
     """
-    from touchdown.experiments.errors import UsageError, no_file
+    from touchdown.experiments.errors import UsageError
+    from touchdown.sim.files.opening import no_file
 
     recording = run if run.suffix == ".rrd" else run / "flight.rrd"
     if reason := no_file(recording):

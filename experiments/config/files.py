@@ -9,7 +9,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.errors import UsageError, input_message, is_text, no_file
+from touchdown.experiments.errors import UsageError, input_message, is_text
+from touchdown.sim.files.opening import no_file
 
 MOST_BYTES = 1 << 20
 """of a configuration file"""

@@ -10,6 +10,7 @@ import numpy as np
 
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.io.foreign import read_object
+from touchdown.sim.files.opening import no_file
 
 LIBRARY = "touchdown export"
 """name of the writer in exported files"""
@@ -65,8 +66,8 @@ class FlownRun:
     def file(self, name: str) -> Path:
         """Raises UsageError where the run lacks it."""
         found = self.path / name
-        if not found.is_file():
-            raise UsageError(f"'{self.path}' has no {name}")
+        if reason := no_file(found):
+            raise UsageError(f"'{self.path}': its {name} {reason}")
         return found
 
     def sensors(self) -> Path:
@@ -120,8 +121,8 @@ class FlownRun:
 
 def open_flown(run: Path) -> FlownRun:
     """Raises UsageError for what is no run directory."""
-    if not (run / "result.json").is_file():
-        raise UsageError(f"'{run}' is no run directory: it has no result.json")
+    if reason := no_file(run / "result.json"):
+        raise UsageError(f"'{run}' is no run directory: its result.json {reason}")
     try:
         result = read_object(run / "result.json")
     except (ValueError, OSError) as error:

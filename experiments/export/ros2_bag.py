@@ -43,6 +43,7 @@ from touchdown.experiments.io.ros2_messages import Link
 from touchdown.experiments.io.sensor_log_reader import PackedImage, SensorLogReader, unpack_image
 from touchdown.experiments.io.tum import tum_rows
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
+from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose, so3_log
 
 Array = NDArray[np.float64]
@@ -284,7 +285,7 @@ class _Drift:
 
     def __init__(self, flown: FlownRun, poses: str) -> None:
         file = flown.path / "odometry.tum"
-        recorded = poses == "estimate" and file.is_file()
+        recorded = poses == "estimate" and not no_file(file)
         self._odometry = PosesAt(tum_rows(file)) if recorded else None
         self._known: dict[float, Pose] = {}
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.export.flown_run import SAME_TIME_S, Exported, ExportOptions, FlownRun
 from touchdown.experiments.io.tum import TumWriter, tum_rows
+from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, wrap_angle, yaw_from_rotation
 
 Array = NDArray[np.float64]
@@ -121,7 +122,7 @@ class PosesAt:
 
 def _at_times(flown: FlownRun, name: str) -> PosesAt:
     path = flown.path / f"{name}.tum"
-    return PosesAt(tum_rows(path) if path.is_file() else iter(()))
+    return PosesAt(iter(()) if no_file(path) else tum_rows(path))
 
 
 class _Phases:

@@ -33,6 +33,7 @@ from touchdown.experiments.io.sensor_log_checks import check_images, damage_repo
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import TumWriter, read_tum
 from touchdown.sim.api import Observation, SensorNeeds
+from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
 
 Array = NDArray[np.float64]
@@ -71,8 +72,8 @@ class LoggedRun:
 def open_run(run: Path) -> LoggedRun:
     """Opens a run directory that was flown with a sensor log. Raises UsageError."""
     for name in ("result.json", "truth.tum"):
-        if not (run / name).is_file():
-            raise UsageError(f"'{run}' is no run directory: it has no {name}")
+        if reason := no_file(run / name):
+            raise UsageError(f"'{run}' is no run directory: its {name} {reason}")
     from touchdown.experiments.io.sensor_log import FILE_NAME
 
     sensors = SensorLogReader(run / FILE_NAME)
@@ -112,8 +113,8 @@ def replay_config(
     ``allow_code``: the run may name an external estimator. Raises UsageError for a key of the
     flight itself.
     """
-    if not (run / "config.json").is_file():
-        raise UsageError(f"'{run}' is no run directory: it has no config.json")
+    if reason := no_file(run / "config.json"):
+        raise UsageError(f"'{run}' is no run directory: its config.json {reason}")
     for text in overrides:
         key = text.partition("=")[0].strip()
         if key.partition(".")[0] in _FLOWN:

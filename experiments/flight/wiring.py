@@ -16,7 +16,7 @@ from touchdown.estimator.api import (
     Mapper,
 )
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError, nearest, no_file
+from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.loading import check_external, is_external
 from touchdown.experiments.external.wrapper import ExternalEstimator
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
@@ -26,6 +26,7 @@ from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import SensorRig, Truth, World, WorldParams
 from touchdown.sim.effects import WorldRecord
+from touchdown.sim.files.opening import no_file
 
 if TYPE_CHECKING:
     from touchdown.landing.classification.onboard import OnnxGroundClassifier

@@ -11,9 +11,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.estimator.api import CalibrationResult
-from touchdown.experiments.errors import UsageError, nearest, no_file, plain_fault, reason_of
+from touchdown.experiments.errors import UsageError, nearest, plain_fault, reason_of
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from touchdown.experiments.errors import UsageError, broken_text, no_file
+from touchdown.experiments.errors import UsageError, broken_text
+from touchdown.sim.files.opening import no_file
 
 LONGEST_NAME = 200
 """bytes of a name; file systems take 255, of which endings such as that of a partial file are left

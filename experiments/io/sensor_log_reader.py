@@ -38,6 +38,7 @@ from touchdown.experiments.io.sensor_log_checks import (
 )
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.files.inflating import check_png, inflated_chunk
+from touchdown.sim.files.opening import no_file
 
 _WANTED = frozenset({OBSERVATION_TOPIC, SCAN_TOPIC, *IMAGE_TOPICS})
 MAX_RECORD_BYTES = 1 << 27
@@ -74,8 +75,8 @@ class SensorLogReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if not path.is_file():
-            raise UsageError(f"'{path}' does not exist; fly with --log-sensors to record one")
+        if reason := no_file(path):
+            raise UsageError(f"'{path}' {reason}; fly with --log-sensors to record one")
         facts = self._metadata()
         if facts.get("format") != FORMAT:
             raise UsageError(

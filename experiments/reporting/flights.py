@@ -16,6 +16,7 @@ from touchdown.experiments.io.provenance import UNRECORDED_REMEDY
 from touchdown.experiments.io.results import JUDGED_BY_CLASS
 from touchdown.experiments.io.tum import read_tum
 from touchdown.experiments.reporting import published
+from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import matrices_from_quats_wxyz
 
 Array = NDArray[np.float64]
@@ -67,7 +68,7 @@ def recorded_revision(row: Row) -> str | None:
 def campaign_text(directory: Path) -> str:
     """Returns the text of the campaign's file; empty without one."""
     file = directory / "campaign.toml"
-    if not file.is_file():
+    if no_file(file):
         return ""
     return file.read_text(encoding="utf-8", errors="replace")
 
@@ -125,7 +126,7 @@ def flies_paper_methods(rows: Iterable[Row]) -> bool:
 
 def read_trajectory(file: Path) -> Trajectory | None:
     """A ``.tum`` file of a run directory; None where it is missing or empty."""
-    if not file.is_file():
+    if no_file(file):
         return None
     try:
         time_s, position, quaternion = read_tum(file)

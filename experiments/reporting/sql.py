@@ -2,23 +2,20 @@
 network, extensions and settings are closed before the first statement.
 
 A query runs in a process of its own with a hard limit on memory, which DuckDB's own limit does not
-cover and which can be ended in any of its functions. As a program this module is that process.
+cover and which can be ended in any of its functions.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import re
-import signal
-import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.provenance import plain_json
-from touchdown.sim.files.child import die_with_parent
+from touchdown.sim.files.child import run_limited
 
 if TYPE_CHECKING:
     import duckdb
@@ -189,50 +186,33 @@ def _asked_of_child(table: pa.Table, sql: str) -> QueryResult:
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema) as stream:
         stream.write_table(table)
-    question = json.dumps({"sql": sql, "parent": os.getpid(), "most": MOST_BYTES}).encode() + b"\n"
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "touchdown.experiments.reporting.sql"],
-        input=question + sink.getvalue().to_pybytes(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        check=False,
-    )
-    answer = [json.loads(line) for line in done.stdout.splitlines()] if not done.returncode else []
-    if not answer:  # a library that found no memory ended the process
+    data = json.dumps(sql).encode() + b"\n" + sink.getvalue().to_pybytes()
+    ended = run_limited(_answer, str(MOST_BYTES), data, memory_bytes=MEMORY_BYTES)
+    if ended.answer is None:  # a library that found no memory ended the process
         raise UsageError(_TOO_LARGE)
-    if isinstance(answer[-1], str):
-        raise UsageError(answer[-1])
-    return QueryResult(answer[0], [tuple(row) for row in answer[1:]])
+    if ended.answer:
+        raise UsageError(ended.answer)
+    columns, *rows = map(json.loads, ended.output.splitlines())
+    return QueryResult(columns, [tuple(row) for row in rows])
 
 
-def _answer() -> None:
-    """Reads a query and its table from stdin; writes a line of JSON for the titles and one for each
-    row, or last the text of an error."""
-    import resource
+def _answer(most_bytes: str) -> str:
+    """Answers the SQL on the first line of stdin about the table behind it: prints a line of JSON
+    for the titles and one for each row. Returns the text of an error, "" for none."""
+    import pyarrow as pa
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that asks decides
-    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    question = json.loads(sys.stdin.buffer.readline())
-    die_with_parent(question["parent"])
+    left = int(most_bytes)
     try:
-        import pyarrow as pa
-
+        sql = json.loads(sys.stdin.buffer.readline())
         with pa.ipc.open_stream(sys.stdin.buffer.read()) as stream:
-            found = query_table(stream.read_all(), question["sql"])
-        left = question["most"]
+            found = query_table(stream.read_all(), sql)
         for row in (found.columns, *found.rows):
             line = json.dumps(row)
             left -= len(line)
             if left < 0:
-                size = question["most"] >> 20
-                raise UsageError(f"it gives more than {size} MiB; add `limit`, or group the rows")
+                size = int(most_bytes) >> 20
+                return f"it gives more than {size} MiB; add `limit`, or group the rows"
             print(line)
     except UsageError as error:
-        print(json.dumps(str(error)))
-    except MemoryError:
-        print(json.dumps(_TOO_LARGE))
-
-
-if __name__ == "__main__":
-    _answer()
+        return str(error)
+    return ""

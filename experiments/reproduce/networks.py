@@ -16,6 +16,7 @@ from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.run_directory import move_beside, write_text
 from touchdown.experiments.reproduce.plans import Recognition
 from touchdown.sim.files.child import die_with_parent
+from touchdown.sim.files.opening import no_file
 
 PICTURES, NETWORKS, SCORES, SETTINGS = "pictures", "networks", "scores.json", "settings.json"
 
@@ -83,7 +84,7 @@ def train_and_score(
 def _start_over_if_changed(home: Path, settings: dict[str, Any]) -> None:
     """Sets ``home`` aside if its images and trainings were made with other settings."""
     file, text = home / SETTINGS, json.dumps(settings, indent=1) + "\n"
-    if file.is_file() and file.read_text(encoding="utf-8") != text:
+    if not no_file(file) and file.read_text(encoding="utf-8") != text:
         move_beside(home, home)
     home.mkdir(parents=True, exist_ok=True)
     write_text(file, text)
@@ -144,7 +145,7 @@ def _epochs(training: Training) -> str:
     from touchdown.experiments.classification.train import CURVES
 
     curves = training.folder / CURVES
-    ended = len(curves.read_text(encoding="utf-8").splitlines()) - 1 if curves.is_file() else 0
+    ended = 0 if no_file(curves) else len(curves.read_text(encoding="utf-8").splitlines()) - 1
     return f"{min(ended + 1, training.epochs)} of {training.epochs}"
 
 

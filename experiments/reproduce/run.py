@@ -32,6 +32,7 @@ from touchdown.experiments.reproduce.state import (
     read_states,
 )
 from touchdown.experiments.reproduce.steps import PARTS, Done, Job, Notes, Part, part_named
+from touchdown.sim.files.opening import no_file
 
 _QUICK, _WHOLE = '"edition": "quick"', '"edition": "whole"'
 _OF_THE_MACHINE = (OSError, EngineStoppedError)
@@ -170,7 +171,7 @@ def _sign(out: Path, *, quick: bool) -> None:
     """Marks the directory as a reproduction, so that nothing else is overwritten. A quick one may
     become whole. The reverse is refused: it would omit existing flights."""
     mark = out / MARK
-    if quick and mark.is_file() and _WHOLE in mark.read_text(encoding="utf-8", errors="replace"):
+    if quick and not no_file(mark) and _WHOLE in mark.read_text(encoding="utf-8", errors="replace"):
         raise UsageError(
             f"'{out}' was begun without --quick; go on without it, or name another --out"
         )

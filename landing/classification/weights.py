@@ -10,6 +10,7 @@ from pathlib import Path
 
 from touchdown.landing.classification.decision import Limits
 from touchdown.landing.classification.labels import SCHEMES
+from touchdown.sim.files.opening import no_file
 
 SUFFIX = ".onnx"
 MAX_BYTES = 1 << 30
@@ -124,11 +125,11 @@ def read_network(path: Path) -> bytes:
     Raises FileNotFoundError where the file or its checksum is missing, ValueError where they do not
     match: the file was truncated or changed.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"'{path}' does not exist; name a network, a file {SUFFIX}")
-    if not checksum_file(path).is_file():
+    if reason := no_file(path):
+        raise FileNotFoundError(f"'{path}' {reason}; name a network, a file {SUFFIX}")
+    if reason := no_file(checksum_file(path)):
         raise FileNotFoundError(
-            f"'{checksum_file(path)}' is missing: '{path.name}' is not loaded without it"
+            f"'{checksum_file(path)}' {reason}: '{path.name}' is not loaded without it"
         )
     size = path.stat().st_size
     if size > MAX_BYTES:

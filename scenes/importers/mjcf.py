@@ -88,7 +88,8 @@ def read_mjcf(path: Path) -> SceneDraft:
     if check_mjcf(path)["mesh bytes"] > TRIAL_BYTES:
         check_compiles(path)
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        with quiet_libraries():
+            spec = mujoco.MjSpec.from_file(str(path))
     except _MUJOCO_ERRORS as error:
         raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
     check_spec(spec, path)

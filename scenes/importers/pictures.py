@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import mmap
 import re
 import warnings
 from collections.abc import Iterator
@@ -21,6 +22,8 @@ Image = NDArray[np.uint8]
 MAX_PIXELS = 1 << 27
 """of an image that is decoded whole, 11 585 x 11 585"""
 MAX_FILE_BYTES = 1024 * MIB
+MAX_SCANNED_PIXELS = 1 << 31
+"""of all scans of a progressive JPEG together: each takes the time of a whole image"""
 MAX_PART_PIXELS = 1 << 30
 """of the part of a GeoTIFF"""
 SMALLEST = 16
@@ -30,6 +33,8 @@ _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 _GREY = ("1", "L", "LA", "La", "I", "F")
 _TILE_SIDES = (322, 323)
 """Tags of a TIFF: a tile is decoded as a whole, however small the image"""
+_SCAN = rb"\xff\xda"
+"""begins a scan of a JPEG; no other data of it hold these bytes"""
 _TIFF_ENDINGS = (".tif", ".tiff")
 
 
@@ -161,6 +166,8 @@ def _decoded(path: Path, what: str) -> Iterator[Any]:
                 tile = math.prod(int(tags.get(tag, 0)) for tag in _TILE_SIDES)
                 if tile > MAX_PIXELS:
                     raise _too_large(path, f"tiles of {tile}")
+                if image.format == "JPEG":
+                    _check_scans(path, width * height)
                 yield image
     except Pillow.DecompressionBombError as error:
         count = re.search(r"\d+", str(error))
@@ -182,6 +189,16 @@ def _too_large(path: Path, pixels: str) -> ValueError:
     return ValueError(
         f"{path} has {pixels} pixels, more than {MAX_PIXELS}; scale it down, or cut it in parts"
     )
+
+
+def _check_scans(path: Path, pixels: int) -> None:
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        scans = sum(1 for _ in re.finditer(_SCAN, data))
+    if scans * pixels > MAX_SCANNED_PIXELS:
+        raise ValueError(
+            f"{path} has {scans} scans of {pixels} pixels, more than {MAX_SCANNED_PIXELS} pixels "
+            "together; save it with fewer, or not as a progressive JPEG"
+        )
 
 
 def _check_kind(image: Any, path: Path, grey: bool) -> None:

@@ -6,44 +6,56 @@ import contextlib
 import os
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 MIB = 1 << 20
 
 
-def check_file(path: Path, what: str, max_bytes: int | None = None) -> int:
-    """Returns the size of a regular file, bytes.
+_KINDS: tuple[tuple[str, Callable[[int], bool]], ...] = (
+    ("is a directory", stat.S_ISDIR),
+    ("is a named pipe", stat.S_ISFIFO),
+    ("is a socket", stat.S_ISSOCK),
+    ("is a device", lambda mode: not stat.S_ISREG(mode)),
+)
 
-    Raises FileNotFoundError for a missing file, ValueError for a folder, a named pipe, a socket, a
-    device (which never end, or never begin) and for a file above ``max_bytes``. ``what`` names the
-    kind of file in the message.
-    """
+
+def no_file(path: Path) -> str:
+    """The reason why ``path`` is no regular file, such as ``does not exist`` or ``is a directory``;
+    "" if it is one. Files that the kernel makes up while they are read, which may wait for ever or
+    hold the memory of a process, are none."""
     try:
         found = path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        raise FileNotFoundError(f"{what} not found: {path}") from None
-    except ValueError as error:  # a null byte in the name
-        raise ValueError(f"{what}: '{path}' is no name of a file: {error}") from error
-    if not stat.S_ISREG(found.st_mode):
-        raise ValueError(f"{what}: '{path}' is {_kind(found.st_mode)}; give a file")
-    if max_bytes is not None and found.st_size > max_bytes:
+        return "does not exist"
+    except OSError as error:
+        return f"cannot be read ({os.strerror(error.errno or 0)})"
+    except ValueError:
+        return "is no name of a file: it has a zero byte"
+    for kind, holds in _KINDS:
+        if holds(found.st_mode):
+            return kind
+    made_up = (where for where in ("/proc", "/sys") if os.path.ismount(where))
+    if any(os.stat(where).st_dev == found.st_dev for where in made_up):
+        return "is a file of the kernel's state"
+    return ""
+
+
+def check_file(path: Path, what: str, max_bytes: int | None = None) -> None:
+    """Raises FileNotFoundError for a missing file, ValueError for what is no regular file (see
+    `no_file`) and for a file above ``max_bytes``. ``what`` names the kind of file in the message.
+    """
+    reason = no_file(path)
+    if reason == "does not exist":
+        raise FileNotFoundError(f"{what} '{path}' does not exist")
+    if reason:
+        raise ValueError(f"{what} '{path}' {reason}; give a file")
+    size = path.stat().st_size
+    if max_bytes is not None and size > max_bytes:
         raise ValueError(
-            f"{path} has {found.st_size / MIB:.0f} MiB, and {what} may have {max_bytes / MIB:.0f} "
-            "MiB at most; make it smaller"
+            f"{path} has {size / MIB:.0f} MiB, and {what} may have {max_bytes / MIB:.0f} MiB at "
+            "most; make it smaller"
         )
-    return found.st_size
-
-
-def _kind(mode: int) -> str:
-    for name, holds in (
-        ("a folder", stat.S_ISDIR),
-        ("a named pipe", stat.S_ISFIFO),
-        ("a socket", stat.S_ISSOCK),
-    ):
-        if holds(mode):
-            return name
-    return "a device"
 
 
 def printable(text: str) -> str:

@@ -229,12 +229,14 @@ def test_spread_is_exact_and_extremes_fade() -> None:
     for start, swing in ((0, 0.1), (36_000, 0.0)):
         scan = cast_scan(start + 60, down, [still] * 100)
         ranges = scan.ranges + np.float32(swing) * (-1.0) ** np.arange(100)
-        scan = dataclasses.replace(scan, ranges=ranges.astype(np.float32))
+        levels = np.tile([20, 60], 50).astype(np.uint8)
+        scan = dataclasses.replace(scan, ranges=ranges.astype(np.float32), intensity=levels)
         for tick in range(start, start + 157, 3):
             obs = make_obs(tick, scans=(scan,) if tick == start + 156 else ())
             view = mapper.update(obs, make_estimate(tick, still))
         if swing:
             assert np.nanmax(view.coarse.height_std_m) == pytest.approx(0.1, rel=1e-3)
+            assert np.nanmax(view.coarse.intensity) == pytest.approx(40.0, rel=1e-3)
     kept = 0.1 * np.exp(-1.0)
     assert np.nanmax(view.coarse.max_height_m) == pytest.approx(kept, rel=0.01)
     assert np.nanmin(view.coarse.min_height_m) == pytest.approx(-kept, rel=0.01)
@@ -247,6 +249,15 @@ def test_a_pulse_without_return_says_nothing_beyond_the_reach() -> None:
         params = dataclasses.replace(PARAMS, missing_max_reach_m=reach_m)
         view = fly(GridMapper(make_rig(), params), moving_scan(4000, hole=hole))
         assert (view.coarse.missing > 0).any() == shown
+
+
+def test_many_pulses_without_return_outweigh_returns() -> None:
+    """Of four kept in mind, each further one takes a quarter of the returns' count."""
+    count, missing = np.full((1, 2), 10.0, np.float32), np.zeros((1, 2), np.float32)
+    spots = np.full((6, 2), 0.1, np.float32)
+    kernels.accumulate_missing(spots, 0.0, 0.0, 0.2, 4.0, count, missing)
+    np.testing.assert_allclose(missing, [[4.0, 0.0]])
+    np.testing.assert_allclose(count, [[10.0 * 0.75**2, 10.0]])
 
 
 def test_recent_returns_outweigh_old_ones() -> None:

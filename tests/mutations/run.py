@@ -1,6 +1,6 @@
 """Changes one statement of an algorithm at a time and runs the tests that should see it.
 
-    python tests/mutations/run.py [--only WORD] [--jobs 2] [--again] [--list]
+    python tests/mutations/run.py [--only PATTERN] [--jobs 2] [--again] [--list]
 
 The work tree is copied, once for each job; only the copies change. Results go to a log, and a call
 goes on where an earlier one stopped: a result holds as long as the mutation, the file that it
@@ -17,6 +17,8 @@ import fcntl
 import hashlib
 import json
 import queue
+import re
+import signal
 import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -172,7 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--only", default="", help="mutations with this word in their name")
+    parser.add_argument("--only", default="", help="mutations whose name matches this expression")
     parser.add_argument("--jobs", type=int, default=2, help="that run at the same time")
     parser.add_argument("--timeout-s", type=float, default=600.0, help="for the tests of one")
     parser.add_argument("--again", action="store_true", help="forget earlier results")
@@ -180,12 +182,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--project", type=Path, default=Path(__file__).parents[2])
     options = parser.parse_args(arguments)
     project = options.project.resolve()
-    mutations = [m for m in load(project / "tests/mutations") if options.only in m.name]
+    mutations = [m for m in load(project / "tests/mutations") if re.search(options.only, m.name)]
     if options.list:
         print(
             *(f"{m.name}\n    {m.function}\n    {m.statement.strip()}" for m in mutations), sep="\n"
         )
         return 0
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # tests that run are ended, too
     folder = project / "runs/mutation"
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("w") as lock:

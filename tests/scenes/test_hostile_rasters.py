@@ -249,6 +249,21 @@ def test_a_tile_larger_than_any_image_is_not_decoded(tmp_path: Path) -> None:
         read_rgb(image)
 
 
+def test_a_jpeg_of_many_scans_is_not_decoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each scan of a progressive JPEG takes the time of a whole image, and may have few bytes."""
+    data = cv2.imencode(".jpg", _photo(), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    scans, last = data.count(b"\xff\xda"), data.rfind(b"\xff\xda")
+    path = tmp_path / "scans.jpg"
+    monkeypatch.setattr(pictures, "MAX_SCANNED_PIXELS", 20 * 130 * 140)
+    path.write_bytes(data[:-2] + (20 - scans) * data[last:-2] + data[-2:])
+    assert read_rgb(path).shape == (130, 140, 3)
+    path.write_bytes(data[:-2] + (21 - scans) * data[last:-2] + data[-2:])
+    with pytest.raises(ValueError, match="has 21 scans of 18200 pixels, more than 364000 pixels"):
+        read_rgb(path)
+
+
 def test_decoders_print_nothing_of_damage(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 
 from touchdown.estimator.api import Estimate, LivoParams
@@ -114,9 +115,11 @@ def image_at(tick: int, rig: SensorRig, position: np.ndarray | None = None) -> C
     taken = position_at(tick / HZ) if position is None else position
     pose = Pose(np.eye(3), taken) @ rig.body_from_camera
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    rays = np.stack(
-        [(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], -1
-    )
+    pixels = np.stack([u.ravel(), v.ravel()], -1).astype(np.float64)
+    if camera.distortion.any():
+        pixels = cv2.undistortPoints(pixels, camera.matrix(), camera.distortion, P=camera.matrix())
+    slopes = (pixels.reshape(-1, 2) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    rays = np.column_stack([slopes, np.ones(u.size)]).reshape(*u.shape, 3)
     ground = pose.translation + pose.translation[2] * (rays @ pose.rotation.T)
     grey = np.clip(ground_grey(ground[..., 0], ground[..., 1]), 0, 255).astype(np.uint8)
     return CameraImage(tick=tick, time_s=tick / HZ, rgb=np.repeat(grey[..., None], 3, axis=2))
@@ -127,8 +130,10 @@ def observations(
     last_tick: int,
     motion: Callable[[float], np.ndarray] = position_at,
     ahead_ticks: int = 0,
+    *,
+    seen: bool = True,
 ) -> list[Observation]:
-    """``ahead_ticks``: of the camera's clock."""
+    """``ahead_ticks``: of the camera's clock; ``seen``: with images."""
     found, step = [], IMU_TICKS / HZ
     for tick in range(0, last_tick + 1, IMU_TICKS):
         measured = tick - LATENCY
@@ -149,7 +154,7 @@ def observations(
                 imu=(imu,) if tick else (),
                 scans=(scan_ending_at(measured, motion),) if due else (),
                 images=(image_at(measured, rig, motion((measured - ahead_ticks) / HZ)),)
-                if due
+                if due and seen
                 else (),
                 rotor_speed_radps=np.full(4, 400.0),
                 battery_fraction=1.0,

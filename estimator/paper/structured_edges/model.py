@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.paper.structured_edges import forest
 from touchdown.sim.files.inflating import gunzipped
+from touchdown.sim.files.opening import no_file
 
 Int32 = NDArray[np.int32]
 
@@ -120,9 +121,9 @@ def _real(value: float) -> str:
 def check_model(path: Path) -> None:
     """Raises FileNotFoundError or ValueError, one sentence, unless ``path`` holds a whole model:
     OpenCV itself takes a truncated file for a smaller forest, or crashes."""
-    if not path.is_file():
+    if reason := no_file(path):
         raise FileNotFoundError(
-            f"structured edge model '{path}' does not exist: give the path of a trained model, or "
+            f"structured edge model '{path}' {reason}: give the path of a trained model, or "
             "'gradient' for edges without one"
         )
     try:

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from touchdown.landing.classification.learning.weights_file import load_weights, read_weights
 from touchdown.landing.classification.weights import SUFFIX
+from touchdown.sim.files.opening import no_file
 
 LAST, BEST = "last.pt", "best.pt"
 MAX_BYTES = 4 << 30
@@ -37,7 +38,7 @@ def restore(trainer: Resumable, folder: Path, identity: dict[str, Any]) -> None:
     for name in (LAST, BEST):
         _partial(folder / name).unlink(missing_ok=True)  # of a training that was killed
     path = folder / LAST
-    if not path.is_file():
+    if no_file(path) == "does not exist":
         return
     state = _read(path)
     before = state.get("identity")
@@ -140,10 +141,9 @@ def _write(path: Path, value: dict[str, Any]) -> None:
 
 def _read(path: Path) -> dict[str, Any]:
     """The content of a file that `torch.save` wrote: tensors, numbers and text, never code."""
-    if not path.is_file():
+    if reason := no_file(path):
         raise ValueError(
-            f"'{path}' cannot be read as a checkpoint: it does not exist; name the folder of a "
-            "training"
+            f"'{path}' cannot be read as a checkpoint: it {reason}; name the folder of a training"
         )
     if not zipfile.is_zipfile(path):
         raise ValueError(f"'{path}' cannot be read as a checkpoint: it is none, or was cut short")

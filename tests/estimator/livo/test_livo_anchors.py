@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import STATE_DIM, NavState
 from touchdown.estimator.filtering.keyframes import bearing_rays
@@ -16,23 +19,28 @@ from touchdown.estimator.livo.anchored_update import (
     update_with_scan,
 )
 from touchdown.estimator.livo.anchors import Anchors
+from touchdown.estimator.livo.error_model import scan_errors
 from touchdown.estimator.livo.online_calibration import (
     CALIBRATION_DIM,
     CAMERA_ROTATION,
     CAMERA_TRANSLATION,
     CLOCK,
     MOUNT_DIM,
+    MOUNT_ROTATION,
+    MOUNT_TRANSLATION,
     SHARED_DIM,
     corrected_camera,
     corrected_intrinsics,
     corrected_mount,
     exposed,
     landmark_jacobians,
+    prior_sigmas,
 )
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
 from support.livo_filter_support import filled_buffer, random_state
+from support.livo_flight import make_rig
 from support.livo_lidar_support import placed, room_points, state_at
 
 CAMERA = CameraIntrinsics(width=848, height=480, fx=617.0, fy=625.0, cx=423.5, cy=239.5)
@@ -187,6 +195,29 @@ def test_an_uncertain_depth_gives_no_information_along_its_epipolar_line() -> No
     )
     assert information[3, 3] < 1e-3  # x of the position moves the pixel along the line
     assert information[4, 4] == pytest.approx((600.0 / 12.0) ** 2, rel=0.01)
+
+
+def test_priors_and_errors_of_a_scan_are_in_the_units_of_the_state() -> None:
+    """Degrees become radians; what a scan knows badly is y, not z, and yaw, not roll."""
+    params = LivoParams(
+        mount_rotation_sigma_deg=180.0, mount_translation_sigma_m=2.0, camera_clock_sigma_s=3.0,
+        camera_rotation_sigma_deg=90.0, gyro_misalignment_sigma_deg=18.0, scan_tilt_sigma_deg=18.0,
+        scan_yaw_sigma_deg=36.0, scan_lateral_sigma_m=0.3, scan_height_sigma_m=0.01,
+        weak_sigma_deg=9.0, weak_sigma_m=0.7,
+    )  # fmt: skip
+    sigmas = prior_sigmas(params)
+    assert len(sigmas) == CALIBRATION_DIM and sigmas[CLOCK] == 3.0
+    np.testing.assert_allclose(sigmas[MOUNT_ROTATION], np.pi)
+    np.testing.assert_allclose(sigmas[MOUNT_TRANSLATION], 2.0)
+    np.testing.assert_allclose(sigmas[CAMERA_ROTATION], 0.5 * np.pi)
+    np.testing.assert_allclose(sigmas[-15:-9], 0.1 * np.pi)
+    rig = make_rig()
+    rig = replace(rig, lidar=replace(rig.lidar, angle_sigma_deg=1.8, range_sigma_m=0.03))
+    errors = scan_errors(rig, params)
+    tenth = 0.1 * np.pi
+    np.testing.assert_allclose(errors.floor_sigmas, [tenth, tenth, 2 * tenth, 0.3, 0.3, 0.01])
+    assert errors.range_sigma_m == 0.03 and errors.weak_sigmas == (0.05 * np.pi, 0.7)
+    assert errors.angle_sigma_rad == pytest.approx(0.01 * np.pi)
 
 
 def test_calibration_is_carried_and_corrected() -> None:

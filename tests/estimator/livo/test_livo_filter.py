@@ -308,6 +308,19 @@ def test_errors_of_a_clone_alone_are_its_own() -> None:
     np.testing.assert_array_equal(eskf.covariance[np.ix_(pose, pose)], 0.01 * np.eye(6))
 
 
+def test_an_error_vector_moves_state_and_clones_alike() -> None:
+    rng = np.random.default_rng(7)
+    eskf = Eskf(random_state(rng), np.full(STATE_DIM, 0.01))
+    eskf.add_clone()
+    error = rng.normal(0.0, 0.1, 6)
+    delta = np.concatenate([error, np.zeros(STATE_DIM - 6), error])
+    state, (clone,) = eskf.boxplus(eskf.state, eskf.clones, delta)
+    turned = eskf.state.rotation @ so3_exp(error[:3])
+    for moved in (state.pose, clone):
+        np.testing.assert_allclose(moved.rotation, turned, atol=1e-12)
+        np.testing.assert_allclose(moved.translation, eskf.state.position + error[3:], atol=1e-12)
+
+
 def test_a_full_buffer_is_an_error_not_growth() -> None:
     buffer = ImuBuffer(ImuParams(), STEP_S, capacity=4)
     for i in range(4):

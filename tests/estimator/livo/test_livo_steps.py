@@ -14,9 +14,18 @@ from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState
 from touchdown.estimator.livo.estimator import Livo
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample, Observation, SensorRig
-from touchdown.sim.frames import so3_exp
+from touchdown.sim.frames import Pose, so3_exp
 
-from support.livo_flight import FLIGHT, HZ, IMU_TICKS, RIG, START_Z, observations, position_at
+from support.livo_flight import (
+    FLIGHT,
+    HZ,
+    IMU_TICKS,
+    RIG,
+    START_Z,
+    make_rig,
+    observations,
+    position_at,
+)
 
 Array = np.ndarray
 UP = np.array([0.0, 0.0, GRAVITY_MPS2])
@@ -27,10 +36,9 @@ def accelerated(*mps2: float) -> Callable[[float], Array]:
     return lambda t: 0.5 * t * t * np.array(mps2) + [0.0, 0.0, START_Z]
 
 
-def blind(flight: list[Observation], scans: bool = False) -> list[Observation]:
-    """Without images, and without scans unless ``scans``."""
-    kept = [dataclasses.replace(obs, images=()) for obs in flight]
-    return kept if scans else [dataclasses.replace(obs, scans=()) for obs in kept]
+def blind(flight: list[Observation]) -> list[Observation]:
+    """Without images and scans."""
+    return [dataclasses.replace(obs, images=(), scans=()) for obs in flight]
 
 
 def run(
@@ -68,6 +76,9 @@ def test_without_sensors_the_covariance_is_that_of_dead_reckoning() -> None:
     assert position[0, 0] > 1e-3
     np.testing.assert_allclose(estimates[-1].position_covariance, 1.8 * position + floor, rtol=1e-6)
     np.testing.assert_allclose(estimates[-1].rotation_covariance, rotation, rtol=1e-6, atol=1e-15)
+    _, noisy = run(flight, dataclasses.replace(params, accel_density=4.0))
+    assert np.trace(noisy[-1].position_covariance) > 1.0
+    assert estimates[-1].healthy and not noisy[-1].healthy
 
 
 def poor_imu() -> tuple[SensorRig, list[Observation]]:
@@ -82,7 +93,7 @@ def poor_imu() -> tuple[SensorRig, list[Observation]]:
                 for sample in obs.imu
             ),
         )
-        for obs in observations(RIG, 1020)
+        for obs in observations(RIG, 780)
     ]
     return rig, flight
 
@@ -111,15 +122,56 @@ def test_a_correction_is_handed_out_over_time_and_counted_until_it_is() -> None:
     assert np.abs(ends[3:]).max() < 5e-3
 
 
+@pytest.mark.parametrize("seen", [False, True])
+def test_an_imu_mounted_askew_gives_the_same_estimate(seen: bool) -> None:
+    """``seen``: with scans and images, over which the vehicle does not turn."""
+    rate = np.zeros(3) if seen else np.array([0.3, -0.2, 0.5])
+    turn = so3_exp(np.array([0.2, -0.3, 1.0]))
+    askew = dataclasses.replace(RIG, body_from_imu=Pose(turn, RIG.body_from_imu.translation))
+    ends = []
+    for rig in (RIG, askew):
+        to_imu = rig.body_from_imu.rotation.T
+        flight = [
+            dataclasses.replace(
+                obs,
+                imu=tuple(
+                    dataclasses.replace(
+                        sample, angular_velocity=to_imu @ rate,
+                        specific_force=to_imu @ sample.specific_force,
+                    )
+                    for sample in obs.imu
+                ),
+            )
+            for obs in (FLIGHT[:60] if seen else blind(FLIGHT[:60]))
+        ]  # fmt: skip
+        ends.append(run(flight, LivoParams(use_calibration=False), rig)[1][-1])
+    level, found = ends
+    assert (found.diagnostics.get("features_tracked", 0.0) > 20.0) == seen
+    # other returns are chosen from a scan whose frame is turned
+    near, share = (2e-3, 0.2) if seen else (1e-9, 1e-5)
+    np.testing.assert_allclose(found.angular_velocity_body, rate, atol=1e-9 + 0.1 * near)
+    for name in ("velocity_odom", "acceleration_odom"):
+        np.testing.assert_allclose(getattr(found, name), getattr(level, name), atol=near)
+    for name in ("rotation", "translation"):
+        pose, other = found.odom_from_body, level.odom_from_body
+        np.testing.assert_allclose(getattr(pose, name), getattr(other, name), atol=near)
+    for name in ("position_covariance", "rotation_covariance"):
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(level, name), rtol=share, atol=1e-3 * near
+        )
+
+
 # ------------------------------------------------------------------------------ scans
 
 
 def test_the_ground_stays_where_it_is_under_a_climb() -> None:
     """At 4.6 m/s the vehicle is half a metre higher when a scan arrives than when it was taken."""
-    livo, estimates = run(blind(observations(RIG, 780, accelerated(0, 0, 4.0)), scans=True))
+    livo, estimates = run(observations(RIG, 780, accelerated(0, 0, 4.0), seen=False))
     assert estimates[-1].velocity_odom[2] == pytest.approx(5.2, abs=0.05)
     ground = livo._recent.median_height()
     assert ground is not None and abs(ground) < 0.02
+    said = [event for e in estimates for event in e.events if "LIDAR" in event]
+    assert said == ["the LIDAR does not measure translation along 2 axes and rotation about 1 axis"]
 
 
 def test_the_found_error_of_the_mount_is_applied_to_the_next_scan() -> None:
@@ -133,16 +185,27 @@ def test_the_found_error_of_the_mount_is_applied_to_the_next_scan() -> None:
     assert livo._recent.median_height() == pytest.approx(0.1, abs=2e-3)
 
 
+def test_a_scan_from_the_edge_of_the_blind_zone_is_not_used() -> None:
+    """Its ranges are all within 4 standard deviations of the smallest."""
+    flight, near = FLIGHT[:33], RIG.lidar.min_range_m + RIG.lidar.range_sigma_m
+    scan = flight[-1].scans[0]
+    ranges = np.linspace(near, near + 1e-3, len(scan.ranges), dtype=np.float32)
+    close = dataclasses.replace(flight[-1], scans=(dataclasses.replace(scan, ranges=ranges),))
+    for last, used in ((flight[-1], True), (close, False)):
+        _, estimates = run([*flight[:-1], last])
+        assert (estimates[-1].diagnostics["scan_returns"] > 0.0) == used
+
+
 @pytest.mark.parametrize(("above_m", "estimated"), [(50.0, False), (5.0, True)])
 def test_mounts_are_estimated_from_high_above_alone(above_m: float, estimated: bool) -> None:
     params = LivoParams(calibrate_above_m=above_m, camera_clock_sigma_s=0.0)
-    livo, _ = run(FLIGHT[:160], params)
+    livo, _ = run(FLIGHT[:120], params)
     assert bool(livo._eskf.state.calibration[:6].any()) == estimated
 
 
 def test_level_ground_is_reported_as_degenerate() -> None:
     for use, expected in ((True, (2.0, 1.0)), (False, (0.0, 0.0))):
-        _, estimates = run(blind(FLIGHT[:160], scans=True), LivoParams(use_degeneracy=use))
+        _, estimates = run(FLIGHT[:100], LivoParams(use_vision=False, use_degeneracy=use))
         figures = estimates[-1].diagnostics
         found = figures["lidar_weak_translation"], figures["lidar_weak_rotation"]
         assert found == expected
@@ -150,10 +213,10 @@ def test_level_ground_is_reported_as_degenerate() -> None:
 
 def test_the_map_belongs_to_clones_of_the_poses_that_made_it() -> None:
     """Without images a new one comes every half height of 6 m; 0.16 s pass until a scan is used."""
-    flight = blind(observations(RIG, 840, accelerated(12.0, 0.0, 0.0)), scans=True)
-    for ticks, clones in ((600, 1), (840, 2)):
-        livo, _ = run([obs for obs in flight if obs.tick <= ticks])
-        assert len(livo._eskf.clones) == clones
+    flight = observations(RIG, 840, accelerated(12.0, 0.0, 0.0), seen=False)
+    livo = Livo(RIG)
+    counts = [len(livo._eskf.clones) for obs in flight if livo.update(obs)]
+    assert (counts[600 // IMU_TICKS], counts[-1]) == (1, 2)
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-6.0, 15.0), [-1.0, 0.0, 1.0]))
     matched = livo._map.match(np.column_stack([x, y, np.zeros(x.size)]) + [0.4, 0.4, 0.0])
     assert matched.found.sum() > 40
@@ -161,6 +224,16 @@ def test_the_map_belongs_to_clones_of_the_poses_that_made_it() -> None:
 
 
 # ------------------------------------------------------------------------------ images
+
+
+def test_a_distorted_lens_is_corrected() -> None:
+    """Two per cent of barrel distortion are up to two pixels, over which the features move."""
+    rig = make_rig(distortion=-0.1)
+    _, estimates = run(observations(rig, 600, accelerated(4.0, 2.0, 0.0)), rig=rig)
+    figures = estimates[-1].diagnostics
+    assert figures["features_tracked"] > 30.0 and figures["visual_rms_px"] < 0.15
+    error = estimates[-1].world_from_body.translation - accelerated(4.0, 2.0, 0.0)(1.0)
+    assert np.linalg.norm(error) < 0.015
 
 
 def test_a_keyframe_gets_depth_from_scans_after_it() -> None:

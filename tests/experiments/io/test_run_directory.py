@@ -1,5 +1,6 @@
 """Directories and files that appear whole, and what killed processes left of them."""
 
+import multiprocessing
 import os
 import signal
 import socket
@@ -133,6 +134,31 @@ def test_what_came_during_the_work_is_kept_and_the_work_too(
         thesis.rmdir() if foreign.endswith("/") else thesis.unlink()
     assert [(tmp_path / name / "content").read_text() for name in ("a-3", "a-4")] == ["new", "new"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "a-2", "a-3", "a-4"]
+
+
+@pytest.mark.parametrize("can_exchange", [True, False])
+def test_of_two_at_once_one_is_there_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, can_exchange: bool
+) -> None:
+    """Two processes replace one directory over and over; where they exchange it, it is always
+    there."""
+    if not can_exchange:
+        monkeypatch.setattr(whole, "_exchange", lambda _one, _other: False)
+    out = tmp_path / "a"
+    make("run_directory", out)
+    writers = [multiprocessing.get_context("fork").Process(target=_replace, args=(out,))
+               for _ in range(2)]  # fmt: skip
+    for writer in writers:
+        writer.start()
+    while any(writer.is_alive() for writer in writers):
+        assert out.is_dir() or not can_exchange
+    assert [writer.exitcode for writer in writers] == [0, 0]
+    assert (out / "content").read_text() == "whole" and [*tmp_path.iterdir()] == [out]
+
+
+def _replace(out: Path) -> None:
+    for _ in range(100):
+        make("run_directory", out)
 
 
 def test_a_folder_of_pictures_is_filled_and_keeps_what_is_in_it(tmp_path: Path) -> None:

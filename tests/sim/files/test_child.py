@@ -23,7 +23,7 @@ def with_a_reason(path: str) -> str:
 
 
 def with_an_error(_path: str) -> str:
-    raise ValueError("named elsewhere")
+    raise ValueError("of the program")
 
 
 def with_a_socket(_path: str) -> str:
@@ -73,7 +73,7 @@ def reason(check: Callable[[str], str], content: str = "a") -> str:
     ("check", "message"),
     [
         (with_a_reason, "is a file"),
-        (with_an_error, ""),
+        (with_an_error, "ends the process that tries to read it (exit code 1)"),
         (with_a_socket, "no socket"),
         (with_memory, "needs more than 4 GiB of memory to read it"),
         (with_a_crash, f"ends the process that tries to read it (exit code {-signal.SIGSEGV})"),
@@ -85,13 +85,9 @@ def test_what_is_said_of_a_file(check: Callable[[str], str], message: str) -> No
 
 
 def test_a_loop_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the limit of the processor's time, which the process sets itself."""
-    code = (
-        "from touchdown.sim.files import child; child.TRIAL_S = 1; "
-        "child._answer('test_child:with_a_loop', '', str(__import__('os').getppid()))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], check=False)
-    assert done.returncode == -signal.SIGXCPU
+    with_a_loop.__module__ = "test_child"
+    ended = child.run_limited(with_a_loop, "", cpu_s=1, memory_bytes=1 << 30)
+    assert ended == (-signal.SIGXCPU, b"", None)
     monkeypatch.setattr(child, "_WAIT_S", 0.01)
     assert reason(with_a_loop) == "needs more than 0 s to read it"
 
