@@ -103,6 +103,7 @@ def test_what_is_no_file_is_named(tmp_path: Path) -> None:
     cases = {
         tmp_path: "is a directory", tmp_path / "pipe": "is a named pipe",
         tmp_path / "circle": "cannot be read (Too many levels", Path("/dev/zero"): "is a device",
+        Path("/proc/version"): "is a file of the kernel's state",
         Path("/proc/kmsg"): "is a file of the kernel's state",
         Path("/proc/self/mem"): "is a file of the kernel's state",
         tmp_path / "gone": "does not exist",
