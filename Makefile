@@ -14,12 +14,13 @@ export MUJOCO_GL ?= egl
 PROFILE ?= field
 
 .DEFAULT_GOAL := help
-.PHONY: help land test check mutation bench results docs format clean
+.PHONY: help land test check mutation regress bench results docs format clean
 
 help:
 	@echo "make land    set everything up, fly over crossroad and land"
 	@echo "make test    the tests"
 	@echo "make check   style, types, architecture"
+	@echo "make regress four short landings beside the stored ones; fails where they are worse"
 	@echo "make mutation changes algorithms one statement at a time; the tests must see it"
 	@echo "make bench   real-time factor and the time of each stage"
 	@echo "make results fly what README and the results pages print; write their tables"
@@ -42,6 +43,10 @@ check: $(READY_TO_TEST)
 # Goes on where an earlier call stopped; about an hour of two cores from the start.
 mutation: $(READY_TO_TEST)
 	$(BIN)/python tests/mutations/run.py
+
+regress: $(READY)
+	$(BIN)/touchdown regress configs/regress.toml --bounds \
+	    --baseline configs/regress_baseline.json
 
 bench: $(READY)
 	$(BIN)/touchdown bench loop

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, Number
 from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import say
+
+if TYPE_CHECKING:
+    from touchdown.experiments.reporting.regression.baseline import Baseline
 
 
 @click.command()
@@ -104,7 +109,7 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
 
 
 @click.command()
-@click.argument("directory", type=click.Path(path_type=Path))
+@click.argument("directory", metavar="DIRECTORY|FILE.toml", type=click.Path(path_type=Path))
 @click.option(
     "--baseline",
     required=True,
@@ -125,38 +130,90 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
     is_flag=True,
     help="Exit 1 also where a scene and method has too few equal seeds to find any change.",
 )
+@click.option(
+    "--bounds",
+    is_flag=True,
+    help="Compare position error, NEES, stated sigma, d_L and levelness with bounds from the "
+    "baseline's spread between seeds; for few flights.",
+)
+@click.option("--preset", type=click.Choice(["whole", "short"]),
+              help="With FILE.toml: how much each run flies.  [whole]")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR",
+              help="With FILE.toml: a new directory that keeps the flights.  [none]")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def regress(
-    directory: Path,
-    baseline: Path,
-    update: bool,
-    margin: float,
-    require_power: bool,
-    as_json: bool,
-) -> int:
-    """Exit 1 when the position error of DIRECTORY's flights is worse than the baseline's.
+def regress(directory: Path, baseline: Path, update: bool, as_json: bool, **more: Any) -> int:
+    """Exit 1 when DIRECTORY's flights are worse than the baseline's. FILE.toml is a campaign, which
+    is flown first.
 
     Compares each scene and method: a paired test on equal seeds, a bootstrap where seeds differ,
     corrected over all of them, so that chance alone fails at most 5 comparisons of 100. Flights
     with an error in the baseline and none now are worse without a test, and so is
-    a directory with nothing to compare.
+    a directory with nothing to compare. --bounds compares five figures of few flights instead.
 
     Example: touchdown regress campaigns/positioning --baseline baseline.json
     """
-    from touchdown.experiments.reporting.flights import load_flights
     from touchdown.experiments.reporting.regression.baseline import read_baseline, write_baseline
-    from touchdown.experiments.reporting.regression.compare import compare
-    from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_sentences
 
-    rows = load_flights(directory)
-    if update:
+    before = None if update else read_baseline(baseline)
+    rows = _rows_of(directory, more["preset"], more["out"])
+    if before is None:
         write_baseline(rows, baseline)
         if as_json:
             click.echo(json.dumps({"baseline": str(baseline), "flights": len(rows)}))
         else:
             say(f"written: {baseline}, {len(rows)} flights")
         return EXIT_DONE
-    found = compare(rows, read_baseline(baseline), margin)
+    if more["bounds"]:
+        return _print_bounds(rows, before, as_json)
+    return _print_comparison(rows, before, as_json, more["margin"], more["require_power"])
+
+
+def _rows_of(source: Path, preset: str | None, out: Path | None) -> list[dict[str, Any]]:
+    """The flights of a directory, or of a campaign's file, flown into ``out`` or a directory that
+    goes afterwards. Raises UsageError where ``out`` has flights already: they would not be flown
+    again."""
+    from touchdown.experiments.campaign.plan import load_plan
+    from touchdown.experiments.campaign.progress import Display
+    from touchdown.experiments.campaign.results_table import is_campaign
+    from touchdown.experiments.campaign.session import fly_campaign, make_engine
+    from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.reporting.flights import load_flights
+
+    if source.suffix != ".toml":
+        if preset is not None or out is not None:
+            raise UsageError(f"--preset and --out go with FILE.toml: '{source}' is flown already")
+        return load_flights(source)
+    plan = load_plan(source, preset=preset)
+    if out is not None and is_campaign(out):
+        raise UsageError(f"--out {out} has flights already; name a new directory, or compare it")
+    with tempfile.TemporaryDirectory() as folder:
+        directory = out or Path(folder) / "flights"
+        fly_campaign(plan, directory, make_engine("local", None), watcher=Display())
+        return load_flights(directory)
+
+
+def _print_bounds(rows: list[dict[str, Any]], baseline: Baseline, as_json: bool) -> int:
+    from touchdown.experiments.reporting.regression.bounds import bounds_lines, check_bounds
+
+    found = check_bounds(rows, baseline)
+    if as_json:
+        click.echo(json.dumps(found.as_json(), indent=2))
+    else:
+        say("\n".join(map(visible, bounds_lines(found))))
+    return EXIT_FAILED if found.failed else EXIT_DONE
+
+
+def _print_comparison(
+    rows: list[dict[str, Any]],
+    baseline: Baseline,
+    as_json: bool,
+    margin: float,
+    require_power: bool,
+) -> int:
+    from touchdown.experiments.reporting.regression.compare import compare
+    from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_sentences
+
+    found = compare(rows, baseline, margin)
     if as_json:
         click.echo(json.dumps({**found.as_json(), "words": verdict_sentences(found)}, indent=2))
     else:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option("--profile", type=click.Choice(["field", "ideal"]), default="field",
               show_default=True, help="The sets of which world.")  # fmt: skip
 @click.option("--only", multiple=True, metavar="NAME",
-              help="One set: landings, positioning or blind. May be repeated.")  # fmt: skip
+              help="One set: landings, positioning, blind or short. May be repeated.")  # fmt: skip
 @click.option("--write", is_flag=True,
               help="Write docs/results/results.json and the tables of the pages.")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Print what it would cost, and fly nothing.")

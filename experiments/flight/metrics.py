@@ -114,11 +114,14 @@ class Consistency:
     """Normalised estimation error squared (NEES) ``e^T P^-1 e`` of the position (Bar-Shalom et al.
     2001, section 5.4); 3 on average for a consistent estimator.
 
-    A histogram over the logarithm, ten decades from 1e-4, gives the median to 5 %.
+    A histogram over the logarithm, ten decades from 1e-4, gives the median to 5 %. ``variances``
+    sums the logarithms of the trace of P, m^2, over samples where it is positive.
     """
 
     count: int = 0
     total: float = 0.0
+    variances: float = 0.0
+    stated: int = 0
     below_limit: int = 0
     histogram: NDArray[np.int64] = field(
         default_factory=lambda: np.zeros(_NEES_BINS, dtype=np.int64)
@@ -134,6 +137,10 @@ class Consistency:
             value = math.inf
         if not 0.0 <= value < math.inf:
             value = _NEES_LOWEST * 10.0 ** (_NEES_BINS / _NEES_PER_DECADE)
+        trace = float(np.trace(covariance))
+        if 0.0 < trace < math.inf:
+            self.variances += math.log(trace)
+            self.stated += 1
         self.count += 1
         self.total += value
         self.below_limit += value < NEES_LIMIT
@@ -150,6 +157,7 @@ class Consistency:
             mean=self.total / self.count,
             below_14_2=self.below_limit / self.count,
             samples=self.count,
+            sigma_m=math.exp(0.5 * self.variances / self.stated) if self.stated else None,
         )
 
 

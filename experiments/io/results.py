@@ -56,6 +56,8 @@ class Nees(_Part):
     below_14_2: Figure = None
     """share of samples"""
     samples: int = 0
+    sigma_m: Figure = None
+    """geometric mean of the standard deviation (3-D) that the estimate states of its position"""
 
 
 class Landing(_Part):

@@ -10,8 +10,10 @@ from pathlib import Path
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.results_book import tables
+from touchdown.experiments.results_book.pairs import pairs
 from touchdown.experiments.results_book.record import (
     FILE,
+    SHORT,
     Record,
     merged,
     read_record,
@@ -48,10 +50,12 @@ def _origin(keys: Sequence[str], record: Record) -> str:
     entries = [record[key] for key in keys]
     plans = " and ".join(f"`{entry['plan']}`" for entry in entries)
     hours = sum(entry["core_hours"] for entry in entries)
-    (revision,) = {entry["revision"] for entry in entries}
+    found = dict.fromkeys(entry["revision"][:12] for entry in entries)
+    revisions = "revision" + "s" * (len(found) > 1)
+    revisions += " " + " and ".join(f"`{name}`" for name in found)
     profile = keys[0].partition("/")[0]
     return (
-        f"*Flown at revision `{revision[:12]}` in profile `{profile}`, "
+        f"*Flown at {revisions} in profile `{profile}`, "
         f"{max(entry['date'] for entry in entries)}: {plans}, by `{entries[0]['command']}`, "
         f"{hours:.2f} core-hours.*"
     )
@@ -64,6 +68,7 @@ BLOCKS = (
     Block(_FIELD, "positioning", ("field/positioning", "field/landings"), tables.positioning),
     Block(_FIELD, "levelness", ("field/positioning", "field/landings"), tables.levelness),
     Block(_FIELD, "blind", ("field/blind",), tables.blind),
+    Block("docs/results/short.md", "pairs", (f"field/{SHORT}", "field/landings"), pairs),
     Block("docs/results/landing.md", "landings", ("ideal/landings",), tables.landings),
     Block(
         "docs/results/positioning.md",

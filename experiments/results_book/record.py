@@ -15,6 +15,8 @@ from touchdown.experiments.results_book.sets import FlightSet
 
 FILE = "docs/results/results.json"
 FORMAT = "touchdown-results-1"
+SHORT = "short"
+"""The set whose table states its own revision beside that of the flights it is compared with."""
 _FIGURES = 6
 """significant figures of a stored number"""
 
@@ -103,10 +105,11 @@ def _short(value: Any) -> Any:
 
 def merged(before: Record, new: Record) -> Record:
     """The sets of ``before`` with those of ``new`` in their places. Raises UsageError where the
-    sets of a profile would be of several revisions: a page prints several of them."""
+    sets of a profile but `SHORT` would be of several revisions: a page prints several of them."""
     record = {**before, **new}
     for profile in {key.partition("/")[0] for key in new}:
-        own = {key: record[key] for key in sorted(record) if key.partition("/")[0] == profile}
+        names = sorted(key for key in record if key.partition("/")[0] == profile)
+        own = {key: record[key] for key in names if key != f"{profile}/{SHORT}"}
         if len({entry["revision"] for entry in own.values()}) > 1:
             named = ", ".join(f"{key} {entry['revision'][:12]}" for key, entry in own.items())
             raise UsageError(

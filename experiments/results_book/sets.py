@@ -50,6 +50,7 @@ SETS = (
     FlightSet("landings", "field", "configs/results_landings.toml"),
     FlightSet("positioning", "field", "configs/results_positioning.toml"),
     FlightSet("blind", "field", "configs/field_blind.toml"),
+    FlightSet("short", "field", "configs/results_short.toml"),
     FlightSet("landings", "ideal", "configs/results_landings.toml"),
     FlightSet("positioning", "ideal", "configs/results_positioning.toml"),
 )

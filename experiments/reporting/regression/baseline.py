@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +24,40 @@ METRIC = "position_error_m.mean"
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One flight. ``error_m`` is None without a position error; ``bad``: not successful."""
+    """One flight. ``error_m`` is None without a position error; ``bad``: not successful;
+    ``figures``: those of `FIGURES` that it has, by column."""
 
     seed: int
     error_m: float | None
     outcome: str
     bad: bool
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A figure of a flight. Values below ``floor`` count as ``floor``, so that their logarithms do
+    not decide. ``sign``: 1 where more is worse, -1 where less is."""
+
+    title: str
+    column: str
+    floor: float
+    sign: int = 1
+
+    def log_of(self, trial: Trial) -> float | None:
+        """Logarithm of the figure; None for a flight without it."""
+        value = trial.figures.get(self.column)
+        return None if value is None else math.log(max(value, self.floor))
+
+
+FIGURES = (
+    Figure("position error (m)", METRIC, 0.01),
+    Figure("NEES", "nees.mean", 0.3),  # a tenth of what is consistent
+    Figure("stated σ (m)", "nees.sigma_m", 0.001, -1),  # overconfidence that errors hide
+    Figure("d_L (m)", "landing.target_offset_m", 0.05),  # half a cell of the map
+    Figure("levelness (°)", "map.levelness_error_deg.mean", 0.1),
+)
+"""What `bounds` compares."""
 
 
 Key = tuple[str, str, str]
@@ -63,8 +91,14 @@ def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
                 f"{cell_name(key)} was flown twice with seed {seed} ('{row['run_id']}' is one of "
                 "the runs); keep one of them"
             )
-        trials[seed] = Trial(seed, number(row, METRIC), str(row["outcome"]), not is_successful(row))
+        trials[seed] = _trial_of(seed, row)
     return cells
+
+
+def _trial_of(seed: int, row: Row) -> Trial:
+    found = {figure.column: number(row, figure.column) for figure in FIGURES}
+    figures = {column: value for column, value in found.items() if value is not None}
+    return Trial(seed, number(row, METRIC), str(row["outcome"]), not is_successful(row), figures)
 
 
 def _variant(row: Row) -> str:
@@ -149,6 +183,16 @@ def _trial(tree: Mapping[str, Any]) -> Trial:
     error = tree["error_m"]
     if error is not None and not 0.0 <= error < math.inf:
         raise ValueError(f"error_m = {error} is no error")
+    figures = tree.get("figures", {})
+    if not isinstance(figures, dict):
+        raise ValueError(f"figures = {shown(figures)} is of another kind")
+    for column, value in figures.items():
+        if type(value) not in (int, float) or not 0.0 <= value < math.inf:
+            raise ValueError(f"{shown(column)} = {shown(value)} is no figure of a flight")
     return Trial(
-        tree["seed"], None if error is None else float(error), tree["outcome"], tree["bad"]
+        tree["seed"],
+        None if error is None else float(error),
+        tree["outcome"],
+        tree["bad"],
+        {str(column): float(value) for column, value in figures.items()},
     )

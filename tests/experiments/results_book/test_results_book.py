@@ -13,6 +13,7 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.results_book import flying, tables
 from touchdown.experiments.results_book.pages import BLOCKS, write_book, written
+from touchdown.experiments.results_book.pairs import pairs
 from touchdown.experiments.results_book.record import (
     FILE,
     merged,
@@ -276,3 +277,33 @@ def test_a_page_without_its_markers_is_named() -> None:
 def test_sets_are_chosen_by_profile() -> None:
     assert [found.name for found in chosen("ideal")] == ["landings", "positioning"]
     assert chosen("field", ["blind"]) == [SETS[2]]
+
+
+def test_short_flights_are_paired_with_whole_ones_of_equal_scene_and_seed() -> None:
+    """Ranks agree, errors are halved, d_L is the same in all: no correlation of what is equal."""
+    sides = [
+        [
+            row(scene, seed, **{
+                "position_error_m.mean": scale * error, "landing.target_offset_m": 0.1,
+            })
+            for (scene, seed), error in zip(
+                ((s, n) for s in ("lake", "forest") for n in range(3)),
+                (0.1, 0.2, 0.4, 0.8, 0.3, 0.6), strict=True,
+            )
+        ]
+        for scale in (0.5, 1.0)
+    ]  # fmt: skip
+    lines = pairs([*sides[0], row("lake", 9)], sides[1][::-1])
+    error, offset = cells(lines, "position error (m)"), cells(lines, "d_L (m)")
+    assert (error["pairs"], error["whole, mean"], error["short, mean"]) == ("6", "0.400", "0.200")
+    assert error["short over whole"] == "0.500 [0.500, 0.500]"
+    assert error["rank correlation"].startswith("1.00 [")
+    assert offset["rank correlation"] == "–"
+    assert "Landed: 6 of 6 short flights, 6 of 6 whole ones." in "\n".join(lines)
+
+
+def test_the_set_of_short_flights_may_be_of_another_revision() -> None:
+    sets = {"field/landings": {"revision": "a"}, "field/blind": {"revision": "a"}}
+    assert merged(sets, {"field/short": {"revision": "b"}}).keys() == {*sets, "field/short"}
+    with pytest.raises(UsageError, match="would be of several revisions"):
+        merged(sets, {"field/blind": {"revision": "b"}})

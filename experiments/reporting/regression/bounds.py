@@ -1,0 +1,185 @@
+"""Several figures of few flights, each against a bound from the spread between seeds.
+
+The tests of `compare` find no change in four flights. Here the spread is that of the baseline,
+which holds more seeds than are flown again: flights of equal seeds, on another machine above all,
+may differ as much as flights of two seeds do, and no more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.reporting.flights import Row
+from touchdown.experiments.reporting.regression.baseline import (
+    FIGURES,
+    Baseline,
+    Cells,
+    Figure,
+    Key,
+    Trial,
+    cell_name,
+    cells_of,
+)
+from touchdown.experiments.reporting.regression.missing_runs import Pairs, newly_bad
+
+ALPHA = 0.05
+"""Share of false alarms of a whole comparison, where equal seeds differ as much as two seeds."""
+ALL_SCENES = "all scenes"
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BoundedFigure:
+    """A figure over the flights of a cell, or of all cells of a method. ``now``, ``before`` and
+    ``bound`` are geometric means; ``spread`` is the standard deviation of the logarithm between
+    seeds."""
+
+    name: str
+    figure: str
+    flights: int
+    now: float
+    before: float
+    bound: float
+    spread: float
+    sign: int
+
+    @property
+    def worse(self) -> bool:
+        return self.sign * math.log(self.now / self.bound) > _ROUNDING
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BoundsVerdict:
+    figures: list[BoundedFigure]
+    lost: list[str]
+    """flights that were successful, or had a figure, in the baseline and are so no longer"""
+    baseline_revision: str | None
+
+    @property
+    def failed(self) -> bool:
+        return bool(self.lost) or any(figure.worse for figure in self.figures)
+
+    def as_json(self) -> dict[str, Any]:
+        figures = [asdict(figure) | {"worse": figure.worse} for figure in self.figures]
+        return {**asdict(self), "figures": figures, "failed": self.failed, "alpha": ALPHA}
+
+
+def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
+    """Compares the flights of ``rows`` with those of equal seeds of the baseline.
+
+    A figure is worse where the mean of its logarithm departs from that of the baseline, to the
+    worse side, by more than t * s * sqrt(2 / n): s the standard deviation between the baseline's
+    seeds, pooled over its cells of the method, n the flights, t the quantile of Student's
+    distribution for `ALPHA` over all figures and cells (Bonferroni). Raises UsageError where
+    nothing can be compared.
+    """
+    pairs = _equal_seeds(cells_of(rows), baseline.cells)
+    groups = _groups(pairs)
+    alpha = ALPHA / (len(groups) * len(FIGURES))
+    figures, lost = [], newly_bad(pairs)
+    for figure in FIGURES:
+        for name, keys in groups:
+            values = [
+                (figure.log_of(new[seed]), figure.log_of(old[seed]))
+                for new, old in (pairs[key] for key in keys)
+                for seed in old
+            ]
+            both = [(x, y) for x, y in values if x is not None and y is not None]
+            gone = sum(x is None and y is not None for x, y in values)
+            if gone and len(keys) == 1:
+                lost.append(f"{name}: {gone} of {len(values)} flights have no {figure.title}")
+            if both:
+                margin = _margin(figure, baseline.cells, keys, len(both), alpha)
+                figures.append(_bounded(name, figure, both, *margin))
+    return BoundsVerdict(figures=figures, lost=lost, baseline_revision=baseline.git_revision)
+
+
+def _equal_seeds(new: Cells, old: Cells) -> Pairs:
+    """Flights of equal seeds by cell, new and old."""
+    pairs: dict[Key, tuple[dict[int, Trial], dict[int, Trial]]] = {}
+    for key in sorted(new.keys() & old.keys()):
+        seeds = sorted(new[key].keys() & old[key].keys())
+        if seeds:
+            pairs[key] = {s: new[key][s] for s in seeds}, {s: old[key][s] for s in seeds}
+    if not pairs:
+        raise UsageError(
+            "the baseline has no flight of equal scene, method, preset and seed; it has "
+            f"{'; '.join(cell_name(key) for key in sorted(old)[:6]) or 'none'}"
+        )
+    return pairs
+
+
+def _groups(pairs: Pairs) -> list[tuple[str, list[Key]]]:
+    """Every cell, and all cells of a method and variant that has several."""
+    groups = [(cell_name(key), [key]) for key in pairs]
+    for method, variant in dict.fromkeys(key[1:] for key in pairs):
+        own = [key for key in pairs if key[1:] == (method, variant)]
+        if len(own) > 1:
+            groups.append((cell_name((ALL_SCENES, method, variant)), own))
+    return groups
+
+
+def _margin(
+    figure: Figure, cells: Cells, keys: Sequence[Key], flights: int, alpha: float
+) -> tuple[float, float]:
+    """The spread between seeds, and the difference of mean logarithms that it allows."""
+    freedom, squares = 0, 0.0
+    for key, trials in cells.items():
+        logs = [x for trial in trials.values() if (x := figure.log_of(trial)) is not None]
+        if key[1:] == keys[0][1:] and len(logs) > 1:
+            freedom += len(logs) - 1
+            squares += float(np.var(logs)) * len(logs)
+    if not freedom:
+        raise UsageError(
+            f"the baseline has no spread of the {figure.title}: write it from flights of several "
+            "seeds of each scene"
+        )
+    spread = math.sqrt(squares / freedom)
+    quantile = float(stats.t.ppf(1.0 - alpha, freedom))
+    return spread, quantile * spread * math.sqrt(2.0 / flights)
+
+
+def _bounded(
+    name: str, figure: Figure, both: Sequence[tuple[float, float]], spread: float, margin: float
+) -> BoundedFigure:
+    now, before = (float(mean) for mean in np.mean(both, axis=0))
+    return BoundedFigure(
+        name=name,
+        figure=figure.title,
+        flights=len(both),
+        now=math.exp(now),
+        before=math.exp(before),
+        bound=math.exp(before + figure.sign * margin),
+        spread=spread,
+        sign=figure.sign,
+    )
+
+
+def bounds_lines(found: BoundsVerdict) -> list[str]:
+    """A Markdown table of each figure against its bound, and a line for everything worse."""
+    lines = [
+        "| figure | scene, method | now | was | bound | spread between seeds | flights | |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for one in found.figures:
+        lines.append(
+            f"| {one.figure} | {one.name} | {one.now:.4g} | {one.before:.4g} | {one.bound:.4g} | "
+            f"{100.0 * math.expm1(one.spread):.0f} % | {one.flights} | {'WORSE' * one.worse} |"
+        )
+    lines.append("")
+    lines += [f"LOST   {line}" for line in found.lost]
+    for one in (figure for figure in found.figures if figure.worse):
+        lines.append(
+            f"WORSE  {one.name}: {one.figure} {one.now:.4g}, was {one.before:.4g}: "
+            f"{one.now / one.before:.3g} times, {one.bound / one.before:.3g} allowed"
+        )
+    if not found.failed:
+        lines.append(f"All {len(found.figures)} figures are within their bounds.")
+    return lines

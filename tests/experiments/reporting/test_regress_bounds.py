@@ -1,0 +1,151 @@
+"""`touchdown regress --bounds`: the bounds by hand, and the command."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scipy import stats
+
+from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.reporting.regression.baseline import (
+    FIGURES,
+    Baseline,
+    cells_of,
+    read_baseline,
+    write_baseline,
+)
+from touchdown.experiments.reporting.regression.bounds import (
+    BoundsVerdict,
+    bounds_lines,
+    check_bounds,
+)
+
+Row = dict[str, Any]
+POSITION, NEES, SIGMA, D_L, LEVEL = (figure.column for figure in FIGURES)
+LOGS = (-0.2, 0.0, 0.2)
+"""of a figure over its level, by seed: standard deviation 0.2"""
+
+
+def landing(scene: str, seed: int, log: float = 0.0, **changes: Any) -> Row:
+    row: Row = {
+        "run_id": f"{scene}-livo-s{seed}",
+        "scene": scene,
+        "estimator": "livo",
+        "seed": seed,
+        "mode": "land",
+        "preset": "short",
+        "outcome": "LANDED",
+        "landing.judged_on": "geometry",
+        "landing.safe_geometry": True,
+        "git_revision": "abc",
+    }
+    levels = {POSITION: 0.1, NEES: 3.0, SIGMA: 0.2, D_L: 0.2, LEVEL: 0.5}
+    return row | {key: level * math.exp(log) for key, level in levels.items()} | changes
+
+
+def flights(**changes: float) -> list[Row]:
+    """Three seeds of each of two scenes, with figures by column times ``changes``."""
+    rows = [landing(scene, seed, log) for scene in ("a", "b") for seed, log in enumerate(LOGS)]
+    return [row | {key: row[key] * factor for key, factor in changes.items()} for row in rows]
+
+
+def against(rows: list[Row], old: list[Row]) -> BoundsVerdict:
+    return check_bounds(rows, Baseline(cells_of(old), "abc", ""))
+
+
+def test_the_bound_follows_from_the_spread_between_seeds() -> None:
+    new = [row for row in flights() if row["seed"] < 2]
+    found = against(new, flights())
+    assert not found.failed and len(found.figures) == 5 * 3
+    one = next(f for f in found.figures if f.name.startswith("a,") and f.figure == "NEES")
+    both = next(f for f in found.figures if f.name.startswith("all") and f.figure == "NEES")
+    assert one.name == "a, livo (land short)"
+    # four degrees of freedom: three seeds in each of two scenes
+    quantile = stats.t.ppf(1.0 - 0.05 / 15, 4)
+    for figure, count in ((one, 2), (both, 4)):
+        assert figure.flights == count and figure.spread == pytest.approx(0.2)
+        assert figure.now == pytest.approx(figure.before) == pytest.approx(3.0 * math.exp(-0.1))
+        allowed = math.log(figure.bound / figure.before)
+        assert allowed == pytest.approx(quantile * 0.2 * math.sqrt(2.0 / count))
+
+
+@pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.title)
+def test_each_figure_that_is_three_times_worse_is_named(figure: Any) -> None:
+    factor = 3.0**figure.sign
+    found = against(flights(**{figure.column: factor}), flights())
+    assert {one.figure for one in found.figures if one.worse} == {figure.title}
+    assert f"WORSE  a, livo (land short): {figure.title}" in "\n".join(bounds_lines(found))
+    assert not against(flights(), flights(**{figure.column: factor})).failed, "better is not worse"
+
+
+def test_values_below_the_floor_do_not_decide() -> None:
+    low = {D_L: 0.001 / 0.2}
+    assert not against(flights(**{D_L: 0.04 / 0.2}), flights(**low)).failed
+    with pytest.raises(UsageError, match="no spread"):
+        against([landing("a", 0)], [landing("a", 0)])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"outcome": "DIVERGED"}, {"landing.safe_geometry": False}, {D_L: None}],
+    ids=["outcome", "unsafe", "figure"],
+)
+def test_a_flight_that_is_lost_fails(changes: Row) -> None:
+    rows = flights()
+    rows[0] |= changes
+    found = against(rows, flights())
+    assert found.failed and len(found.lost) == 1 and found.lost[0].startswith("a, livo")
+
+
+def test_flights_of_other_presets_and_seeds_are_not_compared() -> None:
+    whole = [row | {"preset": "whole"} for row in flights()]
+    other = [row | {"seed": 9, "run_id": "x9"} for row in flights()[:1]]
+    for rows in (whole, other):
+        with pytest.raises(UsageError, match="no flight of equal scene, method, preset and seed"):
+            against(rows, flights())
+
+
+def test_figures_survive_the_file(tmp_path: Path) -> None:
+    write_baseline(flights(), tmp_path / "b.json")
+    assert read_baseline(tmp_path / "b.json").cells == cells_of(flights())
+    text = (tmp_path / "b.json").read_text().replace('"nees.mean": 3.0', '"nees.mean": "3"', 1)
+    (tmp_path / "b.json").write_text(text)
+    with pytest.raises(UsageError, match=r"nees\.mean.* is no figure of a flight"):
+        read_baseline(tmp_path / "b.json")
+
+
+def test_the_command_flies_a_campaign_and_compares_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown: list[Row] = []
+    plans = []
+
+    def fly(plan: Any, directory: Path, *_: Any, **__: Any) -> None:
+        plans.append((plan, directory))
+        directory.mkdir(parents=True)
+
+    base, file = tmp_path / "b.json", tmp_path / "c.toml"
+    write_baseline(flights(), base)
+    file.write_text('name = "c"\nmode = "land"\n[axes]\nscene = ["crossroad"]\n')
+    monkeypatch.setattr("touchdown.experiments.campaign.session.fly_campaign", fly)
+    monkeypatch.setattr(
+        "touchdown.experiments.reporting.flights.load_flights", lambda _: list(flown)
+    )
+    command = ["regress", str(file), "--baseline", str(base), "--bounds", "--preset", "short"]
+    for factor, code in ((1.0, 0), (3.0, 1)):
+        flown[:] = flights(**{NEES: factor})
+        assert cli.main([*command, "--json"]) == code
+        found = json.loads(capsys.readouterr().out)
+        assert found["failed"] == bool(code)
+        assert {f["figure"] for f in found["figures"] if f["worse"]} == (
+            {"NEES"} if code else set()
+        )
+    plan, directory = plans[0]
+    assert plan.runs[0].values["preset"] == "short" and not directory.exists()
+    assert cli.main(["regress", str(tmp_path), "--baseline", str(base), "--preset", "short"]) == 2
+    assert "is flown already" in capsys.readouterr().err
