@@ -1,7 +1,5 @@
 """Anchored maps and online calibration: derivatives, identities, and filter consistency."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -191,18 +189,9 @@ def test_an_uncertain_depth_gives_no_information_along_its_epipolar_line() -> No
     intrinsics = np.array([600.0, 600.0, 423.5, 239.5])
     spread = 1e3 * landmark / np.linalg.norm(landmark)
     information, *_ = calibrated_information(
-        pixels,
-        np.zeros(1),
-        landmark,
-        np.zeros((1, 3, 0)),
-        spread,
-        *arguments[:4],
-        np.zeros(12),
-        *arguments[4:],
-        intrinsics,
-        1.0,
-        1e6,
-    )
+        pixels, np.zeros(1), landmark, np.zeros((1, 3, 0)), spread, *arguments[:4], np.zeros(12),
+        *arguments[4:], intrinsics, 1.0, 1e6,
+    )  # fmt: skip
     assert information[3, 3] < 1e-3  # x of the position moves the pixel along the line
     assert information[4, 4] == pytest.approx((600.0 / 12.0) ** 2, rel=0.01)
 
