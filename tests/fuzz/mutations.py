@@ -1,7 +1,5 @@
 """Mutations of values, trees, texts and bytes, and files that are none."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -42,9 +40,6 @@ def pick(rng: Rng, items: Iterable[Any]) -> Any:
 def chance(rng: Rng, share: float) -> bool:
     """True with the given probability."""
     return bool(rng.random() < share)
-
-
-# ------------------------------------------------------------------------------------------ values
 
 
 def value(rng: Rng, depth: int = 0) -> Any:
@@ -88,14 +83,10 @@ def misspelt(rng: Rng, word: str) -> str:
     return pick(
         rng,
         (
-            word[:at] + word[at + 1 :],
-            word[:at] + letter + word[at:],
-            word[:at] + letter + word[at + 1 :],
-            word.upper(),
-            word + "." + word,
-            word,
+            word[:at] + word[at + 1 :], word[:at] + letter + word[at:],
+            word[:at] + letter + word[at + 1 :], word.upper(), word + "." + word, word,
         ),
-    )
+    )  # fmt: skip
 
 
 def mutate_tree(rng: Rng, tree: Any) -> None:
@@ -140,9 +131,6 @@ def _mutate_list(rng: Rng, items: list[Any], at: int) -> None:
         items.insert(at, items[at])
     else:
         items[at] = neighbour(rng, items[at])
-
-
-# -------------------------------------------------------------------------------------------- text
 
 
 def toml_text(tree: Mapping[str, Any]) -> str:
@@ -218,9 +206,6 @@ def toml_oddity(rng: Rng, text: str) -> str:
             text + "seed = 0x7fffffffffffffffffff\n",
         ),
     )
-
-
-# ------------------------------------------------------------------------------------------- bytes
 
 
 def damaged(rng: Rng, data: bytes) -> bytes:
