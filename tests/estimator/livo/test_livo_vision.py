@@ -112,6 +112,19 @@ def test_feature_planes_fit_a_slope_and_refuse_a_step() -> None:
     np.testing.assert_allclose(depth, 20.0 / (rays3 @ normal), atol=0.02)
 
 
+def test_a_step_in_depth_right_behind_a_feature_makes_no_plane() -> None:
+    """2.5 m between the returns on its left and those on its right."""
+    rays = np.random.default_rng(5).uniform(-0.3, 0.3, (8_000, 2))
+    depth = np.where(rays[:, 0] > 0.1, 17.5, 20.0)
+    recent = RecentReturns(scans=1, per_scan=8_000)
+    recent.add(np.column_stack([rays, np.ones(8_000)]) * depth[:, None])
+    valid, _, sigmas = feature_planes(
+        np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]]), recent, Pose.identity(), (0.68, 0.38),
+        radius=16.0 / 617.0,
+    )  # fmt: skip
+    np.testing.assert_array_equal(valid & (sigmas == 0.0), [True, False, True])
+
+
 def test_a_feature_in_foliage_gets_the_foremost_depth_and_a_sigma() -> None:
     rng = np.random.default_rng(6)
     # two thirds of the returns from a crown at 18 m, 0.3 m deep, the others from 0.9 m below
