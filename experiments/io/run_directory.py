@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import socket
+import stat
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -87,11 +88,15 @@ def _check_result(out_dir: Path) -> None:
 
 def foreign_entries(folder: Path, own: Collection[str]) -> list[str]:
     """Names in ``folder``, sorted, of all but regular files whose name is in ``own``."""
-    return sorted(path.name for path in folder.iterdir() if not _is_own(path, own))
+    return sorted(path.name for path in folder.iterdir() if _is_own(path, own) is False)
 
 
-def _is_own(path: Path, own: Collection[str]) -> bool:
-    return path.name in own and path.is_file() and not path.is_symlink()
+def _is_own(path: Path, own: Collection[str]) -> bool | None:
+    """None where another process has removed it."""
+    try:
+        return path.name in own and stat.S_ISREG(path.lstat().st_mode)
+    except FileNotFoundError:
+        return None
 
 
 def remove_own(folder: Path, own: Collection[str]) -> None:
