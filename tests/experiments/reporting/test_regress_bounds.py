@@ -84,8 +84,8 @@ def test_each_figure_that_is_three_times_worse_is_named(figure: Any) -> None:
 
 
 def test_values_below_the_floor_do_not_decide() -> None:
-    low = {D_L: 0.001 / 0.2}
-    assert not against(flights(**{D_L: 0.04 / 0.2}), flights(**low)).failed
+    low = {D_L: 0.0001 / 0.2}
+    assert not against(flights(**{D_L: 0.008 / 0.2}), flights(**low)).failed
     with pytest.raises(UsageError, match="no spread"):
         against([landing("a", 0)], [landing("a", 0)])
 
