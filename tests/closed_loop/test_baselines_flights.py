@@ -1,7 +1,5 @@
 """Flights of the baselines: closed loop over a small scene."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -43,13 +41,9 @@ def test_gps_error_over_twenty_seeds_equals_the_prediction_of_its_receiver() -> 
     means = []
     for seed in range(20):
         config = load_config(
-            None,
-            ("sim.threads=1", "mapper.enabled=false"),
-            scene="flat",
-            estimator="gps",
-            seed=seed,
-            survey_only=True,
-        )
+            None, ("sim.threads=1", "mapper.enabled=false"), scene="flat", estimator="gps",
+            seed=seed, survey_only=True,
+        )  # fmt: skip
         result = fly(config, None).plain()
         assert result["outcome"] == "COMPLETED"
         means.append(result["position_error_m"]["mean"])

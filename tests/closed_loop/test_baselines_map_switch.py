@@ -1,7 +1,5 @@
 """Surveys with and without mapping have equal positions."""
 
-from __future__ import annotations
-
 import pytest
 
 from touchdown.experiments.flight.run import fly

@@ -1,7 +1,5 @@
 """Calibration from end to end, its file, and flights with the estimated rig."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -113,21 +111,18 @@ def _broken(file: Path, folder: Path, change: Any) -> Path:
     return broken
 
 
-@pytest.mark.parametrize(
-    ("change", "fragments"),
-    [
-        (lambda t: t["camera"].pop("fx"), ["'camera.fx' is missing"]),
-        (lambda t: t["camera"].update(fxx=3.0), ["'camera.fxx'", "did you mean 'camera.fx'"]),
-        (lambda t: t.pop("camera_from_lidar"), ["'camera_from_lidar' is missing"]),
-        (lambda t: t["camera"].update(fx="wide"), ["camera.fx", "number"]),
-        (lambda t: t["camera"].update(fy=-1.0), ["camera.fy", "greater than 0"]),
-        (lambda t: t["camera"].update(distortion=[0.0]), ["camera.distortion"]),
-        (
-            lambda t: t["camera_from_lidar"].update(rotation_quat_wxyz=[1.0, 1.0, 0.0, 0.0]),
-            ["rotation_quat_wxyz", "length 1"],
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "fragments"), [
+    (lambda t: t["camera"].pop("fx"), ["'camera.fx' is missing"]),
+    (lambda t: t["camera"].update(fxx=3.0), ["'camera.fxx'", "did you mean 'camera.fx'"]),
+    (lambda t: t.pop("camera_from_lidar"), ["'camera_from_lidar' is missing"]),
+    (lambda t: t["camera"].update(fx="wide"), ["camera.fx", "number"]),
+    (lambda t: t["camera"].update(fy=-1.0), ["camera.fy", "greater than 0"]),
+    (lambda t: t["camera"].update(distortion=[0.0]), ["camera.distortion"]),
+    (
+        lambda t: t["camera_from_lidar"].update(rotation_quat_wxyz=[1.0, 1.0, 0.0, 0.0]),
+        ["rotation_quat_wxyz", "length 1"],
+    ),
+])  # fmt: skip
 def test_invalid_calibration_files_are_one_line(
     calibrated: tuple[Path, dict[str, Any]], tmp_path: Path, change: Any, fragments: list[str]
 ) -> None:
@@ -140,23 +135,17 @@ def test_invalid_calibration_files_are_one_line(
         assert fragment in message
 
 
-@pytest.mark.parametrize(
-    ("arguments", "fragments"),
-    [
-        (("calibrate", "--poses", "2"), ["--poses", "x>=3"]),
-        (("land", "crossroad", "--calibration", "gone.json"), ["gone.json", "does not exist"]),
-        (("fly", "crossroad", "--calibration", "torn.json"), ["torn.json", "not valid JSON"]),
-        (("calibrate", "--set", "calibration_error.focal_sigma=-1"), ["must be within 0 to 1000"]),
-        (("calibrate", "--set", "camera.fov_x_deg=6", "--poses", "3"), ["only", "3 views"]),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "fragments"), [
+    (("calibrate", "--poses", "2"), ["--poses", "x>=3"]),
+    (("land", "crossroad", "--calibration", "gone.json"), ["gone.json", "does not exist"]),
+    (("fly", "crossroad", "--calibration", "torn.json"), ["torn.json", "not valid JSON"]),
+    (("calibrate", "--set", "calibration_error.focal_sigma=-1"), ["must be within 0 to 1000"]),
+    (("calibrate", "--set", "camera.fov_x_deg=6", "--poses", "3"), ["only", "3 views"]),
+])  # fmt: skip
 def test_bad_input_is_one_line(
-    arguments: tuple[str, ...],
-    fragments: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    arguments: tuple[str, ...], fragments: list[str], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     (tmp_path / "torn.json").write_text("{")
     code = cli.main([*arguments, "--quiet"])

@@ -1,7 +1,5 @@
 """Landing flights with ground classification, and networks with smaller weights."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Iterator
@@ -175,9 +173,6 @@ def test_without_a_classifier_nothing_changes() -> None:
     asked = setpoints(Photographer(plain("lawn"), ByColour()))
     decided = [phase for phase, _ in plainly].index(Phase.SELECT)
     assert all((plainly[i][1] == asked[i][1]).all() for i in range(decided))
-
-
-# ----------------------------------------------------------------------------------- small weights
 
 
 @pytest.fixture(scope="module")

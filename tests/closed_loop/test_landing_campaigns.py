@@ -1,7 +1,5 @@
 """The landing campaigns: their contents, and the safety of the commanded site."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 
@@ -24,11 +22,7 @@ def configs_of(plan: Plan) -> list[Config]:
 
 @pytest.mark.parametrize(
     ("name", "scenes", "methods", "seeds"),
-    [
-        ("landing", 4, 1, 25),
-        ("real_sites", 5, 1, 5),
-        ("commanded_site", 1, 5, 5),
-    ],
+    [("landing", 4, 1, 25), ("real_sites", 5, 1, 5), ("commanded_site", 1, 5, 5)],
 )
 def test_campaigns_of_landings(name: str, scenes: int, methods: int, seeds: int) -> None:
     plan = load_plan(ROOT / "configs" / f"{name}.toml")
@@ -65,9 +59,7 @@ def test_commanded_site_is_safe_with_clearance() -> None:
     assert np.hypot(*(spot - scene.takeoff_xy_m)) == pytest.approx(42.5, abs=0.5)
 
 
-def test_scene_seed_is_separate_from_the_seed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_scene_seed_is_separate_from_the_seed(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[tuple[str, int]] = []
     monkeypatch.setattr(
         "touchdown.scenes.compose.load_scene", lambda *location: loaded.append(location[:2])

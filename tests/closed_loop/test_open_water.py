@@ -3,8 +3,6 @@
 `pytest -m slow -s tests/closed_loop/test_open_water.py` prints the figures of docs/faults.md.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -96,18 +94,13 @@ def figures(outcome: str, rows: Any) -> Figures:
     worst = starts[np.argmax(growth)]
     change = np.linalg.norm(errors[starts + steps] - errors[starts], axis=1)
     return Figures(
-        outcome=outcome,
-        out_of_sight_s=float(times[out[-1]] - times[out[0]]),
-        growth_m=float(growth.max()),
-        change_m=float(change.max()),
-        sigma_before_m=float(sigmas[worst]),
-        sigma_after_m=float(sigmas[worst + steps]),
-        sigma_largest_m=float(sigmas[out].max()),
-        largest_out_m=float(size[out].max()),
-        back_m=float(size[-1]),
-        sigma_back_m=float(sigmas[-1]),
+        outcome=outcome, out_of_sight_s=float(times[out[-1]] - times[out[0]]),
+        growth_m=float(growth.max()), change_m=float(change.max()),
+        sigma_before_m=float(sigmas[worst]), sigma_after_m=float(sigmas[worst + steps]),
+        sigma_largest_m=float(sigmas[out].max()), largest_out_m=float(size[out].max()),
+        back_m=float(size[-1]), sigma_back_m=float(sigmas[-1]),
         worst_sigmas=float((size[out] / sigmas[out]).max()),
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """A worker of a campaign that flies ten times holds as much memory as after its second flight."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

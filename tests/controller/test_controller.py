@@ -18,7 +18,12 @@ from touchdown.controller.cascade import (
     _wrench,
 )
 from touchdown.controller.disturbance import DisturbanceObserver
-from touchdown.controller.mixer import Mixer, MotorLead, allocation_matrix
+from touchdown.controller.mixer import (
+    Mixer,
+    MotorLead,
+    allocation_matrix,
+    lead_coefficients,
+)
 from touchdown.controller.pid import PidGains, VectorPid
 from touchdown.landing.api import SurveyParams
 from touchdown.landing.mission.trajectory import survey_trajectory
@@ -125,6 +130,12 @@ def test_motor_lead_makes_the_rotor_follow_the_faster_lag() -> None:
         speed = command + decay * (speed - command)
         np.testing.assert_allclose(speed, 420.0 - 20.0 * np.exp(-step * STEP_S / 0.01))
         np.testing.assert_allclose(lead.modelled_radps, speed)
+
+
+def test_a_response_slower_than_the_motors_leaves_commands_alone() -> None:
+    motor = VEHICLE.motor_time_constant_s
+    assert lead_coefficients(motor, 3.0 * motor, STEP_S)[0] == pytest.approx(1.0)
+    assert lead_coefficients(0.0, 0.01, STEP_S) == (1.0, 0.0)
 
 
 def test_motor_lead_commands_what_the_motor_can_take() -> None:
@@ -274,11 +285,12 @@ def test_motors_off_stops_the_rotors_and_resets() -> None:
         == 0.0
     )
     fresh = CascadeController(VEHICLE, ControlParams())
-    setpoint = hold(np.zeros(3))(0.0)
-    np.testing.assert_array_equal(
-        controller.update(flyer.estimate(), setpoint).rotor_speed_radps,
-        fresh.update(flyer.estimate(), setpoint).rotor_speed_radps,
-    )
+    level, setpoint = Flyer(VEHICLE).estimate(), hold(np.zeros(3))(0.0)
+    for _ in range(20):  # at first both command the highest speed
+        np.testing.assert_array_equal(
+            controller.update(level, setpoint).rotor_speed_radps,
+            fresh.update(level, setpoint).rotor_speed_radps,
+        )
 
 
 def test_thrust_limit_bounds_the_thrust_and_freezes_the_integrals() -> None:

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -38,18 +36,10 @@ def test_every_loop_of_the_shipped_vehicle_has_its_margins() -> None:
     margins = design.loop_margins(vehicle_model(model, prefix=""), ControlParams())
     names = [margin.name for margin in margins]
     assert names == [
-        "rate roll/pitch",
-        "attitude roll/pitch",
-        "velocity horizontal",
-        "position horizontal",
-        "actuator, roll/pitch",
-        "rate yaw",
-        "attitude yaw",
-        "actuator, yaw",
-        "velocity vertical",
-        "position vertical",
-        "actuator, thrust",
-    ]
+        "rate roll/pitch", "attitude roll/pitch", "velocity horizontal", "position horizontal",
+        "actuator, roll/pitch", "rate yaw", "attitude yaw", "actuator, yaw", "velocity vertical",
+        "position vertical", "actuator, thrust",
+    ]  # fmt: skip
     for margin in margins:
         assert margin.gain_margin_db >= design.MIN_GAIN_MARGIN_DB, margin
         assert margin.phase_margin_deg >= design.MIN_PHASE_MARGIN_DEG, margin
@@ -78,13 +68,10 @@ def test_too_fast_a_rate_loop_shows_in_its_margin() -> None:
 def test_gains_are_the_closed_forms() -> None:
     gains = cascade_gains(
         ControlParams(
-            velocity_xy_radps=4.0,
-            velocity_integral_ratio=5.0,
-            acceleration_feedback=0.5,
-            rate_radps=20.0,
-            rate_derivative_s=0.01,
+            velocity_xy_radps=4.0, velocity_integral_ratio=5.0, acceleration_feedback=0.5,
+            rate_radps=20.0, rate_derivative_s=0.01,
         )
-    )
+    )  # fmt: skip
     assert gains.velocity.kp[0] == pytest.approx(1.5 * 4.0)
     assert gains.velocity.ki[0] == pytest.approx(1.5 * 16.0 / 5.0)
     assert gains.velocity.kd[0] == 0.5

@@ -1,7 +1,5 @@
 """The ground under plants, traffic and false returns, where the answer is known."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rejection of invalid messages, and estimators and mapper behind the guard."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -56,17 +54,13 @@ def test_valid_messages_pass_unchanged() -> None:
     assert out is whole and not events and guard.refused == 0
 
 
-@pytest.mark.parametrize(
-    ("changes", "word"),
-    [
-        ({"ranges": np.full(20, np.nan, np.float32)}, "not a number"),
-        ({"directions": np.full((20, 3), np.nan, np.float32)}, "not a number"),
-        ({"ranges": np.full(20, np.inf, np.float32)}, "not a number"),
-        ({"ranges": np.zeros(19, np.float32)}, "its arrays differ in length"),
-        ({"start_tick": 660}, "ends before it starts"),
-        ({"end_tick": 900}, "from the future"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "word"), [
+    ({"ranges": np.full(20, np.nan, np.float32)}, "not a number"),
+    ({"directions": np.full((20, 3), np.nan, np.float32)}, "not a number"),
+    ({"ranges": np.full(20, np.inf, np.float32)}, "not a number"),
+    ({"ranges": np.zeros(19, np.float32)}, "its arrays differ in length"),
+    ({"start_tick": 660}, "ends before it starts"), ({"end_tick": 900}, "from the future"),
+])  # fmt: skip
 def test_scans_that_are_refused(changes: dict[str, Any], word: str) -> None:
     bad = scan(**changes)
     out, events, guard = screen(obs(636, scans=(bad,)))
@@ -146,15 +140,12 @@ def test_a_frozen_sensor_is_detected_by_repeated_noise() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("rgb", "word"),
-    [
-        (np.zeros((HEIGHT, WIDTH, 3), np.uint8), "no contrast"),
-        (np.full((HEIGHT, WIDTH, 3), 255, np.uint8), "no contrast"),
-        (np.zeros((HEIGHT, WIDTH), np.uint8), "uint8 of shape"),
-        (np.zeros((HEIGHT, WIDTH, 3), np.float32), "float32 of shape"),
-    ],
-)
+@pytest.mark.parametrize(("rgb", "word"), [
+    (np.zeros((HEIGHT, WIDTH, 3), np.uint8), "no contrast"),
+    (np.full((HEIGHT, WIDTH, 3), 255, np.uint8), "no contrast"),
+    (np.zeros((HEIGHT, WIDTH), np.uint8), "uint8 of shape"),
+    (np.zeros((HEIGHT, WIDTH, 3), np.float32), "float32 of shape"),
+])  # fmt: skip
 def test_images_that_are_refused(rgb: Any, word: str) -> None:
     out, events, _ = screen(obs(636, images=(image(rgb=rgb),)))
     assert out.images == () and len(events) == 1 and word in events[0]
@@ -182,18 +173,12 @@ def test_an_invalid_imu_sample_is_replaced() -> None:
     assert screen(obs(3, imu=(sample(3, np.inf),)))[0].imu == ()
 
 
-# ----------------------------------------------------------- estimators behind a faulty delivery
-
 FAULTS = {
-    "lidar_nan": "not a number",
-    "lidar_empty": "no pulses",
-    "lidar_blind": "no returns",
-    "camera_black": "no contrast",
-    "timestamp_repeat": "repeats its time stamp",
-    "timestamp_swap": "out of order",
-    "lidar_frozen": "the same as the one before",
+    "lidar_nan": "not a number", "lidar_empty": "no pulses", "lidar_blind": "no returns",
+    "camera_black": "no contrast", "timestamp_repeat": "repeats its time stamp",
+    "timestamp_swap": "out of order", "lidar_frozen": "the same as the one before",
     "camera_frozen": "the same as the one before",
-}
+}  # fmt: skip
 
 
 def replay(

@@ -1,7 +1,5 @@
 """Removal of rain and fog by the guard; clear scans pass unchanged."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

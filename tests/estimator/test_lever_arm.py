@@ -4,8 +4,6 @@ The world's own IMU without noise is an exact log: the vehicle rests, then climb
 yaws. Position and velocity are those of the body origin.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,14 +62,12 @@ REST, FLIGHT = 100, 140
 
 Make = Callable[[SensorRig, Callable[[], Truth]], Any]
 ESTIMATORS: dict[str, Make] = {
-    "livo": lambda rig, _: Livo(rig),
-    "paper": lambda rig, _: PaperEstimator(rig),
+    "livo": lambda rig, _: Livo(rig), "paper": lambda rig, _: PaperEstimator(rig),
     "optical_flow": lambda rig, _: OpticalFlowEstimator(rig),
-    "stereo": lambda rig, _: StereoEstimator(rig),
-    "gps": lambda rig, _: GpsEstimator(rig),
+    "stereo": lambda rig, _: StereoEstimator(rig), "gps": lambda rig, _: GpsEstimator(rig),
     "hybrid_flow": lambda rig, _: HybridFlowEstimator(rig),
     "oracle": lambda rig, truth: Oracle(truth, rig),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -172,13 +168,10 @@ def test_the_tilt_found_at_rest_is_tied_to_the_bias() -> None:
         )
         inertial.take_imu(
             Observation(
-                tick=tick,
-                time_s=tick / 600,
-                imu=(sample,),
-                rotor_speed_radps=np.zeros(4),
+                tick=tick, time_s=tick / 600, imu=(sample,), rotor_speed_radps=np.zeros(4),
                 battery_fraction=1.0,
             )
-        )
+        )  # fmt: skip
     inertial.carry_to(300)
     np.testing.assert_allclose(inertial.eskf.state.rotation[2], so3_exp(tilt)[2], atol=2e-4)
     covariance = inertial.eskf.covariance

@@ -1,7 +1,5 @@
 """Scans and images that overtake one another are used in the order of measurement, soon."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -80,11 +78,8 @@ def test_an_overtaken_image_is_used_first() -> None:
     )
     released = _released(MessageOrder(RIG, PERIODS, PATIENCE), flight)
     assert released == [
-        ("image", 40, 90),
-        ("scan", 60, 96),
-        ("image", 100, 162),
-        ("scan", 120, 162),
-    ]
+        ("image", 40, 90), ("scan", 60, 96), ("image", 100, 162), ("scan", 120, 162),
+    ]  # fmt: skip
 
 
 def test_all_messages_come_in_order_when_latencies_vary() -> None:

@@ -4,8 +4,6 @@ Points are projected into a camera that turns and flies while its rows are expos
 pose of its own row, by iteration; no function under test takes part in it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -117,13 +115,10 @@ def flown(rate: np.ndarray, ticks: int) -> InertialFilter:
         speed = np.full(4, 400.0)
         inertial.take_imu(
             Observation(
-                tick=tick,
-                time_s=tick / 600,
-                imu=(sample,),
-                rotor_speed_radps=speed,
+                tick=tick, time_s=tick / 600, imu=(sample,), rotor_speed_radps=speed,
                 battery_fraction=1.0,
             )
-        )
+        )  # fmt: skip
     inertial.carry_to(ticks)
     return inertial
 

@@ -5,8 +5,6 @@ or 1), it is refused (exit code 2: one line on stderr, nothing written), or it r
 of the long work, where `fuzz.grounding` ends it. Any other end is a finding.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -116,9 +114,6 @@ def message_faults(text: str) -> list[str]:
     if _CLASS_NAME.search(text):
         faults.append(f"a class name in the error: {text[:300]!r}")
     return faults
-
-
-# ------------------------------------------------------------------------------------------- files
 
 
 def fingerprint(folder: str | os.PathLike[str]) -> dict[str, str]:

@@ -1,7 +1,5 @@
 """Cases over configurations, campaign files and command lines."""
 
-from __future__ import annotations
-
 import json
 import os
 from functools import cache
@@ -111,9 +109,6 @@ def config_json_case(rng: Rng, folder: Path, _shared: Path) -> Case:
     return Case(arguments=(_flight(rng), "flat", "--config", "config.json", "--quiet"))
 
 
-# --------------------------------------------------------------------------------------- campaigns
-
-
 def _campaign(rng: Rng) -> dict[str, Any]:
     tree: dict[str, Any] = {
         "name": pick(rng, ("fuzz", "fuzz", "fuzz", *MARKED)),
@@ -168,9 +163,6 @@ def campaign_case(rng: Rng, folder: Path, _shared: Path) -> Case:
     target = str(out.relative_to(folder))
     arguments = ("campaign", file.name, "--out", target, "--quiet", *extra)
     return Case(arguments=arguments, writes=(target,))
-
-
-# ------------------------------------------------------------------------------------ command lines
 
 
 def leaves(

@@ -1,28 +1,24 @@
 """Cases over trajectories and sensor logs, and over SQL."""
 
-from __future__ import annotations
-
+import contextlib
 import json
 import os
 import shutil
+import struct
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+import numpy as np
+
+from touchdown.experiments.io import ros2_messages as ros
+from touchdown.experiments.io.sensor_log import IMAGE_TOPICS, OBSERVATION_TOPIC, SCAN_TOPIC
+
+from fuzz import picture_formats as pictures
 from fuzz.cases import Case
-from fuzz.mutations import (
-    NUMBERS,
-    TEXTS,
-    Rng,
-    chance,
-    damaged,
-    flipped,
-    mutate_tree,
-    pick,
-    put,
-)
+from fuzz.mutations import NUMBERS, TEXTS, Rng, chance, damaged, flipped, mutate_tree, pick, put
 from fuzz.run_kinds import POSES, write_run
-
-# ------------------------------------------------------------------------------------- trajectories
+from support.sensor_logs import Log, read_log, write_log
 
 
 def tum_case(rng: Rng, folder: Path, shared: Path) -> Case:
@@ -91,9 +87,6 @@ def _other_tum(rng: Rng, text: str) -> str:
     return str(ends.join(" ".join(row) for row in rows) + pick(rng, ("\n", "", "\n\n\n")))
 
 
-# -------------------------------------------------------------------------------------- sensor logs
-
-
 def logged_run(shared: Path) -> Path:
     """A run of half a second with a sensor log, made once."""
     from support.export_support import ALL
@@ -111,17 +104,21 @@ def mcap_case(rng: Rng, folder: Path, shared: Path) -> Case:
     """``sensors.mcap`` of a replay or an export: damaged, or rewritten with other messages."""
     run = folder / "run"
     shutil.copytree(logged_run(shared), run)
-    data = (run / "sensors.mcap").read_bytes()
+    file = run / "sensors.mcap"
     if chance(rng, 0.7):
-        data = _other_log(rng, data)
-    (run / "sensors.mcap").unlink()
+        log = read_log(file)
+        for _ in range(int(pick(rng, (1, 1, 2, 4)))):
+            pick(rng, _CHANGES)(rng, log)
+        write_log(file, log)
+    data = file.read_bytes()
+    file.unlink()
     if chance(rng, 0.3):
-        data = flipped(rng, data) if chance(rng, 0.4) else data[: int(rng.integers(len(data)))]
-    put(rng, run / "sensors.mcap", data, 0.08)
+        ways = (flipped, lambda _rng, whole: whole[: int(rng.integers(len(whole)))], _absurd_size)
+        data = pick(rng, ways)(rng, data)
+    put(rng, file, data, 0.08)
+    replay = ("fly", "--replay", "run", "--quiet", "--out", "out", "--estimator")
     commands: tuple[tuple[str, ...], ...] = (
-        *[("fly", "--replay", "run", "--estimator", "gps", "--out", "out", "--quiet")] * 2,
-        ("fly", "--replay", "run", "--estimator", "optical_flow", "--out", "out", "--quiet"),
-        ("fly", "--replay", "run", "--estimator", "stereo", "--out", "out", "--quiet"),
+        *[(*replay, name) for name in ("gps", "gps", "optical_flow", "stereo")],
         ("export", "run", "--format", "mcap", "--out", "rep", "--images", "raw"),
         ("export", "run", "--format", "mcap", "--out", "rep"),
         ("export", "run", "--format", "ply", "--points", "scans", "--out", "rep.ply"),
@@ -132,99 +129,100 @@ def mcap_case(rng: Rng, folder: Path, shared: Path) -> Case:
     return Case(arguments=pick(rng, commands), writes=("rep", "rep.ply", "out"))
 
 
-def _other_log(rng: Rng, data: bytes) -> bytes:
-    """The log with messages dropped, doubled, moved or changed, or with other metadata."""
-    from io import BytesIO
-
-    from mcap.reader import make_reader
-    from mcap.writer import Writer
-
-    reader = make_reader(BytesIO(data))
-    messages = [list(m) for m in reader.iter_messages()]
-    metadata = {m.name: dict(m.metadata) for m in make_reader(BytesIO(data)).iter_metadata()}
-    for _ in range(int(pick(rng, (1, 1, 2, 4)))):
-        messages = _other_messages(rng, messages)
-    if chance(rng, 0.4):
-        _other_metadata(rng, metadata)
-    out = BytesIO()
-    writer = Writer(out)
-    writer.start()
-    for name, content in metadata.items():
-        writer.add_metadata(name, content)
-    known: dict[int, int] = {}
-    for schema, channel, message in messages:
-        if channel.id not in known:
-            number = writer.register_schema(schema.name, schema.encoding, schema.data)
-            known[channel.id] = writer.register_channel(
-                channel.topic, channel.message_encoding, number, channel.metadata
-            )
-        writer.add_message(
-            known[channel.id], message.log_time, message.data, message.publish_time,
-            message.sequence,
-        )  # fmt: skip
-    writer.finish()
-    return out.getvalue()
+def _absurd_size(rng: Rng, data: bytes) -> bytes:
+    """A record, or the content of a chunk, says that it is larger than any memory."""
+    changed, places, at = bytearray(data), [], 8
+    while at + 9 <= len(data) - 8:
+        places += [at + 1, at + 25] if data[at] == 0x06 else [at + 1]
+        at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
+    if places:
+        struct.pack_into("<Q", changed, pick(rng, places), pick(rng, (2**31, 2**33, 2**62)))
+    return bytes(changed)
 
 
-def _other_messages(rng: Rng, messages: list[Any]) -> list[Any]:
-    if not messages:
-        return messages
-    at = int(rng.integers(len(messages)))
-    topic = messages[at][1].topic
-    kind = int(rng.integers(8))
-    if kind == 0:
-        return [m for m in messages if m[1].topic != topic]
-    if kind == 1:
-        return messages[:at] + messages[at + 1 :]
-    if kind == 2:
-        return messages[:at] + [messages[at]] + messages[at:]
-    if kind == 3:
-        rng.shuffle(messages)
-        return messages
-    if kind == 4:
-        message = messages[at][2]
-        message.log_time = int(pick(rng, (0, 1, 2**63 - 1, 2**64 - 1, message.log_time // 2)))
-        return messages
-    if kind == 5:
-        return messages[:at]
-    steps = [m for m in messages if m[1].topic == "/touchdown/observation"]
-    chosen = pick(rng, steps) if steps and kind == 6 else messages[at]
-    chosen[2].data = _other_payload(rng, chosen[2].data)
-    return messages
+def _of(rng: Rng, log: Log, topic: str = "") -> int:
+    """The number of a message of a topic, or of any."""
+    found = [at for at, entry in enumerate(log.entries) if topic in ("", entry.topic)]
+    return int(pick(rng, found or range(len(log.entries))))
 
 
-def _other_payload(rng: Rng, data: bytes) -> bytes:
-    """CDR: a text of JSON gets another value, all else other bytes."""
+def _drop(rng: Rng, log: Log) -> None:
+    at = _of(rng, log)
+    gone = log.entries[at].topic
+    whole = chance(rng, 0.5)
+    log.entries = [
+        entry for n, entry in enumerate(log.entries) if (entry.topic != gone if whole else n != at)
+    ] or log.entries
+
+
+def _reorder(rng: Rng, log: Log) -> None:
+    at = _of(rng, log)
+    shuffled = list(log.entries)
+    rng.shuffle(shuffled)  # type: ignore[arg-type]
+    doubled = [*log.entries[:at], log.entries[at], *log.entries[at:]]
+    log.entries = pick(rng, (shuffled, doubled, log.entries[: at + 1]))
+
+
+def _retime(rng: Rng, log: Log) -> None:
+    at = _of(rng, log)
+    time = pick(rng, (0, 1, 2**63 - 1, 2**64 - 1, log.entries[at].time // 2))
+    log.entries[at] = replace(log.entries[at], time=int(time))
+
+
+def _change_data(rng: Rng, log: Log) -> None:
+    """CDR: a text of JSON gets another value, all else other bytes or those of another message."""
+    at = _of(rng, log, pick(rng, ("", OBSERVATION_TOPIC)))
+    data = log.entries[at].data
     start = data.find(b"{")
     if start >= 0 and chance(rng, 0.9):
-        try:
+        with contextlib.suppress(ValueError):
             tree = json.loads(data[start:].rstrip(b"\0"))
             mutate_tree(rng, tree)
-            text = json.dumps(tree).encode() + b"\0"
-            return data[:4] + len(text).to_bytes(4, "little") + text
-        except ValueError:
-            pass
-    return flipped(rng, data) if chance(rng, 0.6) else damaged(rng, data)
+            data = bytes(ros.serialized(ros.text_message(json.dumps(tree))))
+    else:
+        other = log.entries[_of(rng, log)].data
+        data = pick(rng, (flipped(rng, data), damaged(rng, data), other))
+    log.entries[at] = replace(log.entries[at], data=data)
 
 
-def _other_metadata(rng: Rng, metadata: dict[str, dict[str, str]]) -> None:
-    content = metadata.get("touchdown", {})
-    key = pick(rng, content) if content else "rig"
+def _change_image(rng: Rng, log: Log) -> None:
+    file = pick(rng, (pictures.png(rng), pictures.jpeg(rng), b""))
+    message = ros.compressed_image_message(0, "camera", np.frombuffer(file, np.uint8))
+    at = _of(rng, log, IMAGE_TOPICS[0])
+    log.entries[at] = replace(log.entries[at], data=bytes(ros.serialized(message)))
+
+
+def _change_scan(rng: Rng, log: Log) -> None:
+    """Another number of points, or points that are NaN, infinite or far."""
+    at = _of(rng, log, SCAN_TOPIC)
+    data = bytearray(log.entries[at].data)
+    if chance(rng, 0.5):
+        struct.pack_into("<I", data, min(16, len(data) - 4), pick(rng, (0, 1, 2**31, 2**32 - 1)))
+    else:
+        odd = np.full(len(data) // 8, pick(rng, (np.nan, np.inf, 1e30)), "<f4").tobytes()
+        data[20 : 20 + len(odd)] = odd
+    log.entries[at] = replace(log.entries[at], data=bytes(data))
+
+
+def _change_metadata(rng: Rng, log: Log) -> None:
+    key = pick(rng, (*log.metadata, "rig"))
     kind = int(rng.integers(4))
     if kind == 0:
-        content.pop(key, None)
+        log.metadata.pop(key, None)
     elif kind == 1:
-        metadata.pop("touchdown", None)
-    elif key in content and content[key].startswith("{"):
-        tree = json.loads(content[key])
-        for _ in range(int(pick(rng, (1, 1, 2)))):
-            mutate_tree(rng, tree)
-        content[key] = json.dumps(tree)
+        log.metadata.clear()
+    elif log.metadata.get(key, "").startswith("{"):
+        tree = json.loads(log.metadata[key])
+        mutate_tree(rng, tree)
+        log.metadata[key] = json.dumps(tree)
     else:
-        content[key] = "".join(c for c in str(pick(rng, TEXTS)) if not "\ud800" <= c <= "\udfff")
+        log.metadata[key] = str(pick(rng, TEXTS)).encode("utf-8", "ignore").decode()
 
 
-# ---------------------------------------------------------------------------------------------- SQL
+_CHANGES: tuple[Callable[[Rng, Log], None], ...] = (
+    _drop, _reorder, _retime, _change_data, _change_data, _change_image, _change_scan,
+    _change_metadata,
+)  # fmt: skip
 
 
 _COLUMN = '"position_error_m.mean"'

@@ -3,8 +3,6 @@
 All readers run: scenes are compiled, networks loaded, images decoded, queries executed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import importlib.abc
@@ -148,23 +146,3 @@ def load(*names: str) -> None:
         if name not in sys.modules:
             with contextlib.suppress(Exception):
                 importlib.import_module(name)
-
-
-def main() -> int:
-    """A whole command, in a process of its own."""
-    from fuzz.cases import REACHED
-
-    install()
-    from touchdown.experiments.cli.main import main as run
-
-    try:
-        return run(sys.argv[1:])
-    except Reached:
-        return REACHED
-
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[1]))
-    from fuzz import grounding
-
-    sys.exit(grounding.main())

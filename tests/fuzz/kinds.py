@@ -1,7 +1,5 @@
 """The kinds of cases, one for each kind of file that is read, and how many of each are run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,11 +16,10 @@ Maker = Callable[[np.random.Generator, Path, Path], Case]
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """``short`` and ``long``: numbers of cases of the quick and of the whole run."""
+    """``short``: number of cases of the quick run."""
 
     make: Maker
     short: int
-    long: int = 1500
 
 
 KINDS: Mapping[str, Kind] = {

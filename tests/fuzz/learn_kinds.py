@@ -1,7 +1,5 @@
 """Cases over data sets of images, networks and checkpoints."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import os
@@ -56,9 +54,6 @@ def _data_set(rng: Rng, folder: Path, changes: bool = False) -> None:
                 put(rng, file, pictures.png(rng), 0.4)
             else:
                 file.write_bytes(pictures.png(rng, (32, 32), changes=False))
-
-
-# ------------------------------------------------------------------------------------------- images
 
 
 def image_case(rng: Rng, folder: Path, shared: Path) -> Case:
@@ -141,9 +136,6 @@ def _change_rows(rng: Rng, head: list[str], rows: list[list[str]]) -> None:
         row[min(at, len(row) - 1)] = "".join(
             c for c in pick(rng, odd) if not "\ud800" <= c <= "\udfff"
         )
-
-
-# ----------------------------------------------------------------------------------------- networks
 
 
 def onnx_case(rng: Rng, folder: Path, shared: Path) -> Case:
@@ -235,9 +227,6 @@ def _change_model(rng: Rng, model: Any, onnx: Any) -> None:
     else:
         model.ir_version = int(pick(rng, (0, 1, 8, 999)))
         model.opset_import[0].version = int(pick(rng, (0, 1, 17, 999, -1)))
-
-
-# -------------------------------------------------------------------------------------- checkpoints
 
 
 _TRAINED = ("--network", "mobilenet_v3_large", "--image-size", "32", "--batch-size", "2")

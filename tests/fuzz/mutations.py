@@ -1,7 +1,5 @@
 """Mutations of values, trees, texts and bytes, and files that are none."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -42,9 +40,6 @@ def pick(rng: Rng, items: Iterable[Any]) -> Any:
 def chance(rng: Rng, share: float) -> bool:
     """True with the given probability."""
     return bool(rng.random() < share)
-
-
-# ------------------------------------------------------------------------------------------ values
 
 
 def value(rng: Rng, depth: int = 0) -> Any:
@@ -142,9 +137,6 @@ def _mutate_list(rng: Rng, items: list[Any], at: int) -> None:
         items[at] = neighbour(rng, items[at])
 
 
-# -------------------------------------------------------------------------------------------- text
-
-
 def toml_text(tree: Mapping[str, Any]) -> str:
     """TOML with dotted keys; values that TOML cannot hold are left out."""
     lines = [
@@ -218,9 +210,6 @@ def toml_oddity(rng: Rng, text: str) -> str:
             text + "seed = 0x7fffffffffffffffffff\n",
         ),
     )
-
-
-# ------------------------------------------------------------------------------------------- bytes
 
 
 def damaged(rng: Rng, data: bytes) -> bytes:

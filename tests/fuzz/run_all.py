@@ -3,37 +3,119 @@
 ``python tests/fuzz/run_all.py --out DIR`` goes on where an earlier call with that folder stopped.
 """
 
-from __future__ import annotations
-
 import argparse
-import itertools
+import json
+import re
+import subprocess
 import sys
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from fuzz import fleet
 from fuzz.kinds import KINDS
 
-FIRST = 10_000
-WHOLE, FIRST_WHOLE = 300, 50_000
+FIRST, COUNT = 10_000, 1_900
+"""Number of the first case of each kind, and how many there are."""
+Verdicts = list[dict[str, Any]]
+"""of `fuzz.cases.Verdict`"""
 
 
-def numbers_of(kind: str, count: int | None = None, first: int = FIRST) -> range:
-    """Numbers of the long run of a kind."""
-    return range(first, first + (KINDS[kind].long if count is None else count))
+class Server:
+    """A warm process that runs one case after the other in the folder ``home``."""
+
+    def __init__(self, home: str) -> None:
+        command = [sys.executable, str(Path(__file__).with_name("run_case.py")), "--serve", home]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+
+    def ask(self, kind: str, number: int) -> dict[str, Any]:
+        """Runs a case and returns its verdict."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        print(kind, number, file=self._process.stdin, flush=True)
+        line = self._process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"the process that runs the cases died at {kind} {number}")
+        verdict: dict[str, Any] = json.loads(line)
+        return verdict
 
 
-def whole_commands(out: Path, count: int = WHOLE) -> fleet.Verdicts:
-    """Runs cases of all kinds in turn as commands in processes of their own."""
-    chosen = list(itertools.islice(itertools.cycle(KINDS), count))
-    done = {(v["kind"], v["number"]): v for v in fleet.read(out)}
-    for kind in KINDS:
-        mine = [FIRST_WHOLE + at for at, name in enumerate(chosen) if name == kind]
-        part = out.with_name(f"{out.stem}-{kind}.jsonl")
-        for verdict in fleet.run_kind(kind, mine, part, whole=True):
-            done[kind, verdict["number"]] = verdict
-    return list(done.values())
+@contextmanager
+def server() -> Iterator[Server]:
+    """A `Server` and its folder, which end with the context."""
+    with tempfile.TemporaryDirectory(prefix="fuzz-", ignore_cleanup_errors=True) as home:
+        found = Server(home)
+        try:
+            yield found
+        finally:
+            found._process.communicate()
+
+
+def run_kind(kind: str, numbers: Sequence[int], out: Path) -> Verdicts:
+    """Runs the cases that ``out``, a file of one verdict a line, lacks; returns all of them."""
+    done = {verdict["number"]: verdict for verdict in read(out)}
+    todo = [number for number in numbers if number not in done]
+    if todo:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with server() as asked, out.open("a", encoding="utf-8") as file:
+            for number in todo:
+                done[number] = asked.ask(kind, number)
+                print(json.dumps(done[number]), file=file, flush=True)
+    return [done[number] for number in numbers]
+
+
+def read(path: Path) -> Verdicts:
+    """Verdicts of a file; none where there is no file. A last line that was cut is left out."""
+    lines = path.read_text(encoding="utf-8").splitlines(True) if path.exists() else []
+    return [json.loads(line) for line in lines if line.endswith("}\n")]
+
+
+def table(verdicts: Iterable[dict[str, Any]]) -> str:
+    """By kind: cases, how they ended, findings, greatest time and memory."""
+    rows = defaultdict(list)
+    for verdict in verdicts:
+        rows[verdict["kind"]].append(verdict)
+        rows["all"].append(verdict)
+    head = ("kind", "cases", "accepted", "refused", "reached", "findings", "max s", "max MB")
+    lines = [head, *(_row(kind, rows[kind]) for kind in (*KINDS, "all") if rows[kind])]
+    return "\n".join("".join(f"{cell:>12}" for cell in line) for line in lines)
+
+
+def _row(kind: str, found: Verdicts) -> tuple[Any, ...]:
+    codes = Counter(verdict["code"] for verdict in found)
+    faulty = sum(bool(verdict["faults"]) for verdict in found)
+    most = (max(verdict[key] for verdict in found) for key in ("cpu_s", "memory_mb"))
+    return (kind, len(found), codes[0] + codes[1], codes[2], codes["reached"], faulty, *most)
+
+
+def findings(verdicts: Verdicts) -> list[str]:
+    """A text of each cause of findings, with the command that repeats the first; the most frequent
+    first."""
+    found = defaultdict(list)
+    for verdict in verdicts:
+        if verdict["faults"]:
+            found[_cause(verdict)].append(verdict)
+    texts = []
+    for cause, same in sorted(found.items(), key=lambda item: -len(item[1])):
+        again = f"python tests/fuzz/run_case.py {same[0]['kind']} {same[0]['number']}"
+        faults = [fault[:1000] for fault in same[0]["faults"]]
+        text = "\n  ".join([f"{len(same)} x {cause}", again, *faults])
+        texts.append(text.encode("utf-8", "backslashreplace").decode("utf-8"))
+    return texts
+
+
+def _cause(verdict: dict[str, Any]) -> str:
+    """A finding without what differs from case to case."""
+    fault = str(verdict["faults"][0])
+    where = " ".join(verdict["arguments"][:2]) if "longer" in fault or "GB" in fault else ""
+    words = re.sub(r"'[^']*'|\"[^\"]*\"", "'…'", fault)
+    words = re.sub(r"(?<![:\w])-?\d[\d.e+-]*", "#", words)
+    return f"{words[:160]} {where}".strip()
 
 
 def main() -> int:
@@ -41,30 +123,24 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder of verdicts")
     parser.add_argument("--kinds", default=",".join(KINDS), help="separated by commas")
-    parser.add_argument("--count", type=int, help="cases of each kind  [1500 or more]")
+    parser.add_argument("--count", type=int, default=COUNT, help="cases of each kind")
     parser.add_argument("--first", type=int, default=FIRST, help="number of the first case")
-    parser.add_argument("--no-whole", action="store_true", help="no separate commands")
     parser.add_argument("--again", action="store_true", help="the findings that are there")
     parser.add_argument("--only-table", action="store_true", help="of what is there")
     given = parser.parse_args()
-    found: fleet.Verdicts = []
+    found: Verdicts = []
     for kind in given.kinds.split(","):
         out = given.out / f"{kind}.jsonl"
         if given.again:
-            fleet.forget_findings(out)
+            sound = [json.dumps(verdict) + "\n" for verdict in read(out) if not verdict["faults"]]
+            out.write_text("".join(sound), encoding="utf-8")
         if given.only_table:
-            found += fleet.read(out)
+            found += read(out)
         else:
-            found += fleet.run_kind(kind, numbers_of(kind, given.count, given.first), out)
-            print(fleet.table(found).split("\n")[-2], flush=True)
-    print(fleet.table(found))
-    if not given.no_whole and not given.only_table:
-        whole = whole_commands(given.out / "whole.jsonl")
-        print(f"\nwhole commands\n{fleet.table(whole)}")
-        found += whole
-    for cause, same in fleet.causes(found).items():
-        print(f"\n{len(same)} x {cause}\n  {fleet.finding_text(same[0])}")
-    return 1 if fleet.causes(found) else 0
+            found += run_kind(kind, range(given.first, given.first + given.count), out)
+            print(table(found).split("\n")[-2], flush=True)
+    print(table(found), *findings(found), sep="\n\n")
+    return 1 if findings(found) else 0
 
 
 if __name__ == "__main__":

@@ -3,8 +3,6 @@
 ``--serve`` reads ``KIND NUMBER`` lines from stdin and answers each with its verdict in JSON.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import gc
@@ -23,7 +21,6 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ["PYTHONUTF8"] = "1"
 
 from fuzz import grounding, kinds, warm, worker  # noqa: E402
-from fuzz.cases import Verdict  # noqa: E402
 
 
 def prepare(kind: str) -> None:
@@ -46,34 +43,26 @@ def serve(home: Path) -> None:
     shared = home / "shared"
     shared.mkdir(exist_ok=True)
     for line in sys.stdin:
-        kind, number, *how = line.split()
+        kind, number = line.split()
         if kind not in prepared:
             prepare(kind)
-            if "whole" not in how:
-                warm.warm(kind, home, shared)
-                gc.freeze()
+            warm.warm(kind, home, shared)
             prepared.add(kind)
         folder = home / f"{kind}-{number}"
-        verdict = worker.run(kind, int(number), folder, shared, whole="whole" in how)
-        if "whole" not in how:
-            # what one case imports, the next ones need not
-            grounding.load(*worker.modules_of(folder))
-            gc.freeze()
+        verdict = worker.run(kind, int(number), folder, shared)
+        # what one case imports, the next ones need not
+        grounding.load(*worker.modules_of(folder))
+        gc.freeze()
         worker.discard(folder)
         print(json.dumps(verdict.plain()), flush=True)
 
 
-def show(kind: str, number: int, whole: bool) -> int:
+def show(kind: str, number: int) -> int:
     """Repeats one case, prints what it did, and keeps its folder."""
     home = Path(tempfile.mkdtemp(prefix=f"fuzz-{kind}-{number}-"))
     (home / "shared").mkdir()
     prepare(kind)
-    verdict = worker.run(kind, number, home / "case", home / "shared", whole=whole)
-    _print(verdict, home)
-    return 1 if verdict.faults else 0
-
-
-def _print(verdict: Verdict, home: Path) -> None:
+    verdict = worker.run(kind, number, home / "case", home / "shared")
     print(f"cd {home}/case/watched/a/b/work && touchdown {shlex.join(verdict.arguments)}")
     print(f"ended: {verdict.code} after {verdict.cpu_s:g} s, {verdict.memory_mb} MB")
     for name in ("stdout", "stderr"):
@@ -81,6 +70,7 @@ def _print(verdict: Verdict, home: Path) -> None:
         print(f"{name}: {text[-4000:]!r}" if len(text) < 200 else f"{name}:\n{text[-4000:]}")
     for fault in verdict.faults:
         print(f"FINDING {fault}")
+    return 1 if verdict.faults else 0
 
 
 def main() -> int:
@@ -88,7 +78,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kind", nargs="?", choices=list(kinds.KINDS))
     parser.add_argument("number", nargs="?", type=int)
-    parser.add_argument("--whole", action="store_true", help="in a process of its own")
     parser.add_argument("--serve", metavar="FOLDER", type=Path, help="for cases; made anew")
     given = parser.parse_args()
     if given.serve is not None:
@@ -97,7 +86,7 @@ def main() -> int:
         return 0
     if given.kind is None or given.number is None:
         parser.error("give KIND and NUMBER")
-    return show(given.kind, given.number, given.whole)
+    return show(given.kind, given.number)
 
 
 if __name__ == "__main__":

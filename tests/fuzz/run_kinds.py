@@ -1,7 +1,5 @@
 """Cases over run directories, campaigns, baselines, reproductions, calibrations and queries."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -89,9 +87,6 @@ def write_run(
         put(rng, run / f"{name}.tum", data, 0.1 if tum and name == changed else 0.0)
 
 
-# ------------------------------------------------------------------------------ results and configs
-
-
 def _read_commands(runs: str, run: str) -> tuple[tuple[str, ...], ...]:
     """Commands that read finished runs."""
     return (
@@ -131,9 +126,6 @@ def run_case(rng: Rng, folder: Path, _shared: Path) -> Case:
         put(rng, folder / "base.json", json.dumps(_baseline()), 0.0)
     commands = _read_commands(runs, f"{runs}/{scene}-gps-s0")
     return Case(arguments=pick(rng, commands), writes=_READ_WRITES)
-
-
-# -------------------------------------------------------------------------------------------- plans
 
 
 _PLAN_TOML = """name = "fuzz"
@@ -287,9 +279,6 @@ def _other_table(rng: Rng, table: Any, pa: Any) -> Any:
     return table.set_column(at, names[at], new)
 
 
-# ---------------------------------------------------------------------------------------- baselines
-
-
 def _baseline() -> dict[str, Any]:
     flights = [{"seed": n, "error_m": 0.1, "outcome": "COMPLETED", "bad": False} for n in range(3)]
     cell = {"scene": "flat", "estimator": "gps", "variant": "land", "flights": flights}
@@ -319,9 +308,6 @@ def baseline_case(rng: Rng, folder: Path, _shared: Path) -> Case:
     )  # fmt: skip
     arguments = ("regress", "runs", "--baseline", "base.json", *more)
     return Case(arguments=arguments, writes=("base.json",) if "--update" in more else ())
-
-
-# ------------------------------------------------------------------- calibrations and reproductions
 
 
 _CALIBRATION: dict[str, Any] = {

@@ -1,8 +1,7 @@
 """Cases over MJCF files, their meshes, textures and height fields, and elevation models."""
 
-from __future__ import annotations
-
 import copy
+import os
 import struct
 import xml.etree.ElementTree as Tree
 from collections.abc import Callable
@@ -117,77 +116,45 @@ def _other_words(rng: Rng, old: str) -> str:
     return " ".join([*numbers[:at], new, *numbers[at + chance(rng, 0.8) :]])
 
 
-def _inside(text: str, more: str, tag: str = "worldbody") -> str:
-    return text.replace(f"<{tag}>", f"<{tag}>{more}", 1)
-
-
 def _raw_trouble(rng: Rng, text: str) -> str:
-    """Files that are well formed and hard to swallow."""
-    boxes = "".join(f'<geom type="box" size="1 1 1" pos="{n % 200} {n // 200} 0"/>'
-                    for n in range(int(pick(rng, (3000, 20_000)))))  # fmt: skip
-    entities = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 10))
-    bomb = f'<?xml version="1.0"?><!DOCTYPE m [<!ENTITY a0 "ha">{entities}]>'
+    """Files that are well formed and hard to swallow; more of them are in
+    tests/scenes/test_hostile_mjcf.py."""
     huge = pick(rng, (1000, 100_000, 2**31 - 1))
-    return pick(
-        rng,
-        (
-            _inside(text, boxes),
-            _inside(text, "<body>" * 3000 + "</body>" * 3000),
-            _inside(text, '<body><geom size="1"/>' * 300 + "</body>" * 300),
-            _inside(
-                text, f'<hfield name="g" nrow="{huge}" ncol="{huge}" size="9 9 1 1"/>', "asset"
-            ),
-            _inside(
-                text,
-                f'<texture name="g" builtin="flat" type="2d" width="{huge}" height="{huge}"/>',
-                "asset",
-            ),
-            _inside(text, f'<replicate count="{huge}" offset="1 0 0"><geom size="1"/></replicate>'),
-            _inside(
-                text,
-                f'<composite type="cable" count="{huge} 1 1" size="1"><geom size=".1"/>'
-                "</composite>",
-            ),
-            _inside(
-                text,
-                f'<body><flexcomp name="f" type="grid" dim="2" count="{min(huge, 100000)} 30 1" '
-                'spacing=".1 .1 .1" mass="1"/></body>',
-            ),
-            _inside(text, '<include file="place.xml"/>'),
-            _inside(text, '<include file="/dev/zero"/>'),
-            _inside(text, '<include file="fifo.xml"/>'),
-            _inside(text, '<model name="me" file="place.xml"/>', "asset").replace(
-                "</worldbody>", '<attach model="me" body="arm" prefix="p"/></worldbody>'
-            ),
-            _inside(
-                text,
-                '<plugin plugin="mujoco.sdf.torus"><instance name="s"/></plugin>',
-                "asset",
-            ),
-            text.replace('type="sphere"', 'type="sdf" mesh="m"'),
-            _inside(text, '<mesh name="d"><plugin plugin="mujoco.sdf.torus"/></mesh>', "asset"),
-            text.replace("<mujoco", "<extension><plugin plugin='os.system'/></extension><mujoco"),
-            bomb + text.replace("building", "&a9;"),
-            text.replace("building", "x" * 1_000_000),
-            text.replace("building", pick(rng, MARKED)),
-            text.replace("takeoff", pick(rng, MARKED)),
-            text.replace('name="m"', f'name="{pick(rng, MARKED)}" file="gone.stl"'),
-            text.replace('pos="0 3 0"', 'pos="500000 4000000 60"'),
-            text.replace("<worldbody>", '<worldbody><frame pos="500000 4000000 60">').replace(
-                "</worldbody>", "</frame></worldbody>"
-            ),
-            text.replace('size="30 30 0.5"', 'size="3e5 3e5 0.5"'),
-            text.replace('angle="degree"', 'angle="degree" meshdir="/" texturedir="../../.."'),
-            "<mujoco>" * 5000,
-            '<robot name="x"><link name="a"/></robot>',
-            "<mujocoinclude/>",
-            text.replace("<mujoco", '<mujoco xmlns="http://x"'),
-            f'<?xml version="1.0" encoding="UTF-16"?>{text}',
-            text.replace('elevation="0 0 0 0 1 0 0 0 0"', f'elevation="{"nan " * 9}"'),
-            text.replace('size="40 40 1 1"', f'size="{pick(rng, ("1e-9 40 1 1", "40 40 1e9 1"))}"'),
-            text.replace('vertex="', 'vertex="nan nan nan 1e300 0 0 '),
-        ),
-    )
+    more = pick(rng, (
+        "<body>" * 3000 + "</body>" * 3000,
+        '<body><geom size="1"/>' * 300 + "</body>" * 300,
+        f'<replicate count="{huge}" offset="1 0 0"><geom size="1"/></replicate>',
+        f'<composite type="cable" count="{huge} 1 1" size="1"><geom size=".1"/></composite>',
+        f'<body><flexcomp name="f" type="grid" dim="2" count="{min(huge, 100_000)} 30 1" '
+        'spacing=".1 .1 .1" mass="1"/></body>',
+        *(f'<include file="{name}"/>' for name in ("place.xml", "/dev/zero", "fifo.xml")),
+        '<attach model="me" body="arm" prefix="p"/>',
+        '<frame pos="500000 4000000 60"><geom size="1"/></frame>',
+    ))  # fmt: skip
+    old, new = pick(rng, (
+        ("<asset>", '<asset><model name="me" file="place.xml"/>'),
+        ("<asset>", f'<asset><hfield name="g" nrow="{huge}" ncol="{huge}" size="9 9 1 1"/>'),
+        ("<asset>", '<asset><mesh name="d"><plugin plugin="mujoco.sdf.torus"/></mesh>'),
+        ("<mujoco", "<extension><plugin plugin='os.system'/></extension><mujoco"),
+        ("<mujoco", '<!DOCTYPE m [<!ENTITY a "ha">]><mujoco'),
+        ("<mujoco", '<?xml version="1.0" encoding="UTF-16"?><mujoco'),
+        ("<mujoco", '<mujoco xmlns="http://x"'),
+        ('type="sphere"', 'type="sdf" mesh="m"'),
+        ("building", "x" * 1_000_000),
+        ("building", pick(rng, MARKED)),
+        ("takeoff", pick(rng, MARKED)),
+        ('name="m"', f'name="{pick(rng, MARKED)}" file="gone.stl"'),
+        ('pos="0 3 0"', 'pos="500000 4000000 60"'),
+        ('size="30 30 0.5"', 'size="3e5 3e5 0.5"'),
+        ('angle="degree"', 'angle="degree" meshdir="/" texturedir="../../.."'),
+        ('elevation="0 0 0 0 1 0 0 0 0"', f'elevation="{"nan " * 9}"'),
+        ('size="40 40 1 1"', f'size="{pick(rng, ("1e-9 40 1 1", "40 40 1e9 1"))}"'),
+        ('vertex="', 'vertex="nan nan nan 1e300 0 0 '),
+    ))  # fmt: skip
+    whole = ("<mujoco>" * 5000, '<robot name="x"><link name="a"/></robot>', "<mujocoinclude/>")
+    inside = text.replace("<worldbody>", f"<worldbody>{more}", 1)
+    return str(pick(rng, (inside, text.replace(old, new), inside.replace(old, new), *whole[:1],
+                          pick(rng, whole))))  # fmt: skip
 
 
 def mjcf_case(rng: Rng, folder: Path, _shared: Path) -> Case:
@@ -197,8 +164,6 @@ def mjcf_case(rng: Rng, folder: Path, _shared: Path) -> Case:
     name = pick(rng, ("place.xml", "place.xml", "mein haus.xml", "größe.xml", "[x]/place.xml"))
     put(rng, folder / name, text, 0.12)
     if "fifo.xml" in text:
-        import os
-
         os.mkfifo(folder / "fifo.xml")
     return _scene_command(rng, name)
 
@@ -213,9 +178,6 @@ def _scene_command(rng: Rng, name: str) -> Case:
         ("control", "margins", "--set", f"scene={name}"),
     )
     return Case(arguments=pick(rng, commands), writes=("out", "out.png"))
-
-
-# ------------------------------------------------------------------------------------------- assets
 
 
 def asset_case(rng: Rng, folder: Path, _shared: Path) -> Case:
@@ -249,6 +211,7 @@ def asset_case(rng: Rng, folder: Path, _shared: Path) -> Case:
     return _scene_command(rng, "place.xml")
 
 
+_Maker = Callable[[Rng], tuple[str, bytes]]
 _OBJ_LINES = (
     "mtllib ../x.mtl", "o [/x]", "vt 0 0", "g \x1b[31m", "s off", "f 1 2", "f 1 2 3 4 5", "call x",
     "v 1e400 0 0",
@@ -269,44 +232,37 @@ def _obj(rng: Rng) -> tuple[str, bytes]:
     return "m.obj", encoded("\n".join(lines) + "\n")
 
 
-def _stl(rng: Rng) -> tuple[str, bytes]:
-    corners = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 2]], np.float32)
-    faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)]
-    if chance(rng, 0.4):
-        corners[int(rng.integers(4)), int(rng.integers(3))] = np.float32(_small(rng))
-    count = int(pick(rng, (4, 4, 4, 3, 5, 0, 2**31, 2**32 - 1, 200_001)))
-    body = b"".join(
-        struct.pack("<12fH", 0, 0, 0, *corners[list(face)].ravel().tolist(), 0) for face in faces
-    )
-    if chance(rng, 0.15):
-        return "m.stl", b"solid x\nfacet normal 0 0 0\nouter loop\nvertex 0 0 0\n" * 4
-    return "m.stl", b"solid".ljust(80, b" ") + struct.pack("<I", count) + body
+_CORNERS = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 2]], "<f4")
+_FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], "<i4")
+_FIRST_FOUR = (0, 4, 8, 12)
+_BINARY: dict[str, tuple[bytes, tuple[int, ...]]] = {
+    "m.stl": (
+        b"solid".ljust(80) + struct.pack("<I", 4)
+        + b"".join(struct.pack("<12fH", 0, 0, 0, *_CORNERS[face].ravel(), 0) for face in _FACES),
+        (80,),
+    ),
+    "m.msh": (struct.pack("<4i", 4, 0, 0, 4) + _CORNERS.tobytes() + _FACES.tobytes(), _FIRST_FOUR),
+    "h.bin": (struct.pack("<2i", 4, 4) + np.linspace(0, 1, 16, dtype="<f4").tobytes(), (0, 4)),
+    "s.skn": (struct.pack("<4i", 3, 0, 0, 0) + bytes(400), _FIRST_FOUR),
+}  # fmt: skip
+"""Valid files, and where their counts stand."""
 
 
-def _small(rng: Rng) -> float:
-    with np.errstate(over="ignore"):
-        return float(np.float32(float(pick(rng, NUMBERS))))
+def _binary(name: str) -> _Maker:
+    def make(rng: Rng) -> tuple[str, bytes]:
+        valid, counts = _BINARY[name]
+        data = bytearray(valid)
+        for _ in range(int(pick(rng, (0, 1, 1, 2)))):
+            if chance(rng, 0.5):
+                odd = (-1, 0, 1, 3, 5, 99, 70_000, 200_001, 10**8, 2**31 - 1)
+                struct.pack_into("<i", data, pick(rng, counts), pick(rng, odd))
+            else:
+                with np.errstate(over="ignore"):
+                    number = np.float32(float(pick(rng, NUMBERS)))
+                struct.pack_into("<f", data, 4 * int(rng.integers(len(data) // 4)), number)
+        return name, bytes(data)
 
-
-def _msh(rng: Rng) -> tuple[str, bytes]:
-    counts = [4, 0, 0, 4]
-    if chance(rng, 0.6):
-        counts[int(rng.integers(4))] = int(pick(rng, (-1, 0, 1, 3, 5, 2**31 - 1, 10**8)))
-    points = np.array([0, 0, 0, 4, 0, 0, 0, 4, 0, 0, 0, 2], np.float32).tobytes()
-    faces = np.array([0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3], np.int32)
-    if chance(rng, 0.4):
-        faces[int(rng.integers(12))] = int(pick(rng, (-1, 4, 99, 2**31 - 1)))
-    return "m.msh", struct.pack("<4i", *counts) + points + faces.tobytes()
-
-
-def _hfield_bin(rng: Rng) -> tuple[str, bytes]:
-    rows, cols = 4, 4
-    if chance(rng, 0.4):
-        rows, cols = (int(pick(rng, (4, 4, 1, 0, -1, 5, 2**31 - 1, 70_000))) for _ in range(2))
-    heights = rng.random(16).astype(np.float32)
-    if chance(rng, 0.4):
-        heights[int(rng.integers(16))] = np.float32(_small(rng))
-    return "h.bin", struct.pack("<2i", rows, cols) + heights.tobytes()
+    return make
 
 
 def _png(rng: Rng) -> tuple[str, bytes]:
@@ -315,19 +271,11 @@ def _png(rng: Rng) -> tuple[str, bytes]:
     return "t.png", pictures.png(rng, (side, side) if chance(rng, 0.8) else None)
 
 
-def _skin(rng: Rng) -> tuple[str, bytes]:
-    counts = [int(pick(rng, (3, 0, -1, 2**31 - 1))) for _ in range(4)]
-    return "s.skn", struct.pack("<4i", *counts) + bytes(400)
-
-
-_Maker = Callable[[Rng], tuple[str, bytes]]
 _ASSETS: tuple[tuple[str, _Maker], ...] = (
-    ("mesh", _obj), ("mesh", _stl), ("mesh", _msh), ("hfield", _hfield_bin), ("hfield", _png),
-    ("texture", _png), ("texture", _png), ("cube", _png), ("skin", _skin),
+    ("mesh", _obj), ("mesh", _binary("m.stl")), ("mesh", _binary("m.msh")),
+    ("hfield", _binary("h.bin")), ("hfield", _png), ("texture", _png), ("texture", _png),
+    ("cube", _png), ("skin", _binary("s.skn")),
 )  # fmt: skip
-
-
-# --------------------------------------------------------------------------------- elevation models
 
 
 def geotiff_case(rng: Rng, folder: Path, _shared: Path) -> Case:

@@ -1,10 +1,8 @@
 """Fuzzing: every input is accepted, or refused in one line that names the remedy.
 
-The short run is part of every test run, the long one (``-m slow``) is 24,000 cases; docs in
+The short run is part of every test run, the long one (``-m slow``) is 30,400 cases; docs in
 CONTRIBUTING. A finding is repeated by its kind and number: the same number is the same input.
 """
-
-from __future__ import annotations
 
 import faulthandler
 import os
@@ -18,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from fuzz import cases, fleet, run_all, worker
+from fuzz import cases, run_all, worker
 from fuzz.kinds import KINDS
 
 FOLDER = os.environ.get("TOUCHDOWN_FUZZ", "")
@@ -26,22 +24,20 @@ FOLDER = os.environ.get("TOUCHDOWN_FUZZ", "")
 
 
 @pytest.fixture(scope="module")
-def asked() -> Iterator[fleet.Server]:
-    with fleet.server() as found:
+def asked() -> Iterator[run_all.Server]:
+    with run_all.server() as found:
         yield found
 
 
-def _check(verdicts: fleet.Verdicts) -> None:
-    print(fleet.table(verdicts))
-    found = fleet.causes(verdicts)
-    text = "\n\n".join(fleet.finding_text(same[0]) for same in list(found.values())[:8])
-    assert not found, f"{sum(map(len, found.values()))} of {len(verdicts)}:\n\n{text}"
+def _check(verdicts: run_all.Verdicts) -> None:
+    print(run_all.table(verdicts))
+    assert not (found := run_all.findings(verdicts)), "\n\n".join(found[:8])
     codes = Counter(verdict["code"] for verdict in verdicts)
     assert codes[2] and codes[2] < len(verdicts), f"all end in one way: {codes}"
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_inputs_are_accepted_or_refused_in_one_line(kind: str, asked: fleet.Server) -> None:
+def test_inputs_are_accepted_or_refused_in_one_line(kind: str, asked: run_all.Server) -> None:
     _check([asked.ask(kind, number) for number in range(KINDS[kind].short)])
 
 
@@ -49,17 +45,8 @@ def test_inputs_are_accepted_or_refused_in_one_line(kind: str, asked: fleet.Serv
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_inputs(kind: str, tmp_path: Path) -> None:
     out = Path(FOLDER) if FOLDER else tmp_path
-    _check(fleet.run_kind(kind, run_all.numbers_of(kind), out / f"{kind}.jsonl"))
-
-
-@pytest.mark.slow
-def test_whole_commands(tmp_path: Path) -> None:
-    """In separate processes, with the output and the signals of C libraries."""
-    out = Path(FOLDER) if FOLDER else tmp_path
-    _check(run_all.whole_commands(out / "whole.jsonl"))
-
-
-# ------------------------------------------------------------------------------- the harness itself
+    numbers = range(run_all.FIRST, run_all.FIRST + run_all.COUNT)
+    _check(run_all.run_kind(kind, numbers, out / f"{kind}.jsonl"))
 
 
 def test_a_case_is_the_same_each_time(tmp_path: Path) -> None:
@@ -110,11 +97,7 @@ def _desert() -> None:
     [(_spin, "LIMIT_S", 0.3, "took longer"), (_swell, "MEMORY_BYTES", 700 << 20, "GB")],
 )
 def test_what_passes_a_limit_is_ended(
-    action: Callable[[], object],
-    limit: str,
-    most: float,
-    why: str,
-    monkeypatch: pytest.MonkeyPatch,
+    action: Callable[[], object], limit: str, most: float, why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker, limit, most)
     end = _ended(action)

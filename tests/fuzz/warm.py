@@ -1,8 +1,6 @@
 """Sound commands that a server runs once itself, so that its children find all modules loaded and
 all kernels compiled."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

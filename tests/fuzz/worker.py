@@ -3,7 +3,7 @@
 A warm process holds all modules and forks a child for each case: what a case does to its process,
 to C libraries or to the machine ends with it. Memory is measured and not rationed: RLIMIT_AS counts
 addresses, of which libraries reserve gigabytes for stacks and pools that they never touch, so that
-threads cannot start under a limit of 4 GB. RLIMIT_DATA, at four times the measured limit, only
+threads cannot start under a limit of 4 GB. RLIMIT_DATA, at eight times the measured limit, only
 guards the machine against a single allocation between two looks.
 """
 
@@ -25,7 +25,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from touchdown.experiments.external.processes import memory_bytes
+from touchdown.experiments.external.processes import (
+    adopt_orphans,
+    descendants,
+    end_descendants,
+    memory_bytes,
+)
 
 from fuzz import cases, kinds
 from fuzz.cases import REACHED, Case, Verdict
@@ -35,8 +40,8 @@ LIMIT_S = 30.0
 """Of processor time; also of the wall clock for a process that waits."""
 LAST_S = 150.0
 """Of the wall clock, on a machine that is busy with other things."""
-MEMORY_BYTES = 4 << 30
-_BACKSTOP = 4 * MEMORY_BYTES
+MEMORY_BYTES = 2 << 30
+_BACKSTOP = 8 * MEMORY_BYTES
 _LARGEST_FILE = 2 << 30
 _LOOK_S = 0.02
 _TICK = os.sysconf("SC_CLK_TCK")
@@ -78,14 +83,14 @@ class End(NamedTuple):
     cpu_s: float
     memory_bytes: int
     left: int
-    """processes of its session that outlived it, now ended"""
+    """processes that it had started and that outlived it, now ended"""
 
 
-def run(kind: str, number: int, folder: Path, shared: Path, *, whole: bool = False) -> Verdict:
+def run(kind: str, number: int, folder: Path, shared: Path) -> Verdict:
     """Makes a case in the new ``folder``, runs it and returns the verdict. ``shared`` keeps what
-    all cases are made from. ``whole``: as a command in a process of its own."""
+    all cases are made from."""
     place = Place.make(folder)
-    end = watched(lambda: _make_and_run(kind, number, place, shared, whole))
+    end = watched(lambda: _make_and_run(kind, number, place, shared))
     errors, output = (_text(place.log / name) for name in ("stderr", "stdout"))
     try:
         case, before = _made(place, errors)
@@ -130,19 +135,13 @@ def _made(place: Place, errors: str) -> tuple[Case, dict[str, str]]:
     return Case(**{k: tuple(v) if isinstance(v, list) else v for k, v in tree.items()}), files
 
 
-# ----------------------------------------------------------------------------------- running a case
-
-
-def _make_and_run(kind: str, number: int, place: Place, shared: Path, whole: bool) -> None:
+def _make_and_run(kind: str, number: int, place: Place, shared: Path) -> None:
     """In the child: what its libraries start does not reach the next case."""
     _enter(place)
     case = kinds.make(kind, number, place.work, shared)
     note = {**dataclasses.asdict(case), "files": cases.fingerprint(place.root)}
     (place.log / "case.json").write_text(json.dumps(note), encoding="utf-8")
     _limit()
-    if whole:
-        script = Path(__file__).with_name("grounding.py")
-        os.execv(sys.executable, [sys.executable, str(script), *case.arguments])
     code = _command(case)
     (place.log / "modules").write_text("\n".join(sys.modules), encoding="utf-8")
     os._exit(code)
@@ -195,11 +194,10 @@ def _stream(number: int, errors: str) -> io.TextIOWrapper:
     return io.TextIOWrapper(raw, encoding="utf-8", errors=errors, write_through=number == 2)
 
 
-# --------------------------------------------------------------------------------- watching a child
-
-
 def watched(start: Callable[[], None]) -> End:
     """Forks, runs ``start`` in the child, and kills it past the limits."""
+    adopt_orphans()
+    others = frozenset(descendants(os.getpid()))
     began = time.monotonic()
     pid = os.fork()
     if pid == 0:
@@ -215,22 +213,24 @@ def watched(start: Callable[[], None]) -> End:
         now = time.monotonic()
         if done:
             break
-        memory, cpu_s = _use(pid)
+        memory, cpu_s = _use([one for one in descendants(os.getpid()) if one not in others])
         peak = max(peak, memory)
         if cpu_s > moved[1] + 0.01 * (now - moved[0]):
             moved = (now, cpu_s)
         why = why or _excess(memory, cpu_s, now - began, now - moved[0])
         if why:
-            _kill(pid)
+            os.kill(pid, signal.SIGKILL)
         # most cases end within some milliseconds
         time.sleep(min(_LOOK_S, 0.001 + 0.1 * (now - began)))
+    left = frozenset(descendants(os.getpid())) - others
+    end_descendants(os.getpid(), keep=others)
     return End(
         status=status,
         why=why,
         wall_s=now - began,
         cpu_s=usage.ru_utime + usage.ru_stime,
         memory_bytes=round(peak),
-        left=_kill(pid),
+        left=0 if why else len(left),
     )
 
 
@@ -244,34 +244,14 @@ def _excess(memory: float, cpu_s: float, wall_s: float, idle_s: float) -> str:
     return ""
 
 
-def _use(session: int) -> tuple[float, float]:
-    """Memory (bytes) and processor time (s) of a process and those of its session."""
-    members, spent = _members(session), 0.0
+def _use(members: list[int]) -> tuple[float, float]:
+    """Memory (bytes) and processor time (s) of processes."""
+    spent = 0.0
     for pid in members:
         with contextlib.suppress(OSError, ValueError, IndexError):
             fields = Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2].split()
             spent += (int(fields[11]) + int(fields[12])) / _TICK
     return memory_bytes(members, MEMORY_BYTES), spent
-
-
-def _members(session: int) -> list[int]:
-    """Processes of a session. Only after a child has begun one of its own is there more to find."""
-    found = []
-    for name in os.listdir("/proc"):
-        if name.isdigit():
-            with contextlib.suppress(OSError):
-                if int(name) == session or os.getsid(int(name)) == session:
-                    found.append(int(name))
-    return found
-
-
-def _kill(session: int) -> int:
-    """Ends the processes of a session, and returns their number."""
-    found = _members(session)
-    for pid in found:
-        with contextlib.suppress(OSError):
-            os.kill(pid, signal.SIGKILL)
-    return len(found)
 
 
 def _text(path: Path) -> str:

@@ -6,8 +6,6 @@ several that follow one another, or the header of a compound statement (``if``, 
 ``with``, ``def``) with its colon, which leaves the body as it is.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import tokenize

@@ -1,7 +1,5 @@
 """The places of mutations in the source, without running their tests."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys
@@ -54,28 +52,25 @@ def _change(function: str, statement: str, becomes: str) -> str:
     return mutated(SOURCE, Mutation("m", function, statement, becomes, ()))
 
 
-@pytest.mark.parametrize(
-    ("function", "statement", "becomes", "old", "new"),
-    [
-        ("a.py", "SCALE=2.", "SCALE = 3.0", "SCALE = 2.0", "SCALE = 3.0"),
-        ("a.py::gain", "return x*SCALE+y", "return y", "(x * SCALE\n            + y)", "y"),
-        ("a.py::gain", "y = -y", "pass", "y = -y;", "pass;"),
-        ("a.py::gain", "x = 2 * x\ny = abs(y)", "x = 0\ny = 0",
-         "x = 2 * x\n        y = abs(y)", "x = 0\n        y = 0"),
-        ("a.py::gain", "if x > 1:", "if True:", "if x > 1:  #", "if True:  #"),
-        ("a.py::gain", "elif x > 0:", "elif True:", "elif x > 0:", "elif True:"),
-        ("a.py::gain", "if x > 0:", "if True:", "elif x > 0:", "elif True:"),
-        ("a.py::gain", "for i in range(3):", "for i in [1]:",
-         "for i in range(\n        3\n    ):", "for i in [1]:"),
-        ("a.py", "def gain(x: float, y: float = 1.0) -> float:", "def gain(y, x):",
-         "def gain(x: float,\n         y: float = 1.0) -> float:", "def gain(y, x):"),
-        ("a.py::Filter", "size: int = 3", "size: int = 4", "size: int = 3", "size: int = 4"),
-        ("a.py::Filter.step.inner", "self.x = 1", "pass", "            self.x = 1\n\n        try",
-         "            pass\n\n        try"),
-        ("a.py::Filter.step", "self.x = 1", "pass", "2\n        self.x = 1", "2\n        pass"),
-        ("a.py::Filter.step", "self.x = 2", "pass", "self.x = 2", "pass"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("function", "statement", "becomes", "old", "new"), [
+    ("a.py", "SCALE=2.", "SCALE = 3.0", "SCALE = 2.0", "SCALE = 3.0"),
+    ("a.py::gain", "return x*SCALE+y", "return y", "(x * SCALE\n            + y)", "y"),
+    ("a.py::gain", "y = -y", "pass", "y = -y;", "pass;"),
+    ("a.py::gain", "x = 2 * x\ny = abs(y)", "x = 0\ny = 0",
+     "x = 2 * x\n        y = abs(y)", "x = 0\n        y = 0"),
+    ("a.py::gain", "if x > 1:", "if True:", "if x > 1:  #", "if True:  #"),
+    ("a.py::gain", "elif x > 0:", "elif True:", "elif x > 0:", "elif True:"),
+    ("a.py::gain", "if x > 0:", "if True:", "elif x > 0:", "elif True:"),
+    ("a.py::gain", "for i in range(3):", "for i in [1]:",
+     "for i in range(\n        3\n    ):", "for i in [1]:"),
+    ("a.py", "def gain(x: float, y: float = 1.0) -> float:", "def gain(y, x):",
+     "def gain(x: float,\n         y: float = 1.0) -> float:", "def gain(y, x):"),
+    ("a.py::Filter", "size: int = 3", "size: int = 4", "size: int = 3", "size: int = 4"),
+    ("a.py::Filter.step.inner", "self.x = 1", "pass", "            self.x = 1\n\n        try",
+     "            pass\n\n        try"),
+    ("a.py::Filter.step", "self.x = 1", "pass", "2\n        self.x = 1", "2\n        pass"),
+    ("a.py::Filter.step", "self.x = 2", "pass", "self.x = 2", "pass"),
+])  # fmt: skip
 def test_a_statement_is_replaced_and_nothing_else(
     function: str, statement: str, becomes: str, old: str, new: str
 ) -> None:
@@ -83,16 +78,10 @@ def test_a_statement_is_replaced_and_nothing_else(
     assert _change(function, statement, becomes) == SOURCE.replace(old, new)
 
 
-@pytest.mark.parametrize(
-    ("function", "statement"),
-    [
-        ("a.py::gain", "x = 3"),
-        ("a.py", "self.x = 1"),
-        ("a.py::lost", "x = 2 * x"),
-        ("a.py::step", "self.x = 2"),
-        ("a.py::Filter", "def step(self, more):"),
-    ],
-)
+@pytest.mark.parametrize(("function", "statement"), [
+    ("a.py::gain", "x = 3"), ("a.py", "self.x = 1"), ("a.py::lost", "x = 2 * x"),
+    ("a.py::step", "self.x = 2"), ("a.py::Filter", "def step(self, more):"),
+])  # fmt: skip
 def test_a_statement_that_is_not_there_is_an_error(function: str, statement: str) -> None:
     with pytest.raises(PlaceError, match=r"0 times"):
         _change(function, statement, "pass")
@@ -102,9 +91,6 @@ def test_a_statement_that_is_there_twice_is_an_error() -> None:
     twice = "def f(x):\n    x += 1\n    if x:\n        x += 1\n"
     with pytest.raises(PlaceError, match="2 times `x \\+= 1`"):
         mutated(twice, Mutation("m", "a.py::f", "x += 1", "pass", ()))
-
-
-# ------------------------------------------------------------------------------------ the lists
 
 
 def test_each_place_is_found_once_and_each_mutant_is_a_program(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """The runner on a small package."""
 
-from __future__ import annotations
-
 import subprocess
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Copies of the project in which mutated sources run their tests."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -103,13 +101,10 @@ class Tree:
         start = time.monotonic()
         with output.open("wb") as stream:
             process = subprocess.Popen(
-                [sys.executable, "-m", "pytest", *options, *tests],
-                cwd=self.root,
-                env=self._environment(kernels),
-                stdout=stream,
-                stderr=subprocess.STDOUT,
+                [sys.executable, "-m", "pytest", *options, *tests], cwd=self.root,
+                env=self._environment(kernels), stdout=stream, stderr=subprocess.STDOUT,
                 start_new_session=True,
-            )
+            )  # fmt: skip
             self.running.add(process)
             try:
                 code = process.wait(self.timeout_s)

@@ -1,7 +1,5 @@
 """Untrusted MJCF files: limits on counts, sizes and files, each refused in one line."""
 
-from __future__ import annotations
-
 import re
 import struct
 import time

@@ -1,7 +1,5 @@
 """Untrusted elevation models and aerial images: read in parts, limited, or refused."""
 
-from __future__ import annotations
-
 import struct
 import warnings
 from pathlib import Path
@@ -185,9 +183,6 @@ def test_nothing_leads_to_other_files_or_addresses(tmp_path: Path) -> None:
     (tmp_path / "model.tif.msk").unlink()
     refused(pipe(tmp_path / "pipe.tif"), "is a named pipe; give a file")
     refused(tif, "is a named pipe; give a file", ortho=pipe(tmp_path / "pipe.png"))
-
-
-# ----------------------------------------------------------------------------------------- images
 
 
 def _photo() -> NDArray[np.uint8]:

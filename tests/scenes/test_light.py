@@ -148,16 +148,6 @@ def test_scenes_from_files_have_every_light(tmp_path: Path) -> None:
     assert len({round(float(s)) for s in skies}) == 4
 
 
-def test_a_file_without_sun_is_dark_at_night(tmp_path: Path) -> None:
-    path = tmp_path / "place.xml"
-    path.write_text(
-        '<mujoco><worldbody><light name="lamp" pos="0 0 5"/>'
-        '<geom name="lawn_floor" type="plane" size="60 60 0.1"/></worldbody></mujoco>'
-    )
-    model = load_scene(str(path), 0, light="night").model
-    assert not model.light_active.any()
-
-
 def test_the_light_ends_with_its_context() -> None:
     with lit_by("night"):
         assert not sun_shines()

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import Scene
-from touchdown.scenes.compose import VEHICLE_BODY, load_scene, spec_of_scene
-from touchdown.scenes.export import export_spec
+from touchdown.scenes.compose import VEHICLE_BODY, load_scene
 from touchdown.scenes.importers.mjcf import surface_of_name
 from touchdown.scenes.truth.raycast import cast_down
 
@@ -165,13 +164,6 @@ def test_vehicle_of_an_exported_file_is_replaced(tmp_path: Path) -> None:
     assert scene.model.body("quadrotor").pos[0] == 9.0
     np.testing.assert_allclose(scene.takeoff_xy_m, [3.0, 4.0])
     assert scene.takeoff_yaw == pytest.approx(0.5 * np.pi)
-
-
-def test_an_exported_scene_can_be_imported(tmp_path: Path) -> None:
-    first = load(tmp_path, FLOOR + '<site name="start"/>')
-    again = load_scene(str(export_spec(spec_of_scene(first), tmp_path / "out")), 0)
-    assert again.model.ngeom == first.model.ngeom
-    np.testing.assert_allclose(again.model.qpos0, first.model.qpos0, atol=1e-6)
 
 
 def test_high_ground_is_moved_to_zero(tmp_path: Path) -> None:

@@ -1,11 +1,7 @@
 """Scenes: rendering, collision geometry and truth maps agree."""
 
-import functools
-import os
 import warnings
 from pathlib import Path
-
-os.environ.setdefault("MUJOCO_GL", "egl")
 
 import mujoco
 import numpy as np
@@ -20,6 +16,8 @@ from touchdown.scenes.registry import scene_names
 from touchdown.scenes.truth.maps import judge_touchdown, point_slope_deg, truth_maps
 from touchdown.scenes.truth.raycast import cast_down
 
+from support.places import cached_scene, check_seeds
+
 FLAT_WITH_BOX = """
 <mujoco>
   <worldbody>
@@ -33,14 +31,9 @@ FLAT_WITH_BOX = """
 """
 
 
-@functools.cache
-def cached_scene(seed: int) -> Scene:
-    return load_scene("crossroad", seed)
-
-
 @pytest.fixture(scope="module")
 def crossroad() -> Scene:
-    return cached_scene(0)
+    return cached_scene("crossroad")
 
 
 def load_text(tmp_path: Path, text: str) -> Scene:
@@ -102,13 +95,8 @@ def test_takeoff_ground_is_level_and_zero(crossroad: Scene) -> None:
     assert np.abs(heights).max() < 0.005
 
 
-def test_same_seed_same_bytes_other_seed_another_scene(crossroad: Scene) -> None:
-    def parts(model: mujoco.MjModel) -> tuple[bytes, bytes, bytes]:
-        return model.tex_data.tobytes(), model.geom_pos.tobytes(), model.hfield_data.tobytes()
-
-    first, again = parts(crossroad.model), parts(load_scene("crossroad", 0).model)
-    assert first == again
-    assert all(a != b for a, b in zip(first, parts(cached_scene(1).model), strict=True))
+def test_same_seed_same_bytes_other_seed_another_scene() -> None:
+    check_seeds("crossroad", other=1)
 
 
 def test_terrain_heights_equal_mujoco_s(crossroad: Scene) -> None:
@@ -168,7 +156,7 @@ def test_raster_agrees_with_the_relief(crossroad: Scene) -> None:
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2))])
 def test_crossroad_has_safe_ground(seed: int) -> None:
-    scene = cached_scene(seed)
+    scene = cached_scene("crossroad", seed)
     xy = scene.takeoff_xy_m
     region = np.array([[0.0, -20.0], [50.0, 20.0]]) + xy
     maps = truth_maps(scene, 0.2, region)

@@ -1,10 +1,5 @@
 """`snow` and `dunes`: relief, safe ground, ice, reflectivity, and the light on fine relief."""
 
-import functools
-import os
-
-os.environ.setdefault("MUJOCO_GL", "egl")
-
 import mujoco
 import numpy as np
 import pytest
@@ -22,15 +17,12 @@ from touchdown.scenes.props.winter import laden
 from touchdown.scenes.truth.maps import judge_touchdown
 from touchdown.scenes.truth.survey_facts import survey_facts
 
+from support.places import cached_scene, check_seeds, check_surfaces, check_survey
+
 FIELD, WATER = LAND_CLASSES.index("field"), LAND_CLASSES.index("water")
 SURVEY_M = (50.0, 40.0)
 SUN = np.array([0.6, 0.0, -0.8])
 """Light that travels to the east."""
-
-
-@functools.cache
-def cached_scene(name: str, seed: int) -> Scene:
-    return load_scene(name, seed)
 
 
 CASES = [
@@ -49,27 +41,13 @@ def test_a_tenth_of_the_survey_is_safe_and_not_all(name: str, seed: int) -> None
 
 @pytest.mark.parametrize(("name", "seed"), CASES)
 def test_survey_is_inside_and_its_height_is_free(name: str, seed: int) -> None:
-    scene = cached_scene(name, seed)
-    c, s = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
-    corners = np.array([[u, v] for u in (-16.0, 66.0) for v in (0.0, 40.0)])
-    world = scene.takeoff_xy_m + corners @ np.array([[c, s], [-s, c]])
-    assert (world > scene.bounds_xy_m[0]).all() and (world < scene.bounds_xy_m[1]).all()
-    model, data = scene.model, mujoco.MjData(scene.model)
-    mujoco.mj_kinematics(model, data)
-    names = [model.geom(g).name for g in range(model.ngeom)]
-    own = {n for n in names if not n.startswith("vehicle/")}
-    assert own == set(scene.surfaces) and len(own) <= 620
-    for geom in range(model.ngeom):
-        rotation = data.geom_xmat[geom].reshape(3, 3)
-        centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
-        assert centre[2] + np.abs(rotation[2]) @ model.geom_aabb[geom, 3:] < 18.0
+    check_survey(cached_scene(name, seed))
+    check_surfaces(cached_scene(name, seed))
 
 
 @pytest.mark.parametrize("name", ["snow", "dunes"])
 def test_same_seed_same_bytes(name: str) -> None:
-    first, again = cached_scene(name, 0).model, load_scene(name, 0).model
-    for part in ("tex_data", "geom_pos", "hfield_data", "mesh_vert"):
-        assert getattr(first, part).tobytes() == getattr(again, part).tobytes()
+    check_seeds(name)
 
 
 def test_open_snow_and_sand_are_fields_of_their_reflectivity() -> None:
@@ -234,16 +212,16 @@ def test_tracks_press_hollows_with_rims() -> None:
     np.testing.assert_allclose(parallel(line, 0.5)[:, 1], 0.5, atol=1e-9)
 
 
+def test_a_low_sun_lights_the_fine_relief_too() -> None:
+    """The direction of the low sun reaches the texture."""
+    low = load_scene("snow", 0, LowSun(elevation_deg=12.0, azimuth_deg=90.0)).model
+    own = cached_scene("snow", 0).model
+    assert low.tex_data.tobytes() != own.tex_data.tobytes()
+
+
 def test_snow_lies_on_the_share_of_needles_asked_for() -> None:
     rng = np.random.default_rng(0)
     green = needles(rng, (50.0, 70.0, 54.0))
     shares = [(laden(rng, green, share).min(axis=2) > 150).mean() for share in (0.3, 0.7)]
     assert shares[0] == pytest.approx(0.25, abs=0.12)
     assert shares[1] == pytest.approx(0.65, abs=0.12)
-
-
-def test_a_low_sun_lights_the_fine_relief_too() -> None:
-    """The direction of the low sun reaches the texture."""
-    low = load_scene("snow", 0, LowSun(elevation_deg=12.0, azimuth_deg=90.0)).model
-    own = cached_scene("snow", 0).model
-    assert low.tex_data.tobytes() != own.tex_data.tobytes()

@@ -2,7 +2,6 @@
 
 import functools
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from zlib import crc32
 
@@ -12,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import LAND_CLASSES, Scene
-from touchdown.scenes.compose import load_scene
 from touchdown.scenes.places.footbridge import layout as bridge_layout
 from touchdown.scenes.places.rooftop_parking import layout as roof_layout
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
@@ -20,15 +18,12 @@ from touchdown.scenes.truth.raycast import cast_down, class_ids
 from touchdown.sim.airframe.ground_probe import GroundProbe
 from touchdown.sim.airframe.physics import settle_on_ground
 
+from support.places import cached_scene, check_seeds, check_surfaces, check_takeoff
+
 Array = NDArray[np.float64]
 
 DECKS = ("rooftop_parking", "footbridge")
 ROAD = LAND_CLASSES.index("road")
-
-
-@functools.cache
-def cached_scene(name: str, seed: int) -> Scene:
-    return load_scene(name, seed)
 
 
 @functools.cache
@@ -52,12 +47,12 @@ def sampled(scene: Scene, points: Array) -> tuple[Array, NDArray[np.uint8]]:
 
 
 @pytest.mark.parametrize("name", DECKS)
-def test_takeoff_is_level_and_clear_and_the_survey_stays_inside(name: str) -> None:
-    scene = cached_scene(name, 0)
-    judged = judge_touchdown(scene, scene.takeoff_xy_m)
-    assert judged.safe and judged.slope_deg < 2.0
-    assert judged.obstacle_distance_m > 2.5
-    assert (np.ptp(scene.bounds_xy_m, axis=0) >= 128.0).all()
+def test_takeoff_is_level_and_clear_and_a_seed_is_a_place(name: str) -> None:
+    check_takeoff(cached_scene(name), 2.5)
+    check_surfaces(cached_scene(name), 450)
+    check_seeds(name)
+    plan = bridge_plan if name == "footbridge" else roof_plan
+    assert (plan(0).takeoff_xy_m != plan(1).takeoff_xy_m).any()
 
 
 @pytest.mark.parametrize("plan", [bridge_plan, roof_plan])
@@ -68,32 +63,6 @@ def test_surveys_of_all_seeds_stay_inside(plan: Any) -> None:
         corners = np.array([[0.0, 0.0], [66.0, 0.0], [66.0, 40.0], [-16.0, 40.0]])
         world = drawn.takeoff_xy_m + corners @ np.array([[c, s], [-s, c]])
         assert (np.abs(world) < 64.0).all(), seed
-
-
-@pytest.mark.parametrize("name", DECKS)
-def test_every_geom_has_a_surface_and_the_model_size_is_bounded(name: str) -> None:
-    scene = cached_scene(name, 0)
-    model = scene.model
-    names = [model.geom(index).name for index in range(model.ngeom)]
-    assert all(n in scene.surfaces for n in names if not n.startswith("vehicle/"))
-    assert model.ngeom <= 450
-    assert scene.ground is not None and scene.ground.geom_name == "terrain"
-
-
-@pytest.mark.parametrize("name", DECKS)
-def test_same_seed_same_bytes_other_seed_another_scene(name: str) -> None:
-    first, again = cached_scene(name, 0).model, load_scene(name, 0).model
-    assert first.tex_data.tobytes() == again.tex_data.tobytes()
-    assert first.geom_pos.tobytes() == again.geom_pos.tobytes()
-    assert first.hfield_data.tobytes() == again.hfield_data.tobytes()
-    plan = bridge_plan if name == "footbridge" else roof_plan
-    assert (plan(0).takeoff_xy_m != plan(1).takeoff_xy_m).any()
-
-
-@pytest.mark.parametrize("name", DECKS)
-def test_mjcf_file_of_the_folder_compiles_alone(name: str) -> None:
-    folder = Path(bridge_layout.__file__).parents[1] / name
-    assert mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml")).ngeom >= 1
 
 
 def test_roof_is_a_path_high_above_the_streets() -> None:
@@ -107,16 +76,6 @@ def test_roof_is_a_path_high_above_the_streets() -> None:
     heights, classes = sampled(scene, street)
     np.testing.assert_allclose(heights, -plan.height_m - 0.12, atol=0.06)
     assert (classes == ROAD).all()
-
-
-def test_probe_and_vehicle_stand_on_the_roof() -> None:
-    scene = cached_scene("rooftop_parking", 0)
-    data = mujoco.MjData(scene.model)
-    settle_on_ground(scene, data)
-    probe = GroundProbe(scene.model)
-    above = np.array([*scene.takeoff_xy_m, 30.0])
-    assert probe.clearance(data, above) == pytest.approx(30.0, abs=0.01)
-    assert data.qpos[2] == pytest.approx(scene.model.qpos0[2], abs=0.01)
 
 
 def test_roof_s_dangers_are_unsafe_and_its_aisles_safe() -> None:
@@ -135,11 +94,6 @@ def test_roof_s_dangers_are_unsafe_and_its_aisles_safe() -> None:
         [[plan.low_xy_m[0] + 9.0, aisle - 1.2], [plan.high_xy_m[0] - 9.0, aisle + 1.2]]
     )
     assert truth_maps(scene, 0.2, region).safe.mean() > 0.9
-
-
-def test_seeds_bridge_streams_and_roads() -> None:
-    kinds = [bridge_plan(seed).over_road for seed in range(12)]
-    assert 2 <= sum(kinds) <= 10
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.slow)])
@@ -190,3 +144,13 @@ def test_the_vehicle_rests_on_the_deck() -> None:
     settle_on_ground(scene, data)
     top = float(bridge_plan(0).bridge.top(np.array(0.0)))
     assert data.qpos[2] - scene.model.qpos0[2] == pytest.approx(top, abs=0.03)
+
+
+def test_probe_and_vehicle_stand_on_the_roof() -> None:
+    scene = cached_scene("rooftop_parking", 0)
+    data = mujoco.MjData(scene.model)
+    settle_on_ground(scene, data)
+    probe = GroundProbe(scene.model)
+    above = np.array([*scene.takeoff_xy_m, 30.0])
+    assert probe.clearance(data, above) == pytest.approx(30.0, abs=0.01)
+    assert data.qpos[2] == pytest.approx(scene.model.qpos0[2], abs=0.01)

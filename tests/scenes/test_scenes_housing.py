@@ -1,10 +1,6 @@
 """`houses`, `cottage` and `pools`: safe ground, classes, surfaces and determinism."""
 
 import functools
-import os
-from zlib import crc32
-
-os.environ.setdefault("MUJOCO_GL", "egl")
 
 import mujoco
 import numpy as np
@@ -15,33 +11,23 @@ from scipy import ndimage
 from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES, Scene, TruthMaps
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.streets import STEP_M, Street, smooth_line
-from touchdown.scenes.compose import load_scene
-from touchdown.scenes.places.pools.layout import draw_plan
 from touchdown.scenes.props.pools import kidney_outline, rectangle_outline
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
-from touchdown.scenes.truth.raycast import cast_down, class_ids
+from touchdown.scenes.truth.raycast import cast_down
+
+from support.places import cached_scene, check_seeds, check_surfaces, check_survey, check_takeoff
 
 NAMES = ("cottage", "houses", "pools")
 CELL_M = 0.25
 
 
 @functools.cache
-def cached_scene(name: str, seed: int = 0) -> Scene:
-    return load_scene(name, seed)
-
-
-def survey_frame(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Unit vectors ahead and to the left at take-off."""
-    yaw = scene.takeoff_yaw
-    ahead = np.array([np.cos(yaw), np.sin(yaw)])
-    return ahead, np.array([-ahead[1], ahead[0]])
-
-
-@functools.cache
 def survey_maps(name: str, seed: int) -> TruthMaps:
     """Truth within the rectangle around the standard survey, 50 m ahead and 40 m to the left."""
     scene = cached_scene(name, seed)
-    ahead, left = survey_frame(scene)
+    yaw = scene.takeoff_yaw
+    ahead = np.array([np.cos(yaw), np.sin(yaw)])
+    left = np.array([-ahead[1], ahead[0]])
     corners = np.array(
         [scene.takeoff_xy_m + a * ahead + b * left for a in (0, 50) for b in (0, 40)]
     )
@@ -53,27 +39,18 @@ def share(maps: TruthMaps, land_class: str) -> float:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_takeoff_is_level_and_the_survey_fits_inside(name: str) -> None:
+def test_takeoff_is_level_and_the_survey_is_free(name: str) -> None:
     scene = cached_scene(name)
-    judgement = judge_touchdown(scene, scene.takeoff_xy_m)
-    assert judgement.safe
-    assert judgement.slope_deg < 0.2
-    assert judgement.obstacle_distance_m > 3.0
-    assert (np.ptp(scene.bounds_xy_m, axis=0) >= 128.0).all()
-    ahead, left = survey_frame(scene)
-    for along in (-16.0, 66.0):
-        for across in (0.0, 40.0):
-            spot = scene.takeoff_xy_m + along * ahead + across * left
-            assert (spot > scene.bounds_xy_m[0]).all()
-            assert (spot < scene.bounds_xy_m[1]).all()
+    check_takeoff(scene, 3.0, 0.2)
+    check_survey(scene, free_m=24.0, trees_m=24.0)
+    check_surfaces(scene, 520)
+    assert scene.ground is not None
+    span = np.array(scene.ground.class_id.shape) * scene.ground.cell_m
+    np.testing.assert_allclose(span, 128.0)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_nothing_reaches_the_height_of_the_survey(name: str) -> None:
-    scene = cached_scene(name)
-    heights, geoms = cast_down(scene, scene.bounds_xy_m[0], 1.0, (128, 128))
-    assert (geoms >= 0).mean() > 0.99
-    assert np.nanmax(heights) < 24.0
+def test_same_seed_same_scene_other_seed_another() -> None:
+    check_seeds("pools", other=1)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -132,18 +109,6 @@ def test_houses_have_streets_homes_and_traffic() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_geom_has_a_surface_and_the_raster_covers_the_ground(name: str) -> None:
-    scene = cached_scene(name)
-    names = [scene.model.geom(i).name for i in range(scene.model.ngeom)]
-    own = [n for n in names if not n.startswith("vehicle/")]
-    assert set(own) == set(scene.surfaces)
-    assert len(own) <= 520
-    assert scene.ground is not None
-    span = np.array(scene.ground.class_id.shape) * scene.ground.cell_m
-    np.testing.assert_allclose(span, 128.0)
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_thin_wires_make_the_ground_below_unsafe(name: str) -> None:
     """There is a wire thinner than a pixel from 30 m (5 cm), and the truth maps mark the
     ground below its middle as unsafe."""
@@ -167,26 +132,6 @@ def _ground(scene: Scene, xy: NDArray[np.float64]) -> float:
     offsets = np.array([[0.6, 0.6], [-0.6, 0.6], [0.6, -0.6], [-0.6, -0.6]])
     cells = [cast_down(scene, xy + o, 0.05, (1, 1))[0][0, 0] for o in offsets]
     return float(np.min(cells))
-
-
-def test_same_seed_same_scene_other_seed_another() -> None:
-    def parts(scene: Scene) -> tuple[bytes, bytes]:
-        return scene.model.geom_pos.tobytes(), scene.model.hfield_data.tobytes()
-
-    first, again = parts(cached_scene("pools")), parts(load_scene("pools", 0))
-    assert first == again
-    other = parts(cached_scene("pools", 1))
-    assert all(a != b for a, b in zip(first, other, strict=True))
-
-
-def test_class_of_the_pitch_is_seen_from_above() -> None:
-    scene = cached_scene("pools")
-    plan = draw_plan(np.random.default_rng([0, crc32(b"scenes.pools")]))
-    (u0, u1), (v0, v1) = plan.pitch
-    middle = plan.frame.at(0.5 * (u0 + u1), 0.5 * (v0 + v1))
-    _, geoms = cast_down(scene, middle - 0.5, 0.1, (10, 10))
-    ids = class_ids(scene, middle - 0.5, 0.1, geoms)
-    assert (ids == LAND_CLASSES.index("field")).all()
 
 
 def test_lot_coordinates_invert_and_mirror() -> None:

@@ -1,19 +1,13 @@
 """`forest` and `turf`: relief, safe sites, surfaces and determinism."""
 
 import functools
-import os
 
-os.environ.setdefault("MUJOCO_GL", "egl")
-
-import mujoco
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import draw_frame
-from touchdown.scenes.compose import load_scene
 from touchdown.scenes.places.forest.layout import draw_plan
 from touchdown.scenes.places.forest.relief import (
     BROOK_DEPTH_M,
@@ -28,15 +22,11 @@ from touchdown.scenes.places.turf.generate import level_pools
 from touchdown.scenes.props.tree_shapes import canopy_mesh, conifer_mesh, lathe
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 
+from support.places import cached_scene, check_seeds, check_surfaces, check_survey
+
 SURVEY_M = (50.0, 40.0)
-OVERSHOOT_M = 16.0
 CELL_M = 0.25
 WATER, TREES = LAND_CLASSES.index("water"), LAND_CLASSES.index("trees")
-
-
-@functools.cache
-def cached_scene(name: str, seed: int) -> Scene:
-    return load_scene(name, seed)
 
 
 def in_survey(scene: Scene, xy: np.ndarray) -> np.ndarray:
@@ -82,30 +72,8 @@ def test_survey_contains_a_safe_site_away_from_the_takeoff(name: str, seed: int)
 @pytest.mark.parametrize(("name", "seed"), CASES)
 def test_survey_is_inside_and_its_height_is_free(name: str, seed: int) -> None:
     scene = cached_scene(name, seed)
-    c, s = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
-    corners = [[u, v] for u in (-OVERSHOOT_M, 50.0 + OVERSHOOT_M) for v in (0.0, 40.0)]
-    world = scene.takeoff_xy_m + np.array(corners) @ np.array([[c, s], [-s, c]])
-    assert (world > scene.bounds_xy_m[0]).all()
-    assert (world < scene.bounds_xy_m[1]).all()
-    model, data = scene.model, mujoco.MjData(scene.model)
-    mujoco.mj_kinematics(model, data)
-    for geom in range(model.ngeom):
-        rotation = data.geom_xmat[geom].reshape(3, 3)
-        centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
-        top = centre[2] + np.abs(rotation[2]) @ model.geom_aabb[geom, 3:]
-        assert top < 18.0
-        if model.geom(geom).name.startswith("trees_") and name == "forest":
-            assert top < TREE_TOP_M + 0.5
-
-
-@pytest.mark.parametrize(("name", "seed"), CASES)
-def test_every_geom_has_a_surface_and_the_size_is_bounded(name: str, seed: int) -> None:
-    scene = cached_scene(name, seed)
-    names = [scene.model.geom(g).name for g in range(scene.model.ngeom)]
-    own = {n for n in names if not n.startswith("vehicle/")}
-    assert own == set(scene.surfaces)
-    assert len(own) <= 620
-    assert (np.ptp(scene.bounds_xy_m, axis=0) >= 120.0).all()
+    check_survey(scene, trees_m=TREE_TOP_M + 0.5 if name == "forest" else 18.0)
+    check_surfaces(scene)
 
 
 def test_forest_is_rugged_and_wooded() -> None:
@@ -160,14 +128,6 @@ def test_clearings_have_the_slope_of_their_kind() -> None:
                 assert degrees > 8.0
 
 
-def test_frame_puts_the_survey_s_middle_near_the_scene_s() -> None:
-    frame = draw_frame(np.random.default_rng(3))
-    assert np.abs(frame.from_middle.origin_xy_m).max() <= 2.0
-    np.testing.assert_allclose(frame.from_middle.points(np.array([-25.0, -20.0])),
-                               frame.takeoff_xy_m)  # fmt: skip
-    np.testing.assert_allclose(frame.from_takeoff.coordinates(frame.takeoff_xy_m), 0.0)
-
-
 def test_pools_are_level_and_touch_nothing_far_away() -> None:
     axis = np.linspace(-64.0, 64.0, 193)
     x, y = np.meshgrid(axis, axis)
@@ -199,6 +159,4 @@ def test_meshes_are_wound_outwards() -> None:
 
 
 def test_same_seed_same_bytes() -> None:
-    first, again = cached_scene("forest", 1).model, load_scene("forest", 1).model
-    for part in ("tex_data", "geom_pos", "hfield_data", "mesh_vert"):
-        assert getattr(first, part).tobytes() == getattr(again, part).tobytes()
+    check_seeds("forest", 1)

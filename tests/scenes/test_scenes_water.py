@@ -1,16 +1,14 @@
 """`lake`, `open_water`, `flat`: level and unsafe water, take-off spots and textures."""
 
-import functools
-
-import mujoco
 import numpy as np
 import pytest
 
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.scenes.authoring.water import WaterLook, lay_water, upsample
-from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 from touchdown.scenes.truth.raycast import cast_down, class_ids
+
+from support.places import cached_scene, check_seeds, check_takeoff
 
 NAMES = ("lake", "open_water", "flat")
 WATER = LAND_CLASSES.index("water")
@@ -22,11 +20,6 @@ PLACES = [
 ]
 CAMERA_HALF_DIAGONAL_M = 27.0
 """Of the ground seen by the camera from 30 m (69 x 42 degrees), with a margin of 4 m."""
-
-
-@functools.cache
-def cached_scene(name: str, seed: int) -> Scene:
-    return load_scene(name, seed)
 
 
 def around_takeoff(scene: Scene, half_m: float) -> np.ndarray:
@@ -45,24 +38,13 @@ def below(scene: Scene, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
     "name", ["lake", *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])]
 )
 def test_same_seed_same_bytes_other_seed_another_scene(name: str) -> None:
-    def parts(model: mujoco.MjModel) -> tuple[bytes, bytes]:
-        return model.tex_data.tobytes(), model.light_dir.tobytes() + model.qpos0.tobytes()
-
-    first = parts(cached_scene(name, 0).model)
-    assert first == parts(load_scene(name, 0).model)
-    assert all(
-        a != b for a, b in zip(first, parts(cached_scene(name, SEEDS[name][1]).model), strict=True)
-    )
+    check_seeds(name, other=SEEDS[name][1])
 
 
 @pytest.mark.parametrize(("name", "seed"), PLACES)
 def test_takeoff_spot_is_level_clear_and_safe(name: str, seed: int) -> None:
     scene = cached_scene(name, seed)
-    judgement = judge_touchdown(scene, scene.takeoff_xy_m)
-    assert judgement.safe
-    assert judgement.slope_deg < 0.5
-    assert judgement.obstacle_distance_m > 2.0
-    assert (np.ptp(scene.bounds_xy_m, axis=0) >= 128.0).all()
+    check_takeoff(scene, 2.0, 0.5)
     names = {scene.model.geom(i).name for i in range(scene.model.ngeom)}
     assert {name for name in names if not name.startswith("vehicle/")} <= set(scene.surfaces)
 
@@ -92,14 +74,6 @@ def test_lake_jetty_is_a_path_too_narrow_to_land_on() -> None:
         assert scene.surfaces[name].land_class == "path"
         middle = scene.model.geom(name).pos[:2]
         assert not judge_touchdown(scene, middle).safe_geometry
-
-
-def test_reeds_let_pulses_through_and_count_as_plants() -> None:
-    reeds = [
-        s for name, s in cached_scene("lake", 0).surfaces.items() if name.startswith("trees_reed")
-    ]
-    assert len(reeds) > 30
-    assert all(s.land_class == "trees" and 0.2 < s.porosity < 0.8 for s in reeds)
 
 
 @pytest.mark.parametrize("seed", SEEDS["open_water"])
@@ -173,3 +147,11 @@ def test_upsample_is_the_terrain_s_linear_interpolation() -> None:
     axis = (np.arange(64) + 0.5) / 8.0 - 4.0
     col, row = np.meshgrid(axis, axis)
     np.testing.assert_allclose(raster, 2.0 * col - 0.5 * row, atol=0.03)
+
+
+def test_reeds_let_pulses_through_and_count_as_plants() -> None:
+    reeds = [
+        s for name, s in cached_scene("lake", 0).surfaces.items() if name.startswith("trees_reed")
+    ]
+    assert len(reeds) > 30
+    assert all(s.land_class == "trees" and 0.2 < s.porosity < 0.8 for s in reeds)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from touchdown.sim.api import GpsFix, GpsParams
 from touchdown.sim.frames import rotation_from_yaw
-from touchdown.sim.navigation.gps import PRESETS, GpsSensor, gps_model
+from touchdown.sim.navigation.gps import PRESETS, GpsSensor
 from touchdown.sim.noise import GaussMarkov, random_stream
 
 Array = NDArray[np.float64]
@@ -94,6 +94,12 @@ def test_the_antenna_is_measured_not_the_body() -> None:
     np.testing.assert_allclose(message.velocity_world, [-2.0, 0.0, 3.0], atol=1e-12)
 
 
+def test_same_seed_same_fixes() -> None:
+    np.testing.assert_array_equal(errors(CENTRED, 7, 20), errors(CENTRED, 7, 20))
+    assert not np.allclose(errors(CENTRED, 7, 20), errors(CENTRED, 8, 20))
+    assert not fix(GpsSensor(CENTRED, 600, 7)).position_world.flags.writeable
+
+
 def test_presets_match_their_data_sheets() -> None:
     """Half of the horizontal errors lie within the circular error probable."""
     rng = random_stream(0, "presets")
@@ -104,23 +110,3 @@ def test_presets_match_their_data_sheets() -> None:
         assert fix(GpsSensor(GpsParams(preset=name), 600, 0)).sigma_position_m[2] >= 0.01
     assert PRESETS["paper"].sigma_z_m == 1.5 * PRESETS["paper"].sigma_xy_m
     assert not GpsSensor(GpsParams(preset="denied"), 600, 0).receives
-
-
-def test_overrides_and_reports() -> None:
-    params = GpsParams(preset="rtk", sigma_z_m=0.5, white_m=0.2)
-    assert gps_model(params).sigma_xy_m == PRESETS["rtk"].sigma_xy_m
-    reported = fix(GpsSensor(params, 600, 0)).sigma_position_m
-    assert reported[2] == pytest.approx(math.hypot(0.5, 0.2))
-
-
-def test_errors_are_named() -> None:
-    with pytest.raises(ValueError, match=r"gps\.sigma_xy_m is -1"):
-        GpsSensor(GpsParams(sigma_xy_m=-1.0), 600, 0)
-    with pytest.raises(ValueError, match=r"gps\.tau_s is 0"):
-        GpsSensor(GpsParams(tau_s=0.0), 600, 0)
-
-
-def test_same_seed_same_fixes() -> None:
-    np.testing.assert_array_equal(errors(CENTRED, 7, 20), errors(CENTRED, 7, 20))
-    assert not np.allclose(errors(CENTRED, 7, 20), errors(CENTRED, 8, 20))
-    assert not fix(GpsSensor(CENTRED, 600, 7)).position_world.flags.writeable

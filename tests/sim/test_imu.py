@@ -132,11 +132,3 @@ def test_same_seed_same_samples() -> None:
     first, again, other = (at_rest(ImuSensor(ImuParams(), 600, 3, s), 5) for s in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
-
-
-def test_samples_are_read_only() -> None:
-    sample = ImuSensor(ImuParams(), 600, 3, 0).sample(
-        3, np.eye(3), np.eye(3), np.zeros(3), np.zeros(3)
-    )
-    assert not sample.angular_velocity.flags.writeable
-    assert not sample.specific_force.flags.writeable

@@ -67,10 +67,7 @@ def test_propellers_shake_an_imu_far_above_its_data_sheet() -> None:
     assert (real[3:] > 30.0 * quiet[3:]).all()
     shaken = hovering(ImuParams(vibration_gyro_density=4e-3, vibration_accel_density=0.12))
     ratio = np.array(
-        [
-            np.median(real[:3]) / np.median(shaken[:3]),
-            np.median(real[3:]) / np.median(shaken[3:]),
-        ]
+        [np.median(real[:3]) / np.median(shaken[:3]), np.median(real[3:]) / np.median(shaken[3:])]
     )
     assert (np.abs(np.log(ratio)) < np.log(1.4)).all(), ratio
 

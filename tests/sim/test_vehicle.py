@@ -79,11 +79,6 @@ def test_mass_budget_and_balance(alone: mujoco.MjModel, vehicle: VehicleModel) -
     assert np.abs(tensor - np.diag(np.diag(tensor))).max() < 0.01 * vehicle.inertia_kgm2.min()
 
 
-def test_hover_takes_half_of_the_thrust(vehicle: VehicleModel) -> None:
-    most = 4.0 * vehicle.thrust_coefficient * vehicle.rotor_speed_max**2
-    assert 0.45 < vehicle.mass_kg * GRAVITY_MPS2 / most < 0.6
-
-
 def test_rotors_alternate_and_balance(vehicle: VehicleModel) -> None:
     np.testing.assert_allclose(vehicle.rotor_xy_m.sum(axis=0), 0.0, atol=1e-12)
     assert vehicle.rotor_spin.sum() == 0.0
@@ -336,3 +331,8 @@ def test_hover_power_is_that_of_a_four_kilogram_quadrotor(
     assert power == pytest.approx(4.0 * vehicle.torque_coefficient * _hover_speed(vehicle) ** 3)
     endurance_s = 700e3 / (power / DRIVE_EFFICIENCY + HOTEL_LOAD_W)
     assert 15.0 < endurance_s / 60.0 < 30.0
+
+
+def test_hover_takes_half_of_the_thrust(vehicle: VehicleModel) -> None:
+    most = 4.0 * vehicle.thrust_coefficient * vehicle.rotor_speed_max**2
+    assert 0.45 < vehicle.mass_kg * GRAVITY_MPS2 / most < 0.6

@@ -119,10 +119,8 @@ def test_spectrum_is_drydens() -> None:
     frequency, power = signal.welch(series, fs=1.0 / dt_s, nperseg=4096, axis=0)
     omega = 2.0 * np.pi * frequency
     cases = (
-        (0, sigma_uv, scale_uv, True),
-        (1, sigma_uv, scale_uv, False),
-        (2, sigma_w, scale_w, False),
-    )
+        (0, sigma_uv, scale_uv, True), (1, sigma_uv, scale_uv, False), (2, sigma_w, scale_w, False),
+    )  # fmt: skip
     for axis, sigma, scale, longitudinal in cases:
         expected = (
             2.0 * np.pi * dryden_psd(omega, sigma, scale / AIRSPEED_MPS, longitudinal=longitudinal)

@@ -172,28 +172,6 @@ def test_stereo_sees_two_images_and_sensors_can_be_added_before_a_flight(
         world.require(SensorNeeds(lidar=True))
 
 
-def test_a_rolling_shutter_arrives_like_a_global_one(scene: Scene) -> None:
-    """Same ticks; and the images of a vehicle at rest are the same but for the bands' seams."""
-    images = {}
-    for readout_s in (0.0, 0.02):
-        world = MujocoWorld(
-            scene,
-            WorldParams(
-                sim=SimParams(threads=1),
-                camera=CameraParams(width=64, height=36, readout_s=readout_s),
-            ),
-            3,
-            SensorNeeds(camera_hz=10),
-        )
-        rest = Command(rotor_speed_radps=np.zeros(4))
-        observations = [world.reset(), *(world.step(rest) for _ in range(60))]
-        images[readout_s] = [(o.tick, i.tick, i.rgb) for o in observations for i in o.images]
-        world.close()
-    (due, tick, still), (due_rolling, tick_rolling, rolled) = (p[0] for p in images.values())
-    assert (due, tick) == (due_rolling, tick_rolling) == (96, 60)
-    assert np.abs(still.astype(int) - rolled).mean() < 1.0
-
-
 def _images_of(
     scene: Scene, camera: CameraParams, threads: int = 1
 ) -> list[tuple[int, CameraImage]]:
@@ -225,17 +203,6 @@ def test_images_have_a_clock_and_stamps_of_their_own(scene: Scene) -> None:
     assert all(image.tick == round(image.time_s * 600) for _, image in arrived)
     assert all(tick == 3 * -(-(60 * n + round(600 * phase) + 36) // 3) for n, (tick, _) in
                enumerate(arrived, start=1))  # fmt: skip
-
-
-def test_rows_and_exposures_are_the_same_with_one_thread_and_two(scene: Scene) -> None:
-    camera = dataclasses.replace(
-        SMALL_IMAGE, readout_s=0.015, phase_s=0.02, exposure=True, exposure_lag_s=0.3
-    )
-    one, two = (_images_of(scene, camera, threads) for threads in (1, 2))
-    assert len(one) == 9
-    for (tick, image), (other_tick, other) in zip(one, two, strict=True):
-        assert (tick, image.tick) == (other_tick, other.tick)
-        np.testing.assert_array_equal(image.rgb, other.rgb)
 
 
 def test_an_estimator_knows_the_readout(scene: Scene) -> None:
@@ -306,12 +273,10 @@ def test_an_unkind_world_is_the_same_whatever_the_threads(scene: Scene) -> None:
         params = WorldParams(
             sim=SimParams(threads=threads, latency_sigma=0.3),
             camera=replace(SMALL_IMAGE, exposure=True, stamp_delay_s=0.004),
-            lidar=lidar,
-            dust=DustParams(density=1.0),
-            wind=WindParams(rotational=True),
+            lidar=lidar, dust=DustParams(density=1.0), wind=WindParams(rotational=True),
             vehicle_error=VehicleErrorParams(center_of_mass_m=0.01),
             imu=ImuParams(scale_sigma=0.003),
-        )
+        )  # fmt: skip
         world = MujocoWorld(planted, params, seed, SensorNeeds(camera_hz=10, lidar=True))
         world.start_in_air(np.array([1.0, 2.0, 1.5]), 0.0)
         vehicle, found = world.rig.vehicle, hashlib.sha256()
@@ -446,13 +411,6 @@ def test_moving_body_follows_its_closed_path(
     np.testing.assert_array_equal(track.quats_wxyz[1], data.mocap_quat[0])
 
 
-def test_the_cart_moves_with_the_clock(make_world: MakeWorld) -> None:
-    world = make_world()
-    for _ in _fly(world, 200):
-        pass
-    np.testing.assert_allclose(world._data.mocap_pos[0], [3.0, -9.0, 0.5], atol=1e-9)
-
-
 def test_a_moving_body_must_be_mocap(scene: Scene) -> None:
     wrong = MovingBody(body_name="nobody", path_world=SQUARE, speed_mps=1.0, start_m=0.0)
     fields = {name: getattr(scene, name) for name in scene.__dataclass_fields__}
@@ -488,3 +446,43 @@ def test_a_command_that_is_not_finite_is_an_error(make_world: MakeWorld) -> None
     world = make_world()
     with pytest.raises(RuntimeError, match=r"tick 0: the command .* is not finite"):
         world.step(Command(rotor_speed_radps=np.array([1.0, np.nan, 1.0, 1.0])))
+
+
+def test_rows_and_exposures_are_the_same_with_one_thread_and_two(scene: Scene) -> None:
+    camera = dataclasses.replace(
+        SMALL_IMAGE, readout_s=0.015, phase_s=0.02, exposure=True, exposure_lag_s=0.3
+    )
+    one, two = (_images_of(scene, camera, threads) for threads in (1, 2))
+    assert len(one) == 9
+    for (tick, image), (other_tick, other) in zip(one, two, strict=True):
+        assert (tick, image.tick) == (other_tick, other.tick)
+        np.testing.assert_array_equal(image.rgb, other.rgb)
+
+
+def test_a_rolling_shutter_arrives_like_a_global_one(scene: Scene) -> None:
+    """Same ticks; and the images of a vehicle at rest are the same but for the bands' seams."""
+    images = {}
+    for readout_s in (0.0, 0.02):
+        world = MujocoWorld(
+            scene,
+            WorldParams(
+                sim=SimParams(threads=1),
+                camera=CameraParams(width=64, height=36, readout_s=readout_s),
+            ),
+            3,
+            SensorNeeds(camera_hz=10),
+        )
+        rest = Command(rotor_speed_radps=np.zeros(4))
+        observations = [world.reset(), *(world.step(rest) for _ in range(60))]
+        images[readout_s] = [(o.tick, i.tick, i.rgb) for o in observations for i in o.images]
+        world.close()
+    (due, tick, still), (due_rolling, tick_rolling, rolled) = (p[0] for p in images.values())
+    assert (due, tick) == (due_rolling, tick_rolling) == (96, 60)
+    assert np.abs(still.astype(int) - rolled).mean() < 1.0
+
+
+def test_the_cart_moves_with_the_clock(make_world: MakeWorld) -> None:
+    world = make_world()
+    for _ in _fly(world, 200):
+        pass
+    np.testing.assert_allclose(world._data.mocap_pos[0], [3.0, -9.0, 0.5], atol=1e-9)

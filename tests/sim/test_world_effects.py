@@ -1,7 +1,5 @@
 """What the world's parameters and faults do in a flight: each arrives where it acts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -62,14 +60,9 @@ class Flown:
     """Half a second, or ``steps``, from a hover at ``height``."""
 
     def __init__(
-        self,
-        scene: Scene,
-        needs: SensorNeeds | None = None,
-        height: float = 12.0,
-        speed_share: float = 1.0,
-        steps: int = 100,
-        **groups: Any,
-    ) -> None:
+        self, scene: Scene, needs: SensorNeeds | None = None, height: float = 12.0,
+        speed_share: float = 1.0, steps: int = 100, **groups: Any,
+    ) -> None:  # fmt: skip
         params = {"sim": SimParams(threads=1), "wind": STILL_AIR, "imu": NO_NOISE}
         params |= {"camera": CameraParams(width=64, height=36), **groups}
         world = MujocoWorld(scene, WorldParams(**params), 3, needs or SensorNeeds())
@@ -180,11 +173,8 @@ def test_the_lamp_lights_the_ground_at_night(place: Path) -> None:
     means = []
     for below_m in (0.0, 20.0):
         flown = Flown(
-            night,
-            SensorNeeds(camera_hz=10),
-            steps=50,
-            lamp=LampParams(below_m=below_m),
+            night, SensorNeeds(camera_hz=10), steps=50, lamp=LampParams(below_m=below_m),
             camera=CameraParams(width=64, height=36, exposure=True),
-        )
+        )  # fmt: skip
         means.append(np.mean([image.rgb.mean() for obs in flown.seen for image in obs.images]))
     assert means[1] > 1.5 * means[0]

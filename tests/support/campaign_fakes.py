@@ -160,19 +160,13 @@ def campaign_dir(out: Path) -> Path:
 def fake_result(config: Config, outcome: str) -> dict[str, Any]:
     error = 0.1 + 0.01 * config.seed + 0.001 * config.wind.mean_kmh + 0.1 * len(config.scene)
     return {
-        "outcome": outcome,
-        "reason": "",
-        "scene": config.scene,
-        "seed": config.seed,
-        "estimator": config.estimator,
-        "wind_kmh": config.wind.mean_kmh,
+        "outcome": outcome, "reason": "", "scene": config.scene, "seed": config.seed,
+        "estimator": config.estimator, "wind_kmh": config.wind.mean_kmh,
         "position_error_m": {"mean": error, "rmse": error, "max": 2 * error},
-        "trajectory_error_m": error,
-        "landing": None,
+        "trajectory_error_m": error, "landing": None,
         "timing": {
             "wall_s": 0.002, "sim_s": 0.1, "real_time_factor": 50.0,
             "stage_ms": {"world": 1.0, "estimator": 0.5},
         },
-        "versions": {"touchdown": "0.1.0"},
-        "git_revision": "abc",
+        "versions": {"touchdown": "0.1.0"}, "git_revision": "abc",
     }  # fmt: skip

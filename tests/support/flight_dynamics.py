@@ -58,16 +58,12 @@ class Flyer:
 
     def estimate(self) -> Estimate:
         return Estimate(
-            tick=self.step,
-            time_s=self.time_s,
+            tick=self.step, time_s=self.time_s,
             odom_from_body=Pose(self.rotation.copy(), self.position.copy()),
-            world_from_odom=Pose.identity(),
-            velocity_odom=self.velocity.copy(),
-            angular_velocity_body=self.rates.copy(),
-            acceleration_odom=self.acceleration.copy(),
-            position_covariance=np.zeros((3, 3)),
-            rotation_covariance=np.zeros((3, 3)),
-        )
+            world_from_odom=Pose.identity(), velocity_odom=self.velocity.copy(),
+            angular_velocity_body=self.rates.copy(), acceleration_odom=self.acceleration.copy(),
+            position_covariance=np.zeros((3, 3)), rotation_covariance=np.zeros((3, 3)),
+        )  # fmt: skip
 
     def advance(self, command_radps: Array) -> None:
         """One control step of three physics steps."""

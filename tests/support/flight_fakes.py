@@ -12,18 +12,13 @@ from touchdown.sim.frames import Pose, rotation_from_yaw
 
 def make_truth(time_s: float, position: Any, **changes: Any) -> Truth:
     values: dict[str, Any] = {
-        "tick": round(time_s * 600),
-        "time_s": time_s,
+        "tick": round(time_s * 600), "time_s": time_s,
         "world_from_body": Pose(np.eye(3), np.asarray(position, dtype=float)),
-        "velocity_world": np.zeros(3),
-        "acceleration_world": np.zeros(3),
-        "angular_velocity_body": np.zeros(3),
-        "wind_world": np.zeros(3),
-        "rotor_speed_radps": np.zeros(4),
-        "contacts": (),
-        "peak_contact_accel": 0.0,
+        "velocity_world": np.zeros(3), "acceleration_world": np.zeros(3),
+        "angular_velocity_body": np.zeros(3), "wind_world": np.zeros(3),
+        "rotor_speed_radps": np.zeros(4), "contacts": (), "peak_contact_accel": 0.0,
         "energy_used_j": 0.0,
-    }
+    }  # fmt: skip
     return Truth(**(values | changes))
 
 

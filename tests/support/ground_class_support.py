@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.experiments.io.images import write_png
 from touchdown.landing.api import GroundPrediction
 from touchdown.landing.classification.decision import Limits
 from touchdown.landing.classification.labels import D_LAND
@@ -116,3 +117,13 @@ def write_colour_network(
     onnx.checker.check_model(model)
     write_network(path, model.SerializeToString())
     return path
+
+
+def write_plain_images(folder: Path, size: int) -> Path:
+    """Eight images of one colour for each class of ``COLOURS``."""
+    for name, colour in COLOURS.items():
+        (folder / name).mkdir(parents=True)
+        for number in range(8):
+            image = np.full((size, size, 3), colour, np.uint8)
+            write_png(folder / name / f"{name}{number:02d}.png", image)
+    return folder

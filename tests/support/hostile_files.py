@@ -1,7 +1,5 @@
 """Files that declare more than they hold, or are no files."""
 
-from __future__ import annotations
-
 import os
 import resource
 import struct

@@ -1,5 +1,8 @@
 """Images that a small network learns to classify within seconds."""
 
+from pathlib import Path
+
+import cv2
 import numpy as np
 
 from touchdown.landing.api import LabelledImages
@@ -16,8 +19,16 @@ def coloured(count: int, seed: int, size: int = 32) -> LabelledImages:
         image[..., kinds[name]] += 80
     return LabelledImages(
         images=images.astype(np.uint8),
-        labels=np.array([D_LAND.index(name) for name in names], np.int64),
-        classes=D_LAND,
-        source=np.zeros(count, np.int64),
-        sources=("made up",),
-    )
+        labels=np.array([D_LAND.index(name) for name in names], np.int64), classes=D_LAND,
+        source=np.zeros(count, np.int64), sources=("made up",),
+    )  # fmt: skip
+
+
+def coloured_folders(home: Path, count: int, seed: int, size: int) -> Path:
+    """Writes `coloured` as PNG files, a folder for each class."""
+    pictures = coloured(count, seed, size)
+    for number, (image, label) in enumerate(zip(pictures.images, pictures.labels, strict=True)):
+        path = home / D_LAND[label]
+        path.mkdir(exist_ok=True)
+        cv2.imwrite(str(path / f"{number}.png"), image[..., ::-1])
+    return home

@@ -27,19 +27,12 @@ DOWNWARD = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3))
 
 def make_rig(start: tuple[float, float, float] = (0.0, 0.0, LEG_HEIGHT)) -> SensorRig:
     vehicle = VehicleModel(
-        mass_kg=4.0,
-        inertia_kgm2=np.array([0.05, 0.05, 0.09]),
+        mass_kg=4.0, inertia_kgm2=np.array([0.05, 0.05, 0.09]),
         rotor_xy_m=0.25 * np.array([[1.0, -1], [1, 1], [-1, 1], [-1, -1]]),
-        rotor_spin=np.array([1.0, -1, 1, -1]),
-        thrust_coefficient=4e-5,
-        torque_coefficient=6e-7,
-        rotor_speed_min=80.0,
-        rotor_speed_max=800.0,
-        motor_time_constant_s=0.04,
-        linear_drag=0.3,
-        leg_height_m=LEG_HEIGHT,
-        footprint_radius_m=0.5,
-    )
+        rotor_spin=np.array([1.0, -1, 1, -1]), thrust_coefficient=4e-5, torque_coefficient=6e-7,
+        rotor_speed_min=80.0, rotor_speed_max=800.0, motor_time_constant_s=0.04, linear_drag=0.3,
+        leg_height_m=LEG_HEIGHT, footprint_radius_m=0.5,
+    )  # fmt: skip
     camera = CameraIntrinsics(width=848, height=480, fx=617.0, fy=617.0, cx=423.5, cy=239.5)
     return SensorRig(
         tick_hz=600, body_from_imu=Pose.identity(), body_from_lidar=DOWNWARD,

@@ -1,7 +1,5 @@
 """A short synthetic flight for `paper`."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
@@ -36,8 +34,7 @@ PLAIN = PaperParams(sift_features=150, brisk_features=150)
 def make_rig(distortion: float = 0.0) -> SensorRig:
     down = BODY_FROM_DOWNWARD_OPTICAL
     return SensorRig(
-        tick_hz=HZ,
-        body_from_imu=Pose(np.eye(3), np.array([0.02, 0.0, 0.01])),
+        tick_hz=HZ, body_from_imu=Pose(np.eye(3), np.array([0.02, 0.0, 0.01])),
         body_from_lidar=Pose(down, np.array([0.0, 0.0, -0.15])),
         body_from_camera=Pose(down, np.array([0.075, 0.025, -0.13])),
         body_from_camera_right=Pose(down, np.array([0.075, -0.025, -0.13])),
@@ -45,12 +42,8 @@ def make_rig(distortion: float = 0.0) -> SensorRig:
             width=424, height=240, fx=308.0, fy=312.0, cx=211.5, cy=119.5,
             distortion=np.array([distortion, 0.0, 0.0, 0.0, 0.0]),
         ),
-        lidar=LidarParams(),
-        imu=ImuParams(),
-        imu_ticks=IMU_TICKS,
-        camera_ticks=20,
-        lidar_scan_ticks=SCAN_TICKS,
-        compute_latency_ticks=LATENCY,
+        lidar=LidarParams(), imu=ImuParams(), imu_ticks=IMU_TICKS, camera_ticks=20,
+        lidar_scan_ticks=SCAN_TICKS, compute_latency_ticks=LATENCY,
         world_from_body_start=Pose(np.eye(3), np.array([0.0, 0.0, START_Z])),
         vehicle=VehicleModel(
             mass_kg=4.0, inertia_kgm2=np.ones(3), rotor_xy_m=np.zeros((4, 2)),
@@ -81,15 +74,11 @@ def scan_ending_at(tick: int) -> LidarScan:
     directions = np.column_stack([slopes, np.ones(count)])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return LidarScan(
-        start_tick=tick - SCAN_TICKS,
-        end_tick=tick,
-        start_time_s=(tick - SCAN_TICKS) / HZ,
-        end_time_s=tick / HZ,
-        directions=directions.astype(np.float32),
+        start_tick=tick - SCAN_TICKS, end_tick=tick, start_time_s=(tick - SCAN_TICKS) / HZ,
+        end_time_s=tick / HZ, directions=directions.astype(np.float32),
         ranges=((START_Z - 0.15) / directions[:, 2]).astype(np.float32),
-        time_offsets=offsets.astype(np.float32),
-        intensity=np.full(count, 40, dtype=np.uint8),
-    )
+        time_offsets=offsets.astype(np.float32), intensity=np.full(count, 40, dtype=np.uint8),
+    )  # fmt: skip
 
 
 def _ground() -> np.ndarray:
@@ -132,22 +121,17 @@ def observations() -> list[Observation]:
         measured = tick - LATENCY
         due = measured > 0 and measured % SCAN_TICKS == 0
         imu = ImuSample(
-            tick=tick,
-            time_s=tick / HZ,
-            angular_velocity=np.zeros(3),
+            tick=tick, time_s=tick / HZ, angular_velocity=np.zeros(3),
             specific_force=np.array([1.0, 0.0, GRAVITY_MPS2]),
-        )
+        )  # fmt: skip
         found.append(
             Observation(
-                tick=tick,
-                time_s=tick / HZ,
-                imu=(imu,) if tick else (),
+                tick=tick, time_s=tick / HZ, imu=(imu,) if tick else (),
                 scans=(scan_ending_at(measured),) if due else (),
-                images=(image_at(measured),) if due else (),
-                rotor_speed_radps=np.full(4, 400.0),
+                images=(image_at(measured),) if due else (), rotor_speed_radps=np.full(4, 400.0),
                 battery_fraction=1.0,
             )
-        )
+        )  # fmt: skip
     return found
 
 

@@ -56,13 +56,10 @@ class Node:
     @property
     def facts(self) -> dict[str, Any]:
         return {
-            "NodeID": f"id-of-{self.name}",
-            "Alive": True,
-            "Resources": {"CPU": self.cpus},
-            "NodeManagerHostname": self.name,
-            "NodeManagerAddress": "10.0.0.1",
+            "NodeID": f"id-of-{self.name}", "Alive": True, "Resources": {"CPU": self.cpus},
+            "NodeManagerHostname": self.name, "NodeManagerAddress": "10.0.0.1",
             "NodeName": "10.0.0.1",
-        }
+        }  # fmt: skip
 
 
 class FakeRay:

@@ -1,7 +1,5 @@
 """The baselines' small parts: order of messages, alignment, anchors in the world, stereo depth."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -53,21 +51,14 @@ def image(tick: int) -> CameraImage:
 
 def make_fix(tick: int, position: np.ndarray, sigma: float = 0.5) -> GpsFix:
     return GpsFix(
-        tick=tick,
-        time_s=tick / HZ,
-        position_world=position,
-        velocity_world=np.zeros(3),
-        sigma_position_m=np.full(3, sigma),
-        sigma_velocity_mps=0.05,
-    )
+        tick=tick, time_s=tick / HZ, position_world=position, velocity_world=np.zeros(3),
+        sigma_position_m=np.full(3, sigma), sigma_velocity_mps=0.05,
+    )  # fmt: skip
 
 
 def make_filter(rotation: np.ndarray, sigma: float = 0.1) -> Eskf:
     zero = np.zeros(3)
     return Eskf(NavState(0, rotation, zero, zero, zero, zero), np.full(15, sigma**2))
-
-
-# ------------------------------------------------------------------------------------- messages
 
 
 def test_epochs_come_in_the_order_of_measurement() -> None:
@@ -105,9 +96,6 @@ def test_images_of_varying_latency_all_get_their_epoch() -> None:
     assert queue.late <= 3
     assert sum(seen) >= 295
     assert len(seen) - sum(seen) <= 8
-
-
-# ------------------------------------------------------------------------------------ alignment
 
 
 def test_attitude_from_gravity_and_field() -> None:
@@ -177,9 +165,6 @@ def test_ground_below_keeps_the_last_echo_over_water() -> None:
     assert ground.height_m == pytest.approx(expected)
 
 
-# -------------------------------------------------------------------------------------- anchors
-
-
 def test_following_anchor_is_where_the_fixes_are() -> None:
     anchor = FollowingAnchor(follow_s=0.2)
     assert not anchor.known
@@ -223,9 +208,6 @@ def test_wandering_anchor_is_consistent() -> None:
 def test_wandering_anchor_learns_little_within_one_correlation_time() -> None:
     _, variance = _anchor_errors(tau_s=60.0, seconds=6.0, runs=1)
     np.testing.assert_allclose(variance, 2.0 * np.array([0.25, 0.25, 0.64]) / 2.1, rtol=0.01)
-
-
-# --------------------------------------------------------------------------------------- stereo
 
 
 def test_triangulation_by_hand() -> None:

@@ -1,7 +1,5 @@
 """Shifts, flow and displacement on images of known motion."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -131,10 +129,8 @@ def test_velocity_from_images_of_known_ground() -> None:
     pixels = detect_features(before, 120)
     found, reached = follow(before, after, pixels, pixels)
     measured = solve_displacement(
-        level_directions(pixels[found], CAMERA, first),
-        level_directions(reached, CAMERA, second),
-        12.0,
-        0.3 / CAMERA.fx,
-    )
+        level_directions(pixels[found], CAMERA, first), level_directions(reached, CAMERA, second),
+        12.0, 0.3 / CAMERA.fx,
+    )  # fmt: skip
     assert measured is not None and measured.used > 60
     np.testing.assert_allclose(-measured.translation / seconds, velocity, atol=0.05)

@@ -1,7 +1,5 @@
 """The GPS filter on synthetic fixes, and the sensor needs of the baselines."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -50,13 +48,10 @@ def _observations(seconds: float, seed: int) -> tuple[SensorRig, list[Observatio
             errors.append(error)
             antenna = np.array([0.0, 0.0, 0.3]) + rig.nav.gps.antenna_body_m
             late[tick + 72] = GpsFix(
-                tick=tick,
-                time_s=tick / HZ,
-                position_world=antenna + [5.0, -3.0, 1.0] + error,
-                velocity_world=0.05 * rng.standard_normal(3),
-                sigma_position_m=sigma,
+                tick=tick, time_s=tick / HZ, position_world=antenna + [5.0, -3.0, 1.0] + error,
+                velocity_world=0.05 * rng.standard_normal(3), sigma_position_m=sigma,
                 sigma_velocity_mps=0.05,
-            )
+            )  # fmt: skip
         if tick % 12 == 0:
             reading = field + 0.2 * rng.standard_normal(3)
             messages["magnetometer"] = (
@@ -66,13 +61,10 @@ def _observations(seconds: float, seed: int) -> tuple[SensorRig, list[Observatio
             messages["gps"] = (late.pop(tick),)
         seen.append(
             Observation(
-                tick=tick,
-                time_s=tick / HZ,
-                rotor_speed_radps=np.zeros(4),
-                battery_fraction=1.0,
+                tick=tick, time_s=tick / HZ, rotor_speed_radps=np.zeros(4), battery_fraction=1.0,
                 **messages,
             )
-        )
+        )  # fmt: skip
     return rig, seen, np.array(errors)
 
 
@@ -113,22 +105,19 @@ def test_without_fixes_gps_is_not_healthy() -> None:
     assert not estimate.healthy
 
 
-@pytest.mark.parametrize(
-    ("make", "needs"),
-    [
-        (GpsEstimator, SensorNeeds(gps=True, magnetometer=True, barometer=True)),
-        (
-            OpticalFlowEstimator,
-            SensorNeeds(camera_hz=10, rangefinder=True, magnetometer=True, barometer=True),
+@pytest.mark.parametrize(("make", "needs"), [
+    (GpsEstimator, SensorNeeds(gps=True, magnetometer=True, barometer=True)),
+    (
+        OpticalFlowEstimator,
+        SensorNeeds(camera_hz=10, rangefinder=True, magnetometer=True, barometer=True),
+    ),
+    (
+        HybridFlowEstimator,
+        SensorNeeds(
+            camera_hz=10, gps=True, rangefinder=True, magnetometer=True, barometer=True
         ),
-        (
-            HybridFlowEstimator,
-            SensorNeeds(
-                camera_hz=10, gps=True, rangefinder=True, magnetometer=True, barometer=True
-            ),
-        ),
-        (StereoEstimator, SensorNeeds(camera_hz=10, stereo=True)),
-    ],
-)
+    ),
+    (StereoEstimator, SensorNeeds(camera_hz=10, stereo=True)),
+])  # fmt: skip
 def test_no_baseline_asks_for_a_lidar(make: Any, needs: SensorNeeds) -> None:
     assert make(make_rig()).needs == needs

@@ -11,6 +11,7 @@ import pytest
 
 from touchdown.estimator.baselines import ground_flow
 from touchdown.estimator.baselines.aiding import BaroHeight, update_velocity
+from touchdown.estimator.baselines.alignment import Alignment
 from touchdown.estimator.baselines.gps import SatelliteAiding
 from touchdown.estimator.baselines.ground_below import GroundBelow
 from touchdown.estimator.baselines.ground_flow import Displacement, update_with_displacement
@@ -102,6 +103,7 @@ def fly(estimator: Any, rig: SensorRig, upset: Any) -> tuple[Any, np.ndarray, np
     for obs in seen:
         if obs.tick == REST + 60 + LATENCY:
             upset(estimator._nav.eskf)
+            estimator._nav.filter.catch_up()  # what control is given is wrong, too
         estimate = estimator.update(obs)
     pose, velocity = truth[LAST]
     turned = so3_log(pose.rotation.T @ estimate.odom_from_body.rotation)
@@ -138,6 +140,7 @@ class Coarse(HybridFlowEstimator):
         (Coarse, 0.3, 0.10),
         (StereoEstimator, START_Z, 0.05),
     ],
+    ids=["flow", "hybrid", "coarse", "stereo"],
 )
 def test_images_correct_a_wrong_velocity(make: Any, leg_m: float, most_mps: float) -> None:
     """0.5 m/s of error; over ground 12 m below, which flow learns by the rangefinder."""
@@ -250,6 +253,33 @@ def test_a_displacement_is_compared_with_that_of_the_camera(
     expected[:, :3] -= by_now @ POSE.rotation
     expected[:, 6:9] -= by_before @ before.rotation
     np.testing.assert_allclose(jacobian, expected, atol=1e-7)
+
+
+def test_the_attitude_at_rest_is_that_of_the_body_whatever_the_mount_of_the_imu() -> None:
+    mount = Pose(so3_exp(np.array([0.4, -0.9, 2.0])), np.array([0.1, 0.0, 0.0]))
+    rig = dataclasses.replace(make_rig(), body_from_imu=mount)
+    field = earth_field_world(rig.nav.magnetometer)
+    alignment = Alignment(rig)
+    for tick in (3, 150):
+        imu = ImuSample(
+            tick=tick, time_s=tick / HZ, angular_velocity=np.zeros(3),
+            specific_force=mount.rotation.T @ POSE.rotation.T @ [0.0, 0.0, GRAVITY_MPS2],
+        )  # fmt: skip
+        reading = MagnetometerSample(
+            tick=tick, time_s=tick / HZ, field_body_ut=POSE.rotation.T @ field
+        )
+        found = alignment.take(
+            Observation(
+                tick=tick, time_s=tick / HZ, imu=(imu,), magnetometer=(reading,),
+                rotor_speed_radps=np.zeros(4), battery_fraction=1.0,
+            )
+        )  # fmt: skip
+        assert (found is None) is (tick == 3)
+    assert found is not None
+    np.testing.assert_allclose(found.rotation, POSE.rotation, atol=1e-9)
+    np.testing.assert_allclose(
+        alignment.mean_force(), POSE.rotation.T @ [0.0, 0.0, GRAVITY_MPS2], atol=1e-9
+    )
 
 
 def test_late_samples_are_compared_with_where_the_vehicle_was() -> None:

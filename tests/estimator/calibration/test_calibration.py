@@ -1,7 +1,5 @@
 """The steps of the calibration on geometry whose answers are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Degenerate directions of scans, and their removal from the update."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -142,12 +140,9 @@ def test_level_ground_leaves_the_lateral_pose_alone(walls: bool) -> None:
 def test_the_watch_reports_lasting_changes_only() -> None:
     def report(weak: int) -> LidarReport:
         return LidarReport(
-            matched=99,
-            rms_m=0.0,
-            lateral_strength=np.zeros(3),
-            weak_translation=weak,
+            matched=99, rms_m=0.0, lateral_strength=np.zeros(3), weak_translation=weak,
             weak_rotation=weak // 2,
-        )
+        )  # fmt: skip
 
     watch = DegeneracyWatch(patience=3)
     said = [watch.events(report(weak)) for weak in (0, 2, 2, 0, 2, 2, 2, 2, 0, 0, 0, 0)]

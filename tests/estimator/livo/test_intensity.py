@@ -1,7 +1,5 @@
 """Intensity images and the photometric update, over ground of known reflectivity."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The whole estimator on a short made-up flight over a plane, and against broken input."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Any
@@ -14,12 +12,7 @@ from touchdown.estimator.filtering.message_order import stamp_of
 from touchdown.estimator.livo.estimator import Livo
 from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.estimator.oracle import Oracle
-from touchdown.sim.api import (
-    GRAVITY_MPS2,
-    ImuSample,
-    Observation,
-    Truth,
-)
+from touchdown.sim.api import GRAVITY_MPS2, ImuSample, Observation, Truth
 from touchdown.sim.frames import Pose
 
 from support.livo_flight import (
@@ -79,13 +72,10 @@ def test_biases_and_level_are_estimated_on_the_ground() -> None:
         )  # fmt: skip
         estimate = livo.update(
             Observation(
-                tick=tick,
-                time_s=tick / HZ,
-                imu=(imu,) if tick else (),
-                battery_fraction=1.0,
+                tick=tick, time_s=tick / HZ, imu=(imu,) if tick else (), battery_fraction=1.0,
                 rotor_speed_radps=np.zeros(4),
             )
-        )
+        )  # fmt: skip
     np.testing.assert_allclose(estimate.angular_velocity_body, 0.0, atol=2e-4)
     np.testing.assert_allclose(estimate.acceleration_odom, 0.0, atol=2e-3)
     # three times the standard deviation of the attitude on the pad
@@ -152,12 +142,9 @@ def broken(kind: str) -> list[Observation]:
         )
     elif kind == "empty scan":
         empty = dataclasses.replace(
-            scan,
-            directions=np.zeros((0, 3), np.float32),
-            ranges=np.zeros(0, np.float32),
-            time_offsets=np.zeros(0, np.float32),
-            intensity=np.zeros(0, np.uint8),
-        )
+            scan, directions=np.zeros((0, 3), np.float32), ranges=np.zeros(0, np.float32),
+            time_offsets=np.zeros(0, np.float32), intensity=np.zeros(0, np.uint8),
+        )  # fmt: skip
         flight[k] = dataclasses.replace(flight[k], scans=(empty,))
     elif kind == "missing scan":
         flight[k] = dataclasses.replace(flight[k], scans=())
@@ -174,18 +161,9 @@ def broken(kind: str) -> list[Observation]:
     return flight
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "nan ranges",
-        "empty scan",
-        "missing scan",
-        "black image",
-        "no sensors",
-        "late scan",
-        "nan imu",
-    ],
-)
+@pytest.mark.parametrize("kind", [
+    "nan ranges", "empty scan", "missing scan", "black image", "no sensors", "late scan", "nan imu",
+])  # fmt: skip
 def test_broken_input_costs_centimetres_at_most(kind: str) -> None:
     estimates = fly(broken(kind))
     for e in estimates:

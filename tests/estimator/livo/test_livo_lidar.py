@@ -1,7 +1,5 @@
 """Deskewing, the plane map and the point-to-plane update on hand-made geometry."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,13 +13,7 @@ from touchdown.estimator.livo.anchors import Anchors
 from touchdown.sim.api import LidarParams
 from touchdown.sim.frames import Pose, so3_exp
 
-from support.livo_lidar_support import (
-    lidar_scan,
-    placed,
-    plane_information,
-    room_points,
-    state_at,
-)
+from support.livo_lidar_support import lidar_scan, placed, plane_information, room_points, state_at
 
 STEP_S = 0.005
 

@@ -1,7 +1,5 @@
 """Rolling shutter: instants of rows, landmarks of a moving camera, and the pose of its image."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

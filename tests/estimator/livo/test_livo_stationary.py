@@ -1,7 +1,5 @@
 """At rest: what the gyroscope and the accelerometer show is shared between bias and response."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Patch tracking, landmark planes, keyframes and the reprojection update on rendered planes."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
@@ -296,11 +294,9 @@ def test_a_plane_is_extended_only_on_demand() -> None:
 
 def test_the_keyframes_of_least_variance_and_largest_overlap_are_chosen() -> None:
     candidates = [
-        Overlap(0, 50, 0.40, 1.0),
-        Overlap(1, 90, 0.70, 1.0),
-        Overlap(2, 110, 0.90, 1.0),
+        Overlap(0, 50, 0.40, 1.0), Overlap(1, 90, 0.70, 1.0), Overlap(2, 110, 0.90, 1.0),
         Overlap(3, 30, 0.20, 1.0),
-    ]
+    ]  # fmt: skip
     variances = np.array([1.0, 2.0, 3.0, 0.5])
     assert choose(candidates, variances, 2, 0.35) == [0, 2]
     assert choose(candidates, variances, 3, 0.35) == [0, 2, 1]

@@ -1,7 +1,5 @@
 """Every equation of the paper's positioning on a case worked out by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -31,9 +29,7 @@ from touchdown.estimator.paper.smoothness import (
     lidar_smoothness,
     sort_out_features,
 )
-from touchdown.estimator.paper.structured_edges.detector import (
-    GradientEdges,
-)
+from touchdown.estimator.paper.structured_edges.detector import GradientEdges
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose
 
@@ -118,9 +114,6 @@ def test_features_are_sorted_out_by_sector() -> None:
     assert chosen.edges.tolist() == [1]
 
 
-# ------------------------------------------------------------------------------- Eq. 8
-
-
 def step_image() -> np.ndarray:
     """A wall of energy 1 in column 4 of a 3 x 9 image."""
     energy = np.zeros((3, 9), dtype=np.float32)
@@ -175,9 +168,6 @@ def test_returns_that_share_a_pixel_share_their_score() -> None:
     neighbours, lengths = geodesic_lengths(energy, distance, label, 3, 2)
     score = colour_smoothness(label, rows, cols, neighbours, lengths)
     assert score[0] == score[1]
-
-
-# ------------------------------------------------------------------------------- Eqs. 9 to 12
 
 
 def test_eq_9_and_11_are_rigid_transforms() -> None:
@@ -241,9 +231,6 @@ def test_no_return_nearby_leaves_the_depth_open() -> None:
     far = np.array([2], np.int32), np.array([8], np.int32)
     depth, _ = geodesic_depth(*far, distance, label, neighbours, lengths, np.ones(1), 0.15)
     assert np.isnan(depth[0])
-
-
-# ------------------------------------------------------------------------------- edges
 
 
 def test_gradient_edges_lie_on_the_boundary() -> None:

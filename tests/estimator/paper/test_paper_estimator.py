@@ -1,7 +1,5 @@
 """The paper's estimator as a whole on a short made-up flight, and against broken input."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Any
@@ -108,12 +106,9 @@ def broken(kind: str) -> list[Observation]:
         flight[k] = dataclasses.replace(flight[k], scans=(worse,))
     elif kind == "empty scan":
         none = dataclasses.replace(
-            scan,
-            directions=scan.directions[:0],
-            ranges=scan.ranges[:0],
-            time_offsets=scan.time_offsets[:0],
-            intensity=scan.intensity[:0],
-        )
+            scan, directions=scan.directions[:0], ranges=scan.ranges[:0],
+            time_offsets=scan.time_offsets[:0], intensity=scan.intensity[:0],
+        )  # fmt: skip
         flight[k] = dataclasses.replace(flight[k], scans=(none,))
     elif kind == "black images":
         for i in range(k, len(flight)):

@@ -1,8 +1,6 @@
 """The paper's positioning on small known problems: registration, landmarks, PnP, bundle adjustment,
 dictionary and pose graph."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -27,9 +25,6 @@ from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log
 CAMERA = CameraIntrinsics(width=640, height=480, fx=500.0, fy=520.0, cx=320.0, cy=240.0)
 DOWN = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.05, 0.0, -0.1]))
 LOOSE = np.diag([1e2, 1e2, 1e2, 1e-2, 1e-2, 1e-2])
-
-
-# ------------------------------------------------------------------------------- Algorithm 1
 
 
 def room(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -122,9 +117,6 @@ def test_feature_map_returns_the_five_nearest_in_order_and_keeps_its_size() -> N
         FeatureMap(1.0, 100)
 
 
-# ------------------------------------------------------------------------------- landmarks
-
-
 def texture(seed: int = 0) -> np.ndarray:
     noise = np.random.default_rng(seed).uniform(0, 255, (60, 80)).astype(np.float32)
     smooth = cv2.resize(noise, (640, 480), interpolation=cv2.INTER_CUBIC)
@@ -179,9 +171,6 @@ def test_matching_refuses_the_far_the_unlike_and_the_ambiguous() -> None:
     almost[:, 0] = 3
     seen = np.full((1, 64), 0, np.uint8)
     assert match_near(BRISK, pixels[:1], seen, apart, almost, 20.0).tolist() == [-1]
-
-
-# ------------------------------------------------------------------------------- PnP and bundle
 
 
 def ground_points(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -250,9 +239,6 @@ def test_bundle_adjustment_repairs_poses_and_depths() -> None:
     np.testing.assert_array_equal(poses[0].translation, truth[0].translation)
 
 
-# ------------------------------------------------------------------------------- dictionary
-
-
 @pytest.mark.parametrize("kind", [SIFT, BRISK])
 def test_words_are_shared_by_the_like_and_bounded(kind: int) -> None:
     rng = np.random.default_rng(5)
@@ -280,9 +266,6 @@ def test_inverted_index_ranks_by_rare_common_words_and_forgets() -> None:
     assert scores[2] < 1e-6
     index.remove(1)
     assert len(index) == 2 and 1 not in index.scores(np.array([8, 9]))
-
-
-# ------------------------------------------------------------------------------- pose graph
 
 
 SIGMAS = np.full(6, 0.1)
@@ -376,9 +359,6 @@ def test_level_priors_hold_height_and_tilt_against_drifting_edges() -> None:
     assert graph.poses[1].translation[2] == pytest.approx(0.0, abs=1e-3)
     assert np.abs(so3_log(graph.poses[1].rotation)).max() < 1e-3
     assert graph.poses[1].translation[0] == pytest.approx(1.0, abs=1e-6)
-
-
-# ------------------------------------------------------------------------------- odometry frame
 
 
 def test_level_transform_takes_one_position_to_the_other() -> None:

@@ -1,7 +1,5 @@
 """The structured edge detector: its features, its training, its file, and how it is scored."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

@@ -1,14 +1,12 @@
 """Long flights: samples of each minute, and their configuration."""
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks.endurance import _Minutes, endurance_config, plot, row
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.benchmarks.endurance import _Minutes, endurance_config
 from touchdown.experiments.flight.stage_timer import StageClock
 from touchdown.landing.mission.trajectory import peaks, survey_trajectory
 from touchdown.sim.frames import Pose
@@ -49,18 +47,3 @@ def test_a_survey_of_any_length_can_be_flown_at_much_the_same_pace(minutes: int)
     speed, acceleration = peaks(path)
     assert 7.0 < speed < 9.0
     assert 3.5 < acceleration < 5.5
-
-
-def test_row_and_plot(tmp_path: Path) -> None:
-    flight = {
-        "scene": "lake", "seed": 0, "outcome": "COMPLETED", "sim_s": 301.0,
-        "error_mean_m": 0.0312, "error_max_m": 0.1, "nees_median": 2.0,
-        "minutes": [{"until_s": 60.0, "estimator_ms": 20.0, "process_ms": 60.0,
-                     "memory_mb": 900.0, "error_mean_m": 0.02}] * 2,
-        "last_over_first": {"estimator_ms": 1.01, "process_ms": 1.03, "memory_mb": 1.002},
-    }  # fmt: skip
-    assert "error 0.031 m" in row(flight) and "process 1.03, memory 1.002" in row(flight)
-    plot([flight], tmp_path / "long.png")
-    assert (tmp_path / "long.png").read_bytes()[:4] == b"\x89PNG"
-    with pytest.raises(UsageError, match="cannot write the plot"):
-        plot([flight], tmp_path / "missing" / "long.png")

@@ -58,16 +58,6 @@ def test_unusable_recordings_are_named(tmp_path: Path, count: int, header: str, 
         read_recordings(tmp_path)
 
 
-def test_a_folder_without_recordings_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    assert cli.main(["bench", "imu", "--data", str(tmp_path), "--out", str(out)]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1 and "holds no recording" in lines[0]
-    assert not out.exists()
-
-
 def test_the_line_of_a_steady_flight_has_its_level() -> None:
     """Rotors at 82 Hz appear at 38 Hz, weakened by the mean; the level is that in hover."""
     hover = 2.0 * np.pi * imu_spectra.RECORDED_HOVER_HZ

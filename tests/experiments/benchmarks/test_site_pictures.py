@@ -3,19 +3,15 @@
 import dataclasses
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from touchdown.experiments.benchmarks import site_selection_figures as site_figures
 from touchdown.experiments.benchmarks.site_selection_figures import (
-    cluster_colours,
     figure_files,
-    jpeg,
     steps_figure,
     write_steps,
 )
-from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import LandingParams, Selection
 from touchdown.landing.selection.selector import NOTHING_MAPPED, select_sites
 from touchdown.sim.frames import Pose
@@ -47,14 +43,6 @@ def drawn(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     return np.argwhere((image == np.array(colour, np.uint8)).all(axis=2))
 
 
-def test_clusters_cover_the_known_map_and_hold_their_modes(selection: Selection) -> None:
-    assert selection.costmap is not None
-    assert selection.cluster.shape == selection.costmap.total.shape
-    assert selection.cluster.max() == len(selection.modes) - 1
-    at_modes = selection.cluster[tuple(selection.modes.T)]
-    assert at_modes.tolist() == list(range(len(selection.modes)))
-
-
 def test_candidates_are_blue_and_the_site_is_red_in_the_last_panel(selection: Selection) -> None:
     image = steps_figure(selection, "a garden", "risk")
     height, width, _ = image.shape
@@ -76,44 +64,12 @@ def test_no_red_where_nothing_was_accepted(selection: Selection) -> None:
     assert len(drawn(image, BLUE)) > 20
 
 
-def test_both_scorers_are_drawn_and_differ(selection: Selection) -> None:
-    by_paper = steps_figure(selection_of("paper"), "a garden", "paper")
-    assert not np.array_equal(by_paper, steps_figure(selection, "a garden", "risk"))
-
-
-def test_colours_of_clusters_differ_and_outside_is_dark() -> None:
-    colours = cluster_colours(np.array([[0, 1, 2], [3, 0, -1]], np.int32))
-    assert colours.shape == (2, 3, 3)
-    assert len({tuple(colour) for colour in colours.reshape(-1, 3).tolist()}) == 5
-    assert colours[0, 0].tolist() == colours[1, 1].tolist()
-    assert colours[1, 2].max() < 60
-
-
-def test_jpeg_quality_is_reduced_to_fit_the_limit() -> None:
-    noise = np.random.default_rng(0).integers(0, 256, (200, 300, 3), np.uint8)
-    best = jpeg(noise)
-    limit = int(0.7 * len(best))
-    assert len(jpeg(noise, limit)) <= limit
-    assert len(jpeg(noise, 1)) < limit  # the lowest quality
-    back = cv2.imdecode(np.frombuffer(best, np.uint8), cv2.IMREAD_COLOR)
-    assert back is not None and back.shape == noise.shape
-
-
 def test_file_is_written_below_its_limit(selection: Selection, tmp_path: Path) -> None:
     config = load_config(None, [], scene="turf", seed=3)
     (file,) = figure_files([config], tmp_path / "deep" / "folder")
     assert file.name == "site_turf.jpg"
     write_steps(file, config, selection)
     assert 10_000 < file.stat().st_size <= site_figures.MOST_BYTES
-
-
-def test_names_have_the_seed_where_there_are_several(tmp_path: Path) -> None:
-    configs = [load_config(None, [], scene="lake", seed=seed) for seed in (1, 2)]
-    names = [file.name for file in figure_files(configs, tmp_path)]
-    assert names == ["site_lake_1.jpg", "site_lake_2.jpg"]
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UsageError, match=r"--pictures: .* cannot be created"):
-        figure_files(configs, tmp_path / "file")
 
 
 def test_an_empty_map_gives_no_figure() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,10 +11,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from touchdown.experiments.campaign.results_table import finished_ids
+from touchdown.experiments.campaign.executor import LocalEngine
+from touchdown.experiments.campaign.results_table import finished_ids, load_rows
 from touchdown.experiments.campaign.session import fly_campaign, make_engine, summary
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.reporting.sql import connect
 
+from support.campaign_command import start
 from support.campaign_flights import (
     MANY,
     RUNNER,
@@ -88,6 +92,26 @@ def test_any_number_of_jobs_and_shards_gives_the_same_rows(
         assert (path / "result.json").read_bytes() == (other / "result.json").read_bytes()
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_costs_no_finished_flight(number: int, tmp_path: Path, undisturbed: Path) -> None:
+    plan, out = make_plan(tmp_path, MANY), tmp_path / "out"
+    command = start("campaign", tmp_path / "campaign.toml", "--out", out, "--jobs", "2", "--quiet")
+    workers = flying_after(out, 2)
+    command.send_signal(number)
+    _, err = command.communicate(timeout=600.0)
+    assert command.returncode == 128 + number
+    assert err.startswith("touchdown: stopped; ") and err.count("\n") == 1
+    assert "the same command resumes" in err
+    assert not any(map(is_alive, workers)) and not list(out.glob(".partial/*"))
+    document = json.loads((out / "campaign.json").read_text())
+    assert document["finished_utc"] is None
+    assert [session["jobs"] for session in document["sessions"]] == [2]
+    kept = {file: file.stat().st_ino for file in out.glob("runs/*slow*/result.json")}
+    assert fly(plan, out)["remaining"] == 0
+    assert kept == {file: file.stat().st_ino for file in kept}
+    assert figures(out) == figures(undisturbed)
+
+
 def test_missing_ray_is_reported_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(UsageError, match=r"pip install 'touchdown\[ray\]'"):
@@ -147,3 +171,52 @@ def test_a_campaign_of_a_version_before_profiles_is_resumed(tmp_path: Path) -> N
     assert flown() == {"ideal"}
     with pytest.raises(UsageError, match=r'profile of run .* was "ideal" and is now "harsh"'):
         fly(make_plan(tmp_path, ideal.replace("ideal", "harsh")), out)
+
+
+def test_rows_with_missing_values_have_the_same_columns_and_types(undisturbed: Path) -> None:
+    columns = dict(connect(undisturbed).execute("select column_name, column_type from "
+                                                "(describe runs)").fetchall())  # fmt: skip
+    assert columns["position_error_m.mean"] == "DOUBLE"
+    assert columns["landing.slope_deg"] == "DOUBLE"
+    assert columns["landing.site_xy_m"] == "DOUBLE[]"
+    assert columns["landing.safe"] == "BOOLEAN"
+    assert columns["seed"] == "BIGINT"
+    assert columns["versions.touchdown"] == "VARCHAR"
+    row = load_rows(undisturbed)[0]
+    assert row["run_id"] == "flat-fake.is_lost-s0"
+    assert (row["mode"], row["wind_kmh"], row["git_revision"]) == ("fly", 12.0, "abc")
+    # 0.1 + 0.001 * 12 km/h + 0.1 * 4 letters
+    assert row["position_error_m.mean"] == pytest.approx(0.512)
+
+
+def test_runs_flown_one_by_one_give_rows_too(undisturbed: Path, tmp_path: Path) -> None:
+    shutil.copytree(undisturbed / "runs", tmp_path / "runs")
+    rows = {row["run_id"]: row for row in load_rows(tmp_path)}
+    assert len(rows) == 12
+    for row in load_rows(undisturbed):
+        other = rows[f"runs/{row['run_id']}"]
+        for key in ("mode", "seed", "config_sha", "position_error_m.mean", "outcome"):
+            assert other[key] == row[key]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UsageError, match="no finished run"):
+        load_rows(tmp_path / "empty")
+
+
+@pytest.mark.slow
+def test_real_flights_are_the_same_in_any_number_of_workers(tmp_path: Path) -> None:
+    """One worker flies both methods in sequence, two fly them in parallel."""
+    text = axes(scene=["crossroad"], estimator=["livo", "gps"], seeds="11")
+    text += "[base.survey]\nheight_m = 12.0\nlegs = 1\nleg_length_m = 8.0\nduration_s = 5.0\n"
+    plan = make_plan(tmp_path, text)
+    for jobs in (1, 2):
+        totals = fly_campaign(plan, tmp_path / f"out{jobs}", LocalEngine(jobs))
+        assert totals["outcomes"] == {"COMPLETED": 2}
+    assert figures(tmp_path / "out1") == figures(tmp_path / "out2")
+    for run in plan.runs:
+        one, two = (tmp_path / f"out{jobs}" / "runs" / run.run_id for jobs in (1, 2))
+        for name in ("truth.tum", "estimate.tum", "reference.tum", "map.ply"):
+            assert (one / name).read_bytes() == (two / name).read_bytes(), name
+        results = [json.loads((path / "result.json").read_text()) for path in (one, two)]
+        for result in results:
+            del result["timing"]
+        assert results[0] == results[1]

@@ -12,7 +12,7 @@ import pytest
 from touchdown.experiments.campaign import session, worker
 from touchdown.experiments.campaign.arrival import Arrivals
 from touchdown.experiments.campaign.plan import Plan, load_plan
-from touchdown.experiments.campaign.results_table import _stamp, load_rows, write_table
+from touchdown.experiments.campaign.results_table import load_rows, write_table
 from touchdown.experiments.campaign.run_names import is_run_name
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
@@ -94,14 +94,6 @@ def test_a_run_cannot_be_called_by_a_path(name: str, out: Path, plan: Plan) -> N
     )
 
 
-@pytest.mark.parametrize(
-    "name", ["victim", "lake-fake.good-s0", "flat-fake.good-s7", f"{NAME}-w99", f"{NAME}x"]
-)
-def test_a_run_cannot_have_the_name_of_other_values(name: str, out: Path, plan: Plan) -> None:
-    edit(out, lambda document: document["runs"][0].update(run_id=name))
-    refused(plan, out, "which is not the name of its values")
-
-
 def test_names_are_those_of_the_plan_at_any_length() -> None:
     values = {
         "scene": "places/flat.xml", "estimator": "lab.vio:build", "seed": 3, "wind.mean_kmh": 6.0,
@@ -114,14 +106,6 @@ def test_names_are_those_of_the_plan_at_any_length() -> None:
     for more in ("-", "-w7", "-w6-", "-w6x", "-w", "/x", "-height_m2"):
         assert not is_run_name(start + more, values), more
     assert not is_run_name(start, {"scene": "flat"}) and not is_run_name(None, values)
-
-
-def test_a_name_that_is_too_long_is_refused_before_the_first_flight(tmp_path: Path) -> None:
-    events = json.dumps([[f"gps_bias {n} {n + 1}" for n in range(40)], []])
-    text = TEXT + f"[axes.faults]\nevents = {events}\n"
-    (tmp_path / "campaign.toml").write_text(text)
-    with pytest.raises(UsageError, match=r"longer than 200 bytes|faults"):
-        load_plan(tmp_path / "campaign.toml")
 
 
 def _replaced_by_link(path: Path, target: Path) -> None:
@@ -171,21 +155,6 @@ def test_rows_that_name_another_run_are_damaged(out: Path) -> None:
     (out / "results.parquet").unlink()
     with pytest.raises(UsageError, match=r"row\.parquet' is damaged; remove the directory"):
         load_rows(out)
-
-
-def test_a_table_that_came_along_names_no_paths(out: Path) -> None:
-    rows = [row | {"run_id": "../../../victim"} for row in load_rows(out)]
-    write_table(rows, out / "results.parquet", _stamp(out))
-    assert {row["run_id"] for row in load_rows(out)} == {NAME, "flat-fake.good-s1"}
-
-
-def test_a_crash_that_names_another_run_is_damaged(tmp_path: Path) -> None:
-    fly(make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:raises"])), tmp_path / "out")
-    file = tmp_path / "out" / "failed" / "flat-fake.raises-s0.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"run_id": "../../x"}))
-    (tmp_path / "out" / "results.parquet").unlink()
-    with pytest.raises(UsageError, match=r"s0\.json' is damaged; remove it"):
-        load_rows(tmp_path / "out")
 
 
 def test_missing_rows_are_no_success(
@@ -277,35 +246,9 @@ def test_leavings_of_killed_campaigns_go(out: Path, plan: Plan) -> None:
     assert not any(path.exists() for path in left)
 
 
-def _other_row(out: Path, **values: Any) -> None:
-    """The first run's row with other values, of whatever kinds."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    file = out / "runs" / NAME / "row.parquet"
-    row = pq.read_table(file).to_pylist()[0] | values
-    pq.write_table(pa.table({key: [value] for key, value in row.items()}), file)
-    (out / "results.parquet").unlink()
-
-
-@pytest.mark.parametrize(("key", "value"), [
-    ("landing.safe", 2**63 - 1), ("landing.safe", "\x1b[31m"), ("reason", b"\xff\xfe"),
-    ("timing.wall_s", [1.0]), ("timing.stage_ms.world", [1.0]), ("position_error_m.mean", "x"),
-    ("more", b"\xff"),
-])  # fmt: skip
-def test_values_of_other_kinds_do_not_count(
-    key: str, value: object, out: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _other_row(out, **{key: value})
-    for command in (["campaign", "status", str(out)], ["query", str(out), "select * from runs"]):
-        assert cli.main(command) == 0
-    assert not capsys.readouterr().err
-    row = next(row for row in load_rows(out) if row["run_id"] == NAME)
-    assert key == "more" or not isinstance(row[key], type(value)) or row[key] is None
-
-
-def test_damage_is_named_before_anything_is_flown(out: Path, plan: Plan) -> None:
-    shutil.rmtree(out / "runs" / NAME)
-    (out / "failed").mkdir(exist_ok=True)
-    (out / "failed" / "other.json").write_text("{}")
-    refused(plan, out, "is damaged")
+def test_a_name_that_is_too_long_is_refused_before_the_first_flight(tmp_path: Path) -> None:
+    events = json.dumps([[f"gps_bias {n} {n + 1}" for n in range(40)], []])
+    text = TEXT + f"[axes.faults]\nevents = {events}\n"
+    (tmp_path / "campaign.toml").write_text(text)
+    with pytest.raises(UsageError, match=r"longer than 200 bytes|faults"):
+        load_plan(tmp_path / "campaign.toml")

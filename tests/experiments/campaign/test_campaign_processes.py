@@ -51,18 +51,6 @@ def test_a_crash_leaves_no_process(tmp_path: Path) -> None:
     assert not any(map(is_alive, started(tmp_path / "out")))
 
 
-def test_a_run_that_hangs_leaves_no_process(tmp_path: Path) -> None:
-    for seconds in ("2", "20"):  # a busy machine takes long to start them
-        folder = tmp_path / seconds
-        limits = LIMITS.replace("900", seconds)
-        found = flown(folder, "starts_and_hangs", limits=limits)
-        assert found["starts_and_hangs"] == ("CRASHED", f"took longer than {seconds} s")
-        assert not any(map(is_alive, started(folder / "out")))
-        if len(started(folder / "out")) == 3:
-            return
-    pytest.fail("none of them started")
-
-
 def test_processes_of_a_run_are_gone_before_the_next(tmp_path: Path) -> None:
     found = flown(tmp_path, "leaves", "good")
     assert found == {"leaves": ("COMPLETED", ""), "good": ("COMPLETED", "")}
@@ -82,6 +70,35 @@ def test_memory_that_processes_share_counts_once(tmp_path: Path, base_gb: float)
     assert flown(tmp_path, "shares", limits=limits) == {"shares": ("COMPLETED", "")}
 
 
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_no_process_outlives_the_campaign(tmp_path: Path, number: int) -> None:
+    text = axes(scene=["flat"], estimator=["fake:starts_and_hangs"]) + LIMITS
+    make_plan(tmp_path, text)
+    command = start_campaign(tmp_path / "campaign.toml", tmp_path / "out")
+    wait_for(lambda: len(started(tmp_path / "out")) == 3, "three processes")
+    os.kill(command.pid, number)
+    assert command.wait() != 0
+    wait_for(lambda: not any(map(is_alive, started(tmp_path / "out"))), "they outlive it")
+
+
+def test_a_run_that_hangs_leaves_no_process(tmp_path: Path) -> None:
+    for seconds in ("2", "20"):  # a busy machine takes long to start them
+        folder = tmp_path / seconds
+        limits = LIMITS.replace("900", seconds)
+        found = flown(folder, "starts_and_hangs", limits=limits)
+        assert found["starts_and_hangs"] == ("CRASHED", f"took longer than {seconds} s")
+        assert not any(map(is_alive, started(folder / "out")))
+        if len(started(folder / "out")) == 3:
+            return
+    pytest.fail("none of them started")
+
+
+def test_memory_is_known_where_kinds_of_pages_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    by_kind = memory_bytes([os.getpid()])
+    monkeypatch.setattr(processes, "_sizes", lambda *_: None)
+    assert memory_bytes([os.getpid()]) == pytest.approx(by_kind, rel=0.1)
+
+
 def test_shared_pages_count_once_and_those_of_files_do_not() -> None:
     size, file = SIZE // 4, os.memfd_create("shared")
     os.truncate(file, size)
@@ -99,20 +116,3 @@ def test_shared_pages_count_once_and_those_of_files_do_not() -> None:
         child.communicate(b"\n")
     os.close(file)
     assert together - before == pytest.approx(size, rel=0.2)
-
-
-def test_memory_is_known_where_kinds_of_pages_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    by_kind = memory_bytes([os.getpid()])
-    monkeypatch.setattr(processes, "_sizes", lambda *_: None)
-    assert memory_bytes([os.getpid()]) == pytest.approx(by_kind, rel=0.1)
-
-
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_no_process_outlives_the_campaign(tmp_path: Path, number: int) -> None:
-    text = axes(scene=["flat"], estimator=["fake:starts_and_hangs"]) + LIMITS
-    make_plan(tmp_path, text)
-    command = start_campaign(tmp_path / "campaign.toml", tmp_path / "out")
-    wait_for(lambda: len(started(tmp_path / "out")) == 3, "three processes")
-    os.kill(command.pid, number)
-    assert command.wait() != 0
-    wait_for(lambda: not any(map(is_alive, started(tmp_path / "out"))), "they outlive it")

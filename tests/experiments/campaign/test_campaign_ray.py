@@ -3,11 +3,7 @@ where no cluster is."""
 
 import dataclasses
 import json
-import os
-import socket
 import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +13,11 @@ from touchdown.experiments.campaign import ray_share
 from touchdown.experiments.campaign.arrival import why_not_arrived
 from touchdown.experiments.campaign.executor_ray import RayEngine
 from touchdown.experiments.campaign.plan import Plan
-from touchdown.experiments.campaign.results_table import RUNS, finished_ids, load_rows, write_table
+from touchdown.experiments.campaign.results_table import RUNS, load_rows, write_table
 from touchdown.experiments.campaign.session import fly_campaign, make_engine
 from touchdown.experiments.errors import UsageError
 
-from support.campaign_command import start
 from support.campaign_flights import RUNNER, axes, fly, make_plan
-from support.ray_cluster import cluster, may_mount
 from support.ray_fake import FakeRay, Node
 
 FOUR = axes(scene=["flat", "lake"], estimator=["fake:good"], seeds="0-1")
@@ -76,15 +70,6 @@ def test_a_node_without_the_share_is_refused_before_the_first_flight(
     assert "name an --out that all nodes share" in message
     assert not ray.actors and not (out / RUNS).exists() and not (out / "attempts.log").exists()
     assert not list(out.glob(".share*"))
-
-
-def test_a_head_without_processors_needs_no_share(
-    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    head = dataclasses.replace(elsewhere(tmp_path, "head"), cpus=0.0)
-    ray = FakeRay(Node("near"), Node("next"))
-    monkeypatch.setattr(ray, "nodes", lambda: [n.facts for n in (*ray.all_nodes, head)])
-    assert flown(monkeypatch, plan, tmp_path / "out", ray)["finished"] == 4
 
 
 def test_a_node_that_joins_later_is_checked_when_its_actor_starts(
@@ -183,84 +168,3 @@ def test_a_row_that_is_not_the_planned_one_does_not_count(
     assert totals["crashed"] == 1 and reason in totals["errors"][name]
     assert fly(plan, out)["finished"] == 1
     assert why_not_arrived(out, name, plan.runs[0].config_sha) == ""
-
-
-@pytest.fixture
-def silent_port() -> Iterator[int]:
-    """A port that takes connections and never says a word."""
-    with socket.socket() as server:
-        server.bind(("127.0.0.1", 0))
-        server.listen(50)
-        yield server.getsockname()[1]
-
-
-def _closed_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def _refusal(address: str) -> tuple[str, float]:
-    begun = time.monotonic()
-    with pytest.raises(UsageError) as caught:
-        RayEngine(1, address)
-    return str(caught.value), time.monotonic() - begun
-
-
-def test_an_address_where_nothing_listens_is_one_line() -> None:
-    pytest.importorskip("ray")
-    address = f"127.0.0.1:{_closed_port()}"
-    message, took_s = _refusal(address)
-    assert message.startswith(f"--ray-address {address}: cannot be reached") and took_s < 30.0
-    assert "ray start --head" in message and "\n" not in message
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["silent", "unrouted", "auto", "garbage", "client", "http", ":"])
-def test_every_wrong_address_is_refused_in_half_a_minute(
-    kind: str, silent_port: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    pytest.importorskip("ray")
-    monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))  # no cluster of others is found
-    address = {
-        "silent": f"127.0.0.1:{silent_port}",
-        "unrouted": "192.0.2.77:6379",  # RFC 5737
-        "client": f"ray://127.0.0.1:{_closed_port()}",
-        "http": "http://127.0.0.1:8265",
-    }.get(kind, kind)
-    message, took_s = _refusal(address)
-    assert message.startswith(f"--ray-address {address}: ") and took_s < 30.0
-    assert "\n" not in message and "Error" not in message and "touchdown" not in message
-
-
-@pytest.mark.slow
-def test_three_real_nodes_one_of_them_without_the_share(tmp_path: Path) -> None:
-    pytest.importorskip("ray")
-    if not may_mount():
-        pytest.skip("hiding a folder from a node needs the rights to mount")
-    make_plan(tmp_path, FOUR)
-    shared = tmp_path / "shared"
-    shared.mkdir()
-    command = ("campaign", tmp_path / "campaign.toml", "--out", shared / "out", "--engine", "ray",
-               "--quiet", "--ray-address")  # fmt: skip
-    with cluster(tmp_path) as nodes:
-        nodes.join("second")
-        done = start(*command, nodes.address, **{"RAY_AUTH_MODE": "disabled"})
-        _, err = done.communicate(timeout=300.0)
-        assert done.returncode == 0, err
-        rows = load_rows(shared / "out")
-        assert len(rows) == 4 and all(row["outcome"] == "COMPLETED" for row in rows)
-
-        nodes.join("third", hidden=shared)
-        assert len(nodes.nodes()) == 3
-        refused = start(*(str(part).replace("/out", "/other") for part in command), nodes.address,
-                        **{"RAY_AUTH_MODE": "disabled"})  # fmt: skip
-        _, err = refused.communicate(timeout=300.0)
-        assert refused.returncode == 2, err
-        (line,) = err.strip().splitlines()
-        assert line.startswith("touchdown: error: the Ray node third (")
-        assert "does not see" in line and "name an --out that all nodes share" in line
-        assert not (shared / "other" / RUNS).exists()
-        assert not (shared / "other" / "attempts.log").exists(), "no flight has begun"
-        assert finished_ids(shared / "out") == {row["run_id"] for row in rows}
-    assert os.listdir(shared / "out" / RUNS)

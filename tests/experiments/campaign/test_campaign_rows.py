@@ -1,20 +1,16 @@
 """Directory of a campaign: its owner, and the rows read from it."""
 
-import json
 import os
-import shutil
 from pathlib import Path
 
 import pytest
 
 from touchdown.experiments.campaign.directory import locked
-from touchdown.experiments.campaign.results_table import finished_ids, load_rows
+from touchdown.experiments.campaign.results_table import finished_ids
 from touchdown.experiments.campaign.session import summary
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.reporting.sql import connect
 
-from support.campaign_flights import MANY, attempts, axes, fly, make_plan
+from support.campaign_flights import attempts, axes, fly, make_plan
 
 TWO = axes(scene=["flat"], estimator=["fake:good"], seeds="0-1")
 
@@ -75,48 +71,3 @@ def test_a_run_with_a_damaged_row_is_repeated(tmp_path: Path) -> None:
     (out / "runs" / "flat-fake.good-s0" / "row.parquet").write_bytes(b"")
     assert fly(plan, out)["finished"] == 2
     assert attempts(out) == {"flat-fake.good-s0": 2, "flat-fake.good-s1": 1}
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("undisturbed")
-    fly(make_plan(folder, MANY), folder / "out", jobs=2)
-    return folder / "out"
-
-
-def test_rows_with_missing_values_have_the_same_columns_and_types(undisturbed: Path) -> None:
-    columns = dict(connect(undisturbed).execute("select column_name, column_type from "
-                                                "(describe runs)").fetchall())  # fmt: skip
-    assert columns["position_error_m.mean"] == "DOUBLE"
-    assert columns["landing.slope_deg"] == "DOUBLE"
-    assert columns["landing.site_xy_m"] == "DOUBLE[]"
-    assert columns["landing.safe"] == "BOOLEAN"
-    assert columns["seed"] == "BIGINT"
-    assert columns["versions.touchdown"] == "VARCHAR"
-    row = load_rows(undisturbed)[0]
-    assert row["run_id"] == "flat-fake.is_lost-s0"
-    assert (row["mode"], row["wind_kmh"], row["git_revision"]) == ("fly", 12.0, "abc")
-    # 0.1 + 0.001 * 12 km/h + 0.1 * 4 letters
-    assert row["position_error_m.mean"] == pytest.approx(0.512)
-
-
-def test_runs_flown_one_by_one_give_rows_too(undisturbed: Path, tmp_path: Path) -> None:
-    shutil.copytree(undisturbed / "runs", tmp_path / "runs")
-    rows = {row["run_id"]: row for row in load_rows(tmp_path)}
-    assert len(rows) == 12
-    for row in load_rows(undisturbed):
-        other = rows[f"runs/{row['run_id']}"]
-        for key in ("mode", "seed", "config_sha", "position_error_m.mean", "outcome"):
-            assert other[key] == row[key]
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(UsageError, match="no finished run"):
-        load_rows(tmp_path / "empty")
-
-
-def test_status(undisturbed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["campaign", "status", str(undisturbed), "--json"]) == 0
-    totals = json.loads(capsys.readouterr().out)
-    assert totals["outcomes"] == {"COMPLETED": 6, "DIVERGED": 6}
-    assert cli.main(["campaign", "status", str(undisturbed)]) == 0
-    assert "12 of 12 runs finished" in capsys.readouterr().out
-    assert cli.main(["campaign", "status", str(undisturbed.parent)]) == 2

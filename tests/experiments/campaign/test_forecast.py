@@ -53,21 +53,6 @@ def test_a_campaign_is_not_flown(tmp_path: Path, capsys: pytest.CaptureFixture[s
     )
 
 
-def test_the_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "cost.toml"
-    file.write_text(FILE % "36.0")
-    assert main(["campaign", str(file), "--dry-run", "--jobs", "1"]) == 0
-    assert capsys.readouterr().out.splitlines() == [
-        "cost: 8 flights, 0 of them finished",
-        "  field, livo            4 flights,   91 core-seconds each as stated",
-        "  field, livo, fog@0     4 flights,   91 core-seconds each as stated",
-        "to fly: 0.20 core-hours, about 0 h 12 min here with 1 at a time",
-        "conditions that no expectation demands: fog@0",
-    ]
-    assert main(["campaign", str(file)]) == 2
-    assert "--out" in capsys.readouterr().err
-
-
 def test_finished_rows_give_the_cost(tmp_path: Path) -> None:
     names = ["support.campaign_fakes:good", "support.campaign_fakes:is_lost"]
     plan = make_plan(tmp_path, axes(scene=["flat"], estimator=names, seeds="0-2"))

@@ -15,9 +15,23 @@ from touchdown.sim.faults.types import WORLD_KINDS
 from support.fault_support import HZ, world
 from support.worlds import load_ideal_config as load_config
 
+
+def scheduled() -> list[tuple[str, ...]]:
+    """Schedules of the shipped campaigns that act on messages."""
+    found = {
+        tuple(run.values.get("faults.events", ()))
+        for file in CAMPAIGNS
+        for run in plan_of(file).runs
+    }
+    in_world = {s for s in found if any(text.split("@")[0] in WORLD_KINDS for text in s)}
+    return sorted(found - in_world - {()})
+
+
+FLIGHT_S = 60
+
+
 CONFIGS = Path(__file__).parents[3] / "configs"
 CAMPAIGNS = sorted(p for p in CONFIGS.glob("*.toml") if "[axes]" in p.read_text(encoding="utf-8"))
-FLIGHT_S = 60
 ONE_BLACK_IMAGE = """
 name = "blind"
 mode = "land"
@@ -54,17 +68,6 @@ def test_a_condition_that_no_expectation_demands_is_found(tmp_path: Path) -> Non
     assert undemanded(load_plan(file)) == ()
 
 
-def scheduled() -> list[tuple[str, ...]]:
-    """Schedules of the shipped campaigns that act on messages."""
-    found = {
-        tuple(run.values.get("faults.events", ()))
-        for file in CAMPAIGNS
-        for run in plan_of(file).runs
-    }
-    in_world = {s for s in found if any(text.split("@")[0] in WORLD_KINDS for text in s)}
-    return sorted(found - in_world - {()})
-
-
 def test_every_scheduled_fault_of_messages_happens() -> None:
     """The injector changes as many messages of a flight of a minute as the entries say."""
     observations = [obs for obs in world(FLIGHT_S * HZ) if obs.scans]
@@ -80,3 +83,10 @@ def test_every_scheduled_fault_of_messages_happens() -> None:
             assert set(records[fault.text]["came"]) == set(FAULT_KINDS[fault.kind])
             verdict = judge_fault(fault, records[fault.text], float(FLIGHT_S), config)
             assert verdict.happened, verdict.text
+
+
+def test_the_dark_campaign_names_its_twelve_flights() -> None:
+    plan = plan_of(CONFIGS / "field_blind.toml")
+    events = {tuple(run.values["faults.events"]) for run in plan.runs}
+    assert len(plan.runs) == 12 and {run.values["seed"] for run in plan.runs} == {7301}
+    assert events == {("camera_black@0",), ("camera_black@20",), ("lidar_dropout@20",)}

@@ -16,19 +16,13 @@ from touchdown.experiments.io.images import read_picture
 from touchdown.landing.classification import weights
 from touchdown.landing.classification.labels import D_LAND
 
-from support.labelled_images_support import coloured
+from support.labelled_images_support import coloured, coloured_folders
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders of coloured images."""
-    home = tmp_path_factory.mktemp("coloured")
-    pictures = coloured(90, 5, 40)
-    for number, (image, label) in enumerate(zip(pictures.images, pictures.labels, strict=True)):
-        path = home / D_LAND[label]
-        path.mkdir(exist_ok=True)
-        cv2.imwrite(str(path / f"{number}.png"), image[..., ::-1])
-    return home
+    return coloured_folders(tmp_path_factory.mktemp("coloured"), 90, 5, 40)
 
 
 @pytest.fixture(scope="module")

@@ -3,24 +3,18 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from touchdown.experiments.cli.main import main
-from touchdown.experiments.io.images import write_png
 
-_COLOURS = {"lawn": (40, 200, 40), "water": (40, 40, 200), "road": (200, 40, 40)}
+from support.ground_class_support import write_plain_images
+
 _TRAIN = ("--network", "mobilenet_v3_large", "--image-size", "32", "--batch-size", "2", "--quiet")
 
 
 @pytest.fixture
 def data(tmp_path: Path) -> str:
-    for name, colour in _COLOURS.items():
-        (tmp_path / "data" / name).mkdir(parents=True)
-        for number in range(8):
-            file = tmp_path / "data" / name / f"{name}{number:02d}.png"
-            write_png(file, np.full((32, 32, 3), colour, np.uint8))
-    return str(tmp_path / "data")
+    return str(write_plain_images(tmp_path / "data", 32))
 
 
 def _refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

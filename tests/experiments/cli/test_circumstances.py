@@ -2,6 +2,7 @@
 
 import errno
 import json
+import locale
 import os
 import signal
 import subprocess
@@ -15,11 +16,23 @@ import pytest
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError, input_message, reason_of, system_message
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import run_directory, whole_file
+from touchdown.experiments.terminal import error_line
 
 from support.campaign_fakes import fake_result
+
+
+def _comma_locale() -> str | None:
+    for name in ("de_DE.UTF-8", "de_DE.utf8", "de_DE", "fr_FR.UTF-8", "fr_FR.utf8"):
+        try:
+            locale.setlocale(locale.LC_NUMERIC, name)
+        except locale.Error:
+            continue
+        if locale.localeconv()["decimal_point"] == ",":
+            return name
+    return None
+
 
 ROOT = Path(__file__).parents[3]
 
@@ -142,39 +155,18 @@ def test_a_file_is_complete_or_unchanged(tmp_path: Path) -> None:
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
-def test_only_system_errors_get_a_system_message() -> None:
-    assert system_message(FileNotFoundError(errno.ENOENT, "gone")) is None
-    assert system_message(OSError("no number")) is None
-    output = system_message(OSError(errno.ENOSPC, "x", "/a"))
-    assert output == "'/a': No space left on device; make room there and give the command again"
-
-
 def test_arguments_that_are_not_utf_8_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = _run(capsys, "scenes", "export", "flat", "--out", "a\udcff")
     assert (code, _one_line(err)) == (2, True)
     assert "'a\\udcff' is not UTF-8 text" in err
 
 
-def test_the_configuration_of_another_version_is_refused_by_its_key(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    old = json.loads(dump_config(Config()))
-    old["lidar"]["beam_count"] = 6
-    (tmp_path / "config.json").write_text(json.dumps(old))
-    code, _, err = _run(capsys, "fly", "flat", "--config", str(tmp_path / "config.json"))
-    assert (code, _one_line(err)) == (2, True)
-    assert "unknown key 'lidar.beam_count'" in err and "config.json" in err
-
-
 def _command(*arguments: str, **changes: Any) -> subprocess.CompletedProcess[bytes]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), **changes.pop("env", {})}
     return subprocess.run(
-        [sys.executable, "-m", "touchdown", *arguments],
-        env=environment,
-        timeout=600,
-        check=False,
+        [sys.executable, "-m", "touchdown", *arguments], env=environment, timeout=600, check=False,
         **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **changes},
-    )
+    )  # fmt: skip
 
 
 def test_a_closed_pipe_is_no_error() -> None:
@@ -204,13 +196,6 @@ def test_no_terminal_no_colour_and_forty_columns(tmp_path: Path) -> None:
         assert b"\x1b" not in done.stdout and b"wind_kmh" in done.stdout
 
 
-def test_a_comma_for_a_point_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(UsageError, match=r"wind\.mean_kmh = \"7,5\""):
-        load_config(None, ["wind.mean_kmh=7,5"])
-    code, _, err = _run(capsys, "fly", "flat", "--wind-kmh", "7,5")
-    assert code == 2 and "not a valid float" in err
-
-
 def test_links_in_a_circle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Wherever a path is given, one line names it."""
     circle = tmp_path / "circle"
@@ -236,17 +221,36 @@ def test_links_in_a_circle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert sorted(path.name for path in tmp_path.iterdir()) == ["circle", "network.onnx"]
 
 
-def test_errors_have_words_and_no_numbers(
+def test_an_error_line_has_no_control_characters_and_a_limited_length() -> None:
+    assert error_line("a\x1b[31m\nb\u202ec") == "touchdown: error: a\\x1b[31m b\\u202ec"
+    assert error_line("größe 💥") == "touchdown: error: größe 💥"
+    line = error_line(f"'{'x' * 9000}' is wrong; give another")
+    assert len(line) < 750 and line.endswith("is wrong; give another")
+
+
+def test_decimal_commas_of_the_locale_change_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = tmp_path / "empty.toml"
-    file.touch()
-    assert cli.main(["campaign", "status", str(file)]) == 2
-    assert "is no campaign" in (error := capsys.readouterr().err)
-    assert "Errno" not in error
-    assert reason_of(IsADirectoryError(errno.EISDIR, "Is a directory")) == "Is a directory"
-    assert reason_of(ValueError("no")) == "no"
-    assert input_message(OSError(errno.ENODEV, "No such device", "a")) == "'a': No such device"
+    before = locale.setlocale(locale.LC_NUMERIC)
+    try:
+        if _comma_locale() is None:
+            pytest.skip("no locale with decimal commas is installed")
+        import mujoco
+
+        config = load_config(None, ["wind.mean_kmh=7.5"])
+        (tmp_path / "config.json").write_text(dump_config(config))
+        assert load_config(tmp_path / "config.json").wind.mean_kmh == 7.5
+        assert '"mean_kmh":7.5' in config.model_dump_json()
+        spec = mujoco.MjSpec.from_string(
+            "<mujoco><worldbody><geom size='0.25'/></worldbody></mujoco>"
+        )
+        assert spec.compile().geom_size[0, 0] == 0.25
+        (tmp_path / "result.json").write_text(json.dumps(fake_result(config, "COMPLETED")))
+        code, out, _ = _run(capsys, "query", str(tmp_path), "select wind_kmh from runs", "--csv")
+        assert (code, out.splitlines()[1]) == (0, "7.5")
+        assert _run(capsys, "report", str(tmp_path))[1].count("7,5") == 0
+    finally:
+        locale.setlocale(locale.LC_NUMERIC, before)
 
 
 def test_what_libraries_log_is_not_printed() -> None:

@@ -21,23 +21,6 @@ def _run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
     return code, captured.out, captured.err
 
 
-def _all_commands(group: Any, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    paths = [path]
-    for name, command in getattr(group, "commands", {}).items():
-        paths += _all_commands(command, (*path, name))
-    return paths
-
-
-@pytest.mark.parametrize("path", _all_commands(cli.cli), ids=" ".join)
-def test_every_command_has_help_with_an_example(
-    path: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, out, err = _run(capsys, *path, "--help")
-    assert code == 0
-    assert "Example: touchdown" in out
-    assert err == ""
-
-
 def test_importing_the_command_line_imports_nothing_heavy() -> None:
     names = f"[m for m in {HEAVY!r} if m in sys.modules]"
     script = f"import sys, touchdown.experiments.cli.main; print({names})"
@@ -115,13 +98,6 @@ def test_an_out_directory_with_other_files_is_unchanged(
     assert code == 2
     assert str(tmp_path) in err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
-def test_scenes_list_as_json_is_one_object(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = _run(capsys, "scenes", "list", "--json")
-    assert code == 0
-    assert "crossroad" in json.loads(out)["scenes"]
-    assert err == ""
 
 
 def _result(outcome: str, **landing: Any) -> RunResult:
@@ -226,19 +202,6 @@ def test_the_first_three_candidates_and_the_reason_are_printed(
     assert "before, at 61.2 s: given up: a wire\n" in out
 
 
-def test_a_table_in_a_pipe_is_not_cut(capsys: pytest.CaptureFixture[str]) -> None:
-    from touchdown.experiments.cli.console import print_scene_check
-
-    row: dict[str, Any] = {
-        "scene": "a_scene_with_a_name_that_takes_a_whole_line_of_a_terminal_and_more_than_that",
-        "built": 3, "failed": {}, "closest": None, "differ": True, "without_safe_site": [],
-        "safe_share_min": 0.5, "safe_share_median": 0.6, "seconds_per_seed": 1.5,
-    }  # fmt: skip
-    print_scene_check([row])
-    out = capsys.readouterr().out
-    assert "…" not in out and row["scene"] in out and "safe ground" in out and "s a seed" in out
-
-
 def test_a_lost_estimate_lists_its_events(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -254,6 +217,28 @@ def test_a_lost_estimate_lists_its_events(
     assert "the last of the first 8 of 900 messages" in _run(capsys, "fly", "crossroad")[1]
     flown.append(_changed(lost, outcome="TIPPED"))
     assert "messages of" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
+
+
+def test_module_runs_as_the_console_script() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "touchdown", "land", "--nope"], cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.startswith("touchdown: error: ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_an_error_in_flight_is_not_reported_as_invalid_input(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fly(_config: Any, _out: Path, progress: Any) -> RunResult:
+        progress(0.0, "TAKEOFF", "")
+        raise ValueError("shapes (3,) and (4,) do not match")
+
+    monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
+    with pytest.raises(ValueError, match="shapes"):
+        cli.main(["land", "crossroad"])
 
 
 @pytest.mark.slow
@@ -273,13 +258,3 @@ def test_exported_scene_opens_in_mujoco_unchanged(
     assert there.ngeom == here.ngeom
     np.testing.assert_allclose(there.geom_size, here.geom_size, atol=1e-4)
     np.testing.assert_array_equal(there.tex_data, here.tex_data)
-
-
-def test_module_runs_as_the_console_script() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "touchdown", "land", "--nope"], cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert done.stderr.startswith("touchdown: error: ")
-    assert done.stderr.count("\n") == 1

@@ -65,13 +65,6 @@ def test_a_viewer_without_a_display_is_one_line(
         assert command[command.index("--bind") + 1] == "127.0.0.1"
 
 
-def test_the_address_and_the_ssh_command_name_both_ports() -> None:
-    page, ssh = view.address_text(9090, 9876).splitlines()
-    assert page == "http://127.0.0.1:9090?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy"
-    assert "ssh -L 9090:127.0.0.1:9090 -L 9876:127.0.0.1:9876 " in ssh
-    assert ssh.endswith(f"@{socket.gethostname()}")
-
-
 def test_a_port_in_use_is_replaced_by_a_free_one() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -1,7 +1,5 @@
 """Presets: their place in the order of sources, in config.json, in campaigns."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

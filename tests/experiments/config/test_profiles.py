@@ -36,11 +36,6 @@ def test_ideal_is_the_schema_itself() -> None:
     assert load_config(profile="ideal") == Config(profile="ideal")
 
 
-def test_harsh_lies_on_top_of_field() -> None:
-
-    assert set(profile_values("field")) <= set(profile_values("harsh"))
-
-
 @pytest.mark.usefixtures("two")
 def test_any_other_source_takes_precedence(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
@@ -70,17 +65,6 @@ def test_a_wrong_value_of_a_profile_names_the_profile(monkeypatch: pytest.Monkey
     monkeypatch.setattr(profiles, "profile_values", lambda name: wrong.get(name, {}))
     with pytest.raises(UsageError, match=r"camera\.gain = -1 in profile field"):
         load_config(profile="field")
-
-
-def test_an_unknown_profile_is_refused_in_one_line() -> None:
-    with pytest.raises(UsageError, match=r"profile = .*unknown; known: ideal, field, harsh"):
-        config_of({"profile": "kind"}, {"profile": "test"})
-    with pytest.raises(UsageError, match="profile"):
-        config_of({"profile": ["field"]}, {"profile": "test"})
-
-
-def test_the_profile_is_in_the_dump() -> None:
-    assert json.loads(dump_config(load_config(profile="harsh")))["profile"] == "harsh"
 
 
 @pytest.mark.usefixtures("two")

@@ -23,12 +23,6 @@ def test_the_page_has_every_key_once_with_a_meaning() -> None:
     assert [key for key in keys if not meaning_of(key)] == []
 
 
-def test_every_row_has_five_cells() -> None:
-    for line in reference_page().splitlines():
-        if line.startswith("|"):
-            assert line.replace("\\|", "").count("|") == 6, line
-
-
 @pytest.mark.parametrize(("key", "unit"), [
     ("survey.height_m", "m"), ("wind.mean_kmh", "km/h"), ("landing.touchdown_speed_mps", "m/s"),
     ("paper.closure_rate_deg_s", "°/s"), ("control.rate_radps", "rad/s"),

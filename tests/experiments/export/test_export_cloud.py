@@ -113,20 +113,6 @@ def test_returns_have_the_colour_of_the_ground_under_them(run: Path, tmp_path: P
     assert np.median(np.abs(seen - tiles[row, col])) < 12.0
 
 
-def test_open3d_reads_both_clouds(run: Path, tmp_path: Path) -> None:
-    open3d = pytest.importorskip("open3d")
-    for points, every in (("map", 1), ("scans", 7)):
-        options = ExportOptions(points=points, every=every)
-        done = export(run, "ply", tmp_path / f"{points}.ply", options)
-        cloud = open3d.io.read_point_cloud(str(done.out))
-        rows = _read_ply(done.out)
-        assert len(cloud.points) == done.counts["points"] == len(rows) > 50
-        np.testing.assert_allclose(np.asarray(cloud.points), _xyz(rows))
-        assert cloud.has_colors()
-    own = _xyz(_read_ply(run / "map.ply"))
-    np.testing.assert_array_equal(_xyz(_read_ply(tmp_path / "map.ply")), own)
-
-
 def test_projection_by_hand() -> None:
     lens = CameraIntrinsics(width=100, height=80, fx=50.0, fy=40.0, cx=49.5, cy=39.5)
     points = np.array([[0.0, 0.0, 2.0], [1.0, -1.0, 2.0], [0.0, 0.0, -2.0], [3.0, 0.0, 2.0]])

@@ -1,7 +1,6 @@
 """`touchdown export`: output, paths, usage errors in one line."""
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -140,14 +139,3 @@ def test_a_log_named_in_a_result_must_be_of_its_flight(run: Path, tmp_path: Path
         (other / "result.json").write_text(json.dumps(facts | change))
         with pytest.raises(UsageError, match=r"has no sensors\.mcap"):
             open_flown(other).sensors()
-
-
-def test_a_bag_with_something_of_the_user_is_not_replaced(
-    run: Path, bag: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "bag"
-    shutil.copytree(bag, out)
-    (out / "notes.txt").write_text("mine")
-    with pytest.raises(UsageError, match="holds something that is no earlier export"):
-        export(run, "mcap", out, ExportOptions())
-    assert (out / "notes.txt").read_text() == "mine"

@@ -1,5 +1,3 @@
-"""Exported trajectories and the table of a flight."""
-
 import json
 from pathlib import Path
 
@@ -9,7 +7,6 @@ import pytest
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.export.flown_run import ExportOptions, FlownRun
 from touchdown.experiments.export.run import export
-from touchdown.experiments.flight.observers import PhaseLog
 from touchdown.experiments.io.tum import read_tum
 
 from support.export_support import OFFSET, make_flown, read_bag
@@ -40,26 +37,6 @@ def test_trajectories_are_exported_whole_or_for_the_judged_span(run: Path, tmp_p
     assert np.array_equal(positions, all_positions[keep])
 
 
-def test_evo_and_the_table_agree(run: Path, tmp_path: Path) -> None:
-    pytest.importorskip("evo")
-    pandas = pytest.importorskip("pandas")
-    from evo.core import metrics, sync
-    from evo.tools import file_interface
-
-    read = [
-        file_interface.read_tum_trajectory_file(
-            str(export(run, "tum", tmp_path / f"{p}.tum", ExportOptions(poses=p, judged=True)).out)
-        )
-        for p in ("truth", "estimate")
-    ]
-    ape = metrics.APE(metrics.PoseRelation.translation_part)
-    ape.process_data(sync.associate_trajectories(*read))
-    out = export(run, "csv", tmp_path / "t.csv", ExportOptions(judged=True)).out
-    mean = pandas.read_csv(out).error_m.mean()
-    assert mean == pytest.approx(0.5, abs=1e-8)
-    assert ape.get_statistic(metrics.StatisticsType.mean) == pytest.approx(mean, abs=1e-8)
-
-
 def test_the_table_by_hand(run: Path, tmp_path: Path) -> None:
     pandas = pytest.importorskip("pandas")
     table = pandas.read_csv(export(run, "csv", tmp_path / "t.csv", ExportOptions()).out)
@@ -74,17 +51,6 @@ def test_the_table_by_hand(run: Path, tmp_path: Path) -> None:
     assert np.array_equal(table.judged, times >= LIFT_OFF_S)
     assert np.array_equal(table.phase, np.where(times < 0.7, "INIT", "TAKEOFF"))
     assert table.reference_x_m.isna().all() and table.deviation_m.isna().all()
-
-
-def test_phases_are_noted_as_they_change() -> None:
-    log = PhaseLog()
-    for step, phase in enumerate(["INIT", "INIT", "TAKEOFF", "SURVEY", "SURVEY"]):
-        log.add(0.5 * step, phase)
-    assert [start.model_dump() for start in log.kept] == [
-        {"time_s": 0.0, "phase": "INIT"},
-        {"time_s": 1.0, "phase": "TAKEOFF"},
-        {"time_s": 1.5, "phase": "SURVEY"},
-    ]
 
 
 def test_rows_meet_by_time_and_gaps_stay_empty(run: Path, tmp_path: Path) -> None:

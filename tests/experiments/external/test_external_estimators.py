@@ -178,12 +178,6 @@ def test_a_wrong_update_is_one_line(lab: Callable[..., str], body: str, words: s
     assert ("vio.py:" in output) == ("raised" in output)
 
 
-def test_a_right_update_passes_through_as_it_is(lab: Callable[..., str]) -> None:
-    estimator = ExternalEstimator(f"{lab(STILL)}:build", {}, synthetic_rig())
-    assert estimator.needs == SensorNeeds()
-    assert isinstance(estimator.update(OBSERVATION), Estimate)
-
-
 @pytest.mark.parametrize("ending", ["", "    raise RuntimeError('lost')\n", "    sys.exit(3)\n"])
 def test_a_command_ends_the_processes_that_it_starts(
     lab: Callable[..., str], tmp_path: Path, ending: str
@@ -256,19 +250,6 @@ def test_external_keys_that_cannot_be_are_refused(overrides: list[str], words: s
     with pytest.raises(UsageError) as failure:
         load_config(None, overrides)
     assert words in str(failure.value)
-
-
-def test_external_keys_are_axes_and_set_for_some_runs(tmp_path: Path) -> None:
-    text = axes(scene=["flat"], estimator=["a:b"]) + "external.gain = [0.1, 0.2]\n"
-    plan = make_plan(tmp_path, text)
-    assert [run.run_id for run in plan.runs] == ["flat-a.b-s0-gain0.1", "flat-a.b-s0-gain0.2"]
-    assert len({run.config_sha for run in plan.runs}) == 2
-    some = axes(scene=["flat"], estimator=["gps", "a:b"])
-    some += "[[override]]\nwhen = {estimator = 'a:b'}\nset = {external = {gain = 0.1}}\n"
-    assert ["external.gain" in run.values for run in make_plan(tmp_path, some).runs] == [
-        False,
-        True,
-    ]
 
 
 def test_code_is_known_by_all_files_of_its_package(lab: Callable[..., str]) -> None:
@@ -377,3 +358,9 @@ def test_velocities_of_every_built_in_estimator_are_those_of_its_poses(name: str
     for obs in SyntheticStream(rig, estimator.needs, 2.6, turn_rad=TURN_RAD):
         twist.add(estimator.update(obs))
     assert twist.reason() == ""
+
+
+def test_a_right_update_passes_through_as_it_is(lab: Callable[..., str]) -> None:
+    estimator = ExternalEstimator(f"{lab(STILL)}:build", {}, synthetic_rig())
+    assert estimator.needs == SensorNeeds()
+    assert isinstance(estimator.update(OBSERVATION), Estimate)

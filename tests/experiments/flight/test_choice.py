@@ -1,5 +1,3 @@
-"""The choice of a site in a result."""
-
 import json
 
 import numpy as np

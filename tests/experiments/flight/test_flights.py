@@ -12,11 +12,8 @@ from touchdown.scenes.compose import load_scene
 from support.worlds import load_ideal_config as load_config
 
 SHORT = (
-    "survey.height_m=12.0",
-    "survey.legs=1",
-    "survey.leg_length_m=8.0",
-    "survey.duration_s=5.0",
-)
+    "survey.height_m=12.0", "survey.legs=1", "survey.leg_length_m=8.0", "survey.duration_s=5.0",
+)  # fmt: skip
 """About half a minute in the air."""
 
 
@@ -67,17 +64,10 @@ def test_the_flight_follows_the_estimate_not_the_truth() -> None:
     x, y = load_scene("flat", 0).takeoff_xy_m.tolist()
     site = (x, y)
     result = run(
-        None,
-        "survey.height_m=9.0",
-        "survey.leg_length_m=4.0",
-        "survey.duration_s=3.0",
-        "landing.second_look=false",
-        "bias.xy_m=[0.3, -0.4]",
-        estimator="oracle",
-        scene="flat",
-        seed=0,
-        site=site,
-    )
+        None, "survey.height_m=9.0", "survey.leg_length_m=4.0", "survey.duration_s=3.0",
+        "landing.second_look=false", "bias.xy_m=[0.3, -0.4]", estimator="oracle", scene="flat",
+        seed=0, site=site,
+    )  # fmt: skip
     assert result["outcome"] == "LANDED", result["reason"]
     moved = np.array(result["landing"]["touchdown_xy_m"]) - site
     np.testing.assert_allclose(moved, [-0.3, 0.4], atol=0.1)
@@ -96,3 +86,15 @@ def test_tracking_in_wind_with_the_truth_for_an_estimate() -> None:
     result = fly(config, None).plain()
     assert result["trajectory_error_m"] <= 0.06
     assert result["trajectory_error_max_m"] <= 0.25
+
+
+@pytest.mark.slow
+def test_same_seed_same_flight_to_the_byte_on_any_number_of_threads(
+    livo_flight: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    first, result = livo_flight
+    again = run(tmp_path / "run", "sim.threads=1", estimator="livo", seed=11, survey_only=True)
+    for name in ("truth.tum", "estimate.tum", "reference.tum", "map.ply"):
+        assert (first / name).read_bytes() == (tmp_path / "run" / name).read_bytes(), name
+    for key in ("position_error_m", "trajectory_error_m", "map"):
+        assert again[key] == result[key]

@@ -1,5 +1,3 @@
-"""The figures of the map in a result."""
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,5 +1,7 @@
 """Figures of merit against values worked out by hand."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -28,6 +30,12 @@ def test_positioning_error_of_two_samples() -> None:
     assert summary.max == pytest.approx(5.0)
     assert (summary.x, summary.y, summary.z) == pytest.approx((1.5, 0.5, 2.0))
     assert summary.yaw_deg == pytest.approx(np.degrees(0.1))
+
+
+def test_errors_of_the_heading_take_the_shorter_way() -> None:
+    error = PositioningError()
+    error.add(Pose(rotation_from_yaw(3.1), np.zeros(3)), Pose(rotation_from_yaw(-3.1), np.zeros(3)))
+    assert error.summary().yaw_deg == pytest.approx(np.degrees(2.0 * np.pi - 6.2))
 
 
 def test_positioning_error_of_nothing_is_null() -> None:
@@ -72,7 +80,7 @@ def test_plane_fit_of_a_ramp() -> None:
     xy = np.random.default_rng(0).uniform(-1, 1, size=(50, 2))
     ramp = np.column_stack([xy, np.tan(np.radians(10.0)) * xy[:, 0] + 3.0])
     fit = fit_plane(ramp)
-    assert np.degrees(np.arccos(fit.normal[2])) == pytest.approx(10.0)
+    assert fit.normal == pytest.approx([-np.sin(np.radians(10)), 0, np.cos(np.radians(10))])
     assert fit.residual_m < 1e-12
 
 
@@ -96,6 +104,18 @@ def test_levelness_error_of_a_map_tilted_by_two_degrees() -> None:
     errors = levelness_error_deg(grid, level_ground, seed=3)
     assert errors.shape == (10,)
     np.testing.assert_allclose(errors, 2.0, atol=1e-3)
+
+    def sloping(degrees: float) -> Callable[[np.ndarray, float], np.ndarray]:
+        def ground(xy: np.ndarray, radius: float) -> np.ndarray:
+            points = level_ground(xy, radius)
+            points[:, 2] = np.tan(np.radians(degrees)) * points[:, 0]
+            return points
+
+        return ground
+
+    np.testing.assert_allclose(levelness_error_deg(grid, sloping(2.0), seed=3), 0.0, atol=1e-3)
+    np.testing.assert_allclose(levelness_error_deg(grid, sloping(-1.0), seed=3), 3.0, atol=1e-3)
+    assert levelness_error_deg(grid, sloping(16.0), seed=3).size == 0
 
     def rough_ground(xy: np.ndarray, radius: float) -> np.ndarray:
         points = level_ground(xy, radius)

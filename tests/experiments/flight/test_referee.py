@@ -19,12 +19,12 @@ SAFE_LAWN = SimpleNamespace(
 )
 
 
-def ground(*gaps: float | None) -> Any:
+def ground(*gaps: float | None, verdict: SimpleNamespace = SAFE_LAWN) -> Any:
     """A true ground that is safe lawn everywhere, with a car that moves; each look at contacts
     takes one of ``gaps``."""
     left = iter(gaps)
     return SimpleNamespace(
-        judge=lambda xy: SAFE_LAWN,
+        judge=lambda xy: verdict,
         height_gap_m=lambda contacts: next(left, None),
         moving_geoms=frozenset({"car"}),
     )
@@ -88,6 +88,69 @@ def test_a_safe_landing() -> None:
     assert result.landing.safe is True
     # Two samples between lift-off and the survey's end: exact at 1 s, 0.1 m off at 10 s.
     assert result.position_error.mean == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("changes", "safe", "geometry", "by_class"),
+    [
+        ({"safe": False}, False, True, True),
+        ({"safe": False, "safe_geometry": False, "slope_deg": 9.0}, False, False, True),
+        ({"safe": False, "land_class": "water"}, False, True, False),
+    ],
+)
+def test_the_verdict_on_the_ground_is_that_of_the_landing(
+    changes: dict[str, Any], safe: bool, geometry: bool, by_class: bool
+) -> None:
+    verdict = SimpleNamespace(**(vars(SAFE_LAWN) | changes))
+    referee = make_referee(ground=ground(verdict=verdict))
+    fly_to_descent(referee)
+    judge(referee, 61.0, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN)
+    landing = referee.result(Outcome.LANDED).landing
+    assert landing is not None
+    assert (landing.safe, landing.safe_geometry, landing.safe_class) == (safe, geometry, by_class)
+    assert (landing.slope_deg, landing.class_true) == (verdict.slope_deg, verdict.land_class)
+
+
+def test_landed_is_who_rests_on_the_ground_for_half_a_second() -> None:
+    referee = make_referee()
+    fly_to_descent(referee)
+    sliding = {"velocity_world": np.array([0.1, 0.0, 0.0])}
+    steps = ((61.0, LEG_ON_LAWN, {}), (61.4, LEG_ON_LAWN, sliding), (61.6, LEG_ON_LAWN, {}),
+             (62.0, (), {}), (62.2, LEG_ON_LAWN, {}), (62.6, LEG_ON_LAWN, {}),
+             (62.8, LEG_ON_LAWN, {}))  # fmt: skip
+    outcomes = [
+        judge(referee, time_s, [5, 6, 0.3], Phase.DONE, contacts=contacts, **more)
+        for time_s, contacts, more in steps
+    ]
+    assert outcomes == [None] * 6 + [Outcome.LANDED]
+
+
+def test_legs_may_touch_the_ground_for_a_second_after_lift_off() -> None:
+    referee = make_referee()
+    judge(referee, 0.0, [0, 0, 0.3], Phase.INIT)
+    for time_s, expected in ((1.0, None), (1.9, None), (2.1, Outcome.COLLIDED)):
+        found = judge(referee, time_s, [0, 0, 0.5], Phase.TAKEOFF, contacts=LEG_ON_LAWN)
+        assert found is expected
+
+
+def test_the_survey_is_judged_by_estimate_reference_and_covariance() -> None:
+    """Ten samples a second of NEES at two errors of 3 m by unit covariance, and 2 m off the path;
+    what comes before lift-off and after the survey does not count."""
+    referee = make_referee(steps_per_s=20.0)
+    reference = {"reference_world": np.array([0.0, 2.0, 30.0])}
+    for step, (phase, height, error) in enumerate(
+        [(Phase.INIT, 0.3, 9.0), *[(Phase.SURVEY, 30.0, 3.0)] * 4, (Phase.SELECT, 30.0, 9.0)]
+    ):
+        referee.judge(
+            make_truth(0.05 * step, [0, 0, height]),
+            make_estimate(0.05 * step, [error, 0, height]),
+            make_view(phase, **reference),
+        )
+    result = referee.result(Outcome.COMPLETED)
+    assert (result.nees.samples, result.nees.mean) == (2, pytest.approx(9.0))
+    assert result.deviation.mean_m == pytest.approx(2.0)
+    assert result.position_error.mean == pytest.approx(3.0)
+    assert result.span_s == (pytest.approx(0.05), pytest.approx(0.25))
 
 
 def test_what_follows_the_first_contact_is_in_the_result() -> None:

@@ -2,8 +2,6 @@
 
 import os
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,25 +12,12 @@ from touchdown.experiments.io.run_directory import (
     check_out_dir,
     default_out_dir,
     run_directory,
-    whole_file,
     write_text,
 )
 
 STRANGE = (
-    "",
-    ".",
-    "..",
-    "a/b",
-    "/a",
-    "../a",
-    "a\n",
-    "\x1b[2J",
-    "\ud800",
-    "a\0",
-    "x" * 201,
-    3,
-    None,
-)
+    "", ".", "..", "a/b", "/a", "../a", "a\n", "\x1b[2J", "\ud800", "a\0", "x" * 201, 3, None,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", STRANGE)
@@ -66,12 +51,6 @@ def test_documents_that_are_none_have_a_reason_of_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_a_pipe_is_no_document(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "x.json")
-    with pytest.raises(ValueError, match="it is a named pipe"):
-        read_object(tmp_path / "x.json")
-
-
 def test_links_are_refused_wherever_they_lead(tmp_path: Path) -> None:
     (tmp_path / "plain").mkdir()
     refuse_links([tmp_path / "plain", tmp_path / "none"], "a campaign")
@@ -80,29 +59,6 @@ def test_links_are_refused_wherever_they_lead(tmp_path: Path) -> None:
     for name in ("link", "dangling"):
         with pytest.raises(UsageError, match=f"{name}' is a link; a campaign uses none"):
             refuse_links([tmp_path / "plain", tmp_path / name], "a campaign")
-
-
-def _dead_process() -> int:
-    done = subprocess.Popen([sys.executable, "-c", ""])
-    done.wait()
-    return done.pid
-
-
-def test_leavings_of_a_killed_process_go_at_the_next_start(tmp_path: Path) -> None:
-    dead = tmp_path / f".run.partial-{_dead_process()}"
-    alive = tmp_path / f".run.partial-{os.getppid()}"
-    other = tmp_path / f".runner.partial-{_dead_process()}"
-    for folder in (dead, alive, other):
-        folder.mkdir()
-        (folder / "truth.tum").write_text("0")
-    with run_directory(tmp_path / "run") as partial:
-        (partial / "result.json").write_text("{}")
-    assert sorted(tmp_path.iterdir()) == sorted([alive, other, tmp_path / "run"])
-    cut = tmp_path / f".file.json.partial-{_dead_process()}"
-    cut.write_text("{")
-    with whole_file(tmp_path / "file.json") as partial:
-        partial.write_text("{}")
-    assert not cut.exists()
 
 
 def test_a_link_in_the_way_of_a_file_leads_nowhere(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Sensor logs that claim less than they inflate to, or more than a flight has."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -14,8 +12,8 @@ from touchdown.experiments.io import sensor_log_reader
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.sim.api import SensorNeeds
 
-from support.damaged_logs import Entry, read_log, write_log
 from support.replay_support import make_run
+from support.sensor_logs import Entry, read_log, write_log
 
 MAGIC = b"\x89MCAP0\r\n"
 BOMB = 1 << 25

@@ -1,5 +1,3 @@
-"""The revision that results state."""
-
 import subprocess
 from pathlib import Path
 

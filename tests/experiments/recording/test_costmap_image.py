@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.drawing import candidate_signs as signs
-from touchdown.experiments.drawing.choice_table import choice_table
 from touchdown.experiments.drawing.costmap_image import costmap_image, score_colours
-from touchdown.landing.api import Candidate, CostmapView, Decision, Phase, ScoreTerm
+from touchdown.landing.api import Candidate, CostmapView, Phase, ScoreTerm
 
 from support.flight_fakes import make_view
 
@@ -86,17 +85,3 @@ def test_image_shows_the_winner_beside_the_other_candidates() -> None:
     assert not (nobody == signs.CHOSEN_RGB).all(axis=2).any()
     with pytest.raises(ValueError, match="no costmap"):
         costmap_image(make_view(Phase.SELECT), None)
-
-
-def test_table_has_a_row_for_each_candidate_and_keeps_the_width() -> None:
-    sites = (_candidate(1.0, 1.0), _candidate(2.0, 2.0, accepted=False))
-    heights = []
-    for shown in (sites[:1], sites, ()):
-        decision = Decision(
-            time_s=1.0, scorer="risk", candidates=shown,
-            positions_world=np.zeros((len(shown), 3)), why="Site 1 won: " + "more clearance " * 30,
-        )  # fmt: skip
-        table = choice_table(decision, 900, 1.0, chosen=True)
-        assert table.shape[1] == 900
-        heights.append(table.shape[0])
-    assert heights[1] - heights[0] == 24 == heights[0] - heights[2]

@@ -19,25 +19,15 @@ from touchdown.experiments.recording.mjcf_meshes import (
     visible_geoms,
 )
 from touchdown.experiments.recording.rerun_scene import pose_on_path
-from touchdown.experiments.recording.run_recorder import NullRecorder, RunRecorder
+from touchdown.experiments.recording.run_recorder import RunRecorder
 from touchdown.experiments.recording.scan_deskew import scan_points_odom
 from touchdown.experiments.recording.step_record import StepRecord
 from touchdown.landing.api import Candidate, CostmapView, Phase
 from touchdown.scenes.api import MovingBody, Scene, Surface
-from touchdown.sim.api import (
-    CameraImage,
-    CameraIntrinsics,
-    Command,
-    ImuParams,
-    LidarParams,
-    LidarScan,
-    Observation,
-    SensorNeeds,
-    SensorRig,
-    VehicleModel,
-)
+from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
+from support.baselines_support import make_rig
 from support.flight_fakes import make_estimate, make_truth, make_view
 from support.worlds import load_ideal_config as load_config
 
@@ -86,29 +76,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def rig() -> SensorRig:
-    down = Pose(np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]]), np.zeros(3))
-    return SensorRig(
-        tick_hz=600,
-        body_from_imu=Pose.identity(),
-        body_from_lidar=down,
-        body_from_camera=down,
-        body_from_camera_right=down,
-        camera=CameraIntrinsics(width=64, height=48, fx=50.0, fy=50.0, cx=31.5, cy=23.5),
-        lidar=LidarParams(),
-        imu=ImuParams(),
-        imu_ticks=3,
-        camera_ticks=20,
-        lidar_scan_ticks=60,
-        compute_latency_ticks=36,
-        world_from_body_start=Pose.identity(),
-        vehicle=_vehicle_model(),
-    )
-
-
-def _vehicle_model() -> VehicleModel:
-    values: dict[str, Any] = {name: 1.0 for name in VehicleModel.__dataclass_fields__}
-    values |= {"inertia_kgm2": np.ones(3), "rotor_xy_m": np.ones((4, 2)), "rotor_spin": np.ones(4)}
-    return VehicleModel(**values)
+    return make_rig()
 
 
 def _grid(cells: int = 160, cell_m: float = 0.2) -> GridMap:
@@ -156,13 +124,6 @@ def test_map_points_lie_at_cell_centres_and_grey_stands_for_no_image() -> None:
     assert colours[0].tolist() == [10, 20, 30]
     _, grey = map_points(_grid(), slice(60, 61), slice(0, 1))
     assert grey.tolist() == [[60, 60, 60]]
-
-
-def test_map_points_of_a_part_are_those_of_the_whole() -> None:
-    whole, _ = map_points(_grid())
-    parts = [map_points(_grid(), slice(r, r + 40), slice(0, 160))[0] for r in (0, 40, 80, 120)]
-    assert len(whole) == 80 * 80
-    np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
 def test_tiles_come_again_only_after_growth() -> None:
@@ -294,15 +255,6 @@ def test_run_directory_holds_all_files(tmp_path: Path, scene: Scene, rig: Sensor
     assert image.shape[1] > image.shape[0]
 
 
-def test_without_recording_only_the_rrd_is_missing(
-    tmp_path: Path, scene: Scene, rig: SensorRig
-) -> None:
-    _fly(RunRecorder(tmp_path, scene, rig, load_config(record=False)), steps=300)
-    names = {path.name for path in tmp_path.iterdir()}
-    assert "flight.rrd" not in names
-    assert {"truth.tum", "map.ply", "costmap.png"} <= names
-
-
 def test_with_sensors_the_odometry_is_kept_apart(
     tmp_path: Path, scene: Scene, rig: SensorRig
 ) -> None:
@@ -310,7 +262,3 @@ def test_with_sensors_the_odometry_is_kept_apart(
     _fly(RunRecorder(tmp_path, scene, rig, load_config(record=False), log), steps=100)
     odometry, estimate = ((tmp_path / f"{name}.tum") for name in ("odometry", "estimate"))
     assert odometry.read_bytes() == estimate.read_bytes()  # its frame is the world's
-
-
-def test_null_recorder_takes_the_same_calls() -> None:
-    _fly(NullRecorder(), steps=3)

@@ -5,7 +5,6 @@ import json
 import re
 import sys
 import unicodedata
-import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -14,9 +13,7 @@ import pytest
 
 from touchdown.experiments import terminal
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.cli.console import print_place, print_result
 from touchdown.experiments.errors import visible
-from touchdown.experiments.io.results import load_result
 from touchdown.experiments.reporting.markdown_text import fenced, markdown_cell, markdown_text
 
 from support.report_support import LANDING, write_run
@@ -103,32 +100,6 @@ def test_console_prints_names_literally(name: str, capsys: pytest.CaptureFixture
     assert _is_quiet(captured.out) and _is_quiet(captured.err)
 
 
-def test_progress_bar(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "120")
-    with terminal.progress_bar(quiet=False) as progress:
-        progress(1, 2, "[/x] :boom: a\x1b[31mb")
-    assert r"[/x] :boom: a\x1b[31mb" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", ["[/x]", "a\x1b[31mb", ":boom:", "l\u202er"])
-def test_tables_of_commands(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _write(tmp_path, "run", scene=name, estimator=name, reason=name, outcome="DIVERGED",
-           events=[{"time_s": 1.0, "text": name}])  # fmt: skip
-    print_result(load_result(tmp_path / "run-m-s0" / "result.json"), tmp_path / name)
-    place = {
-        "place": name, "problems": [name], "remarks": [name],
-        "facts": {
-            "takeoff_xy_m": (0.0, 0.0), "takeoff_yaw_deg": 0.0, "takeoff_geom": name,
-            "takeoff_class": name, "takeoff_above_m": 0.0, "takeoff_safe": True, "legs_share": 1.0,
-            "seen_share": 1.0, "highest_m": 0.0, "safe_share": 1.0, "safe_geometry_share": 1.0,
-            "without_class": [name], "origin_m": (0.0, 0.0, 0.0),
-        },
-    }  # fmt: skip
-    print_place(place)
-    out = capsys.readouterr().out
-    assert out.count(visible(name)) >= 10 and _is_quiet(out)
-
-
 def test_stdout_without_the_characters(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsysbinary: Any
 ) -> None:
@@ -201,12 +172,3 @@ def test_markdown_has_no_markup_of_names(report: Path) -> None:
         len({len(re.findall("<t[hd]", row)) for row in re.findall(r"<tr>.*?</tr>", t, re.S)}) == 1
         for t in tables
     )
-
-
-def test_figures_are_xml(report: Path) -> None:
-    pictures = list((report / "figures").glob("*.svg"))
-    assert pictures
-    for file in pictures:
-        text = file.read_text(encoding="utf-8")
-        assert _is_quiet(text)
-        ET.fromstring(text)

@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.errors import UsageError, broken_text, plain_fault
+from touchdown.experiments.errors import broken_text
 
 from support.report_support import write_run
 
@@ -93,16 +92,3 @@ def test_broken_text() -> None:
     assert broken_text({"a": ["ü", {"💥": 1.0}], "b": None}) is None
     assert broken_text({"a": [{"\ud83d": 1}]}) == r"'\ud83d'"
     assert broken_text(["x" * 1000 + "\0"]) == "'" + "x" * 59
-
-
-def test_messages_name_no_class(tmp_path: Path) -> None:
-    assert plain_fault("Input should be a valid dictionary or instance of Limits") == (
-        "input should be a table"
-    )
-    for text in ("limits = 3", "override = [3]", "skip = [[1]]", "expect = [3]", "axes = 3"):
-        axes = "" if "axes" in text else 'axes.scene = ["flat"]'
-        (tmp_path / "c.toml").write_text(f'{text}\nname = "c"\n{axes}\n')
-        with pytest.raises(UsageError) as caught:
-            load_plan(tmp_path / "c.toml")
-        assert "instance" not in str(caught.value)
-        assert "is wrong: input should be a table" in str(caught.value)

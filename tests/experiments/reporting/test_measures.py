@@ -4,14 +4,7 @@ import pytest
 
 from touchdown.experiments.campaign.results_table import SCHEMA
 from touchdown.experiments.config.loading import known_keys
-from touchdown.experiments.reporting.measures import (
-    SETTINGS,
-    is_marked,
-    setting_notes,
-    setting_of,
-    titled,
-)
-from touchdown.experiments.reporting.run_table import LANDING_COLUMNS
+from touchdown.experiments.reporting.measures import SETTINGS, setting_of
 
 
 @pytest.mark.parametrize(("column", "method", "key"), [
@@ -33,16 +26,3 @@ def test_settings_name_keys_and_columns_that_exist() -> None:
         assert setting.key in known_keys()
         for name in setting.columns:
             assert name in made or any(column.startswith(name) for column in SCHEMA), name
-
-
-def test_marks_are_on_the_title_or_on_the_cell() -> None:
-    assert titled("T_total (s)", "map.duration_s") == "T_total (s) (set)"
-    assert titled("E_tra (m)", "trajectory_error_m") == "E_tra (m)"
-    assert not is_marked("map.duration_s", "gps") and is_marked("trajectory_error_m", "gps")
-    assert {column.heading for column in LANDING_COLUMNS} >= {"v_z (m/s) (set)", "E_tra (m)"}
-
-
-def test_each_setting_is_explained_once() -> None:
-    columns = ["trajectory_error_m", "position_error_m.mean", "map.duration_s"]
-    assert len(setting_notes(columns, ["livo", "gps"])) == 2
-    assert len(setting_notes(columns, ["livo"])) == 1

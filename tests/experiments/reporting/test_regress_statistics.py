@@ -43,13 +43,6 @@ def test_holm_by_hand() -> None:
     assert holm([]) == []
 
 
-def test_holm_agrees_with_statsmodels() -> None:
-    from statsmodels.stats.multitest import multipletests
-
-    p = np.random.default_rng(2).random(30) ** 3
-    assert holm(p.tolist()) == pytest.approx(multipletests(p, method="holm")[1].tolist())
-
-
 def test_fisher_by_hand() -> None:
     """3 of 3 bad against 0 of 3: one of the 20 ways to choose them."""
     assert fisher_p(3, 3, 0, 3) == pytest.approx(1 / 20)
@@ -144,3 +137,10 @@ def test_unpaired_test_sees_a_shift_and_no_more() -> None:
     alike = unpaired_p(new, old)
     assert (alike <= 0.05).mean() == pytest.approx(0.05, abs=0.03)
     assert np.median(unpaired_p(new + 3.0, old)) < 1e-3
+
+
+def test_holm_agrees_with_statsmodels() -> None:
+    from statsmodels.stats.multitest import multipletests
+
+    p = np.random.default_rng(2).random(30) ** 3
+    assert holm(p.tolist()) == pytest.approx(multipletests(p, method="holm")[1].tolist())

@@ -131,14 +131,6 @@ def test_table_2_has_the_published_figures_beside_crossroad(report: Report) -> N
     assert table(report, "table2_variance").rows[1][2].text == "0.1568"
 
 
-def test_table_1_states_the_ambiguous_figures(report: Report) -> None:
-    found = table(report, "table1")
-    assert found.rows[1][1].text == "18.0" and found.header[1] == "T_total (s) (set)"
-    assert any("T_total is set by `survey.duration_s`, not measured" in n for n in found.notes)
-    assert any('"36.11111"' in note and "cannot be known" in note for note in found.notes)
-    assert any("±1.19, ±0.89, ±0.96, ±1.19°" in note for note in found.notes)
-
-
 def test_words_follow_the_data(report: Report) -> None:
     words = "\n".join(line for section in report.sections for line in section.words)
     assert "21 flights: 3 methods over 2 scenes, 6 seeds." in words
@@ -153,17 +145,6 @@ def test_words_follow_the_data(report: Report) -> None:
     assert "`gps` 1.10 m" not in words, "it does not compete"
     assert "1.0112" not in words and "(set): the error of `gps` is set" in words
     assert "table 2 in" not in words.lower(), "of the paper's methods one alone is measured"
-
-
-def test_another_order_than_the_papers_is_stated(rows: list[dict[str, Any]]) -> None:
-    flow = [r | {"estimator": "optical_flow"} if r["estimator"] == "gps" else r for r in rows]
-    same = "The paper's methods come in the order of its Table 2 in crossroad, lake."
-    assert same in leading_sentences(flow)
-    swapped = [r | {"trajectory_error_m": 3.0} if r["estimator"] == "paper" else r for r in flow]
-    assert (
-        "lake: the paper's methods come in the order `optical_flow` < `paper`; in its Table 2 it "
-        "is `paper` < `optical_flow`." in leading_sentences(swapped)
-    )
 
 
 def test_a_method_that_never_took_off_does_not_compete(rows: list[dict[str, Any]]) -> None:
@@ -202,12 +183,6 @@ def test_shares_of_stages_by_hand(report: Report) -> None:
     assert shares == pytest.approx({"world": 0.6, "estimator": 0.3, "other": 0.1})
 
 
-def test_the_papers_columns_need_its_methods(rows: list[dict[str, Any]]) -> None:
-    own = [row for row in rows if row["estimator"] == "livo"]
-    text = markdown(make_report(own, title="own"))
-    assert "paper prints" not in text and "Beside the paper" not in text and "printed" not in text
-
-
 def test_a_missing_revision_is_stated_with_its_remedy(
     rows: list[dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -218,11 +193,6 @@ def test_a_missing_revision_is_stated_with_its_remedy(
     check_revisions(rows, tmp_path)
     with pytest.raises(UsageError, match=r"2 results have no git revision, .* a git checkout"):
         check_revisions(without, tmp_path)
-
-
-def test_figures_that_there_are(report: Report) -> None:
-    names = [picture.name for section in report.sections for picture in section.pictures]
-    assert sorted(names) == ["fig10_estimate", "fig10a", "fig10b", "fig9a", "fig9b"]
 
 
 def test_one_file_that_loads_nothing(report: Report) -> None:
@@ -290,14 +260,6 @@ def test_a_plain_directory_prints_its_table(
     assert cli.main(["report", str(campaign / "lake-livo-s1"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["runs"][0]["run"] == "lake-livo-s1"
     assert not (campaign / "report").exists()
-
-
-def test_one_flight_without_files_is_a_report(tmp_path: Path) -> None:
-    write_run(tmp_path / "only", 1)
-    made = make_report(load_flights(tmp_path), title="one")
-    text = markdown(made)
-    assert "1 flight: 1 method over 1 scene, 1 seed." in text
-    assert page(made).count("<section") == len(made.sections)
 
 
 def test_flights_without_a_map_are_not_in_the_tables_of_maps(tmp_path: Path) -> None:

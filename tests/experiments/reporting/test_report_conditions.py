@@ -61,11 +61,6 @@ def test_figures_of_each_condition_and_their_ratio() -> None:
     assert [line[0].text for line in table.rows] == ["a", "a", "a", "b"]
 
 
-def test_one_condition_has_no_ratio(tmp_path: Path) -> None:
-    table = condition_table([row("", "lake", 0, 0.1)])
-    assert table.header[-1] == "NEES below 14.2 (%)"
-
-
 def test_ratios_are_of_means_of_pairs() -> None:
     found = ratio_interval([(2.0, 1.0), (4.0, 2.0), (6.0, 3.0)])
     assert found is not None and found.low is not None
@@ -139,12 +134,3 @@ def test_means_of_a_plain_directory_are_by_method_and_condition(tmp_path: Path) 
     assert {name: found["trajectory_error_m"] for name, found in means.items()} == {
         "paper, ideal": 0.06, "paper, field": 0.24,
     }  # fmt: skip
-
-
-def test_drawings_are_of_the_first_conditions_alone(tmp_path: Path) -> None:
-    for number in range(5):
-        flown(tmp_path / str(number), "field", 0, 0.1, wind={"mean_kmh": 10 + number})
-    report = make_report(load_flights(tmp_path), title="five")
-    names = {picture.name for section in report.sections for picture in section.pictures}
-    assert len({name for name in names if name.startswith("fig10a")}) == 4
-    assert "Drawings are of the first 4 conditions alone." in report.sections[0].words

@@ -1,5 +1,3 @@
-"""Errors over the distance flown, by hand."""
-
 from pathlib import Path
 
 import numpy as np

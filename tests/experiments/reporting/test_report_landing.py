@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.reporting import published
-from touchdown.experiments.reporting.document import make_report, markdown, page
 from touchdown.experiments.reporting.flights import load_flights
 from touchdown.experiments.reporting.landing_figure import landing_pictures
 from touchdown.experiments.reporting.landings import landing_sentences, landing_tables, offset_xy
@@ -97,12 +96,6 @@ def test_how_landings_went_counts_unsafe_ones_and_finds_extremes(
     assert lines(found)["`gps`", "crossroad"][2:4] == ["–", "0"]
 
 
-def test_several_scenes_are_summed_up(sites: list[dict[str, Any]]) -> None:
-    found = lines(table(sites, "touchdowns"))
-    assert found["`livo`", "all scenes"][:3] == ["5", "4", "NO_SITE 1"]
-    assert lines(table(sites, "landing"))["`livo`", "all scenes"][0] == "5"
-
-
 def test_table_6_beside_the_papers(sites: list[dict[str, Any]]) -> None:
     found = table(sites, "table6_livo")
     assert [row[0].text for row in found.rows] == ["`turf`", "`footbridge`"]
@@ -115,10 +108,6 @@ def test_table_6_beside_the_papers(sites: list[dict[str, Any]]) -> None:
     assert list(published.SITES) == [
         "turf", "rooftop_parking", "cottage", "footbridge", "pools"
     ]  # fmt: skip
-
-
-def test_no_site_of_the_paper_no_table_6(rows: list[dict[str, Any]]) -> None:
-    assert [found.key for found in landing_tables(rows)] == ["landing", "touchdowns"]
 
 
 def test_words_say_what_happened(rows: list[dict[str, Any]]) -> None:
@@ -156,13 +145,3 @@ def test_fig_12_shows_what_landed_and_enlarges_the_nearest(rows: list[dict[str, 
     (chosen,) = landing_pictures([row | {"landing.commanded_xy_m": None} for row in alone])
     assert "committed at 4 m" in chosen.title
     assert landing_pictures([]) == []
-
-
-def test_everything_is_in_the_report(
-    rows: list[dict[str, Any]], sites: list[dict[str, Any]]
-) -> None:
-    text = markdown(make_report(rows, title="landings"))
-    assert "![Fig. 12: touchdowns around the commanded spot](figures/fig12.svg)" in text
-    assert "**How landings went, and the extremes**" in text
-    assert "Table 6: five kinds of sites, `livo`" in markdown(make_report(sites, title="sites"))
-    assert page(make_report(sites, title="sites")).count("<figure") >= 1

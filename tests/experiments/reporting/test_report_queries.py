@@ -66,11 +66,9 @@ def test_counts_of_landings() -> None:
     judged = {"landing.judged_on": "geometry", "landing.safe": None}
     safe, unsafe = ({**judged, "landing.safe_geometry": found} for found in (True, False))
     rows = [
-        row("lake", "gps", **safe),
-        row("lake", "gps", **unsafe),
-        row("lake", "gps", "TIPPED", **unsafe),
-        row("lake", "gps", "NO_SITE"),
-    ]
+        row("lake", "gps", **safe), row("lake", "gps", **unsafe),
+        row("lake", "gps", "TIPPED", **unsafe), row("lake", "gps", "NO_SITE"),
+    ]  # fmt: skip
     counts = LandingCounts(flights=4, landed=2, landed_safely=1, unsafe=2)
     assert landings_by_cell(rows) == {LAKE: counts}
     assert landings_by_cell(rows, pooled=True) == {CellKey("gps"): counts}

@@ -16,14 +16,11 @@ from touchdown.experiments.reproduce import run as reproduce
 from touchdown.experiments.reproduce.items import ITEMS
 from touchdown.experiments.reproduce.plans import (
     PLANS,
-    QUICK,
-    WHOLE,
-    WHOLE_ON_GPU,
     Extent,
     digest,
     plan_of,
 )
-from touchdown.experiments.reproduce.steps import PARTS, Done, part_named
+from touchdown.experiments.reproduce.steps import PARTS, part_named
 
 if TYPE_CHECKING:
     from support.reproduce_world import World
@@ -179,17 +176,6 @@ def test_a_campaign_without_some_outcomes_fails(
 
 
 @pytest.mark.usefixtures("no_report")
-def test_photographs_are_training_data_as_well(world: World, tmp_path: Path) -> None:
-    skip = [part.name for part in PARTS if part.name != "recognition"]
-    assert run_quick(tmp_path, skip=skip).successful
-    assert run_quick(tmp_path, skip=skip).successful and world.count("pictures") == 1
-    done = run_quick(tmp_path, skip=skip, photographs=["ucmerced=photographs"])
-    assert world.count("pictures") == 2, "other images start over"
-    assert done.states["recognition"].figures["size"]["photographs"] == ["ucmerced=photographs"]
-    assert WHOLE.name != WHOLE_ON_GPU.name, "never in one folder or one table"
-
-
-@pytest.mark.usefixtures("no_report")
 def test_trained_networks_are_kept(world: World, tmp_path: Path) -> None:
     skip = [part.name for part in PARTS if part.name != "recognition"]
     world.broken = "scores"
@@ -251,11 +237,3 @@ def test_a_damaged_state_is_named(world: World, tmp_path: Path) -> None:
     (tmp_path / "speed" / "part.json").write_text("{}")
     with pytest.raises(UsageError, match=r"part\.json' is damaged"):
         run_quick(tmp_path, skip=skip)
-
-
-def test_the_list_runs_no_part(world: World, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["reproduce", "--list", "--quick", "--json"]) == 0
-    parts = json.loads(capsys.readouterr().out)["parts"]
-    assert [part["part"] for part in parts] == [part.name for part in PARTS]
-    assert not world.calls and QUICK.recognition.networks == ("resnet18",)
-    assert Done({}).why == ""

@@ -63,13 +63,6 @@ def test_states_that_name_other_files_are_damaged(
     assert "\n" not in str(caught.value) and not world.calls
 
 
-@pytest.mark.parametrize("text", ["[]", "[" * 100_000, "", "{}"])
-def test_states_that_are_none_are_damaged(text: str, out: Path) -> None:
-    (out / "speed" / "part.json").write_text(text)
-    with pytest.raises(UsageError, match=r"part\.json' is damaged"):
-        run_cheap(out)
-
-
 def test_figures_that_the_report_lacks_are_named(out: Path) -> None:
     state = json.loads((out / "speed" / "part.json").read_text()) | {"figures": {}}
     (out / "speed" / "part.json").write_text(json.dumps(state))
@@ -97,13 +90,3 @@ def test_links_in_the_directory_are_refused(
     assert not world.calls and not (home / "nothing").exists()
     assert [path.name for path in (home / "victim").iterdir()] == ["thesis.txt"]
     assert (home / "victim" / "thesis.txt").read_text() == "years of work"
-
-
-@pytest.mark.parametrize("text", ["", "[]", '{"network": "x", "labels": "d_land"}'])
-def test_scores_of_something_else_are_measured_anew(text: str, out: Path, world: World) -> None:
-    file = out / "recognition" / "quick" / "networks" / "resnet18-d_land" / "scores.json"
-    before = file.read_text()
-    file.write_text(text)
-    (out / "recognition" / "part.json").unlink()
-    assert run_cheap(out).successful and world.count("scores") == 2
-    assert file.read_text() == before

@@ -8,7 +8,6 @@ from touchdown.experiments.reproduce.items import (
     YES,
     Grade,
     comparable,
-    item_sentence,
     item_table,
     measured,
 )
@@ -56,11 +55,3 @@ def test_every_grade_that_is_not_whole_has_a_reason() -> None:
         for cell in row[-3:]:
             assert cell.text == YES or ": " in cell.text, row[0].text
     assert "done" not in " ".join(cell.text for row in table.rows for cell in row)
-
-
-def test_items_are_counted_by_grade() -> None:
-    assert item_sentence(WHOLE) == (
-        "17 tables and figures of the paper, all implemented. Measured: 9 yes, 4 in part, 4 no. "
-        "Comparable with the paper: 5 in part, 12 no. The reasons are in the table of items."
-    )
-    assert "Measured: 17 no." in item_sentence({})

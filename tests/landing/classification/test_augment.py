@@ -1,7 +1,5 @@
 """What is varied in the images of a training."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

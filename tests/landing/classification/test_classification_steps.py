@@ -1,7 +1,5 @@
 """What a network is given, which image a patch is taken from, and how evidence is weighed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -43,9 +41,6 @@ def test_softmax_by_hand_and_of_large_scores() -> None:
     np.testing.assert_allclose(probabilities(scores), [[0.25, 0.75], [0.2, 0.8]], rtol=1e-4)
 
 
-# ------------------------------------------------------------------------------- the image
-
-
 def pose_at(y: float, height: float) -> Pose:
     """Along the long side of the image."""
     return Pose(np.eye(3), np.array([0.0, y, height]))
@@ -67,13 +62,10 @@ def kind_of(patch: Any) -> str:
     return min(COLOURS, key=lambda name: float(np.abs(mean - COLOURS[name]).sum()))
 
 
-@pytest.mark.parametrize(
-    ("views", "wanted"),
-    [
-        (((-6.0, 20.0, "road"), (0.5, 20.0, "lawn"), (7.0, 20.0, "water")), "lawn"),  # steepest
-        (((0.0, 30.0, "road"), (0.0, 15.0, "lawn"), (0.0, 40.0, "water")), "lawn"),  # nearest
-    ],
-)
+@pytest.mark.parametrize(("views", "wanted"), [
+    (((-6.0, 20.0, "road"), (0.5, 20.0, "lawn"), (7.0, 20.0, "water")), "lawn"),  # steepest
+    (((0.0, 30.0, "road"), (0.0, 15.0, "lawn"), (0.0, 40.0, "water")), "lawn"),  # nearest
+])  # fmt: skip
 def test_a_patch_is_taken_from_the_steepest_and_nearest_view(views: Any, wanted: str) -> None:
     patch = images_of(*views).patch(np.zeros(3), 4.0, 16)
     assert patch is not None and kind_of(patch) == wanted
@@ -95,9 +87,6 @@ def test_images_are_kept_a_fifth_of_their_height_apart_and_not_from_near_the_gro
 def test_a_dim_patch_gets_the_light_of_day() -> None:
     light = (brightened(np.full((8, 8, 3), 30, np.uint8)) / 255.0) ** 2.2
     assert light.mean() == pytest.approx((110.0 / 255.0) ** 2.2, rel=0.02)
-
-
-# ------------------------------------------------------------------------------- the evidence
 
 
 def test_pulses_count_in_the_square_around_the_site_alone() -> None:

@@ -1,7 +1,5 @@
 """Ground classification in flight: decision limits, LIDAR evidence, refusals."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -48,9 +46,6 @@ def _scores(*rows: Array) -> NDArray[np.float32]:
     return np.log(np.array(rows)).astype(np.float32)
 
 
-# --------------------------------------------------------------------------------------- decision
-
-
 def test_energy_is_the_logarithm_of_the_sum_of_exponentials() -> None:
     scores = np.array([[0.0, np.log(3.0)], [500.0, 500.0]], np.float32)
     np.testing.assert_allclose(
@@ -91,9 +86,6 @@ def test_file_carries_its_limits_and_an_older_one_gets_defaults() -> None:
     for name in ("least_probability", "least_energy"):
         del kept[name]
     assert weights.facts_of(kept, Path("n.onnx")).limits == decision.Limits()
-
-
-# ------------------------------------------------------------------------------------------ sites
 
 
 def _sites(*xy: tuple[float, float]) -> list[Candidate]:
@@ -145,13 +137,10 @@ def test_refused_sites_are_not_classified() -> None:
     assert classifier.batches == [1] and judged[0] is bad and judged[1].accepted
 
 
-@pytest.mark.parametrize(
-    ("classifier", "words"),
-    [
-        (ByColour(sure=0.6), "unsure what it is: lawn with probability 0.60"),
-        (ByColour(in_distribution=False), "it looks like no known ground"),
-    ],
-)
+@pytest.mark.parametrize(("classifier", "words"), [
+    (ByColour(sure=0.6), "unsure what it is: lawn with probability 0.60"),
+    (ByColour(in_distribution=False), "it looks like no known ground"),
+])  # fmt: skip
 def test_uncertain_predictions_are_refused(classifier: ByColour, words: str) -> None:
     (site,) = _check(classifier).judge(_sites((9, 0)), FLAT)
     assert not site.accepted and words in site.reason
@@ -204,9 +193,6 @@ def test_an_emergency_takes_the_least_bad() -> None:
     assert [site.accepted for site in chosen] == [True, False, False]
     assert least_bad(named[:2])[0].class_predicted is None
     assert least_bad(named[:1])[0].accepted and least_bad([]) == ()
-
-
-# ------------------------------------------------------------------------------- what LIDAR knows
 
 
 def test_missing_pulses_raise_the_probability_of_water_and_their_absence_does_not_lower_it() -> (
@@ -323,9 +309,6 @@ def test_refused_surfaces_rank_lower() -> None:
         assert sites[0].accepted and np.sign(sites[0].position_odom[0]) == -side
 
 
-# ------------------------------------------------------------------------------------ the network
-
-
 def test_network_of_a_file_classifies(tmp_path: Path) -> None:
     pytest.importorskip("onnx")
     from touchdown.landing.classification.onboard import load_onboard_classifier
@@ -339,10 +322,8 @@ def test_network_of_a_file_classifies(tmp_path: Path) -> None:
     prediction = classifier.classify(images)
     assert [D_LAND[i] for i in prediction.probabilities.argmax(axis=1)[:2]] == ["water", "lawn"]
     assert prediction.in_distribution.tolist() == [
-        True,
-        True,
-        False,
-    ]  # black is like nothing it knows
+        True, True, False,
+    ]  # black is like nothing it knows  # fmt: skip
     assert load_onboard_classifier(path) is classifier
     write_colour_network(path, limits=dataclasses.replace(limits, min_probability=0.5))
     assert load_onboard_classifier(path).min_probability == 0.5

@@ -1,7 +1,5 @@
 """Haze: the veil by hand, estimation in a climb, removal from an image."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

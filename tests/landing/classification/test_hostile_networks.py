@@ -1,7 +1,5 @@
 """Untrusted networks and checkpoints: checked before and after they are loaded."""
 
-from __future__ import annotations
-
 import pickle
 import zipfile
 from pathlib import Path
@@ -26,12 +24,9 @@ FACTS = NetworkFacts(network="n", labels="d_land", image_size=SIZE, classes=D_LA
 
 
 def network(
-    path: Path,
-    nodes: list[Any],
-    initial: list[Any],
-    facts: dict[str, str] | None = None,
+    path: Path, nodes: list[Any], initial: list[Any], facts: dict[str, str] | None = None,
     inputs: str = INPUT,
-) -> Path:
+) -> Path:  # fmt: skip
     """An ONNX file of ``nodes`` from ``inputs`` (N, 3, 16, 16) to the scores."""
     import onnx
     from onnx import TensorProto, helper
@@ -71,20 +66,17 @@ def refused(path: Path, message: str) -> None:
     assert "\n" not in text and "ONNXRuntimeError" not in text and text.isprintable()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"image_size": "1000000000"}, "image_size 1000000000 in its metadata, not 16 to 512"),
-        ({"image_size": "-1"}, "image_size -1"),
-        ({"image_size": "1" * 5000}, "no usable metadata"),
-        ({"network": "[/x]\x1b[31m"}, "name of its network"),
-        ({"network": "n" * 1000}, "name of its network"),
-        ({"least_probability": "nan"}, "limits in its metadata"),
-        ({"least_probability": "7"}, "limits in its metadata"),
-        ({"least_energy": "nan"}, "limits in its metadata"),
-        ({"classes": "cat dog"}, "not .1, 2.|classes that are not"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"image_size": "1000000000"}, "image_size 1000000000 in its metadata, not 16 to 512"),
+    ({"image_size": "-1"}, "image_size -1"),
+    ({"image_size": "1" * 5000}, "no usable metadata"),
+    ({"network": "[/x]\x1b[31m"}, "name of its network"),
+    ({"network": "n" * 1000}, "name of its network"),
+    ({"least_probability": "nan"}, "limits in its metadata"),
+    ({"least_probability": "7"}, "limits in its metadata"),
+    ({"least_energy": "nan"}, "limits in its metadata"),
+    ({"classes": "cat dog"}, "not .1, 2.|classes that are not"),
+])  # fmt: skip
 def test_metadata_have_limits(tmp_path: Path, change: dict[str, str], message: str) -> None:
     refused(network(tmp_path / "n.onnx", *_mean(3, 7), FACTS | change), message)
 
@@ -182,9 +174,6 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
     refused(path, "has 2048 MiB, more than 1024 MiB")
 
 
-# ------------------------------------------------------------------------------------ checkpoints
-
-
 LAUGHS: list[Any] = []
 """A list of a thousand bytes that holds ten to the hundredth lists"""
 for _ in range(100):
@@ -213,23 +202,18 @@ def _begin(start: Path) -> None:
     begin_with(network, "mobilenet_v3_large", D_LAND, start)
 
 
-@pytest.mark.parametrize(
-    ("kind", "message"),
-    [
-        ("strings", "something else than the weights of a network"),
-        ("list", "something else than weights"),
-        ("numbers", "something else than the weights"),
-        ("keys", "something else than the weights"),
-        ("shapes", "weights of another network or of other classes"),
-        ("nan", "weights that are NaN or infinite"),
-        ("code", "something else than weights, which is not loaded"),
-        ("pickle", "cannot be read as a checkpoint: it is none"),
-        ("wide", "something else than weights"),
-        ("laughs", "something else than the weights"),
-        ("bomb", "more than 4096 MiB"),
-        ("missing", "it does not exist; name the folder"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "message"), [
+    ("strings", "something else than the weights of a network"),
+    ("list", "something else than weights"),
+    ("numbers", "something else than the weights"), ("keys", "something else than the weights"),
+    ("shapes", "weights of another network or of other classes"),
+    ("nan", "weights that are NaN or infinite"),
+    ("code", "something else than weights, which is not loaded"),
+    ("pickle", "cannot be read as a checkpoint: it is none"),
+    ("wide", "something else than weights"),
+    ("laughs", "something else than the weights"), ("bomb", "more than 4096 MiB"),
+    ("missing", "it does not exist; name the folder"),
+])  # fmt: skip
 def test_checkpoints_that_hold_something_else(start: Path, kind: str, message: str) -> None:
     torch = pytest.importorskip("torch")
     from touchdown.landing.classification.networks.registry import build_network

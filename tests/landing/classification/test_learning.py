@@ -1,7 +1,5 @@
 """Training that can be stopped, and begins where another ended."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import subprocess

@@ -1,7 +1,5 @@
 """Networks of ground classification: sizes as published, attention as its equations say."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -13,16 +11,10 @@ from touchdown.landing.classification.networks import blocks, cbam, mobilenet  #
 from touchdown.landing.classification.networks.registry import NETWORKS, build_network  # noqa: E402
 
 PUBLISHED = {
-    "resnet18": 11_689_512,
-    "resnet34": 21_797_672,
-    "resnet50": 25_557_032,
-    "resnet101": 44_549_160,
-    "resnext50": 25_028_904,
-    "vgg19": 143_667_240,
-    "mobilenet_v3_large": 5_483_032,
-    "inception_v4": 42_679_816,
-    "resnet50_cbam": 28_089_624,
-}
+    "resnet18": 11_689_512, "resnet34": 21_797_672, "resnet50": 25_557_032, "resnet101": 44_549_160,
+    "resnext50": 25_028_904, "vgg19": 143_667_240, "mobilenet_v3_large": 5_483_032,
+    "inception_v4": 42_679_816, "resnet50_cbam": 28_089_624,
+}  # fmt: skip
 """weights for 1000 classes; Woo et al. print 28.09 M for the last one"""
 
 
@@ -83,20 +75,14 @@ def test_the_same_seed_gives_the_same_network(name: str) -> None:
     assert (scores[0] == scores[1]).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "size", "message"),
-    [
-        ("resnet51", 96, "unknown network 'resnet51': did you mean 'resnet"),
-        ("inception_v4", 64, "inception_v4 needs images of at least 75 pixels, not 64"),
-        ("resnet18", 16, "at least 32 pixels"),
-    ],
-)
+@pytest.mark.parametrize(("name", "size", "message"), [
+    ("resnet51", 96, "unknown network 'resnet51': did you mean 'resnet"),
+    ("inception_v4", 64, "inception_v4 needs images of at least 75 pixels, not 64"),
+    ("resnet18", 16, "at least 32 pixels"),
+])  # fmt: skip
 def test_what_cannot_be_built(name: str, size: int, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         build_network(name, 7, size)
-
-
-# -------------------------------------------------------------------------------------- attention
 
 
 def test_channel_attention_by_hand() -> None:
@@ -139,9 +125,6 @@ def test_the_window_looks_seven_pixels_across() -> None:
         reached = module.window(pools)[0, 0] > 0.5
     rows, cols = np.nonzero(reached.numpy())
     assert (rows.min(), rows.max(), cols.min(), cols.max()) == (4, 10, 4, 10)
-
-
-# ----------------------------------------------------------------------------------------- pieces
 
 
 @pytest.mark.parametrize("side", [3, 4, 7, 10])

@@ -1,7 +1,5 @@
 """Metrics by hand, class maps of photographs, and the file of a network."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from pathlib import Path
@@ -14,8 +12,6 @@ from touchdown.experiments.classification import class_map as class_overlays
 from touchdown.landing.classification import scores, weights, windows
 from touchdown.landing.classification.engine import apply_miss_costs
 from touchdown.landing.classification.labels import D_LAND
-
-# ----------------------------------------------------------------------------------------- scores
 
 
 def test_confusion_recall_and_f1_by_hand() -> None:
@@ -55,9 +51,6 @@ def test_summary_leaves_out_classes_that_do_not_occur() -> None:
     found = scores.summary(given, np.array([0, 1]), ("a", "b", "c"))
     assert found["macro_f1"] == found["recall"] == found["top1"] == 1.0
     assert found["recall_of"] == {"a": 1.0, "b": 1.0} and found["pictures"] == 2
-
-
-# ---------------------------------------------------------------------------------------- windows
 
 
 def test_windows_cover_everything() -> None:
@@ -102,9 +95,6 @@ def test_thirty_colours_differ() -> None:
     assert len(set(colours.values())) == 30
 
 
-# ----------------------------------------------------------------------------- files of networks
-
-
 def _sum(content: bytes) -> str:
     return f"{hashlib.sha256(content).hexdigest()}  n.onnx\n"
 
@@ -116,16 +106,13 @@ def test_checksum_has_the_form_of_sha256sum(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["n.onnx", "n.onnx.sha256"]
 
 
-@pytest.mark.parametrize(
-    ("content", "checksum", "message"),
-    [
-        (None, None, "does not exist"),
-        (b"abc", None, "n.onnx.sha256' does not exist"),
-        (b"ab", _sum(b"abc"), r"\(2 bytes\) does not have the checksum"),
-        (b"abc", "", "does not have the checksum"),
-        (b"abc", "0" * 64, "does not have the checksum"),
-    ],
-)
+@pytest.mark.parametrize(("content", "checksum", "message"), [
+    (None, None, "does not exist"),
+    (b"abc", None, "n.onnx.sha256' does not exist"),
+    (b"ab", _sum(b"abc"), r"\(2 bytes\) does not have the checksum"),
+    (b"abc", "", "does not have the checksum"),
+    (b"abc", "0" * 64, "does not have the checksum"),
+])  # fmt: skip
 def test_files_that_are_refused(
     content: bytes | None, checksum: str | None, message: str, tmp_path: Path
 ) -> None:

@@ -1,7 +1,5 @@
 """The shipped network: metadata, and accuracy on unseen scenes."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path
@@ -51,13 +49,10 @@ def test_number_of_weights() -> None:
     assert filters == 25_985_760  # and 69 207 more in biases and norms
 
 
-@pytest.mark.parametrize(
-    "scene",
-    [
-        "lake",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("houses", *HELD_OUT_SCENES)),
-    ],
-)
+@pytest.mark.parametrize("scene", [
+    "lake",
+    *(pytest.param(name, marks=pytest.mark.slow) for name in ("houses", *HELD_OUT_SCENES)),
+])  # fmt: skip
 def test_accuracy_on_unseen_scenes(scene: str, classifier: OnnxGroundClassifier) -> None:
     """The bound is far below the scores in `docs/results/ground-classification.md`."""
     assert split_of_layout(scene, SEED) == "test"

@@ -1,7 +1,5 @@
 """Survey images and ground patches extracted from them."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

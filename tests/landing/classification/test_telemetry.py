@@ -1,7 +1,5 @@
 """Nothing is written to the user's home directory, or sent anywhere, by ONNX Runtime."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

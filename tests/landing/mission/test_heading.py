@@ -1,7 +1,5 @@
 """The turn of the heading in the climb: its angle, its rate, and where it begins."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

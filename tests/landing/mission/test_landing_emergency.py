@@ -1,7 +1,5 @@
 """Emergencies, energy and unhealthy estimates, with a vehicle that follows its setpoint."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

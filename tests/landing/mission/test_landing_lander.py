@@ -1,7 +1,5 @@
 """The state machine: perfect estimate, a vehicle that follows its setpoint, a made-up map."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -11,21 +9,8 @@ from touchdown.estimator.api import MapView
 from touchdown.landing.api import Phase
 from touchdown.sim.frames import Pose
 
-from support.lander_support import (
-    ORIGIN,
-    STEP_TICKS,
-    Puppet,
-    flat_map,
-    fly,
-    make_lander,
-)
-from support.landing_support import (
-    LEG_HEIGHT,
-    make_estimate,
-    make_grid,
-    make_obs,
-    view_of,
-)
+from support.lander_support import ORIGIN, STEP_TICKS, Puppet, flat_map, fly, make_lander
+from support.landing_support import LEG_HEIGHT, make_estimate, make_grid, make_obs, view_of
 
 
 def test_phases_follow_each_other_to_a_landing_on_the_committed_site() -> None:
@@ -165,6 +150,9 @@ def test_site_that_fails_the_look_at_10_m_is_refused() -> None:
     puppet.view_map = rubble_below  # type: ignore[method-assign]
     phases, view = fly(puppet, 400.0)
     assert phases.count(Phase.APPROACH) == 3
+    tried = np.array([decision.positions_world[0, :2] for decision in view.decisions])
+    apart = np.linalg.norm(tried[:, None] - tried, axis=2)[~np.eye(len(tried), dtype=bool)]
+    assert apart.min() > 2.5  # refused_radius_m, less the map's cells
     assert view.no_site
     assert phases[-1] is Phase.DONE
 

@@ -1,7 +1,5 @@
 """Scenes with ground that resembles landing sites, surveyed with the simulated sensors."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

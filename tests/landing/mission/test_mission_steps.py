@@ -14,6 +14,7 @@ from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import GridMap, MapView
 from touchdown.landing.api import LandingParams, Phase, SurveyParams
 from touchdown.landing.mission import energy
+from touchdown.landing.mission.choice import choose_sites
 from touchdown.landing.mission.descent import descend_to, final_descent
 from touchdown.landing.mission.heading import HeadingTurn
 from touchdown.landing.mission.health import HealthWatch
@@ -23,7 +24,10 @@ from touchdown.landing.mission.phases import (
     climb_back,
     come_down_here,
     initialise,
+    return_home,
     search_leg,
+    select,
+    survey,
     take_off,
 )
 from touchdown.landing.mission.touchdown import TouchdownDetector
@@ -201,6 +205,8 @@ def test_final_descent_follows_the_ground_slowly_and_not_near_it() -> None:
     added = np.diff(path[:, 2]) / STEP_S - 0.5 * (speed[1:] + speed[:-1])
     assert np.max(added) == pytest.approx(0.05, abs=2e-3)
     assert added.min() > -1e-3
+    frozen = path[1:, 2] - LEG_HEIGHT - 0.15 < 1.3
+    np.testing.assert_allclose(added[frozen], 0.0, atol=1e-3)
     low = path[:, 2] - LEG_HEIGHT - 0.15 < 0.19
     assert low.any()
     np.testing.assert_allclose(speed[low], -LandingParams().touchdown_speed_mps, atol=2e-3)
@@ -293,6 +299,50 @@ def test_the_way_to_the_site_keeps_its_margin(top: float, aside: float, expected
     stage.mission.map_view = view_of(grid)
     site = np.array([10.0, 0.0, 0.0])
     assert approach_height(stage.mission, stage.position, site) == pytest.approx(expected)
+
+
+def test_the_survey_lies_along_the_heading_of_the_start() -> None:
+    stage = Stage(np.array([0.0, 0.0, 20.0]), yaw=0.5)
+    path = places(stage.run(survey(stage.mission))) @ rotation_from_yaw(0.5)
+    assert path[-1] == pytest.approx([0.0, 10.0, 20.0], abs=0.05)
+    assert np.linalg.norm(path - [20.0, 5.0, 20.0], axis=1).min() < 5.0
+    assert len(path) * STEP_S == pytest.approx(QUICK.duration_s, abs=2.0 * STEP_S)
+
+
+def test_a_decision_takes_its_time_and_sets_the_site() -> None:
+    stage = Stage(np.array([0.0, 0.0, 20.0]), decision_latency_s=0.4)
+    setpoints = stage.run(select(stage.mission))
+    assert len(setpoints) * STEP_S == pytest.approx(0.5 + 0.4, abs=3.0 * STEP_S)
+    assert np.ptp(places(setpoints), axis=0) == pytest.approx(0.0, abs=1e-9)
+    (decision,) = stage.mission.decisions
+    assert stage.result is decision.candidates[0] and stage.result.accepted
+    np.testing.assert_array_equal(stage.mission.site_odom, stage.result.position_odom)
+    assert decision.time_s == pytest.approx(0.5, abs=2.0 * STEP_S)
+
+
+def test_strong_wind_makes_sites_beside_obstacles_less_probable() -> None:
+    height = np.zeros((100, 100))
+    height[5::20, 5::20] = 1.0
+    grid = make_grid(height, origin=(-10.0, -10.0), returns=8)
+    found = []
+    for wind in (0.0, 12.0):
+        stage = Stage(np.array([0.0, 0.0, 20.0]), min_safe_probability=0.0, gust_drift_s=0.1)
+        stage.mission.map_view = view_of(grid)
+        stage.mission.wind._wind = np.array([wind, 0.0])
+        found.append(sum(site.safe_probability for site in choose_sites(stage.mission)[:4]))
+    assert found[1] < found[0] - 0.01
+
+
+def test_the_way_home_is_flown_at_survey_height() -> None:
+    stage = Stage(np.array([6.0, 0.0, 9.0]))
+    stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
+    path = places(stage.run(return_home(stage.mission)))
+    aside = (path[:, 0] > 0.01) & (path[:, 0] < 5.99)
+    assert aside.any()
+    np.testing.assert_allclose(path[aside, 2], QUICK.height_m, atol=0.01)
+    assert path[-1, :2] == pytest.approx([0.0, 0.0], abs=0.01)
+    assert stage.mission.committed_site_world == pytest.approx([0.0, 0.0, 0.0])
+    assert stage.mission.phase is Phase.TOUCHDOWN
 
 
 def test_a_search_leg_lies_beside_the_last_one_and_begins_at_its_nearer_end() -> None:

@@ -1,7 +1,5 @@
 """Time scaling of the reference: its bounds, its derivatives, and what it makes of wind."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -55,9 +53,6 @@ def _flown(wind: Array, seconds: float, behind_m: float = 0.0) -> tuple[Array, .
     return tuple(np.array(column) for column in zip(*rows, strict=True))
 
 
-# ---------------------------------------------------------------------------- what motion needs
-
-
 def test_hover_in_still_air_needs_its_hover_speed() -> None:
     found = need(VEHICLE, np.zeros(3), np.zeros(3))
     hover = np.sqrt(VEHICLE.mass_kg * GRAVITY_MPS2 / (4.0 * VEHICLE.thrust_coefficient))
@@ -106,9 +101,6 @@ def test_friction_on_the_ground_is_no_wind() -> None:
     for step in range(100):
         felt.update(make_obs(3 * step, rotor_speed_radps=np.full(4, 100.0)), leaning)
     assert felt.speed_mps == 0.0
-
-
-# ------------------------------------------------------------------------------- the clock itself
 
 
 def test_gentle_wind_leaves_the_trajectory_as_it_was_set() -> None:
@@ -199,9 +191,6 @@ def test_weak_rotors_slow_the_clock_earlier() -> None:
             slowest = min(slowest, scaling.rate)
         rates[name] = slowest
     assert rates["weak"] < rates["nominal"] - 0.1
-
-
-# ------------------------------------------------------------------------------- the whole mission
 
 
 def test_strong_wind_slows_the_flight_and_says_so() -> None:

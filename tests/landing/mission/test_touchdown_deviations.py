@@ -1,7 +1,5 @@
 """Touchdown and lift-off from rotor telemetry, on a vehicle that is not the nominal one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -39,9 +37,7 @@ def detected_after(mass: float, thrust: float, share: float, sink: float) -> flo
     for k in range(1, 2001):
         tick = 3 * k
         obs = make_obs(
-            tick,
-            imu=(make_imu(tick, GRAVITY_MPS2),),
-            rotor_speed_radps=telemetry.read(shown),
+            tick, imu=(make_imu(tick, GRAVITY_MPS2),), rotor_speed_radps=telemetry.read(shown)
         )
         if detector.update(obs, make_estimate(tick, _POSE, (0.0, 0.0, -sink))):
             return k / 200.0

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -37,9 +35,6 @@ def assert_smooth(trajectory: PiecewiseTrajectory, max_jerk: float) -> None:
     np.testing.assert_allclose(
         np.diff(velocity, axis=0) / step, middle_acceleration, atol=0.25 * max_jerk * step
     )
-
-
-# ------------------------------------------------------------------------------------- segments
 
 
 def test_rest_to_rest_is_the_minimum_jerk_polynomial() -> None:
@@ -83,9 +78,6 @@ def test_joining_adds_the_durations() -> None:
 def test_a_duration_of_zero_is_refused() -> None:
     with pytest.raises(ValueError, match="above 0 s"):
         through([State(np.zeros(3)), State(np.ones(3))], [0.0])
-
-
-# --------------------------------------------------------------------------------------- survey
 
 
 def in_leg_axes(positions: Array) -> Array:
@@ -143,21 +135,13 @@ def test_survey_of_other_sizes(legs: int, duration: float) -> None:
     assert_smooth(path, max_jerk=15.0)
 
 
-@pytest.mark.parametrize(
-    "params",
-    [
-        SurveyParams(duration_s=12.0),
-        SurveyParams(legs=0),
-        SurveyParams(legs=10**9, duration_s=1e12),
-        SurveyParams(leg_length_m=-1.0),
-    ],
-)
+@pytest.mark.parametrize("params", [
+    SurveyParams(duration_s=12.0), SurveyParams(legs=0), SurveyParams(legs=10**9, duration_s=1e12),
+    SurveyParams(leg_length_m=-1.0),
+])  # fmt: skip
 def test_impossible_surveys_are_refused(params: SurveyParams) -> None:
     with pytest.raises(ValueError, match="survey"):
         survey_trajectory(START, YAW, params)
-
-
-# ------------------------------------------------------------------------- approach and descent
 
 
 def test_straight_from_rest_uses_up_one_of_its_limits() -> None:

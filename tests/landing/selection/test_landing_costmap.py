@@ -1,7 +1,5 @@
 """The cost equations against values worked out by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

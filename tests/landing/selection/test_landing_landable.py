@@ -1,7 +1,5 @@
 """The geometric check on synthetic ground, and touchdown detection."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -44,12 +42,9 @@ def judged(grid: GridMap) -> tuple[ElevationRaster, LandableMap]:
     raster = observed_raster(grid)
     assert raster is not None
     return raster, assess(
-        raster,
-        ground_planes(raster, PARAMS),
-        PARAMS,
-        margin_m=PARAMS.map_margin_m,
+        raster, ground_planes(raster, PARAMS), PARAMS, margin_m=PARAMS.map_margin_m,
         min_returns=PARAMS.min_returns,
-    )
+    )  # fmt: skip
 
 
 def landable(grid: GridMap) -> bool:
@@ -168,12 +163,9 @@ def test_selection_accepts_the_good_half_with_reasons() -> None:
     assert scores == sorted(scores, reverse=True)
     avoid = [site.position_odom for site in sites if site.accepted]
     others = select_sites(
-        view_of(make_grid(half)),
-        ABOVE,
-        PARAMS,
-        footprint_radius_m=0.5,
+        view_of(make_grid(half)), ABOVE, PARAMS, footprint_radius_m=0.5,
         limits=SelectionLimits(avoid_odom=avoid),
-    )
+    )  # fmt: skip
     for site in others.candidates:
         if site.accepted:
             gaps = [np.linalg.norm(site.position_odom[:2] - old[:2]) for old in avoid]
@@ -276,9 +268,7 @@ def test_touchdown_is_detected_where_the_estimate_rises_and_the_vehicle_bounces(
         # A quarter of the time on the ground, with four times what rotors leave to it.
         reaction = 4.0 * (1.0 - share) if step % 40 < 10 else 0.0
         obs = make_obs(
-            3 * step,
-            imu=(make_imu(3 * step, 9.81 * (share + reaction)),),
-            rotor_speed_radps=speed,
+            3 * step, imu=(make_imu(3 * step, 9.81 * (share + reaction)),), rotor_speed_radps=speed
         )
         if detector.update(obs, make_estimate(3 * step, Pose.identity(), (0.0, 0.0, 0.3))):
             break

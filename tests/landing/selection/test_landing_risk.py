@@ -1,8 +1,6 @@
 """The probability of a safe touchdown, the stages beside their library version, Quick Shift beside
 scikit-image's."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path

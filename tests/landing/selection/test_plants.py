@@ -1,7 +1,5 @@
 """Ground under low plants: taken where plants are wide and let pulses through, nowhere else."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every limit, margin and feature of the selection, each by itself on otherwise perfect ground."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 from typing import Any
@@ -61,18 +59,11 @@ def changed(layer: str, value: float, spot: Any = SPOT, slope_deg: float = 0.0) 
     return grid
 
 
-# ------------------------------------------------------------------------------- the gates
-
-
-@pytest.mark.parametrize(
-    ("layer", "just_good", "just_bad", "defect"),
-    [
-        ("count", 4.0, 3.0, Defect.SPARSE),
-        ("height_std_m", 0.049, 0.051, Defect.ROUGH),
-        ("height_m", 0.079, 0.081, Defect.STEP),
-        ("max_height_m", 0.149, 0.151, Defect.OBSTACLE),
-    ],
-)
+@pytest.mark.parametrize(("layer", "just_good", "just_bad", "defect"), [
+    ("count", 4.0, 3.0, Defect.SPARSE), ("height_std_m", 0.049, 0.051, Defect.ROUGH),
+    ("height_m", 0.079, 0.081, Defect.STEP),
+    ("max_height_m", 0.149, 0.151, Defect.OBSTACLE),
+])  # fmt: skip
 def test_each_gate_by_itself(layer: str, just_good: float, just_bad: float, defect: Defect) -> None:
     """One cell of level ground, a little within its limit and a little beyond."""
     assert judged(changed(layer, just_good)).defect[SPOT] < defect
@@ -129,9 +120,6 @@ def test_a_commanded_site_has_the_smaller_margin() -> None:
     ).allowed[SPOT]
 
 
-# ------------------------------------------------------------------------------- the features
-
-
 def features(grid: GridMap, **more: float) -> RiskFeatures:
     return risk_features(raster_of(grid), judged(grid), PARAMS, **({"now_s": 0.0} | more))
 
@@ -180,9 +168,6 @@ def test_unknown_ground_motion_water_and_the_edge_are_closed_whatever_the_weight
     wet = level()
     wet.missing[38:43, 38:43] = 30.0
     assert not features(wet).open[SPOT]
-
-
-# ------------------------------------------------------------------------------- the selection
 
 
 def selected(grid: GridMap, limits: SelectionLimits | None = None, **more: Any) -> Selection:
@@ -273,9 +258,6 @@ def test_a_third_of_the_list_is_left_to_refused_sites_and_all_keep_their_distanc
         assert _shortlist(spots, value, assessed, params) == [(0, col) for col in wanted]
 
 
-# ------------------------------------------------------------------------------- the costmap
-
-
 def test_small_holes_in_the_colour_are_no_edges() -> None:
     rgb = np.full((40, 40, 3), 200.0, np.float32)
     rgb[10, 10] = rgb[20:22, 20:22] = np.nan
@@ -309,9 +291,6 @@ def test_pooled_cells_keep_lowest_missing_newest_and_brightness() -> None:
     assert merged.low[0, 0] == pytest.approx(-0.1)
     assert (merged.missing[0, 0], merged.last_seen[0, 0]) == (10.0, 9.0)
     assert merged.intensity[0, 0] == pytest.approx((100 + 200 + 300 + 2400) / 60)
-
-
-# ------------------------------------------------------------------------------- the second look
 
 
 def fine(height: Array) -> GridMap:

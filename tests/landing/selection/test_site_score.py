@@ -1,7 +1,5 @@
 """The terms of a site's value, the order of the sites, and the rules that refuse them."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -162,9 +160,6 @@ def test_candidates_keep_their_spacing() -> None:
         xy = np.array([site.position_odom[:2] for site in sites])
         gaps = np.linalg.norm(xy[:, None] - xy[None], axis=2) + np.eye(len(xy)) * 99.0
         assert len(xy) > 1 and gaps.min() >= spacing - 1e-6
-
-
-# -------------------------------------------------------------------------------------- the reason
 
 
 def _site(

@@ -67,15 +67,11 @@ def place() -> Scene:
     east = np.tile(np.arange(400) >= 200, (400, 1)).astype(np.uint8)
     plants = Surface(land_class="lawn", reflectivity=0.4, canopy_m=CANOPY_M, leaf_area=LEAVES)
     raster = GroundRaster(
-        geom_name="ground",
-        origin_xy_m=np.array([-20.0, -20.0]),
-        cell_m=0.1,
-        class_id=east,
-        reflectivity=np.full((400, 400), 0.4, np.float32),
-        material=east,
+        geom_name="ground", origin_xy_m=np.array([-20.0, -20.0]), cell_m=0.1, class_id=east,
+        reflectivity=np.full((400, 400), 0.4, np.float32), material=east,
         materials=(plants, Surface(land_class="road", reflectivity=0.4)),
         detail_id=np.full((400, 400), DETAILS.index("grass"), np.uint8),
-    )
+    )  # fmt: skip
     return dataclasses.replace(scene, ground=raster)
 
 
@@ -134,11 +130,6 @@ def test_visible_height_is_the_mean_of_the_law_of_the_pulses() -> None:
     free = 2.0 * height / LEAVES
     low = 0.05 - free * (1.0 - np.exp(-0.05 / free))
     np.testing.assert_allclose(detail.visible_height_m(x, y, 0.05), low, rtol=1e-4)
-
-
-def test_without_vegetation_there_are_no_plants() -> None:
-    assert SurfaceDetail.plants_of(BARE, place()) is None
-    assert Cover.of(place(), None) is None
 
 
 def test_depth_over_a_meadow_is_nearer_by_the_visible_height(
@@ -210,18 +201,6 @@ def test_the_picture_without_vegetation_is_the_same_to_the_bit() -> None:
     plain = sensors_of(BARE)
     np.testing.assert_array_equal(plain.view(pose, 0.0, 0).rgb, expected)
     plain.close()
-
-
-def test_the_model_of_physics_and_lidar_keeps_its_ground() -> None:
-    model = place().model
-    before = model.hfield_data.copy()
-    made = sensors_of(GRASS, samples=4)
-    made.view(above(MEADOW, 4.0), 0.0, 0)
-    made.close()
-    np.testing.assert_array_equal(model.hfield_data, before)
-    found = cover()
-    assert found.field == int(model.geom_dataid[model.geom("ground").id]) != 0
-    assert found.model.hfield_data.max() > 0.0
 
 
 def test_grain_lies_on_the_plants() -> None:
@@ -296,3 +275,20 @@ def test_the_world_s_camera_and_rangefinder_see_the_plants() -> None:
     x, y = (np.array([value]) for value in MEADOW)
     expected = plants().visible_height_m(x, y)[0]
     assert bare_range - reading == pytest.approx(expected, abs=0.005)
+
+
+def test_the_model_of_physics_and_lidar_keeps_its_ground() -> None:
+    model = place().model
+    before = model.hfield_data.copy()
+    made = sensors_of(GRASS, samples=4)
+    made.view(above(MEADOW, 4.0), 0.0, 0)
+    made.close()
+    np.testing.assert_array_equal(model.hfield_data, before)
+    found = cover()
+    assert found.field == int(model.geom_dataid[model.geom("ground").id]) != 0
+    assert found.model.hfield_data.max() > 0.0
+
+
+def test_without_vegetation_there_are_no_plants() -> None:
+    assert SurfaceDetail.plants_of(BARE, place()) is None
+    assert Cover.of(place(), None) is None

@@ -3,10 +3,7 @@
 import csv
 import dataclasses
 import functools
-import os
 from pathlib import Path
-
-os.environ.setdefault("MUJOCO_GL", "egl")
 
 import cv2
 import mujoco
@@ -87,20 +84,6 @@ def test_grain_keeps_the_colour_and_has_no_large_structures(name: str) -> None:
     # A tile's quarters look alike: what differs would be seen to repeat.
     quarters = cv2.resize(ratio, (4, 4), interpolation=cv2.INTER_AREA)
     assert np.abs(quarters - 1.0).max() < 0.03
-
-
-def test_photographs_are_prepared_once_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every world has a pyramid of its own, of photographs that nothing writes to."""
-    first = detail.pyramid(("sand", "snow"))
-
-    def blur(*_: object, **__: object) -> None:
-        pytest.fail("blurred once more")
-
-    monkeypatch.setattr(cv2, "GaussianBlur", blur)
-    again = detail.pyramid(("sand", "snow"))
-    np.testing.assert_array_equal(again.texels, first.texels)
-    with pytest.raises(ValueError, match="read-only"):
-        detail.grain("sand")[0, 0, 0] = 1
 
 
 def test_pyramid_halves_the_photographs() -> None:

@@ -1,7 +1,5 @@
 """The process in which libraries in C are tried: its limits, and what is said when they are met."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -2,40 +2,24 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene, Surface
 from touchdown.sim.api import LidarParams, LidarScan
-from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
+from touchdown.sim.frames import Pose
 from touchdown.sim.lidar.patterns.livox import HORIZON, PATTERNS
 from touchdown.sim.lidar.sensor import LidarSensor, beam_parts
 from touchdown.sim.moving import BodyTrack
 
+from support.lidar_support import BRIGHT, DOWN, PLANE, make_scene
+
 Array = NDArray[np.float64]
 
-DOWN = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3))
 NOISELESS = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0)
 RAYS = replace(NOISELESS, divergence=False)
-BRIGHT = Surface(land_class="other", reflectivity=0.8)
 DARK = Surface(land_class="other", reflectivity=0.05)
-PLANE = '<geom name="plane" type="plane" size="0 0 1"/>'
-
-
-def make_scene(world: str, **surfaces: Surface) -> Scene:
-    return Scene(
-        name="test",
-        seed=0,
-        model=mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{world}</worldbody></mujoco>"),
-        takeoff_xy_m=np.zeros(2),
-        takeoff_yaw=0.0,
-        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
-        surfaces=surfaces,
-        ground=None,
-        moving=(),
-    )
 
 
 def scan_from(height: float, scene: Scene, params: LidarParams) -> LidarScan:
@@ -59,7 +43,7 @@ def half_plane(top: float) -> str:
 def test_low_step_gives_ranges_in_between() -> None:
     """0.3 m are less than the pulse is long: one echo at the mean range, and only where the beam
     reaches over the edge. Its outer parts lie 0.174 degrees off the axis: 9.1 cm at 30 m."""
-    scene = make_scene(PLANE + half_plane(0.3), plane=BRIGHT, block=BRIGHT)
+    scene = make_scene(PLANE + half_plane(0.3), {"plane": BRIGHT, "block": BRIGHT})
     wide, thin = (points(scan_from(30.0, scene, p), 30.0) for p in (NOISELESS, RAYS))
     mixed = (wide[:, 2] > 0.02) & (wide[:, 2] < 0.28)
     assert not ((thin[:, 2] > 0.02) & (thin[:, 2] < 0.28) & (np.abs(thin[:, 0]) > 1e-3)).any()
@@ -73,7 +57,7 @@ def test_low_step_gives_ranges_in_between() -> None:
 
 
 def test_high_step_gives_one_of_two_echoes() -> None:
-    scene = make_scene(PLANE + half_plane(4.0), plane=BRIGHT, block=DARK)
+    scene = make_scene(PLANE + half_plane(4.0), {"plane": BRIGHT, "block": DARK})
     first, strongest = (
         points(scan_from(30.0, scene, replace(NOISELESS, return_mode=mode)), 30.0)
         for mode in ("first", "strongest")
@@ -89,7 +73,7 @@ def test_high_step_gives_one_of_two_echoes() -> None:
 
 def test_wire_is_seen_by_beams_whose_axis_passes_it() -> None:
     wire = '<geom name="wire" type="capsule" size="0.008 20" pos="0 0 18" euler="90 0 0"/>'
-    scene = make_scene(PLANE + wire, plane=BRIGHT, wire=BRIGHT)
+    scene = make_scene(PLANE + wire, {"plane": BRIGHT, "wire": BRIGHT})
     wide, thin = (points(scan_from(30.0, scene, p), 30.0)[:, 2] > 17.5 for p in (NOISELESS, RAYS))
     assert thin.sum() > 20
     assert wide.sum() > 1.5 * thin.sum()
@@ -97,13 +81,13 @@ def test_wire_is_seen_by_beams_whose_axis_passes_it() -> None:
 
 def test_level_ground_and_walls_are_untouched() -> None:
     wall = '<geom name="wall" type="box" size="30 0.5 30" pos="0 6 0"/>'
-    scene = make_scene(PLANE + wall, plane=BRIGHT, wall=BRIGHT)
+    scene = make_scene(PLANE + wall, {"plane": BRIGHT, "wall": BRIGHT})
     wide, thin = (scan_from(20.0, scene, params) for params in (NOISELESS, RAYS))
     np.testing.assert_allclose(wide.ranges, thin.ranges, atol=0.02)
 
 
 def test_same_seed_same_echoes() -> None:
-    scene = make_scene(PLANE + half_plane(2.0), plane=BRIGHT, block=DARK)
+    scene = make_scene(PLANE + half_plane(2.0), {"plane": BRIGHT, "block": DARK})
     one, other = (scan_from(30.0, scene, LidarParams()) for _ in range(2))
     assert one.ranges.tobytes() == other.ranges.tobytes()
     assert one.intensity.tobytes() == other.intensity.tobytes()
@@ -123,7 +107,7 @@ def test_parts_of_a_beam() -> None:
     ("preset", "pulses"), [("horizon", 24_000), ("avia", 24_000), ("mid360", 20_000)]
 )
 def test_presets_scan_at_their_rate(preset: str, pulses: int) -> None:
-    scene = make_scene(PLANE, plane=BRIGHT)
+    scene = make_scene(PLANE, {"plane": BRIGHT})
     scan = scan_from(10.0, scene, replace(NOISELESS, preset=preset))
     assert scan.ranges.shape == (pulses,)
     down = scan.directions[:, 2]
@@ -147,7 +131,9 @@ def test_maximum_ranges_of_presets_match_the_data_sheet(
     def share(distance: float) -> float:
         ball = f'<geom name="ball" type="sphere" size="{distance}"/>'
         params = replace(RAYS, preset=preset, max_range_m=1000.0)
-        return float(np.mean(scan_from(0.0, make_scene(ball, ball=surface), params).ranges > 0.0))
+        return float(
+            np.mean(scan_from(0.0, make_scene(ball, {"ball": surface}), params).ranges > 0.0)
+        )
 
     assert PATTERNS[preset].range_limits_m[0] <= limit
     assert share(0.95 * limit) > 0.98

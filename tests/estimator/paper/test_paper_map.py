@@ -1,0 +1,253 @@
+"""The visual map of `paper`: its keyframes, their bundle adjustment and loop closures."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import PaperParams
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.paper.camera_pose import CameraPositioning, with_common_errors
+from touchdown.estimator.paper.closures import Closures
+from touchdown.estimator.paper.pnp import reprojection_errors
+from touchdown.estimator.paper.visual_map import LandmarkSet, MapKeyframe, Sightings
+from touchdown.sim.frames import Pose, so3_exp
+
+from support.paper_flight import (
+    PLAIN,
+    RIG,
+    START_Z,
+    image_from,
+)
+
+IMU_FROM_CAMERA = RIG.body_from_imu.inverse() @ RIG.body_from_camera
+NOTHING = np.zeros((0, 3))
+NO_EDGES = np.zeros((120, 212), np.float32)
+
+
+def params(**changes: Any) -> PaperParams:
+    return dataclasses.replace(PLAIN, edge_model="gradient", **changes)
+
+
+def positioning(**changes: Any) -> CameraPositioning:
+    """Over level ground that the LIDAR has just seen."""
+    inertial, recent = InertialFilter(RIG, 0.1), RecentReturns()
+    side = np.linspace(-20.0, 20.0, 101)
+    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
+    recent.add(np.column_stack([x, y, np.zeros(len(x))]))
+    return CameraPositioning(RIG, params(**changes), inertial, recent)
+
+
+def none_of(kind: int) -> LandmarkSet:
+    size = 128 if kind == 0 else 64
+    nothing = np.zeros(0, np.int64)
+    empty = np.zeros((0, size), np.uint8)
+    return LandmarkSet(NOTHING, np.zeros((0, 2)), empty, np.zeros(0), nothing)
+
+
+def keyframe(number: int, odom: Pose, in_map: Pose) -> MapKeyframe:
+    return MapKeyframe(number, 60 * number, odom, in_map, 12.0, (none_of(0), none_of(1)))
+
+
+def test_a_bundle_repairs_the_free_keyframes_and_the_newest_pose() -> None:
+    """Two fixed keyframes host 120 landmarks; two later ones and the image are displaced."""
+    rng = np.random.default_rng(4)
+    truth = [
+        Pose(so3_exp(np.array([0.0, 0.01 * k, 0.02 * k])), np.array([0.8 * k, 0.1 * k, 12.0]))
+        for k in range(5)
+    ]
+    points = np.column_stack([rng.uniform(-5, 7, 120), rng.uniform(-4, 4, 120), np.zeros(120)])
+    pixels = [
+        -reprojection_errors(np.zeros((120, 2)), points, pose, IMU_FROM_CAMERA, RIG.camera)
+        for pose in truth
+    ]
+    shift = np.array([0.12, -0.08, 0.01])
+    start = [Pose(p.rotation, p.translation + (k > 1) * shift) for k, p in enumerate(truth)]
+    offset = Pose(so3_exp(np.array([0.0, 0.0, 0.3])), np.array([5.0, 1.0, 0.0]))
+    window = [keyframe(k, start[k], offset @ start[k]) for k in range(4)]
+    hosts, indices = np.repeat([0, 1], 60), np.tile(np.arange(60), 2)
+    errors = []
+    for k in (0, 1):
+        mine = hosts == k
+        inside = (truth[k] @ IMU_FROM_CAMERA).inverse().apply(points[mine])
+        depths = inside[:, 2] * (1.0 + 0.003 * rng.standard_normal(60))
+        placed = IMU_FROM_CAMERA.apply(inside * (depths / inside[:, 2])[:, None])
+        words = np.zeros(60, np.int64)
+        found = LandmarkSet(placed, pixels[k][mine], np.zeros((60, 128), np.uint8), depths, words)
+        window[k].landmarks = (found, none_of(1))
+        errors.append(np.abs(depths - inside[:, 2]).mean())
+
+    def seen(k: int) -> Sightings:
+        return Sightings(hosts, np.zeros(120, np.int64), indices, pixels[k])
+
+    for k in (2, 3):
+        window[k].sightings = seen(k)
+    camera = positioning(sift_sigma_px=0.1)
+    camera._map.keyframes = window
+    newest = camera._adjust(start[4], seen(4))
+    for found_pose, true in zip([*(k.odom_from_imu for k in window), newest], truth, strict=True):
+        np.testing.assert_allclose(found_pose.translation, true.translation, atol=0.01)
+    for k in window:
+        np.testing.assert_allclose(
+            k.map_from_imu.translation, (offset @ k.odom_from_imu).translation, atol=1e-9
+        )
+    inside = (truth[0] @ IMU_FROM_CAMERA).inverse().apply(points[:60])
+    refined = IMU_FROM_CAMERA.inverse().apply(window[0].landmarks[0].points)
+    assert np.abs(refined[:, 2] - inside[:, 2]).mean() < 0.6 * errors[0]
+    np.testing.assert_array_equal(window[1].odom_from_imu.translation, truth[1].translation)
+    still = positioning(use_bundle=False)
+    assert still._adjust(start[4], seen(4)) is start[4]
+
+
+def test_a_closure_moves_the_newest_keyframe_by_its_share_of_the_information() -> None:
+    """Four hops of 6 mm and a closure of 12 mm, the same variance: half of 2 mm."""
+    closures = Closures(0.1, 0.01)
+    words = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+    keyframes = []
+    for k in range(5):
+        pose = Pose(np.eye(3), np.array([5.0 * k, 0.0, 12.0]))
+        keyframes.append(keyframe(k, pose, pose))
+        closures.add(keyframes[-1], words, k - 1 if k else None)
+        closures.refresh_odometry({one.number: one for one in keyframes[-2:]})
+    seen = Pose(np.eye(3), np.array([20.002, 0.0, 12.0]))
+    closures.close(keyframes[0], keyframes[4], seen, 0.012**-2 * np.eye(6))
+    closures.settle(keyframes)
+    moved = [k.map_from_imu.translation[0] - k.odom_from_imu.translation[0] for k in keyframes]
+    np.testing.assert_allclose(moved, 0.00025 * np.arange(5), atol=3e-5)
+    assert closures.drift_covariance[0, 0] == pytest.approx(0.5 * 0.012**2, rel=0.05)
+    at = closures.advance(keyframes[4].odom_from_imu.translation, 1.0)
+    np.testing.assert_allclose(at.translation, [moved[4], 0.0, 0.0], atol=1e-5)
+
+
+def test_a_closure_is_weighed_in_the_frame_of_its_source() -> None:
+    """Information on x in the map is information on -y of a source that looks north."""
+    closures = Closures(0.1, 0.01)
+    words = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+    north = Pose(so3_exp(np.array([0.0, 0.0, np.pi / 2])), np.array([1.0, 2.0, 12.0]))
+    ends = [keyframe(k, north, north) for k in (0, 1)]
+    for end in ends:
+        closures.add(end, words, None)
+    closures.close(ends[0], ends[1], north, np.diag([1.0, 2.0, 3.0, 40.0, 5.0, 6.0]))
+    edge = closures._graph.edges[0]
+    np.testing.assert_allclose(np.diag(edge.information), [1.0, 2.0, 3.0, 5.0, 40.0, 6.0])
+    np.testing.assert_allclose(edge.measured.translation, 0.0, atol=1e-12)
+
+
+def test_a_revisit_closes_the_loop() -> None:
+    """Out and back again in four images; the odometry has drifted by 2 cm in the meantime."""
+    camera = positioning(recent_keyframes=1, use_camera_pose=False, use_bundle=False)
+    eskf = camera._filter.eskf
+    places = ((0.0, 0.0), (0.0, 9.0), (7.0, 9.0), (0.0, 0.0))
+    for number, xy in enumerate(places):
+        body = Pose(np.eye(3), np.array([*xy, START_Z]))
+        image = image_from(body, 60 * number)
+        odom = body.translation + RIG.body_from_imu.translation + [0.02 * (number == 3), 0.0, 0.0]
+        eskf.state = dataclasses.replace(eskf.state, position=odom)
+        camera.take(image, NO_EDGES)
+    assert camera.diagnostics["closures"] >= 1.0 and camera.diagnostics["keyframes"] == 4.0
+    newest = camera._map.keyframes[-1]
+    moved = newest.map_from_imu.translation - newest.odom_from_imu.translation
+    # hops of 6 mm against 15 mm of a closure: the images do not win it all
+    assert -0.014 < moved[0] < -0.004
+    assert np.abs(moved[1:]).max() < 2e-3
+    frame, drift = camera.world_from_odom(1.0)
+    assert frame.apply(newest.odom_from_imu.translation)[0] == pytest.approx(
+        newest.map_from_imu.translation[0], abs=1e-6
+    )
+    assert 0.0 < drift[0, 0] < 0.02**2
+
+
+def test_a_new_keyframe_continues_the_closed_map() -> None:
+    """Where closures have moved the newest keyframe, the next one is moved as far."""
+    camera = positioning(use_closures=False, use_camera_pose=False, use_bundle=False)
+    eskf = camera._filter.eskf
+    offset = Pose(so3_exp(np.array([0.0, 0.0, 0.1])), np.array([0.5, -0.2, 0.0]))
+    for number, x in enumerate((0.0, 3.0)):
+        body = Pose(np.eye(3), np.array([x, 0.0, START_Z]))
+        image = image_from(body, 60 * number)
+        eskf.state = dataclasses.replace(
+            eskf.state, position=body.apply(RIG.body_from_imu.translation)
+        )
+        camera.take(image, NO_EDGES)
+        last = camera._map.keyframes[-1]
+        last.map_from_imu = offset @ last.odom_from_imu if number == 0 else last.map_from_imu
+    assert len(camera._map.keyframes) == 2 and camera.diagnostics["landmarks_used"] >= 30
+    np.testing.assert_allclose(
+        last.map_from_imu.translation, (offset @ last.odom_from_imu).translation, atol=1e-9
+    )
+    np.testing.assert_allclose(last.map_from_imu.rotation, offset.rotation, atol=1e-9)
+    # its own landmarks are those that the first has not, at the depth of the ground
+    own = last.landmarks[0].points
+    assert len(own) > 10
+    np.testing.assert_allclose(last.odom_from_imu.apply(own)[:, 2], 0.0, atol=0.05)
+
+
+def test_errors_that_landmarks_share_limit_the_information() -> None:
+    """A map that is tilted about its centre, 10 m below, moves the camera across by 10 m a rad."""
+    pose = Pose(np.eye(3), np.array([2.0, 3.0, 10.0]))
+    own = np.diag([1e6, 2e6, 3e6, 4e4, 5e4, 6e4])
+    found = np.linalg.inv(with_common_errors(own, pose, np.array([2.0, 3.0, 0.0])))
+    tilt = np.radians(0.5) ** 2
+    expected = np.linalg.inv(own)
+    expected += np.diag([1e-4, 1e-4, np.radians(0.02), 0.008, 0.008, 0.02]) ** 2
+    expected[:2, :2] += tilt * np.eye(2)
+    expected[3:5, 3:5] += 100.0 * tilt * np.eye(2)
+    expected[0, 4] = expected[4, 0] = -10.0 * tilt  # a turn about x moves it to -y
+    expected[1, 3] = expected[3, 1] = 10.0 * tilt
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_an_image_is_due_after_a_while_or_a_way() -> None:
+    camera = positioning(keyframe_period_s=0.5, keyframe_distance_m=2.0)
+    camera._last_tick = 600
+    assert not camera.due(840) and camera.due(900)
+    eskf = camera._filter.eskf
+    for metres, due in ((1.9, False), (2.1, True)):
+        there = camera._last_position + [0.0, metres, 0.0]
+        eskf.state = dataclasses.replace(eskf.state, position=there)
+        assert camera.due(840) is due
+
+
+def test_landmarks_are_searched_within_three_standard_deviations() -> None:
+    camera = positioning()
+    eskf = camera._filter.eskf
+    eskf.covariance[:6, :6] = np.diag([0.0, 0.0, 0.01, 0.0, 0.09, 0.0]) ** 2
+    frames = [keyframe(0, Pose.identity(), Pose.identity())]
+    # 0.09 m at 12 m and 0.01 rad
+    assert camera._radius(frames) == pytest.approx(6.0 + 3.0 * 0.0175 * RIG.camera.fx)
+    eskf.covariance[:6, :6] *= 100.0
+    assert camera._radius(frames) == 40.0
+    eskf.covariance[:6, :6] = 0.0
+    assert camera._radius(frames) == camera._radius([]) == 10.0
+
+
+def test_an_image_is_kept_where_it_shows_something_new() -> None:
+    camera = positioning()
+    many, few = (
+        Sightings(*np.zeros((3, count), np.int64), np.zeros((count, 2))) for count in (30, 29)
+    )
+    assert camera._worth_keeping(many)
+    here = camera._filter.eskf.state.position
+    for metres, kept in ((0.35, False), (0.37, True)):  # of 3 % of 12 m
+        pose = Pose(np.eye(3), here + [metres, 0.0, 0.0])
+        camera._map.keyframes = [keyframe(0, pose, pose)]
+        assert camera._worth_keeping(many) is kept
+        assert camera._worth_keeping(few)
+
+
+def test_candidates_share_words_and_are_asked_for() -> None:
+    closures = Closures(0.1, 0.01)
+    for number, words in enumerate(([1, 2, 3], [1, 2, 9], [1, 8, 7], [1, 2, 3])):
+        pose = Pose.identity()
+        none = np.zeros(0, np.int64)
+        closures.add(keyframe(number, pose, pose), (np.array(words), none), None)
+    asked = np.array([1, 2, 3]), np.zeros(0, np.int64)
+    assert closures.candidates(asked, {0, 1, 2}, 2) == [0, 1]  # the word 1 is everywhere
+    assert closures.candidates(asked, {0, 1, 2, 3}, 1) == [0]
+    assert closures.candidates(asked, {2}, 2) == []
+    other = np.zeros(0, np.int64), np.array([1, 2, 3])  # words of the other kind
+    assert closures.candidates(other, {0, 1, 2}, 2) == []

@@ -1,0 +1,368 @@
+"""Every step of the paper's positioning: what it repairs of a disturbed state, and by how much."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import PaperParams
+from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.paper import lidar_pose, registration
+from touchdown.estimator.paper.bundle import _reduced_system
+from touchdown.estimator.paper.depth_field import DepthField, half_size_energy
+from touchdown.estimator.paper.estimator import PaperEstimator
+from touchdown.estimator.paper.lidar_pose import scan_features
+from touchdown.estimator.paper.pnp import CameraPose, reprojection_errors, solve_pnp
+from touchdown.estimator.paper.pose_graph import Edge, PoseGraph, edge_residual
+from touchdown.estimator.paper.structured_edges.detector import GradientEdges
+from touchdown.sim.frames import Pose, so3_exp, so3_log
+
+from support.paper_flight import (
+    FLIGHT,
+    HZ,
+    PLAIN,
+    RIG,
+    START_Z,
+    error,
+    ground_seen,
+    image_from,
+    make_rig,
+    position_at,
+    scan_ending_at,
+)
+
+IMU_FROM_CAMERA = RIG.body_from_imu.inverse() @ RIG.body_from_camera
+NOTHING = np.zeros((0, 3))
+
+
+def params(**changes: Any) -> PaperParams:
+    return dataclasses.replace(PLAIN, edge_model="gradient", **changes)
+
+
+# ------------------------------------------------------------------------------- the filter
+
+
+@pytest.mark.parametrize(
+    ("sensor", "shift", "turn"),
+    [
+        ("lidar", [0.0, 0.0, 0.1], [0.0, 0.0, 0.0]),
+        ("lidar", [0.0, 0.0, 0.0], [0.03, -0.02, 0.0]),
+        ("camera", [0.1, -0.08, 0.0], [0.0, 0.0, 0.0]),
+        ("camera", [0.0, 0.0, 0.0], [0.0, 0.0, 0.02]),
+    ],
+)
+def test_a_displaced_pose_is_pulled_back(sensor: str, shift: Any, turn: Any) -> None:
+    """Algorithm 1 knows height and tilt over level ground, PnP position and heading."""
+    alone = {f"use_{name}_pose": name == sensor for name in ("lidar", "camera")}
+    estimator = PaperEstimator(RIG, params(keyframe_period_s=0.1, **alone))
+    inertial = estimator._filter
+    for obs in FLIGHT:
+        if obs.tick == 393:  # the scan and the image of 360 come next
+            state, covariance = inertial.eskf.state, inertial.eskf.covariance
+            inertial.eskf.state = dataclasses.replace(
+                state,
+                position=state.position + shift,
+                rotation=state.rotation @ so3_exp(np.array(turn)),
+            )
+            covariance[3:6, 3:6] += np.diag(np.where(np.array(shift) == 0.0, 0.0, 0.3**2))
+            covariance[:3, :3] += np.diag(np.where(np.array(turn) == 0.0, 0.0, 0.1**2))
+            inertial._trail.follow(inertial.eskf.state)
+            inertial.catch_up()
+        estimate = estimator.update(obs)
+        if obs.tick == 396:
+            state = inertial.eskf.state
+            truth = position_at(360 / HZ) + RIG.body_from_imu.translation
+            assert np.abs(state.position - truth).max() < 0.02
+            assert np.abs(so3_log(state.rotation)).max() < 0.003
+        if obs.tick == 699:
+            break
+    # half a second later the correction has reached what control is given
+    assert error(estimate) < 0.03
+
+
+# ------------------------------------------------------------------------------- Algorithm 1
+
+
+def test_the_fifth_that_fits_worst_is_left_out_of_each_kind() -> None:
+    distances = np.array([0.9, 0.1, 0.2, 0.3, 0.4, 0.01, 0.02, 0.03, 0.05, 0.04])
+    is_edge = np.arange(10) < 5
+    kept = registration._keep_best(distances, is_edge)
+    assert np.flatnonzero(~kept).tolist() == [0, 8]
+
+
+def test_normal_equations_are_derivatives_of_the_robust_cost() -> None:
+    """Of lines and of planes: the vector is minus the gradient of sum 9/2 log(1 + d^2 / 9 s^2)."""
+    rng = np.random.default_rng(0)
+    local, anchors, axes = rng.normal(0.0, 2.0, (3, 12, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    is_edge, sigmas = np.arange(12) % 2 == 0, np.array([0.4, 0.7])
+    pose = Pose(so3_exp(np.array([0.3, -0.2, 0.5])), np.array([0.5, -1.0, 0.2]))
+
+    def cost(delta: np.ndarray) -> float:
+        moved = registration._moved(pose, delta)
+        offset = moved.apply(local) - anchors
+        along = (offset * axes).sum(axis=1)
+        square = np.where(is_edge, (offset**2).sum(axis=1) - along**2, along**2)
+        sigma2 = np.where(is_edge, *sigmas) ** 2
+        return float(4.5 * np.log1p(square / (9.0 * sigma2)).sum())
+
+    information, vector = registration._normal_equations(
+        local, anchors, axes, is_edge, pose.rotation, pose.translation, sigmas
+    )
+    step = 1e-6 * np.eye(6)
+    slope = [(cost(e) - cost(-e)) / 2e-6 for e in step]
+    np.testing.assert_allclose(vector, -np.array(slope), rtol=1e-5, atol=1e-6)
+    assert np.linalg.eigvalsh(information)[0] > 0.0
+    np.testing.assert_allclose(information, information.T)
+
+
+def test_the_worst_fifth_does_not_enter_the_pose() -> None:
+    """Level ground 10 m below with posts of 0.3 m in a tenth of it: the posts go."""
+    rng = np.random.default_rng(2)
+    ground = np.column_stack([rng.uniform(-8, 8, (30000, 2)), np.zeros(30000)])
+    planes, edges = registration.FeatureMap(0.5, 1 << 12), registration.FeatureMap(0.3, 1 << 8)
+    planes.insert(ground)
+    seen = np.column_stack([rng.uniform(-5, 5, (500, 2)), np.full(500, -10.0)])
+    seen[:50, 2] += 0.3
+    guess = Pose(np.eye(3), np.array([0.0, 0.0, 10.05]))
+    result = registration.register_scan(
+        registration.ScanFeatures(NOTHING, seen),
+        registration.FeatureMaps(edges, planes),
+        registration.PosePrior(guess, 1e-2 * np.eye(6)),
+        edge_sigma_m=0.05, plane_sigma_m=0.05,
+    )  # fmt: skip
+    assert result is not None and result.converged
+    assert result.planes > 200 and result.edges == 0
+    assert result.rms_m < 1e-6
+    assert result.pose.translation[2] == pytest.approx(10.0, abs=1e-6)
+
+
+# ------------------------------------------------------------------------------- Eqs. 7, 8 and 12
+
+
+def test_colour_smoothness_finds_a_painted_edge_on_plain_ground() -> None:
+    """Flat ground is white from x = 2 m on: the strongest edges lie on that line."""
+    scan = scan_ending_at(60)
+    beams = scan.directions.astype(float) * scan.ranges[:, None]
+    in_camera = (RIG.body_from_camera.inverse() @ RIG.body_from_lidar).apply(beams)
+    white = ground_seen(Pose(np.eye(3), np.array([0.0, 0.0, START_Z])))[..., :1] > 2.0
+    rgb = np.where(white, 220, 60).astype(np.uint8).repeat(3, axis=2)
+    energy = half_size_energy(rgb, GradientEdges())
+    pulses, few = np.arange(len(beams)), params(edge_points=30)
+    chosen, f_c = scan_features(beams, beams, in_camera, pulses, energy, RIG.camera, few)
+    none, _ = scan_features(beams, beams, in_camera, pulses, None, RIG.camera, few)
+    x = RIG.body_from_lidar.apply(beams)[:, 0]
+    painted = np.setdiff1d(chosen.edges, none.edges)
+    assert len(painted) > 20 and len(chosen.planes) > 400
+    assert np.median(np.abs(x[painted] - 2.0)) < 0.3
+    across, aside = np.abs(x - 2.0) < 0.1, np.abs(x - 2.0) > 1.0
+    assert np.nanmedian(f_c[across]) > 5.0 * np.nanmedian(f_c[aside])
+
+
+def test_returns_are_projected_to_where_the_image_was_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """0.5 m before the end of the scan."""
+    seen: list[np.ndarray] = []
+    monkeypatch.setattr(
+        lidar_pose, "scan_colour_smoothness",
+        lambda energy, points, camera: seen.append(points) or np.zeros(len(points)),
+    )  # fmt: skip
+    beams = np.random.default_rng(0).uniform([-4, -4, 11], [4, 4, 12], (60, 3))
+    body = RIG.body_from_lidar.apply(beams)
+    placed = PlacedScan(RIG.body_from_imu.inverse().apply(body), beams, np.arange(60))
+    inertial = InertialFilter(RIG, 0.1)
+    lidar = lidar_pose.LidarPositioning(RIG, params(), inertial, RecentReturns())
+    before = inertial.eskf.state.pose
+    inertial.eskf.state = dataclasses.replace(
+        inertial.eskf.state, position=before.translation + [0.5, 0.0, 0.0]
+    )
+    for pose, moved in ((None, 0.0), (before, 0.5)):
+        lidar._features(placed, np.zeros((2, 2), np.float32), pose)
+        expected = RIG.body_from_camera.inverse().apply(body + [moved, 0.0, 0.0])
+        np.testing.assert_allclose(seen[-1], expected, atol=1e-9)
+
+
+def test_the_estimator_uses_colour_where_the_ground_is_flat() -> None:
+    edges = {}
+    for use in (True, False):
+        estimator = PaperEstimator(RIG, params(use_colour_smoothness=use))
+        last = [estimator.update(obs) for obs in FLIGHT if obs.tick <= 219][-1]
+        edges[use] = last.diagnostics.get("map_edges", 0.0)
+    assert edges[True] > 10.0 * edges[False] + 100.0
+
+
+def test_depth_of_a_pixel_is_that_of_the_nearest_return_there() -> None:
+    """A plane that falls away to the right, a second one behind it: 12 m + 0.2 m per metre."""
+    recent = RecentReturns(scans=2, per_scan=40000)
+    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(1.0, 424, 2), np.arange(1.0, 240, 2)))
+    rays = np.column_stack(
+        [(u - RIG.camera.cx) / RIG.camera.fx, (v - RIG.camera.cy) / RIG.camera.fy, np.ones(len(u))]
+    )
+    depth = 12.0 / (1.0 - 0.2 * rays[:, 0])
+    camera = Pose(so3_exp(np.array([0.2, -0.1, 0.4])), np.array([3.0, -2.0, 5.0]))
+    for factor in (1.5, 1.0):
+        recent.add(camera.apply(rays * (factor * depth)[:, None]))
+    field = DepthField(np.zeros((120, 212), np.float32), recent, camera.inverse(), RIG.camera)
+    assert field.returns > 0.9 * len(u)
+    at = np.array([[100.0, 60.0], [300.0, 200.0]])
+    found, spread = field.depth(at)
+    expected = 12.0 / (1.0 - 0.2 * (at[:, 0] - RIG.camera.cx) / RIG.camera.fx)
+    np.testing.assert_allclose(found, expected, rtol=5e-3)
+    assert (spread < 0.1).all()
+
+
+# ------------------------------------------------------------------------------- priors
+
+
+def test_algorithm_1_weighs_its_prior() -> None:
+    """As much information in both: half way between them."""
+    rng = np.random.default_rng(2)
+    planes, edges = registration.FeatureMap(0.5, 1 << 12), registration.FeatureMap(0.3, 1 << 8)
+    planes.insert(np.column_stack([rng.uniform(-8, 8, (30000, 2)), np.zeros(30000)]))
+    seen = np.column_stack([rng.uniform(-5, 5, (500, 2)), np.full(500, -10.0)])
+    guess = Pose(np.eye(3), np.array([0.0, 0.0, 10.01]))
+    height = np.zeros(6)
+
+    def found(information: np.ndarray) -> registration.ScanPose:
+        result = registration.register_scan(
+            registration.ScanFeatures(NOTHING, seen), registration.FeatureMaps(edges, planes),
+            registration.PosePrior(guess, information), edge_sigma_m=0.05, plane_sigma_m=0.05,
+        )  # fmt: skip
+        assert result is not None
+        return result
+
+    strong = np.diag([1e9, 1e9, 1e9, 1e9, 1e9, 1e-3])
+    height[5] = found(strong).information[5, 5]
+    assert found(strong).pose.translation[2] == pytest.approx(10.0, abs=1e-5)
+    half = found(strong + np.diag(height)).pose.translation[2]
+    assert half == pytest.approx(10.005, abs=1e-4)
+
+
+def test_pnp_weighs_its_prior() -> None:
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(-5, 5, (60, 2)), rng.uniform(0, 1, 60)])
+    truth = Pose(np.eye(3), np.array([0.3, -0.2, 12.0]))
+    pixels = -reprojection_errors(np.zeros((60, 2)), points, truth, IMU_FROM_CAMERA, RIG.camera)
+    shift = np.array([0.02, -0.01, 0.015])
+    guess = Pose(so3_exp(np.array([2e-4, 1e-4, 1e-3])), truth.translation + shift)
+
+    def found(information: np.ndarray) -> CameraPose:
+        solved = solve_pnp(
+            pixels, points, np.full(60, 0.5), guess, information, IMU_FROM_CAMERA, RIG.camera
+        )
+        assert solved is not None
+        return solved
+
+    free = found(1e-9 * np.eye(6))
+    np.testing.assert_allclose(free.pose.translation, truth.translation, atol=1e-6)
+    assert free.rms_px < 1e-4
+    half = found(free.information)
+    np.testing.assert_allclose(half.pose.translation, truth.translation + 0.5 * shift, atol=5e-4)
+    assert so3_log(half.pose.rotation)[2] == pytest.approx(5e-4, abs=5e-5)
+
+
+# ------------------------------------------------------------------------------- derivatives
+
+
+def test_equations_of_the_bundle_are_derivatives_of_its_cost() -> None:
+    """Gradient anywhere; second derivatives where every residual is zero."""
+    rng = np.random.default_rng(7)
+    poses = [
+        Pose(so3_exp(0.05 * rng.standard_normal(3)), np.array([0.9 * k, -0.4 * k, 12.0]))
+        for k in range(3)
+    ]
+    hosts, camera = np.array([0, 0, 1, 2]), RIG.camera
+    rays = np.column_stack([rng.uniform(-0.3, 0.3, (4, 2)), np.ones(4)])
+    landmarks, observers = np.array([0, 0, 1, 2, 2, 3]), np.array([1, 2, 1, 0, 2, 0])
+    depths, sigmas = rng.uniform(10.0, 13.0, 4), np.full(6, 0.7)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+
+    def residuals(x: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        now = [registration._moved(p, x[6 * k : 6 * k + 6]) for k, p in enumerate(poses)]
+        out = np.zeros((6, 2))
+        for o, (m, k) in enumerate(zip(landmarks, observers, strict=True)):
+            seen = IMU_FROM_CAMERA.apply(rays[m : m + 1] * (depths[m] + x[18 + m]))
+            out[o] = reprojection_errors(
+                pixels[o : o + 1], now[hosts[m]].apply(seen), now[k], IMU_FROM_CAMERA, camera
+            )
+        return out
+
+    def equations(x: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Matrix and vector before the depths are eliminated, and the cost."""
+        now = [registration._moved(p, x[6 * k : 6 * k + 6]) for k, p in enumerate(poses)]
+        information, vector, coupling, curvature, slope, cost = _reduced_system(
+            np.array([p.rotation for p in now]), np.array([p.translation for p in now]),
+            hosts, rays, depths + x[18:], depths, 0.5, landmarks, observers, pixels, sigmas,
+            IMU_FROM_CAMERA.rotation, IMU_FROM_CAMERA.translation, lens, 3.0,
+        )  # fmt: skip
+        full = np.block([
+            [information + coupling.T / curvature @ coupling, coupling.T],
+            [coupling, np.diag(curvature)],
+        ])  # fmt: skip
+        return full, np.concatenate([vector + coupling.T @ (slope / curvature), slope]), cost
+
+    exact = -residuals(np.zeros(22), np.zeros((6, 2)))
+    off = exact + rng.normal(0.0, 1.0, exact.shape)
+    step = 1e-5 * np.eye(22)
+    x = np.concatenate([np.zeros(18), 0.1 * np.ones(4)])
+
+    def cost(at: np.ndarray) -> float:
+        square = (residuals(at, off) ** 2).sum(axis=1) / 0.7**2
+        return float(4.5 * np.log1p(square / 9.0).sum() + 0.5 * (at[18:] ** 2).sum() / 0.5**2)
+
+    gradient = [(cost(x + e) - cost(x - e)) / 2e-5 for e in step]
+    found = equations(x, off)
+    np.testing.assert_allclose(found[1], -np.array(gradient), rtol=1e-4, atol=1e-3)
+    prior = 0.5 * 4 * 0.1**2 / 0.5**2
+    assert 0.5 * found[2] + prior == pytest.approx(cost(x), rel=1e-9)
+    second = [(equations(e, exact)[1] - equations(-e, exact)[1]) / 2e-5 for e in step]
+    matrix = equations(np.zeros(22), exact)[0]
+    np.testing.assert_allclose(matrix, -np.array(second), rtol=1e-4, atol=0.5)
+
+
+def test_equations_of_the_pose_graph_are_derivatives_of_its_cost() -> None:
+    rng = np.random.default_rng(8)
+    ends = [Pose(so3_exp(rng.standard_normal(3)), 3.0 * rng.standard_normal(3)) for _ in range(2)]
+    graph = PoseGraph(np.full(6, np.inf), np.full(6, np.inf))
+    for number, end in enumerate(ends):
+        graph.add_node(number, end, end)
+    aside = Pose(so3_exp(1e-3 * rng.standard_normal(3)), 0.1 * rng.standard_normal(3))
+    root = rng.standard_normal((6, 6))
+    measured = ends[0].inverse() @ ends[1] @ aside
+    graph.add_edge(Edge(0, 1, measured, root @ root.T + 9.0 * np.eye(6), False))
+    edge = graph.edges[0]
+
+    def cost(delta: np.ndarray) -> float:
+        moved = [registration._moved(end, delta[6 * k :][:6]) for k, end in enumerate(ends)]
+        residual = edge_residual(edge, *moved)
+        return float(0.5 * residual @ edge.information @ residual)
+
+    slope = [(cost(e) - cost(-e)) / 2e-6 for e in 1e-6 * np.eye(12)]
+    np.testing.assert_allclose(graph._system()[1], -np.array(slope), rtol=5e-3, atol=5e-3)
+
+
+# ------------------------------------------------------------------------------- small steps
+
+
+def test_flat_triangles_are_no_lines() -> None:
+    line = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
+    bent = line.copy()
+    bent[2, 1] = 1.0
+    blunt = line.copy()
+    blunt[2, 1] = 0.2  # sine of 0.198 between its sides
+    flat = registration._flat_triangles(np.stack([line, bent, blunt]))
+    assert flat.tolist() == [False, True, False]
+
+
+def test_the_estimator_takes_the_lens_out_of_an_image() -> None:
+    image = image_from(Pose(np.eye(3), np.array([0.0, 0.0, START_Z])), 60)
+    assert PaperEstimator(RIG, params())._flat(image) is image
+    bent = PaperEstimator(make_rig(-0.2), params())._flat(image)
+    assert (bent.rgb[120, 212] == image.rgb[120, 212]).all()
+    assert np.abs(bent.rgb[:40].astype(float) - image.rgb[:40]).mean() > 2.0
