@@ -351,7 +351,7 @@ def _check_settable(values: Iterable[str], axes: Iterable[str], source: str) -> 
 
 
 def _check_names(axes: Mapping[str, list[Any]], source: str) -> None:
-    """Scenes and estimators exist, as far as is known without building them."""
+    """Scenes and estimators exist; scene files can be loaded."""
     from touchdown.experiments.flight.wiring import check_estimator_name, check_scene_name
 
     for axis in ("scene", "estimator"):

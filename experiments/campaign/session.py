@@ -8,7 +8,6 @@ import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from touchdown.experiments.campaign.directory import (
     sweep,
 )
 from touchdown.experiments.campaign.executor import Engine, EngineStoppedError, Event, LocalEngine
-from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, runs_of_shard
+from touchdown.experiments.campaign.plan import Plan, PlannedRun, runs_of_shard
 from touchdown.experiments.campaign.results_table import (
     CRASHED,
     FAILED,
@@ -41,7 +40,7 @@ from touchdown.experiments.campaign.worker import (
     check_replaceable,
     wants_recording,
 )
-from touchdown.experiments.errors import UsageError, usage_errors
+from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import load_result
 from touchdown.experiments.io.run_directory import utc_now
 
@@ -86,7 +85,6 @@ def fly_campaign(
     if real:
         for name in {str(run.values["estimator"]): None for run in plan.runs}:
             check_estimator_available(name)
-        _check_scene_files(plan)
     with locked(directory, shard):
         if real:
             check_external_code(plan, directory)
@@ -122,16 +120,6 @@ def fly_campaign(
                 add_session(directory, session, not _without_row(plan.runs, directory))
         refresh(directory, must_write=True)
         return summary(directory) | {"missing": _without_row(mine, directory)}
-
-
-def _check_scene_files(plan: Plan) -> None:
-    """Raises UsageError unless every scene of ``plan`` that is a file can be loaded."""
-    from touchdown.experiments.flight.wiring import build_scene
-
-    firsts = {str(run.values["scene"]): run for run in reversed(plan.runs)}
-    for name, run in firsts.items():
-        if Path(name).is_file():
-            usage_errors(partial(build_scene, config_for(run.values, f"run {run.run_id}")))
 
 
 def _left(

@@ -33,6 +33,7 @@ def in_child(command: Callable[[], int]) -> tuple[int, str]:
     parent = os.getpid()
     sys.stdout.flush()
     signal.pthread_sigmask(signal.SIG_BLOCK, _PASSED_ON)  # until both can take them
+    adopt_orphans()  # before the copy can leave any
     child = os.fork()
     if child == 0:
         os.close(reader)
@@ -47,7 +48,6 @@ def in_child(command: Callable[[], int]) -> tuple[int, str]:
         os.write(writer, str(code).encode())
         return code, ""
     os.close(writer)
-    adopt_orphans()
     signals = _pass_on(child)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
     ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])

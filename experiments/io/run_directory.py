@@ -239,17 +239,18 @@ def put_in_place(made: Path, out: Path, own: Collection[str]) -> None:
     moved beside it.
     """
     while not _moved(made, out):
-        if foreign := foreign_entries(out, own):
-            beside = move_beside(made, out)
-            raise UsageError(
-                f"--out {out}: holds '{foreign[0]}' by now, which would be lost; what was made is "
-                f"in '{beside}'"
-            )
-        if _exchange(made, out):
-            with suppress(OSError):
-                remove_own(made, own)
-            return
-        remove_own(out, own)
+        with suppress(FileNotFoundError):  # another process replaces it at the same time
+            if foreign := foreign_entries(out, own):
+                beside = move_beside(made, out)
+                raise UsageError(
+                    f"--out {out}: holds '{foreign[0]}' by now, which would be lost; what was made "
+                    f"is in '{beside}'"
+                )
+            if _exchange(made, out):
+                with suppress(OSError):
+                    remove_own(made, own)
+                return
+            remove_own(out, own)
 
 
 def _moved(made: Path, out: Path) -> bool:

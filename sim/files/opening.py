@@ -6,6 +6,7 @@ import contextlib
 import os
 import stat
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -67,9 +68,11 @@ def printable(text: str) -> str:
 
 @contextlib.contextmanager
 def quiet_libraries() -> Iterator[None]:
-    """Drops what C libraries print on stderr, such as a page of advice of Qhull: an error is one
-    line, of the exception that they raise as well."""
+    """Drops what C libraries print on stderr, such as a page of advice of Qhull, and their
+    warnings: an error is one line, of the exception that they raise as well."""
     with contextlib.ExitStack() as held:
+        held.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("ignore")
         with contextlib.suppress(OSError, ValueError):  # there is no stderr
             if sys.stderr is not None:
                 sys.stderr.flush()

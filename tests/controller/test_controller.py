@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -18,12 +16,7 @@ from touchdown.controller.cascade import (
     _wrench,
 )
 from touchdown.controller.disturbance import DisturbanceObserver
-from touchdown.controller.mixer import (
-    Mixer,
-    MotorLead,
-    allocation_matrix,
-    lead_coefficients,
-)
+from touchdown.controller.mixer import Mixer, MotorLead, allocation_matrix, lead_coefficients
 from touchdown.controller.pid import PidGains, VectorPid
 from touchdown.landing.api import SurveyParams
 from touchdown.landing.mission.trajectory import survey_trajectory
@@ -40,11 +33,9 @@ STEP_S = 0.005
 
 def hold(position: Array, yaw: float = 0.0, **changes: Any) -> Callable[[float], Setpoint]:
     setpoint = Setpoint(
-        position_odom=position,
-        velocity_odom=np.zeros(3),
-        acceleration_odom=np.zeros(3),
+        position_odom=position, velocity_odom=np.zeros(3), acceleration_odom=np.zeros(3),
         yaw_odom=yaw,
-    )
+    )  # fmt: skip
     return lambda t: dataclasses.replace(setpoint, **changes)
 
 
@@ -54,9 +45,6 @@ def flying_controller(params: ControlParams | None = None) -> tuple[CascadeContr
     for _ in range(60):
         controller.update(flyer.estimate(), hold(np.zeros(3))(0.0))
     return controller, flyer
-
-
-# ---------------------------------------------------------------------------------------- mixer
 
 
 def test_allocation_of_one_rotor_by_hand() -> None:
@@ -143,15 +131,9 @@ def test_motor_lead_commands_what_the_motor_can_take() -> None:
     assert np.all(lead.command(np.full(4, 790.0)) == VEHICLE.rotor_speed_max)
 
 
-# ------------------------------------------------------------------------------------------ PID
-
-
 def one_axis_pid(limit: float = 10.0) -> VectorPid:
     gains = PidGains(
-        kp=np.array([2.0]),
-        ki=np.array([1.0]),
-        kd=np.array([0.5]),
-        integral_limit=np.array([limit]),
+        kp=np.array([2.0]), ki=np.array([1.0]), kd=np.array([0.5]), integral_limit=np.array([limit])
     )
     return VectorPid(gains, 0.1)
 
@@ -180,9 +162,6 @@ def test_pid_integral_stands_still_where_the_actuator_is_saturated() -> None:
         demand = pid.output(np.array([1.0]), np.zeros(1))
         pid.settle(np.minimum(demand, 1.0) - demand)
     assert demand[0] == pytest.approx(1.0 + 2.0, rel=1e-3)
-
-
-# -------------------------------------------------------------------------------------- cascade
 
 
 def test_errors_and_feed_forward_of_the_outer_loops_by_hand() -> None:
@@ -353,11 +332,9 @@ def test_survey_in_gusts_stays_close_to_its_reference() -> None:
     def reference(t: float) -> Setpoint:
         position, velocity, acceleration = path.sample(t - 4.0)
         return Setpoint(
-            position_odom=position,
-            velocity_odom=velocity,
-            acceleration_odom=acceleration,
+            position_odom=position, velocity_odom=velocity, acceleration_odom=acceleration,
             yaw_odom=0.4,
-        )
+        )  # fmt: skip
 
     controller, flyer = flying_controller()
     flyer.rotation = rotation_from_yaw(0.4)
@@ -381,9 +358,6 @@ def test_parameters_out_of_range_are_refused() -> None:
         CascadeController(VEHICLE, ControlParams(max_tilt_deg=80.0))
     with pytest.raises(ValueError, match="above 0"):
         CascadeController(VEHICLE, ControlParams(rate_radps=0.0))
-
-
-# ------------------------------------------------------------------------------------- observer
 
 
 def test_observer_finds_the_force_of_the_air_and_not_the_ground() -> None:

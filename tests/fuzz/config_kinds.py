@@ -111,17 +111,15 @@ def config_json_case(rng: Rng, folder: Path, _shared: Path) -> Case:
 
 def _campaign(rng: Rng) -> dict[str, Any]:
     tree: dict[str, Any] = {
-        "name": pick(rng, ("fuzz", "fuzz", "fuzz", *MARKED)),
-        "mode": pick(rng, ("fly", "land")),
+        "name": pick(rng, ("fuzz", "fuzz", "fuzz", *MARKED)), "mode": pick(rng, ("fly", "land")),
         "record": pick(rng, ("none", "all", "failures")),
         "axes": {
             "scene": [pick(rng, _SANE_SCENES)],
             "estimator": [pick(rng, ("gps", "livo", "oracle"))],
             "seeds": pick(rng, ("0-3", "1,4-5", "7")),
         },
-        "base": {},
-        "limits": {"run_timeout_s": 100.0},
-    }
+        "base": {}, "limits": {"run_timeout_s": 100.0},
+    }  # fmt: skip
     for _ in range(int(pick(rng, (0, 0, 1)))):
         key, item = setting(rng)
         tree["base"][key] = item

@@ -14,13 +14,11 @@ from types import ModuleType
 from typing import Any
 
 LEARNING = (
-    "onnx",
-    "onnxruntime.quantization",
-    "touchdown.experiments.classification.quantize",
+    "onnx", "onnxruntime.quantization", "touchdown.experiments.classification.quantize",
     "touchdown.experiments.classification.train",
     "touchdown.landing.classification.learning.training",
     "touchdown.landing.classification.learning.export",
-)
+)  # fmt: skip
 
 
 SOUND_NETWORKS: set[str] = set()

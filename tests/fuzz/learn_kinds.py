@@ -75,13 +75,8 @@ def image_case(rng: Rng, folder: Path, shared: Path) -> Case:
     if chance(rng, 0.15):
         put_special(rng, folder / "data" / pick(rng, ("trees", "lawn/lawn50.png", "x")))
     command = (
-        "evaluate",
-        "network.onnx",
-        "--data",
-        "data",
-        "--split",
-        pick(rng, ("train", "test")),
-    )
+        "evaluate", "network.onnx", "--data", "data", "--split", pick(rng, ("train", "test")),
+    )  # fmt: skip
     return Case(arguments=(*command, "--no-cost", "--quiet", *pick(rng, ((), ("--json",)))))
 
 

@@ -83,14 +83,10 @@ def misspelt(rng: Rng, word: str) -> str:
     return pick(
         rng,
         (
-            word[:at] + word[at + 1 :],
-            word[:at] + letter + word[at:],
-            word[:at] + letter + word[at + 1 :],
-            word.upper(),
-            word + "." + word,
-            word,
+            word[:at] + word[at + 1 :], word[:at] + letter + word[at:],
+            word[:at] + letter + word[at + 1 :], word.upper(), word + "." + word, word,
         ),
-    )
+    )  # fmt: skip
 
 
 def mutate_tree(rng: Rng, tree: Any) -> None:

@@ -40,11 +40,8 @@ def _valid_result() -> dict[str, Any]:
 
     errors = ("mean", "rmse", "max", "x", "y", "z")
     landed = {
-        "safe_geometry": True,
-        "slope_deg": 1.0,
-        "commanded_xy_m": [1.0, 2.0],
-        "class_true": "lawn",
-    }
+        "safe_geometry": True, "slope_deg": 1.0, "commanded_xy_m": [1.0, 2.0], "class_true": "lawn",
+    }  # fmt: skip
     return {
         **fake_result(Config(scene="flat", estimator="gps"), "COMPLETED"),
         "landing": landed,
@@ -165,13 +162,9 @@ def plan_case(rng: Rng, folder: Path, _shared: Path) -> Case:
         _finished_run(rng, folder / "out" / "runs" / f"flat-gps-s{number}")
     if chance(rng, 0.4):
         crash = {
-            "run_id": "flat-gps-s2",
-            "scene": "flat",
-            "estimator": "gps",
-            "seed": 2,
-            "wind_kmh": 12.0,
-            "error": "died",
-        }
+            "run_id": "flat-gps-s2", "scene": "flat", "estimator": "gps", "seed": 2,
+            "wind_kmh": 12.0, "error": "died",
+        }  # fmt: skip
         for _ in range(int(pick(rng, (0, 1, 2)))):
             mutate_tree(rng, crash)
         name = pick(rng, ("flat-gps-s2.json", "other.json", "[x].json"))
@@ -283,12 +276,9 @@ def _baseline() -> dict[str, Any]:
     flights = [{"seed": n, "error_m": 0.1, "outcome": "COMPLETED", "bad": False} for n in range(3)]
     cell = {"scene": "flat", "estimator": "gps", "variant": "land", "flights": flights}
     return {
-        "format": "touchdown-baseline-1",
-        "metric": "position_error_m.mean",
-        "cells": [cell],
-        "git_revision": None,
-        "config_sha": "0" * 12,
-    }
+        "format": "touchdown-baseline-1", "metric": "position_error_m.mean", "cells": [cell],
+        "git_revision": None, "config_sha": "0" * 12,
+    }  # fmt: skip
 
 
 def baseline_case(rng: Rng, folder: Path, _shared: Path) -> Case:
@@ -312,12 +302,7 @@ def baseline_case(rng: Rng, folder: Path, _shared: Path) -> Case:
 
 _CALIBRATION: dict[str, Any] = {
     "camera": {
-        "width": 848,
-        "height": 480,
-        "fx": 617.0,
-        "fy": 625.0,
-        "cx": 423.5,
-        "cy": 239.5,
+        "width": 848, "height": 480, "fx": 617.0, "fy": 625.0, "cx": 423.5, "cy": 239.5,
         "distortion": [0.0, 0.0, 0.0, 0.0, 0.0],
     },
     "camera_from_lidar": {
@@ -326,7 +311,7 @@ _CALIBRATION: dict[str, Any] = {
     },
     "residuals": {"reprojection_rms_px": 0.1, "plane_rms_m": 0.01},
     "views_used": 12,
-}
+}  # fmt: skip
 
 
 def calibration_case(rng: Rng, folder: Path, _shared: Path) -> Case:
@@ -395,11 +380,5 @@ def _config_json(rng: Rng, folder: Path, shared: Path) -> Case:
 
 
 _JSON = (
-    run_case,
-    run_case,
-    plan_case,
-    plan_case,
-    reproduction_case,
-    calibration_case,
-    _config_json,
-)
+    run_case, run_case, plan_case, plan_case, reproduction_case, calibration_case, _config_json,
+)  # fmt: skip

@@ -111,21 +111,17 @@ def test_a_crash_and_a_process_left_behind_are_seen() -> None:
     assert _ended(_desert).left == 1
 
 
-@pytest.mark.parametrize(
-    ("code", "errors", "fault"),
-    [
-        (2, "touchdown: error: 'x' does not exist; name a file\n", ""),
-        (0, "touchdown: warning: a thing is odd\n", ""),
-        (2, "touchdown: error: one thing is bad\ntouchdown: error: two are\n", "2 lines"),
-        (2, "", "0 lines"),
-        (2, "libpng error: bad\ntouchdown: error: 'x' is no image; give one\n", "foreign"),
-        (0, "Traceback (most recent call last)\n", "traceback"),
-        (2, "touchdown: error: KeyError: 'x' in the file\n", "class name"),
-        (2, "touchdown: error: the name \x1b[31m is bad\n", "ESC"),
-        ("SIGSEGV", "", "SIGSEGV"),
-        (3, "", "exit code 3"),
-    ],
-)
+@pytest.mark.parametrize(("code", "errors", "fault"), [
+    (2, "touchdown: error: 'x' does not exist; name a file\n", ""),
+    (0, "touchdown: warning: a thing is odd\n", ""),
+    (2, "touchdown: error: one thing is bad\ntouchdown: error: two are\n", "2 lines"),
+    (2, "", "0 lines"),
+    (2, "libpng error: bad\ntouchdown: error: 'x' is no image; give one\n", "foreign"),
+    (0, "Traceback (most recent call last)\n", "traceback"),
+    (2, "touchdown: error: KeyError: 'x' in the file\n", "class name"),
+    (2, "touchdown: error: the name \x1b[31m is bad\n", "ESC"), ("SIGSEGV", "", "SIGSEGV"),
+    (3, "", "exit code 3"),
+])  # fmt: skip
 def test_ends_are_judged(code: int | str, errors: str, fault: str) -> None:
     found = cases.judge(code, errors, "")
     assert fault in " ".join(found) if fault else not found

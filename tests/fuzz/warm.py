@@ -37,14 +37,9 @@ def _replay(folder: Path, shared: Path) -> _Commands:
 
 
 _FOR: dict[str, tuple[Callable[[Path, Path], _Commands], ...]] = {
-    "mjcf": (_flight,),
-    "asset": (_flight,),
-    "toml": (_flight,),
-    "json": (_flight, _report),
-    "tum": (_report, _replay),
-    "mcap": (_replay,),
-    "parquet": (_report,),
-}
+    "mjcf": (_flight,), "asset": (_flight,), "toml": (_flight,), "json": (_flight, _report),
+    "tum": (_report, _replay), "mcap": (_replay,), "parquet": (_report,),
+}  # fmt: skip
 
 
 def warm(kind: str, folder: Path, shared: Path) -> None:

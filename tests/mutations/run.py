@@ -10,8 +10,6 @@ changes and the tests that it names stay as they were. States are KILLED (a test
 survivor that gives no reason, or less than 95 % killed.
 """
 
-from __future__ import annotations
-
 import argparse
 import fcntl
 import hashlib

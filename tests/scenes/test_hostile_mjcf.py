@@ -2,7 +2,6 @@
 
 import re
 import struct
-import time
 import warnings
 from collections import Counter
 from collections.abc import Iterator
@@ -49,71 +48,67 @@ def load(folder: Path, text: str) -> Scene:
 
 def refused(folder: Path, text: str, message: str) -> None:
     """One sentence, at once: nothing was expanded, opened or compiled."""
-    start = time.process_time()
-    with pytest.raises(ValueError, match=message) as caught:
-        load(folder, text)
-    assert "\n" not in str(caught.value) and time.process_time() - start < 30.0
+    (folder / "place.xml").write_text(text)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with pytest.raises(ValueError, match=message) as caught:
+            load_scene(str(folder / "place.xml"), 0)
+    assert "\n" not in str(caught.value) and not said
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (place(ON_FIELD, FIELD.format('nrow="100000" ncol="100000"')),
-         "'h' has 100000 x 100000 cells, more than 4194304"),
-        (place("", TEXTURE.format('builtin="flat" width="30000" height="30000"')),
-         "'t' has 30000 x 30000 pixels, more than 16384 along a side"),
-        (place("", TEXTURE.format('builtin="flat" width="16000" height="16000"')),
-         "more than 134217728 with all others"),
-        (place('<replicate count="1000000000" offset="1 0 0"><geom size=".1"/></replicate>'),
-         "1000000001 geoms, more than 10000"),
-        (place('<replicate count="110" offset="1 0 0"><replicate count="100" offset="0 1 0">'
-               '<geom size=".1"/></replicate></replicate>'), "11001 geoms, more than 10000"),
-        (place(''.join(f'<geom size=".2" pos="{i % 140} {i // 140} 1"/>' for i in range(19_600))),
-         "it has 19601 geoms, more than 10000; join small ones to meshes"),
-        (place('<flexcomp type="grid" count="2000 2000 200" spacing="1 1 1" name="f" dim="3"/>'),
-         "bodies, more than 10000"),
-        (place('<body><joint/><geom size="1"/></body>' * 3000), "3000 joints, sensors and actuat"),
-        (place("<body>" * DEEP + '<geom size="1"/>' + "</body>" * DEEP), "nested more than 400"),
-        (place(ON_MESH, MESH.format('builtin="supersphere" params="20000 .5 .5"')),
-         "resolution of 20000, more than 1000"),
-        (place("", before=ENTITIES), "has a DOCTYPE, which MJCF has not; remove it"),
-        (place("", before='<!DOCTYPE m [<!-- > <mujoco>EVIL</mujoco> -->]>'), "has a DOCTYPE"),
-        (place('<geom type="sdf" mesh="b"><plugin instance="b"/></geom>', BOWL),
-         "signed distance field|plug-in"),
-        (place('<geom type="mesh" mesh="b"/>',
-               f'{BOWL}<asset><mesh name="b"><plugin instance="b"/></mesh></asset>'),
-         "plug-in 'b'"),
-        (place('<geom name="[/x]" size="1" pos="1e300 0 0"/>'), r"geom '\[/x\]' lies"),
-        (place('<geom type="hfield" hfield="line"/>',
-               '<asset><hfield name="line" nrow="1" ncol="9" size="1 1 1 1"/></asset>'),
-         "height field 'line' has fewer than 2 rows"),
-        ('<robot name="r"><link name="a"/></robot>', "the root of .* is <robot>"),
-        ("<mujoco><worldbody></mujoco>", "is not XML: mismatched tag"),
-        (place('<geom size="1" pos="nan 0 0"/>'), "geom .* NaN or infinite"),
-        (place('<body pos="inf 0 0"><geom size="1"/></body>'), "NaN or infinite"),
-        (place('<geom name="far" size="1" pos="1e300 0 0"/>'), "geom 'far' lies or reaches"),
-        (place('<geom size="inf"/>'), "NaN or infinite"),
-        (place('<geom size="1e30"/>'), "farther than 1e\\+08 m"),
-        (place('<geom size="1" friction="nan 0 0"/>'), "NaN or infinite .geom_friction"),
-        (place(ON_FIELD, FIELD.format('nrow="2" ncol="2" elevation="0 0 nan 0"')),
-         "height field 'h' has a number that is NaN"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "message"), [
+    (place(ON_FIELD, FIELD.format('nrow="100000" ncol="100000"')),
+     "'h' has 100000 x 100000 cells, more than 4194304"),
+    (place("", TEXTURE.format('builtin="flat" width="30000" height="30000"')),
+     "'t' has 30000 x 30000 pixels, more than 16384 along a side"),
+    (place("", TEXTURE.format('builtin="flat" width="16000" height="16000"')),
+     "more than 134217728 with all others"),
+    (place('<replicate count="1000000000" offset="1 0 0"><geom size=".1"/></replicate>'),
+     "1000000001 geoms, more than 10000"),
+    (place('<replicate count="110" offset="1 0 0"><replicate count="100" offset="0 1 0">'
+           '<geom size=".1"/></replicate></replicate>'), "11001 geoms, more than 10000"),
+    (place(''.join(f'<geom size=".2" pos="{i % 140} {i // 140} 1"/>' for i in range(19_600))),
+     "it has 19601 geoms, more than 10000; join small ones to meshes"),
+    (place('<flexcomp type="grid" count="2000 2000 200" spacing="1 1 1" name="f" dim="3"/>'),
+     "bodies, more than 10000"),
+    (place('<body><joint/><geom size="1"/></body>' * 3000), "3000 joints, sensors and actuat"),
+    (place("<body>" * DEEP + '<geom size="1"/>' + "</body>" * DEEP), "nested more than 400"),
+    (place(ON_MESH, MESH.format('builtin="supersphere" params="20000 .5 .5"')),
+     "resolution of 20000, more than 1000"),
+    (place("", before=ENTITIES), "has a DOCTYPE, which MJCF has not; remove it"),
+    (place("", before='<!DOCTYPE m [<!-- > <mujoco>EVIL</mujoco> -->]>'), "has a DOCTYPE"),
+    (place('<geom type="sdf" mesh="b"><plugin instance="b"/></geom>', BOWL),
+     "signed distance field|plug-in"),
+    (place('<geom type="mesh" mesh="b"/>',
+           f'{BOWL}<asset><mesh name="b"><plugin instance="b"/></mesh></asset>'),
+     "plug-in 'b'"),
+    (place('<geom name="[/x]" size="1" pos="1e300 0 0"/>'), r"geom '\[/x\]' lies"),
+    (place('<geom type="hfield" hfield="line"/>',
+           '<asset><hfield name="line" nrow="1" ncol="9" size="1 1 1 1"/></asset>'),
+     "height field 'line' has fewer than 2 rows"),
+    ('<robot name="r"><link name="a"/></robot>', "the root of .* is <robot>"),
+    ("<mujoco><worldbody></mujoco>", "is not XML: mismatched tag"),
+    (place('<geom size="1" pos="nan 0 0"/>'), "geom .* NaN or infinite"),
+    (place('<body pos="inf 0 0"><geom size="1"/></body>'), "NaN or infinite"),
+    (place('<geom name="far" size="1" pos="1e300 0 0"/>'), "geom 'far' lies or reaches"),
+    (place('<geom size="inf"/>'), "NaN or infinite"),
+    (place('<geom size="1e30"/>'), "farther than 1e\\+08 m"),
+    (place('<geom size="1" friction="nan 0 0"/>'), "NaN or infinite .geom_friction"),
+    (place(ON_FIELD, FIELD.format('nrow="2" ncol="2" elevation="0 0 nan 0"')),
+     "height field 'h' has a number that is NaN"),
+])  # fmt: skip
 def test_what_a_file_declares_is_limited(tmp_path: Path, text: str, message: str) -> None:
     refused(tmp_path, text, message)
 
 
-@pytest.mark.parametrize(
-    ("head", "body", "word"),
-    [
-        (MESH.format('file="{}.obj"'), ON_MESH, "mesh"),
-        (TEXTURE.format('file="{}.png"'), "", "texture"),
-        (FIELD.format('file="{}.bin"'), ON_FIELD, "height field"),
-        ('<include file="{}.xml"/>', "", "include"),
-        ('<asset><model name="q" file="{}.xml"/></asset>', "", "model"),
-        ('<deformable><skin name="s" file="{}.skn"/></deformable>', "", "mesh"),
-    ],
-)
+@pytest.mark.parametrize(("head", "body", "word"), [
+    (MESH.format('file="{}.obj"'), ON_MESH, "mesh"),
+    (TEXTURE.format('file="{}.png"'), "", "texture"),
+    (FIELD.format('file="{}.bin"'), ON_FIELD, "height field"),
+    ('<include file="{}.xml"/>', "", "include"),
+    ('<asset><model name="q" file="{}.xml"/></asset>', "", "model"),
+    ('<deformable><skin name="s" file="{}.skn"/></deformable>', "", "mesh"),
+])  # fmt: skip
 @pytest.mark.parametrize("kind", ["pipe", "folder", "device"])
 def test_what_is_no_file_is_not_opened(
     tmp_path: Path, head: str, body: str, word: str, kind: str
@@ -154,24 +149,21 @@ def test_headers_of_assets_are_read_before_the_assets(tmp_path: Path) -> None:
     refused(tmp_path, place("", head.replace("<compiler", '<compiler strippath="true"')), "30000")
 
 
-@pytest.mark.parametrize(
-    ("files", "message"),
-    [
-        ({"place.xml": '<mujoco><include file="place.xml"/></mujoco>'}, "includes itself"),
-        ({"place.xml": '<mujoco><include file="a.xml"/></mujoco>',
-          "a.xml": '<mujoco><include file="place.xml"/></mujoco>'}, "includes itself"),
-        ({"place.xml": place('<attach model="q" prefix="p"/>',
-                             '<asset><model name="q" file="place.xml"/></asset>')},
-         "contains itself"),
-        ({"place.xml": place('<attach model="q" prefix="p"/>',
-                             '<asset><model name="q" file="a.xml"/></asset>'),
-          "a.xml": place('<body name="b"/>', '<asset><model name="q" file="place.xml"/></asset>')},
-         "contains itself"),
-        ({"place.xml": place('<replicate count="2000"><attach model="q" prefix="p"/></replicate>',
-                             '<asset><model name="q" file="a.xml"/></asset>'),
-          "a.xml": place('<geom size="1"/>' * 9)}, "geoms, more than 10000"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("files", "message"), [
+    ({"place.xml": '<mujoco><include file="place.xml"/></mujoco>'}, "includes itself"),
+    ({"place.xml": '<mujoco><include file="a.xml"/></mujoco>',
+      "a.xml": '<mujoco><include file="place.xml"/></mujoco>'}, "includes itself"),
+    ({"place.xml": place('<attach model="q" prefix="p"/>',
+                         '<asset><model name="q" file="place.xml"/></asset>')},
+     "contains itself"),
+    ({"place.xml": place('<attach model="q" prefix="p"/>',
+                         '<asset><model name="q" file="a.xml"/></asset>'),
+      "a.xml": place('<body name="b"/>', '<asset><model name="q" file="place.xml"/></asset>')},
+     "contains itself"),
+    ({"place.xml": place('<replicate count="2000"><attach model="q" prefix="p"/></replicate>',
+                         '<asset><model name="q" file="a.xml"/></asset>'),
+      "a.xml": place('<geom size="1"/>' * 9)}, "geoms, more than 10000"),
+])  # fmt: skip
 def test_files_that_contain_one_another(
     tmp_path: Path, files: dict[str, str], message: str
 ) -> None:
@@ -210,18 +202,15 @@ def test_vertices_in_the_file_count_as_those_of_mesh_files(tmp_path: Path) -> No
     assert check_mjcf(tmp_path / "place.xml")["mesh bytes"] >= len(vertices)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (place('<geom size=".1"/>' * 10_001), "it has 10002 geoms, more than 10000"),
-        (place().replace("</mujoco>", f"<sensor>{'<clock/>' * 2001}</sensor></mujoco>"),
-         "2001 joints, sensors and actuators"),
-        (place("", FIELD.format('nrow="9000" ncol="9000"')), "81000000 cells of height fields"),
-        (place("", TEXTURE.format('builtin="flat" width="16000" height="16000"')),
-         "256000000 pixels of textures"),
-        (place("", MESH.format('vertex="' + "0 " * 300_000 + '"')), "2 MiB of meshes, more than 1"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "message"), [
+    (place('<geom size=".1"/>' * 10_001), "it has 10002 geoms, more than 10000"),
+    (place().replace("</mujoco>", f"<sensor>{'<clock/>' * 2001}</sensor></mujoco>"),
+     "2001 joints, sensors and actuators"),
+    (place("", FIELD.format('nrow="9000" ncol="9000"')), "81000000 cells of height fields"),
+    (place("", TEXTURE.format('builtin="flat" width="16000" height="16000"')),
+     "256000000 pixels of textures"),
+    (place("", MESH.format('vertex="' + "0 " * 300_000 + '"')), "2 MiB of meshes, more than 1"),
+])  # fmt: skip
 def test_what_mujoco_itself_has_read_is_limited(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, message: str
 ) -> None:

@@ -142,22 +142,19 @@ def test_compressions_are_read(tmp_path: Path, compression: str) -> None:
     np.testing.assert_allclose(read_heights(tif).heights_m, slope(), rtol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("values", "profile", "message"),
-    [
-        (np.stack([slope(), slope()]), {}, "has 2 bands"),
-        (slope(), {"transform": NORTH_UP @ Affine.rotation(10.0)}, "turned against north"),
-        (slope() * np.nan, {}, "every cell is a hole"),
-        (slope() * np.inf, {}, "every cell is a hole"),
-        (slope() * 1e300, {}, "every cell is a hole"),
-        (np.full((130, 140), -9999.0), {"nodata": -9999.0}, "every cell is a hole"),
-        (slope().astype(np.complex64), {}, "complex64 values"),
-        (slope(), {"transform": Affine(1e300, 0, 0, 0, -1e300, 0)}, "at most 1000 m"),
-        (slope(), {"transform": Affine(1e-300, 0, 0, 0, -1e-300, 0)}, "at least 90 m"),
-        (slope(), {"transform": Affine(1e-5, 0, 8, 0, -1e-5, 500), "crs": "EPSG:4326"},
-         "must be above 0"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("values", "profile", "message"), [
+    (np.stack([slope(), slope()]), {}, "has 2 bands"),
+    (slope(), {"transform": NORTH_UP @ Affine.rotation(10.0)}, "turned against north"),
+    (slope() * np.nan, {}, "every cell is a hole"),
+    (slope() * np.inf, {}, "every cell is a hole"),
+    (slope() * 1e300, {}, "every cell is a hole"),
+    (np.full((130, 140), -9999.0), {"nodata": -9999.0}, "every cell is a hole"),
+    (slope().astype(np.complex64), {}, "complex64 values"),
+    (slope(), {"transform": Affine(1e300, 0, 0, 0, -1e300, 0)}, "at most 1000 m"),
+    (slope(), {"transform": Affine(1e-300, 0, 0, 0, -1e-300, 0)}, "at least 90 m"),
+    (slope(), {"transform": Affine(1e-5, 0, 8, 0, -1e-5, 500), "crs": "EPSG:4326"},
+     "must be above 0"),
+])  # fmt: skip
 def test_odd_rasters_are_one_line(
     tmp_path: Path, values: NDArray[Any], profile: dict[str, Any], message: str
 ) -> None:
@@ -199,18 +196,13 @@ def test_images_that_declare_too_much_are_not_decoded(tmp_path: Path) -> None:
     refused(tif, "12000 x 12000 pixels|pixels, more than", ortho=path)
 
 
-@pytest.mark.parametrize(
-    ("kind", "message"),
-    [
-        ("half.jpg", "is a damaged image, copy or export it anew"),
-        ("short.png", "is a damaged image"),
-        ("zero.png", "is not an image"),
-        ("text.png", "is not an image"),
-        ("deep.png", "has 16 bits a channel: convert it to 8-bit RGB"),
-        ("deepgrey.png", "has 16 bits a channel"),
-        ("print.jpg", "colours of print .CMYK.: convert"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "message"), [
+    ("half.jpg", "is a damaged image, copy or export it anew"), ("short.png", "is a damaged image"),
+    ("zero.png", "is not an image"), ("text.png", "is not an image"),
+    ("deep.png", "has 16 bits a channel: convert it to 8-bit RGB"),
+    ("deepgrey.png", "has 16 bits a channel"),
+    ("print.jpg", "colours of print .CMYK.: convert"),
+])  # fmt: skip
 def test_images_that_are_refused(tmp_path: Path, kind: str, message: str) -> None:
     path = tmp_path / kind
     if kind == "half.jpg":

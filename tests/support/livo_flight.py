@@ -1,7 +1,5 @@
 """A short synthetic flight for `livo`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2
@@ -35,8 +33,7 @@ DOWN = BODY_FROM_DOWNWARD_OPTICAL
 def make_rig(distortion: float = 0.0) -> SensorRig:
     """Starts at 12 m, so that a second of data is enough; the IMU sits off the centre."""
     return SensorRig(
-        tick_hz=HZ,
-        body_from_imu=Pose(np.eye(3), np.array([0.02, 0.0, 0.01])),
+        tick_hz=HZ, body_from_imu=Pose(np.eye(3), np.array([0.02, 0.0, 0.01])),
         body_from_lidar=Pose(DOWN, np.array([0.0, 0.0, -0.15])),
         body_from_camera=Pose(DOWN, np.array([0.075, 0.025, -0.13])),
         body_from_camera_right=Pose(DOWN, np.array([0.075, -0.025, -0.13])),
@@ -44,12 +41,8 @@ def make_rig(distortion: float = 0.0) -> SensorRig:
             width=212, height=120, fx=154.0, fy=156.0, cx=105.5, cy=59.5,
             distortion=np.array([distortion, 0.0, 0.0, 0.0, 0.0]),
         ),
-        lidar=LidarParams(),
-        imu=ImuParams(),
-        imu_ticks=IMU_TICKS,
-        camera_ticks=20,
-        lidar_scan_ticks=SCAN_TICKS,
-        compute_latency_ticks=LATENCY,
+        lidar=LidarParams(), imu=ImuParams(), imu_ticks=IMU_TICKS, camera_ticks=20,
+        lidar_scan_ticks=SCAN_TICKS, compute_latency_ticks=LATENCY,
         world_from_body_start=Pose(np.eye(3), np.array([0.0, 0.0, START_Z])),
         vehicle=VehicleModel(
             mass_kg=4.0, inertia_kgm2=np.ones(3), rotor_xy_m=np.zeros((4, 2)),
@@ -80,15 +73,11 @@ def scan_ending_at(tick: int, motion: Callable[[float], np.ndarray] = position_a
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     heights = np.array([motion(start_s + offset)[2] for offset in offsets])
     return LidarScan(
-        start_tick=tick - SCAN_TICKS,
-        end_tick=tick,
-        start_time_s=start_s,
-        end_time_s=tick / HZ,
+        start_tick=tick - SCAN_TICKS, end_tick=tick, start_time_s=start_s, end_time_s=tick / HZ,
         directions=directions.astype(np.float32),
         ranges=((heights - 0.15) / directions[:, 2]).astype(np.float32),
-        time_offsets=offsets.astype(np.float32),
-        intensity=np.full(count, 40, dtype=np.uint8),
-    )
+        time_offsets=offsets.astype(np.float32), intensity=np.full(count, 40, dtype=np.uint8),
+    )  # fmt: skip
 
 
 def ground_grey(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -97,15 +86,12 @@ def ground_grey(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         np.sin(a * x + b * y + c) / k
         for k, (a, b, c) in enumerate(
             [
-                (3.1, 0.7, 0.1),
-                (0.9, -2.6, 1.0),
-                (5.3, 4.1, 2.0),
-                (-4.7, 6.1, 0.5),
+                (3.1, 0.7, 0.1), (0.9, -2.6, 1.0), (5.3, 4.1, 2.0), (-4.7, 6.1, 0.5),
                 (8.9, -7.3, 1.3),
             ],
             start=1,
         )
-    )
+    )  # fmt: skip
     return np.asarray(128.0 + 45.0 * waves)
 
 
@@ -126,13 +112,9 @@ def image_at(tick: int, rig: SensorRig, position: np.ndarray | None = None) -> C
 
 
 def observations(
-    rig: SensorRig,
-    last_tick: int,
-    motion: Callable[[float], np.ndarray] = position_at,
-    ahead_ticks: int = 0,
-    *,
-    seen: bool = True,
-) -> list[Observation]:
+    rig: SensorRig, last_tick: int, motion: Callable[[float], np.ndarray] = position_at,
+    ahead_ticks: int = 0, *, seen: bool = True,
+) -> list[Observation]:  # fmt: skip
     """``ahead_ticks``: of the camera's clock; ``seen``: with images."""
     found, step = [], IMU_TICKS / HZ
     for tick in range(0, last_tick + 1, IMU_TICKS):
@@ -142,24 +124,19 @@ def observations(
         now = motion(tick / HZ - 0.5 * step)
         around = motion(tick / HZ - 1.5 * step) + motion(tick / HZ + 0.5 * step) - 2.0 * now
         imu = ImuSample(
-            tick=tick,
-            time_s=tick / HZ,
-            angular_velocity=np.zeros(3),
+            tick=tick, time_s=tick / HZ, angular_velocity=np.zeros(3),
             specific_force=around / step**2 + np.array([0.0, 0.0, GRAVITY_MPS2]),
-        )
+        )  # fmt: skip
         found.append(
             Observation(
-                tick=tick,
-                time_s=tick / HZ,
-                imu=(imu,) if tick else (),
+                tick=tick, time_s=tick / HZ, imu=(imu,) if tick else (),
                 scans=(scan_ending_at(measured, motion),) if due else (),
                 images=(image_at(measured, rig, motion((measured - ahead_ticks) / HZ)),)
                 if due and seen
                 else (),
-                rotor_speed_radps=np.full(4, 400.0),
-                battery_fraction=1.0,
+                rotor_speed_radps=np.full(4, 400.0), battery_fraction=1.0,
             )
-        )
+        )  # fmt: skip
     return found
 
 

@@ -217,14 +217,16 @@ def test_triangulation_by_hand() -> None:
     np.testing.assert_allclose(depths, [30.0, 15.0, np.nan, np.nan])
 
 
-def test_disparities_of_a_shifted_image() -> None:
+@pytest.mark.parametrize("shift", [3, 28])
+def test_disparities_of_a_shifted_image(shift: int) -> None:
+    """Searched for where the expected depth puts them: to the left."""
     big = texture(400)
     left = np.ascontiguousarray(big[50:290, 50:370])
-    right = np.ascontiguousarray(big[50:290, 53:373])
+    right = np.ascontiguousarray(big[50:290, 50 + shift : 370 + shift])
     pixels = np.array([[100.0, 100.0], [200.0, 150.0], [60.0, 180.0]])
-    found, shifts = disparities(left, right, pixels, np.full(3, 10.0), 25.0)
+    found, shifts = disparities(left, right, pixels, np.full(3, 25.0 / (shift - 0.5)), 25.0)
     np.testing.assert_array_equal(found, [0, 1, 2])
-    np.testing.assert_allclose(shifts, 3.0, atol=0.02)
+    np.testing.assert_allclose(shifts, shift, atol=0.02)
 
 
 def test_ground_height_from_many_noisy_pairs() -> None:

@@ -277,16 +277,19 @@ def test_covariance_of_the_extrinsics_is_that_of_repeated_fits(sensor: str) -> N
     assert (ratio > 0.4).all() and (ratio < 2.0).all()  # chi-square of 25: 0.46 to 1.8 at 99.5 %
 
 
-def test_the_start_is_a_rotation_where_normals_span_a_plane_alone() -> None:
-    """Two of the three singular values fix the rotation; the sign of the third is arbitrary."""
-    for seed in range(8):
-        angles = np.random.default_rng(seed).uniform(-0.6, 0.6, 3)
-        normals = np.column_stack([np.sin(angles), np.zeros(3), -np.cos(angles)])
-        planes = CameraPlanes(
-            normals=normals @ TRUE.rotation.T, distances=np.zeros(3), covariance=np.eye(12)
-        )
-        found = closed_form(planes, normals, np.zeros(3), np.arange(3))
-        np.testing.assert_allclose(found.rotation, TRUE.rotation, atol=1e-9)
+def test_the_start_is_a_rotation_where_noise_makes_a_mirror_image_fit_better() -> None:
+    """Boards tilted about one axis alone, and errors across it of opposite sign."""
+    angles = np.array([-0.6, -0.2, 0.2, 0.6])
+    across = 0.01 * np.array([1.0, -1.0, -1.0, 1.0])
+    in_lidar, seen = (
+        np.column_stack([np.sin(angles), sign * across, -np.cos(angles)]) for sign in (1.0, -1.0)
+    )
+    planes = CameraPlanes(
+        normals=seen @ TRUE.rotation.T, distances=np.zeros(4), covariance=np.eye(16)
+    )
+    found = closed_form(planes, in_lidar, np.zeros(4), np.arange(4)).rotation
+    assert np.linalg.det(found) == pytest.approx(1.0)
+    np.testing.assert_allclose(found, TRUE.rotation, atol=0.02)
 
 
 def test_a_wrong_plane_is_left_out() -> None:

@@ -158,3 +158,33 @@ def test_images_follow_the_clones():
     assert eskf.covariance[-3, -3] == pytest.approx(variance + 0.03**2)
     update.follow(0, eskf, 20.0, DARK)
     assert update.images == [second]
+
+
+def test_the_brightness_of_a_scan_as_a_whole_does_not_count():
+    image, places = image_of(TRUE), ground(2000, 2)
+    points = TRUE.inverse().apply(places)
+    bright, dark = (
+        photometry(
+            points, points - LEVER, reflectivity(places) + more, *image.smoothed(), image.axes,
+            image.cell_m, np.eye(3), np.zeros(3), TRUE.rotation, np.zeros(6), LEVER, 1e3,
+        ).vector
+        for more in (0.5, 0.0)
+    )  # fmt: skip
+    np.testing.assert_allclose(bright, dark, atol=1e-3 * np.abs(dark).max())
+
+
+def test_noise_of_the_image_is_no_texture():
+    update = PhotometricUpdate(LEVER)
+    eskf = filter_at(TRUE, update)
+    scan, places = scan_from(TRUE, ground(2000, 2)), ground(2000, 2)
+    noisy = reflectivity(places) + np.random.default_rng(3).normal(0.0, 0.3, 2000)
+    found, *_ = update._accumulate(eskf, [0], scan.points, scan.beams, noisy, np.array([0.25]))
+    image = update.images[0]
+    part = photometry(
+        scan.points, scan.beams, noisy, *image.smoothed(), image.axes, image.cell_m,
+        np.eye(3), np.zeros(3), TRUE.rotation, np.zeros(6), LEVER, 0.25,
+    )  # fmt: skip
+    assert 0.02 < part.noise_share < 0.7
+    np.testing.assert_allclose(
+        found[:6, :6], (1.0 - part.noise_share) * part.information[:6, :6], atol=1e-6
+    )

@@ -1,7 +1,5 @@
 """Anchored maps and online calibration: derivatives, identities, and filter consistency."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -72,16 +70,26 @@ def test_anchored_jacobian_matches_finite_differences() -> None:
         np.array([True]), normal[None], anchor[None], np.array([[1.0, 0.0, 0.0]]), sensor[None],
         np.array([0]),
     )  # fmt: skip
-    information, vector, used, _ = anchored_information(
-        (beam_now + lever)[None], beam_now[None], now.rotation, now.translation, planes,
-        clone.rotation[None], clone.translation[None], np.zeros((1, 6)),
-        SHARED_DIM, 0.02, 1e-3, 0.0, 1e9,
-    )  # fmt: skip
+
+    def measured(change: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, float]:
+        """``change`` (6,): of the mount since the plane was made."""
+        beam = so3_exp(change[:3]) @ beam_now
+        return anchored_information(
+            (beam + lever + change[3:])[None], beam[None], now.rotation, now.translation, planes,
+            clone.rotation[None], clone.translation[None], change[None],
+            SHARED_DIM, 0.02, 1e-3, 0.0, 1e9,
+        )  # fmt: skip
+
+    information, vector, used, _ = measured(np.zeros(6))
     size = 12 + SHARED_DIM
     gradient = np.array([(height(1e-6 * e) - height(-1e-6 * e)) / 2e-6 for e in np.eye(size)])
     assert used == 1
     np.testing.assert_allclose(information, np.outer(gradient, gradient), atol=1e-5)
     np.testing.assert_allclose(vector, -gradient * height(np.zeros(size)), atol=1e-4)
+    change = 1e-3 * np.array([1.0, -2.0, 1.5, 3.0, -1.0, 2.0])
+    delta = np.zeros(size)
+    delta[6:12] = change
+    assert measured(change)[3] == pytest.approx(abs(height(delta)), abs=2e-4)
 
 
 def test_landmarks_move_with_the_rig_as_predicted() -> None:
@@ -181,18 +189,9 @@ def test_an_uncertain_depth_gives_no_information_along_its_epipolar_line() -> No
     intrinsics = np.array([600.0, 600.0, 423.5, 239.5])
     spread = 1e3 * landmark / np.linalg.norm(landmark)
     information, *_ = calibrated_information(
-        pixels,
-        np.zeros(1),
-        landmark,
-        np.zeros((1, 3, 0)),
-        spread,
-        *arguments[:4],
-        np.zeros(12),
-        *arguments[4:],
-        intrinsics,
-        1.0,
-        1e6,
-    )
+        pixels, np.zeros(1), landmark, np.zeros((1, 3, 0)), spread, *arguments[:4], np.zeros(12),
+        *arguments[4:], intrinsics, 1.0, 1e6,
+    )  # fmt: skip
     assert information[3, 3] < 1e-3  # x of the position moves the pixel along the line
     assert information[4, 4] == pytest.approx((600.0 / 12.0) ** 2, rel=0.01)
 

@@ -1,7 +1,5 @@
 """The error-state filter against analytic motion, finite differences and known offsets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -43,14 +41,9 @@ def test_circle_is_integrated_to_second_order() -> None:
     specific = radius * rate**2 * np.sin(half) / half
     force = np.tile([0.0, specific, GRAVITY_MPS2], (count, 1))
     rotations, positions, velocities = integrate(
-        start.rotation,
-        start.translation,
-        np.array([radius * rate, 0.0, 0.0]),
-        gyro,
-        force,
-        STEP_S,
+        start.rotation, start.translation, np.array([radius * rate, 0.0, 0.0]), gyro, force, STEP_S,
         GRAVITY_MPS2,
-    )
+    )  # fmt: skip
     angle = rate * STEP_S * count
     expected = radius * np.array([np.sin(angle), -np.cos(angle), 0.0])
     np.testing.assert_allclose(positions[-1], expected, atol=1e-4)
@@ -96,14 +89,9 @@ def test_transition_matches_finite_differences() -> None:
     buffer = filled_buffer(rng, 20)
     ticks, gyro, force, _ = buffer.samples(20)
     rotations, _, _ = integrate(
-        state.rotation,
-        state.position,
-        state.velocity,
-        gyro - state.gyro_bias,
-        force - state.accel_bias,
-        STEP_S,
-        GRAVITY_MPS2,
-    )
+        state.rotation, state.position, state.velocity, gyro - state.gyro_bias,
+        force - state.accel_bias, STEP_S, GRAVITY_MPS2,
+    )  # fmt: skip
     total, _, _ = transition(
         rotations, gyro - state.gyro_bias, force - state.accel_bias, STEP_S, np.zeros(4)
     )

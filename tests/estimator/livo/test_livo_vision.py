@@ -1,5 +1,7 @@
 """Patch tracking, landmark planes, keyframes and the reprojection update on rendered planes."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -8,6 +10,7 @@ from touchdown.estimator.filtering.imu_propagation import STATE_DIM, NavState
 from touchdown.estimator.filtering.keyframes import Overlap, choose, detect_features, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
+from touchdown.estimator.livo.online_calibration import CALIBRATION_DIM, MOUNT_TRANSLATION
 from touchdown.estimator.livo.patch_tracker import grey_levels, track
 from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams, VisualReport
 from touchdown.sim.api import CameraIntrinsics
@@ -107,6 +110,19 @@ def test_feature_planes_fit_a_slope_and_refuse_a_step() -> None:
     rays3 = np.column_stack([rays[:2], np.ones(2)])
     depth = 1.0 / np.einsum("ij,ij->i", rays3, planes[:2])
     np.testing.assert_allclose(depth, 20.0 / (rays3 @ normal), atol=0.02)
+
+
+def test_a_step_in_depth_right_behind_a_feature_makes_no_plane() -> None:
+    """2.5 m between the returns on its left and those on its right."""
+    rays = np.random.default_rng(5).uniform(-0.3, 0.3, (8_000, 2))
+    depth = np.where(rays[:, 0] > 0.1, 17.5, 20.0)
+    recent = RecentReturns(scans=1, per_scan=8_000)
+    recent.add(np.column_stack([rays, np.ones(8_000)]) * depth[:, None])
+    valid, _, sigmas = feature_planes(
+        np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]]), recent, Pose.identity(), (0.68, 0.38),
+        radius=16.0 / 617.0,
+    )  # fmt: skip
+    np.testing.assert_array_equal(valid & (sigmas == 0.0), [True, False, True])
 
 
 def test_a_feature_in_foliage_gets_the_foremost_depth_and_a_sigma() -> None:
@@ -225,6 +241,25 @@ def test_uncertain_depths_weaken_what_a_baseline_measures() -> None:
         assert vision.update(eskf, grey_levels(view(now @ IMU_FROM_CAMERA))).used > 50
         sigmas.append(np.sqrt(eskf.covariance[3, 3]))
     assert 3.0 < sigmas[1] / sigmas[0] < 7.0
+
+
+def test_landmarks_follow_the_mount_that_is_found_after_them() -> None:
+    """Returns half a metre too low, by a LIDAR that turns out to sit half a metre higher: at 15 m
+    they would bring the vehicle 6 cm too far aside."""
+    key, now = imu_pose((0, 0, 15), (0, 0, 0)), imu_pose((2.0, 0.0, 15.0), (0, 0, 0))
+    low = RecentReturns(scans=1, per_scan=60_000)
+    low.add(ground_returns().view()[0] - [0.0, 0.0, 0.5])
+    variances = np.full(STATE_DIM + CALIBRATION_DIM, 1e-12)
+    state = replace(filter_at(key).state, calibration=np.zeros(CALIBRATION_DIM))
+    eskf, vision = Eskf(state, variances), front_end()
+    assert vision.add_keyframe(eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), low, 0)
+    found = np.zeros(CALIBRATION_DIM)
+    found[MOUNT_TRANSLATION] = [0.0, 0.0, 0.5]
+    start = now.translation + np.array([0.05, -0.04, 0.0])
+    eskf.state = replace(filter_at(now).state, position=start, calibration=found)
+    eskf.covariance[3:6, 3:6] += 1e-2 * np.eye(3)
+    assert vision.update(eskf, grey_levels(view(now @ IMU_FROM_CAMERA))).used > 50
+    np.testing.assert_allclose(eskf.state.position[:2], now.translation[:2], atol=0.015)
 
 
 def test_a_keyframe_has_a_height_error_of_its_own() -> None:

@@ -146,13 +146,6 @@ def test_a_distorted_lens_is_accepted() -> None:
     assert fly(FLIGHT[:150], rig=make_rig(-0.01))[-1].healthy
 
 
-def test_memory_is_bounded_by_the_keyframes_kept() -> None:
-    few = dataclasses.replace(PLAIN, max_keyframes=4, recent_keyframes=2, keyframe_period_s=0.1)
-    estimates = fly(FLIGHT, few)
-    assert estimates[-1].diagnostics["keyframes"] <= 4
-    assert max(map(error, estimates)) < 0.05
-
-
 def test_a_missing_edge_model_is_named() -> None:
     with pytest.raises(FileNotFoundError, match="nowhere"):
         PaperEstimator(RIG, PaperParams(edge_model="nowhere.yml.gz"))

@@ -186,6 +186,24 @@ def test_a_new_keyframe_continues_the_closed_map() -> None:
     np.testing.assert_allclose(last.odom_from_imu.apply(own)[:, 2], 0.0, atol=0.05)
 
 
+def test_keyframes_are_bounded_and_the_newest_stay() -> None:
+    camera = positioning(
+        recent_keyframes=1, max_keyframes=3, use_camera_pose=False, use_bundle=False
+    )
+    eskf = camera._filter.eskf
+    for number in range(5):
+        body = Pose(np.eye(3), np.array([0.0, 4.0 * number - 8.0, START_Z]))
+        eskf.state = dataclasses.replace(
+            eskf.state, position=body.apply(RIG.body_from_imu.translation)
+        )
+        camera.take(image_from(body, 60 * number), NO_EDGES)
+    numbers = [k.number for k in camera._map.keyframes]
+    assert len(numbers) == 3 and numbers[1:] == [3, 4]
+    assert (
+        sorted(camera._closures._graph.poses) == sorted(camera._closures._index._words) == numbers
+    )
+
+
 def test_errors_that_landmarks_share_limit_the_information() -> None:
     """A map that is tilted about its centre, 10 m below, moves the camera across by 10 m a rad."""
     pose = Pose(np.eye(3), np.array([2.0, 3.0, 10.0]))

@@ -30,6 +30,7 @@ from support.paper_flight import (
     START_Z,
     error,
     ground_seen,
+    image_at,
     image_from,
     make_rig,
     position_at,
@@ -186,6 +187,24 @@ def test_returns_are_projected_to_where_the_image_was_taken(
         lidar._features(placed, np.zeros((2, 2), np.float32), pose)
         expected = RIG.body_from_camera.inverse().apply(body + [moved, 0.0, 0.0])
         np.testing.assert_allclose(seen[-1], expected, atol=1e-9)
+
+
+def test_the_estimator_knows_where_an_earlier_image_was_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Images 20 ticks before the ends of the scans."""
+    estimator = PaperEstimator(RIG, params())
+    places: list[Any] = []
+    monkeypatch.setattr(
+        estimator._lidar, "take", lambda scan, energy, seen_from: places.append(seen_from) or True
+    )
+    for obs in FLIGHT:
+        early = tuple(image_at(image.tick - 20) for image in obs.images)
+        estimator.update(dataclasses.replace(obs, images=early))
+        if obs.tick == 480:
+            break
+    found = places[-1].translation - RIG.body_from_imu.translation
+    np.testing.assert_allclose(found, position_at(400 / HZ), atol=5e-3)
 
 
 def test_the_estimator_uses_colour_where_the_ground_is_flat() -> None:

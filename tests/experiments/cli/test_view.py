@@ -15,7 +15,7 @@ from support.campaign_flights import wait_for
 
 FAKE_VIEWER = """
 import os, pathlib, subprocess, sys
-child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"])
 here = pathlib.Path(__file__).parent
 (here / "seen.tmp").write_text("\\n".join([str(os.getpid()), str(child.pid), *sys.argv[1:]]))
 (here / "seen.tmp").rename(here / "seen")

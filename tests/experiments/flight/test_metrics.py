@@ -57,11 +57,9 @@ def test_touchdown_window_keeps_only_the_last_half_second() -> None:
     for step in range(20):
         speed = -5.0 if step < 15 else -0.2
         truth = make_truth(
-            step / 10,
-            [0, 0, 1],
-            velocity_world=np.array([0.03, 0.04, speed]),
+            step / 10, [0, 0, 1], velocity_world=np.array([0.03, 0.04, speed]),
             acceleration_world=np.array([0.0, 0.0, -0.1]),
-        )
+        )  # fmt: skip
         window.add_before(truth)
     window.first_contact(make_truth(2.0, [4.0, 5.0, 0.3], contacts=LEG_ON_LAWN))
     for height in (0.30, 0.28, 0.31, 0.28):
@@ -129,12 +127,8 @@ def test_nees_of_known_errors() -> None:
     """An error of (1, 2, 2) standard deviations has NEES 9."""
     nees = Consistency()
     assert nees.summary().model_dump() == {
-        "median": None,
-        "mean": None,
-        "below_14_2": None,
-        "samples": 0,
-        "sigma_m": None,
-    }
+        "median": None, "mean": None, "below_14_2": None, "samples": 0, "sigma_m": None,
+    }  # fmt: skip
     covariance = np.diag([0.01, 0.04, 0.25])
     nees.add(np.array([0.1, 0.4, 1.0]), np.zeros(3), covariance)
     nees.add(np.array([0.0, 0.0, 5.0]), np.zeros(3), covariance)  # 100

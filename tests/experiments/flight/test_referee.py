@@ -90,14 +90,11 @@ def test_a_safe_landing() -> None:
     assert result.position_error.mean == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize(
-    ("changes", "safe", "geometry", "by_class"),
-    [
-        ({"safe": False}, False, True, True),
-        ({"safe": False, "safe_geometry": False, "slope_deg": 9.0}, False, False, True),
-        ({"safe": False, "land_class": "water"}, False, True, False),
-    ],
-)
+@pytest.mark.parametrize(("changes", "safe", "geometry", "by_class"), [
+    ({"safe": False}, False, True, True),
+    ({"safe": False, "safe_geometry": False, "slope_deg": 9.0}, False, False, True),
+    ({"safe": False, "land_class": "water"}, False, True, False),
+])  # fmt: skip
 def test_the_verdict_on_the_ground_is_that_of_the_landing(
     changes: dict[str, Any], safe: bool, geometry: bool, by_class: bool
 ) -> None:

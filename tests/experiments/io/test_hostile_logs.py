@@ -31,14 +31,11 @@ def _log(path: Path, data: bytes, size: int, compression: str = "zstd") -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("size", "compression", "message"),
-    [
-        (100, "zstd", "does not inflate to the size that it states"),
-        (6 << 30, "zstd", "a chunk of 6144 MiB, more than 128 MiB"),
-        (100, "lz4", "is compressed by 'lz4'"),
-    ],
-)
+@pytest.mark.parametrize(("size", "compression", "message"), [
+    (100, "zstd", "does not inflate to the size that it states"),
+    (6 << 30, "zstd", "a chunk of 6144 MiB, more than 128 MiB"),
+    (100, "lz4", "is compressed by 'lz4'"),
+])  # fmt: skip
 def test_chunks_are_inflated_within_limits(
     tmp_path: Path, size: int, compression: str, message: str
 ) -> None:

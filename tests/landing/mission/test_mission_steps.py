@@ -24,6 +24,7 @@ from touchdown.landing.mission.phases import (
     climb_back,
     come_down_here,
     initialise,
+    land_somewhere,
     return_home,
     search_leg,
     select,
@@ -305,7 +306,8 @@ def test_the_survey_lies_along_the_heading_of_the_start() -> None:
     stage = Stage(np.array([0.0, 0.0, 20.0]), yaw=0.5)
     path = places(stage.run(survey(stage.mission))) @ rotation_from_yaw(0.5)
     assert path[-1] == pytest.approx([0.0, 10.0, 20.0], abs=0.05)
-    assert np.linalg.norm(path - [20.0, 5.0, 20.0], axis=1).min() < 5.0
+    assert 20.0 < path[:, 0].max() < 30.0
+    assert path[:, 1].min() > -1e-6 and path[:, 1].max() < 10.0 + 1e-6
     assert len(path) * STEP_S == pytest.approx(QUICK.duration_s, abs=2.0 * STEP_S)
 
 
@@ -318,6 +320,18 @@ def test_a_decision_takes_its_time_and_sets_the_site() -> None:
     assert stage.result is decision.candidates[0] and stage.result.accepted
     np.testing.assert_array_equal(stage.mission.site_odom, stage.result.position_odom)
     assert decision.time_s == pytest.approx(0.5, abs=2.0 * STEP_S)
+
+
+def test_a_refused_site_is_remembered_and_its_decision_says_why() -> None:
+    stage = Stage(np.array([0.0, 0.0, 20.0]), go_arounds=0)
+    stage.maps = lambda legs: (RUBBLE if legs < 12.0 else None, 1)
+    stage.run(land_somewhere(stage.mission))
+    assert stage.result is False and stage.mission.no_site
+    refused, decision = stage.mission.refused_odom, stage.mission.decisions[-1]
+    assert len(refused) == 1
+    assert refused[0][:2] == pytest.approx(decision.candidates[0].position_odom[:2])
+    assert decision.given_up.startswith("at 10 m: ")
+    assert stage.mission.site_odom is None
 
 
 def test_strong_wind_makes_sites_beside_obstacles_less_probable() -> None:
@@ -485,14 +499,25 @@ def test_the_heading_of_setpoints_is_that_of_the_turn() -> None:
         assert setpoint.yaw_rate == pytest.approx(rate)
 
 
-def test_nothing_interrupts_the_final_descent() -> None:
+def test_an_unhealthy_estimate_stops_vehicle_and_clock_but_not_the_final_descent() -> None:
     stage, watch = Stage(SITE + [0.0, 0.0, 3.0]), HealthWatch()
     mission = stage.mission
     mission.phase = Phase.DESCEND
-    for final in (True, False):
-        mission.final = final
-        for stage.tick in (0, 1200):
-            stage.feed()
-            mission.estimate = dataclasses.replace(mission.estimate, healthy=False)
-            held = watch.hold(mission)
-        assert (held is None) == final
+
+    def hold_at(tick: int) -> Setpoint | None:
+        stage.tick = tick
+        stage.feed()
+        mission.estimate = dataclasses.replace(mission.estimate, healthy=False)
+        return watch.hold(mission)
+
+    mission.final = True
+    assert (hold_at(0), hold_at(1200)) == (None, None)
+    assert mission.now == 2.0
+    mission.final = False
+    assert (hold_at(1200), watch.lost(mission)) == (None, False)
+    held = hold_at(2400)
+    assert held is not None and not held.velocity_odom.any()
+    np.testing.assert_allclose(held.position_odom, stage.position)
+    assert mission.now == 2.0 and not watch.lost(mission)
+    assert hold_at(6001) is None
+    assert [watch.lost(mission), watch.lost(mission)] == [True, False]

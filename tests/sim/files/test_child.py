@@ -67,17 +67,14 @@ def reason(check: Callable[[str], str], content: str = "a") -> str:
     return child.reason_against(check, Path("a file"), content, "to read it")
 
 
-@pytest.mark.parametrize(
-    ("check", "message"),
-    [
-        (with_a_reason, "is a file"),
-        (with_an_error, "ends the process that tries to read it (exit code 1)"),
-        (with_a_socket, "no socket"),
-        (with_memory, "needs more than 4 GiB of memory to read it"),
-        (with_a_crash, f"ends the process that tries to read it (exit code {-signal.SIGSEGV})"),
-        (with_an_exit, "ends the process that tries to read it (exit code 0)"),
-    ],
-)
+@pytest.mark.parametrize(("check", "message"), [
+    (with_a_reason, "is a file"),
+    (with_an_error, "ends the process that tries to read it (exit code 1)"),
+    (with_a_socket, "no socket"),
+    (with_memory, "needs more than 4 GiB of memory to read it"),
+    (with_a_crash, f"ends the process that tries to read it (exit code {-signal.SIGSEGV})"),
+    (with_an_exit, "ends the process that tries to read it (exit code 0)"),
+])  # fmt: skip
 def test_what_is_said_of_a_file(check: Callable[[str], str], message: str) -> None:
     assert reason(check) == message
 
