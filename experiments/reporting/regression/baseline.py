@@ -37,12 +37,12 @@ class Trial:
 @dataclass(frozen=True, slots=True)
 class Figure:
     """A figure of a flight. Values below ``floor`` count as ``floor``, so that their logarithms do
-    not decide. ``sign``: 1 where more is worse, -1 where less is."""
+    not decide. More is worse, with ``both_sides`` less too."""
 
     title: str
     column: str
     floor: float
-    sign: int = 1
+    both_sides: bool = False
 
     def log_of(self, trial: Trial) -> float | None:
         """Logarithm of the figure; None for a flight without it."""
@@ -53,8 +53,9 @@ class Figure:
 FIGURES = (
     Figure("position error (m)", METRIC, 0.01),
     Figure("NEES", "nees.mean", 0.3),  # a tenth of what is consistent
-    Figure("stated σ (m)", "nees.sigma_m", 0.001, -1),  # overconfidence that errors hide
-    Figure("d_L (m)", "landing.target_offset_m", 0.05),  # half a cell of the map
+    # Less is overconfidence that small errors hide, more is a measurement that is lost.
+    Figure("stated σ (m)", "nees.sigma_m", 0.001, both_sides=True),
+    Figure("d_L (m)", "landing.target_offset_m", 0.01),
     Figure("levelness (°)", "map.levelness_error_deg.mean", 0.1),
 )
 """What `bounds` compares."""

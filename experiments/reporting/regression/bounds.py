@@ -37,22 +37,28 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BoundedFigure:
-    """A figure over the flights of a cell, or of all cells of a method. ``now``, ``before`` and
-    ``bound`` are geometric means; ``spread`` is the standard deviation of the logarithm between
-    seeds."""
+    """A figure over the flights of a cell, or of all cells of a method. ``now``, ``before``,
+    ``least`` (None: no bound) and ``most`` are geometric means; ``spread`` is the standard
+    deviation of the logarithm between seeds."""
 
     name: str
     figure: str
     flights: int
     now: float
     before: float
-    bound: float
+    least: float | None
+    most: float
     spread: float
-    sign: int
 
     @property
     def worse(self) -> bool:
-        return self.sign * math.log(self.now / self.bound) > _ROUNDING
+        below = self.least is not None and self.now < self.least * (1.0 - _ROUNDING)
+        return below or self.now > self.most * (1.0 + _ROUNDING)
+
+    @property
+    def bounds(self) -> str:
+        """The bounds as text."""
+        return f"{self.most:.4g}" if self.least is None else f"{self.least:.4g} to {self.most:.4g}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,11 +80,11 @@ class BoundsVerdict:
 def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
     """Compares the flights of ``rows`` with those of equal seeds of the baseline.
 
-    A figure is worse where the mean of its logarithm departs from that of the baseline, to the
-    worse side, by more than t * s * sqrt(2 / n): s the standard deviation between the baseline's
-    seeds, pooled over its cells of the method, n the flights, t the quantile of Student's
-    distribution for `ALPHA` over all figures and cells (Bonferroni). Raises UsageError where
-    nothing can be compared.
+    A figure is worse where the mean of its logarithm exceeds that of the baseline, or departs from
+    it to either side, by more than t * s * sqrt(2 / n): s the standard deviation between the
+    baseline's seeds, pooled over its cells of the method, n the flights, t the quantile of
+    Student's distribution for `ALPHA` over all figures and cells (Bonferroni). Raises UsageError
+    where nothing can be compared.
     """
     pairs = _equal_seeds(cells_of(rows), baseline.cells)
     groups = _groups(pairs)
@@ -142,7 +148,7 @@ def _margin(
             "seeds of each scene"
         )
     spread = math.sqrt(squares / freedom)
-    quantile = float(stats.t.ppf(1.0 - alpha, freedom))
+    quantile = float(stats.t.ppf(1.0 - alpha / (1 + figure.both_sides), freedom))
     return spread, quantile * spread * math.sqrt(2.0 / flights)
 
 
@@ -156,9 +162,9 @@ def _bounded(
         flights=len(both),
         now=math.exp(now),
         before=math.exp(before),
-        bound=math.exp(before + figure.sign * margin),
+        least=math.exp(before - margin) if figure.both_sides else None,
+        most=math.exp(before + margin),
         spread=spread,
-        sign=figure.sign,
     )
 
 
@@ -170,7 +176,7 @@ def bounds_lines(found: BoundsVerdict) -> list[str]:
     ]
     for one in found.figures:
         lines.append(
-            f"| {one.figure} | {one.name} | {one.now:.4g} | {one.before:.4g} | {one.bound:.4g} | "
+            f"| {one.figure} | {one.name} | {one.now:.4g} | {one.before:.4g} | {one.bounds} | "
             f"{100.0 * math.expm1(one.spread):.0f} % | {one.flights} | {'WORSE' * one.worse} |"
         )
     lines.append("")
@@ -178,7 +184,7 @@ def bounds_lines(found: BoundsVerdict) -> list[str]:
     for one in (figure for figure in found.figures if figure.worse):
         lines.append(
             f"WORSE  {one.name}: {one.figure} {one.now:.4g}, was {one.before:.4g}: "
-            f"{one.now / one.before:.3g} times, {one.bound / one.before:.3g} allowed"
+            f"{one.now / one.before:.3g} times; bound {one.bounds}"
         )
     if not found.failed:
         lines.append(f"All {len(found.figures)} figures are within their bounds.")

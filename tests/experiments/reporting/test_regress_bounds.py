@@ -70,22 +70,22 @@ def test_the_bound_follows_from_the_spread_between_seeds() -> None:
     for figure, count in ((one, 2), (both, 4)):
         assert figure.flights == count and figure.spread == pytest.approx(0.2)
         assert figure.now == pytest.approx(figure.before) == pytest.approx(3.0 * math.exp(-0.1))
-        allowed = math.log(figure.bound / figure.before)
+        allowed = math.log(figure.most / figure.before)
         assert allowed == pytest.approx(quantile * 0.2 * math.sqrt(2.0 / count))
 
 
 @pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.title)
 def test_each_figure_that_is_three_times_worse_is_named(figure: Any) -> None:
-    factor = 3.0**figure.sign
-    found = against(flights(**{figure.column: factor}), flights())
+    found = against(flights(**{figure.column: 3.0}), flights())
     assert {one.figure for one in found.figures if one.worse} == {figure.title}
     assert f"WORSE  a, livo (land short): {figure.title}" in "\n".join(bounds_lines(found))
-    assert not against(flights(), flights(**{figure.column: factor})).failed, "better is not worse"
+    less = against(flights(), flights(**{figure.column: 3.0}))
+    assert less.failed == (figure.column == SIGMA), "less is worse for what is stated alone"
 
 
 def test_values_below_the_floor_do_not_decide() -> None:
-    low = {D_L: 0.001 / 0.2}
-    assert not against(flights(**{D_L: 0.04 / 0.2}), flights(**low)).failed
+    low = {D_L: 0.0001 / 0.2}
+    assert not against(flights(**{D_L: 0.008 / 0.2}), flights(**low)).failed
     with pytest.raises(UsageError, match="no spread"):
         against([landing("a", 0)], [landing("a", 0)])
 
