@@ -163,7 +163,7 @@ def test_a_revisit_closes_the_loop() -> None:
 
 def test_a_new_keyframe_continues_the_closed_map() -> None:
     """Where closures have moved the newest keyframe, the next one is moved as far."""
-    camera = positioning(use_closures=False, use_camera_pose=False, use_bundle=False)
+    camera = positioning(use_camera_pose=False, use_bundle=False)
     eskf = camera._filter.eskf
     offset = Pose(so3_exp(np.array([0.0, 0.0, 0.1])), np.array([0.5, -0.2, 0.0]))
     for number, x in enumerate((0.0, 3.0)):
@@ -180,10 +180,39 @@ def test_a_new_keyframe_continues_the_closed_map() -> None:
         last.map_from_imu.translation, (offset @ last.odom_from_imu).translation, atol=1e-9
     )
     np.testing.assert_allclose(last.map_from_imu.rotation, offset.rotation, atol=1e-9)
+    target = camera._closures._target  # of the odometry frame, without a closure too
+    np.testing.assert_allclose(target.rotation, offset.rotation, atol=1e-9)
+    np.testing.assert_allclose(target.translation, offset.translation, atol=1e-9)
     # its own landmarks are those that the first has not, at the depth of the ground
     own = last.landmarks[0].points
+    used = {tuple(pixel) for pixel in last.sightings.pixels}
+    assert len(used & {tuple(pixel) for pixel in last.landmarks[0].pixels}) < 0.3 * len(used)
     assert len(own) > 10
     np.testing.assert_allclose(last.odom_from_imu.apply(own)[:, 2], 0.0, atol=0.05)
+
+
+def test_a_keyframe_keeps_inliers_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = positioning(use_closures=False, use_camera_pose=False, use_bundle=False)
+    eskf = camera._filter.eskf
+    localise = camera._localise
+    kept = 0
+
+    def every_other(features: Any) -> Any:
+        nonlocal kept
+        sightings, behind, solved = localise(features)
+        if solved is not None:
+            inliers = solved.inliers & (np.arange(len(sightings)) % 2 == 0)
+            solved = dataclasses.replace(solved, inliers=inliers)
+            kept = int(inliers.sum())
+        return sightings, behind, solved
+
+    monkeypatch.setattr(camera, "_localise", every_other)
+    for number, x in enumerate((0.0, 3.0)):
+        body = Pose(np.eye(3), np.array([x, 0.0, START_Z]))
+        position = body.apply(RIG.body_from_imu.translation)
+        eskf.state = dataclasses.replace(eskf.state, position=position)
+        camera.take(image_from(body, 60 * number), NO_EDGES)
+    assert len(camera._map.keyframes[-1].sightings) == kept > 10
 
 
 def test_keyframes_are_bounded_and_the_newest_stay() -> None:
