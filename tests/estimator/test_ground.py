@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, GridMap
+from touchdown.estimator.ground import _pool
 from touchdown.estimator.mapping.kernels import accumulate_heights
 
 from support.landing_support import grid_of_returns, make_grid
@@ -166,6 +167,18 @@ def test_water_that_swallows_most_pulses_keeps_its_mean_height() -> None:
     assert np.median(grid.ground().height_m - grid.height_m) < -0.05
     grid.missing[:] = 97.0
     np.testing.assert_array_equal(grid.ground().height_m, grid.height_m)
+
+
+def test_returns_of_a_neighbour_weigh_half_and_follow_the_slope() -> None:
+    """Four returns of the cell and two of each neighbour, on ground that rises a bin a column."""
+    histogram = np.zeros((3, 3, HEIGHT_BINS), np.uint8)
+    histogram[:, [0, 1, 2], [9, 10, 11]] = 2
+    histogram[1, 1, 10] = 4
+    ends = np.tile(np.array([0, HEIGHT_BINS], np.uint8), (3, 3, 1))
+    base, weights = np.zeros((3, 3), np.float32), np.zeros(48)
+    _pool(histogram, base, ends, 1, 1, 1, HEIGHT_BIN_M, 0.0, 0.0, weights)
+    assert np.flatnonzero(weights).tolist() == [10]
+    assert weights[10] == 4.0 + 8 * 2 * 0.5
 
 
 def test_ground_of_a_window_is_that_of_the_whole_map() -> None:
