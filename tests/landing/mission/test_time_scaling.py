@@ -13,6 +13,7 @@ from touchdown.landing.mission.time_scaling import (
     JERK_PER_S2,
     SPEED_UP_PER_S,
     TimeScaling,
+    _load,
     next_rate,
     scaled,
 )
@@ -191,6 +192,23 @@ def test_weak_rotors_slow_the_clock_earlier() -> None:
             slowest = min(slowest, scaling.rate)
         rates[name] = slowest
     assert rates["weak"] < rates["nominal"] - 0.1
+
+
+def test_clock_slows_before_the_path_asks_too_much() -> None:
+    """Before the load reaches its limit, by what braking at 0.2 a second leaves."""
+    wind = np.array([-7.0, 0.0, 0.0])
+    leg = through([State(np.zeros(3)), State(np.array([60.0, 0.0, 0.0]))], [9.0])
+    scaling = TimeScaling(VEHICLE, SLOWING)
+
+    def allows_itself(at_s: float) -> bool:
+        _, velocity, acceleration = leg.sample(at_s)
+        air = velocity - scaling._gusts * wind
+        return _load(air, acceleration, scaling._coefficients, scaling._limits) < 1.0
+
+    first = next(t for t in np.arange(0.0, 4.5, 0.05) if not allows_itself(t))
+    assert allows_itself(first - 0.3)
+    assert 0.9 < scaling._look(leg, first - 0.3, wind) < 0.98
+    assert scaling._look(leg, 8.95, wind) == 1.0  # nothing is asked beyond the end
 
 
 def test_strong_wind_slows_the_flight_and_says_so() -> None:
