@@ -40,7 +40,7 @@ check: $(READY_TO_TEST)
 	$(BIN)/mypy
 	$(BIN)/python -m pytest tests/project/test_architecture.py
 
-# Goes on where an earlier call stopped; about an hour of two cores from the start.
+# Goes on where an earlier call stopped; about twenty minutes of two cores from the start.
 mutation: $(READY_TO_TEST)
 	$(BIN)/python tests/mutations/run.py
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.provenance import plain_json
-from touchdown.sim.files.child import run_limited
+from touchdown.sim.files import child
 
 if TYPE_CHECKING:
     import duckdb
@@ -41,6 +42,8 @@ _PLAIN = {
     "UINTEGER", "UBIGINT", "UHUGEINT", "FLOAT", "DOUBLE", "VARCHAR", "JSON", "NULL",
 }  # fmt: skip
 """Types whose values are numbers, text and booleans of Python."""
+_NO_MEMORY = (child.NO_MEMORY, -signal.SIGABRT, -signal.SIGKILL)
+"""Exit codes; a library that finds no memory aborts"""
 _TOO_LARGE = "it takes more than 1 GiB of memory; select, join or group less"
 
 
@@ -187,9 +190,11 @@ def _asked_of_child(table: pa.Table, sql: str) -> QueryResult:
     with pa.ipc.new_stream(sink, table.schema) as stream:
         stream.write_table(table)
     data = json.dumps(sql).encode() + b"\n" + sink.getvalue().to_pybytes()
-    ended = run_limited(_answer, str(MOST_BYTES), data, memory_bytes=MEMORY_BYTES)
-    if ended.answer is None:  # a library that found no memory ended the process
+    ended = child.run_limited(_answer, str(MOST_BYTES), data, memory_bytes=MEMORY_BYTES)
+    if ended.code in _NO_MEMORY:
         raise UsageError(_TOO_LARGE)
+    if ended.answer is None:
+        raise UsageError(f"it ended the process that ran it (exit code {ended.code})")
     if ended.answer:
         raise UsageError(ended.answer)
     columns, *rows = map(json.loads, ended.output.splitlines())

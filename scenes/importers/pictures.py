@@ -34,7 +34,7 @@ _GREY = ("1", "L", "LA", "La", "I", "F")
 _TILE_SIDES = (322, 323)
 """Tags of a TIFF: a tile is decoded as a whole, however small the image"""
 _SCAN = rb"\xff\xda"
-"""begins a scan of a JPEG; no other data of it hold these bytes"""
+"""begins a scan of a JPEG; compressed data never hold these bytes, a thumbnail in it may, once"""
 _TIFF_ENDINGS = (".tif", ".tiff")
 
 

@@ -211,6 +211,18 @@ def test_a_query_has_a_process_with_little_memory(
     assert words in refused(sql)
 
 
+@pytest.mark.parametrize(("code", "words"), [
+    (3, "more than 1 GiB"), (-signal.SIGABRT, "more than 1 GiB"), (1, "(exit code 1)"),
+])  # fmt: skip
+def test_only_memory_is_called_memory(
+    refused: Query, monkeypatch: pytest.MonkeyPatch, code: int, words: str
+) -> None:
+    ended = sql_of_runs.child.Ended(code, b"", None)
+    monkeypatch.setattr(sql_of_runs, "_asked_of_child", CHILD)
+    monkeypatch.setattr(sql_of_runs.child, "run_limited", lambda *_, **__: ended)
+    assert words in refused("select 1")
+
+
 ENDLESS = "select sum(a.range % 7) from range(100000000000) a"
 
 
