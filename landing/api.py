@@ -379,18 +379,24 @@ class LandingParams:
     """vertical speed of the climb"""
     cruise_speed_mps: Positive = 7.0
     """horizontal speed between survey and site"""
+    accel_mps2: Positive = 1.5
+    """acceleration of straight ways: to the site, its correction and the sweep"""
     descent_speed_mps: Positive = 2.5
     """vertical speed of the descent"""
     obstacle_margin_m: NotNegative = 6.0
     """vertical clearance above the map on the way to the site"""
     look_height_m: Positive = 10.0
     """height above the site of the second look"""
+    look_s: NotNegative = 1.0
+    """hover before each look"""
     commit_height_m: Positive = 4.0
     """height above the site at which the site becomes final"""
     sweep_m: NotNegative = 1.0
     """half the width of the sweep at ``commit_height_m``"""
     final_speed_mps: Positive = 0.6
     """vertical speed below ``commit_height_m``"""
+    final_accel_mps2: Positive = 0.5
+    """vertical acceleration below ``commit_height_m``"""
     touchdown_speed_mps: Positive = 0.09
     """vertical speed at the first contact"""
     classifier: str = "auto"

@@ -115,12 +115,13 @@ class Consistency:
     2001, section 5.4); 3 on average for a consistent estimator.
 
     A histogram over the logarithm, ten decades from 1e-4, gives the median to 5 %. ``variances``
-    sums the logarithms of the trace of P, m^2, over samples where it is positive.
+    sums the logarithms of the trace of P and of its last element, m^2, over samples where both are
+    positive.
     """
 
     count: int = 0
     total: float = 0.0
-    variances: float = 0.0
+    variances: Array = field(default_factory=lambda: np.zeros(2))
     stated: int = 0
     below_limit: int = 0
     histogram: NDArray[np.int64] = field(
@@ -137,9 +138,9 @@ class Consistency:
             value = math.inf
         if not 0.0 <= value < math.inf:
             value = _NEES_LOWEST * 10.0 ** (_NEES_BINS / _NEES_PER_DECADE)
-        trace = float(np.trace(covariance))
-        if 0.0 < trace < math.inf:
-            self.variances += math.log(trace)
+        variances = np.array([np.trace(covariance), covariance[2, 2]])
+        if ((variances > 0.0) & (variances < np.inf)).all():
+            self.variances += np.log(variances)
             self.stated += 1
         self.count += 1
         self.total += value
@@ -152,12 +153,14 @@ class Consistency:
         if self.count == 0:
             return Nees(median=None, mean=None, below_14_2=None, samples=0)
         slot = int(np.searchsorted(np.cumsum(self.histogram), 0.5 * self.count))
+        sigmas = np.exp(0.5 * self.variances / max(self.stated, 1)).tolist()
         return Nees(
             median=_NEES_LOWEST * 10.0 ** ((slot + 0.5) / _NEES_PER_DECADE),
             mean=self.total / self.count,
             below_14_2=self.below_limit / self.count,
             samples=self.count,
-            sigma_m=math.exp(0.5 * self.variances / self.stated) if self.stated else None,
+            sigma_m=sigmas[0] if self.stated else None,
+            sigma_z_m=sigmas[1] if self.stated else None,
         )
 
 

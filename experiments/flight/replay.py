@@ -25,7 +25,7 @@ from touchdown.experiments.config.loading import dump_config, is_key, load_confi
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import flown_code
-from touchdown.experiments.flight.metrics import PositioningError
+from touchdown.experiments.flight.metrics import Consistency, PositioningError
 from touchdown.experiments.flight.observers import Progress
 from touchdown.experiments.io.provenance import git_revision, versions
 from touchdown.experiments.io.results import RunResult, StageTimes, Timing, load_result
@@ -254,7 +254,8 @@ def _replay(
     writer: TumWriter | None,
     progress: Progress | None,
 ) -> RunResult:
-    error, clock, started = PositioningError(), CpuClock(), time.perf_counter()
+    error, consistency = PositioningError(), Consistency()
+    clock, started = CpuClock(), time.perf_counter()
     outcome, reason, last_s = Outcome.COMPLETED, "", 0.0
     observations = seen_by(estimator.needs, logged.sensors)
     for obs, estimate in _estimates(estimator, observations, clock, logged):
@@ -266,6 +267,8 @@ def _replay(
             writer.add(estimate.time_s, estimated)
         if logged.judged(obs.tick):
             error.add(estimated, true)
+            covariance = estimate.position_covariance
+            consistency.add(estimated.translation, true.translation, covariance)
         distance = float(np.linalg.norm(estimated.translation - true.translation))
         if not distance <= config.referee.divergence_m:
             outcome, reason = Outcome.DIVERGED, f"the estimate is {distance:.1f} m off"
@@ -277,7 +280,7 @@ def _replay(
     wall_s = time.perf_counter() - started
     scans = max(last_s / 0.1, 1e-9)
     return _result(
-        logged, config, outcome, reason, error,
+        logged, config, outcome, reason, error, consistency,
         timing=Timing(
             wall_s=wall_s,
             sim_s=last_s,
@@ -320,6 +323,7 @@ def _result(
     outcome: Outcome,
     reason: str,
     error: PositioningError,
+    consistency: Consistency,
     timing: Timing,
 ) -> RunResult:
     code: dict[str, Any] = dict(flown_code(config.estimator))
@@ -335,6 +339,7 @@ def _result(
         flown_by=logged.result.estimator,
         judged_hz=logged_hz(logged),
         position_error_m=error.summary(),
+        nees=consistency.summary(),
         landing=None,
         timing=timing,
         versions=versions(),

@@ -58,6 +58,8 @@ class Nees(_Part):
     samples: int = 0
     sigma_m: Figure = None
     """geometric mean of the standard deviation (3-D) that the estimate states of its position"""
+    sigma_z_m: Figure = None
+    """the same of its height"""
 
 
 class Landing(_Part):

@@ -16,13 +16,11 @@ from touchdown.landing.mission.trajectory import descent_trajectory, straight_tr
 
 Array = NDArray[np.float64]
 
-_LOOK_HOVER_S = 1.0
 _LOOK_PATIENCE_S = 3.0
 _MAX_SHIFT_M = 3.0
 _MAX_LOW_SHIFT_M = 0.8
 _SHIFT_SPEED_MPS = 1.5
 _SWEEP_SPEED_MPS = 1.2
-_ACCEL_MPS2 = 1.5
 _SLOW_ABOVE_M = 0.2
 """height of the legs at which touchdown speed is reached"""
 _FREEZE_ABOVE_M = 1.5
@@ -82,7 +80,7 @@ def _look(mission: Mission, max_shift_m: float, name: str) -> Generator[Setpoint
     """Hovers, checks the site, and moves to where it is landable. Returns None for a good site (as
     moved), else the reason of the refusal."""
     assert mission.site_odom is not None
-    yield from mission.hover(_LOOK_HOVER_S)
+    yield from mission.hover(mission.params.look_s)
     shift = 0.0 if mission.params.site_xy_m is not None else max_shift_m
     look = look_again(mission.map_view, mission.site_odom, shift, mission.params)
     waited = 0.0
@@ -132,7 +130,7 @@ def _sweep(mission: Mission) -> Steps:
 
 def _move(mission: Mission, end: Array, speed: float) -> Steps:
     here = mission.odom(mission.reference_world)
-    path = straight_trajectory(here, np.zeros(3), end, speed, _ACCEL_MPS2)
+    path = straight_trajectory(here, np.zeros(3), end, speed, mission.params.accel_mps2)
     yield from mission.follow(path)
 
 
@@ -156,7 +154,7 @@ def final_descent(mission: Mission) -> Steps:
         ground + mission.leg_height + _SLOW_ABOVE_M,
         cruise_speed=params.final_speed_mps,
         touchdown_speed=params.touchdown_speed_mps,
-        max_accel=0.5,
+        max_accel=params.final_accel_mps2,
     )
     detector = TouchdownDetector(mission.rig)
     start, before, correction = mission.now, mission.now, 0.0

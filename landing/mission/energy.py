@@ -19,7 +19,8 @@ _MARGIN = 1.2
 def travel_time_s(distance_m: float, params: LandingParams) -> float:
     """Returns the time from rest to rest by the minimum-jerk segment of
     ``landing.mission.trajectory``, whose peak speed is 15/8 of the mean."""
-    return max(1.875 * distance_m / params.cruise_speed_mps, np.sqrt(4.0 * max(distance_m, 0.0)))
+    shortest = np.sqrt(6.0 * max(distance_m, 0.0) / params.accel_mps2)
+    return max(1.875 * distance_m / params.cruise_speed_mps, shortest)
 
 
 def landing_time_s(height_m: float, params: LandingParams, *, emergency: bool = False) -> float:

@@ -30,7 +30,6 @@ _SPIN_UP_THRUST = 0.4
 _HOVER_AFTER_CLIMB_S = 1.0
 _SETTLE_S = 0.5
 """hover before a decision, so that delayed scans and images arrive"""
-_ACCEL_MPS2 = 1.5
 _CORRIDOR_M = 3.0
 _FEEL_ABOVE_M = 3.0
 """height from which on the felt wind has settled after the take-off"""
@@ -357,7 +356,8 @@ def _straight(
     start = mission.reference_world if in_world else mission.odom(mission.reference_world)
     if np.linalg.norm(end - start) < 1e-3:
         return
+    params = mission.params
     path = straight_trajectory(
-        start.copy(), np.zeros(3), end, mission.params.cruise_speed_mps, _ACCEL_MPS2
+        start.copy(), np.zeros(3), end, params.cruise_speed_mps, params.accel_mps2
     )
     yield from mission.follow(path, in_world=in_world, hold_s=hold_s)

@@ -55,6 +55,7 @@ FIGURES = (
     Figure("NEES", "nees.mean", 0.3),  # a tenth of what is consistent
     # Less is overconfidence that small errors hide, more is a measurement that is lost.
     Figure("stated σ (m)", "nees.sigma_m", 0.001, both_sides=True),
+    Figure("stated σ of z (m)", "nees.sigma_z_m", 0.0001, both_sides=True),
     Figure("d_L (m)", "landing.target_offset_m", 0.01),
     Figure("levelness (°)", "map.levelness_error_deg.mean", 0.1),
 )

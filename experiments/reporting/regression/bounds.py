@@ -29,7 +29,7 @@ from touchdown.experiments.reporting.regression.baseline import (
 )
 from touchdown.experiments.reporting.regression.missing_runs import Pairs, newly_bad
 
-ALPHA = 0.05
+ALPHA = 0.01
 """Share of false alarms of a whole comparison, where equal seeds differ as much as two seeds."""
 ALL_SCENES = "all scenes"
 _ROUNDING = 1e-9

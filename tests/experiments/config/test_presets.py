@@ -47,7 +47,7 @@ def test_a_run_is_moved_to_another_preset_with_what_its_author_chose(
 def test_mistakes_name_the_preset() -> None:
     with pytest.raises(UsageError, match=r"preset = .*unknown.*did you mean 'short'"):
         load_config(None, ["preset=shrot"])
-    with pytest.raises(UsageError, match=r"does not fit into 5 s.*survey\.legs=3, preset short"):
+    with pytest.raises(UsageError, match=r"does not fit into 4.5 s.*survey\.legs=3, preset short"):
         load_config(None, ["survey.legs=3"], preset="short")
 
 

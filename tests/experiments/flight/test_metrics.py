@@ -128,6 +128,7 @@ def test_nees_of_known_errors() -> None:
     nees = Consistency()
     assert nees.summary().model_dump() == {
         "median": None, "mean": None, "below_14_2": None, "samples": 0, "sigma_m": None,
+        "sigma_z_m": None,
     }  # fmt: skip
     covariance = np.diag([0.01, 0.04, 0.25])
     nees.add(np.array([0.1, 0.4, 1.0]), np.zeros(3), covariance)
@@ -135,7 +136,9 @@ def test_nees_of_known_errors() -> None:
     nees.add(np.array([0.1, 0.0, 0.0]), np.zeros(3), covariance)  # 1
     summary = nees.summary()
     assert summary.mean == pytest.approx(110.0 / 3.0)
-    assert summary.sigma_m == pytest.approx(np.sqrt(0.3))
+    assert summary.sigma_m == pytest.approx(np.sqrt(0.3)) and summary.sigma_z_m == pytest.approx(
+        0.5
+    )
     assert summary.median == pytest.approx(9.0, rel=0.05)
     assert summary.below_14_2 == pytest.approx(2.0 / 3.0)
     assert summary.samples == 3
