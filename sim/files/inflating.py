@@ -8,7 +8,9 @@ import zlib
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
 MAX_TEXT_BYTES = 1 << 19
 """of all texts and profiles of a PNG that may be compressed; a byte inflates to 1032 at most"""
@@ -16,6 +18,12 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _STEP = 1 << 20
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 """of a pixel, by the colour type of a PNG"""
+_LAST_FILTER = 4
+_ADAM7 = (
+    (0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2),
+    (0, 1, 1, 2),
+)  # fmt: skip
+"""first column and row and the steps of each pass of an interlaced PNG"""
 
 
 def gunzipped(path: Path, most: int) -> bytes:
@@ -39,11 +47,13 @@ def inflated_chunk(data: bytes, compression: str, size: int) -> bytes:
 
 def check_png(file: BinaryIO, most_pixels: int) -> None:
     """Reads a PNG file to its end. Raises ValueError, a predicate of "an image", unless its chunks
-    have their checksums, it has at most ``most_pixels``, and its data inflate to no more bytes than
-    these pixels need: decoders inflate all, and print about damage what they like."""
+    have their checksums, it has at most ``most_pixels``, its data inflate to no more bytes than
+    these pixels need, and each row has a known filter: decoders inflate all, and print about damage
+    what they like."""
     if file.read(len(_SIGNATURE)) != _SIGNATURE:
         raise ValueError("is no PNG file")
-    kind, room, text = b"", 0, 0
+    kind, text, done = b"", 0, 0
+    filters = np.zeros(1, np.int64)
     inflater = zlib.decompressobj()
     while kind != b"IEND":
         size, kind = struct.unpack(">I4s", _exactly(file, 8))
@@ -55,9 +65,9 @@ def check_png(file: BinaryIO, most_pixels: int) -> None:
             piece = _exactly(file, min(_STEP, size - start))
             checksum = zlib.crc32(piece, checksum)
             if kind == b"IHDR":
-                room = _needed(piece, most_pixels)
+                filters = _rows(piece, most_pixels)
             elif kind == b"IDAT":
-                room -= _inflated_size(inflater, piece, room)
+                done = _inflate_rows(inflater, piece, filters, done)
         if struct.unpack(">I", _exactly(file, 4)) != (checksum,):
             raise ValueError("does not have its checksum")
 
@@ -69,24 +79,38 @@ def _exactly(file: BinaryIO, size: int) -> bytes:
     return data
 
 
-def _needed(header: bytes, most_pixels: int) -> int:
-    """Bytes of an image with a filter byte for each row; interlaced rows are at most twice as many
-    and 7 more, and each may end within a byte."""
-    width, height, bits, colour = struct.unpack(">IIBB", header[:10].ljust(10, b"\0"))
+def _rows(header: bytes, most_pixels: int) -> NDArray[np.int64]:
+    """Offsets of the filter byte of each row in the inflated data, and last their size."""
+    if len(header) != 13:
+        raise ValueError("has a header of another size")
+    width, height, bits, colour, packing, filtering, interlace = struct.unpack(">IIBBBBB", header)
     if width * height > most_pixels:
         raise ValueError(f"has {width} x {height} pixels, more than {most_pixels}")
-    return height * -(-width * bits * _CHANNELS.get(colour, 4) // 8) + 2 * (2 * height + 7)
+    if colour not in _CHANNELS or packing or filtering or interlace > 1:
+        raise ValueError("is of a kind that PNG does not have")
+    sizes = [np.zeros(1, np.int64)]
+    for x, y, step_x, step_y in _ADAM7 if interlace else ((0, 0, 1, 1),):
+        columns, rows = -(-(width - x) // step_x), -(-(height - y) // step_y)
+        if columns > 0 and rows > 0:
+            sizes.append(np.full(rows, 1 + -(-columns * bits * _CHANNELS[colour] // 8)))
+    return np.cumsum(np.concatenate(sizes))
 
 
-def _inflated_size(inflater: zlib._Decompress, piece: bytes, room: int) -> int:
-    """Bytes to which a piece inflates. Raises ValueError above ``room`` and for damaged data."""
-    size = 0
+def _inflate_rows(
+    inflater: zlib._Decompress, piece: bytes, filters: NDArray[np.int64], done: int
+) -> int:
+    """Inflates a piece of the data of an image, of which ``done`` bytes came before, and returns
+    the bytes so far. Raises ValueError above their size, for an unknown filter and for damage."""
     try:
         while piece and not inflater.eof:
-            size += len(inflater.decompress(piece, _STEP))
+            data = np.frombuffer(inflater.decompress(piece, _STEP), np.uint8)
             piece = inflater.unconsumed_tail
-            if size > room:
+            first, end = np.searchsorted(filters, (done, done + len(data)))
+            if done + len(data) > filters[-1]:
                 raise ValueError("inflates to more than its size in pixels needs")
+            if (data[filters[first:end] - done] > _LAST_FILTER).any():
+                raise ValueError("has a row with an unknown filter")
+            done += len(data)
     except zlib.error:
         raise ValueError("cannot be inflated") from None
-    return size
+    return done

@@ -14,21 +14,23 @@ LIMIT_S = 600.0
 
 
 def png(
-    width: int, height: int, bits: int = 8, colour: int = 2, inflated: int = 1000, text: bytes = b""
-) -> bytes:
-    """A PNG that declares a size and holds ``inflated`` bytes, and a compressed ``text``."""
+    width: int, height: int, bits: int = 8, colour: int = 2, inflated: int = 1000,
+    text: bytes = b"", methods: tuple[int, int, int] = (0, 0, 0), data: bytes = b"",
+) -> bytes:  # fmt: skip
+    """A PNG that declares a size and holds ``inflated`` bytes or ``data``, and a compressed
+    ``text``. ``methods``: of compression, filters and interlacing."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return (
             struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
         )
 
-    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, bits, colour, *methods)
     return (
         b"\x89PNG\r\n\x1a\n"
         + chunk(b"IHDR", header)
         + (chunk(b"zTXt", b"k\0\0" + text) if text else b"")
-        + chunk(b"IDAT", zlib.compress(b"\0" * inflated))
+        + chunk(b"IDAT", zlib.compress(data or bytes(inflated)))
         + chunk(b"IEND", b"")
     )
 

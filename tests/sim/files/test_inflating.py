@@ -28,6 +28,8 @@ def _little_memory() -> Iterator[None]:
     assert peak < LITTLE
 
 
+LAST_ROW = bytes(2 * 4 + 7 + 2 * 7 + 2 * 13 + 4 * 13 + 3 * 25)
+"""rows of the passes of 8 x 8 interlaced pixels up to the last"""
 BOMBS = {
     "pixels": (png(8, 8, inflated=BOMB), "inflates to more than its size in pixels needs"),
     "grey": (png(8, 8, 1, 0, inflated=100), "inflates to more"),
@@ -35,6 +37,9 @@ BOMBS = {
     "size": (png(1000, 2000), "has 1000 x 2000 pixels, more than 1000000"),
     "checksum": (png(8, 8, inflated=200).replace(b"IEND\xae", b"IEND\xad"), "have its checksum"),
     "short": (png(8, 8, inflated=200)[:-20], "ends too early"),
+    "filter": (png(8, 8, data=bytes(175) + b"\5"), "has a row with an unknown filter"),
+    "kind": (png(8, 8, methods=(0, 1, 0)), "is of a kind that PNG does not have"),
+    "pass": (png(8, 8, methods=(0, 0, 1), data=LAST_ROW + b"\5"), "a row with an unknown filter"),
     "none": (b"GIF", "is no PNG file"),
 }
 
@@ -60,6 +65,7 @@ def test_png_files_of_every_kind_pass() -> None:
         for kind in (np.uint8, np.uint16):
             image = rng.integers(0, np.iinfo(kind).max, shape).astype(kind)
             check_png(io.BytesIO(cv2.imencode(".png", image)[1].tobytes()), 10_000)
+    check_png(io.BytesIO(png(8, 8, methods=(0, 0, 1), data=LAST_ROW + bytes(25))), 10_000)
     for colours in (2, 16, 256):
         file = io.BytesIO()
         grey = Image.fromarray(rng.integers(0, 255, (31, 19), np.uint8))
