@@ -14,6 +14,8 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 # Tests share the machine with each other's processes; libraries stay on one thread.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+# Scenes of other revisions, or of the user, stay out of the tests.
+os.environ["TOUCHDOWN_SCENE_CACHE"] = f"{tempfile.gettempdir()}/touchdown-scenes-{os.getuid()}"
 
 
 def pytest_configure() -> None:

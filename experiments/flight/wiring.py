@@ -54,10 +54,10 @@ class FlightStack:
 
 def build_scene(config: Config) -> Scene:
     """Loads the scene of a configuration. Raises ValueError or FileNotFoundError, one line each."""
-    from touchdown.scenes.compose import load_scene
+    from touchdown.scenes.cache import cached_scene
 
     seed = config.seed if config.scene_seed is None else config.scene_seed
-    scene = load_scene(config.scene, seed, low_sun(config), config.light)
+    scene = cached_scene(config.scene, seed, low_sun(config), config.light)
     if config.landing.site_xy_m is not None:
         _refuse_site_of_the_file(np.array(config.landing.site_xy_m), scene)
     return scene

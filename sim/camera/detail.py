@@ -21,8 +21,10 @@ from zlib import crc32
 import cv2
 import mujoco
 import numpy as np
+import scipy.fft
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import fourier_gaussian
 
 from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, OTHER_CLASS_ID, Scene
 from touchdown.sim.api import CameraIntrinsics
@@ -265,7 +267,7 @@ def _kinds(
     return np.where(below == scene.model.geom(ground.geom_name).id, raster, kinds)
 
 
-@functools.cache  # a second of blurring, the same for every world
+@functools.cache  # the same for every world
 def grain(name: str) -> Bytes:
     """The photograph ``name`` over its local mean, (1024, 1024, 3) RGB: 128 where it is 1; for
     reading only."""
@@ -275,9 +277,9 @@ def grain(name: str) -> Bytes:
         raise RuntimeError(f"the photograph {name}.jpg is missing from the installed package")
     image = cv2.resize(image, (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA)
     picture = image[..., ::-1].astype(np.float32)
-    edge = int(3 * look.smooth_px)
-    wide = cv2.copyMakeBorder(picture, edge, edge, edge, edge, cv2.BORDER_WRAP)
-    mean = cv2.GaussianBlur(wide, (0, 0), look.smooth_px)[edge:-edge, edge:-edge]
+    spectrum = scipy.fft.rfft2(picture.transpose(2, 0, 1))
+    blurred = fourier_gaussian(spectrum, (0.0, look.smooth_px, look.smooth_px), SIDE_PX)
+    mean = scipy.fft.irfft2(blurred).transpose(1, 2, 0)
     ratio = picture / np.maximum(mean, 1.0)
     tone = ratio.mean(axis=2, keepdims=True)
     ratio = tone + look.colour * (ratio - tone)

@@ -1,0 +1,128 @@
+"""Scenes on disk: the same scene as a new one, and never that of another key."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from touchdown.scenes import cache
+from touchdown.scenes.api import LowSun, Scene
+from touchdown.scenes.cache import cached_scene
+from touchdown.scenes.compose import load_scene
+
+
+@pytest.fixture
+def loads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
+    """What was generated, by arguments; the cache is empty. Models are small ones."""
+    monkeypatch.setenv(cache.DIRECTORY_VARIABLE, str(tmp_path / "scenes"))
+    found: list[Any] = []
+
+    def load(*arguments: Any) -> Scene:
+        found.append(arguments)
+        geoms = "".join(f'<geom size="{n + 1}"/>' for n in range(len(found)))
+        model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+        corners = np.array([[-1.0, -1.0], [1.0, 1.0]])
+        return Scene(
+            name="flat", seed=arguments[1], model=model, takeoff_xy_m=np.zeros(2), takeoff_yaw=0.5,
+            bounds_xy_m=corners, surfaces={}, ground=None, moving=(),
+        )  # fmt: skip
+
+    monkeypatch.setattr(cache, "load_scene", load)
+    return found
+
+
+def entries(tmp_path: Path) -> list[Path]:
+    return sorted((tmp_path / "scenes").iterdir(), key=lambda entry: entry.stat().st_mtime)
+
+
+def test_a_scene_from_the_disk_is_the_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(cache.DIRECTORY_VARIABLE, str(tmp_path))
+    first, again = (cached_scene("flat", 3, None, "dusk") for _ in range(2))
+    new = load_scene("flat", 3, None, "dusk")
+    for scene in (first, again):
+        sizes = [mujoco.mj_sizeModel(one.model) for one in (scene, new)]
+        bytes_of = [np.empty(size, np.uint8) for size in sizes]
+        for one, buffer in zip((scene, new), bytes_of, strict=True):
+            mujoco.mj_saveModel(one.model, None, buffer)
+        np.testing.assert_array_equal(*bytes_of)
+        rest = [pickle.dumps(replace(one, model=None)) for one in (scene, new)]
+        assert rest[0] == rest[1]
+
+
+def test_each_key_has_its_own_entry(loads: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    sun = LowSun(elevation_deg=10.0)
+    keys: list[Any] = [
+        ("flat", 1, None, "day"), ("flat", 2, None, "day"), ("lake", 1, None, "day"),
+        ("flat", 1, sun, "day"), ("flat", 1, None, "dusk"),
+    ]  # fmt: skip
+    for _ in range(2):
+        assert [cached_scene(*key).model.ngeom for key in keys] == [1, 2, 3, 4, 5]
+    assert loads == keys
+    monkeypatch.setattr(cache, "_sources", lambda: "other sources")
+    assert cached_scene(*keys[0]).model.ngeom == 6
+
+
+def test_what_the_sources_hash_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("scenes", "sim"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.py").write_text("1")
+    sources = cache._sources.__wrapped__
+    monkeypatch.setattr(cache, "__file__", str(tmp_path / "scenes" / "cache.py"))
+    found = [sources()]
+    for name in ("scenes", "sim"):
+        (tmp_path / name / "a.py").write_text("2")
+        found.append(sources())
+    monkeypatch.setattr(cache, "version", lambda name: "0")
+    assert len({*found, sources()}) == 4
+
+
+@pytest.mark.parametrize("name", ["model.mjb", "scene.pickle"])
+def test_a_damaged_entry_is_made_anew(loads: list[Any], tmp_path: Path, name: str) -> None:
+    cached_scene("flat", 1, None, "day")
+    (tmp_path / "scenes" / entries(tmp_path)[0].name / name).write_bytes(b"\x80damaged")
+    assert [cached_scene("flat", 1, None, "day").model.ngeom for _ in range(2)] == [2, 2]
+
+
+def test_the_entry_that_was_used_least_recently_goes_first(
+    loads: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for seed in (1, 2, 3):
+        cached_scene("flat", seed, None, "day")
+        os.utime(entries(tmp_path)[-1], (seed, seed))
+    cached_scene("flat", 1, None, "day")
+    size = sum(file.stat().st_size for file in entries(tmp_path)[0].iterdir())
+    monkeypatch.setenv(cache.SIZE_VARIABLE, str(3.5 * size / 1e9))
+    cached_scene("flat", 4, None, "day")
+    assert len(entries(tmp_path)) == 3
+    for seed in (1, 3, 4):
+        cached_scene("flat", seed, None, "day")
+    assert [arguments[1] for arguments in loads] == [1, 2, 3, 4]
+
+
+def test_a_directory_that_others_may_write_to_is_not_read(
+    loads: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cached_scene("flat", 1, None, "day")
+    (tmp_path / "scenes").chmod(0o777)
+    cached_scene("flat", 1, None, "day")
+    monkeypatch.setenv(cache.DIRECTORY_VARIABLE, "off")
+    cached_scene("flat", 1, None, "day")
+    (tmp_path / "file").touch()
+    monkeypatch.setenv(cache.DIRECTORY_VARIABLE, str(tmp_path / "file" / "deeper"))
+    cached_scene("flat", 1, None, "day")
+    assert len(loads) == 4 and len(entries(tmp_path)) == 1
+
+
+def test_scenes_from_files_are_read_anew(loads: list[Any], tmp_path: Path) -> None:
+    for _ in range(2):
+        cached_scene("./flat.xml", 1, None, "day")
+    assert len(loads) == 2 and not (tmp_path / "scenes").exists()
