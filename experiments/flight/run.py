@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, input_message
+from touchdown.experiments.external.processes import release_memory
 from touchdown.experiments.external.wrapper import ExternalEstimatorError
 from touchdown.experiments.flight.estimator_calibration import check_calibration
 from touchdown.experiments.flight.inactive_faults import inactive_faults
@@ -60,6 +61,7 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     limit_threads()
     scene = build_scene(config)
     stack = build_flight_stack(config, scene)
+    release_memory()  # 200 MB that the network's loader and the renderer have freed
     _warn_of_inactive_faults(config, stack)
     if out_dir is None:
         return fly_and_judge(config, stack, NullRecorder(), progress)

@@ -41,15 +41,19 @@ class OnnxClassifier:
         import onnxruntime
 
         content = read_network(path)
+        own = path.resolve().parent == _TRAINED
         # ONNX Runtime is not asked in this process about a file that it may break on; the network
         # of the project itself is known to load.
-        if path.resolve().parent != _TRAINED:
+        if not own:
             reason = trial.reason_against(path.resolve(), hashlib.sha256(content).hexdigest())
             if reason:
                 raise ValueError(f"'{path}' {reason}")
         try:
+            # A session keeps the bytes that it is given, 50 MB, and no file.
             self._session = onnxruntime.InferenceSession(
-                content, trial.session_options(threads), providers=["CPUExecutionProvider"]
+                str(path) if own else content,
+                trial.session_options(threads),
+                providers=["CPUExecutionProvider"],
             )
         except Exception as error:  # onnxruntime's errors share no base class
             text = trial.plain_reason(error)
