@@ -15,8 +15,7 @@ import click
 
 from touchdown.experiments.cli.bench import bench
 from touchdown.experiments.cli.bench_all import bench_all, bench_compare
-from touchdown.experiments.cli.bench_imu import bench_imu
-from touchdown.experiments.cli.bench_odometry import bench_estimator
+from touchdown.experiments.cli.bench_odometry import bench_estimator, bench_imu
 from touchdown.experiments.cli.calibrate import calibrate
 from touchdown.experiments.cli.campaign import campaign
 from touchdown.experiments.cli.classification import classify, dataset, evaluate, quantize, train
