@@ -16,6 +16,7 @@ import click
 from touchdown.experiments.cli.bench import bench
 from touchdown.experiments.cli.bench_imu import bench_imu
 from touchdown.experiments.cli.bench_odometry import bench_estimator
+from touchdown.experiments.cli.bench_profile import bench_profile
 from touchdown.experiments.cli.calibrate import calibrate
 from touchdown.experiments.cli.campaign import campaign
 from touchdown.experiments.cli.classification import classify, dataset, evaluate, quantize, train
@@ -67,6 +68,7 @@ cli.add_command(scenes)
 cli.add_command(bench)
 bench.add_command(bench_estimator)
 bench.add_command(bench_imu)
+bench.add_command(bench_profile)
 cli.add_command(check_estimator_command)
 cli.add_command(calibrate)
 cli.add_command(campaign)
