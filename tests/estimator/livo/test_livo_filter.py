@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from touchdown.estimator.filtering.error_state import CALIBRATION_DIM, IMU_DIM, STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import (
-    IMU_DIM,
-    STATE_DIM,
     ImuBuffer,
     NavState,
     exp_so3,
@@ -14,7 +13,6 @@ from touchdown.estimator.filtering.imu_propagation import (
     propagate_nominal,
     transition,
 )
-from touchdown.estimator.livo.online_calibration import CALIBRATION_DIM
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 

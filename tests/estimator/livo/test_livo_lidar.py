@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.filtering.deskew import place_scan, screen_scan, thin_out
+from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.estimator.filtering.information import lateral_strength, limit_information
 from touchdown.estimator.filtering.plane_map import PlaneMap, smallest_eigen
 from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
