@@ -1,18 +1,14 @@
 """Rejection of invalid messages, and estimators and mapper behind the guard."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from touchdown.estimator.api import Estimate
 from touchdown.estimator.guard import InputGuard
-from touchdown.sim.api import CameraImage, FaultParams, ImuSample, LidarScan, Observation
-from touchdown.sim.faults.injector import FaultInjector
+from touchdown.sim.api import CameraImage, ImuSample, LidarScan, Observation
 
-from support import livo_flight, paper_flight
 from support.guard_support import RIG, obs
 
 HEIGHT, WIDTH = RIG.camera.height, RIG.camera.width
@@ -171,48 +167,3 @@ def test_an_invalid_imu_sample_is_replaced() -> None:
     assert out.imu[0].tick == 6 and out.imu[0].angular_velocity[0] == 0.1
     assert events == ["IMU sample 6 replaced by 3: not a number"]
     assert screen(obs(3, imu=(sample(3, np.inf),)))[0].imu == ()
-
-
-FAULTS = {
-    "lidar_nan": "not a number", "lidar_empty": "no pulses", "lidar_blind": "no returns",
-    "camera_black": "no contrast", "timestamp_repeat": "repeats its time stamp",
-    "timestamp_swap": "out of order", "lidar_frozen": "the same as the one before",
-    "camera_frozen": "the same as the one before",
-}  # fmt: skip
-
-
-def replay(
-    flight: list[Observation], fly: Callable[[list[Observation]], list[Estimate]], *events: str
-) -> list[Estimate]:
-    injector = FaultInjector(FaultParams(events=events), 600)
-    return fly([injector.apply(observation) for observation in flight])
-
-
-@pytest.mark.parametrize("kind", FAULTS)
-@pytest.mark.parametrize("module", [livo_flight, paper_flight])
-def test_estimators_survive_and_report(module: Any, kind: str) -> None:
-    clean = module.FLIGHT
-    start = 0.6 * clean[-1].tick / 600
-    count = 2 if kind == "timestamp_swap" else 1
-    estimates = replay(clean, module.fly, f"{kind}@{start:g}*{count}")
-    events = [text for estimate in estimates for text in estimate.events]
-    assert any(FAULTS[kind] in text for text in events), events
-    for estimate in estimates:
-        true = module.position_at(estimate.time_s)
-        assert np.linalg.norm(estimate.world_from_body.translation - true) < 0.06
-        assert np.isfinite(estimate.position_covariance).all()
-
-
-@pytest.mark.parametrize("sensor", ["lidar", "camera"])
-@pytest.mark.parametrize("module", [livo_flight, paper_flight])
-def test_estimators_go_on_without_a_sensor(module: Any, sensor: str) -> None:
-    clean = module.FLIGHT
-    start = 0.3 * clean[-1].tick / 600
-    estimates = replay(clean, module.fly, f"{sensor}_dropout@{start:g}+0.6")
-    events = [text for estimate in estimates for text in estimate.events]
-    assert any(text.startswith("no ") for text in events)
-    worst = max(
-        np.linalg.norm(e.world_from_body.translation - module.position_at(e.time_s))
-        for e in estimates
-    )
-    assert worst < 0.06

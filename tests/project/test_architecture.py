@@ -336,18 +336,6 @@ def test_no_paths_of_one_machine() -> None:
             assert not pattern.search(line), f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
 
 
-def test_console_script_exists() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    module, _, function = project["scripts"]["touchdown"].partition(":")
-    assert callable(getattr(__import__(module, fromlist=[function]), function))
-
-
-def test_the_package_holds_every_folder() -> None:
-    for folder in FOLDERS:
-        link = ROOT / "src" / PACKAGE / folder
-        assert link.is_symlink() and link.resolve() == ROOT / folder
-
-
 def test_every_data_file_is_packaged() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
     patterns = settings["setuptools"]["package-data"]["*"]

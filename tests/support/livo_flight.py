@@ -1,5 +1,6 @@
 """A short synthetic flight for `livo`."""
 
+import functools
 from collections.abc import Callable
 
 import cv2
@@ -25,8 +26,8 @@ HZ, IMU_TICKS, SCAN_TICKS, LATENCY = 600, 3, 60, 36
 
 
 START_Z = 12.0
-
-
+Motion = Callable[[float], np.ndarray]
+"""Position in metres by time in seconds."""
 DOWN = BODY_FROM_DOWNWARD_OPTICAL
 
 
@@ -63,7 +64,7 @@ def swaying(t: float) -> np.ndarray:
     return np.array([2.0 * (1.0 - np.cos(2.0 * t)), 0.0, START_Z])
 
 
-def scan_ending_at(tick: int, motion: Callable[[float], np.ndarray] = position_at) -> LidarScan:
+def scan_ending_at(tick: int, motion: Motion = position_at) -> LidarScan:
     """Level ground z = 0 under the moving LIDAR, without noise."""
     rng = np.random.default_rng(tick)
     count, start_s = 4000, (tick - SCAN_TICKS) / HZ
@@ -111,11 +112,11 @@ def image_at(tick: int, rig: SensorRig, position: np.ndarray | None = None) -> C
     return CameraImage(tick=tick, time_s=tick / HZ, rgb=np.repeat(grey[..., None], 3, axis=2))
 
 
-def observations(
-    rig: SensorRig, last_tick: int, motion: Callable[[float], np.ndarray] = position_at,
-    ahead_ticks: int = 0, *, seen: bool = True,
+def observed(
+    last_tick: int, motion: Motion, scan_at: Callable[[int], LidarScan],
+    image_at: Callable[[int], CameraImage] | None,
 ) -> list[Observation]:  # fmt: skip
-    """``ahead_ticks``: of the camera's clock; ``seen``: with images."""
+    """What is measured while the rotors spin, scans and images each at ten a second."""
     found, step = [], IMU_TICKS / HZ
     for tick in range(0, last_tick + 1, IMU_TICKS):
         measured = tick - LATENCY
@@ -130,22 +131,42 @@ def observations(
         found.append(
             Observation(
                 tick=tick, time_s=tick / HZ, imu=(imu,) if tick else (),
-                scans=(scan_ending_at(measured, motion),) if due else (),
-                images=(image_at(measured, rig, motion((measured - ahead_ticks) / HZ)),)
-                if due and seen
-                else (),
+                scans=(scan_at(measured),) if due else (),
+                images=(image_at(measured),) if due and image_at else (),
                 rotor_speed_radps=np.full(4, 400.0), battery_fraction=1.0,
             )
         )  # fmt: skip
     return found
 
 
+def observations(
+    rig: SensorRig, last_tick: int, motion: Motion = position_at, ahead_ticks: int = 0,
+    *, seen: bool = True,
+) -> list[Observation]:  # fmt: skip
+    """``ahead_ticks``: of the camera's clock; ``seen``: with images."""
+
+    def image(tick: int) -> CameraImage:
+        return image_at(tick, rig, motion((tick - ahead_ticks) / HZ))
+
+    return observed(
+        last_tick, motion, lambda tick: scan_ending_at(tick, motion), image if seen else None
+    )
+
+
 RIG = make_rig()
-
-
 FLIGHT = observations(RIG, 780)
+
+
+@functools.cache
+def clean() -> list[Estimate]:
+    return fly(FLIGHT)
 
 
 def fly(flight: list[Observation], rig: SensorRig = RIG) -> list[Estimate]:
     livo = Livo(rig, LivoParams())
     return [livo.update(obs) for obs in flight]
+
+
+def error(estimate: Estimate) -> float:
+    true = position_at(estimate.time_s)
+    return float(np.linalg.norm(estimate.world_from_body.translation - true))

@@ -1,65 +1,35 @@
-"""A short synthetic flight for `paper`."""
+"""A short synthetic flight for `paper`: that for `livo` with finer images and a regular LIDAR."""
+
+import dataclasses
+import functools
 
 import cv2
 import numpy as np
 
 from touchdown.estimator.api import Estimate, PaperParams
 from touchdown.estimator.paper.estimator import PaperEstimator
-from touchdown.sim.api import (
-    GRAVITY_MPS2,
-    CameraImage,
-    CameraIntrinsics,
-    ImuParams,
-    ImuSample,
-    LidarParams,
-    LidarScan,
-    Observation,
-    SensorRig,
-    VehicleModel,
-)
-from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
+from touchdown.sim.api import CameraImage, CameraIntrinsics, LidarScan, Observation, SensorRig
+from touchdown.sim.frames import Pose
 
-HZ, IMU_TICKS, SCAN_TICKS, LATENCY, LAST = 600, 3, 60, 36, 960
+from support import livo_flight
+from support.livo_flight import HZ, SCAN_TICKS, START_Z, position_at
 
-
-START_Z = 12.0
-
-
+LAST = 960
 TEXEL_M = 0.05
-
-
 PLAIN = PaperParams(sift_features=150, brisk_features=150)
 
 
 def make_rig(distortion: float = 0.0) -> SensorRig:
-    down = BODY_FROM_DOWNWARD_OPTICAL
-    return SensorRig(
-        tick_hz=HZ, body_from_imu=Pose(np.eye(3), np.array([0.02, 0.0, 0.01])),
-        body_from_lidar=Pose(down, np.array([0.0, 0.0, -0.15])),
-        body_from_camera=Pose(down, np.array([0.075, 0.025, -0.13])),
-        body_from_camera_right=Pose(down, np.array([0.075, -0.025, -0.13])),
-        camera=CameraIntrinsics(
-            width=424, height=240, fx=308.0, fy=312.0, cx=211.5, cy=119.5,
-            distortion=np.array([distortion, 0.0, 0.0, 0.0, 0.0]),
-        ),
-        lidar=LidarParams(), imu=ImuParams(), imu_ticks=IMU_TICKS, camera_ticks=20,
-        lidar_scan_ticks=SCAN_TICKS, compute_latency_ticks=LATENCY,
-        world_from_body_start=Pose(np.eye(3), np.array([0.0, 0.0, START_Z])),
-        vehicle=VehicleModel(
-            mass_kg=4.0, inertia_kgm2=np.ones(3), rotor_xy_m=np.zeros((4, 2)),
-            rotor_spin=np.array([1.0, -1.0, 1.0, -1.0]), thrust_coefficient=6e-5,
-            torque_coefficient=1e-6, rotor_speed_min=80.0, rotor_speed_max=600.0,
-            motor_time_constant_s=0.04, linear_drag=0.5, leg_height_m=0.3, footprint_radius_m=0.5,
-        ),
+    """That of `livo`'s flight with a camera of twice the resolution."""
+    rig = livo_flight.make_rig(distortion)
+    camera = CameraIntrinsics(
+        width=424, height=240, fx=308.0, fy=312.0, cx=211.5, cy=119.5,
+        distortion=rig.camera.distortion,
     )  # fmt: skip
+    return dataclasses.replace(rig, camera=camera)
 
 
 RIG = make_rig()
-
-
-def position_at(t: float) -> np.ndarray:
-    """Accelerates along x at 1 m/s^2, level."""
-    return np.array([0.5 * t * t, 0.0, START_Z])
 
 
 def scan_ending_at(tick: int) -> LidarScan:
@@ -115,27 +85,12 @@ def image_at(tick: int, rig: SensorRig = RIG) -> CameraImage:
     return image_from(Pose(np.eye(3), position_at(tick / HZ)), tick, rig)
 
 
-def observations() -> list[Observation]:
-    found = []
-    for tick in range(0, LAST + 1, IMU_TICKS):
-        measured = tick - LATENCY
-        due = measured > 0 and measured % SCAN_TICKS == 0
-        imu = ImuSample(
-            tick=tick, time_s=tick / HZ, angular_velocity=np.zeros(3),
-            specific_force=np.array([1.0, 0.0, GRAVITY_MPS2]),
-        )  # fmt: skip
-        found.append(
-            Observation(
-                tick=tick, time_s=tick / HZ, imu=(imu,) if tick else (),
-                scans=(scan_ending_at(measured),) if due else (),
-                images=(image_at(measured),) if due else (), rotor_speed_radps=np.full(4, 400.0),
-                battery_fraction=1.0,
-            )
-        )  # fmt: skip
-    return found
+FLIGHT = livo_flight.observed(LAST, position_at, scan_ending_at, image_at)
 
 
-FLIGHT = observations()
+@functools.cache
+def clean() -> list[Estimate]:
+    return fly(FLIGHT)
 
 
 def fly(
@@ -143,8 +98,3 @@ def fly(
 ) -> list[Estimate]:
     estimator = PaperEstimator(rig, params)
     return [estimator.update(obs) for obs in flight]
-
-
-def error(estimate: Estimate) -> float:
-    true = position_at(estimate.time_s)
-    return float(np.linalg.norm(estimate.world_from_body.translation - true))

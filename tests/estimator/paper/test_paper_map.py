@@ -17,12 +17,8 @@ from touchdown.estimator.paper.pnp import reprojection_errors
 from touchdown.estimator.paper.visual_map import LandmarkSet, MapKeyframe, Sightings
 from touchdown.sim.frames import Pose, so3_exp
 
-from support.paper_flight import (
-    PLAIN,
-    RIG,
-    START_Z,
-    image_from,
-)
+from support.livo_flight import START_Z
+from support.paper_flight import PLAIN, RIG, image_from
 
 IMU_FROM_CAMERA = RIG.body_from_imu.inverse() @ RIG.body_from_camera
 NOTHING = np.zeros((0, 3))

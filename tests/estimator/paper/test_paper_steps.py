@@ -23,18 +23,15 @@ from touchdown.estimator.paper.pose_graph import Edge, PoseGraph, edge_residual
 from touchdown.estimator.paper.structured_edges.detector import GradientEdges
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
+from support.livo_flight import HZ, START_Z, error, position_at
 from support.paper_flight import (
     FLIGHT,
-    HZ,
     PLAIN,
     RIG,
-    START_Z,
-    error,
     ground_seen,
     image_at,
     image_from,
     make_rig,
-    position_at,
     scan_ending_at,
 )
 
