@@ -208,8 +208,9 @@ def transition(
             own, about = CROSS_AXES[k, 0], CROSS_AXES[k, 1]
             by_errors[r + own, GYRO_CROSS.start + k] -= step_s * gyro[i, about]
         for a in range(3):
+            own = GYRO_BY_FORCE.start + 3 * a
             for b in range(3):
-                by_errors[r + a, GYRO_BY_FORCE.start + 3 * a + b] -= step_s * force[i, b]
+                by_errors[r + a, own + b] -= step_s * force[i, b]
         for k in range(3):
             by_errors[r + k, GYRO_SCALE.start + k] -= step_s * gyro[i, k]
             for a in range(3):

@@ -203,7 +203,8 @@ def _rough_depths(
         if count < min_points:
             continue
         # the camera sees what is in front; returns from elsewhere looked past it
-        front = np.sort(near[:count])[: (2 * count + 2) // 3]
+        two_thirds = (2 * count + 2) // 3
+        front = np.sort(near[:count])[:two_thirds]
         depth = front[len(front) // 2]
         sigma = np.std(front)
         if sigma > most_share * depth:

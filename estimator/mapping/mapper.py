@@ -28,6 +28,7 @@ from touchdown.estimator.api import (
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.mapping import kernels
+from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses, Track
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
@@ -45,6 +46,11 @@ _UNKNOWN_AT_FIRST = (
     "height_m", "height_std_m", "min_height_m", "max_height_m", "intensity", "histogram_base_m",
 )  # fmt: skip
 """layers without a value where nothing was seen"""
+_RETURN_LAYERS = (
+    "count", "height_m", "height_std_m", "min_height_m", "max_height_m", "rgb", "rgb_count",
+    "intensity", "missing", "last_seen_s",
+)  # fmt: skip
+"""of ``records.Layers``"""
 
 
 class _TimedPose(NamedTuple):
@@ -144,7 +150,7 @@ class GridMapper:
         self._patience_ticks = max(rig.compute_latency_ticks, patience)
         camera = rig.camera
         distortion = np.asarray(camera.distortion, float).tolist()
-        self._lens = kernels.Lens(camera.fx, camera.fy, camera.cx, camera.cy, *distortion)
+        self._lens = Lens(camera.fx, camera.fy, camera.cx, camera.cy, *distortion)
         self._guard = InputGuard(rig, inertial=False)
         self._view = MapView(version=0, coarse=self._coarse.view(), fine=None)
 
@@ -280,19 +286,17 @@ class GridMapper:
         )
         kernels.deskew(
             scan.directions, scan.time_offsets, scan.start_time_s,
-            kernels.Track(times, positions, quats), Frame.of(self._rig.body_from_lidar),
+            Track(times, positions, quats), Frame.of(self._rig.body_from_lidar),
             origins, beams,
         )  # fmt: skip
-        pulses = kernels.Pulses(origins, beams, scan.ranges)
+        pulses = Pulses(origins, beams, scan.ranges)
         colours = self._colour(scan, images, pulses)
         spots = self._missing_spots(pulses)
         self._accumulate(self._coarse, scan, pulses, colours, spots)
         if self._fine is not None and self._fine_active:
             self._accumulate(self._fine, scan, pulses, colours, spots)
 
-    def _colour(
-        self, scan: LidarScan, images: list[_PosedImage], pulses: kernels.Pulses
-    ) -> Float32:
+    def _colour(self, scan: LidarScan, images: list[_PosedImage], pulses: Pulses) -> Float32:
         """(N, 3) float32, from the image nearest in time, then from the others in reach."""
         colours = np.full((scan.ranges.shape[0], 3), np.nan, np.float32)
         duration = scan.end_time_s - scan.start_time_s
@@ -317,8 +321,8 @@ class GridMapper:
             )  # fmt: skip
         return colours
 
-    def _missing_spots(self, pulses: kernels.Pulses) -> Float32:
-        blocks = kernels.Grid(*self._coarse.origin_xy_m.tolist(), _GROUND_BLOCK_M)
+    def _missing_spots(self, pulses: Pulses) -> Float32:
+        blocks = Grid(*_corner(self._coarse), _GROUND_BLOCK_M)
         kernels.update_ground_level(pulses, blocks, self._ground_level)
         spots = np.empty((len(pulses.ranges), 2), np.float32)
         found = kernels.locate_missing(
@@ -328,11 +332,11 @@ class GridMapper:
         return spots[:found]
 
     def _accumulate(
-        self, grid: _Grid, scan: LidarScan, pulses: kernels.Pulses, colours: Float32,
+        self, grid: _Grid, scan: LidarScan, pulses: Pulses, colours: Float32,
         spots: Float32,
     ) -> None:  # fmt: skip
-        place = kernels.Grid(*grid.origin_xy_m.tolist(), grid.cell_m)
-        layers = kernels.Layers(*(grid.layers[name] for name in kernels.Layers._fields))
+        place = Grid(*_corner(grid), grid.cell_m)
+        layers = Layers(*(grid.layers[name] for name in _RETURN_LAYERS))
         cap = self._params.count_cap
         kernels.accumulate_returns(
             pulses, colours, scan.intensity, scan.end_time_s, cap, self._params.extreme_memory_s,
@@ -341,4 +345,9 @@ class GridMapper:
         kernels.accumulate_heights(
             pulses, place, HEIGHT_BIN_M, grid.layers["histogram"], grid.layers["histogram_base_m"]
         )
-        kernels.accumulate_missing(spots, place, cap, layers.count, layers.missing)
+        kernels.accumulate_missing(spots, place, cap, layers.counts, layers.missing)
+
+
+def _corner(grid: _Grid) -> tuple[float, float]:
+    x, y = grid.origin_xy_m.tolist()
+    return x, y

@@ -14,7 +14,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.error_state import POSITION, ROTATION, Frame, Frames, Pinhole
+from touchdown.estimator.filtering.error_state import (
+    POSE_DIM,
+    POSITION,
+    ROTATION,
+    Frame,
+    Frames,
+    Pinhole,
+)
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
@@ -118,23 +125,24 @@ def _reduced_system(
         _cross_rows(through_host, in_host, part)
         j_host[:, ROTATION], j_host[:, POSITION] = part, in_world
         j_depth = through_host @ direction
-        for a in range(6):
+        at, to = POSE_DIM * k, POSE_DIM * h
+        for a in range(POSE_DIM):
             ra = j_observer[0, a] * ru + j_observer[1, a] * rv
             rh = j_host[0, a] * ru + j_host[1, a] * rv
-            vector[6 * k + a] += weight * ra
-            vector[6 * h + a] += weight * rh
+            vector[at + a] += weight * ra
+            vector[to + a] += weight * rh
             da = j_observer[0, a] * j_depth[0] + j_observer[1, a] * j_depth[1]
             dh = j_host[0, a] * j_depth[0] + j_host[1, a] * j_depth[1]
-            coupling[m, 6 * k + a] += weight * da
-            coupling[m, 6 * h + a] += weight * dh
-            for b in range(6):
+            coupling[m, at + a] += weight * da
+            coupling[m, to + a] += weight * dh
+            for b in range(POSE_DIM):
                 kk = j_observer[0, a] * j_observer[0, b] + j_observer[1, a] * j_observer[1, b]
                 hh = j_host[0, a] * j_host[0, b] + j_host[1, a] * j_host[1, b]
                 kh = j_observer[0, a] * j_host[0, b] + j_observer[1, a] * j_host[1, b]
-                information[6 * k + a, 6 * k + b] += weight * kk
-                information[6 * h + a, 6 * h + b] += weight * hh
-                information[6 * k + a, 6 * h + b] += weight * kh
-                information[6 * h + b, 6 * k + a] += weight * kh
+                information[at + a, at + b] += weight * kk
+                information[to + a, to + b] += weight * hh
+                information[at + a, to + b] += weight * kh
+                information[to + b, at + a] += weight * kh
         curvature[m] += weight * (j_depth[0] ** 2 + j_depth[1] ** 2)
         slope[m] += weight * (j_depth[0] * ru + j_depth[1] * rv)
     for m in range(count):

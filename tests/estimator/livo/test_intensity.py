@@ -76,11 +76,11 @@ def test_image_holds_the_reflectivity_of_places():
 HERE = Frame.of(Pose.identity())
 
 
-def view_of(image, clone_rotation, mount_change=np.zeros(6)):
+def view_of(image, clone_rotation, mount_change=(0.0,) * 6):
     """An image as the kernel takes it."""
     return ImageView(
-        *image.smoothed(), image.axes, image.cell_m, clone_rotation, mount_change[:3],
-        mount_change[3:],
+        *image.smoothed(), image.axes, image.cell_m, clone_rotation, np.array(mount_change[:3]),
+        np.array(mount_change[3:]),
     )  # fmt: skip
 
 
