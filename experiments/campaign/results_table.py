@@ -20,6 +20,7 @@ from touchdown.experiments.io.results import (
     ground_safe,
     is_success,
     load_result,
+    result_files,
 )
 from touchdown.experiments.io.run_directory import RUN_FILES, whole_file
 from touchdown.sim.files.opening import no_file
@@ -352,7 +353,7 @@ def _plain_rows(directory: Path) -> list[dict[str, Any]]:
     if not directory.is_dir():
         raise UsageError(f"'{directory}' is no directory of runs")
     rows = []
-    for path in sorted(directory.rglob("result.json")):
+    for path in result_files(directory):
         if not is_text(str(path)):
             raise UsageError(f"the name of '{path.parent}' is no UTF-8 text; rename that directory")
         result, name = load_result(path), path.parent.relative_to(directory).as_posix()

@@ -163,7 +163,7 @@ def bench_landing(
 
     Example: touchdown bench landing --json
     """
-    from touchdown.experiments.benchmarks.site_selection_time import bench_landing as measure
+    from touchdown.experiments.benchmarks.selection.timing import bench_landing as measure
 
     figures = usage_errors(
         lambda: measure(
@@ -217,7 +217,7 @@ def bench_selector(
 
     Example: touchdown bench selector crossroad lake --seeds 0-4
     """
-    from touchdown.experiments.benchmarks import site_selection as selector_check
+    from touchdown.experiments.benchmarks.selection import sites as selector_check
 
     figures = usage_errors(
         lambda: selector_check.run(

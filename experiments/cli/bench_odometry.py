@@ -1,4 +1,4 @@
-"""``touchdown bench estimator``."""
+"""``touchdown bench estimator`` and ``bench imu``, beside programs and records of others."""
 
 from __future__ import annotations
 
@@ -104,3 +104,25 @@ def _table(figures: dict[str, Any]) -> str:
 
 def _error(error_m: float, lost_s: float | None) -> str:
     return f"{error_m:.3f}" if lost_s is None else f"{error_m:.2f} until lost at {lost_s:.0f} s"
+
+
+@click.command("imu")
+@click.option("--data", type=click.Path(path_type=Path), required=True, metavar="DIR",
+              help="Recorded flights of Hurwitz and Klein (2023).")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="DIR",
+              help="Draw imu_spectra.png there.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def bench_imu(data: Path, out: Path | None, as_json: bool) -> int:
+    """Compare the vibration of the simulated IMU with that of recorded flights, band by band, and
+    fit the levels of its model to them.
+
+    Example: touchdown bench imu --data flights --out figures
+    """
+    from touchdown.experiments.benchmarks import imu_spectra
+
+    found = usage_errors(lambda: imu_spectra.measure(data, out))
+    if as_json:
+        click.echo(json.dumps({name: array.tolist() for name, array in found.items()}, indent=2))
+    else:
+        click.echo("\n".join(imu_spectra.rows(found)))
+    return EXIT_DONE

@@ -14,9 +14,8 @@ from typing import Any
 import click
 
 from touchdown.experiments.cli.bench import bench
-from touchdown.experiments.cli.bench_imu import bench_imu
-from touchdown.experiments.cli.bench_odometry import bench_estimator
-from touchdown.experiments.cli.bench_profile import bench_profile
+from touchdown.experiments.cli.bench_all import bench_all, bench_compare, bench_profile
+from touchdown.experiments.cli.bench_odometry import bench_estimator, bench_imu
 from touchdown.experiments.cli.calibrate import calibrate
 from touchdown.experiments.cli.campaign import campaign
 from touchdown.experiments.cli.classification import classify, dataset, evaluate, quantize, train
@@ -69,6 +68,8 @@ cli.add_command(bench)
 bench.add_command(bench_estimator)
 bench.add_command(bench_imu)
 bench.add_command(bench_profile)
+bench.add_command(bench_all)
+bench.add_command(bench_compare)
 cli.add_command(check_estimator_command)
 cli.add_command(calibrate)
 cli.add_command(campaign)

@@ -69,7 +69,13 @@ def results(
             file=sys.stderr,
         )
         return interrupt_code(error)
-    files = [str(file) for file in write_book(sets, out)] if write else []
+    incomplete = any(found["missing"] for found in summaries)
+    if write and incomplete:
+        say(
+            "touchdown: flights are missing, so nothing is written; the same command flies them",
+            err=True,
+        )
+    files = [str(file) for file in write_book(sets, out)] if write and not incomplete else []
     if as_json:
         click.echo(json.dumps({"sets": summaries, "written": files}, indent=2))
     else:

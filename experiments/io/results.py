@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import types
 import typing
 from collections.abc import Mapping
@@ -19,6 +20,7 @@ from touchdown.experiments.io.provenance import plain_json
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
 LANDED = "LANDED"
 JUDGED_BY_CLASS, JUDGED_BY_GEOMETRY = "geometry and class", "geometry"
+_FILE = "result.json"
 _LARGEST_SEED = 2**63 - 1
 
 
@@ -381,6 +383,13 @@ def _one_line(error: ValidationError) -> str:
     return f"{key} = {shown}: {plain_fault(fault['msg'])}"
 
 
+def result_files(directory: Path) -> list[Path]:
+    """Every ``result.json`` at or below ``directory``, sorted. Folders that cannot be read, or
+    vanish meanwhile, hold none."""
+    walked = os.walk(directory)
+    return sorted(Path(folder, _FILE) for folder, _, files in walked if _FILE in files)
+
+
 def load_runs(directory: Path) -> dict[str, RunResult]:
     """Every ``result.json`` at or below ``directory``, sorted by scene, estimator and seed. Keys
     are the run directories, relative to ``directory``.
@@ -390,8 +399,7 @@ def load_runs(directory: Path) -> dict[str, RunResult]:
     if not directory.is_dir():
         raise UsageError(f"'{directory}' is no directory of runs")
     found = {
-        _run_name(path.parent, directory): load_result(path)
-        for path in sorted(directory.rglob("result.json"))
+        _run_name(path.parent, directory): load_result(path) for path in result_files(directory)
     }
     if not found:
         raise UsageError(f"'{directory}' holds no finished run (no result.json)")

@@ -250,7 +250,7 @@ _FILLERS: Mapping[str, Callable[[Section, Figures, Path], None]] = {
 
 def raster(name: str, title: str, caption: str, file: Path) -> Picture:
     """Embeds an image file in an SVG, so that a page needs no other file."""
-    from touchdown.experiments.benchmarks.site_selection_figures import jpeg
+    from touchdown.experiments.benchmarks.selection.figures import jpeg
     from touchdown.experiments.io.images import read_picture
 
     image = read_picture(file)

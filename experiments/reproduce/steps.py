@@ -139,7 +139,7 @@ def _world(job: Job) -> Done:
 
 def _sites(job: Job) -> Done:
     """Fig. 11: the steps from a map to a site, over the paper's five kinds of sites."""
-    from touchdown.experiments.benchmarks import site_selection as selector_check
+    from touchdown.experiments.benchmarks.selection import sites as selector_check
 
     with filled_folder(job.folder / PICTURES) as partial_folder:
         found = selector_check.run(
@@ -186,7 +186,7 @@ def _campaign(name: str, job: Job) -> Done:
 
 def _speed(job: Job) -> Done:
     """Table 7."""
-    from touchdown.experiments.benchmarks.site_selection_time import bench_landing
+    from touchdown.experiments.benchmarks.selection.timing import bench_landing
 
     job.notes("surveying crossroad, then choosing a site over and over")
     reference = importlib.util.find_spec("skimage") is not None

@@ -1,6 +1,5 @@
 """The landing campaigns: their contents, and the safety of the commanded site."""
 
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -18,30 +17,6 @@ ROOT = Path(__file__).parents[2]
 
 def configs_of(plan: Plan) -> list[Config]:
     return [config_for(run.values, run.run_id) for run in plan.runs]
-
-
-@pytest.mark.parametrize(
-    ("name", "scenes", "methods", "seeds"),
-    [("landing", 4, 1, 25), ("real_sites", 5, 1, 5), ("commanded_site", 1, 5, 5)],
-)
-def test_campaigns_of_landings(name: str, scenes: int, methods: int, seeds: int) -> None:
-    plan = load_plan(ROOT / "configs" / f"{name}.toml")
-    configs = configs_of(plan)
-    assert plan.mode == "land"
-    assert len(configs) == scenes * methods * seeds
-    assert len({config.scene for config in configs}) == scenes
-    assert len({config.estimator for config in configs}) == methods
-    assert sorted({config.seed for config in configs}) == list(range(seeds))
-    assert not any(config.landing.survey_only for config in configs)
-    assert all(config.wind.mean_kmh == 12.0 and config.mapper.enabled for config in configs)
-
-
-def test_one_scene_and_one_site_for_all_methods() -> None:
-    configs = configs_of(load_plan(ROOT / "configs" / "commanded_site.toml"))
-    assert {config.scene_seed for config in configs} == {0}
-    assert {config.landing.site_xy_m for config in configs} == {(14.0, -33.5)}
-    unchecked = Counter(c.estimator for c in configs if not c.landing.check_site)
-    assert unchecked == {"gps": 5, "optical_flow": 5, "hybrid_flow": 5}
 
 
 def test_commanded_site_is_safe_with_clearance() -> None:

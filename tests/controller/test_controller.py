@@ -64,14 +64,6 @@ def test_mixer_inverts_the_rotors_exactly_where_nothing_saturates() -> None:
         np.testing.assert_allclose(mixer.speeds(mixer.wrench(speeds)), speeds, rtol=1e-9)
 
 
-def test_mixer_inverts_unequal_arms_too() -> None:
-    skewed = dataclasses.replace(
-        VEHICLE, rotor_xy_m=np.array([[0.30, -0.2], [-0.2, 0.25], [0.25, 0.2], [-0.2, -0.3]])
-    )
-    mixer, wrench = Mixer(skewed), np.array([WEIGHT, 0.5, -0.4, 0.05])
-    np.testing.assert_allclose(mixer.wrench(mixer.speeds(wrench)), wrench, rtol=1e-9)
-
-
 def test_mixer_gives_roll_and_pitch_before_thrust_before_yaw() -> None:
     mixer = Mixer(VEHICLE)
     full = 4 * VEHICLE.thrust_coefficient * VEHICLE.rotor_speed_max**2
@@ -124,11 +116,6 @@ def test_a_response_slower_than_the_motors_leaves_commands_alone() -> None:
     motor = VEHICLE.motor_time_constant_s
     assert lead_coefficients(motor, 3.0 * motor, STEP_S)[0] == pytest.approx(1.0)
     assert lead_coefficients(0.0, 0.01, STEP_S) == (1.0, 0.0)
-
-
-def test_motor_lead_commands_what_the_motor_can_take() -> None:
-    lead = MotorLead(VEHICLE, response_s=0.01, step_s=STEP_S)
-    assert np.all(lead.command(np.full(4, 790.0)) == VEHICLE.rotor_speed_max)
 
 
 def one_axis_pid(limit: float = 10.0) -> VectorPid:
@@ -344,15 +331,6 @@ def test_survey_in_gusts_stays_close_to_its_reference() -> None:
     assert errors.max() < 0.15
 
 
-def test_two_controllers_agree_to_the_bit() -> None:
-    paths = []
-    for _ in range(2):
-        controller, flyer = flying_controller()
-        flyer.wind = gusts(2)
-        paths.append(fly(flyer, controller, hold(np.array([0.3, 0.2, 0.1])), 2.0))
-    np.testing.assert_array_equal(paths[0], paths[1])
-
-
 def test_parameters_out_of_range_are_refused() -> None:
     with pytest.raises(ValueError, match="max_tilt_deg"):
         CascadeController(VEHICLE, ControlParams(max_tilt_deg=80.0))
@@ -425,11 +403,3 @@ def test_height_goes_before_place_where_thrust_does_not_last_for_both() -> None:
     np.testing.assert_allclose(limited, [np.sqrt(55.0**2 - 45.0**2), 0.0, 45.0])
     _, unbounded = _forces(zero, across, zero, zero, 4.0, 40.0, np.tan(np.radians(60.0)), np.inf)
     np.testing.assert_allclose(unbounded, [60.0, 0.0, 45.0])
-
-
-def test_feed_forward_off_is_the_default_and_takes_no_vertical_share() -> None:
-    controller, flyer = CascadeController(VEHICLE, ControlParams()), Flyer(VEHICLE)
-    sinking = dataclasses.replace(flyer.estimate(), acceleration_odom=np.array([0.0, 0.0, -2.0]))
-    for _ in range(300):
-        controller.update(sinking, hold(np.zeros(3))(0.0))
-    assert controller._observer.acceleration[2] == 0.0

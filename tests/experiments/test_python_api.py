@@ -1,5 +1,6 @@
 """The Python interface: names, laziness, arguments, errors."""
 
+import os
 import subprocess
 import sys
 import typing
@@ -12,7 +13,7 @@ import pytest
 import touchdown
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.results import RunResult
+from touchdown.experiments.io.results import RunResult, result_files
 
 ROOT = Path(__file__).parents[2]
 SHORT = {
@@ -111,6 +112,23 @@ def test_a_sensor_log_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "sensors.mcap").touch()
     with pytest.raises(UsageError, match=r"holds sensors\.mcap"):
         touchdown.fly(out=tmp_path)
+
+
+def test_folders_that_vanish_or_are_closed_hold_no_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a", "gone", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "result.json").touch()
+    scan = os.scandir
+
+    def vanishing(path: str) -> Any:
+        if str(path).endswith("gone"):
+            raise FileNotFoundError(path)
+        return scan(path)
+
+    monkeypatch.setattr(os, "scandir", vanishing)
+    assert result_files(tmp_path) == [tmp_path / n / "result.json" for n in ("a", "b")]
 
 
 def test_fly_load_runs_and_replay(tmp_path: Path) -> None:

@@ -153,10 +153,10 @@ def written(
     faults = [f"half-written: {path}" for path in halves[:3]]
     new = [path for path in new if not path.endswith(_MAY_STAY) and ".lock" not in path]
     new = [path for path in new if path not in halves and not _is_cache(path)]
-    if code not in (0, 1):  # like Ctrl-C: folders that are empty do no harm
-        new = [path for path in new if after[path] != "folder" or code == 2]
-    elif "*" in writes:
+    if "*" in writes and code != 2:  # any command: pictures that came before the long work too
         new = [path for path in new if path in before]
+    elif code not in (0, 1):  # like Ctrl-C: folders that are empty do no harm
+        new = [path for path in new if after[path] != "folder" or code == 2]
     else:
         new = [path for path in new if not _within(path, writes)]
         lost = [path for path in lost if not _within(path, writes)]

@@ -110,29 +110,3 @@ def test_options_of_the_environments() -> None:
         for row in rows_of("docs/environments.md", "option")
     }
     assert listed == {f.name: f.default for f in dataclasses.fields(TaskOptions)}
-
-
-def test_gps_presets() -> None:
-    from touchdown.sim.navigation.gps import PRESETS
-
-    rows = {row[0].strip("`"): row[1:] for row in rows_of("docs/sensors.md", "preset")}
-    for name, model in PRESETS.items():
-        if model.receives:
-            spread = [float(cell.removesuffix(" m")) for cell in rows[name][:2]]
-            assert spread == pytest.approx([model.sigma_xy_m, model.sigma_z_m], rel=5e-3)
-        else:
-            assert rows[name][-1] == "no fix ever"
-
-
-def test_lidar_presets() -> None:
-    from touchdown.sim.lidar.patterns.livox import PATTERNS
-
-    rows = {row[0].strip("`"): row[1:] for row in rows_of("docs/sensors.md", "preset")}
-    for name, p in PATTERNS.items():
-        limits = zip(p.range_limits_m, p.range_reflectivities, strict=True)
-        assert rows[name] == [
-            f"{p.point_rate_hz:,}".replace(",", " "),
-            "{:g}° x {:g}°".format(*p.field_of_view_deg),
-            ", ".join(f"{metres:g} m at {100.0 * share:g} %" for metres, share in limits),
-            "{:g}° x {:g}°".format(*p.divergence_deg),
-        ]

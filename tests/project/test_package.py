@@ -30,11 +30,3 @@ def test_the_citation_is_of_this_version() -> None:
     (paper,) = citation["references"]
     assert paper["doi"] == "10.3390/app14146079"
     assert [author["family-names"] for author in paper["authors"]] == ["Zou", "Sun", "Kong"]
-
-
-def test_the_licence_is_apache_2_and_travels_with_the_package() -> None:
-    assert PROJECT["license"] == "Apache-2.0"
-    assert PROJECT["license-files"] == ["LICENSE", "NOTICE"]
-    text = (ROOT / "LICENSE").read_text(encoding="utf-8")
-    assert "Version 2.0, January 2004" in text and "END OF TERMS AND CONDITIONS" in text
-    assert "the Touchdown authors" in text

@@ -3,16 +3,9 @@ read."""
 
 import re
 
-import pytest
-
 from support.docs_support import rows_of, text_of
 
 PAGE = "docs/trust.md"
-KINDS = (
-    "MJCF", "textures", "GeoTIFF", "PNG", "ONNX", "checkpoint", "calibration", "configuration",
-    "campaign (TOML)", "config.json", "campaign.json", "part.json", "result.json", "baselines",
-    "TUM", "CSV", "MCAP", "SQL", "estimator",
-)  # fmt: skip
 
 
 def test_every_promise_has_tests() -> None:
@@ -21,10 +14,3 @@ def test_every_promise_has_tests() -> None:
         assert nodes, promise
         for path, name in nodes:
             assert f"\ndef {name}(" in text_of(path), f"{promise}: {path} has no {name}"
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_of_file_is_in_the_table(kind: str) -> None:
-    rows = rows_of(PAGE, "file")
-    assert any(kind in cells[0] for cells in rows)
-    assert all(len(cells) == 4 and all(cells) for cells in rows)

@@ -136,12 +136,6 @@ def test_a_block_that_fills_the_memory_is_not_read(tmp_path: Path) -> None:
     refused(tif, "blocks of 2384 MiB, more than 512 MiB; rewrite it in tiles")
 
 
-@pytest.mark.parametrize("compression", ["zstd", "lerc", "lzma", "lzw", "packbits"])
-def test_compressions_are_read(tmp_path: Path, compression: str) -> None:
-    tif = write(tmp_path / "h.tif", slope().astype(np.float32), compress=compression)
-    np.testing.assert_allclose(read_heights(tif).heights_m, slope(), rtol=1e-5)
-
-
 @pytest.mark.parametrize(("values", "profile", "message"), [
     (np.stack([slope(), slope()]), {}, "has 2 bands"),
     (slope(), {"transform": NORTH_UP @ Affine.rotation(10.0)}, "turned against north"),

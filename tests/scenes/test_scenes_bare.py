@@ -50,15 +50,6 @@ def test_same_seed_same_bytes(name: str) -> None:
     check_seeds(name)
 
 
-def test_open_snow_and_sand_are_fields_of_their_reflectivity() -> None:
-    for name, low, high in (("snow", 0.80, 0.90), ("dunes", 0.35, 0.48)):
-        ground = cached_scene(name, 0).ground
-        assert ground is not None
-        open_ground = ground.class_id == FIELD
-        assert open_ground.mean() > 0.85
-        assert low < np.median(ground.reflectivity[open_ground]) < high
-
-
 def pond_middle(scene: Scene) -> np.ndarray:
     ground = scene.ground
     assert ground is not None

@@ -89,15 +89,6 @@ def test_forest_is_rugged_and_wooded() -> None:
     assert (maps.class_id == WATER).any()  # type: ignore[attr-defined]
 
 
-def test_crowns_let_pulses_through_and_trunks_do_not() -> None:
-    surfaces = cached_scene("forest", 1).surfaces
-    crowns = [s for n, s in surfaces.items() if n.startswith(("trees_conifer", "trees_crown"))]
-    trunks = [s for n, s in surfaces.items() if n.startswith("trees_trunk")]
-    assert len(crowns) == len(trunks) > 150
-    assert all(0.2 < s.porosity < 0.5 and s.land_class == "trees" for s in crowns)
-    assert all(s.porosity == 0.0 for s in trunks)
-
-
 def test_brook_falls_all_the_way_below_the_ground() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)

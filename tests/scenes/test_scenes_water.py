@@ -147,11 +147,3 @@ def test_upsample_is_the_terrain_s_linear_interpolation() -> None:
     axis = (np.arange(64) + 0.5) / 8.0 - 4.0
     col, row = np.meshgrid(axis, axis)
     np.testing.assert_allclose(raster, 2.0 * col - 0.5 * row, atol=0.03)
-
-
-def test_reeds_let_pulses_through_and_count_as_plants() -> None:
-    reeds = [
-        s for name, s in cached_scene("lake", 0).surfaces.items() if name.startswith("trees_reed")
-    ]
-    assert len(reeds) > 30
-    assert all(s.land_class == "trees" and 0.2 < s.porosity < 0.8 for s in reeds)

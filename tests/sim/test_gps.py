@@ -94,12 +94,6 @@ def test_the_antenna_is_measured_not_the_body() -> None:
     np.testing.assert_allclose(message.velocity_world, [-2.0, 0.0, 3.0], atol=1e-12)
 
 
-def test_same_seed_same_fixes() -> None:
-    np.testing.assert_array_equal(errors(CENTRED, 7, 20), errors(CENTRED, 7, 20))
-    assert not np.allclose(errors(CENTRED, 7, 20), errors(CENTRED, 8, 20))
-    assert not fix(GpsSensor(CENTRED, 600, 7)).position_world.flags.writeable
-
-
 def test_presets_match_their_data_sheets() -> None:
     """Half of the horizontal errors lie within the circular error probable."""
     rng = random_stream(0, "presets")

@@ -167,13 +167,3 @@ def test_samples_of_the_imu_carry_the_vibration() -> None:
              *(loud.specific_force - quiet.specific_force)],
             expected, atol=1e-12,
         )  # fmt: skip
-
-
-def test_the_same_seed_gives_the_same_vibration_and_another_one_another() -> None:
-    params = ImuParams(vibration_harmonics=1.0, vibration_broadband=1.0)
-    speeds = np.full((10, 4), HOVER)
-    first, same, other = (
-        samples(PropellerVibration(params, PERIOD_S, HOVER, seed), speeds) for seed in (1, 1, 2)
-    )
-    np.testing.assert_array_equal(first, same)
-    assert not np.allclose(first, other)

@@ -123,13 +123,13 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     def _(name: str, seed: int, view: str, out: Path) -> None:
         draw(out)
 
-    @replaced("benchmarks.site_selection.run", "sites")
+    @replaced("benchmarks.selection.sites.run", "sites")
     def _(scenes: tuple[str, ...], pictures: Path, **options: Any) -> dict[str, Any]:
         draw(*(pictures / f"site_{scene}.jpg" for scene in scenes))
         check = {"seed": 0, "chosen_safe": True, "accepted": 9, "accepted_safe": 8}
         return {"scorer": "risk", "places": [{"scene": scene, **check} for scene in scenes]}
 
-    @replaced("benchmarks.site_selection_time.bench_landing", "speed")
+    @replaced("benchmarks.selection.timing.bench_landing", "speed")
     def _(rounds: int, threads: int, reference: bool) -> dict[str, Any]:
         names = ("down_sampling", "flatness", "smoothness", "distance", "clustering", "selection")
         times = {name: 1.5 for name in names}

@@ -1,7 +1,6 @@
 """The bare computation equals that of the flight, and the parts of the overhead add up."""
 
 import itertools
-import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,8 +22,6 @@ from touchdown.experiments.benchmarks.loop_overhead import (
     _Sums,
     measure_overhead,
 )
-from touchdown.experiments.campaign.plan import Plan
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.scenes.api import Scene
@@ -38,7 +35,6 @@ LAWN = """<mujoco><worldbody>
 <geom name="lawn" type="plane" size="60 60 1" rgba="0.2 0.6 0.2 1"/>
 <geom name="road_box" type="box" pos="3 2 0.5" size="1 1 0.5" rgba="0.8 0.2 0.2 1"/>
 </worldbody></mujoco>"""
-PROFILES = {"field": "field", "ideal": "ideal"}
 SHORT_FLIGHT = (
     "sim.threads=1", "landing.survey_only=true", "survey.height_m=5.0", "survey.legs=1",
     "survey.leg_length_m=6.0", "survey.duration_s=5.0",
@@ -183,25 +179,6 @@ def test_bare_physics_is_mujoco_s_own_step(lawn: Scene) -> None:
     world.close()
 
 
-def test_workers_are_compared_by_their_wall_time(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Three rounds: 2, 1.5 and 1.8 times as fast; the median counts."""
-    spent = iter([90.0, 60.0, 30.0, 60.0, 40.0, 72.0, 40.0])
-    flown: list[tuple[int, int]] = []
-
-    def fly(plan: Plan, out: Path, jobs: int) -> float:
-        flown.append((len(plan.runs), jobs))
-        return next(spent)
-
-    monkeypatch.setattr("touchdown.experiments.benchmarks.scaling._flown", fly)
-    assert cli.main(["bench", "scaling", "--rounds", "3", "--runs", "4", "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
-    assert figures["ratio"]["one"] == pytest.approx(1.8)
-    assert figures["wall_s"] == {"one": [60.0, 60.0, 72.0], "workers": [30.0, 40.0, 40.0]}
-    assert flown == [(1, 1), *[(4, 1), (4, 2)] * 3]  # the first flight does not count
-
-
 def test_a_measurement_during_compilation_is_repeated() -> None:
     @numba.njit
     def kernel(x: float) -> float:
@@ -219,16 +196,3 @@ def test_a_measurement_during_compilation_is_repeated() -> None:
     assert compiled_before(measure, again=lambda: cleared.append(True)) == 2
     assert cleared == [True]
     assert compiled_before(measure) == 3  # all compiled
-
-
-def test_a_flight_that_fails_ends_the_other_and_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fly(config: Config, *_: Any) -> None:
-        if config.profile == "field":
-            raise RuntimeError("a wing came off")
-
-    monkeypatch.setattr(profile_cost, "fly_and_judge", fly)
-    for name in ("build_scene", "build_flight_stack", "limit_threads"):
-        monkeypatch.setattr(profile_cost, name, lambda *_: None)
-    both = profile_configs(scene="crossroad", estimator="oracle", seed=0, full=False)
-    with pytest.raises(RuntimeError, match="a wing came off"):
-        profile_cost.measure_profile_cost(both)

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks import site_selection_figures as site_figures
-from touchdown.experiments.benchmarks.site_selection_figures import (
+from touchdown.experiments.benchmarks.selection import figures as site_figures
+from touchdown.experiments.benchmarks.selection.figures import (
     figure_files,
     steps_figure,
     write_steps,

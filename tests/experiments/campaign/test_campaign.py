@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -135,18 +134,6 @@ def test_ray_gives_the_same_rows_and_outlives_its_workers(
     full = make_plan(tmp_path / "full", axes(scene=["flat"], estimator=["fake:fills_the_disk"]))
     with pytest.raises(UsageError, match="No space left"):
         fly_campaign(full, tmp_path / "full" / "out", engine, runner=RUNNER)
-
-
-def test_a_flight_by_itself_adds_up_as_one_of_a_campaign() -> None:
-    """Linear algebra uses one thread unless more are configured."""
-    script = "import touchdown, os; print(os.environ['OPENBLAS_NUM_THREADS'])"
-    other = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
-    for environment, threads in ((other, "1"), (other | {"OPENBLAS_NUM_THREADS": "3"}, "3")):
-        found = subprocess.run(
-            [sys.executable, "-c", script], cwd=Path(__file__).parents[3], env=environment,
-            capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        assert found.stdout.strip() == threads
 
 
 def test_a_campaign_of_a_version_before_profiles_is_resumed(tmp_path: Path) -> None:

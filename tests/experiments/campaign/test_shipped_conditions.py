@@ -83,10 +83,3 @@ def test_every_scheduled_fault_of_messages_happens() -> None:
             assert set(records[fault.text]["came"]) == set(FAULT_KINDS[fault.kind])
             verdict = judge_fault(fault, records[fault.text], float(FLIGHT_S), config)
             assert verdict.happened, verdict.text
-
-
-def test_the_dark_campaign_names_its_twelve_flights() -> None:
-    plan = plan_of(CONFIGS / "field_blind.toml")
-    events = {tuple(run.values["faults.events"]) for run in plan.runs}
-    assert len(plan.runs) == 12 and {run.values["seed"] for run in plan.runs} == {7301}
-    assert events == {("camera_black@0",), ("camera_black@20",), ("lidar_dropout@20",)}

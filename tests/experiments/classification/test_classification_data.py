@@ -3,7 +3,6 @@
 import csv
 from collections import Counter
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -13,22 +12,13 @@ import pytest
 from touchdown.experiments.classification import colour_randomization as recolour
 from touchdown.experiments.classification import patches, render_dataset
 from touchdown.experiments.classification.image_folders import load_images, read_catalogue
-from touchdown.experiments.classification.render_dataset import DatasetParams, contact_sheet
+from touchdown.experiments.classification.render_dataset import DatasetParams
 from touchdown.experiments.classification.splits import split_of_layout, split_of_ucmerced
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, squared
 from touchdown.landing.classification import labels
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID
-from touchdown.scenes.registry import scene_names
-
-
-def test_every_scene_has_a_meaning() -> None:
-    for name in scene_names():
-        for land_class in LAND_CLASSES:
-            meaning = labels.rendered_meaning(name, land_class)
-            assert meaning.d_land == land_class and meaning.d_scene in labels.D_SCENE
-    assert labels.rendered_meaning("my_place", "road") == labels.Meaning("road", None)
 
 
 def test_folders_tell_the_kind_of_data() -> None:
@@ -40,12 +30,6 @@ def test_folders_tell_the_kind_of_data() -> None:
         labels.kind_of_folders(["cats", "dogs"])
     with pytest.raises(ValueError, match="'habor' is no class of ucmerced; did you mean 'harbor'"):
         labels.meanings("ucmerced", ["river", "habor"])
-
-
-def test_places_are_split_by_seed_and_two_scenes_are_held_out() -> None:
-    splits = [split_of_layout("lake", seed) for seed in range(1000, 1010)]
-    assert splits == 2 * ["train", "train", "train", "val", "test"]
-    assert {split_of_layout("pools", seed) for seed in range(10)} == {"test"}
 
 
 def test_uc_merced_is_split_by_number() -> None:
@@ -164,14 +148,6 @@ def test_an_interrupted_dataset_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_sheet_has_a_row_for_each_class() -> None:
-    red = np.zeros((20, 20, 3), np.uint8)
-    red[..., 0] = 255
-    sheet = contact_sheet({"lawn": [red], "field": []})
-    assert sheet.shape == (204, 1110, 3)
-    assert (sheet[50, 150] == [255, 0, 0]).all() and (sheet[150, 150] == 255).all()
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Any:
     """Makes class folders with small coloured images."""
@@ -277,18 +253,6 @@ def test_command_keeps_what_is_there(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert cli.main(["dataset", "render", "--out", str(tmp_path), "--images", "1"]) == 2
     assert "is not empty" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["note.txt"]
-
-
-def test_geom_classes_by_surface() -> None:
-    names = ["ground", "pond", "car", "unknown"]
-    surfaces = {
-        "ground": SimpleNamespace(land_class="lawn"),
-        "pond": SimpleNamespace(land_class="water"),
-        "car": SimpleNamespace(land_class="other"),
-    }
-    model = SimpleNamespace(ngeom=4, geom=lambda i: SimpleNamespace(name=names[i]))
-    scene: Any = SimpleNamespace(model=model, surfaces=surfaces)
-    assert list(patches.geom_classes(scene)) == [0, 5, 255, 255]
 
 
 def test_a_streak_smears_along_its_direction() -> None:

@@ -1,5 +1,4 @@
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -217,44 +216,3 @@ def test_a_lost_estimate_lists_its_events(
     assert "the last of the first 8 of 900 messages" in _run(capsys, "fly", "crossroad")[1]
     flown.append(_changed(lost, outcome="TIPPED"))
     assert "messages of" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
-
-
-def test_module_runs_as_the_console_script() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "touchdown", "land", "--nope"], cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert done.stderr.startswith("touchdown: error: ")
-    assert done.stderr.count("\n") == 1
-
-
-def test_an_error_in_flight_is_not_reported_as_invalid_input(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def fly(_config: Any, _out: Path, progress: Any) -> RunResult:
-        progress(0.0, "TAKEOFF", "")
-        raise ValueError("shapes (3,) and (4,) do not match")
-
-    monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
-    with pytest.raises(ValueError, match="shapes"):
-        cli.main(["land", "crossroad"])
-
-
-@pytest.mark.slow
-def test_exported_scene_opens_in_mujoco_unchanged(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import mujoco
-    import numpy as np
-
-    from touchdown.experiments.config.loading import load_config
-    from touchdown.experiments.flight.wiring import build_scene
-
-    code, out, _ = _run(capsys, "scenes", "export", "crossroad", "--out", str(tmp_path / "x"))
-    assert code == 0
-    there = mujoco.MjModel.from_xml_path(out.strip())
-    here = build_scene(load_config(scene="crossroad", seed=0)).model
-    assert there.ngeom == here.ngeom
-    np.testing.assert_allclose(there.geom_size, here.geom_size, atol=1e-4)
-    np.testing.assert_array_equal(there.tex_data, here.tex_data)

@@ -6,20 +6,9 @@ import pytest
 
 from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.config.loading import dump_config, load_config
-from touchdown.experiments.config.profiles import preset_values
 from touchdown.experiments.errors import UsageError
 
 CAMPAIGN = 'name = "a"\nmode = "land"\n[axes]\nscene = ["crossroad"]\nseeds = "3-4"\n'
-
-
-def test_short_is_one_low_leg_with_every_step_of_a_landing() -> None:
-    short, whole = (load_config(None, preset=name) for name in ("short", "whole"))
-    survey = short.survey
-    assert (survey.legs, survey.leg_length_m, survey.height_m) == (1, 12.0, 15.0)
-    assert short.landing.second_look and short.landing.sweep_m > 0.0
-    for name in ("sim", "wind", "lidar", "camera", "imu", "mapper", "livo", "control", "start"):
-        assert getattr(short, name) == getattr(whole, name)
-    assert whole.survey.legs == 3
 
 
 def test_a_preset_lies_over_the_profile_and_under_files_and_options(tmp_path: Path) -> None:
@@ -60,7 +49,3 @@ def test_a_campaign_takes_a_preset_as_axis_key_or_option(tmp_path: Path) -> None
     assert names[:2] == ["crossroad-livo-s3-whole", "crossroad-livo-s3-short"]
     with pytest.raises(UsageError, match="'preset' in --preset short is an axis already"):
         load_plan(file, preset="short")
-
-
-def test_the_preset_sets_keys_that_exist() -> None:
-    assert preset_values("short") and preset_values("whole") == {} == preset_values("none")

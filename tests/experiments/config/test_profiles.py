@@ -7,8 +7,8 @@ import pytest
 
 from touchdown.experiments import python_api
 from touchdown.experiments.config import profiles
-from touchdown.experiments.config.loading import config_of, dump_config, known_keys, load_config
-from touchdown.experiments.config.profiles import PROFILES, effects, profile_values
+from touchdown.experiments.config.loading import dump_config, load_config
+from touchdown.experiments.config.profiles import effects, profile_values
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import replay_config
@@ -22,14 +22,6 @@ def two(monkeypatch: pytest.MonkeyPatch) -> None:
     """A field of two keys, and a harsh that changes one of them and adds a third."""
     values = {"field": KIND, "harsh": UNKIND}
     monkeypatch.setattr(profiles, "profile_values", lambda name: values.get(name, {}))
-
-
-@pytest.mark.parametrize("name", PROFILES)
-def test_every_profile_makes_a_configuration(name: str) -> None:
-    values = profile_values(name)
-    assert set(values) <= set(known_keys())
-    config = config_of({"profile": name}, {"profile": "test"})
-    assert config.profile == name
 
 
 def test_ideal_is_the_schema_itself() -> None:

@@ -289,13 +289,6 @@ def test_a_log_is_read_without_unpacking_its_images(run: Path, stream: list[Obse
             assert np.array_equal(unpack_image(image.png), other.rgb)
 
 
-def test_stamps_precede_arrivals(messages: dict[str, list[Any]]) -> None:
-    stamped = [pair for topic, found in messages.items() if "/tf" not in topic for pair in found]
-    assert all(stamp_of(message) <= time_ns for time_ns, message in stamped)
-    time_ns, cloud = messages["/lidar/points"][0]
-    assert stamp_of(cloud) < time_ns
-
-
 def test_the_reader_of_mcap_decodes_every_message(bag: Path, messages: Any) -> None:
     decoder = pytest.importorskip("mcap_ros2.decoder")
     reader = pytest.importorskip("mcap.reader")

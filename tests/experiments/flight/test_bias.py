@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from touchdown.estimator.api import Estimate, PoseTrack
 from touchdown.experiments.api import BiasParams
@@ -41,8 +40,3 @@ def test_ramp() -> None:
         np.testing.assert_allclose(estimate.world_from_body.translation[:2], expected)
         assert estimate.scan_track is not None
         np.testing.assert_allclose(estimate.scan_track.positions_odom[:, :2], [expected] * 2)
-
-
-def test_a_ramp_without_duration_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"bias\.ramp_s"):
-        BiasedEstimator(Script(), BiasParams(ramp_s=0.0))

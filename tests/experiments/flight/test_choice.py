@@ -49,10 +49,6 @@ def test_last_decision_is_listed_in_full_and_earlier_ones_by_rule() -> None:
     assert earlier.rules == {"step": 2, "water": 1}
 
 
-def test_result_without_a_decision_has_no_choice() -> None:
-    assert choice_of(()) is None
-
-
 def test_choice_survives_the_file() -> None:
     unmapped = _decision(50.0, _candidate("not_seen", float("nan"), False), z=float("nan"))
     choice = choice_of((unmapped,))

@@ -79,17 +79,6 @@ def test_the_flight_follows_the_estimate_not_the_truth() -> None:
 
 
 @pytest.mark.slow
-def test_tracking_in_wind_with_the_truth_for_an_estimate() -> None:
-    """Climb and survey in 12 km/h of turbulent wind."""
-    config = load_config(
-        None, [], scene="crossroad", record=False, estimator="oracle", seed=5, survey_only=True
-    )
-    result = fly(config, None).plain()
-    assert result["trajectory_error_m"] <= 0.06
-    assert result["trajectory_error_max_m"] <= 0.25
-
-
-@pytest.mark.slow
 def test_same_seed_same_flight_to_the_byte_on_any_number_of_threads(
     livo_flight: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:

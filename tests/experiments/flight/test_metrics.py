@@ -38,10 +38,6 @@ def test_errors_of_the_heading_take_the_shorter_way() -> None:
     assert error.summary().yaw_deg == pytest.approx(np.degrees(2.0 * np.pi - 6.2))
 
 
-def test_positioning_error_of_nothing_is_null() -> None:
-    assert PositioningError().summary().mean is None
-
-
 def test_trajectory_deviation_mean_and_variance() -> None:
     deviation = TrajectoryDeviation()
     for distance in (1.0, 2.0, 3.0):

@@ -67,11 +67,6 @@ def test_a_pair_of_cameras_errs_as_one() -> None:
     np.testing.assert_allclose(found.matrix(), pair.matrix(), atol=1e-12)
 
 
-def test_no_error_returns_the_rig_itself() -> None:
-    rig = make_rig()
-    assert erring_rig(rig, NONE, 5) is rig
-
-
 def test_errors_against_the_imu_leave_those_of_the_pair_as_they_were() -> None:
     """The draws of camera_from_lidar and of the lens do not change."""
     rig = make_rig()

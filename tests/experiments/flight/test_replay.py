@@ -16,7 +16,6 @@ from touchdown.experiments.flight.replay import (
     open_run,
     replay,
     replay_config,
-    run_estimator,
     seen_by,
 )
 from touchdown.experiments.io.sensor_log import FILE_NAME
@@ -156,18 +155,6 @@ def test_an_estimator_sees_what_its_own_flight_would_show(tmp_path: Path) -> Non
     assert any(o.gps for o in blind) and any(o.scans for o in blind)  # scans are shared
     assert all(i.right_rgb is None for o in seen(camera_hz=5) for i in o.images)
     assert sum(len(o.imu) for o in blind) == 140
-
-
-def test_estimates_come_with_their_observations(run: Path) -> None:
-    class Counter:
-        needs = SensorNeeds()
-
-        def update(self, obs: Observation) -> Any:
-            return obs.tick
-
-    pairs = list(run_estimator(Counter(), SensorLogReader(run / FILE_NAME)))
-    assert [obs.tick for obs, _ in pairs] == [estimate for _, estimate in pairs]
-    assert len(pairs) == 401
 
 
 @pytest.mark.parametrize(("arguments", "words"), [

@@ -63,10 +63,3 @@ def test_a_flight_is_the_same_with_any_threads(tmp_path: Path, estimator: str) -
     settings = [dict.fromkeys(NAMES, count) for count in "124"] + [{name: "2"} for name in NAMES]
     for number, threads in enumerate(settings):
         assert flown(tmp_path / str(number), "crossroad", estimator, **threads) == plain, threads
-
-
-@pytest.mark.slow
-def test_a_short_flight_is_the_same_with_other_threads(tmp_path: Path) -> None:
-    plain = flown(tmp_path / "plain", "flat", "gps")
-    odd = dict.fromkeys(NAMES, "2") | {"NUMBA_NUM_THREADS": "many"}
-    assert flown(tmp_path / "odd", "flat", "gps", **odd) == plain

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-import shlex
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
@@ -409,20 +407,3 @@ def test_nothing_in_common_is_an_error(tmp_path: Path, capsys: pytest.CaptureFix
     command = ["regress", str(tmp_path / "old"), "--baseline", str(tmp_path / "base.json")]
     assert cli.main(command) == 2
     assert "no cell of these flights; it has flat, gps" in capsys.readouterr().err
-
-
-def test_the_commands_of_the_workflow_parse() -> None:
-    """Those of the GitHub Actions example, as the command line parses them."""
-    import click
-
-    page = Path(__file__).parents[3] / "docs" / "ci-regression.md"
-    text = page.read_text(encoding="utf-8")
-    workflow = re.findall(r"^```yaml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)[0]
-    commands = re.findall(r"run: touchdown (.*)$", workflow, re.MULTILINE)
-    assert len(commands) == 3
-    for command in commands:
-        name, *arguments = shlex.split(command)
-        found = cli.cli.commands[name]
-        if isinstance(found, click.Group):
-            continue
-        found.make_context(name, arguments)

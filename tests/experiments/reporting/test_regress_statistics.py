@@ -113,34 +113,9 @@ def test_seeds_needed_by_tables_of_the_paired_t_test() -> None:
     assert seeds_needed(np.array([-1.0, 1.0]), 0.05) is None
 
 
-def test_own_resampling_agrees_with_scipy() -> None:
-    """Exact sign flips to the last digit, percentiles of the bootstrap to a few per cent."""
-    from scipy import stats
-
-    sample = np.random.default_rng(4).normal(0.4, 1.0, size=9)
-    exact = stats.permutation_test(
-        (sample,), np.mean, permutation_type="samples", alternative="greater", n_resamples=np.inf
-    )
-    assert float(sign_flip_p(sample)) == pytest.approx(exact.pvalue, abs=1e-12)
-    tail = stats.norm.cdf(-math.sqrt(9 / 8) * stats.t.ppf(0.975, 8))
-    found = stats.bootstrap(
-        (sample,), np.mean, confidence_level=1.0 - 2.0 * tail, method="percentile", rng=1
-    ).confidence_interval
-    ours = mean_interval(sample)
-    assert ours is not None
-    assert (ours.low, ours.high) == pytest.approx((found.low, found.high), abs=0.05)
-
-
 def test_unpaired_test_sees_a_shift_and_no_more() -> None:
     rng = np.random.default_rng(1)
     new, old = rng.normal(size=(10, 200)), rng.normal(size=(10, 200))
     alike = unpaired_p(new, old)
     assert (alike <= 0.05).mean() == pytest.approx(0.05, abs=0.03)
     assert np.median(unpaired_p(new + 3.0, old)) < 1e-3
-
-
-def test_holm_agrees_with_statsmodels() -> None:
-    from statsmodels.stats.multitest import multipletests
-
-    p = np.random.default_rng(2).random(30) ** 3
-    assert holm(p.tolist()) == pytest.approx(multipletests(p, method="holm")[1].tolist())

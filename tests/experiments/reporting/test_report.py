@@ -10,7 +10,7 @@ import pytest
 
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.results import load_runs, lookup
+from touchdown.experiments.io.results import load_runs
 from touchdown.experiments.reporting.document import (
     Report,
     condition_sentences,
@@ -52,10 +52,6 @@ def test_runs_are_found_sorted_and_summed_up(tmp_path: Path) -> None:
     assert len(table) == 5
     assert "| crossroad | livo | 3 | NO_SITE | 0.300 | – |" in table[4]
     assert "tilt" not in table[0]
-
-
-def test_lookup_of_a_missing_branch() -> None:
-    assert lookup({"a": None}, "a.b") is None
 
 
 def test_mistakes_are_named(tmp_path: Path) -> None:

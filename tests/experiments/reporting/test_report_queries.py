@@ -85,8 +85,3 @@ def test_estimates_by_cell() -> None:
     ]
     # 0.5 within the flights and 1 between the means of the two that have both numbers.
     assert estimates(rows, TRAJECTORY_VARIANCE)[LAKE].value == pytest.approx(1.5)
-
-
-def test_no_rows_have_no_groups() -> None:
-    assert outcome_counts([]) == {} and outcomes_by_cell([]) == {} and flown_cells([]) == set()
-    assert numbers_by_cell([], ["error"]) == {} and landings_by_cell([]) == {}

@@ -21,7 +21,7 @@ from touchdown.experiments.results_book.record import (
     record_of,
     record_text,
 )
-from touchdown.experiments.results_book.sets import ROOT, SETS, FlightSet, chosen
+from touchdown.experiments.results_book.sets import ROOT, SETS, FlightSet
 
 PAGES = sorted({block.page for block in BLOCKS})
 LANDINGS = SETS[0]
@@ -272,11 +272,6 @@ def test_the_cost_is_stated_first(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_a_page_without_its_markers_is_named() -> None:
     with pytest.raises(UsageError, match=r"README.md: no single part from '<!-- results summary"):
         written("# Results\n", "README.md", {})
-
-
-def test_sets_are_chosen_by_profile() -> None:
-    assert [found.name for found in chosen("ideal")] == ["landings", "positioning"]
-    assert chosen("field", ["blind"]) == [SETS[2]]
 
 
 def test_short_flights_are_paired_with_whole_ones_of_equal_scene_and_seed() -> None:

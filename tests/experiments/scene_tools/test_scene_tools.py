@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.cli.scenes import VIEW_NAMES
-from touchdown.experiments.drawing.contact_sheet import SHEET_VIEWS
 from touchdown.experiments.drawing.map_axes import tick_step
 from touchdown.experiments.scene_tools.flyability import check_scene_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
@@ -64,11 +62,6 @@ def pixel(image: np.ndarray, x: float, y: float, half: float = 25.0) -> np.ndarr
     rows, cols = image.shape[0], image.shape[1]
     row = int((half - y) / (2.0 * half) * rows)
     return image[row, int((x + half) / (2.0 * half) * cols)].astype(int)
-
-
-def test_the_command_line_offers_every_view() -> None:
-    assert tuple(VIEWS) == VIEW_NAMES
-    assert set(SHEET_VIEWS) <= set(VIEWS)
 
 
 def test_from_above_north_is_up_and_east_is_right(place: Scene) -> None:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks.selection_stages import STAGES, staged_selection
+from touchdown.experiments.benchmarks.selection.stages import STAGES, staged_selection
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection import risk
 from touchdown.landing.selection.clustering import (
@@ -117,7 +117,7 @@ def test_both_scorers_land_on_the_good_half_and_an_emergency_takes_the_least_bad
 
 def test_stages_agree_with_open3d_scipy_and_scikit_image() -> None:
     pytest.importorskip("skimage")
-    from touchdown.experiments.benchmarks.selection_reference import reference_selection
+    from touchdown.experiments.benchmarks.selection.reference import reference_selection
 
     rng = np.random.default_rng(5)
     y, x = np.mgrid[0:120, 0:100] * 0.2

@@ -23,24 +23,6 @@ from support.camera_support import (
 )
 
 Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-
-
-def test_intrinsics_of_the_d435() -> None:
-    k = CameraSensor(make_scene(), CLEAN, 0).intrinsics()
-    assert (k.width, k.height) == (848, 480)
-    assert (k.fx, k.fy) == (pytest.approx(616.93, abs=0.1), pytest.approx(625.22, abs=0.1))
-    assert (k.cx, k.cy) == (423.5, 239.5)
-
-
-def test_forward_is_up_and_left_is_left() -> None:
-    scene = make_scene(box("ahead", 5.0, 0.0, "1 0 0 1") + box("left", 0.0, 8.0, "0 1 0 1"))
-    image = take_image(scene)
-    ahead, left = centroid(image[..., 0] > 128), centroid(image[..., 1] > 128)
-    assert ahead[1] < 100
-    assert left[0] < 200
-    assert ahead[0] == pytest.approx(423.5, abs=1.0)
-    assert left[1] == pytest.approx(239.5, abs=1.0)
 
 
 @pytest.mark.parametrize(
@@ -120,17 +102,6 @@ def test_noise_has_its_sigma_and_its_seed() -> None:
     assert not first.flags.writeable
 
 
-def test_a_worker_thread_draws_the_same_image() -> None:
-    scene = make_scene(box("ahead", 3.0, 1.0, "1 0 0 1"))
-    params = CameraParams(noise_sigma=1.5)
-    here = take_image(scene, params, tick=60)
-    there: list[Bytes] = []
-    worker = threading.Thread(target=lambda: there.append(take_image(scene, params, tick=60)))
-    worker.start()
-    worker.join()
-    np.testing.assert_array_equal(here, there[0])
-
-
 def test_a_second_thread_is_refused() -> None:
     scene = make_scene()
     sensor = CameraSensor(scene, CLEAN, 0)
@@ -149,19 +120,6 @@ def test_a_second_thread_is_refused() -> None:
     worker.join()
     sensor.close()
     assert "one thread only" in str(errors[0])
-
-
-def test_unknown_camera_is_named() -> None:
-    with pytest.raises(ValueError, match=r"no camera 'nose'.*vehicle/camera_right"):
-        CameraSensor(make_scene(), CLEAN, 0, "nose")
-
-
-def test_unusable_backend_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "nothing")
-    scene = make_scene()
-    sensor = CameraSensor(scene, CLEAN, 0)
-    with pytest.raises(RuntimeError, match=r"nothing.*set MUJOCO_GL to egl, osmesa or glfw"):
-        sensor.render(sensor.snapshot(posed(scene)), 0)
 
 
 def test_model_keeps_its_own_rendering_settings() -> None:

@@ -6,7 +6,6 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import CameraParams
 from touchdown.sim.camera.optics import intrinsics_of
 from touchdown.sim.camera.sensor import CameraSensor
@@ -63,22 +62,6 @@ def test_every_row_is_seen_from_its_own_pose(distortion: tuple[float, ...]) -> N
     assert np.median(error) < 0.08
     assert np.quantile(error, 0.9) < 0.2
     assert np.median(displacement(truth, at_once)) > 3.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "readout_s"), [("crossroad", 0.015), ("forest", 0.03)])
-def test_every_row_is_seen_from_its_own_pose_over_a_scene(name: str, readout_s: float) -> None:
-    scene = load_scene(name, 0)
-    start = scene.model.qpos0[:3] + np.array([0.0, 0.0, 10.0])
-
-    def motion(time_s: float) -> Pose:
-        pose = flight(time_s)
-        return Pose(pose.rotation, start + pose.translation)
-
-    truth, rows, _ = row_by_row(scene, motion, readout_s, (0.0,) * 5)
-    error = displacement(truth, rows)
-    assert np.median(error) < 0.1
-    assert np.quantile(error, 0.9) < 0.3
 
 
 def test_a_camera_at_rest_has_no_shutter() -> None:

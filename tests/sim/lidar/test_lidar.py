@@ -249,18 +249,6 @@ def test_moving_body_moves_within_the_scan() -> None:
     assert np.all(np.abs(points[on_roof, 1] - drawn_from[on_roof]) < 0.92)
 
 
-def test_unknown_moving_body_is_named() -> None:
-    with pytest.raises(ValueError, match="'tram' is not a moving body"):
-        take_scan(make_scene(PLANE + CAR), tram=Pose.identity())
-
-
-def test_track_must_cover_the_scan() -> None:
-    with pytest.raises(ValueError, match="cover the scan"):
-        LidarSensor(make_scene(PLANE), PERFECT, 0).scan(
-            0, 60, TICK_HZ, track((0, 59), 20.0), DOWN, {}
-        )
-
-
 def test_quaternion_signs_do_not_matter() -> None:
     scene = make_scene(wall(20.0, 60.0), {"wall": BRIGHT})
     body = track((0, 60), 30.0, np.array([0.1, 0.2, 0.9]))
@@ -275,11 +263,3 @@ def test_quaternion_signs_do_not_matter() -> None:
         for q in (quats, flipped)
     ]
     np.testing.assert_allclose(scans[0].ranges, scans[1].ranges, atol=1e-4)
-
-
-def test_same_seed_same_bytes() -> None:
-    scene = make_scene(PLANE + CAR)
-    first, again, other = (take_scan(scene, params=LidarParams(), seed=s) for s in (5, 5, 6))
-    assert first.ranges.tobytes() == again.ranges.tobytes()
-    assert first.intensity.tobytes() == again.intensity.tobytes()
-    assert first.ranges.tobytes() != other.ranges.tobytes()

@@ -86,13 +86,6 @@ def test_level_ground_and_walls_are_untouched() -> None:
     np.testing.assert_allclose(wide.ranges, thin.ranges, atol=0.02)
 
 
-def test_same_seed_same_echoes() -> None:
-    scene = make_scene(PLANE + half_plane(2.0), {"plane": BRIGHT, "block": DARK})
-    one, other = (scan_from(30.0, scene, LidarParams()) for _ in range(2))
-    assert one.ranges.tobytes() == other.ranges.tobytes()
-    assert one.intensity.tobytes() == other.intensity.tobytes()
-
-
 def test_parts_of_a_beam() -> None:
     """Seven parts of equal power; quantiles of a Gaussian of 0.03 x 0.28 degrees full width at half
     maximum. The outermost quantile of seven, 1 / 14, lies at 1.4652 standard deviations."""

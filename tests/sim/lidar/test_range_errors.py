@@ -57,11 +57,6 @@ def test_noise_variance_follows_the_power_of_the_echo(growth: float) -> None:
         assert known == pytest.approx(0.02 * math.sqrt(share))
 
 
-def test_noise_at_the_data_sheet_point_is_the_stated_one() -> None:
-    errors = _errors(LidarParams(range_noise_growth=0.7))
-    assert errors.noise_sigma_m(*_at(20.0, 0.8)) == 0.02
-
-
 def test_bias_curve_in_a_scan_is_the_known_one() -> None:
     params = dataclasses.replace(PERFECT, range_bias_m=0.02)
     errors = _errors(params)

@@ -115,10 +115,3 @@ def test_ground_and_calm_air_do_not_sway() -> None:
     bare = LidarScene(make_scene(PLANE))
     assert Sway.of(SWAYING, bare, EAST, 1) is None
     assert Sway.of(PERFECT, LidarScene(_scene()), EAST, 1) is None
-
-
-def test_flights_differ_in_phase() -> None:
-    times, crown = np.arange(0.0, 5.0, 0.1), np.full(50, 1)
-    one, same, other = (_sway(seed=s).displacement_m(crown, times) for s in (5, 5, 6))
-    np.testing.assert_array_equal(one, same)
-    assert np.abs(one - other).max() > 0.01

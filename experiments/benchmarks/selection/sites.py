@@ -67,7 +67,7 @@ def check_scene(config: Config, figure: Path | None = None) -> dict[str, Any]:
     if costmap is None:
         raise ValueError(f"scene '{config.scene}': the survey mapped nothing")
     if figure is not None:
-        from touchdown.experiments.benchmarks.site_selection_figures import write_steps
+        from touchdown.experiments.benchmarks.selection.figures import write_steps
 
         write_steps(figure, config, selection)
     safe, judged = _on_grid(truth, costmap)
@@ -251,7 +251,7 @@ def run(
     ]
     files = None
     if pictures is not None:
-        from touchdown.experiments.benchmarks.site_selection_figures import figure_files
+        from touchdown.experiments.benchmarks.selection.figures import figure_files
 
         files = figure_files(configs, pictures)
     places = check_scenes(configs, jobs, report, files)

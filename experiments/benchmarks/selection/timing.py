@@ -17,7 +17,7 @@ from touchdown.estimator.api import (
     GridMap,
 )
 from touchdown.experiments.benchmarks.posed_survey import SCAN_PERIOD_S, Surveyed, posed_survey
-from touchdown.experiments.benchmarks.selection_stages import Staged, staged_selection
+from touchdown.experiments.benchmarks.selection.stages import Staged, staged_selection
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_classifier
@@ -157,10 +157,10 @@ def _best(staged: Staged) -> NDArray[np.int32]:
 
 
 def _load_reference() -> Callable[[GridMap, Array, LandingParams, float], Staged]:
-    """Returns `experiments.benchmarks.selection_reference.reference_selection`. Raises UsageError
+    """Returns `experiments.benchmarks.selection.reference.reference_selection`. Raises UsageError
     without scikit-image."""
     try:
-        from touchdown.experiments.benchmarks.selection_reference import reference_selection
+        from touchdown.experiments.benchmarks.selection.reference import reference_selection
     except ImportError as error:
         raise UsageError(
             f"the comparison needs scikit-image ({error}): install it, or give --no-reference"

@@ -1,4 +1,4 @@
-"""Reference implementation of ``experiments.benchmarks.selection_stages`` with Open3D, SciPy and
+"""Reference implementation of ``experiments.benchmarks.selection.stages`` with Open3D, SciPy and
 scikit-image.
 
 Speed and result of the selector are compared with it. Needs scikit-image.
@@ -16,7 +16,7 @@ from skimage.feature import canny
 from skimage.segmentation import quickshift
 
 from touchdown.estimator.api import GridMap
-from touchdown.experiments.benchmarks.selection_stages import Staged, StageTimer
+from touchdown.experiments.benchmarks.selection.stages import Staged, StageTimer
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection.clustering import bandwidths
 
@@ -27,7 +27,7 @@ Float32 = NDArray[np.float32]
 def reference_selection(
     grid: GridMap, position_odom: Array, params: LandingParams, footprint_radius_m: float
 ) -> Staged:
-    """Computes ``experiments.benchmarks.selection_stages.staged_selection`` with the corrected form
+    """Computes ``experiments.benchmarks.selection.stages.staged_selection`` with the corrected form
     of flatness."""
     cell = grid.cell_m
     timer = StageTimer()
