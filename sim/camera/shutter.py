@@ -159,19 +159,19 @@ def trace_row(
     is ``far + per_step * depth``."""
     rows, cols = depth.shape
     width = len(xs)
-    c = c.astype(np.float32)
-    kx, ky, pz = c[9], c[10], c[11]
+    turn = c.astype(np.float32)
+    kx, ky, pz = turn[9], turn[10], turn[11]
     flat, slope = np.float32(far), np.float32(per_step)
     right, low = np.float32(cols - 1.01), np.float32(rows - 1.01)
     half, zero = np.float32(0.5), np.float32(0.0)
     count = np.arange(_BLOCK).astype(np.float32)
     start = 0
-    u1, v1 = _rotated(c, xs[0], ys[0])
+    u1, v1 = _rotated(turn, xs[0], ys[0])
     while start < width:
         stop = min(start + _BLOCK, width)
         last = min(stop, width - 1)
         u0, v0 = u1, v1
-        u1, v1 = _rotated(c, xs[last], ys[last])
+        u1, v1 = _rotated(turn, xs[last], ys[last])
         part = np.float32(1.0) / np.float32(max(last - start, 1))
         du, dv = (u1 - u0) * part, (v1 - v0) * part
         # the parallax at the middle says where to look the depths up: side by side
