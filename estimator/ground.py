@@ -12,6 +12,8 @@ below.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numba
 import numpy as np
@@ -47,6 +49,17 @@ _BINS = 96
 """of the returns of a cell and its neighbours, more than those of a cell, for their slope"""
 _STEPS = 30
 _CONVERGED_M = 1e-4
+
+
+class _Heights(NamedTuple):
+    """Histograms of the returns of each cell."""
+
+    histogram: Bytes
+    """(rows, cols, bins)"""
+    base: Float32
+    """(rows, cols) m, lower side of the first bin"""
+    ends: Bytes
+    """(rows, cols, 2) first and one past the last bin with returns"""
 
 
 def ground_of(
@@ -89,7 +102,7 @@ def _find_ground(
     """Writes ``height`` and ``std`` (rows, cols) of the cells that are wanted and may show several
     surfaces, the two ``masks``."""
     count, mean, spread = layers
-    wanted, several = masks
+    wanted, _ = masks
     own = mean.copy()
     side = 2 * round(_SLOPE_REACH_M / cell_m) + 1
     square = np.ones((side, side), np.uint8)
@@ -98,7 +111,7 @@ def _find_ground(
     _own_modes(histogram, base, spread, near, own, ends)
     slope_reach, reach = round(_SLOPE_REACH_M / cell_m), round(_REACH_M / cell_m)
     _pooled_modes(
-        histogram, base, count, several, wanted, own, ends, cell_m, slope_reach, max(reach, 1),
+        _Heights(histogram, base, ends), count, masks, own, cell_m, (slope_reach, max(reach, 1)),
         height, std,
     )  # fmt: skip
 
@@ -210,11 +223,14 @@ def _stands_alone(own: Float32, row: int, col: int, reach: int, few: bool) -> bo
 
 @numba.njit(cache=True)
 def _pool(
-    histogram: Bytes, base: Float32, ends: Bytes, row: int, col: int, reach: int,
-    per_col: float, per_row: float, lowest: float, weights: Array,
+    heights: _Heights, at: tuple[int, int], reach: int, slope: tuple[float, float], lowest: float,
+    weights: Array,
 ) -> None:  # fmt: skip
     """Writes the histogram of the returns of a cell and its neighbours, moved along the slope, into
     ``weights`` (K,), whose first bin begins at ``lowest``."""
+    histogram, base, ends = heights
+    row, col = at
+    per_col, per_row = slope
     weights[:] = 0.0
     for a in range(max(row - reach, 0), min(row + reach + 1, base.shape[0])):
         for b in range(max(col - reach, 0), min(col + reach + 1, base.shape[1])):
@@ -230,22 +246,21 @@ def _pool(
 
 @numba.njit(cache=True)
 def _pooled_modes(
-    histogram: Bytes,
-    base: Float32,
+    heights: _Heights,
     count: Float32,
-    several: Mask,
-    wanted: Mask,
+    masks: tuple[Mask, Mask],
     own: Float32,
-    ends: Bytes,
     cell: float,
-    slope_reach: int,
-    reach: int,
+    reaches: tuple[int, int],
     height: Float32,
     std: Float32,
 ) -> None:
     """Writes the lowest mode of the returns of each cell of ``several`` surfaces and its
     neighbours, not below its own lowest returns, and its standard deviation; NaN for what stands
     alone."""
+    histogram, base, ends = heights
+    wanted, several = masks
+    slope_reach, reach = reaches
     rows, cols, bins = histogram.shape
     weights, slope = np.zeros(_BINS), np.zeros(2)
     limit, below = _SLOPE_LIMIT * cell, (_BINS - bins) // 2
@@ -265,7 +280,7 @@ def _pooled_modes(
             per_col = min(max(slope[0], -limit), limit)
             per_row = min(max(slope[1], -limit), limit)
             lowest = base[row, col] - below * HEIGHT_BIN_M
-            _pool(histogram, base, ends, row, col, reach, per_col, per_row, lowest, weights)
+            _pool(heights, (row, col), reach, (per_col, per_row), lowest, weights)
             if few:
                 low = _start(weights, 0, _FEW_SHARE)
             else:

@@ -1,7 +1,7 @@
 """Updates of the error-state filter by GPS velocity, magnetometer and barometer.
 
-Error coordinates as in ``estimator.filtering.imu_propagation``: rotation (right perturbation),
-position, velocity, biases. The odometry frame has the axes of the world.
+Error coordinates as in ``estimator.filtering.error_state``. The odometry frame has the axes of the
+world.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import POSITION, ROTATION, VELOCITY
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import POSITION, ROTATION, VELOCITY
 from touchdown.sim.api import BarometerSample, GpsFix
 from touchdown.sim.frames import cross, skew, wrap_angle
 

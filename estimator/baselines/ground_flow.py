@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.baselines.aiding import update
+from touchdown.estimator.filtering.error_state import CLONE_DIM, POSE_DIM, POSITION, ROTATION, after
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import skew
 
@@ -150,14 +150,16 @@ def update_with_displacement(
     state, clone = eskf.state, eskf.clones[0]
     arm, arm_before = state.rotation @ lever_imu, clone.rotation @ lever_imu
     expected = clone.translation + arm_before - state.position - arm
-    jacobian = np.zeros((3, 12))
+    jacobian = np.zeros((3, POSE_DIM + CLONE_DIM))
+    then_rotation, then_position = after(POSE_DIM, ROTATION), after(POSE_DIM, POSITION)
     lever = skew(lever_imu)
-    jacobian[:, :3] = state.rotation @ lever - measured.by_rotation_now @ state.rotation
-    jacobian[:, 3:6] = -np.eye(3)
-    jacobian[:, 6:9] = -clone.rotation @ lever - measured.by_rotation_before @ clone.rotation
-    jacobian[:, 9:12] = np.eye(3)
+    jacobian[:, ROTATION] = state.rotation @ lever - measured.by_rotation_now @ state.rotation
+    jacobian[:, POSITION] = -np.eye(3)
+    jacobian[:, then_rotation] = (
+        -clone.rotation @ lever - measured.by_rotation_before @ clone.rotation
+    )
+    jacobian[:, then_position] = np.eye(3)
     translation = measured.translation
     covariance = measured.covariance + floor_m**2 * np.eye(3)
     covariance = covariance + scale_sigma**2 * np.outer(translation, translation)
-    touched = np.r_[0:6, STATE_DIM : STATE_DIM + 6]
-    return update(eskf, touched, jacobian, translation - expected, covariance, gate)
+    return update(eskf, eskf.touched([0]), jacobian, translation - expected, covariance, gate)

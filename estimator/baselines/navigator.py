@@ -14,9 +14,9 @@ from touchdown.estimator.api import Estimate, ImageThinning
 from touchdown.estimator.baselines.aiding import BaroHeight, heading_of, update_heading
 from touchdown.estimator.baselines.alignment import Alignment, field_azimuth
 from touchdown.estimator.baselines.epochs import Epoch, EpochQueue
+from touchdown.estimator.filtering.error_state import ROTATION
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
-from touchdown.estimator.filtering.imu_propagation import ROTATION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.rolling_shutter import at_middle_row
 from touchdown.estimator.filtering.undistortion import Undistorter

@@ -17,7 +17,7 @@ from touchdown.estimator.api import Estimate, StereoParams
 from touchdown.estimator.baselines.corner_flow import follow
 from touchdown.estimator.baselines.disparity import GroundHeight, disparities, inverse_depths
 from touchdown.estimator.baselines.navigator import Grey, Navigator
-from touchdown.estimator.filtering.imu_propagation import STATE_DIM
+from touchdown.estimator.filtering.eskf import IteratedUpdate
 from touchdown.estimator.filtering.keyframes import bearing_rays, detect_features
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.estimator.filtering.rolling_shutter import (
@@ -162,21 +162,17 @@ class StereoEstimator:
         ``_LEAST_USED`` are inliers. Returns their number and their rms in pixels."""
         eskf = self._nav.eskf
         camera = MountedCamera(self._rig.camera, self._imu_from_camera)
-        prior, clones = eskf.state, eskf.clones
-        touched = np.r_[0:6, STATE_DIM : STATE_DIM + 6]
-        information, used, rms = np.zeros((12, 12)), 0, 0.0
+        update, used, rms = IteratedUpdate(eskf), 0, 0.0
         for gate in _GATES_PX:
             information, vector, used, rms = reprojection_information(
                 pixels, landmarks, eskf.state.pose, eskf.clones[0], camera,
                 sigma_px=self._params.pixel_sigma, gate_px=gate,
             )  # fmt: skip
             if used < _LEAST_USED:
-                eskf.state, eskf.clones = prior, clones
+                update.abandon()
                 return 0, 0.0
-            offset = eskf.deviation(prior, clones, [0])
-            delta = eskf.correction(touched, information, vector + information @ offset)
-            eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
-        eskf.update_covariance(touched, information)
+            update.step([0], information, vector)
+        update.finish()
         return used, rms
 
     def _look(self, left: Grey, right: Grey, time_s: float, *, new_keyframe: bool) -> None:

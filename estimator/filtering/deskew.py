@@ -8,11 +8,13 @@ would change its maps.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import Frame, Frames
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.frames import Pose
 
@@ -72,10 +74,9 @@ def place_scan(
     ``rotations`` (M + 1, 3, 3) and ``positions`` (M + 1, 3): odom_from_imu every ``step_s`` from
     the start of the scan to its end.
     """
-    points, beams = _deskew(
-        scan.directions, scan.ranges, scan.time_offsets, pulses, imu_from_lidar.rotation,
-        imu_from_lidar.translation, rotations, positions, step_s,
-    )  # fmt: skip
+    shot = _Pulses(scan.directions, scan.ranges, scan.time_offsets, pulses)
+    track = Frames(rotations, positions)
+    points, beams = _deskew(shot, Frame.of(imu_from_lidar), track, step_s)
     return PlacedScan(points, beams, pulses)
 
 
@@ -93,23 +94,27 @@ def _valid_pulses(
     return chosen[:count]
 
 
+class _Pulses(NamedTuple):
+    """Pulses of a scan, and the indices of those to be used."""
+
+    directions: Float32
+    """(N, 3)"""
+    ranges: Float32
+    """(N,) m"""
+    time_offsets: Float32
+    """(N,) s after the first pose"""
+    chosen: Indices
+    """(K,)"""
+
+
 @njit(cache=True)
 def _deskew(
-    directions: Float32,
-    ranges: Float32,
-    time_offsets: Float32,
-    pulses: Indices,
-    lidar_rotation: Array,
-    lidar_position: Array,
-    rotations: Array,
-    positions: Array,
-    step_s: float,
+    shot: _Pulses, imu_from_lidar: Frame, track: Frames, step_s: float
 ) -> tuple[Array, Array]:
-    """Returns points (K, 3) and beams (K, 3) of the ``pulses`` (K,), see ``place_scan``.
-
-    ``directions`` (N, 3), ``ranges`` (N,), ``time_offsets`` (N,) s after the first pose;
-    ``lidar_rotation``, ``lidar_position``: imu_from_lidar.
-    """
+    """Returns points (K, 3) and beams (K, 3), see ``place_scan``."""
+    directions, ranges, time_offsets, pulses = shot
+    lidar_rotation, lidar_position = imu_from_lidar
+    rotations, positions = track
     count = pulses.shape[0]
     last = rotations.shape[0] - 1
     relative_r = np.empty((last + 1, 3, 3))

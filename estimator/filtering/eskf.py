@@ -12,25 +12,31 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.imu_propagation import (
+from touchdown.estimator.filtering.error_state import (
     ACCEL_BIAS,
+    CLONE_DIM,
     GYRO_BIAS,
     IMU_DIM,
+    POSE,
+    POSE_DIM,
     POSITION,
     ROTATION,
     STATE_DIM,
     VELOCITY,
+)
+from touchdown.estimator.filtering.imu_propagation import (
     ImuBuffer,
     NavState,
     exp_so3_each,
     integrate,
     transition,
 )
+from touchdown.estimator.filtering.information import limit_information
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
-CLONE_DIM = 6
+
 _RATE_SAMPLES = 3
 """of the IMU, over which the angular rate is a mean: one alone is mostly vibration"""
 
@@ -130,9 +136,9 @@ class Eskf:
         size = len(self.covariance)
         grown = np.empty((size + CLONE_DIM, size + CLONE_DIM))
         grown[:size, :size] = self.covariance
-        grown[size:, :size] = self.covariance[:CLONE_DIM]
-        grown[:size, size:] = self.covariance[:, :CLONE_DIM]
-        grown[size:, size:] = self.covariance[:CLONE_DIM, :CLONE_DIM]
+        grown[size:, :size] = self.covariance[POSE]
+        grown[:size, size:] = self.covariance[:, POSE]
+        grown[size:, size:] = self.covariance[POSE, POSE]
         if own_variances is not None:
             own = np.arange(size, size + CLONE_DIM)
             grown[own, own] += own_variances
@@ -153,7 +159,7 @@ class Eskf:
         if not self.loosely_coupled:
             return information, vector
         information, vector = information.copy(), vector.copy()
-        information[CLONE_DIM:], information[:, CLONE_DIM:], vector[CLONE_DIM:] = 0.0, 0.0, 0.0
+        information[POSE_DIM:], information[:, POSE_DIM:], vector[POSE_DIM:] = 0.0, 0.0, 0.0
         return information, vector
 
     def correction(self, touched: NDArray[np.int64], information: Array, vector: Array) -> Array:
@@ -192,9 +198,9 @@ class Eskf:
             state.calibration + delta[STATE_DIM : self.base],
         )
         parts = delta[self.base :].reshape(-1, CLONE_DIM)
-        rotations = exp_so3_each(np.ascontiguousarray(parts[:, :3]))
+        rotations = exp_so3_each(np.ascontiguousarray(parts[:, ROTATION]))
         new_clones = [
-            Pose(clone.rotation @ rotations[k], clone.translation + parts[k, 3:])
+            Pose(clone.rotation @ rotations[k], clone.translation + parts[k, POSITION])
             for k, clone in enumerate(clones)
         ]
         return moved, new_clones
@@ -216,5 +222,38 @@ class Eskf:
         """Error coordinates of pose, shared calibration and the given clones, (6 + S + 6m,)."""
         shared = np.arange(STATE_DIM, STATE_DIM + self.shared)
         return np.concatenate(
-            [np.arange(CLONE_DIM), shared, *(self.clone_indices(k) for k in clones)]
+            [np.arange(POSE_DIM), shared, *(self.clone_indices(k) for k in clones)]
         )
+
+
+class IteratedUpdate:
+    """An update by one measurement whose normal equations are linearised anew after each step."""
+
+    def __init__(self, eskf: Eskf) -> None:
+        self._eskf = eskf
+        self._prior, self._clones = eskf.state, eskf.clones
+        self._touched = eskf.touched([])
+        self._information = np.zeros((POSE_DIM + eskf.shared, POSE_DIM + eskf.shared))
+
+    def step(
+        self, clones: list[int], information: Array, vector: Array, floors: Array | None = None
+    ) -> None:
+        """Moves the mean by the measurement (D, D), (D,) of pose, shared calibration and the given
+        clones, linearised at the present mean. ``floors`` (D,): see ``limit_information``."""
+        eskf = self._eskf
+        information, vector = eskf.coupled(information, vector)
+        if floors is not None:
+            information, vector = limit_information(information, vector, floors)
+        self._touched, self._information = eskf.touched(clones), information
+        offset = eskf.deviation(self._prior, self._clones, clones)
+        delta = eskf.correction(self._touched, information, vector + information @ offset)
+        eskf.state, eskf.clones = eskf.boxplus(self._prior, self._clones, delta)
+
+    def abandon(self) -> None:
+        """Returns to the mean before the first step."""
+        self._eskf.state, self._eskf.clones = self._prior, self._clones
+
+    def finish(self) -> Array:
+        """Updates the covariance by the newest linearisation and returns its information (D, D)."""
+        self._eskf.update_covariance(self._touched, self._information)
+        return self._information

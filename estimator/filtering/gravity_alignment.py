@@ -12,8 +12,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import (
+    ACCEL_BIAS,
+    ACCEL_SCALE,
+    IMU_DIM,
+    ROTATION,
+    after,
+)
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import ACCEL_BIAS, IMU_DIM, ROTATION, SCALE_DIM
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import skew, so3_log
 
@@ -31,13 +37,12 @@ def align_with_gravity(eskf: Eskf, force: Array, sigma_mps2: float) -> None:
     prior, clones = eskf.state, eskf.clones
     touched = np.r_[ROTATION, ACCEL_BIAS]
     if eskf.shared:  # the accelerometer's scale
-        start = eskf.base - IMU_DIM
-        touched = np.r_[touched, start + 3 : start + SCALE_DIM]
+        touched = np.r_[touched, after(eskf.base - IMU_DIM, ACCEL_SCALE)]
     information = np.zeros((len(touched), len(touched)))
     for _ in range(_ITERATIONS):
         state = eskf.state
         reaction = state.rotation.T @ _UP
-        scale = state.imu_errors[3:SCALE_DIM]
+        scale = state.imu_errors[ACCEL_SCALE]
         by_error = np.hstack([skew(reaction), np.eye(3), np.diag(reaction)])[:, : len(touched)]
         residual = force - (1.0 + scale) * reaction - state.accel_bias
         information = by_error.T @ by_error / sigma_mps2**2
@@ -45,7 +50,7 @@ def align_with_gravity(eskf: Eskf, force: Array, sigma_mps2: float) -> None:
         moved = [
             so3_log(prior.rotation.T @ state.rotation),
             state.accel_bias - prior.accel_bias,
-            scale - prior.imu_errors[3:SCALE_DIM],
+            scale - prior.imu_errors[ACCEL_SCALE],
         ]
         offset = np.concatenate(moved)[: len(touched)]
         delta = eskf.correction(touched, information, vector + information @ offset)

@@ -4,40 +4,39 @@ The navigation state is that of the IMU frame: rotation ``world_from_imu``, posi
 the odometry frame, gyroscope and accelerometer bias. Each sample is the mean over the interval that
 ends at its tick, so a step from tick to tick needs one sample and no interpolation.
 
-Error state, in this order, three each: rotation (right perturbation, ``R = R_hat exp(e)``),
-position, velocity, gyroscope bias, accelerometer bias (Sola 2017, "Quaternion kinematics for the
-error-state Kalman filter", section 5, with Hamilton and local angular error).
+Errors of rotation are right perturbations, ``R = R_hat exp(e)`` (Sola 2017, "Quaternion kinematics
+for the error-state Kalman filter", section 5, with Hamilton and local angular error); their order
+is that of ``error_state``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import (
+    ACCEL_BIAS,
+    ACCEL_SCALE,
+    CROSS_AXES,
+    GYRO_BIAS,
+    GYRO_BY_FORCE,
+    GYRO_CROSS,
+    GYRO_SCALE,
+    IMU_DIM,
+    IMU_ERRORS,
+    POSITION,
+    ROTATION,
+    STATE_DIM,
+    VELOCITY,
+)
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
-
-ROTATION = slice(0, 3)
-POSITION = slice(3, 6)
-VELOCITY = slice(6, 9)
-GYRO_BIAS = slice(9, 12)
-ACCEL_BIAS = slice(12, 15)
-STATE_DIM = 15
-SCALE_DIM = 6
-"""relative scale errors of gyroscope and accelerometer, three each"""
-CROSS_DIM = 6
-"""responses of each axis of the gyroscope to rates about the two others, in the order of
-``CROSS_AXES``"""
-IMU_DIM = SCALE_DIM + CROSS_DIM + 9
-"""the two before, and the responses of each axis of the gyroscope to specific force along x, y, z,
-rad/s per m/s^2"""
-CROSS_AXES = np.array([[0, 1], [0, 2], [1, 0], [1, 2], [2, 0], [2, 1]])
-"""(6, 2): axis of the gyroscope, axis of the rate"""
 
 
 @dataclass(slots=True)
@@ -68,15 +67,15 @@ class NavState:
     def imu_errors(self) -> Array:
         """(21,) relative scale errors of gyroscope and accelerometer, by axis, the gyroscope's
         misalignment, rad, and its g-sensitivity; zero without a calibration."""
-        return self.calibration[-IMU_DIM:] if len(self.calibration) else np.zeros(IMU_DIM)
+        return self.calibration[IMU_ERRORS] if len(self.calibration) else np.zeros(IMU_DIM)
 
     def corrected(self, gyro: Array, force: Array) -> tuple[Array, Array]:
         """Returns (N, 3) samples less bias, scale error, misalignment and g-sensitivity."""
         errors = self.imu_errors
-        response = np.diag(1.0 - errors[:3])
-        response[CROSS_AXES[:, 0], CROSS_AXES[:, 1]] = -errors[SCALE_DIM:][:CROSS_DIM]
-        by_force = errors[SCALE_DIM + CROSS_DIM :].reshape(3, 3)
-        specific_force = (force - self.accel_bias) * (1.0 - errors[3:SCALE_DIM])
+        response = np.diag(1.0 - errors[GYRO_SCALE])
+        response[CROSS_AXES[:, 0], CROSS_AXES[:, 1]] = -errors[GYRO_CROSS]
+        by_force = errors[GYRO_BY_FORCE].reshape(3, 3)
+        specific_force = (force - self.accel_bias) * (1.0 - errors[ACCEL_SCALE])
         return (gyro - self.gyro_bias) @ response.T - specific_force @ by_force.T, specific_force
 
     def copy(self) -> NavState:
@@ -90,6 +89,19 @@ class NavState:
             self.accel_bias.copy(),
             self.calibration.copy(),
         )
+
+
+class NoiseDensities(NamedTuple):
+    """White noise of an IMU, and the walk of its biases."""
+
+    gyro: float
+    """rad/s/sqrt(Hz)"""
+    accel: float
+    """m/s^2/sqrt(Hz)"""
+    gyro_walk: float
+    """rad/s^2/sqrt(Hz)"""
+    accel_walk: float
+    """m/s^3/sqrt(Hz)"""
 
 
 @njit(cache=True)
@@ -166,47 +178,49 @@ def _skew(v: Array) -> Array:
 
 @njit(cache=True)
 def transition(
-    rotations: Array, gyro: Array, force: Array, step_s: float, densities: Array
+    rotations: Array, gyro: Array, force: Array, step_s: float, densities: NoiseDensities
 ) -> tuple[Array, Array, Array]:
     """Error-state transition (15, 15), accumulated noise (15, 15) and derivative by the scale
     and other ``imu_errors`` (15, 21) over N samples.
 
-    ``rotations`` as from ``integrate``; ``densities``: gyroscope rad/s/sqrt(Hz), accelerometer
-    m/s^2/sqrt(Hz), gyroscope bias walk rad/s^2/sqrt(Hz), accelerometer bias walk m/s^3/sqrt(Hz).
+    ``rotations`` as from ``integrate``.
     """
-    total = np.eye(15)
-    noise = np.zeros((15, 15))
-    by_errors = np.zeros((15, 21))
-    step = np.eye(15)
+    total = np.eye(STATE_DIM)
+    noise = np.zeros((STATE_DIM, STATE_DIM))
+    by_errors = np.zeros((STATE_DIM, IMU_DIM))
+    step = np.eye(STATE_DIM)
+    r, p, v = ROTATION.start, POSITION.start, VELOCITY.start
     for i in range(gyro.shape[0]):
         middle = rotations[i] @ exp_so3(0.5 * step_s * gyro[i])
-        rotation = exp_so3(-step_s * gyro[i])
         lever = -step_s * (middle @ _skew(force[i]))
-        step[0:3, 0:3] = rotation
-        step[6:9, 0:3] = lever
-        step[3:6, 0:3] = 0.5 * step_s * lever
+        step[ROTATION, ROTATION] = exp_so3(-step_s * gyro[i])
+        step[VELOCITY, ROTATION] = lever
+        step[POSITION, ROTATION] = 0.5 * step_s * lever
         for k in range(3):
-            step[3 + k, 6 + k] = step_s
-            step[k, 9 + k] = -step_s
-        step[6:9, 12:15] = -step_s * middle
-        step[3:6, 12:15] = -0.5 * step_s * step_s * middle
+            step[p + k, v + k] = step_s
+            step[r + k, GYRO_BIAS.start + k] = -step_s
+        step[VELOCITY, ACCEL_BIAS] = -step_s * middle
+        step[POSITION, ACCEL_BIAS] = -0.5 * step_s * step_s * middle
         total = step @ total
         noise = step @ noise @ step.T
         by_errors = step @ by_errors
-        for k in range(6):
-            by_errors[CROSS_AXES[k, 0], 6 + k] -= step_s * gyro[i, CROSS_AXES[k, 1]]
+        for k in range(CROSS_AXES.shape[0]):
+            own, about = CROSS_AXES[k, 0], CROSS_AXES[k, 1]
+            by_errors[r + own, GYRO_CROSS.start + k] -= step_s * gyro[i, about]
         for a in range(3):
+            own = GYRO_BY_FORCE.start + 3 * a
             for b in range(3):
-                by_errors[a, 12 + 3 * a + b] -= step_s * force[i, b]
+                by_errors[r + a, own + b] -= step_s * force[i, b]
         for k in range(3):
-            by_errors[k, k] -= step_s * gyro[i, k]
+            by_errors[r + k, GYRO_SCALE.start + k] -= step_s * gyro[i, k]
             for a in range(3):
-                by_errors[6 + a, 3 + k] -= step_s * middle[a, k] * force[i, k]
-                by_errors[3 + a, 3 + k] -= 0.5 * step_s * step_s * middle[a, k] * force[i, k]
-            noise[k, k] += step_s * densities[0] ** 2
-            noise[6 + k, 6 + k] += step_s * densities[1] ** 2
-            noise[9 + k, 9 + k] += step_s * densities[2] ** 2
-            noise[12 + k, 12 + k] += step_s * densities[3] ** 2
+                moved = step_s * middle[a, k] * force[i, k]
+                by_errors[v + a, ACCEL_SCALE.start + k] -= moved
+                by_errors[p + a, ACCEL_SCALE.start + k] -= 0.5 * step_s * moved
+            noise[r + k, r + k] += step_s * densities.gyro**2
+            noise[v + k, v + k] += step_s * densities.accel**2
+            noise[GYRO_BIAS.start + k, GYRO_BIAS.start + k] += step_s * densities.gyro_walk**2
+            noise[ACCEL_BIAS.start + k, ACCEL_BIAS.start + k] += step_s * densities.accel_walk**2
     return total, noise, by_errors
 
 
@@ -219,9 +233,9 @@ class ImuBuffer:
 
     def __init__(self, imu: ImuParams, step_s: float, capacity: int = 512) -> None:
         self.step_s = step_s
-        densities = [imu.gyro_density, imu.accel_density, imu.gyro_bias_walk, imu.accel_bias_walk]
-        self.densities: Array = np.array(densities)
-        """(4,) as ``transition`` takes them"""
+        self.densities = NoiseDensities(
+            imu.gyro_density, imu.accel_density, imu.gyro_bias_walk, imu.accel_bias_walk
+        )
         self.count = 0
         self._ticks = np.zeros(capacity, dtype=np.int64)
         self._gyro = np.zeros((capacity, 3))

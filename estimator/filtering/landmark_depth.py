@@ -6,10 +6,13 @@ In a pinhole image the inverse depth of a plane is linear in the pixel, so that 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -55,20 +58,38 @@ class RecentReturns:
         return self._points, self._counts, self._per_scan
 
 
+class _Cells(NamedTuple):
+    """Returns sorted by image cell, in normalised units."""
+
+    starts: NDArray[np.int64]
+    """(rows * cols + 1,) first return of each cell"""
+    seen: Array
+    """(K, 3) x, y, 1 / depth"""
+    width: float
+    """of the image on each side of its axis"""
+    height: float
+    side: float
+    """of a cell"""
+
+
+@njit(cache=True)
+def _shape(width: float, height: float, side: float) -> tuple[int, int]:
+    """Rows and columns of cells."""
+    return int(2.0 * height / side) + 1, int(2.0 * width / side) + 1
+
+
 @njit(cache=True)
 def _project_into_cells(
-    points: Float32,
-    counts: NDArray[np.int64],
-    per_scan: int,
-    rotation: Array,
-    translation: Array,
+    returns: tuple[Float32, NDArray[np.int64], int],
+    camera_from_odom: Frame,
     width: float,
     height: float,
     cell: float,
-) -> tuple[NDArray[np.int64], Array]:
-    """Sorts the visible returns by image cell. ``width``, ``height`` in normalised units on each
-    side of the axis. Returns the cells' starts (rows * cols + 1,) and (K, 3) x, y, 1 / depth."""
-    cols, rows = int(2.0 * width / cell) + 1, int(2.0 * height / cell) + 1
+) -> _Cells:
+    """Sorts the visible ``returns``, as ``RecentReturns.view`` has them, by image cell."""
+    points, counts, per_scan = returns
+    rotation, translation = camera_from_odom
+    rows, cols = _shape(width, height, cell)
     total = 0
     for s in range(counts.shape[0]):
         total += counts[s]
@@ -99,23 +120,16 @@ def _project_into_cells(
     for i in range(kept):
         ordered[cursor[where[i]]] = seen[i]
         cursor[where[i]] += 1
-    return starts, ordered
+    return _Cells(starts, ordered, width, height, cell)
 
 
 @njit(cache=True)
 def _fit_planes(
-    rays: Array,
-    starts: NDArray[np.int64],
-    seen: Array,
-    width: float,
-    height: float,
-    cell: float,
-    radius: float,
-    min_points: int,
-    depth_tolerance: float,
+    rays: Array, cells: _Cells, radius: float, min_points: int, depth_tolerance: float
 ) -> tuple[NDArray[np.bool_], Array]:
     """Fits ``1 / z = a + b x + c y`` around each of (N, 2) rays; refuses depth steps."""
-    cols, rows = int(2.0 * width / cell) + 1, int(2.0 * height / cell) + 1
+    starts, seen, width, height, cell = cells
+    rows, cols = _shape(width, height, cell)
     reach = int(np.ceil(radius / cell))
     valid = np.zeros(rays.shape[0], dtype=np.bool_)
     planes = np.zeros((rays.shape[0], 3))
@@ -168,18 +182,11 @@ def _fit_planes(
 
 @njit(cache=True)
 def _rough_depths(
-    rays: Array,
-    starts: NDArray[np.int64],
-    seen: Array,
-    width: float,
-    height: float,
-    cell: float,
-    radius: float,
-    min_points: int,
-    most_share: float,
+    rays: Array, cells: _Cells, radius: float, min_points: int, most_share: float
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Depth of the foremost returns within ``radius`` of (N, 2) rays, and their scatter."""
-    cols, rows = int(2.0 * width / cell) + 1, int(2.0 * height / cell) + 1
+    starts, seen, width, height, cell = cells
+    rows, cols = _shape(width, height, cell)
     valid = np.zeros(rays.shape[0], dtype=np.bool_)
     depths, sigmas = np.zeros(rays.shape[0]), np.zeros(rays.shape[0])
     near = np.empty(256)
@@ -196,7 +203,8 @@ def _rough_depths(
         if count < min_points:
             continue
         # the camera sees what is in front; returns from elsewhere looked past it
-        front = np.sort(near[:count])[: (2 * count + 2) // 3]
+        two_thirds = (2 * count + 2) // 3
+        front = np.sort(near[:count])[:two_thirds]
         depth = front[len(front) // 2]
         sigma = np.std(front)
         if sigma > most_share * depth:
@@ -223,20 +231,13 @@ def feature_planes(
     ``depth_tolerance_m`` is no plane, as in foliage: its feature is assigned the depth of the
     foremost returns close by, as a plane that faces the camera, and a sigma from their scatter.
     """
-    points, counts, per_scan = recent.view()
     width, height = half_view[0] * 1.02, half_view[1] * 1.02
-    cell = radius
-    starts, seen = _project_into_cells(
-        points, counts, per_scan, camera_from_odom.rotation, camera_from_odom.translation,
-        width, height, cell,
-    )  # fmt: skip
-    valid, planes = _fit_planes(
-        rays, starts, seen, width, height, cell, radius, min_points, depth_tolerance_m
-    )
+    cells = _project_into_cells(recent.view(), Frame.of(camera_from_odom), width, height, radius)
+    valid, planes = _fit_planes(rays, cells, radius, min_points, depth_tolerance_m)
     sigmas = np.zeros(len(rays))
     open_ = np.flatnonzero(~valid)
     rough, depths, scatter = _rough_depths(
-        rays[open_], starts, seen, width, height, cell, _CLOSE * radius, min_points, _MOST_SCATTER
+        rays[open_], cells, _CLOSE * radius, min_points, _MOST_SCATTER
     )
     chosen = open_[rough]
     valid[chosen] = True

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -38,11 +39,41 @@ class PlaneMatches(NamedTuple):
     """(N,) index of the anchor that each plane belongs to; -1: none"""
 
 
+class Voxels(NamedTuple):
+    """The S slots of the hash table, as kernels take them."""
+
+    keys: NDArray[np.int64]
+    """(S,)"""
+    moments: Array
+    """(S, 10), in the order of ``_COUNT`` and the following"""
+    owners: NDArray[np.int16]
+    """(S,) index of the anchor; -1: none"""
+    seen_from: Array
+    """(S, 3) m"""
+
+
+class AnchorTerms(NamedTuple):
+    """What moves new points to the state at the creation of each of K anchors, see
+    ``Anchors.kept_from_now``."""
+
+    rotations: Array
+    """(K, 3, 3)"""
+    translations: Array
+    """(K, 3) m"""
+    turns: Array
+    """(K, 3) rad, of a beam about the sensor, odom frame, applied first"""
+    shifts: Array
+    """(K, 3) m, with it"""
+
+
 _EMPTY = np.int64(-1)
 _OFFSET = 1 << 20
+# moments of a voxel: number of points, sums of their coordinates about the voxel's centre, and sums
+# of products
+_COUNT, _X, _Y, _Z, _XX, _XY, _XZ, _YY, _YZ, _ZZ = range(10)
 _MOMENTS = 10
-"""count, sum of (x, y, z), sums of xx, xy, xz, yy, yz, zz about the voxel's centre"""
 _NO_ANCHOR = -1
+_NO_TERMS = AnchorTerms(np.zeros((0, 3, 3)), *(np.zeros((0, 3)) for _ in range(3)))
 
 
 @njit(cache=True)
@@ -66,30 +97,41 @@ def _slot(keys: NDArray[np.int64], key: np.int64) -> int:
 
 
 @njit(cache=True)
+def _add_moved(total: Array, m: Array, x: float, y: float, z: float) -> None:
+    """Adds the moments ``m`` of points moved by (x, y, z) to ``total``."""
+    n = m[_COUNT]
+    total[_COUNT] += n
+    total[_X] += m[_X] + n * x
+    total[_Y] += m[_Y] + n * y
+    total[_Z] += m[_Z] + n * z
+    total[_XX] += m[_XX] + 2.0 * x * m[_X] + n * x * x
+    total[_XY] += m[_XY] + x * m[_Y] + y * m[_X] + n * x * y
+    total[_XZ] += m[_XZ] + x * m[_Z] + z * m[_X] + n * x * z
+    total[_YY] += m[_YY] + 2.0 * y * m[_Y] + n * y * y
+    total[_YZ] += m[_YZ] + y * m[_Z] + z * m[_Y] + n * y * z
+    total[_ZZ] += m[_ZZ] + 2.0 * z * m[_Z] + n * z * z
+
+
+@njit(cache=True)
 def insert_points(
-    keys: NDArray[np.int64],
-    moments: Array,
-    owners: NDArray[np.int16],
-    seen_from: Array,
+    voxels: Voxels,
     used: int,
     points: Array,
     sensor: Array,
     owner: int,
-    rotations: Array,
-    translations: Array,
-    changes: Array,
+    terms: AnchorTerms,
     voxel: float,
     max_count: int,
 ) -> int:
     """Adds (N, 3) points seen from ``sensor`` (3,); returns the number of used slots.
 
-    New voxels belong to anchor ``owner``. For a voxel with an anchor k, points are first
-    transformed to the state at the anchor's creation: beams rotated by ``changes`` (K, 6), then
-    ``rotations`` (K, 3, 3) and ``translations`` (K, 3); see ``Anchors.kept_from_now``.
+    New voxels belong to anchor ``owner``. For a voxel with an anchor, points are first moved by its
+    ``terms``.
 
     A voxel with ``max_count`` points is not changed: its oldest points carry the least drift, and
     the cost of a scan stays constant. When the table is 70 % full, new voxels are rejected.
     """
+    keys, moments, owners, seen_from = voxels
     limit = int(0.7 * keys.shape[0])
     p = np.empty(3)
     for i in range(points.shape[0]):
@@ -106,74 +148,60 @@ def insert_points(
             seen_from[slot] = sensor
             used += 1
         m = moments[slot]
-        if m[0] >= max_count:
+        if m[_COUNT] >= max_count:
             continue
         p[:] = points[i]
         k = owners[slot]
         if k >= 0:
-            w = changes[k]
+            w, shift, r = terms.turns[k], terms.shifts[k], terms.rotations[k]
             bx, by, bz = p[0] - sensor[0], p[1] - sensor[1], p[2] - sensor[2]
-            qx = p[0] + w[1] * bz - w[2] * by + w[3]
-            qy = p[1] + w[2] * bx - w[0] * bz + w[4]
-            qz = p[2] + w[0] * by - w[1] * bx + w[5]
-            r = rotations[k]
+            qx = p[0] + w[1] * bz - w[2] * by + shift[0]
+            qy = p[1] + w[2] * bx - w[0] * bz + shift[1]
+            qz = p[2] + w[0] * by - w[1] * bx + shift[2]
             for a in range(3):
-                p[a] = r[a, 0] * qx + r[a, 1] * qy + r[a, 2] * qz + translations[k, a]
+                p[a] = r[a, 0] * qx + r[a, 1] * qy + r[a, 2] * qz + terms.translations[k, a]
         x = p[0] - (ix + 0.5) * voxel
         y = p[1] - (iy + 0.5) * voxel
         z = p[2] - (iz + 0.5) * voxel
-        m[0] += 1.0
-        m[1] += x
-        m[2] += y
-        m[3] += z
-        m[4] += x * x
-        m[5] += x * y
-        m[6] += x * z
-        m[7] += y * y
-        m[8] += y * z
-        m[9] += z * z
+        m[_COUNT] += 1.0
+        m[_X] += x
+        m[_Y] += y
+        m[_Z] += z
+        m[_XX] += x * x
+        m[_XY] += x * y
+        m[_XZ] += x * z
+        m[_YY] += y * y
+        m[_YZ] += y * z
+        m[_ZZ] += z * z
     return used
 
 
 @njit(cache=True)
-def reassign_voxels(
-    keys: NDArray[np.int64],
-    moments: Array,
-    owners: NDArray[np.int16],
-    gone: int,
-    successor: int,
-    rotation: Array,
-    translation: Array,
-    voxel: float,
-) -> None:
-    """Reassigns the voxels of anchor ``gone`` to ``successor``, moved by (rotation, translation),
-    millimetres, as their centroid moves. Indices of anchors behind ``gone`` decrease by one."""
+def reassign_voxels(voxels: Voxels, gone: int, successor: int, move: Frame, voxel: float) -> None:
+    """Reassigns the voxels of anchor ``gone`` to ``successor``, moved by ``move``, millimetres, as
+    their centroid moves. Indices of anchors behind ``gone`` decrease by one."""
+    keys, moments, owners, _ = voxels
     mask = (np.int64(1) << np.int64(21)) - 1
-    d = np.empty(3)
+    d, moved = np.empty(3), np.empty(_MOMENTS)
     for slot in range(keys.shape[0]):
         k = owners[slot]
         if keys[slot] == _EMPTY or k < gone:
             continue
         if k == gone:
             m = moments[slot]
-            n = m[0]
+            n = m[_COUNT]
             key = keys[slot]
             index = ((key >> 42) & mask, (key >> 21) & mask, key & mask)
             at = np.empty(3)
             for a in range(3):
-                at[a] = (index[a] - _OFFSET + 0.5) * voxel + (m[1 + a] / n if n > 0 else 0.0)
+                at[a] = (index[a] - _OFFSET + 0.5) * voxel + (m[_X + a] / n if n > 0 else 0.0)
             for a in range(3):
-                d[a] = translation[a] - at[a]
+                d[a] = move.translation[a] - at[a]
                 for b in range(3):
-                    d[a] += rotation[a, b] * at[b]
-            m[4] += 2.0 * d[0] * m[1] + n * d[0] * d[0]
-            m[5] += d[0] * m[2] + d[1] * m[1] + n * d[0] * d[1]
-            m[6] += d[0] * m[3] + d[2] * m[1] + n * d[0] * d[2]
-            m[7] += 2.0 * d[1] * m[2] + n * d[1] * d[1]
-            m[8] += d[1] * m[3] + d[2] * m[2] + n * d[1] * d[2]
-            m[9] += 2.0 * d[2] * m[3] + n * d[2] * d[2]
-            for a in range(3):
-                m[1 + a] += n * d[a]
+                    d[a] += move.rotation[a, b] * at[b]
+            moved[:] = 0.0
+            _add_moved(moved, m, d[0], d[1], d[2])
+            m[:] = moved
             k = successor
         owners[slot] = k - 1 if k > gone else k
 
@@ -256,29 +284,16 @@ def _gather(
         if keys[slot] == _EMPTY:
             continue
         m = moments[slot]
-        if m[0] > most:
-            most = m[0]
+        if m[_COUNT] > most:
+            most = m[_COUNT]
             total[_MOMENTS] = slot
-        n, sx, sy, sz = m[0], step[0] * voxel, step[1] * voxel, step[2] * voxel
-        total[0] += n
-        total[1] += m[1] + n * sx
-        total[2] += m[2] + n * sy
-        total[3] += m[3] + n * sz
-        total[4] += m[4] + 2.0 * sx * m[1] + n * sx * sx
-        total[5] += m[5] + sx * m[2] + sy * m[1] + n * sx * sy
-        total[6] += m[6] + sx * m[3] + sz * m[1] + n * sx * sz
-        total[7] += m[7] + 2.0 * sy * m[2] + n * sy * sy
-        total[8] += m[8] + sy * m[3] + sz * m[2] + n * sy * sz
-        total[9] += m[9] + 2.0 * sz * m[3] + n * sz * sz
+        _add_moved(total, m, step[0] * voxel, step[1] * voxel, step[2] * voxel)
     return centre
 
 
 @njit(cache=True)
 def match_planes(
-    keys: NDArray[np.int64],
-    moments: Array,
-    owners: NDArray[np.int16],
-    seen_from: Array,
+    voxels: Voxels,
     points: Array,
     voxel: float,
     margin: float,
@@ -290,6 +305,7 @@ def match_planes(
     A voxel is planar if its smallest standard deviation is below ``max_thickness`` and three times
     below the next one.
     """
+    keys, moments, owners, seen_from = voxels
     count = points.shape[0]
     found = np.zeros(count, dtype=np.bool_)
     normals = np.zeros((count, 3))
@@ -303,16 +319,16 @@ def match_planes(
         cx, cy, cz = _gather(
             keys, moments, points[i, 0], points[i, 1], points[i, 2], voxel, margin, total
         )
-        n = total[0]
+        n = total[_COUNT]
         if n < min_count:
             continue
-        mx, my, mz = total[1] / n, total[2] / n, total[3] / n
-        cov[0, 0] = total[4] / n - mx * mx
-        cov[0, 1] = total[5] / n - mx * my
-        cov[0, 2] = total[6] / n - mx * mz
-        cov[1, 1] = total[7] / n - my * my
-        cov[1, 2] = total[8] / n - my * mz
-        cov[2, 2] = total[9] / n - mz * mz
+        mx, my, mz = total[_X] / n, total[_Y] / n, total[_Z] / n
+        cov[0, 0] = total[_XX] / n - mx * mx
+        cov[0, 1] = total[_XY] / n - mx * my
+        cov[0, 2] = total[_XZ] / n - mx * mz
+        cov[1, 1] = total[_YY] / n - my * my
+        cov[1, 2] = total[_YZ] / n - my * mz
+        cov[2, 2] = total[_ZZ] / n - mz * mz
         low, mid, _, nx, ny, nz = smallest_eigen(cov)
         low = max(low, 1e-6)
         if low > max_thickness * max_thickness or mid < 9.0 * low:
@@ -346,34 +362,31 @@ class PlaneMap:
         self.voxel_m = voxel_m
         self.max_points = max_points
         self.used = 0
-        self._keys = np.full(capacity, _EMPTY, dtype=np.int64)
-        self._moments = np.zeros((capacity, _MOMENTS))
-        self._owners = np.full(capacity, _NO_ANCHOR, dtype=np.int16)
-        self._seen_from = np.zeros((capacity, 3))
+        self._voxels = Voxels(
+            np.full(capacity, _EMPTY, dtype=np.int64),
+            np.zeros((capacity, _MOMENTS)),
+            np.full(capacity, _NO_ANCHOR, dtype=np.int16),
+            np.zeros((capacity, 3)),
+        )
 
     def insert(
         self,
         points_odom: Array,
         sensor_odom: Array | None = None,
         owner: int = _NO_ANCHOR,
-        terms: tuple[Array, Array, Array] | None = None,
+        terms: AnchorTerms = _NO_TERMS,
     ) -> None:
         """Adds (N, 3) points seen from ``sensor_odom`` (3,). ``owner`` and ``terms``: see
         ``insert_points``; without them the voxels have no anchor."""
-        if terms is None:
-            terms = np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6))
         sensor = np.zeros(3) if sensor_odom is None else sensor_odom
         self.used = insert_points(
-            self._keys, self._moments, self._owners, self._seen_from, self.used,
-            points_odom, sensor, owner, *terms, self.voxel_m, self.max_points,
+            self._voxels, self.used, points_odom, sensor, owner, terms, self.voxel_m,
+            self.max_points,
         )  # fmt: skip
 
     def reassign(self, gone: int, successor: int, move: Pose) -> None:
         """Reassigns the voxels of anchor ``gone``, see ``reassign_voxels``."""
-        reassign_voxels(
-            self._keys, self._moments, self._owners, gone, successor, move.rotation,
-            move.translation, self.voxel_m,
-        )  # fmt: skip
+        reassign_voxels(self._voxels, gone, successor, Frame.of(move), self.voxel_m)
 
     def match(
         self, points_odom: Array, min_count: int = 8, max_thickness_m: float = 0.05
@@ -382,6 +395,5 @@ class PlaneMap:
         ``max_thickness_m`` is foliage, whose height changes with the viewing angle."""
         margin = 0.12 * self.voxel_m
         return match_planes(
-            self._keys, self._moments, self._owners, self._seen_from,
-            points_odom, self.voxel_m, margin, min_count, max_thickness_m,
-        )  # fmt: skip
+            self._voxels, points_odom, self.voxel_m, margin, min_count, max_thickness_m
+        )

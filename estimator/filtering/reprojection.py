@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import (
+    CAMERA_ROTATION,
+    CAMERA_TRANSLATION,
+    CENTER,
+    CLOCK,
+    FOCAL,
+    POSE_DIM,
+    POSITION,
+    ROTATION,
+    Frame,
+    Pinhole,
+)
 from touchdown.estimator.filtering.imu_propagation import exp_so3
 from touchdown.estimator.filtering.information import NormalEquations
 from touchdown.sim.api import CameraIntrinsics
@@ -23,11 +36,27 @@ class MountedCamera:
     intrinsics: CameraIntrinsics
     imu_from_camera: Pose
 
-    @property
-    def focal_and_center(self) -> Array:
-        """(4,) fx, fy, cx, cy in pixels."""
-        camera = self.intrinsics
-        return np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+
+class LandmarkViews(NamedTuple):
+    """Landmarks of one keyframe found in the present image."""
+
+    pixels: Array
+    """(N, 2) in the present image"""
+    row_times: Array
+    """(N,) s, instants of their rows less that of the exposure"""
+    landmarks: Array
+    """(N, 3) in the keyframe's IMU frame"""
+    jacobians: Array
+    """(N, 3, C) by the shared calibration, C = 0 or 17"""
+    spreads: Array
+    """(N, 3) one standard deviation along their rays"""
+
+
+class PixelNoise(NamedTuple):
+    """Noise of the pixels and the gate of their residuals."""
+
+    sigma_px: float
+    gate_px: float
 
 
 def reprojection_information(
@@ -40,54 +69,48 @@ def reprojection_information(
     sigma_px: float,
     gate_px: float,
 ) -> NormalEquations:
-    """Returns ``calibrated_information`` for a fixed calibration: (12, 12) and (12,).
+    """Returns ``calibrated_information`` for a fixed calibration: (12, 12) and (12,), present pose
+    and keyframe.
 
     ``pixels`` (N, 2); ``landmarks`` (N, 3) in the frame of the keyframe's IMU.
     """
-    camera_from_imu = camera.imu_from_camera.inverse()
-    fixed, exact = np.zeros((len(pixels), 3, 0)), np.zeros((len(pixels), 3))
+    count = len(pixels)
+    views = LandmarkViews(
+        pixels, np.zeros(count), landmarks, np.zeros((count, 3, 0)), np.zeros((count, 3))
+    )
     return calibrated_information(
-        pixels, np.zeros(len(pixels)), landmarks, fixed, exact,
-        odom_from_imu.rotation, odom_from_imu.translation,
-        odom_from_keyframe.rotation, odom_from_keyframe.translation, np.zeros(12),
-        camera_from_imu.rotation, camera_from_imu.translation, camera.focal_and_center,
-        sigma_px, gate_px,
+        views, Frame.of(odom_from_imu), Frame.of(odom_from_keyframe), np.zeros((2, 6)),
+        Frame.of(camera.imu_from_camera.inverse()), Pinhole.of(camera.intrinsics),
+        PixelNoise(sigma_px, gate_px),
     )  # fmt: skip
 
 
 @njit(cache=True)
 def calibrated_information(
-    pixels: Array,
-    row_times: Array,
-    landmarks: Array,
-    jacobians: Array,
-    spreads: Array,
-    rotation: Array,
-    position: Array,
-    key_rotation: Array,
-    key_position: Array,
+    views: LandmarkViews,
+    now: Frame,
+    keyframe: Frame,
     twists: Array,
-    camera_rotation: Array,
-    camera_position: Array,
-    intrinsics: Array,
-    sigma_px: float,
-    gate_px: float,
+    camera_from_imu: Frame,
+    lens: Pinhole,
+    noise: PixelNoise,
 ) -> NormalEquations:
     """Returns the normal equations, (12 + C, 12 + C), of the reprojection residuals of one
-    keyframe.
+    keyframe: present pose, calibration, the keyframe's pose.
 
-    ``pixels`` (N, 2): measured now; ``row_times`` (N,): instants of their rows less that of the
-    exposure, s; ``landmarks`` (N, 3): in the keyframe's IMU frame, with their ``jacobians``
-    (N, 3, C) by the shared calibration, C = 0 or 17, and ``spreads`` (N, 3), one standard deviation
-    along their rays; ``rotation``, ``position``: odom_from_imu at the exposure; ``key_*``: the same
-    of the keyframe; ``twists`` (12,): angular rate and velocity now, then those of the keyframe;
-    ``camera_*``: camera_from_imu; ``intrinsics``: fx, fy, cx, cy.
-    Error order: present rotation (right perturbation) and position, then the keyframe's, then the
-    calibration. Cauchy weights of scale ``gate_px`` / 2, zero beyond ``gate_px``.
+    ``now``, ``keyframe``: odom_from_imu at the exposures; ``twists`` (2, 6): angular rate and
+    velocity now and at the keyframe. Cauchy weights of scale ``gate_px`` / 2, zero beyond
+    ``gate_px``.
     """
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    pixels, row_times, landmarks, jacobians, spreads = views
+    rotation, position = now
+    key_rotation, key_position = keyframe
+    camera_rotation, camera_position = camera_from_imu
+    fx, fy, cx, cy = lens
+    sigma_px, gate_px = noise
     shared = jacobians.shape[2]
-    size = 12 + shared
+    calibration, key = POSE_DIM, POSE_DIM + shared
+    size = key + POSE_DIM
     information = np.zeros((size, size))
     vector = np.zeros(size)
     jacobian = np.zeros((2, size))
@@ -99,12 +122,12 @@ def calibrated_information(
     for i in range(pixels.shape[0]):
         q, late = landmarks[i], row_times[i]
         for a in range(3):
-            world[a] = key_position[a] - position[a] - late * twists[3 + a]
+            world[a] = key_position[a] - position[a] - late * twists[0, POSITION.start + a]
             for b in range(3):
                 world[a] += key_rotation[a, b] * q[b]
         for a in range(3):
             offset[a] = back[a, 0] * world[0] + back[a, 1] * world[1] + back[a, 2] * world[2]
-        rotated = exp_so3(-late * twists[:3])
+        rotated = exp_so3(-late * twists[0, ROTATION])
         to_camera = camera_rotation @ rotated
         c = to_camera @ offset + camera_position
         if c[2] < 1e-2:
@@ -123,34 +146,37 @@ def calibrated_information(
             jacobian[a, 0] = m[a, 1] * offset[2] - m[a, 2] * offset[1]
             jacobian[a, 1] = m[a, 2] * offset[0] - m[a, 0] * offset[2]
             jacobian[a, 2] = m[a, 0] * offset[1] - m[a, 1] * offset[0]
-            jacobian[a, 6] = -(to_key[a, 1] * q[2] - to_key[a, 2] * q[1])
-            jacobian[a, 7] = -(to_key[a, 2] * q[0] - to_key[a, 0] * q[2])
-            jacobian[a, 8] = -(to_key[a, 0] * q[1] - to_key[a, 1] * q[0])
+            jacobian[a, key] = -(to_key[a, 1] * q[2] - to_key[a, 2] * q[1])
+            jacobian[a, key + 1] = -(to_key[a, 2] * q[0] - to_key[a, 0] * q[2])
+            jacobian[a, key + 2] = -(to_key[a, 0] * q[1] - to_key[a, 1] * q[0])
             for b in range(3):
-                jacobian[a, 3 + b] = -to_world[a, b]
-                jacobian[a, 9 + b] = to_world[a, b]
+                jacobian[a, POSITION.start + b] = -to_world[a, b]
+                jacobian[a, key + POSITION.start + b] = to_world[a, b]
             for b in range(shared):
-                jacobian[a, 12 + b] = 0.0
+                jacobian[a, calibration + b] = 0.0
                 for k in range(3):
-                    jacobian[a, 12 + b] += to_key[a, k] * jacobians[i, k, b]
+                    jacobian[a, calibration + b] += to_key[a, k] * jacobians[i, k, b]
         if shared > 0:
-            jacobian[0, 18] += fx * c[0] / c[2]
-            jacobian[1, 19] += fy * c[1] / c[2]
-            jacobian[0, 20] += 1.0
-            jacobian[1, 21] += 1.0
+            focal, center = calibration + FOCAL.start, calibration + CENTER.start
+            jacobian[0, focal] += fx * c[0] / c[2]
+            jacobian[1, focal + 1] += fy * c[1] / c[2]
+            jacobian[0, center] += 1.0
+            jacobian[1, center + 1] += 1.0
             for k in range(3):
                 lever[k] = 0.0
                 for b in range(3):
                     lever[k] += camera_rotation[b, k] * c[b]
             mount = projection @ camera_rotation
+            turn = calibration + CAMERA_ROTATION.start
             for a in range(2):
-                for b in range(12):
-                    jacobian[a, 22] -= jacobian[a, b] * twists[b]
-                jacobian[a, 23] += mount[a, 1] * lever[2] - mount[a, 2] * lever[1]
-                jacobian[a, 24] += mount[a, 2] * lever[0] - mount[a, 0] * lever[2]
-                jacobian[a, 25] += mount[a, 0] * lever[1] - mount[a, 1] * lever[0]
+                for b in range(POSE_DIM):
+                    jacobian[a, calibration + CLOCK] -= jacobian[a, b] * twists[0, b]
+                    jacobian[a, calibration + CLOCK] -= jacobian[a, key + b] * twists[1, b]
+                jacobian[a, turn] += mount[a, 1] * lever[2] - mount[a, 2] * lever[1]
+                jacobian[a, turn + 1] += mount[a, 2] * lever[0] - mount[a, 0] * lever[2]
+                jacobian[a, turn + 2] += mount[a, 0] * lever[1] - mount[a, 1] * lever[0]
                 for b in range(3):
-                    jacobian[a, 26 + b] -= mount[a, b]
+                    jacobian[a, calibration + CAMERA_TRANSLATION.start + b] -= mount[a, b]
         weight = 1.0 / ((1.0 + 4.0 * error2 / (gate_px * gate_px)) * sigma_px * sigma_px)
         # an error of the landmark's depth moves its pixel along the epipolar line
         du, dv = 0.0, 0.0

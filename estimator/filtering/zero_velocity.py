@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import (
+from touchdown.estimator.filtering.error_state import (
     ACCEL_BIAS,
-    CROSS_DIM,
     GYRO_BIAS,
+    GYRO_BY_FORCE,
     IMU_DIM,
     POSITION,
     ROTATION,
-    SCALE_DIM,
     VELOCITY,
-    NavState,
+    after,
 )
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import so3_log
 
@@ -110,5 +110,5 @@ def _derivatives(specific_force: Array, eskf: Eskf) -> tuple[Array, NDArray[np.i
         return np.eye(12), touched
     response = np.zeros((12, 9))
     response[9:] = np.kron(np.eye(3), specific_force)
-    start = eskf.base - IMU_DIM + SCALE_DIM + CROSS_DIM
-    return np.hstack([np.eye(12), response]), np.r_[touched, start : eskf.base]
+    by_force = after(eskf.base - IMU_DIM, GYRO_BY_FORCE)
+    return np.hstack([np.eye(12), response]), np.r_[touched, by_force]

@@ -7,13 +7,35 @@ relative to that clone, not to the world.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.livo.online_calibration import MOUNT_DIM
+from touchdown.estimator.filtering.error_state import (
+    MOUNT_DIM,
+    MOUNT_ROTATION,
+    MOUNT_TRANSLATION,
+    Frames,
+)
+from touchdown.estimator.filtering.plane_map import AnchorTerms
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class AnchorFrames(NamedTuple):
+    """The K anchors of the map at the present estimate."""
+
+    moves: Frames
+    """that move stored planes to it"""
+    clones: Frames
+    """odom_from_imu"""
+    mount_changes: Array
+    """(K, 6) present mount less the mount when the clone was made"""
+    slots: NDArray[np.int64]
+    """(K,) place of each among the clones that are touched; -1: not touched"""
 
 
 class Anchors:
@@ -36,27 +58,29 @@ class Anchors:
         """Removes the anchor of clone ``k``."""
         del self._poses[k], self._calibrations[k]
 
-    def now_from_kept(self, clones: list[Pose]) -> tuple[Array, Array]:
-        """Rotations (K, 3, 3) and translations (K, 3) that move stored voxels to the present
-        estimate of their clones."""
-        moves = [clone @ kept.inverse() for clone, kept in zip(clones, self._poses, strict=True)]
-        return _stack(moves)
-
     def kept_from_now(
         self, clones: list[Pose], calibration: Array, imu_rotation: Array
-    ) -> tuple[Array, Array, Array]:
-        """Inverse of ``now_from_kept`` for new returns: rotations (K, 3, 3), translations (K, 3)
-        and mount corrections (K, 6): rotation of the beam and translation, odom frame, to be
-        applied first. ``imu_rotation`` (3, 3): odom_from_imu of the scan."""
+    ) -> AnchorTerms:
+        """Transforms of new returns to the anchors' poses as kept, and the changes of the mount.
+        ``imu_rotation`` (3, 3): odom_from_imu of the scan."""
         moves = [kept @ clone.inverse() for clone, kept in zip(clones, self._poses, strict=True)]
-        mount = _mount_part(calibration)
-        changes = np.array([(c - mount).reshape(2, 3) for c in self._calibrations])
-        changes = changes.reshape(-1, 2, 3) @ imu_rotation.T
-        return *_stack(moves), changes.reshape(-1, MOUNT_DIM)
+        changes = -self._mount_changes(calibration)
+        turns, shifts = (
+            np.ascontiguousarray(changes[:, part] @ imu_rotation.T)
+            for part in (MOUNT_ROTATION, MOUNT_TRANSLATION)
+        )
+        return AnchorTerms(*Frames.of(moves), turns, shifts)
 
-    def mount_changes(self, calibration: Array) -> Array:
-        """(K, 6) differences of the mount's rotation and translation from those at each clone's
-        creation."""
+    def frames(self, clones: list[Pose], calibration: Array, touched: Indices) -> AnchorFrames:
+        """The anchors at the present estimate; ``touched``: of them, ascending."""
+        slots = np.full(len(self), -1, dtype=np.int64)
+        slots[touched] = np.arange(len(touched))
+        moves = [c @ kept.inverse() for c, kept in zip(clones, self._poses, strict=True)]
+        return AnchorFrames(
+            Frames.of(moves), Frames.of(clones), self._mount_changes(calibration), slots
+        )
+
+    def _mount_changes(self, calibration: Array) -> Array:
         mount = _mount_part(calibration)
         return np.array([mount - c for c in self._calibrations]).reshape(-1, MOUNT_DIM)
 
@@ -74,9 +98,3 @@ class Anchors:
 
 def _mount_part(calibration: Array) -> Array:
     return calibration[:MOUNT_DIM] if len(calibration) else np.zeros(MOUNT_DIM)
-
-
-def _stack(poses: list[Pose]) -> tuple[Array, Array]:
-    rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
-    translations = np.array([pose.translation for pose in poses]).reshape(-1, 3)
-    return rotations, translations

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, LivoParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan, thin_out
+from touchdown.estimator.filtering.error_state import CLOCK, SHARED_DIM, STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
 from touchdown.estimator.filtering.imu_propagation import (
-    STATE_DIM,
     ImuBuffer,
     NavState,
     integrate,
@@ -41,8 +41,6 @@ from touchdown.estimator.livo.error_model import flown_imu, scan_errors, visual_
 from touchdown.estimator.livo.intensity_update import PhotometricUpdate
 from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
-    CLOCK,
-    SHARED_DIM,
     calibration_diagnostics,
     corrected_mount,
     prior_sigmas,
@@ -318,9 +316,7 @@ class Livo:
             self._vision.add_anchor(self._eskf, self._last_height, tick)
         odom_points = points @ state.rotation.T + state.position
         sensor = state.rotation @ lidar_position + state.position
-        terms, clones = None, self._eskf.clones
-        if len(self._anchors):
-            terms = self._anchors.kept_from_now(clones, state.calibration, state.rotation)
+        terms = self._anchors.kept_from_now(self._eskf.clones, state.calibration, state.rotation)
         # close to the ground a scan would fill a voxel from one corner of it: spread its points
         spread = thin_out(points, 0.12 * self._params.voxel_m, 16)
         self._map.insert(odom_points[spread], sensor, len(self._anchors) - 1, terms)

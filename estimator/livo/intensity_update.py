@@ -18,8 +18,17 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.deskew import PlacedScan
-from touchdown.estimator.filtering.eskf import CLONE_DIM, Eskf
-from touchdown.estimator.filtering.information import limit_information
+from touchdown.estimator.filtering.error_state import (
+    CLONE_DIM,
+    MOUNT_DIM,
+    MOUNT_ROTATION,
+    MOUNT_TRANSLATION,
+    POSE_DIM,
+    POSITION,
+    ROTATION,
+    Frame,
+)
+from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.livo.anchored_update import ScanErrors
 from touchdown.estimator.livo.intensity_image import (
     FEWEST,
@@ -27,10 +36,12 @@ from touchdown.estimator.livo.intensity_image import (
     IntensityImage,
     brightness,
 )
-from touchdown.estimator.livo.online_calibration import MOUNT_DIM, MOUNT_ROTATION, MOUNT_TRANSLATION
+from touchdown.estimator.livo.plane_equations import Returns, cross_into
 
 Array = NDArray[np.float64]
 
+_ASIDE = slice(POSITION.start, POSITION.start + 2)
+"""x and y of a pose"""
 _RETURNS = 4000
 """returns of a scan that are compared with images"""
 _PLANE_TILT = float(np.radians(0.05))
@@ -47,6 +58,11 @@ _GRADIENT_NOISE = 0.094
 neighbours of an image smoothed by 1, 2, 1"""
 
 
+# derivatives of a brightness: present pose, mount of the LIDAR, and the clone of the image
+_MOUNT, _CLONE = POSE_DIM, POSE_DIM + MOUNT_DIM
+_WIDTH = _CLONE + POSE_DIM
+
+
 class Photometry(NamedTuple):
     """Sums over the returns on one image. Error order: present pose, mount (rotation,
     translation), the clone: 18 coordinates."""
@@ -60,35 +76,45 @@ class Photometry(NamedTuple):
     """of the squared gradients"""
 
 
+class ImageView(NamedTuple):
+    """An intensity image and its clone, as the kernel takes them."""
+
+    means: Float32
+    weights: Float32
+    axes: Array
+    """(2, 3) of the image in the clone's frame"""
+    cell: float
+    clone_rotation: Array
+    """odom_from_clone"""
+    mount_turn: Array
+    """(3,) rad, mount now less that when the image was made"""
+    mount_shift: Array
+    """(3,) m"""
+
+
 @njit(cache=True)
 def photometry(
-    points: Array,
-    beams: Array,
+    returns: Returns,
     values: Array,
-    means: Float32,
-    weights: Float32,
-    axes: Array,
-    cell: float,
-    rotation: Array,
-    translation: Array,
-    clone_rotation: Array,
-    mount_change: Array,
+    image: ImageView,
+    clone_from_imu: Frame,
     lever: Array,
     sigma: float,
 ) -> Photometry:
-    """Returns the normal equations of the brightness of N returns on one image.
+    """Returns the normal equations of the brightness (``values``) of N returns on one image.
 
-    ``points``, ``beams`` (N, 3): IMU frame; ``rotation``, ``translation``: clone_from_imu;
-    ``clone_rotation``: odom_from_clone; ``mount_change`` (6,): mount now less that
-    when the image was made; ``lever`` (3,): the LIDAR in the IMU frame; ``sigma``: of a residual.
-    Cauchy weights. The mean of the residuals, the scan's own brightness, is marginalised.
+    ``lever`` (3,): the LIDAR in the IMU frame; ``sigma``: of a residual. Cauchy weights. The mean
+    of the residuals, the scan's own brightness, is marginalised.
     """
+    points, beams = returns
+    means, weights, axes, cell, clone_rotation, w, shift = image
+    rotation, translation = clone_from_imu
     rows, columns = means.shape
-    information, vector = np.zeros((18, 18)), np.zeros(18)
-    mean_row, row = np.zeros(18), np.zeros(18)
+    information, vector = np.zeros((_WIDTH, _WIDTH)), np.zeros(_WIDTH)
+    mean_row, row = np.zeros(_WIDTH), np.zeros(_WIDTH)
     total_weight, mean_residual = 0.0, 0.0
     g, q, seen = np.zeros(3), np.zeros(3), np.zeros(3)
-    now, to_odom = np.zeros(3), np.zeros(3)
+    now, to_odom, arm = np.zeros(3), np.zeros(3), np.zeros(3)
     squares, noise, absolute = 0.0, 0.0, 0.0
     used = 0
     for i in range(points.shape[0]):
@@ -99,12 +125,9 @@ def photometry(
                 q[a] += rotation[a, b] * p[b]
             seen[a] = q[a] - lever[a]
         u, v = 0.0, 0.0
-        w = mount_change
-        dx = w[1] * seen[2] - w[2] * seen[1] + w[3]
-        dy = w[2] * seen[0] - w[0] * seen[2] + w[4]
-        dz = w[0] * seen[1] - w[1] * seen[0] + w[5]
+        cross_into(w, seen, arm, 0)
         for a in range(3):
-            moved = q[a] - (dx if a == 0 else (dy if a == 1 else dz))
+            moved = q[a] - (arm[a] + shift[a])
             u += axes[0, a] * moved
             v += axes[1, a] * moved
         u, v = u / cell + 0.5 * columns - 0.5, v / cell + 0.5 * rows - 0.5
@@ -135,19 +158,15 @@ def photometry(
                 + clone_rotation[b, 1] * g[1]
                 + clone_rotation[b, 2] * g[2]
             )
-        row[0] = p[1] * now[2] - p[2] * now[1]
-        row[1] = p[2] * now[0] - p[0] * now[2]
-        row[2] = p[0] * now[1] - p[1] * now[0]
-        row[12] = -(q[1] * g[2] - q[2] * g[1])
-        row[13] = -(q[2] * g[0] - q[0] * g[2])
-        row[14] = -(q[0] * g[1] - q[1] * g[0])
-        row[6] = beam[1] * now[2] - beam[2] * now[1] - (seen[1] * g[2] - seen[2] * g[1])
-        row[7] = beam[2] * now[0] - beam[0] * now[2] - (seen[2] * g[0] - seen[0] * g[2])
-        row[8] = beam[0] * now[1] - beam[1] * now[0] - (seen[0] * g[1] - seen[1] * g[0])
+        cross_into(p, now, row, ROTATION.start)
+        cross_into(g, q, row, _CLONE + ROTATION.start)
+        cross_into(beam, now, row, _MOUNT + MOUNT_ROTATION.start)
+        cross_into(seen, g, arm, 0)
         for a in range(3):
-            row[3 + a], row[15 + a] = to_odom[a], -to_odom[a]
-            row[9 + a] = now[a] - g[a]
-        for a in range(18):
+            row[_MOUNT + MOUNT_ROTATION.start + a] -= arm[a]
+            row[_MOUNT + MOUNT_TRANSLATION.start + a] = now[a] - g[a]
+            row[POSITION.start + a], row[_CLONE + POSITION.start + a] = to_odom[a], -to_odom[a]
+        for a in range(_WIDTH):
             vector[a] += weight * row[a] * residual
             mean_row[a] += weight * row[a]
             for b in range(a + 1):
@@ -159,7 +178,7 @@ def photometry(
         used += 1
     if used == 0:
         return Photometry(information, vector, 0, sigma, 1.0)
-    for a in range(18):
+    for a in range(_WIDTH):
         vector[a] -= mean_row[a] * mean_residual / total_weight
         for b in range(a + 1):
             information[a, b] -= mean_row[a] * mean_row[b] / total_weight
@@ -234,8 +253,9 @@ class PhotometricUpdate:
         self.images.append(IntensityImage.of(eskf.clones[-1].rotation, height_m, shared))
         if self._needed(dark_ticks):
             errors, at = self._errors, eskf.clone_indices(len(eskf.clones) - 1)
-            eskf.covariance[at[2], at[2]] += errors.image_rotation_rad**2
-            eskf.covariance[at[3:5], at[3:5]] += errors.image_aside_m**2
+            yaw, aside = at[ROTATION][2], at[_ASIDE]
+            eskf.covariance[yaw, yaw] += errors.image_rotation_rad**2
+            eskf.covariance[aside, aside] += errors.image_aside_m**2
 
     def extend(self, eskf: Eskf, points: Array, intensity: NDArray[np.uint8]) -> None:
         """Adds the returns of the scan just used, ``points`` (N, 3) in the IMU frame, to the newest
@@ -280,7 +300,7 @@ class PhotometricUpdate:
 
         def worth(entry: tuple[int, float]) -> float:
             k, share = entry
-            return float(variances[eskf.clone_indices(k)[3:5]].sum()) / share
+            return float(variances[eskf.clone_indices(k)[_ASIDE]].sum()) / share
 
         best = sorted(overlaps, key=worth)[: _MOST_IMAGES - 1]
         return sorted([newest, *(k for k, _ in best)])
@@ -291,29 +311,23 @@ class PhotometricUpdate:
         keys = self.choose(eskf, points)
         if not keys:
             return IntensityReport()
-        prior, clones = eskf.state, eskf.clones
-        touched = eskf.touched(keys)
-        sigmas = np.full(len(keys), self._sigma)
-        information = np.zeros((len(touched), len(touched)))
+        update, sigmas = IteratedUpdate(eskf), np.full(len(keys), self._sigma)
+        own = self._errors
+        floor = np.array([*[own.rotation_rad] * 3, own.aside_m, own.aside_m, 0.0])
+        floors = np.concatenate([floor, np.zeros(eskf.shared + CLONE_DIM * len(keys))])
         used, images, sigma = 0, 0, self._sigma
         for _ in range(_ITERATIONS):
             information, vector, used, images = self._accumulate(
-                eskf, keys, points, beams, values, sigmas
+                eskf, keys, Returns(points, beams), values, sigmas
             )
             sigma = float(sigmas.min())
             if used < _LEAST_USED:
-                eskf.state, eskf.clones = prior, clones
+                update.abandon()
                 return IntensityReport(used=used, images=images, sigma=sigma)
-            own = self._errors
-            floor = np.array([*[own.rotation_rad] * 3, own.aside_m, own.aside_m, 0.0])
-            floors = np.concatenate([floor, np.zeros(eskf.shared), np.zeros(6 * len(keys))])
-            information, vector = limit_information(*eskf.coupled(information, vector), floors)
-            offset = eskf.deviation(prior, clones, keys)
-            delta = eskf.correction(touched, information, vector + information @ offset)
-            eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
+            update.step(keys, information, vector, floors)
         self._sigma = sigma
-        eskf.update_covariance(touched, information)
-        weakest = float(np.linalg.eigvalsh(information[3:5, 3:5])[0])
+        information = update.finish()
+        weakest = float(np.linalg.eigvalsh(information[_ASIDE, _ASIDE])[0])
         return IntensityReport(
             used=used, images=images, sigma=sigma, aside_m=1.0 / np.sqrt(max(weakest, 1e-12))
         )
@@ -322,15 +336,14 @@ class PhotometricUpdate:
         self,
         eskf: Eskf,
         keys: list[int],
-        points: Array,
-        beams: Array,
+        returns: Returns,
         values: Array,
         sigmas: Array,
     ) -> tuple[Array, Array, int, int]:
         """Sums over all images; ``sigmas`` (K,) become those of the residuals on each: an image
         that does not fit counts little."""
         shared = eskf.shared
-        size = CLONE_DIM * (1 + len(keys)) + shared
+        size = POSE_DIM + shared + CLONE_DIM * len(keys)
         information, vector = np.zeros((size, size)), np.zeros(size)
         used, images = 0, 0
         calibration = eskf.state.calibration[:shared]
@@ -340,23 +353,24 @@ class PhotometricUpdate:
             change = np.zeros(MOUNT_DIM)
             if shared:
                 change = (calibration - image.calibration)[:MOUNT_DIM]
-            part = photometry(
-                points, beams, values, *image.smoothed(), image.axes, image.cell_m,
-                move.rotation, move.translation, clone.rotation, change, self._lever,
-                float(sigmas[slot]),
+            view = ImageView(
+                *image.smoothed(), image.axes, image.cell_m, clone.rotation,
+                change[MOUNT_ROTATION], change[MOUNT_TRANSLATION],
             )  # fmt: skip
+            part = photometry(
+                returns, values, view, Frame.of(move), self._lever, float(sigmas[slot])
+            )
             if part.used:
                 sigmas[slot] = max(part.spread, self._errors.least_sigma)
             clear = 1.0 - part.noise_share
             if part.used < _LEAST_USED or clear < _LEAST_CLEAR:
                 continue
-            start = CLONE_DIM * (1 + slot) + shared
-            where = np.r_[np.arange(CLONE_DIM), np.arange(start, start + CLONE_DIM)]
-            own = np.r_[np.arange(CLONE_DIM), np.arange(12, 18)]
+            start = POSE_DIM + shared + CLONE_DIM * slot
+            where = np.r_[0:POSE_DIM, start : start + CLONE_DIM]
+            own = np.r_[0:POSE_DIM, _CLONE:_WIDTH]
             if shared:
-                mount = np.r_[MOUNT_ROTATION, MOUNT_TRANSLATION]
-                where = np.r_[where, CLONE_DIM + mount]
-                own = np.r_[own, np.arange(6, 12)]
+                where = np.r_[where, POSE_DIM : POSE_DIM + MOUNT_DIM]
+                own = np.r_[own, _MOUNT:_CLONE]
             # the noise of the gradients adds to the squares, not to the vector
             information[np.ix_(where, where)] += clear * part.information[np.ix_(own, own)]
             vector[where] += part.vector[own]

@@ -1,11 +1,10 @@
-"""Degeneracy of scans: information from noise, weakly observed directions, and their removal."""
+"""Degeneracy of scans: weakly observed directions, and their removal."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -23,79 +22,6 @@ class LidarReport:
     """number of degenerate directions of translation"""
     weak_rotation: int = 0
     """number of degenerate axes of rotation"""
-
-
-@njit(cache=True)
-def normal_noise_information(
-    points: Array,
-    beams: Array,
-    rotation: Array,
-    position: Array,
-    found: NDArray[np.bool_],
-    normals: Array,
-    anchors: Array,
-    variances: Array,
-    range_sigma: float,
-    angle_sigma: float,
-    plane_floor: float,
-    gate: float,
-) -> Array:
-    """Noise information: the part (6, 6) of a scan's information that comes from the noise of the
-    normals alone.
-
-    The mapped normals of level ground scatter, so that a scan seems to measure lateral motion. A
-    normal with an error e, of variance s^2 in the two directions t across it, adds e times the row
-    of t to the row of n: in expectation ``w s^2 sum_t h_t^T h_t`` to the information. Parameters as
-    in ``anchored_information``.
-    """
-    information = np.zeros((6, 6))
-    row = np.zeros(6)
-    t = np.zeros((2, 3))
-    for i in range(points.shape[0]):
-        if not found[i]:
-            continue
-        n = normals[i]
-        p, beam = points[i], beams[i]
-        height, along, length2 = 0.0, 0.0, 0.0
-        for k in range(3):
-            world, ray = 0.0, 0.0
-            for j in range(3):
-                world += rotation[k, j] * p[j]
-                ray += rotation[k, j] * beam[j]
-            height += n[k] * (world + position[k] - anchors[i, k])
-            along += n[k] * ray
-            length2 += ray * ray
-        cosine2 = along * along / length2
-        noise = range_sigma**2 * cosine2 + angle_sigma**2 * length2 * (1.0 - cosine2)
-        variance = max(noise, variances[i, 0]) + variances[i, 1] + plane_floor**2
-        scaled2 = height * height / variance
-        if scaled2 > gate * gate:
-            continue
-        weight = variances[i, 2] / ((1.0 + 4.0 * scaled2 / (gate * gate)) * variance)
-        # two unit vectors across the normal, from the axis that it leans on least
-        least = 0
-        for k in range(1, 3):
-            if abs(n[k]) < abs(n[least]):
-                least = k
-        scale = 1.0 / np.sqrt(1.0 - n[least] * n[least])
-        for k in range(3):
-            t[0, k] = ((1.0 if k == least else 0.0) - n[least] * n[k]) * scale
-        t[1, 0] = n[1] * t[0, 2] - n[2] * t[0, 1]
-        t[1, 1] = n[2] * t[0, 0] - n[0] * t[0, 2]
-        t[1, 2] = n[0] * t[0, 1] - n[1] * t[0, 0]
-        for side in range(2):
-            u = t[side]
-            bx = rotation[0, 0] * u[0] + rotation[1, 0] * u[1] + rotation[2, 0] * u[2]
-            by = rotation[0, 1] * u[0] + rotation[1, 1] * u[1] + rotation[2, 1] * u[2]
-            bz = rotation[0, 2] * u[0] + rotation[1, 2] * u[1] + rotation[2, 2] * u[2]
-            row[0] = p[1] * bz - p[2] * by
-            row[1] = p[2] * bx - p[0] * bz
-            row[2] = p[0] * by - p[1] * bx
-            row[3], row[4], row[5] = u[0], u[1], u[2]
-            for a in range(6):
-                for b in range(6):
-                    information[a, b] += weight * row[a] * row[b]
-    return information
 
 
 def weak_directions(

@@ -22,29 +22,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import LivoParams
-from touchdown.estimator.filtering.imu_propagation import (
-    CROSS_DIM,
-    IMU_DIM,
-    SCALE_DIM,
-    exp_so3_each,
+from touchdown.estimator.filtering.error_state import (
+    ACCEL_SCALE,
+    CALIBRATION_DIM,
+    CAMERA_ROTATION,
+    CAMERA_TRANSLATION,
+    CENTER,
+    CLOCK,
+    FOCAL,
+    GYRO_BY_FORCE,
+    GYRO_CROSS,
+    GYRO_SCALE,
+    IMU_ERRORS,
+    MOUNT_ROTATION,
+    MOUNT_TRANSLATION,
+    POSITION,
+    ROTATION,
+    SHARED_DIM,
+    Pinhole,
 )
+from touchdown.estimator.filtering.imu_propagation import exp_so3_each
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
 
 Array = NDArray[np.float64]
-
-MOUNT_ROTATION = slice(0, 3)
-MOUNT_TRANSLATION = slice(3, 6)
-FOCAL = slice(6, 8)
-CENTER = slice(8, 10)
-CLOCK = 10
-CAMERA_ROTATION = slice(11, 14)
-CAMERA_TRANSLATION = slice(14, 17)
-SHARED_DIM = 17
-"""parameters that scans and images depend on directly"""
-CALIBRATION_DIM = SHARED_DIM + IMU_DIM
-MOUNT_DIM = 6
-"""rotation and translation of the LIDAR's mount"""
 
 
 def prior_sigmas(params: LivoParams) -> Array:
@@ -52,19 +53,19 @@ def prior_sigmas(params: LivoParams) -> Array:
     rad, rad/s per m/s^2."""
     if not params.use_calibration:
         return np.zeros(0)
-    sigmas = [
-        np.radians(params.mount_rotation_sigma_deg),
-        params.mount_translation_sigma_m,
-        params.focal_sigma,
-        params.center_sigma_px,
-        params.camera_clock_sigma_s,
-        np.radians(params.camera_rotation_sigma_deg),
-        params.camera_translation_sigma_m,
-        params.imu_scale_sigma,
-        np.radians(params.gyro_misalignment_sigma_deg),
-        params.gyro_g_sigma,
-    ]
-    return np.repeat(sigmas, [3, 3, 2, 2, 1, 3, 3, SCALE_DIM, CROSS_DIM, 9])
+    sigmas = np.zeros(CALIBRATION_DIM)
+    sigmas[MOUNT_ROTATION] = np.radians(params.mount_rotation_sigma_deg)
+    sigmas[MOUNT_TRANSLATION] = params.mount_translation_sigma_m
+    sigmas[FOCAL] = params.focal_sigma
+    sigmas[CENTER] = params.center_sigma_px
+    sigmas[CLOCK] = params.camera_clock_sigma_s
+    sigmas[CAMERA_ROTATION] = np.radians(params.camera_rotation_sigma_deg)
+    sigmas[CAMERA_TRANSLATION] = params.camera_translation_sigma_m
+    imu = sigmas[IMU_ERRORS]
+    imu[GYRO_SCALE] = imu[ACCEL_SCALE] = params.imu_scale_sigma
+    imu[GYRO_CROSS] = np.radians(params.gyro_misalignment_sigma_deg)
+    imu[GYRO_BY_FORCE] = params.gyro_g_sigma
+    return sigmas
 
 
 def calibration_diagnostics(calibration: Array) -> dict[str, float]:
@@ -105,11 +106,12 @@ def _moved(mount: Pose, calibration: Array, rotation: slice, translation: slice)
     )
 
 
-def corrected_intrinsics(camera: CameraIntrinsics, calibration: Array) -> Array:
-    """Returns fx, fy, cx, cy (4,) corrected by ``calibration`` (38,)."""
-    focal = np.array([camera.fx, camera.fy]) * (1.0 + calibration[FOCAL])
-    center = np.array([camera.cx, camera.cy]) + calibration[CENTER]
-    return np.concatenate([focal, center])
+def corrected_lens(camera: CameraIntrinsics, calibration: Array) -> Pinhole:
+    """Returns the given lens corrected by ``calibration`` (38,) or (0,)."""
+    if not len(calibration):
+        return Pinhole.of(camera)
+    (x, y), (u, v) = calibration[FOCAL], calibration[CENTER]
+    return Pinhole(camera.fx * (1.0 + x), camera.fy * (1.0 + y), camera.cx + u, camera.cy + v)
 
 
 def exposed(poses: list[Pose], twists: Array, delays_s: Array, calibration: Array) -> list[Pose]:
@@ -121,9 +123,9 @@ def exposed(poses: list[Pose], twists: Array, delays_s: Array, calibration: Arra
     """
     clock = calibration[CLOCK] if len(calibration) else 0.0
     moves = (delays_s - clock)[:, None] * twists
-    rotations = exp_so3_each(np.ascontiguousarray(moves[:, :3]))
+    rotations = exp_so3_each(np.ascontiguousarray(moves[:, ROTATION]))
     return [
-        Pose(pose.rotation @ rotations[k], pose.translation + moves[k, 3:])
+        Pose(pose.rotation @ rotations[k], pose.translation + moves[k, POSITION])
         for k, pose in enumerate(poses)
     ]
 
@@ -154,14 +156,15 @@ def landmark_jacobians(
     out[:, :, MOUNT_ROTATION] = reach[:, :, None] * np.cross(beams, planes)[:, None, :] @ rotation.T
     out[:, :, MOUNT_TRANSLATION] = reach[:, :, None] * planes[:, None, :] @ rotation.T
     # from an earlier pose the ground lies further on: rotated and translated about the IMU
-    ahead = (np.cross(twist[:3], reach @ rotation.T + lever) + twist[3:]) @ rotation
+    ahead = (np.cross(twist[ROTATION], reach @ rotation.T + lever) + twist[POSITION]) @ rotation
     out[:, :, CLOCK] = reach * np.einsum("ij,ij->i", planes, ahead)[:, None]
     bends = np.zeros((len(rays), 3, 4))
     bends[:, 0, 0], bends[:, 1, 1] = -rays[:, 0], -rays[:, 1]
     bends[:, 0, 2], bends[:, 1, 3] = -1.0 / camera.fx, -1.0 / camera.fy
     # a ray that bends meets the same plane elsewhere
     across = np.einsum("ij,ijk->ik", planes, bends)
-    out[:, :, 6:10] = (bends - rays[:, :, None] * (across / along)[:, None, :]) / along[:, :, None]
+    lens = slice(FOCAL.start, CENTER.stop)
+    out[:, :, lens] = (bends - rays[:, :, None] * (across / along)[:, None, :]) / along[:, :, None]
     # so does one that turns about the camera, or starts beside it: axes of the IMU
     unit = rotation[None]
     rotated = np.cross(unit, reach[:, None, :]).swapaxes(1, 2)

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import Frame, Pinhole
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
@@ -146,19 +147,19 @@ def track_patches(
     target: tuple[Grey, Grey, Grey],
     pixels: Array,
     planes: Array,
-    rotation: Array,
-    translation: Array,
-    intrinsics: Array,
+    motion: Frame,
+    lens: Pinhole,
     top_level: int,
     min_correlation: float,
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Tracks (N, 2) ``pixels`` of ``source`` into ``target``.
 
     ``planes`` (N, 3): the plane ``n . P = 1`` of each patch in the source camera's frame;
-    ``rotation``, ``translation``: predicted target_camera_from_source_camera; ``intrinsics``:
-    fx, fy, cx, cy. Returns found (N,), the tracked pixels (N, 2) and the predicted ones (N, 2).
+    ``motion``: predicted target_camera_from_source_camera. Returns found
+    (N,), the tracked pixels (N, 2) and the predicted ones (N, 2).
     """
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    fx, fy, cx, cy = lens
+    rotation, translation = motion
     count = pixels.shape[0]
     found = np.zeros(count, dtype=np.bool_)
     tracked = np.zeros((count, 2))
@@ -230,13 +231,6 @@ def track(
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """See ``track_patches``; images without distortion."""
     return track_patches(
-        source,
-        target,
-        pixels,
-        planes,
-        target_from_source.rotation,
-        target_from_source.translation,
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
-        top_level,
-        min_correlation,
-    )
+        source, target, pixels, planes, Frame.of(target_from_source), Pinhole.of(camera),
+        top_level, min_correlation,
+    )  # fmt: skip

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import POSITION, ROTATION
 from touchdown.estimator.filtering.imu_propagation import exp_so3_each
 from touchdown.sim.frames import Pose
 
@@ -48,7 +49,7 @@ def rows_of_keyframe(
     if not row_times.any():
         return rays, np.zeros_like(rays)
     to_camera, lever = imu_from_camera.rotation.T, imu_from_camera.translation
-    rate = to_camera @ twist[:3]
-    velocity = to_camera @ (twist[3:] + np.cross(twist[:3], lever))
+    rate = to_camera @ twist[ROTATION]
+    velocity = to_camera @ (twist[POSITION] + np.cross(twist[ROTATION], lever))
     rotations = exp_so3_each(row_times[:, None] * rate)
     return np.einsum("nij,nj->ni", rotations, rays), row_times[:, None] * velocity

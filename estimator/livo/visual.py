@@ -8,7 +8,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.eskf import CLONE_DIM, Eskf
+from touchdown.estimator.filtering.error_state import (
+    CAMERA_ROTATION,
+    CAMERA_TRANSLATION,
+    CENTER,
+    CLONE_DIM,
+    FOCAL,
+    POSE_DIM,
+    POSITION,
+    Frame,
+)
+from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.information import NormalEquations
 from touchdown.estimator.filtering.keyframes import (
     Keyframe,
@@ -20,14 +30,15 @@ from touchdown.estimator.filtering.keyframes import (
     overlaps,
 )
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.filtering.reprojection import MountedCamera, calibrated_information
+from touchdown.estimator.filtering.reprojection import (
+    LandmarkViews,
+    MountedCamera,
+    PixelNoise,
+    calibrated_information,
+)
 from touchdown.estimator.livo.online_calibration import (
-    CAMERA_ROTATION,
-    CAMERA_TRANSLATION,
-    CENTER,
-    FOCAL,
     corrected_camera,
-    corrected_intrinsics,
+    corrected_lens,
     exposed,
     landmark_jacobians,
 )
@@ -38,6 +49,10 @@ from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
+_GATES_PX = (12.0, 6.0, 3.0, 3.0)
+"""of the iterations"""
+_LEAST_LANDMARKS = 15
+"""of an update"""
 _LEAST_PLANES = 25
 """features of a keyframe with depth; with fewer, the others are assigned the common plane of the
 returns around, if there is one"""
@@ -112,7 +127,6 @@ class VisualFrontEnd:
     ) -> None:
         self._camera = camera.intrinsics
         self._imu_from_camera = camera.imu_from_camera
-        self._intrinsics = camera.focal_and_center
         self._params = params
         self._lidar_in_camera = np.zeros(3) if lidar_in_camera is None else lidar_in_camera
         self._own_variances = np.array([0.0, 0.0, 0.0, 0.0, 0.0, params.height_sigma_m**2])
@@ -225,7 +239,7 @@ class VisualFrontEnd:
             candidates = [c for c in candidates if c.index >= first]
         share = max((c.share * _closeness(c.scale) for c in candidates), default=0.0)
         variances = np.array(
-            [np.trace(eskf.covariance[np.ix_(i, i)][3:, 3:])
+            [np.trace(eskf.covariance[np.ix_(i, i)][POSITION, POSITION])
              for i in map(eskf.clone_indices, range(len(poses)))]
         )  # fmt: skip
         chosen = choose(candidates, variances, self._params.track_keyframes, 0.35)
@@ -239,7 +253,7 @@ class VisualFrontEnd:
             )  # fmt: skip
             if int(found.sum()) >= 10:
                 tracks.append(self._track(eskf, k, usable[found], pixels[found]))
-        if sum(len(t.pixels) for t in tracks) < 15:
+        if sum(len(t.pixels) for t in tracks) < _LEAST_LANDMARKS:
             return VisualReport(best_share=share)
         used, rms = self._iterate(eskf, tracks, delay_s)
         return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=share)
@@ -256,7 +270,7 @@ class VisualFrontEnd:
         """Landmarks of keyframe ``k`` as created, and their derivatives by the calibration."""
         keyframe, mount = self.keyframes[k], self._imu_from_camera
         twist = keyframe.twist.copy()
-        twist[3:] = eskf.clones[k].rotation.T @ twist[3:]
+        twist[POSITION] = eskf.clones[k].rotation.T @ twist[POSITION]
         rays, starts = rows_of_keyframe(
             bearing_rays(keyframe.pixels[which], self._camera), twist, mount,
             self._params.shutter.row_times(keyframe.pixels[which, 1], self._camera.height),
@@ -279,25 +293,16 @@ class VisualFrontEnd:
         )
         return _Track(k, pixels, landmarks, jacobians, spreads, made_with)
 
-    def _iterate(
-        self, eskf: Eskf, tracks: list[_Track], delay_s: float, iterations: int = 4
-    ) -> tuple[int, float]:
-        prior, clones = eskf.state, eskf.clones
+    def _iterate(self, eskf: Eskf, tracks: list[_Track], delay_s: float) -> tuple[int, float]:
         keys = [track.keyframe for track in tracks]
-        touched = eskf.touched(keys)
-        size = len(touched)
-        information, used, rms = np.zeros((size, size)), 0, 0.0
-        for iteration in range(iterations):
-            gate = (12.0, 6.0, 3.0, 3.0)[min(iteration, 3)]
+        update, used, rms = IteratedUpdate(eskf), 0, 0.0
+        for gate in _GATES_PX:
             information, vector, used, rms = self._accumulate(eskf, tracks, delay_s, gate)
-            if used < 15:
-                eskf.state, eskf.clones = prior, clones
+            if used < _LEAST_LANDMARKS:
+                update.abandon()
                 return 0, 0.0
-            information, vector = eskf.coupled(information, vector)
-            offset = eskf.deviation(prior, clones, keys)
-            delta = eskf.correction(touched, information, vector + information @ offset)
-            eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
-        eskf.update_covariance(touched, information)
+            update.step(keys, information, vector)
+        update.finish()
         return used, rms
 
     def _accumulate(
@@ -305,11 +310,9 @@ class VisualFrontEnd:
     ) -> NormalEquations:
         state = eskf.state
         shared = eskf.shared
-        size = CLONE_DIM * (1 + len(tracks)) + shared
+        size = POSE_DIM + shared + CLONE_DIM * len(tracks)
         information, vector = np.zeros((size, size)), np.zeros(size)
-        intrinsics = self._intrinsics
-        if shared:
-            intrinsics = corrected_intrinsics(self._camera, state.calibration)
+        lens = corrected_lens(self._camera, state.calibration)
         used, total = 0, 0.0
         *clones, now = self._exposed(eskf, delay_s)
         camera = corrected_camera(self._imu_from_camera, state.calibration).inverse()
@@ -319,20 +322,12 @@ class VisualFrontEnd:
             landmarks = track_.landmarks + track_.jacobians @ (calibration - track_.made_with)
             rows = self._params.shutter.row_times(track_.pixels[:, 1], self._camera.height)
             part = calibrated_information(
-                track_.pixels, rows, landmarks, track_.jacobians, track_.spreads,
-                now.rotation, now.translation, clone.rotation, clone.translation,
-                np.concatenate([eskf.twist, keyframe.twist]),
-                camera.rotation, camera.translation,
-                intrinsics, self._params.sigma_px, gate_px,
+                LandmarkViews(track_.pixels, rows, landmarks, track_.jacobians, track_.spreads),
+                Frame.of(now), Frame.of(clone), np.array([eskf.twist, keyframe.twist]),
+                Frame.of(camera), lens, PixelNoise(self._params.sigma_px, gate_px),
             )  # fmt: skip
-            start = CLONE_DIM * (1 + slot) + shared
-            where = np.concatenate(
-                [
-                    np.arange(CLONE_DIM),
-                    np.arange(start, start + CLONE_DIM),
-                    np.arange(CLONE_DIM, CLONE_DIM + shared),
-                ]
-            )
+            start = POSE_DIM + shared + CLONE_DIM * slot
+            where = np.r_[0 : POSE_DIM + shared, start : start + CLONE_DIM]
             information[np.ix_(where, where)] += part.information
             vector[where] += part.vector
             used += part.used

@@ -7,9 +7,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import Frame
+from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses, Track
+
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
+_W, _X, _Y, _Z = range(4)
+"""of a quaternion"""
 _KNOT_EVERY = 64
 _BLOCK = 256
 """pulses whose pixel indices are computed before any pixel is read"""
@@ -20,34 +25,30 @@ _LOW_RETURNS = 3
 
 
 @numba.njit(cache=True)
-def _lerp_pose(
-    times: Array, positions: Array, quats: Array, index: int, time: float, pose: Array
-) -> None:
-    """Writes x, y, z, then the nine rotation entries (row-major) of the pose at ``time`` between
-    track entries ``index`` and ``index + 1``: straight line and normalised quaternion lerp."""
+def _lerp_pose(track: Track, index: int, time: float, pose: Frame) -> None:
+    """Writes the pose at ``time`` between track entries ``index`` and ``index + 1``: straight line
+    and normalised quaternion lerp."""
+    times, positions, quats = track
     span = times[index + 1] - times[index]
     f = 0.0 if span <= 0.0 else (time - times[index]) / span
     f = min(max(f, 0.0), 1.0)
     for k in range(3):
-        pose[k] = positions[index, k] + f * (positions[index + 1, k] - positions[index, k])
+        pose.translation[k] = positions[index, k] + f * (
+            positions[index + 1, k] - positions[index, k]
+        )
     dot = 0.0
     for k in range(4):
         dot += quats[index, k] * quats[index + 1, k]
     g = f if dot >= 0.0 else -f
-    w = (1.0 - f) * quats[index, 0] + g * quats[index + 1, 0]
-    x = (1.0 - f) * quats[index, 1] + g * quats[index + 1, 1]
-    y = (1.0 - f) * quats[index, 2] + g * quats[index + 1, 2]
-    z = (1.0 - f) * quats[index, 3] + g * quats[index + 1, 3]
+    w = (1.0 - f) * quats[index, _W] + g * quats[index + 1, _W]
+    x = (1.0 - f) * quats[index, _X] + g * quats[index + 1, _X]
+    y = (1.0 - f) * quats[index, _Y] + g * quats[index + 1, _Y]
+    z = (1.0 - f) * quats[index, _Z] + g * quats[index + 1, _Z]
     s = 2.0 / (w * w + x * x + y * y + z * z)
-    pose[3] = 1.0 - s * (y * y + z * z)
-    pose[4] = s * (x * y - w * z)
-    pose[5] = s * (x * z + w * y)
-    pose[6] = s * (x * y + w * z)
-    pose[7] = 1.0 - s * (x * x + z * z)
-    pose[8] = s * (y * z - w * x)
-    pose[9] = s * (x * z - w * y)
-    pose[10] = s * (y * z + w * x)
-    pose[11] = 1.0 - s * (x * x + y * y)
+    r = pose.rotation
+    r[0, 0], r[0, 1], r[0, 2] = 1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
+    r[1, 0], r[1, 1], r[1, 2] = s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)
+    r[2, 0], r[2, 1], r[2, 2] = s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -55,93 +56,87 @@ def deskew(
     directions: Float32,
     time_offsets: Float32,
     start_time: float,
-    track_times: Array,
-    track_positions: Array,
-    track_quats: Array,
-    lidar_rotation: Array,
-    lidar_translation: Array,
+    track: Track,
+    body_from_lidar: Frame,
     origins: Float32,
     beams: Float32,
 ) -> None:
     """Origin and direction of every pulse in the odom frame, from the pose of its own instant,
     pulses without return included (``locate_missing`` needs them).
 
-    directions: (N, 3) float32, LIDAR frame; time_offsets: (N,) float32 seconds, ascending; the
-    track: (M,), (M, 3), (M, 4) wxyz, M >= 2; lidar_*: body_from_lidar. Writes ``origins`` and
-    ``beams``, (N, 3) float32. Times outside the track take its nearest end.
+    directions: (N, 3) float32, LIDAR frame; time_offsets: (N,) float32 seconds, ascending. Writes
+    ``origins`` and ``beams``, (N, 3) float32. Times outside the track take its nearest end.
     """
     # Exact poses at knots, with the mount in them; between two, a quarter of a millisecond apart,
     # straight lines differ from the turn by less than 1e-6 even at 10 rad/s.
-    pose, first, second = np.empty(12), np.empty(12), np.empty(12)
+    pose = Frame(np.empty((3, 3)), np.empty(3))
+    first, second = Frame(np.empty((3, 3)), np.empty(3)), Frame(np.empty((3, 3)), np.empty(3))
     count = directions.shape[0]
-    last = track_times.shape[0] - 2
+    last = track.times.shape[0] - 2
     index = 0
     for knot in range(0, count, _KNOT_EVERY):
         end = min(knot + _KNOT_EVERY, count - 1)
         if knot == 0:
             time = start_time + time_offsets[0]
-            while index < last and track_times[index + 1] < time:
+            while index < last and track.times[index + 1] < time:
                 index += 1
-            _lerp_pose(track_times, track_positions, track_quats, index, time, pose)
-            _mount(pose, lidar_rotation, lidar_translation, second)
-        first[:] = second
+            _lerp_pose(track, index, time, pose)
+            _mount(pose, body_from_lidar, second)
+        first.rotation[:], first.translation[:] = second.rotation, second.translation
         time = start_time + time_offsets[end]
-        while index < last and track_times[index + 1] < time:
+        while index < last and track.times[index + 1] < time:
             index += 1
-        _lerp_pose(track_times, track_positions, track_quats, index, time, pose)
-        _mount(pose, lidar_rotation, lidar_translation, second)
+        _lerp_pose(track, index, time, pose)
+        _mount(pose, body_from_lidar, second)
         span = time_offsets[end] - time_offsets[knot]
         per_span = 1.0 / span if span > 0.0 else 0.0
+        r, q = first.rotation, second.rotation
         for i in range(knot, min(knot + _KNOT_EVERY, count)):
             f = (time_offsets[i] - time_offsets[knot]) * per_span
             dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
             for k in range(3):
-                origins[i, k] = first[k] + f * (second[k] - first[k])
-                row = 3 + 3 * k
-                r0 = first[row] + f * (second[row] - first[row])
-                r1 = first[row + 1] + f * (second[row + 1] - first[row + 1])
-                r2 = first[row + 2] + f * (second[row + 2] - first[row + 2])
+                start = first.translation[k]
+                origins[i, k] = start + f * (second.translation[k] - start)
+                r0 = r[k, 0] + f * (q[k, 0] - r[k, 0])
+                r1 = r[k, 1] + f * (q[k, 1] - r[k, 1])
+                r2 = r[k, 2] + f * (q[k, 2] - r[k, 2])
                 beams[i, k] = r0 * dx + r1 * dy + r2 * dz
 
 
 @numba.njit(cache=True)
-def _mount(body: Array, rotation: Array, translation: Array, mounted: Array) -> None:
-    """Writes the pose, as `_lerp_pose` does, of a sensor that is mounted on ``body``."""
+def _mount(body: Frame, mount: Frame, mounted: Frame) -> None:
+    """Writes the pose of a sensor that is mounted on ``body``."""
     for k in range(3):
-        row = 3 + 3 * k
-        mounted[k] = body[k]
+        mounted.translation[k] = body.translation[k]
         for j in range(3):
-            mounted[k] += body[row + j] * translation[j]
-            mounted[row + j] = (
-                body[row] * rotation[0, j]
-                + body[row + 1] * rotation[1, j]
-                + body[row + 2] * rotation[2, j]
+            mounted.translation[k] += body.rotation[k, j] * mount.translation[j]
+            mounted.rotation[k, j] = (
+                body.rotation[k, 0] * mount.rotation[0, j]
+                + body.rotation[k, 1] * mount.rotation[1, j]
+                + body.rotation[k, 2] * mount.rotation[2, j]
             )
 
 
 @numba.njit(cache=True, error_model="numpy")
 def sample_colours(
-    origins: Float32,
-    beams: Float32,
-    ranges: Float32,
+    pulses: Pulses,
     window: tuple[int, int],
     skipped: tuple[int, int],
     image: NDArray[np.uint8],
-    rotation: Array,
-    translation: Array,
-    intrinsics: Array,
+    camera_from_odom: Frame,
+    lens: Lens,
     colours: Float32,
 ) -> None:
     """Colours the returns of the pulses [first, last) of ``window`` that have no colour yet, all
     but those of ``skipped``.
 
-    rotation (3, 3), translation (3,): camera_from_odom at the exposure; intrinsics: (9,) fx, fy,
-    cx, cy, k1, k2, p1, p2, k3 (OpenCV); image: (H, W, 3); ``colours``: (N, 3) float32, NaN where
+    ``camera_from_odom``: at the exposure; image: (H, W, 3); ``colours``: (N, 3) float32, NaN where
     uncoloured. Nearest pixel. The LIDAR sits beside the camera, so what one sees the other sees.
     """
+    origins, beams, ranges = pulses
+    rotation, translation = camera_from_odom
     rows, cols = image.shape[0], image.shape[1]
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-    k1, k2, p1, p2, k3 = intrinsics[4], intrinsics[5], intrinsics[6], intrinsics[7], intrinsics[8]
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
     # Indices first, then pixels, block by block: without arithmetic in between, the processor
     # fetches many pixels at a time. A row of ``image`` by itself would be reference-counted.
     row_of, col_of = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.int32)
@@ -181,27 +176,14 @@ def sample_colours(
 
 @numba.njit(cache=True, error_model="numpy")
 def accumulate_returns(
-    origins: Float32,
-    beams: Float32,
-    ranges: Float32,
+    pulses: Pulses,
     colours: Float32,
     intensities: NDArray[np.uint8],
     now: float,
     count_cap: float,
     extreme_memory: float,
-    origin_x: float,
-    origin_y: float,
-    cell: float,
-    count: Float32,
-    height: Float32,
-    std: Float32,
-    low: Float32,
-    high: Float32,
-    rgb: Float32,
-    rgb_count: Float32,
-    intensity: Float32,
-    missing: Float32,
-    last_seen: Float32,
+    grid: Grid,
+    layers: Layers,
 ) -> int:
     """Adds returns to a grid (layout of ``GridMap``); returns the number that fell inside.
 
@@ -209,9 +191,11 @@ def accumulate_returns(
     that many returns the exact moments (Welford), after it an exponential memory. Extremes relax
     towards the mean with time constant ``extreme_memory`` seconds while unconfirmed.
     """
+    origins, beams, ranges = pulses
+    count, height, std, low, high, rgb, rgb_count, intensity, missing, last_seen = layers
     rows, cols = count.shape
     inside = 0
-    per_cell, per_cap = 1.0 / cell, 1.0 / count_cap
+    per_cell, per_cap = 1.0 / grid.cell, 1.0 / count_cap
     known_idle, keep = 0.0, 1.0
     for i in range(ranges.shape[0]):
         r = ranges[i]
@@ -220,7 +204,7 @@ def accumulate_returns(
         x = origins[i, 0] + r * beams[i, 0]
         y = origins[i, 1] + r * beams[i, 1]
         z = origins[i, 2] + r * beams[i, 2]
-        across, along = (x - origin_x) * per_cell, (y - origin_y) * per_cell
+        across, along = (x - grid.x) * per_cell, (y - grid.y) * per_cell
         # Comparisons that no NaN passes.
         if not (0.0 <= across < cols and 0.0 <= along < rows and abs(z) < np.inf):
             continue
@@ -269,29 +253,22 @@ def accumulate_returns(
 
 @numba.njit(cache=True, error_model="numpy")
 def accumulate_heights(
-    origins: Float32,
-    beams: Float32,
-    ranges: Float32,
-    origin_x: float,
-    origin_y: float,
-    cell: float,
-    bin_m: float,
-    histogram: NDArray[np.uint8],
-    base: Float32,
+    pulses: Pulses, grid: Grid, bin_m: float, histogram: NDArray[np.uint8], base: Float32
 ) -> None:
     """Counts returns in the histograms of their cells (layout of ``GridMap``).
 
     The base of a cell follows its lowest return down. One that is lower by more than the whole
     histogram is an error, until the third of its kind: then the histogram begins anew there."""
+    origins, beams, ranges = pulses
     rows, cols, bins = histogram.shape
-    per_cell, per_bin = 1.0 / cell, 1.0 / bin_m
+    per_cell, per_bin = 1.0 / grid.cell, 1.0 / bin_m
     for i in range(ranges.shape[0]):
         r = ranges[i]
         if not r > 0.0:
             continue
         z = origins[i, 2] + r * beams[i, 2]
-        across = (origins[i, 0] + r * beams[i, 0] - origin_x) * per_cell
-        along = (origins[i, 1] + r * beams[i, 1] - origin_y) * per_cell
+        across = (origins[i, 0] + r * beams[i, 0] - grid.x) * per_cell
+        along = (origins[i, 1] + r * beams[i, 1] - grid.y) * per_cell
         if not (0.0 <= across < cols and 0.0 <= along < rows and abs(z) < np.inf):
             continue
         col, row = np.uintp(across), np.uintp(along)
@@ -331,17 +308,10 @@ def _raise_by(counts: NDArray[np.uint8], up: int) -> None:
 
 
 @numba.njit(cache=True)
-def update_ground_level(
-    origins: Float32,
-    beams: Float32,
-    ranges: Float32,
-    origin_x: float,
-    origin_y: float,
-    block: float,
-    level: Float32,
-) -> None:
+def update_ground_level(pulses: Pulses, blocks: Grid, level: Float32) -> None:
     """Updates the lowest return of every block of the scene, (rows, cols), NaN where nothing was
     seen: the level at which pulses without return are expected to have met the ground."""
+    origins, beams, ranges = pulses
     rows, cols = level.shape
     for i in range(ranges.shape[0]):
         r = ranges[i]
@@ -352,8 +322,8 @@ def update_ground_level(
         z = origins[i, 2] + r * beams[i, 2]
         if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
             continue
-        col = int(np.floor((x - origin_x) / block))
-        row = int(np.floor((y - origin_y) / block))
+        col = int(np.floor((x - blocks.x) / blocks.cell))
+        row = int(np.floor((y - blocks.y) / blocks.cell))
         if 0 <= col < cols and 0 <= row < rows:
             known = level[row, col]
             if np.isnan(known) or z < known:
@@ -361,19 +331,11 @@ def update_ground_level(
 
 
 @numba.njit(cache=True)
-def _expected_level(
-    x: float,
-    y: float,
-    fallback: float,
-    origin_x: float,
-    origin_y: float,
-    block: float,
-    level: Float32,
-) -> float:
+def _expected_level(x: float, y: float, fallback: float, blocks: Grid, level: Float32) -> float:
     """Level of the block at (x, y), else the lowest of its eight neighbours, else the fallback."""
     rows, cols = level.shape
-    col = int(np.floor((x - origin_x) / block))
-    row = int(np.floor((y - origin_y) / block))
+    col = int(np.floor((x - blocks.x) / blocks.cell))
+    row = int(np.floor((y - blocks.y) / blocks.cell))
     if not (0 <= col < cols and 0 <= row < rows):
         return fallback
     if not np.isnan(level[row, col]):
@@ -388,28 +350,25 @@ def _expected_level(
 
 @numba.njit(cache=True)
 def locate_missing(
-    origins: Float32,
-    beams: Float32,
-    ranges: Float32,
+    pulses: Pulses,
     min_reach: float,
     max_reach: float,
     fallback: float,
-    origin_x: float,
-    origin_y: float,
-    block: float,
+    blocks: Grid,
     level: Float32,
     spots: Float32,
 ) -> int:
     """Expected ground points of pulses without return: writes (K, 2) x, y into ``spots`` and
     returns K. Three fixed-point steps of the beam against the block levels; only distances within
     (min_reach, max_reach) count, since beyond them a missing return carries no information."""
+    origins, beams, ranges = pulses
     found = 0
     for i in range(ranges.shape[0]):
         if not ranges[i] <= 0.0 or not beams[i, 2] < -0.05:
             continue
         x, y, distance = origins[i, 0], origins[i, 1], 0.0
         for _ in range(3):
-            ground = _expected_level(x, y, fallback, origin_x, origin_y, block, level)
+            ground = _expected_level(x, y, fallback, blocks, level)
             distance = (ground - origins[i, 2]) / beams[i, 2]
             x = origins[i, 0] + distance * beams[i, 0]
             y = origins[i, 1] + distance * beams[i, 1]
@@ -422,13 +381,7 @@ def locate_missing(
 
 @numba.njit(cache=True)
 def accumulate_missing(
-    spots: Float32,
-    origin_x: float,
-    origin_y: float,
-    cell: float,
-    count_cap: float,
-    count: Float32,
-    missing: Float32,
+    spots: Float32, grid: Grid, count_cap: float, count: Float32, missing: Float32
 ) -> None:
     """Counts pulses without return, (K, 2) x, y, in their cells. With many of them the count of
     returns fades, so that the ratio of both follows the recent past."""
@@ -437,8 +390,8 @@ def accumulate_missing(
         x, y = spots[i, 0], spots[i, 1]
         if not (np.isfinite(x) and np.isfinite(y)):
             continue
-        col = int(np.floor((x - origin_x) / cell))
-        row = int(np.floor((y - origin_y) / cell))
+        col = int(np.floor((x - grid.x) / grid.cell))
+        row = int(np.floor((y - grid.y) / grid.cell))
         if 0 <= col < cols and 0 <= row < rows:
             if missing[row, col] + 1.0 > count_cap:
                 missing[row, col] = count_cap

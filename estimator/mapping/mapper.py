@@ -25,8 +25,10 @@ from touchdown.estimator.api import (
     MapView,
     PoseTrack,
 )
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.mapping import kernels
+from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses, Track
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
@@ -44,6 +46,11 @@ _UNKNOWN_AT_FIRST = (
     "height_m", "height_std_m", "min_height_m", "max_height_m", "intensity", "histogram_base_m",
 )  # fmt: skip
 """layers without a value where nothing was seen"""
+_RETURN_LAYERS = (
+    "count", "height_m", "height_std_m", "min_height_m", "max_height_m", "rgb", "rgb_count",
+    "intensity", "missing", "last_seen_s",
+)  # fmt: skip
+"""of ``records.Layers``"""
 
 
 class _TimedPose(NamedTuple):
@@ -142,9 +149,8 @@ class GridMapper:
         patience = round(_PATIENCE_S * rig.tick_hz)
         self._patience_ticks = max(rig.compute_latency_ticks, patience)
         camera = rig.camera
-        self._intrinsics = np.concatenate(
-            [[camera.fx, camera.fy, camera.cx, camera.cy], np.asarray(camera.distortion, float)]
-        )
+        distortion = np.asarray(camera.distortion, float).tolist()
+        self._lens = Lens(camera.fx, camera.fy, camera.cx, camera.cy, *distortion)
         self._guard = InputGuard(rig, inertial=False)
         self._view = MapView(version=0, coarse=self._coarse.view(), fine=None)
 
@@ -274,27 +280,23 @@ class GridMapper:
             return
         n = scan.ranges.shape[0]
         origins, beams = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-        kernels.deskew(
-            scan.directions,
-            scan.time_offsets,
-            scan.start_time_s,
-            np.ascontiguousarray(track.times_s, dtype=np.float64),
-            np.ascontiguousarray(track.positions_odom, dtype=np.float64),
-            np.ascontiguousarray(track.quats_wxyz, dtype=np.float64),
-            np.ascontiguousarray(self._rig.body_from_lidar.rotation),
-            np.ascontiguousarray(self._rig.body_from_lidar.translation),
-            origins,
-            beams,
+        times, positions, quats = (
+            np.ascontiguousarray(part, dtype=np.float64)
+            for part in (track.times_s, track.positions_odom, track.quats_wxyz)
         )
-        colours = self._colour(scan, images, origins, beams)
-        spots = self._missing_spots(scan, origins, beams)
-        self._accumulate(self._coarse, scan, origins, beams, colours, spots)
+        kernels.deskew(
+            scan.directions, scan.time_offsets, scan.start_time_s,
+            Track(times, positions, quats), Frame.of(self._rig.body_from_lidar),
+            origins, beams,
+        )  # fmt: skip
+        pulses = Pulses(origins, beams, scan.ranges)
+        colours = self._colour(scan, images, pulses)
+        spots = self._missing_spots(pulses)
+        self._accumulate(self._coarse, scan, pulses, colours, spots)
         if self._fine is not None and self._fine_active:
-            self._accumulate(self._fine, scan, origins, beams, colours, spots)
+            self._accumulate(self._fine, scan, pulses, colours, spots)
 
-    def _colour(
-        self, scan: LidarScan, images: list[_PosedImage], origins: Float32, beams: Float32
-    ) -> Float32:
+    def _colour(self, scan: LidarScan, images: list[_PosedImage], pulses: Pulses) -> Float32:
         """(N, 3) float32, from the image nearest in time, then from the others in reach."""
         colours = np.full((scan.ranges.shape[0], 3), np.nan, np.float32)
         duration = scan.end_time_s - scan.start_time_s
@@ -314,41 +316,38 @@ class GridMapper:
         then = [((0, count), own, posed) for own, _, posed in reversed(first)]
         for window, skipped, posed in first + (then if len(near) > 1 else []):
             kernels.sample_colours(
-                origins, beams, scan.ranges, window, skipped, posed.image.rgb,
-                posed.camera_from_odom.rotation, posed.camera_from_odom.translation,
-                self._intrinsics, colours,
+                pulses, window, skipped, posed.image.rgb, Frame.of(posed.camera_from_odom),
+                self._lens, colours,
             )  # fmt: skip
         return colours
 
-    def _missing_spots(self, scan: LidarScan, origins: Float32, beams: Float32) -> Float32:
-        corner = self._coarse.origin_xy_m
-        where = (corner[0], corner[1], _GROUND_BLOCK_M, self._ground_level)
-        kernels.update_ground_level(origins, beams, scan.ranges, *where)
-        spots = np.empty((scan.ranges.shape[0], 2), np.float32)
+    def _missing_spots(self, pulses: Pulses) -> Float32:
+        blocks = Grid(*_corner(self._coarse), _GROUND_BLOCK_M)
+        kernels.update_ground_level(pulses, blocks, self._ground_level)
+        spots = np.empty((len(pulses.ranges), 2), np.float32)
         found = kernels.locate_missing(
-            origins, beams, scan.ranges, self._params.missing_min_reach_m,
-            self._params.missing_max_reach_m, self._takeoff_ground, *where, spots,
+            pulses, self._params.missing_min_reach_m, self._params.missing_max_reach_m,
+            self._takeoff_ground, blocks, self._ground_level, spots,
         )  # fmt: skip
         return spots[:found]
 
     def _accumulate(
-        self, grid: _Grid, scan: LidarScan, origins: Float32, beams: Float32, colours: Float32,
+        self, grid: _Grid, scan: LidarScan, pulses: Pulses, colours: Float32,
         spots: Float32,
     ) -> None:  # fmt: skip
-        x0, y0 = float(grid.origin_xy_m[0]), float(grid.origin_xy_m[1])
+        place = Grid(*_corner(grid), grid.cell_m)
+        layers = Layers(*(grid.layers[name] for name in _RETURN_LAYERS))
         cap = self._params.count_cap
-        layers = grid.layers
         kernels.accumulate_returns(
-            origins, beams, scan.ranges, colours, scan.intensity, scan.end_time_s, cap,
-            self._params.extreme_memory_s, x0, y0, grid.cell_m, layers["count"],
-            layers["height_m"], layers["height_std_m"], layers["min_height_m"],
-            layers["max_height_m"], layers["rgb"], layers["rgb_count"], layers["intensity"],
-            layers["missing"], layers["last_seen_s"],
+            pulses, colours, scan.intensity, scan.end_time_s, cap, self._params.extreme_memory_s,
+            place, layers,
         )  # fmt: skip
         kernels.accumulate_heights(
-            origins, beams, scan.ranges, x0, y0, grid.cell_m, HEIGHT_BIN_M, layers["histogram"],
-            layers["histogram_base_m"],
-        )  # fmt: skip
-        kernels.accumulate_missing(
-            spots, x0, y0, grid.cell_m, cap, layers["count"], layers["missing"]
+            pulses, place, HEIGHT_BIN_M, grid.layers["histogram"], grid.layers["histogram_base_m"]
         )
+        kernels.accumulate_missing(spots, place, cap, layers.counts, layers.missing)
+
+
+def _corner(grid: _Grid) -> tuple[float, float]:
+    x, y = grid.origin_xy_m.tolist()
+    return x, y

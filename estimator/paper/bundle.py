@@ -8,11 +8,20 @@ Poses of keyframes are odom_from_imu.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import (
+    POSE_DIM,
+    POSITION,
+    ROTATION,
+    Frame,
+    Frames,
+    Pinhole,
+)
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
@@ -20,24 +29,34 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-@dataclass(slots=True)
-class BundleProblem:
-    """``poses`` K, of which the first ``fixed`` stay; L landmarks, each seen first by pose
-    ``hosts[l]`` along ``rays[l]`` (camera frame, z = 1) at ``depths[l]``; M observations, sorted by
-    landmark: landmark ``landmarks[m]`` seen by pose ``observers[m]`` at ``pixels[m]``."""
+class Observations(NamedTuple):
+    """L landmarks, each seen first along a ray of its host, and M observations, by landmark."""
 
-    poses: list[Pose]
-    fixed: int
     hosts: Indices
+    """(L,) poses that saw each first"""
     rays: Array
-    depths: Array
+    """(L, 3) camera frame, z = 1"""
     prior_depths: Array
     """(L,) m, by the LIDAR"""
     landmarks: Indices
+    """(M,)"""
     observers: Indices
+    """(M,) poses"""
     pixels: Array
+    """(M, 2)"""
     sigmas_px: Array
     """(M,)"""
+
+
+@dataclass(slots=True)
+class BundleProblem:
+    """``poses`` K, of which the first ``fixed`` stay, and the ``depths`` (L,) of the landmarks that
+    they have ``seen``."""
+
+    poses: list[Pose]
+    fixed: int
+    depths: Array
+    seen: Observations
 
 
 @njit(cache=True)
@@ -51,27 +70,23 @@ def _cross_rows(m: Array, p: Array, out: Array) -> None:
 
 @njit(cache=True)
 def _reduced_system(
-    rotations: Array,
-    positions: Array,
-    hosts: Indices,
-    rays: Array,
+    poses: Frames,
     depths: Array,
-    prior_depths: Array,
+    seen: Observations,
     depth_sigma: float,
-    landmarks: Indices,
-    observers: Indices,
-    pixels: Array,
-    sigmas: Array,
-    camera_rotation: Array,
-    camera_position: Array,
-    intrinsics: Array,
+    imu_from_camera: Frame,
+    lens: Pinhole,
     scale: float,
 ) -> tuple[Array, Array, Array, Array, Array, float]:
     """Normal equations of the poses after elimination of the depths.
 
-    ``camera_*``: imu_from_camera. Returns information (6K, 6K), vector (6K,), and for the
-    substitution back: depth couplings (L, 6K), curvatures (L,) and slopes (L,); the robust cost.
+    Returns information (6K, 6K), vector (6K,), and for the substitution back: depth couplings
+    (L, 6K), curvatures (L,) and slopes (L,); the robust cost.
     """
+    rotations, positions = poses
+    hosts, rays, prior_depths, landmarks, observers, pixels, sigmas = seen
+    camera_rotation, camera_position = imu_from_camera
+    fx, fy, cx, cy = lens
     size = 6 * rotations.shape[0]
     count = depths.shape[0]
     information, vector = np.zeros((size, size)), np.zeros(size)
@@ -80,7 +95,6 @@ def _reduced_system(
     for m in range(count):
         curvature[m] = 1.0 / depth_sigma**2
         slope[m] = (prior_depths[m] - depths[m]) / depth_sigma**2
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     back = np.ascontiguousarray(camera_rotation.T)
     projection = np.zeros((2, 3))
     j_observer, j_host = np.zeros((2, 6)), np.zeros((2, 6))
@@ -107,27 +121,28 @@ def _reduced_system(
         in_world = in_imu @ to_observer
         through_host = in_world @ rotations[h]
         _cross_rows(in_imu, in_observer, part)
-        j_observer[:, :3], j_observer[:, 3:] = -part, -in_world
+        j_observer[:, ROTATION], j_observer[:, POSITION] = -part, -in_world
         _cross_rows(through_host, in_host, part)
-        j_host[:, :3], j_host[:, 3:] = part, in_world
+        j_host[:, ROTATION], j_host[:, POSITION] = part, in_world
         j_depth = through_host @ direction
-        for a in range(6):
+        at, to = POSE_DIM * k, POSE_DIM * h
+        for a in range(POSE_DIM):
             ra = j_observer[0, a] * ru + j_observer[1, a] * rv
             rh = j_host[0, a] * ru + j_host[1, a] * rv
-            vector[6 * k + a] += weight * ra
-            vector[6 * h + a] += weight * rh
+            vector[at + a] += weight * ra
+            vector[to + a] += weight * rh
             da = j_observer[0, a] * j_depth[0] + j_observer[1, a] * j_depth[1]
             dh = j_host[0, a] * j_depth[0] + j_host[1, a] * j_depth[1]
-            coupling[m, 6 * k + a] += weight * da
-            coupling[m, 6 * h + a] += weight * dh
-            for b in range(6):
+            coupling[m, at + a] += weight * da
+            coupling[m, to + a] += weight * dh
+            for b in range(POSE_DIM):
                 kk = j_observer[0, a] * j_observer[0, b] + j_observer[1, a] * j_observer[1, b]
                 hh = j_host[0, a] * j_host[0, b] + j_host[1, a] * j_host[1, b]
                 kh = j_observer[0, a] * j_host[0, b] + j_observer[1, a] * j_host[1, b]
-                information[6 * k + a, 6 * k + b] += weight * kk
-                information[6 * h + a, 6 * h + b] += weight * hh
-                information[6 * k + a, 6 * h + b] += weight * kh
-                information[6 * h + b, 6 * k + a] += weight * kh
+                information[at + a, at + b] += weight * kk
+                information[to + a, to + b] += weight * hh
+                information[at + a, to + b] += weight * kh
+                information[to + b, at + a] += weight * kh
         curvature[m] += weight * (j_depth[0] ** 2 + j_depth[1] ** 2)
         slope[m] += weight * (j_depth[0] * ru + j_depth[1] * rv)
     for m in range(count):
@@ -159,14 +174,11 @@ def adjust(
     poses, depths = list(problem.poses), problem.depths.copy()
     free = slice(6 * problem.fixed, 6 * len(poses))
     prior = 1.0 / prior_sigmas**2
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    seen, mount, lens = problem.seen, Frame.of(imu_from_camera), Pinhole.of(camera)
     for _ in range(iterations):
         information, vector, coupling, curvature, slope, _ = _reduced_system(
-            np.array([p.rotation for p in poses]), np.array([p.translation for p in poses]),
-            problem.hosts, problem.rays, depths, problem.prior_depths, depth_sigma_m,
-            problem.landmarks, problem.observers, problem.pixels, problem.sigmas_px,
-            imu_from_camera.rotation, imu_from_camera.translation, intrinsics, 3.0,
-        )  # fmt: skip
+            Frames.of(poses), depths, seen, depth_sigma_m, mount, lens, 3.0
+        )
         offsets = [_offset(start, pose) for start, pose in zip(problem.poses, poses, strict=True)]
         stray = np.concatenate(offsets)[free]
         weights = np.tile(prior, len(poses) - problem.fixed)
@@ -176,11 +188,11 @@ def adjust(
         )
         steps = delta.reshape(-1, 6)
         poses = [
-            Pose(pose.rotation @ so3_exp(step[:3]), pose.translation + step[3:])
+            Pose(pose.rotation @ so3_exp(step[ROTATION]), pose.translation + step[POSITION])
             for pose, step in zip(poses, steps, strict=True)
         ]
         depths = depths + (slope - coupling @ delta) / curvature
-        depths = np.clip(depths, 0.5 * problem.prior_depths, 2.0 * problem.prior_depths)
+        depths = np.clip(depths, 0.5 * seen.prior_depths, 2.0 * seen.prior_depths)
         if float(np.abs(delta).max()) < 1e-5:
             break
     return poses, depths

@@ -13,6 +13,9 @@ Array = NDArray[np.float64]
 NEIGHBOURS = 5
 """k of Algorithm 1"""
 
+_COUNT, _X, _Y, _Z = range(4)
+"""of a voxel: number of points and sums of their coordinates"""
+
 
 @njit(cache=True)
 def _insert(
@@ -36,11 +39,11 @@ def _insert(
                 continue
             keys[slot] = key
             used += 1
-        if sums[slot, 0] >= max_count:
+        if sums[slot, _COUNT] >= max_count:
             continue
-        sums[slot, 0] += 1.0
+        sums[slot, _COUNT] += 1.0
         for c in range(3):
-            sums[slot, 1 + c] += points[i, c]
+            sums[slot, _X + c] += points[i, c]
     return used
 
 
@@ -64,8 +67,8 @@ def _nearest(
                     slot = _slot(keys, _pack(ix + dx, iy + dy, iz + dz))
                     if keys[slot] == _EMPTY:
                         continue
-                    n = sums[slot, 0]
-                    x, y, z = sums[slot, 1] / n, sums[slot, 2] / n, sums[slot, 3] / n
+                    n = sums[slot, _COUNT]
+                    x, y, z = sums[slot, _X] / n, sums[slot, _Y] / n, sums[slot, _Z] / n
                     d2 = (x - points[i, 0]) ** 2
                     d2 += (y - points[i, 1]) ** 2 + (z - points[i, 2]) ** 2
                     if have == NEIGHBOURS and d2 >= distance[NEIGHBOURS - 1]:

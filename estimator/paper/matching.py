@@ -44,7 +44,6 @@ def _match(
     limit: float,
     ratio: float,
     binary: bool,
-    bits: Bytes,
 ) -> Indices:
     """See ``match_near``; distances squared where not ``binary``."""
     count, landmarks = pixels.shape[0], expected.shape[0]
@@ -83,7 +82,7 @@ def _match(
                     if du * du + dv * dv > radius * radius:
                         continue
                     d = descriptor_distance(
-                        descriptors[f], known[m], bits, binary, limit / (ratio * ratio)
+                        descriptors[f], known[m], _BITS, binary, limit / (ratio * ratio)
                     )
                     near[have], distance[have] = m, d
                     have += 1
@@ -123,4 +122,4 @@ def match_near(
     binary = kind != SIFT
     limit = _BRISK_LIMIT if binary else _SIFT_LIMIT**2
     used_ratio = ratio if binary else ratio**2
-    return _match(pixels, descriptors, expected, known, radius_px, limit, used_ratio, binary, _BITS)
+    return _match(pixels, descriptors, expected, known, radius_px, limit, used_ratio, binary)

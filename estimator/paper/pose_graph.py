@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
+from touchdown.estimator.filtering.error_state import POSE_DIM, POSITION, ROTATION, after
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
@@ -36,6 +37,10 @@ def edge_residual(edge: Edge, source: Pose, target: Pose) -> Array:
     return np.concatenate([so3_log(rotation), translation - edge.measured.translation])
 
 
+_TARGET_ROTATION, _TARGET_POSITION = after(POSE_DIM, ROTATION), after(POSE_DIM, POSITION)
+"""of an edge's twelve coordinates, the source's six first"""
+
+
 @njit(cache=True)
 def _skew(v: Array) -> Array:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
@@ -59,15 +64,15 @@ def _linearise(
     for e in range(count):
         back = np.ascontiguousarray(source_rotations[e].T)
         # inverse of the right Jacobian, to first order of the (small) rotation residual
-        curl = np.eye(3) + 0.5 * _skew(residuals[e, :3])
+        curl = np.eye(3) + 0.5 * _skew(residuals[e, ROTATION])
         jacobian = np.zeros((6, 12))
-        jacobian[:3, :3] = -curl @ (
+        jacobian[ROTATION, ROTATION] = -curl @ (
             np.ascontiguousarray(target_rotations[e].T) @ source_rotations[e]
         )
-        jacobian[:3, 6:9] = curl
-        jacobian[3:, :3] = _skew(translations[e])
-        jacobian[3:, 3:6] = -back
-        jacobian[3:, 9:] = back
+        jacobian[ROTATION, _TARGET_ROTATION] = curl
+        jacobian[POSITION, ROTATION] = _skew(translations[e])
+        jacobian[POSITION, POSITION] = -back
+        jacobian[POSITION, _TARGET_POSITION] = back
         weighted = np.ascontiguousarray(jacobian.T) @ informations[e] * weights[e]
         blocks[e] = weighted @ jacobian
         vectors[e] = -weighted @ residuals[e]

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import POSITION, ROTATION
 from touchdown.estimator.filtering.plane_map import smallest_eigen
 from touchdown.estimator.paper.feature_map import FeatureMap
 from touchdown.sim.frames import Pose, so3_exp, so3_log
@@ -175,7 +176,7 @@ def _normal_equations(
                 direction[c] += 1.0
                 residual = offset[c] - along * axis[c]
             for k in range(3):
-                row[3 + k] = direction[k]
+                row[POSITION.start + k] = direction[k]
             x = y = z = 0.0
             for k in range(3):
                 x += direction[k] * rotation[k, 0]
@@ -231,7 +232,7 @@ def _keep_best(distances: Array, is_edge: Mask) -> Mask:
 
 
 def _moved(pose: Pose, delta: Array) -> Pose:
-    return Pose(pose.rotation @ so3_exp(delta[:3]), pose.translation + delta[3:])
+    return Pose(pose.rotation @ so3_exp(delta[ROTATION]), pose.translation + delta[POSITION])
 
 
 def _deviation(guess: Pose, pose: Pose) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.filtering.reprojection import MountedCamera
-from touchdown.estimator.paper.bundle import BundleProblem, adjust
+from touchdown.estimator.paper.bundle import BundleProblem, Observations, adjust
 from touchdown.estimator.paper.visual_map import MapKeyframe, Sightings
 from touchdown.sim.frames import Pose
 
@@ -96,14 +96,16 @@ def build_problem(
     problem = BundleProblem(
         poses=[k.odom_from_imu for k in fixed + free] + [newest.pose],
         fixed=len(fixed),
-        hosts=np.array([place[host] for host, _, _ in keys]),
-        rays=bearing_rays(first_pixels, camera.intrinsics),
         depths=depths,
-        prior_depths=priors,
-        landmarks=np.array(landmarks),
-        observers=np.array(observers),
-        pixels=np.array(pixels),
-        sigmas_px=np.array(sigmas),
+        seen=Observations(
+            hosts=np.array([place[host] for host, _, _ in keys]),
+            rays=bearing_rays(first_pixels, camera.intrinsics),
+            prior_depths=priors,
+            landmarks=np.array(landmarks),
+            observers=np.array(observers),
+            pixels=np.array(pixels),
+            sigmas_px=np.array(sigmas),
+        ),
     )
     return problem, keys
 
@@ -134,6 +136,6 @@ def adjust_window(
         moved = keyframe.odom_from_imu.inverse() @ pose
         keyframe.map_from_imu = keyframe.map_from_imu @ moved
         keyframe.odom_from_imu = pose
-    for (host, kind, index), ray, depth in zip(keys, problem.rays, depths, strict=True):
+    for (host, kind, index), ray, depth in zip(keys, problem.seen.rays, depths, strict=True):
         known[host].landmarks[kind].points[index] = camera.imu_from_camera.apply(ray * depth)
     return poses[-1]

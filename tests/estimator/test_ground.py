@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, GridMap
-from touchdown.estimator.ground import _pool
+from touchdown.estimator.ground import _Heights, _pool
 from touchdown.estimator.mapping.kernels import accumulate_heights
+from touchdown.estimator.mapping.records import Grid, Pulses
 
 from support.landing_support import grid_of_returns, make_grid
 
@@ -176,7 +177,7 @@ def test_returns_of_a_neighbour_weigh_half_and_follow_the_slope() -> None:
     histogram[1, 1, 10] = 4
     ends = np.tile(np.array([0, HEIGHT_BINS], np.uint8), (3, 3, 1))
     base, weights = np.zeros((3, 3), np.float32), np.zeros(48)
-    _pool(histogram, base, ends, 1, 1, 1, HEIGHT_BIN_M, 0.0, 0.0, weights)
+    _pool(_Heights(histogram, base, ends), (1, 1), 1, (HEIGHT_BIN_M, 0.0), 0.0, weights)
     assert np.flatnonzero(weights).tolist() == [10]
     assert weights[10] == 4.0 + 8 * 2 * 0.5
 
@@ -213,8 +214,8 @@ def add(grid: GridMap, samples: Array) -> None:
     for heights in samples:
         points = np.stack([X, Y, heights], axis=-1)[np.isfinite(heights)].astype(np.float32)
         accumulate_heights(
-            points, np.zeros_like(points), np.ones(len(points), np.float32), 0.0, 0.0, CELL_M,
-            HEIGHT_BIN_M, grid.histogram, grid.histogram_base_m,
+            Pulses(points, np.zeros_like(points), np.ones(len(points), np.float32)),
+            Grid(0.0, 0.0, CELL_M), HEIGHT_BIN_M, grid.histogram, grid.histogram_base_m,
         )  # fmt: skip
 
 
@@ -223,8 +224,8 @@ def histogram_of(*heights: float) -> tuple[NDArray[np.uint8], float]:
     histogram, base = np.zeros((1, 1, HEIGHT_BINS), np.uint8), np.full((1, 1), np.nan, np.float32)
     points = np.array([[0.1, 0.1, height] for height in heights], np.float32)
     ranges = np.ones(len(points), np.float32)
-    accumulate_heights(points, np.zeros_like(points), ranges, 0.0, 0.0, CELL_M, HEIGHT_BIN_M,
-                       histogram, base)  # fmt: skip
+    pulses = Pulses(points, np.zeros_like(points), ranges)
+    accumulate_heights(pulses, Grid(0.0, 0.0, CELL_M), HEIGHT_BIN_M, histogram, base)
     return histogram[0, 0], float(base[0, 0])
 
 

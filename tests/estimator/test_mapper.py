@@ -9,8 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapperParams, MapView, PoseTrack
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.mapping import kernels
 from touchdown.estimator.mapping.mapper import GridMapper
+from touchdown.estimator.mapping.records import Grid, Lens, Pulses, Track
 from touchdown.sim.api import CameraImage, LidarScan
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp
 
@@ -92,9 +94,9 @@ def test_every_pulse_is_placed_by_the_pose_at_its_time(count: int) -> None:
     quats = np.array([quat_wxyz_from_matrix(body(t).rotation) for t in times])
     quats[1::3] *= -1.0  # the same rotations
     kernels.deskew(
-        directions.astype(np.float32), offsets, 0.0, times,
-        np.array([body(t).translation for t in times]), quats,
-        mount.rotation, mount.translation, origins, beams,
+        directions.astype(np.float32), offsets, 0.0,
+        Track(times, np.array([body(t).translation for t in times]), quats),
+        Frame.of(mount), origins, beams,
     )  # fmt: skip
     poses = [body(float(t)) @ mount for t in offsets]
     # A tenth of the Horizon's rate puts knots 2.7 ms apart: the chord of 13 mrad is 2e-5 short.
@@ -217,8 +219,9 @@ def test_colours_are_taken_through_the_lens() -> None:
     colours = np.full((1, 3), np.nan, np.float32)
     ahead = np.array([[0.5, 0.0, 1.0]], np.float32)
     kernels.sample_colours(
-        np.zeros((1, 3), np.float32), ahead, np.full(1, 7.0, np.float32), (0, 1), (0, 0), image,
-        np.eye(3), np.zeros(3), np.array([100.0, 100.0, 99.2, 50.0, -0.2, 0, 0, 0, 0]), colours,
+        Pulses(np.zeros((1, 3), np.float32), ahead, np.full(1, 7.0, np.float32)),
+        (0, 1), (0, 0), image, Frame.of(Pose.identity()),
+        Lens(100.0, 100.0, 99.2, 50.0, -0.2, 0.0, 0.0, 0.0, 0.0), colours,
     )  # fmt: skip
     assert colours[0].tolist() == [round(99.2 + 47.5)] * 3
 
@@ -257,7 +260,7 @@ def test_many_pulses_without_return_outweigh_returns() -> None:
     """Of four kept in mind, each further one takes a quarter of the returns' count."""
     count, missing = np.full((1, 2), 10.0, np.float32), np.zeros((1, 2), np.float32)
     spots = np.full((6, 2), 0.1, np.float32)
-    kernels.accumulate_missing(spots, 0.0, 0.0, 0.2, 4.0, count, missing)
+    kernels.accumulate_missing(spots, Grid(0.0, 0.0, 0.2), 4.0, count, missing)
     np.testing.assert_allclose(missing, [[4.0, 0.0]])
     np.testing.assert_allclose(count, [[10.0 * 0.75**2, 10.0]])
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, Estimate, GridMap, MapView
 from touchdown.estimator.mapping.kernels import accumulate_heights
+from touchdown.estimator.mapping.records import Grid, Pulses
 from touchdown.sim.api import (
     CameraIntrinsics,
     ImuParams,
@@ -129,8 +130,8 @@ def grid_of_returns(
             origin[0] + (cols + 0.5) * cell_m, origin[1] + (rows + 0.5) * cell_m, heights
         ], axis=-1)[known].astype(np.float32)  # fmt: skip
         accumulate_heights(
-            points, np.zeros_like(points), np.ones(len(points), np.float32), *origin, cell_m,
-            HEIGHT_BIN_M, histogram, base,
+            Pulses(points, np.zeros_like(points), np.ones(len(points), np.float32)),
+            Grid(*origin, cell_m), HEIGHT_BIN_M, histogram, base,
         )  # fmt: skip
     return GridMap(
         origin_xy_m=np.array(origin),

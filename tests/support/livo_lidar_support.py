@@ -3,10 +3,16 @@
 import numpy as np
 
 from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.imu_propagation import NavState
-from touchdown.estimator.filtering.information import NormalEquations
 from touchdown.estimator.filtering.plane_map import PlaneMatches
-from touchdown.estimator.livo.anchored_update import anchored_information
+from touchdown.estimator.livo.anchors import Anchors
+from touchdown.estimator.livo.plane_equations import (
+    PlaneEquations,
+    Returns,
+    ScanNoise,
+    plane_equations,
+)
 from touchdown.sim.api import LidarScan
 
 
@@ -33,14 +39,16 @@ def lidar_scan(
 
 def plane_information(
     points: np.ndarray, beams: np.ndarray, rotation: np.ndarray, position: np.ndarray,
-    found: np.ndarray, normals: np.ndarray, anchors: np.ndarray, variances: np.ndarray,
+    found: np.ndarray, normals: np.ndarray, centres: np.ndarray, variances: np.ndarray,
     *noise: float,
-) -> NormalEquations:  # fmt: skip
+) -> PlaneEquations:  # fmt: skip
     """Returns the normal equations for planes without anchors and a fixed calibration."""
-    slots = np.full(len(points), -1, dtype=np.int64)
-    planes = PlaneMatches(found, normals, anchors, variances, np.zeros_like(anchors), slots)
-    none = np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 6))
-    return anchored_information(points, beams, rotation, position, planes, *none, 0, *noise)
+    none = np.full(len(points), -1, dtype=np.int16)
+    planes = PlaneMatches(found, normals, centres, variances, np.zeros_like(centres), none)
+    anchors = Anchors().frames([], np.zeros(0), np.zeros(0, np.int64))
+    return plane_equations(
+        Returns(points, beams), Frame(rotation, position), planes, anchors, 0, 0, ScanNoise(*noise)
+    )
 
 
 def room_points(rng: np.random.Generator, walls: bool) -> np.ndarray:

@@ -125,6 +125,10 @@ def feature_table() -> Int32:
     return table
 
 
+_Y1, _X1, _Y2, _X2, _CHANNEL = range(5)
+"""columns of ``feature_table``"""
+
+
 @njit(cache=True)
 def _values(
     regular: Float32, paired: Float32, patches: Int32, chosen: NDArray[np.int64], row: Int32
@@ -133,11 +137,11 @@ def _values(
     out = np.empty(chosen.shape[0], np.float32)
     for i in range(chosen.shape[0]):
         image, y, x = patches[chosen[i], 0], patches[chosen[i], 1], patches[chosen[i], 2]
-        if row[2] < 0:
-            out[i] = regular[image, y + row[0], x + row[1], row[4]]
+        if row[_Y2] < 0:
+            out[i] = regular[image, y + row[_Y1], x + row[_X1], row[_CHANNEL]]
         else:
-            first = paired[image, y + row[0], x + row[1], row[4]]
-            out[i] = first - paired[image, y + row[2], x + row[3], row[4]]
+            first = paired[image, y + row[_Y1], x + row[_X1], row[_CHANNEL]]
+            out[i] = first - paired[image, y + row[_Y2], x + row[_X2], row[_CHANNEL]]
     return out
 
 

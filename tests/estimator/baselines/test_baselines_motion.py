@@ -19,8 +19,9 @@ from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
 from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
 from touchdown.estimator.baselines.stereo import StereoEstimator, _Keyframe
 from touchdown.estimator.baselines.world_anchor import FollowingAnchor
+from touchdown.estimator.filtering.error_state import STATE_DIM, VELOCITY
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import STATE_DIM, VELOCITY, NavState
+from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     BarometerSample,

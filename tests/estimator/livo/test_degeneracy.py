@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
+from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.estimator.filtering.plane_map import PlaneMap
 from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.lidar_update import (
     DegeneracyWatch,
     LidarReport,
-    normal_noise_information,
     weak_directions,
     without_directions,
 )
@@ -98,8 +97,7 @@ def test_noisy_normals_add_the_predicted_noise_information() -> None:
         points, points, np.eye(3), np.array([0.0, 0.0, 12.0]), np.ones(count, np.bool_), normals,
         points + np.array([0.0, 0.0, 12.0]), variances, 0.02, 0.0, 0.0, 1e9,
     )  # fmt: skip
-    seeming = plane_information(*arguments)[0]
-    noise_information = normal_noise_information(*arguments)
+    seeming, _, _, _, noise_information = plane_information(*arguments)
     # 4000 / (2 cm)^2 * 0.01^2 = 1000 / m^2 in x and y, nothing in z
     np.testing.assert_allclose(np.diag(noise_information)[3:5], 1000.0, rtol=0.01)
     np.testing.assert_allclose(np.diag(seeming)[3:5], np.diag(noise_information)[3:5], rtol=0.06)

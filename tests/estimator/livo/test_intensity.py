@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.livo.anchored_update import ScanErrors
 from touchdown.estimator.livo.intensity_image import IntensityImage, brightness
-from touchdown.estimator.livo.intensity_update import PhotometricUpdate, photometry
+from touchdown.estimator.livo.intensity_update import ImageView, PhotometricUpdate, photometry
+from touchdown.estimator.livo.plane_equations import Returns
 from touchdown.sim.frames import Pose, so3_exp
 
 LEVER = np.array([0.1, 0.0, 0.05])
@@ -71,6 +73,17 @@ def test_image_holds_the_reflectivity_of_places():
     assert image.share_known(TRUE.inverse().apply(ground(500, 5) + [200.0, 0, 0])) == 0.0
 
 
+HERE = Frame.of(Pose.identity())
+
+
+def view_of(image, clone_rotation, mount_change=(0.0,) * 6):
+    """An image as the kernel takes it."""
+    return ImageView(
+        *image.smoothed(), image.axes, image.cell_m, clone_rotation, np.array(mount_change[:3]),
+        np.array(mount_change[3:]),
+    )  # fmt: skip
+
+
 def test_faint_intensities_count_alike():
     assert brightness(np.array([0, 4, 8], dtype=np.uint8)).tolist() == pytest.approx(
         [np.log(4), np.log(4), np.log(8)]
@@ -90,9 +103,8 @@ def test_derivatives_agree_with_differences(coordinate):
         seen = turned.T + LEVER + error[9:12]
         move = key.inverse() @ now
         return photometry(
-            seen, points - LEVER, reflectivity(places), *image.smoothed(), image.axes,
-            image.cell_m, move.rotation, move.translation, key.rotation, error[6:12], LEVER,
-            0.3,
+            Returns(seen, points - LEVER), reflectivity(places),
+            view_of(image, key.rotation, error[6:12]), Frame.of(move), LEVER, 0.3,
         )  # fmt: skip
 
     start = at(np.zeros(18))
@@ -165,8 +177,8 @@ def test_the_brightness_of_a_scan_as_a_whole_does_not_count():
     points = TRUE.inverse().apply(places)
     bright, dark = (
         photometry(
-            points, points - LEVER, reflectivity(places) + more, *image.smoothed(), image.axes,
-            image.cell_m, np.eye(3), np.zeros(3), TRUE.rotation, np.zeros(6), LEVER, 1e3,
+            Returns(points, points - LEVER), reflectivity(places) + more,
+            view_of(image, TRUE.rotation), HERE, LEVER, 1e3,
         ).vector
         for more in (0.5, 0.0)
     )  # fmt: skip
@@ -178,12 +190,11 @@ def test_noise_of_the_image_is_no_texture():
     eskf = filter_at(TRUE, update)
     scan, places = scan_from(TRUE, ground(2000, 2)), ground(2000, 2)
     noisy = reflectivity(places) + np.random.default_rng(3).normal(0.0, 0.3, 2000)
-    found, *_ = update._accumulate(eskf, [0], scan.points, scan.beams, noisy, np.array([0.25]))
-    image = update.images[0]
-    part = photometry(
-        scan.points, scan.beams, noisy, *image.smoothed(), image.axes, image.cell_m,
-        np.eye(3), np.zeros(3), TRUE.rotation, np.zeros(6), LEVER, 0.25,
-    )  # fmt: skip
+    found, *_ = update._accumulate(
+        eskf, [0], Returns(scan.points, scan.beams), noisy, np.array([0.25])
+    )
+    image = view_of(update.images[0], TRUE.rotation)
+    part = photometry(Returns(scan.points, scan.beams), noisy, image, HERE, LEVER, 0.25)
     assert 0.02 < part.noise_share < 0.7
     np.testing.assert_allclose(
         found[:6, :6], (1.0 - part.noise_share) * part.information[:6, :6], atol=1e-6

@@ -6,19 +6,7 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import LivoParams
-from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import STATE_DIM, NavState
-from touchdown.estimator.filtering.keyframes import bearing_rays
-from touchdown.estimator.filtering.plane_map import PlaneMap, PlaneMatches
-from touchdown.estimator.filtering.reprojection import calibrated_information
-from touchdown.estimator.livo.anchored_update import (
-    ScanErrors,
-    anchored_information,
-    update_with_scan,
-)
-from touchdown.estimator.livo.anchors import Anchors
-from touchdown.estimator.livo.error_model import scan_errors
-from touchdown.estimator.livo.online_calibration import (
+from touchdown.estimator.filtering.error_state import (
     CALIBRATION_DIM,
     CAMERA_ROTATION,
     CAMERA_TRANSLATION,
@@ -27,13 +15,35 @@ from touchdown.estimator.livo.online_calibration import (
     MOUNT_ROTATION,
     MOUNT_TRANSLATION,
     SHARED_DIM,
+    STATE_DIM,
+    Frame,
+    Frames,
+    Pinhole,
+)
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.estimator.filtering.keyframes import bearing_rays
+from touchdown.estimator.filtering.plane_map import PlaneMap, PlaneMatches
+from touchdown.estimator.filtering.reprojection import (
+    LandmarkViews,
+    PixelNoise,
+    calibrated_information,
+)
+from touchdown.estimator.livo.anchored_update import (
+    ScanErrors,
+    update_with_scan,
+)
+from touchdown.estimator.livo.anchors import AnchorFrames, Anchors
+from touchdown.estimator.livo.error_model import scan_errors
+from touchdown.estimator.livo.online_calibration import (
     corrected_camera,
-    corrected_intrinsics,
+    corrected_lens,
     corrected_mount,
     exposed,
     landmark_jacobians,
     prior_sigmas,
 )
+from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_equations
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
@@ -68,17 +78,18 @@ def test_anchored_jacobian_matches_finite_differences() -> None:
     sensor, anchor = clone.apply(lever), clone.apply(beam_then + lever)
     planes = PlaneMatches(
         np.array([True]), normal[None], anchor[None], np.array([[1.0, 0.0, 0.0]]), sensor[None],
-        np.array([0]),
+        np.zeros(1, np.int16),
     )  # fmt: skip
+    here, only = Frames.of([Pose.identity()]), np.zeros(1, np.int64)
 
     def measured(change: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, float]:
         """``change`` (6,): of the mount since the plane was made."""
         beam = so3_exp(change[:3]) @ beam_now
-        return anchored_information(
-            (beam + lever + change[3:])[None], beam[None], now.rotation, now.translation, planes,
-            clone.rotation[None], clone.translation[None], change[None],
-            SHARED_DIM, 0.02, 1e-3, 0.0, 1e9,
-        )  # fmt: skip
+        anchors = AnchorFrames(here, Frames.of([clone]), change[None], only)
+        return plane_equations(
+            Returns((beam + lever + change[3:])[None], beam[None]), Frame.of(now), planes, anchors,
+            1, SHARED_DIM, ScanNoise(0.02, 1e-3, 0.0, 1e9),
+        )[:4]  # fmt: skip
 
     information, vector, used, _ = measured(np.zeros(6))
     size = 12 + SHARED_DIM
@@ -104,7 +115,7 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
     def landmarks(calibration: np.ndarray) -> np.ndarray:
         """The plane through three returns around each landmark, met by a ray of a lens that is
         mounted a little differently."""
-        fx, fy, cx, cy = corrected_intrinsics(CAMERA, calibration)
+        fx, fy, cx, cy = corrected_lens(CAMERA, calibration)
         given = CameraIntrinsics(width=848, height=480, fx=fx, fy=fy, cx=cx, cy=cy)
         mount = corrected_camera(IMU_FROM_CAMERA, calibration)
         start = rotation.T @ (mount.translation - IMU_FROM_CAMERA.translation)
@@ -157,22 +168,24 @@ def test_calibrated_reprojection_matches_finite_differences(late_s: float) -> No
 
     def pixel(delta: np.ndarray) -> np.ndarray:
         pose = Pose(now.rotation @ so3_exp(delta[:3]), now.translation + delta[3:6])
-        owner = Pose(key.rotation @ so3_exp(delta[6:9]), key.translation + delta[9:12])
-        point = landmark + jacobian @ delta[12:]
-        fx, fy, cx, cy = corrected_intrinsics(CAMERA, delta[12:])
-        pose, owner = exposed([pose, owner], twists, np.zeros(2), delta[12:])
+        owner = Pose(key.rotation @ so3_exp(delta[-6:-3]), key.translation + delta[-3:])
+        calibration = delta[6:-6]
+        point = landmark + jacobian @ calibration
+        fx, fy, cx, cy = corrected_lens(CAMERA, calibration)
+        pose, owner = exposed([pose, owner], twists, np.zeros(2), calibration)
         (at_row,) = exposed([pose], twists[:1], np.array([late_s]), np.zeros(0))
-        camera = corrected_camera(IMU_FROM_CAMERA, delta[12:])
+        camera = corrected_camera(IMU_FROM_CAMERA, calibration)
         x, y, z = (camera.inverse() @ at_row.inverse() @ owner).apply(point)
         return np.array([fx * x / z + cx, fy * y / z + cy])
 
     residual = np.array([0.05, -0.1])
     information, vector, used, _ = calibrated_information(
-        (pixel(np.zeros(size)) + residual)[None], np.array([late_s]), landmark[None],
-        jacobian[None], np.zeros((1, 3)), now.rotation, now.translation,
-        key.rotation, key.translation, twists.ravel(),
-        camera_from_imu.rotation, camera_from_imu.translation,
-        corrected_intrinsics(CAMERA, np.zeros(SHARED_DIM)), 1.0, 1e6,
+        LandmarkViews(
+            (pixel(np.zeros(size)) + residual)[None], np.array([late_s]), landmark[None],
+            jacobian[None], np.zeros((1, 3)),
+        ),
+        Frame.of(now), Frame.of(key), twists, Frame.of(camera_from_imu), Pinhole.of(CAMERA),
+        PixelNoise(1.0, 1e6),
     )  # fmt: skip
     steps = 1e-6 * np.eye(size)
     gradient = np.column_stack([(pixel(step) - pixel(-step)) / 2e-6 for step in steps])
@@ -183,14 +196,13 @@ def test_calibrated_reprojection_matches_finite_differences(late_s: float) -> No
 
 def test_an_uncertain_depth_gives_no_information_along_its_epipolar_line() -> None:
     """A landmark aside of the way up, its depth unknown: only the pixel across the line counts."""
-    identity, pixels = np.eye(3), np.array([[523.5, 239.5]])
-    arguments = (identity, np.array([0.0, 0.0, -2.0]), identity, np.zeros(3), identity, np.zeros(3))
+    pixels, here = np.array([[523.5, 239.5]]), Frame.of(Pose.identity())
     landmark = np.array([[2.0, 0.0, 10.0]])
-    intrinsics = np.array([600.0, 600.0, 423.5, 239.5])
     spread = 1e3 * landmark / np.linalg.norm(landmark)
     information, *_ = calibrated_information(
-        pixels, np.zeros(1), landmark, np.zeros((1, 3, 0)), spread, *arguments[:4], np.zeros(12),
-        *arguments[4:], intrinsics, 1.0, 1e6,
+        LandmarkViews(pixels, np.zeros(1), landmark, np.zeros((1, 3, 0)), spread),
+        Frame(np.eye(3), np.array([0.0, 0.0, -2.0])), here, np.zeros((2, 6)), here,
+        Pinhole(600.0, 600.0, 423.5, 239.5), PixelNoise(1.0, 1e6),
     )  # fmt: skip
     assert information[3, 3] < 1e-3  # x of the position moves the pixel along the line
     assert information[4, 4] == pytest.approx((600.0 / 12.0) ** 2, rel=0.01)
@@ -341,7 +353,7 @@ def test_the_map_follows_its_clone_and_the_successor() -> None:
 
     def heights() -> np.ndarray:
         matched = plane_map.match(probes)
-        rotations, translations = anchors.now_from_kept(clones)
+        rotations, translations = anchors.frames(clones, np.zeros(0), np.zeros(0, np.int64)).moves
         inside, owners = matched.centres[matched.found], matched.anchors[matched.found]
         turned = np.einsum("ij,ij->i", rotations[owners, 2], inside)
         return turned + translations[owners, 2]

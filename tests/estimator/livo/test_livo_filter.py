@@ -3,18 +3,17 @@
 import numpy as np
 import pytest
 
+from touchdown.estimator.filtering.error_state import CALIBRATION_DIM, IMU_DIM, STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import (
-    IMU_DIM,
-    STATE_DIM,
     ImuBuffer,
     NavState,
+    NoiseDensities,
     exp_so3,
     integrate,
     propagate_nominal,
     transition,
 )
-from touchdown.estimator.livo.online_calibration import CALIBRATION_DIM
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
@@ -93,7 +92,11 @@ def test_transition_matches_finite_differences() -> None:
         force - state.accel_bias, STEP_S, GRAVITY_MPS2,
     )  # fmt: skip
     total, _, _ = transition(
-        rotations, gyro - state.gyro_bias, force - state.accel_bias, STEP_S, np.zeros(4)
+        rotations,
+        gyro - state.gyro_bias,
+        force - state.accel_bias,
+        STEP_S,
+        NoiseDensities(0.0, 0.0, 0.0, 0.0),
     )
     eskf = Eskf(state, np.ones(STATE_DIM))
     nominal = propagate_nominal(state, ticks, gyro, force, STEP_S)
@@ -173,7 +176,9 @@ def test_derivative_by_the_imu_errors_matches_finite_differences() -> None:
     rotations, _, _ = integrate(
         state.rotation, state.position, state.velocity, rate, specific, STEP_S, GRAVITY_MPS2
     )
-    _, _, by_errors = transition(rotations, rate, specific, STEP_S, np.zeros(4))
+    _, _, by_errors = transition(
+        rotations, rate, specific, STEP_S, NoiseDensities(0.0, 0.0, 0.0, 0.0)
+    )
     eskf = Eskf(state, np.ones(STATE_DIM + CALIBRATION_DIM))
     epsilon = 1e-5
     for k in range(IMU_DIM):
@@ -232,12 +237,12 @@ def test_noise_at_rest_grows_as_white_noise_does() -> None:
     count, duration = 20, 0.1
     rotations = np.tile(np.eye(3), (count + 1, 1, 1))
     force = np.tile([0.0, 0.0, GRAVITY_MPS2], (count, 1))
-    densities = np.array([2e-4, 2e-3, 0.0, 0.0])
+    densities = NoiseDensities(2e-4, 2e-3, 0.0, 0.0)
     _, noise, _ = transition(rotations, np.zeros((count, 3)), force, STEP_S, densities)
     assert noise[2, 2] == pytest.approx(4e-8 * duration)
     assert noise[8, 8] == pytest.approx(4e-6 * duration)
     assert noise[5, 5] == pytest.approx(4e-6 * duration**3 / 3.0, rel=0.1)
-    walks = np.array([0.0, 0.0, 3e-5, 4e-4])
+    walks = NoiseDensities(0.0, 0.0, 3e-5, 4e-4)
     _, noise, _ = transition(rotations, np.zeros((count, 3)), force, STEP_S, walks)
     np.testing.assert_allclose(np.diag(noise)[9:12], 9e-10 * duration)
     np.testing.assert_allclose(np.diag(noise)[12:], 16e-8 * duration)

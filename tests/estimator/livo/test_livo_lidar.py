@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.filtering.deskew import place_scan, screen_scan, thin_out
+from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import STATE_DIM
 from touchdown.estimator.filtering.information import lateral_strength, limit_information
 from touchdown.estimator.filtering.plane_map import PlaneMap, smallest_eigen
 from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
@@ -157,9 +157,9 @@ def test_plane_jacobian_matches_finite_differences() -> None:
         moved = rotation @ so3_exp(delta[:3]) @ point + position + delta[3:]
         return float(normal @ (moved - anchor))
 
-    information, vector, used, rms = plane_information(
+    information, vector, used, rms, _ = plane_information(
         point[None], point[None], rotation, position, np.array([True]), normal[None], anchor[None],
-        np.array([[1.0, 0.0]]), 0.02, 1e-3, 0.0, 1e9,
+        np.array([[1.0, 0.0, 0.0]]), 0.02, 1e-3, 0.0, 1e9,
     )  # fmt: skip
     gradient = np.array([(height(1e-6 * e) - height(-1e-6 * e)) / 2e-6 for e in np.eye(6)])
     assert used == 1 and rms == pytest.approx(0.01, abs=1e-9)
@@ -185,9 +185,9 @@ def test_a_return_weighs_by_its_beam_its_plane_and_its_residual(
     weight: float,
 ) -> None:  # fmt: skip
     point, up = np.array([beam], dtype=float), np.array([[0.0, 0.0, 1.0]])
-    information, vector, used, _ = plane_information(
+    information, vector, used, *_ = plane_information(
         point, point, np.eye(3), np.zeros(3), np.array([True]), up, point - height * up,
-        np.array([[thickness**2, unsure**2]]), 0.02, 1e-3, floor, 4.0,
+        np.array([[thickness**2, unsure**2, 0.0]]), 0.02, 1e-3, floor, 4.0,
     )  # fmt: skip
     assert used == (weight > 0.0)
     assert information[5, 5] == pytest.approx(weight, rel=1e-6)

@@ -4,11 +4,17 @@ import cv2
 import numpy as np
 import pytest
 
+from touchdown.estimator.filtering.error_state import STATE_DIM, Frame, Pinhole
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import STATE_DIM, NavState
+from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.filtering.reprojection import MountedCamera, calibrated_information
+from touchdown.estimator.filtering.reprojection import (
+    LandmarkViews,
+    MountedCamera,
+    PixelNoise,
+    calibrated_information,
+)
 from touchdown.estimator.livo.online_calibration import exposed
 from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
@@ -81,10 +87,12 @@ def test_the_residual_at_the_true_pose_is_zero() -> None:
 
     def rms(row_times: np.ndarray) -> float:
         return calibrated_information(
-            pixels, row_times, key.inverse().apply(points), np.zeros((30, 3, 0)),
-            np.zeros((30, 3)), pose.rotation, pose.translation, key.rotation, key.translation,
-            np.concatenate([motion, np.zeros(6)]), camera.rotation, camera.translation,
-            MountedCamera(CAMERA, IMU_FROM_CAMERA).focal_and_center, 1.0, 1e6,
+            LandmarkViews(
+                pixels, row_times, key.inverse().apply(points), np.zeros((30, 3, 0)),
+                np.zeros((30, 3)),
+            ),
+            Frame.of(pose), Frame.of(key), np.array([motion, np.zeros(6)]), Frame.of(camera),
+            Pinhole.of(CAMERA), PixelNoise(1.0, 1e6),
         ).rms  # fmt: skip
 
     assert rms(times) < 1e-6

@@ -5,12 +5,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from touchdown.estimator.filtering.error_state import CALIBRATION_DIM, MOUNT_TRANSLATION, STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import STATE_DIM, NavState
+from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.filtering.keyframes import Overlap, choose, detect_features, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
-from touchdown.estimator.livo.online_calibration import CALIBRATION_DIM, MOUNT_TRANSLATION
 from touchdown.estimator.livo.patch_tracker import grey_levels, track
 from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams, VisualReport
 from touchdown.sim.api import CameraIntrinsics

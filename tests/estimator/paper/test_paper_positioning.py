@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.estimator.paper.bundle import BundleProblem, adjust
+from touchdown.estimator.paper.bundle import BundleProblem, Observations, adjust
 from touchdown.estimator.paper.closures import Closures, level_transform
 from touchdown.estimator.paper.dictionary import InvertedIndex, Vocabulary
 from touchdown.estimator.paper.feature_map import FeatureMap
@@ -227,8 +227,11 @@ def test_bundle_adjustment_repairs_poses_and_depths() -> None:
     ]
     priors = in_host[:, 2] + rng.normal(0, 0.03, 80)
     problem = BundleProblem(
-        start, 2, hosts, in_host / in_host[:, 2:], priors.copy(), priors, landmarks, observers,
-        pixels, np.full(len(pixels), 0.3),
+        start, 2, priors.copy(),
+        Observations(
+            hosts, in_host / in_host[:, 2:], priors, landmarks, observers, pixels,
+            np.full(len(pixels), 0.3),
+        ),
     )  # fmt: skip
     poses, depths = adjust(
         problem, DOWN, CAMERA, depth_sigma_m=0.05,

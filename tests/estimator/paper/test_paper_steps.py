@@ -10,10 +10,11 @@ import pytest
 
 from touchdown.estimator.api import PaperParams
 from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.error_state import Frame, Frames, Pinhole
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.paper import lidar_pose, registration
-from touchdown.estimator.paper.bundle import _reduced_system
+from touchdown.estimator.paper.bundle import Observations, _reduced_system
 from touchdown.estimator.paper.depth_field import DepthField, half_size_energy
 from touchdown.estimator.paper.estimator import PaperEstimator
 from touchdown.estimator.paper.lidar_pose import scan_features
@@ -297,7 +298,6 @@ def test_equations_of_the_bundle_are_derivatives_of_its_cost() -> None:
     rays = np.column_stack([rng.uniform(-0.3, 0.3, (4, 2)), np.ones(4)])
     landmarks, observers = np.array([0, 0, 1, 2, 2, 3]), np.array([1, 2, 1, 0, 2, 0])
     depths, sigmas = rng.uniform(10.0, 13.0, 4), np.full(6, 0.7)
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
     def residuals(x: np.ndarray, pixels: np.ndarray) -> np.ndarray:
         now = [registration._moved(p, x[6 * k : 6 * k + 6]) for k, p in enumerate(poses)]
@@ -313,9 +313,9 @@ def test_equations_of_the_bundle_are_derivatives_of_its_cost() -> None:
         """Matrix and vector before the depths are eliminated, and the cost."""
         now = [registration._moved(p, x[6 * k : 6 * k + 6]) for k, p in enumerate(poses)]
         information, vector, coupling, curvature, slope, cost = _reduced_system(
-            np.array([p.rotation for p in now]), np.array([p.translation for p in now]),
-            hosts, rays, depths + x[18:], depths, 0.5, landmarks, observers, pixels, sigmas,
-            IMU_FROM_CAMERA.rotation, IMU_FROM_CAMERA.translation, lens, 3.0,
+            Frames.of(now), depths + x[18:],
+            Observations(hosts, rays, depths, landmarks, observers, pixels, sigmas),
+            0.5, Frame.of(IMU_FROM_CAMERA), Pinhole.of(camera), 3.0,
         )  # fmt: skip
         full = np.block([
             [information + coupling.T / curvature @ coupling, coupling.T],

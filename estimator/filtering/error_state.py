@@ -1,0 +1,114 @@
+"""The error state by name: the one place that knows the order of its coordinates.
+
+==========================  ===  =================================================================
+navigation state             15  rotation (right perturbation), position, velocity, gyroscope bias,
+                                 accelerometer bias
+shared calibration           17  mounts, lens and camera clock: scans and images depend on them
+errors of the IMU            21  scales, misalignment, g-sensitivity: act through the propagation
+clones                6 a clone  rotation, position
+==========================  ===  =================================================================
+
+A filter has both parts of the calibration or neither. A measurement touches the pose, the shared
+calibration and a few clones, in this order; its normal equations are over these coordinates alone.
+Kernels take their columns from here (a slice's ``start`` is a constant to them).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import Pose
+
+Array = NDArray[np.float64]
+
+# the navigation state; a pose, of the state, a clone or a measurement, has the first two
+ROTATION = slice(0, 3)
+POSITION = slice(3, 6)
+VELOCITY = slice(6, 9)
+GYRO_BIAS = slice(9, 12)
+ACCEL_BIAS = slice(12, 15)
+POSE = slice(0, 6)
+POSE_DIM = 6
+CLONE_DIM = POSE_DIM
+STATE_DIM = 15
+
+# the shared calibration
+MOUNT_ROTATION = slice(0, 3)
+"""of the LIDAR"""
+MOUNT_TRANSLATION = slice(3, 6)
+FOCAL = slice(6, 8)
+CENTER = slice(8, 10)
+CLOCK = 10
+CAMERA_ROTATION = slice(11, 14)
+CAMERA_TRANSLATION = slice(14, 17)
+MOUNT_DIM = 6
+SHARED_DIM = 17
+
+# the errors of the IMU
+GYRO_SCALE = slice(0, 3)
+ACCEL_SCALE = slice(3, 6)
+GYRO_CROSS = slice(6, 12)
+"""responses of each axis of the gyroscope to rates about the two others, by ``CROSS_AXES``"""
+GYRO_BY_FORCE = slice(12, 21)
+"""responses of each axis of the gyroscope to specific force along x, y, z, rad/s per m/s^2"""
+CROSS_AXES = np.array([[0, 1], [0, 2], [1, 0], [1, 2], [2, 0], [2, 1]])
+"""(6, 2): axis of the gyroscope, axis of the rate"""
+IMU_DIM = 21
+CALIBRATION_DIM = SHARED_DIM + IMU_DIM
+
+
+def after(start: int, block: slice) -> slice:
+    """The block behind ``start`` other coordinates."""
+    return slice(start + block.start, start + block.stop)
+
+
+IMU_ERRORS = slice(SHARED_DIM, CALIBRATION_DIM)
+"""of a calibration (38,)"""
+
+
+class Frame(NamedTuple):
+    """A rigid transform, as kernels take it."""
+
+    rotation: Array
+    """(3, 3)"""
+    translation: Array
+    """(3,) m"""
+
+    @staticmethod
+    def of(pose: Pose) -> Frame:
+        """The transform of a pose."""
+        return Frame(pose.rotation, pose.translation)
+
+
+class Frames(NamedTuple):
+    """K rigid transforms, as kernels take them."""
+
+    rotations: Array
+    """(K, 3, 3)"""
+    translations: Array
+    """(K, 3) m"""
+
+    @staticmethod
+    def of(poses: list[Pose]) -> Frames:
+        """The transforms of poses."""
+        rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
+        translations = np.array([pose.translation for pose in poses]).reshape(-1, 3)
+        return Frames(rotations, translations)
+
+
+class Pinhole(NamedTuple):
+    """A lens without distortion, pixels."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    @staticmethod
+    def of(camera: CameraIntrinsics) -> Pinhole:
+        """The lens of a camera, its distortion left out."""
+        return Pinhole(camera.fx, camera.fy, camera.cx, camera.cy)

@@ -1,0 +1,262 @@
+"""Normal equations of the point-to-plane residuals of one scan, against planes anchored to clones.
+
+A residual compares the present pose with the clone that the plane is anchored to, and both with the
+LIDAR's mount. The error shared by all planes of a clone is thus the clone's error, which the filter
+estimates and a revisit reduces, instead of new noise in every scan.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.estimator.filtering.error_state import (
+    MOUNT_DIM,
+    MOUNT_ROTATION,
+    MOUNT_TRANSLATION,
+    POSE_DIM,
+    POSITION,
+    ROTATION,
+    Frame,
+)
+from touchdown.estimator.filtering.plane_map import PlaneMatches
+from touchdown.estimator.livo.anchors import AnchorFrames
+
+Array = NDArray[np.float64]
+
+# a residual's derivatives: pose, mount of the LIDAR, and the clone that the plane is anchored to
+_MOUNT, _CLONE = POSE_DIM, POSE_DIM + MOUNT_DIM
+_WIDTH = _CLONE + POSE_DIM
+
+
+class Returns(NamedTuple):
+    """Returns of a scan in the IMU frame, as kernels take them."""
+
+    points: Array
+    """(N, 3) m"""
+    beams: Array
+    """(N, 3) m, from the sensor to the point"""
+
+
+class ScanNoise(NamedTuple):
+    """Noise of the returns, and the gate of their residuals."""
+
+    range_sigma: float
+    """m"""
+    angle_sigma: float
+    """rad"""
+    plane_floor: float
+    """m, of any plane"""
+    gate: float
+    """standard deviations"""
+
+
+class PlaneEquations(NamedTuple):
+    """Normal equations of a scan, (D,) coordinates: pose, shared calibration, touched clones."""
+
+    information: Array
+    """(D, D)"""
+    vector: Array
+    """(D,)"""
+    used: int
+    rms: float
+    """m"""
+    noise_information: Array
+    """(6, 6) part of the pose's information that comes from the noise of the normals alone"""
+
+
+@njit(cache=True)
+def cross_into(a: Array, b: Array, out: Array, at: int) -> None:
+    """Writes a x b into ``out`` from ``at`` on."""
+    out[at] = a[1] * b[2] - a[2] * b[1]
+    out[at + 1] = a[2] * b[0] - a[0] * b[2]
+    out[at + 2] = a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True)
+def _rotated(rotation: Array, vector: Array, out: Array) -> None:
+    """Writes ``rotation.T @ vector`` into ``out``."""
+    for a in range(3):
+        out[a] = 0.0
+        for b in range(3):
+            out[a] += rotation[b, a] * vector[b]
+
+
+@njit(cache=True)
+def _moved(frame: Frame, point: Array, shift: float, out: Array) -> None:
+    """Writes ``rotation @ point + shift * translation`` into ``out``."""
+    for a in range(3):
+        out[a] = shift * frame.translation[a]
+        for b in range(3):
+            out[a] += frame.rotation[a, b] * point[b]
+
+
+@njit(cache=True)
+def plane_equations(
+    scan: Returns,
+    pose: Frame,
+    planes: PlaneMatches,
+    anchors: AnchorFrames,
+    touched: int,
+    shared: int,
+    noise: ScanNoise,
+) -> PlaneEquations:
+    """Returns the normal equations of the point-to-plane residuals ``n . (R p + t - c)``.
+
+    ``pose``: odom_from_imu; ``planes``: as stored, moved to the present estimate of their anchors
+    here; ``touched``: number of clones; ``shared``: of calibration parameters; D = 6 + shared + 6
+    touched.
+
+    A residual's variance is the larger of the beam's (range and angle noise along the normal) and
+    the plane's thickness, plus the plane's uncertainty. Weights are Cauchy's with scale
+    ``gate``/2 standard deviations, zero beyond ``gate``.
+
+    The mapped normals of level ground scatter, so that a scan seems to measure lateral motion. A
+    normal with an error e, of variance s^2 in the two directions t across it, adds e times the row
+    of t to the row of n: in expectation ``w s^2 sum_t h_t^T h_t`` to the information. The sum over
+    all three directions does not depend on the normal; that of the normal is taken off.
+    """
+    count = anchors.slots.shape[0]
+    blocks, gradients = np.zeros((count + 1, _WIDTH, _WIDTH)), np.zeros((count + 1, _WIDTH))
+    normal_rows = np.zeros((POSE_DIM, POSE_DIM))
+    normal_weight, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
+    row = np.zeros(_WIDTH)
+    n, x, c, sensor, reach = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    in_imu, arm, in_clone = np.zeros(3), np.zeros(3), np.zeros(3)
+    used, total = 0, 0.0
+    for i in range(scan.points.shape[0]):
+        if not planes.found[i]:
+            continue
+        p, beam, k = scan.points[i], scan.beams[i], planes.anchors[i]
+        n[:], c[:], sensor[:] = planes.normals[i], planes.centres[i], planes.sensors[i]
+        own, width = pose, _CLONE
+        if k >= 0:
+            move = Frame(anchors.moves.rotations[k], anchors.moves.translations[k])
+            own, width = Frame(anchors.clones.rotations[k], anchors.clones.translations[k]), _WIDTH
+            _moved(move, planes.normals[i], 0.0, n)
+            _moved(move, planes.centres[i], 1.0, c)
+            _moved(move, planes.sensors[i], 1.0, sensor)
+        _rotated(pose.rotation, n, in_imu)
+        _moved(pose, p, 1.0, x)
+        height, along, length2 = 0.0, 0.0, 0.0
+        for a in range(3):
+            height += n[a] * (x[a] - c[a])
+            along += in_imu[a] * beam[a]
+            length2 += beam[a] * beam[a]
+        # the plane in the IMU frame of its clone, where it turns about the sensor with the mount
+        _rotated(own.rotation, n, in_clone)
+        for a in range(3):
+            reach[a] = x[a] - sensor[a]
+        _rotated(own.rotation, reach, arm)
+        if k >= 0:
+            change = anchors.mount_changes[k]
+            cross_into(arm, in_clone, row, _MOUNT)
+            for a in range(3):
+                height -= row[_MOUNT + a] * change[MOUNT_ROTATION.start + a]
+                height -= in_clone[a] * change[MOUNT_TRANSLATION.start + a]
+        cosine2 = along * along / length2
+        own_noise = noise.range_sigma**2 * cosine2
+        own_noise += noise.angle_sigma**2 * length2 * (1.0 - cosine2)
+        variance = max(own_noise, planes.variances[i, 0]) + planes.variances[i, 1]
+        variance += noise.plane_floor**2
+        scaled2 = height * height / variance
+        if scaled2 > noise.gate * noise.gate:
+            continue
+        weight = 1.0 / ((1.0 + 4.0 * scaled2 / (noise.gate * noise.gate)) * variance)
+        cross_into(p, in_imu, row, ROTATION.start)
+        row[POSITION] = n
+        if shared > 0:
+            cross_into(beam, in_imu, row, _MOUNT)
+            cross_into(arm, in_clone, reach, 0)
+            for a in range(3):
+                row[_MOUNT + MOUNT_ROTATION.start + a] -= reach[a]
+                row[_MOUNT + MOUNT_TRANSLATION.start + a] = in_imu[a] - in_clone[a]
+        else:
+            row[_MOUNT:_CLONE] = 0.0
+        if k >= 0:
+            # the plane turns and moves with its clone
+            for a in range(3):
+                reach[a] = x[a] - own.translation[a]
+            _rotated(own.rotation, reach, arm)
+            cross_into(in_clone, arm, row, _CLONE + ROTATION.start)
+            for a in range(3):
+                row[_CLONE + POSITION.start + a] = -n[a]
+        block, gradient = blocks[k], gradients[k]  # -1 is the last: planes without an anchor
+        for a in range(width):
+            scaled = weight * row[a]
+            gradient[a] -= scaled * height
+            for b in range(a + 1):
+                block[a, b] += scaled * row[b]
+        used += 1
+        total += height * height
+        share = weight * planes.variances[i, 2]
+        normal_weight += share
+        for a in range(POSE_DIM):
+            for b in range(a + 1):
+                normal_rows[a, b] += share * row[a] * row[b]
+        for a in range(3):
+            first[a] += share * p[a]
+            for b in range(3):
+                second[a, b] += share * p[a] * p[b]
+    information, vector = _assembled(blocks, gradients, anchors.slots, touched, shared)
+    seeming = _all_directions(normal_weight, first, second, pose.rotation)
+    for a in range(POSE_DIM):
+        for b in range(a + 1):
+            seeming[a, b] -= normal_rows[a, b]
+            seeming[b, a] = seeming[a, b]
+    rms = np.sqrt(total / used) if used > 0 else 0.0
+    return PlaneEquations(information, vector, used, rms, seeming)
+
+
+@njit(cache=True)
+def _all_directions(weight: float, first: Array, second: Array, rotation: Array) -> Array:
+    """Sum over the points and the three axes u of ``h_u^T h_u``, ``h_u = (p x R^T u, u)``, (6, 6):
+    from the weighted number of points and their moments."""
+    out = np.zeros((POSE_DIM, POSE_DIM))
+    square = second[0, 0] + second[1, 1] + second[2, 2]
+    column = np.zeros(3)
+    for u in range(3):
+        out[POSITION.start + u, POSITION.start + u] = weight
+        cross_into(first, rotation[u], column, 0)
+        for a in range(3):
+            out[ROTATION.start + a, POSITION.start + u] = column[a]
+            out[POSITION.start + u, ROTATION.start + a] = column[a]
+            out[ROTATION.start + a, ROTATION.start + u] = -second[a, u]
+        out[ROTATION.start + u, ROTATION.start + u] += square
+    return out
+
+
+@njit(cache=True)
+def _assembled(
+    blocks: Array, gradients: Array, slots: NDArray[np.int64], touched: int, shared: int
+) -> tuple[Array, Array]:
+    """Sums the lower halves of the anchors' blocks into one matrix (D, D) and vector (D,)."""
+    size = POSE_DIM + shared + POSE_DIM * touched
+    information, vector = np.zeros((size, size)), np.zeros(size)
+    columns = np.empty(_WIDTH, np.int64)
+    for k in range(blocks.shape[0]):
+        slot = slots[k] if k < slots.shape[0] else -1
+        kept = _CLONE if shared > 0 else POSE_DIM
+        for a in range(_CLONE):
+            columns[a] = a
+        if slot >= 0:
+            for a in range(POSE_DIM):
+                columns[_CLONE + a] = POSE_DIM + shared + POSE_DIM * slot + a
+        elif k < slots.shape[0]:
+            continue
+        for a in range(_WIDTH if slot >= 0 else kept):
+            if kept <= a < _CLONE:
+                continue
+            u = columns[a]
+            vector[u] += gradients[k, a]
+            for b in range(a + 1):
+                if kept <= b < _CLONE:
+                    continue
+                v = columns[b]
+                information[u, v] += blocks[k, a, b]
+                if u != v:
+                    information[v, u] += blocks[k, a, b]
+    return information, vector

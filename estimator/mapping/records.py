@@ -1,0 +1,73 @@
+"""What the kernels of the mapper take."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+
+class Track(NamedTuple):
+    """Timed poses of the body, M >= 2, ascending."""
+
+    times: Array
+    """(M,) s"""
+    positions: Array
+    """(M, 3) m"""
+    quats_wxyz: Array
+    """(M, 4)"""
+
+
+class Pulses(NamedTuple):
+    """N pulses in the odom frame."""
+
+    origins: Float32
+    """(N, 3) m"""
+    beams: Float32
+    """(N, 3) unit"""
+    ranges: Float32
+    """(N,) m; 0: no return"""
+
+
+class Grid(NamedTuple):
+    """Where the cells of a grid lie."""
+
+    x: float
+    """m, of the corner"""
+    y: float
+    cell: float
+    """m"""
+
+
+class Lens(NamedTuple):
+    """A lens as OpenCV describes it."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
+
+
+class Layers(NamedTuple):
+    """Layers of a ``GridMap`` that returns are added to, (rows, cols) float32, ``rgb`` (rows, cols,
+    3), and the number of coloured returns."""
+
+    counts: Float32
+    height_m: Float32
+    height_std_m: Float32
+    min_height_m: Float32
+    max_height_m: Float32
+    rgb: Float32
+    rgb_count: Float32
+    intensity: Float32
+    missing: Float32
+    last_seen_s: Float32
