@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from touchdown.experiments.cli.bench import bench
-from touchdown.experiments.cli.bench_all import bench_all, bench_compare
+from touchdown.experiments.cli.bench_all import bench_all, bench_compare, bench_profile
 from touchdown.experiments.cli.bench_odometry import bench_estimator, bench_imu
 from touchdown.experiments.cli.calibrate import calibrate
 from touchdown.experiments.cli.campaign import campaign
@@ -67,6 +67,7 @@ cli.add_command(scenes)
 cli.add_command(bench)
 bench.add_command(bench_estimator)
 bench.add_command(bench_imu)
+bench.add_command(bench_profile)
 bench.add_command(bench_all)
 bench.add_command(bench_compare)
 cli.add_command(check_estimator_command)

@@ -7,6 +7,7 @@ exposure is one instant in even and sufficient light, tables of the grey level d
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,9 +23,6 @@ from touchdown.sim.camera.shutter import sample_row, trace_row
 from touchdown.sim.typing import Array, Bytes, Float32
 
 GAMMA = 2.2
-_STEPS = 4
-"""steps of a table between two grey levels"""
-_LEVELS = _STEPS * 255 + 1
 _NOISE_UNIT = 1.0 / 32.0
 """a step of the noise tile, in standard deviations"""
 _ROOTS = 4096
@@ -45,14 +43,23 @@ class NoisePlace(NamedTuple):
     sign: int
 
 
-_EVEN = (
-    (np.arange(_LEVELS) / _STEPS).astype(np.float32),
-    np.ones(_LEVELS, dtype=np.float32),
-)
+class Tone(NamedTuple):
+    """Grey levels that drawn levels become, ``scale`` times as large, and their noise: its standard
+    deviation is ``floor`` and the sum of ``slopes`` times the lesser of level and ``bends``."""
+
+    scale: np.float32
+    floor: np.float32
+    bends: tuple[np.float32, ...]
+    slopes: tuple[np.float32, ...]
+
+
+_BENDS = (0.7, 1.0, 1.08, 1.3, 1.7, 2.4, 4.0, 10.0)
+"""Places at which the noise's deviation is exact, over the level whose electrons equal their noise;
+between them it is off by a fifteenth at most"""
+_EVEN = Tone(np.float32(1.0), np.float32(1.0), *2 * ((np.float32(0.0),) * (len(_BENDS) + 1),))
 """levels as drawn, with the noise as it is"""
 _QUIET_GAIN = 2.0
-"""Up to this gain noise is small against the light, so that tables of its effect on grey levels
-will do"""
+"""Up to this gain noise is small against the light, so that its effect on grey levels is linear"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -102,7 +109,7 @@ class Film:
         image = np.empty(self._shape, dtype=np.uint8)
         _show(
             drawn, depth.levels, depth.far, depth.per_level, shifts, self._x, self._y, self._bent,
-            noise, place.row, 3 * place.col, float(place.sign), *_EVEN, image,
+            noise, place.row, 3 * place.col, float(place.sign), _EVEN, image,
         )  # fmt: skip
         return image
 
@@ -119,11 +126,10 @@ class Film:
         coefficients ``shifts``; noise of `sensor_noise`."""
         image = np.empty(self._shape, dtype=np.uint8)
         if shifts.shape[1] == 1 and light.lamp is None and light.gain <= _QUIET_GAIN:
-            mean, spread = _quiet_tables(light)
             _show(
                 drawn, depth.levels, depth.far, depth.per_level, shifts, self._x, self._y,
-                self._bent, noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT, mean, spread,
-                image,
+                self._bent, noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT,
+                quiet_tone(light), image,
             )  # fmt: skip
             return image
         lit = np.empty(drawn.shape, dtype=np.float32)
@@ -150,19 +156,25 @@ def mean_light(drawn: Bytes, depth: InverseDepth, lamp: LampField | None, ambien
     )  # fmt: skip
 
 
-def _quiet_tables(light: Exposed) -> tuple[Float32, Float32]:
-    """Grey level of every drawn level, and the standard deviation of its noise."""
-    lit = (np.arange(_LEVELS) / (_LEVELS - 1.0)) ** GAMMA
-    collected = np.minimum(light.electrons * lit, light.full_well)
+def quiet_tone(light: Exposed) -> Tone:
+    """The tone of an exposure, its noise to first order."""
+    scale = (light.electrons * light.gain / light.full_well) ** (1.0 / GAMMA)
+    even = 0.5 + math.sqrt(0.25 + light.read_noise**2)  # electrons that equal their noise
+    level = 255.0 * (even / light.electrons) ** (1.0 / GAMMA)
+    bends = np.array([*np.minimum(level * np.array(_BENDS), 254.0), 255.0])
+    lit = np.array([0.0, *bends]) / 255.0
+    collected = light.electrons * lit**GAMMA
     noise = np.sqrt(collected + light.read_noise**2)
-    scale = light.gain / light.full_well
-
-    def shown(electrons: Array) -> Array:
-        grey: Array = 255.0 * np.clip(electrons * scale, 0.0, 1.0) ** (1.0 / GAMMA)
-        return grey
-
-    spread = 0.5 * (shown(collected + noise) - shown(collected - noise))
-    return shown(collected).astype(np.float32), spread.astype(np.float32)
+    most, least = collected + noise, np.maximum(collected - noise, 0.0)
+    root = (light.gain / light.full_well) ** (1.0 / GAMMA)
+    spread = 127.5 * root * (most ** (1.0 / GAMMA) - least ** (1.0 / GAMMA))
+    steps = np.diff(np.array([0.0, *bends]))
+    rise = np.where(steps > 0.0, np.diff(spread) / np.maximum(steps, 1e-9), 0.0)
+    slopes = rise - np.append(rise[1:], 0.0)
+    return Tone(
+        np.float32(scale), np.float32(spread[0]),
+        tuple(bends.astype(np.float32)), tuple(slopes.astype(np.float32)),
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
@@ -176,15 +188,15 @@ def _light_up(drawn: Bytes, light: Float32, lit: Float32) -> None:
 def _show(
     drawn: Bytes, depth: Float32, far: float, per_level: float, shifts: Array,
     x: Float32, y: Float32, bent: bool,
-    noise: NDArray[np.int8], first_row: int, first: int, unit: float,
-    mean: Float32, spread: Float32, out: Bytes,
+    noise: NDArray[np.int8], first_row: int, first: int, unit: float, tone: Tone, out: Bytes,
 ) -> None:  # fmt: skip
     height, width = out.shape[0], out.shape[1]
     lines = out.reshape(height, 3 * width)
     sx, sy = np.empty(width, np.float32), np.empty(width, np.float32)
-    weights, levels = np.empty((2, 3 * width), np.float32), np.empty(3 * width, np.float32)
+    levels = np.empty(3 * width, np.float32)
     ys = y[0].copy()
-    step, steps = np.float32(unit), np.float32(_STEPS)
+    step, scale, floor = np.float32(unit), tone.scale, tone.floor
+    a, b = tone.slopes, tone.bends
     zero, top, half = np.float32(0.0), np.float32(255.0), np.float32(0.5)
     for i in range(height):
         if not bent:
@@ -192,12 +204,16 @@ def _show(
         trace_row(
             shifts[i, 0], x[i if bent else 0], y[i] if bent else ys, depth, far, per_level, sx, sy
         )
-        sample_row(drawn, sx, sy, weights, levels)
+        sample_row(drawn, sx, sy, levels)
         grain, target = noise[first_row + i, first : first + 3 * width], lines[i]
         for j in range(3 * width):
-            index = np.uintp(levels[j] * steps + half)
-            value = mean[index] + spread[index] * (step * np.float32(grain[j]))
-            target[j] = np.uint8(min(max(value + half, zero), top))
+            at = levels[j]
+            # written out, so that the loop becomes vector instructions
+            spread = floor + a[0] * min(at, b[0]) + a[1] * min(at, b[1]) + a[2] * min(at, b[2])
+            spread += a[3] * min(at, b[3]) + a[4] * min(at, b[4]) + a[5] * min(at, b[5])
+            spread += a[6] * min(at, b[6]) + a[7] * min(at, b[7]) + a[8] * min(at, b[8])
+            value = scale * at + spread * (step * np.float32(grain[j]))
+            target[j] = np.uint8(np.int32(min(max(value + half, zero), top)))
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -213,7 +229,7 @@ def _expose(
     instants = shifts.shape[1]
     lines = out.reshape(height, 3 * width)
     sx, sy = np.empty(width, np.float32), np.empty(width, np.float32)
-    weights, light = np.empty((2, 3 * width), np.float32), np.empty(3 * width, np.float32)
+    light = np.empty(3 * width, np.float32)
     total = np.empty(3 * width, np.float32)
     ys = y[0].copy()
     well, variance = np.float32(full_well), np.float32(read_variance)
@@ -230,7 +246,7 @@ def _expose(
                 shifts[i, k], x[i if bent else 0], y[i] if bent else ys, depth, far, per_level,
                 sx, sy,
             )  # fmt: skip
-            sample_row(lit, sx, sy, weights, light)
+            sample_row(lit, sx, sy, light)
             if lamp_share > 0.0:
                 for j in range(width):
                     lux = lamp_lux(depth, far, per_level, beam, fx, fy, cx, cy, sx[j], sy[j])

@@ -29,6 +29,9 @@ SHUTTER_MARGIN_PX = 16
 _OPTICAL_FROM_GL = np.diag([1.0, -1.0, -1.0])
 _BLOCK = 16
 """pixels over which the shift by rotation is interpolated; error below 0.01 px at 0.05 rad"""
+_RIGID_PX = 1.0 / 16.0
+"""A block of pixels whose places in the drawing move by less than this against one another moves as
+a whole: they are off by half of it at most"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -156,90 +159,91 @@ def trace_row(
     is ``far + per_step * depth``."""
     rows, cols = depth.shape
     width = len(xs)
-    kx, ky, pz = np.float32(c[9]), np.float32(c[10]), np.float32(c[11])
+    turn = c.astype(np.float32)
+    kx, ky, pz = turn[9], turn[10], turn[11]
     flat, slope = np.float32(far), np.float32(per_step)
     right, low = np.float32(cols - 1.01), np.float32(rows - 1.01)
     half, zero = np.float32(0.5), np.float32(0.0)
-    lines = depth.reshape(rows * cols)
-    bottom, wide = np.float32(rows - 1), np.float32(cols)
-    place, near = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
     count = np.arange(_BLOCK).astype(np.float32)
     start = 0
+    u1, v1 = _rotated(turn, xs[0], ys[0])
     while start < width:
         stop = min(start + _BLOCK, width)
-        last = stop - 1
-        u0, v0 = _rotated(c, xs[start], ys[start])
-        u1, v1 = _rotated(c, xs[last], ys[last])
-        steps = np.float32(max(last - start, 1))
-        du, dv = (u1 - u0) / steps, (v1 - v0) / steps
-        # the parallax at the middle says where to look the depth up
+        last = min(stop, width - 1)
+        u0, v0 = u1, v1
+        u1, v1 = _rotated(turn, xs[last], ys[last])
+        part = np.float32(1.0) / np.float32(max(last - start, 1))
+        du, dv = (u1 - u0) * part, (v1 - v0) * part
+        # the parallax at the middle says where to look the depths up: side by side
         mid = (start + last) // 2
         part = np.float32(mid - start)
         mx, my = xs[mid] + u0 + du * part, ys[mid] + v0 + dv * part
         gx, gy = zero, zero
         for _ in range(2):
-            col = np.uintp(min(max(mx + gx + half, zero), right))
-            row = np.uintp(min(max(my + gy + half, zero), low))
-            rho = flat + slope * lines[(np.uintp(rows - 1) - row) * np.uintp(cols) + col]
+            col = np.intp(min(max(mx + gx + half, zero), right))
+            row = np.intp(min(max(my + gy + half, zero), low))
+            rho = flat + slope * depth[rows - 1 - row, col]
             gx, gy = rho * (kx - pz * mx), rho * (ky - pz * my)
-        gx, gy = gx + half, gy + half
-        # three loops, so that all but the middle one become vector instructions
         size = stop - start
+        col = np.intp(min(max(mx + gx + half, zero), right)) - (mid - start)
+        row = rows - 1 - np.intp(min(max(my + gy + half, zero), low))
+        near = depth[row, max(min(col, cols - size), 0) :]
         bx, by, tx, ty = xs[start:stop], ys[start:stop], sx[start:stop], sy[start:stop]
         for j in range(size):
             px, py = bx[j] + u0 + du * count[j], by[j] + v0 + dv * count[j]
-            tx[j], ty[j] = px, py
-            col_f = np.floor(min(max(px + gx, zero), right))
-            row_f = np.floor(min(max(py + gy, zero), low))
-            place[j] = (bottom - row_f) * wide + col_f
-        for j in range(size):
-            near[j] = lines[np.uintp(place[j])]
-        for j in range(size):
             rho = flat + slope * near[j]
-            tx[j] = min(max(tx[j] + rho * (kx - pz * tx[j]), zero), right)
-            ty[j] = min(max(ty[j] + rho * (ky - pz * ty[j]), zero), low)
+            tx[j] = min(max(px + rho * (kx - pz * px), zero), right)
+            ty[j] = min(max(py + rho * (ky - pz * py), zero), low)
         start = stop
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _rotated(c: Array, x: float, y: float) -> tuple[np.float32, np.float32]:
+def _rotated(c: Float32, x: np.float32, y: np.float32) -> tuple[np.float32, np.float32]:
     """Displacement by rotation of the raster place (x, y)."""
-    w = 1.0 / (c[6] * x + c[7] * y + c[8])
-    u, v = (c[0] * x + c[1] * y + c[2]) * w - x, (c[3] * x + c[4] * y + c[5]) * w - y
-    return np.float32(u), np.float32(v)
+    w = np.float32(1.0) / (c[6] * x + c[7] * y + c[8])
+    return (c[0] * x + c[1] * y + c[2]) * w - x, (c[3] * x + c[4] * y + c[5]) * w - y
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def sample_row(
-    raw: NDArray[Any], sx: Float32, sy: Float32, weights: Float32, levels: Float32
-) -> None:
+def sample_row(raw: NDArray[Any], sx: Float32, sy: Float32, levels: Float32) -> None:
     """Writes (3 W) ``levels`` of (h, w, 3) ``raw``, bottom row first, interpolated at the places
-    (sx, sy). ``weights``: room for (2, 3 W) numbers."""
+    (sx, sy)."""
     rows, width = raw.shape[0], len(sx)
     stride = 3 * raw.shape[1]
     flat = raw.reshape(rows * stride)
-    for j in range(width):
-        a = sx[j] - np.float32(np.int32(sx[j]))
-        b = sy[j] - np.float32(np.int32(sy[j]))
-        for q in range(3):
-            weights[0, 3 * j + q] = a
-            weights[1, 3 * j + q] = b
+    count, one = np.arange(_BLOCK).astype(np.float32), np.float32(1.0)
     start = 0
     while start < width:
-        # a run of pixels that lie side by side in the drawing, too: vector instructions
-        col, row = np.int32(sx[start]), np.int32(sy[start])
-        offset, stop = col - start, start + 1
-        while stop < width and np.int32(sx[stop]) - stop == offset and np.int32(sy[stop]) == row:
-            stop += 1
-        top = np.uintp((rows - 1 - row) * stride + 3 * col)
-        low = np.uintp((rows - 2 - row) * stride + 3 * col)
-        into, count = np.uintp(3 * start), np.uintp(3 * (stop - start))
-        upper, lower = flat[top : top + count + np.uintp(3)], flat[low : low + count + np.uintp(3)]
-        aside, down = weights[0, into : into + count], weights[1, into : into + count]
-        target = levels[into : into + count]
-        for q in range(count):
-            t0, l0 = np.float32(upper[q]), np.float32(lower[q])
-            t = t0 + aside[q] * (np.float32(upper[q + np.uintp(3)]) - t0)
-            below = l0 + aside[q] * (np.float32(lower[q + np.uintp(3)]) - l0)
-            target[q] = t + down[q] * (below - t)
+        stop = min(start + _BLOCK, width)
+        tx, ty = sx[start:stop], sy[start:stop]
+        left, right = tx[0], tx[0]
+        upper, lower = ty[0], ty[0]
+        for j in range(stop - start):
+            x = tx[j] - count[j]
+            left, right = min(left, x), max(right, x)
+            upper, lower = min(upper, ty[j]), max(lower, ty[j])
+        # a block that moves as a whole is one run of the drawing; else each pixel is its own
+        whole = right - left < np.float32(_RIGID_PX) and lower - upper < np.float32(_RIGID_PX)
+        size = stop - start if whole else 1
+        for k in range(0, stop - start, size):
+            x = np.float32(0.5) * (left + right) if whole else tx[k]
+            y = np.float32(0.5) * (upper + lower) if whole else ty[k]
+            col, row = np.int64(x), np.int64(y)
+            a, b = x - np.float32(col), y - np.float32(row)
+            w, v = (one - a) * (one - b), a * (one - b)
+            p, q = (one - a) * b, a * b
+            top = np.uintp((rows - 1 - row) * stride + 3 * col)
+            low = np.uintp((rows - 2 - row) * stride + 3 * col)
+            into, length = np.uintp(3 * (start + k)), np.uintp(3 * size)
+            above, under = (
+                flat[top : top + length + np.uintp(3)],
+                flat[low : low + length + np.uintp(3)],
+            )
+            target = levels[into : into + length]
+            for n in range(length):
+                m = n + np.uintp(3)
+                target[n] = (
+                    w * np.float32(above[n]) + v * np.float32(above[m])
+                    + p * np.float32(under[n]) + q * np.float32(under[m])
+                )  # fmt: skip
         start = stop
