@@ -292,11 +292,8 @@ class InertialFilter:
         rates, forces = propagated.corrected(
             self._newest.angular_velocity[None], self._newest.specific_force[None]
         )
-        rate, to_body, to_world = (
-            rates[0],
-            self.rig.body_from_imu.rotation,
-            world_from_odom.rotation,
-        )
+        rate, to_world = rates[0], world_from_odom.rotation
+        to_body = self.rig.body_from_imu.rotation
         spread = self.covariance[POSITION, POSITION]
         position_covariance = inflation * (to_world @ spread @ to_world.T) + extra_covariance
         return Estimate(
