@@ -266,7 +266,7 @@ def test_landmarks_follow_the_mount_that_is_found_after_them() -> None:
 
 def test_a_keyframe_has_a_height_error_of_its_own() -> None:
     vision, eskf = front_end(height_sigma_m=0.05), filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
-    vision.add_anchor(eskf, 15.0, 0)
+    vision.append(eskf, vision.new_anchor(eskf, 15.0, 0), None)
     own = np.diag(eskf.covariance)[eskf.clone_indices(0)]
     np.testing.assert_allclose(own, [1e-8] * 5 + [1e-8 + 0.05**2])
 
