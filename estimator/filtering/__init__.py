@@ -1,2 +1,2 @@
-"""What estimators share: the inertial core (error-state filter, propagation, arrival), scan screening
-and deskewing, plane map, keyframes, landmark depths."""
+"""What estimators share: the inertial core (error-state filter, propagation, arrival), scans,
+screened and deskewed, plane map, keyframes, landmark depths."""
