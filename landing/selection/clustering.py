@@ -68,21 +68,26 @@ def _nearest_higher(density: Float32, offsets: Int32) -> Int32:
     """Returns the flat index of the nearest cell of higher density, the cell itself where there is
     none within reach, -1 outside. Equal densities are ordered by index: a plateau has one mode."""
     rows, cols = density.shape
+    # A border of NaN, which is never higher, makes every offset one step in a flat array.
+    reach = np.abs(offsets).max() if offsets.size else 0
+    wide = cols + 2 * reach
+    padded = np.full((rows + 2 * reach, wide), np.nan, np.float32)
+    padded[reach : reach + rows, reach : reach + cols] = density
+    flat, steps = padded.ravel(), offsets[:, 0] * wide + offsets[:, 1]
     parent = np.full(rows * cols, -1, np.int32)
     for row in range(rows):
+        start = (row + reach) * wide + reach
         for col in range(cols):
-            own = density[row, col]
+            at = start + col
+            own = flat[at]
             if np.isnan(own):
                 continue
             index = row * cols + col
             parent[index] = index
-            for k in range(offsets.shape[0]):
-                r, c = row + offsets[k, 0], col + offsets[k, 1]
-                if r < 0 or c < 0 or r >= rows or c >= cols:
-                    continue
-                other = density[r, c]
-                if other > own or (other == own and r * cols + c < index):
-                    parent[index] = r * cols + c
+            for k in range(steps.shape[0]):
+                other = flat[at + steps[k]]
+                if other > own or (other == own and steps[k] < 0):
+                    parent[index] = index + offsets[k, 0] * cols + offsets[k, 1]
                     break
     return parent
 

@@ -34,8 +34,8 @@ def colour_edges(
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     grey[~coloured] = 0.0
     weight = cv2.GaussianBlur(coloured.astype(np.float32), (0, 0), blur_cells)
-    smooth = cv2.GaussianBlur(grey, (0, 0), blur_cells) / np.maximum(weight, 1e-3)
-    image = np.clip(np.rint(smooth), 0, 255).astype(np.uint8)
+    smooth = cv2.GaussianBlur(grey, (0, 0), blur_cells)
+    image = cv2.divide(smooth, np.maximum(weight, 1e-3), dtype=cv2.CV_8U)
     edges = (cv2.Canny(image, low, high, L2gradient=True) > 0).astype(np.uint8)
     number, labels, stats, _ = cv2.connectedComponentsWithStats(
         (~coloured).astype(np.uint8), connectivity=4

@@ -215,9 +215,9 @@ def fit_planes(
     its cells known, or whose known cells lie on a line, gives NaN."""
     reach = max(round(half_width_m / cell_m), 1)
     enough = min_share * (2 * reach + 1) ** 2
-    angle, level = (np.full(height.shape, np.nan, np.float32) for _ in range(2))
-    _sliding_planes(height, cell_m, reach, enough, angle, level)
-    return PlaneField(angle_rad=angle, level=level)
+    rise, level = (np.full(height.shape, np.nan, np.float32) for _ in range(2))
+    _sliding_planes(height, reach, enough, rise, level)
+    return PlaneField(angle_rad=np.arctan(np.sqrt(rise) / np.float32(cell_m)), level=level)
 
 
 @numba.njit(cache=True)
@@ -254,13 +254,13 @@ def _add_column(sums: Array, col: int, sign: float, w: Array) -> None:
 @numba.njit(cache=True)
 def _sliding_planes(
     height: Float32,
-    cell: float,
     reach: int,
     enough: float,
-    angle: Float32,
+    rise: Float32,
     level: Float32,
 ) -> None:
-    """Window sums slide along the rows; row and column numbers are the coordinates."""
+    """Window sums slide along the rows; row and column numbers are the coordinates. ``rise``: the
+    square of the plane's gradient, metres per cell."""
     rows, cols = height.shape
     base = 0.0
     for value in height.flat:
@@ -294,7 +294,7 @@ def _sliding_planes(
                 continue
             gx = (cxz * cyy - cyz * cxy) / determinant
             gy = (cyz * cxx - cxz * cxy) / determinant
-            angle[row, col] = np.arctan(np.sqrt(gx * gx + gy * gy) / cell)
+            rise[row, col] = gx * gx + gy * gy
             level[row, col] = base + mz + gx * (col - mx) + gy * (row - my)
 
 

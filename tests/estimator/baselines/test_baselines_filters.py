@@ -124,13 +124,14 @@ def test_update_is_the_textbook_one_and_outliers_weigh_less() -> None:
     """Prior variance 0.01, measurement variance 0.01: half way, half the variance."""
     eskf = make_filter(np.eye(3))
     z = np.arange(5, 6)
-    update(eskf, z, np.eye(1), np.array([0.2]), np.array([[0.01]]))
+    update(eskf, z, np.eye(1), np.array([0.2]), np.array([[0.01]]), gate=3.0)  # 1.4 sigma
     assert eskf.state.position[2] == pytest.approx(0.1)
     assert eskf.covariance[5, 5] == pytest.approx(0.005)
     eskf = make_filter(np.eye(3))
     distance = update(eskf, z, np.eye(1), np.array([2.0]), np.array([[0.01]]), gate=3.0)
     assert distance == pytest.approx(2.0 / math.sqrt(0.02))
-    assert 0.0 < eskf.state.position[2] < 0.2
+    inflated = 0.01 * distance**2 / 9.0
+    assert eskf.state.position[2] == pytest.approx(2.0 * 0.01 / (0.01 + inflated))
 
 
 def test_barometer_measures_from_where_it_stood() -> None:
