@@ -124,8 +124,7 @@ class Navigator:
             self._take_heading(epoch.magnetometer)
             self._baro.take(self._filter.eskf, epoch.barometer, self._filter.stationary)
             yield epoch
-        if epochs:
-            self._filter.catch_up()
+        self._filter.settle(bool(epochs))
 
     def _wanted(self, obs: Observation) -> Observation:
         """Returns ``obs`` without messages that only other consumers need: a flight must not depend

@@ -1,2 +1,2 @@
-"""Parts that several estimators share: error-state filter, IMU propagation, scan screening and
-deskewing, plane map, keyframes, landmark depths."""
+"""What estimators share: the inertial core (error-state filter, propagation, arrival), scans,
+screened and deskewed, plane map, keyframes, landmark depths."""

@@ -32,6 +32,7 @@ VELOCITY = slice(6, 9)
 GYRO_BIAS = slice(9, 12)
 ACCEL_BIAS = slice(12, 15)
 POSE = slice(0, 6)
+NAVIGATION = slice(0, 15)
 POSE_DIM = 6
 CLONE_DIM = POSE_DIM
 STATE_DIM = 15

@@ -9,14 +9,19 @@ Roumeliotis and Burdick 2002 ("Stochastic cloning").
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     ACCEL_BIAS,
+    CLOCK,
     CLONE_DIM,
     GYRO_BIAS,
     IMU_DIM,
+    NAVIGATION,
     POSE,
     POSE_DIM,
     POSITION,
@@ -36,9 +41,36 @@ from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 _RATE_SAMPLES = 3
 """of the IMU, over which the angular rate is a mean: one alone is mostly vibration"""
+
+
+class _Passed(NamedTuple):
+    """Samples of the IMU, corrected, and the states before and after each."""
+
+    ticks: NDArray[np.int64]
+    gyro: Array
+    force: Array
+    rotations: Array
+    positions: Array
+    velocities: Array
+
+    @property
+    def linearised(self) -> tuple[Array, Array, Array]:
+        """What ``transition`` needs."""
+        return self.rotations, self.gyro, self.force
+
+    def end(self, state: NavState) -> NavState:
+        """``state`` after all samples."""
+        return replace(
+            state,
+            tick=int(self.ticks[-1]) if len(self.ticks) else state.tick,
+            rotation=self.rotations[-1],
+            position=self.positions[-1],
+            velocity=self.velocities[-1],
+        )
 
 
 class Eskf:
@@ -53,9 +85,6 @@ class Eskf:
     def __init__(self, state: NavState, variances: Array) -> None:
         self.state = state
         self.base = len(variances)
-        self.calibration_gain = np.ones(len(state.calibration))
-        """(C,) share of a measurement's correction that each calibration parameter takes; with 0 it
-        is a "consider" parameter (Schmidt): its covariance counts, its estimate stays"""
         self.rate = np.zeros(3)
         """(3,) rad/s, angular rate in the IMU's frame over the last hundredth of a second"""
         self.shared = max(0, len(state.calibration) - IMU_DIM)
@@ -79,29 +108,31 @@ class Eskf:
 
         Returns the ticks (N + 1,), rotations (N + 1, 3, 3) and positions (N + 1, 3) passed.
         """
+        passed = self._passed(buffer, count)
+        self._propagate_covariance(*transition(*passed.linearised, buffer.step_s, buffer.densities))
+        if count:
+            self.rate = passed.gyro[-_RATE_SAMPLES:].mean(axis=0)
+        ticks = np.concatenate(([self.state.tick], passed.ticks))
+        self.state = passed.end(self.state)
+        return ticks, passed.rotations, passed.positions
+
+    def predicted(self, buffer: ImuBuffer) -> tuple[NavState, Array]:
+        """State and covariance (15, 15) after all samples of the buffer; the filter stays."""
+        covariance = self.covariance[NAVIGATION, NAVIGATION]
+        if buffer.count == 0:
+            return self.state, covariance.copy()
+        passed = self._passed(buffer, buffer.count)
+        total, noise, _ = transition(*passed.linearised, buffer.step_s, buffer.densities)
+        return passed.end(self.state), total @ covariance @ total.T + noise
+
+    def _passed(self, buffer: ImuBuffer, count: int) -> _Passed:
         ticks, gyro, force, _ = buffer.samples(count)
         state = self.state
         gyro, force = state.corrected(gyro, force)
-        rotations, positions, velocities = integrate(
+        passed = integrate(
             state.rotation, state.position, state.velocity, gyro, force, buffer.step_s, GRAVITY_MPS2
         )
-        total, noise, by_errors = transition(
-            rotations, gyro, force, buffer.step_s, buffer.densities
-        )
-        self._propagate_covariance(total, noise, by_errors)
-        if count:
-            self.rate = gyro[-_RATE_SAMPLES:].mean(axis=0)
-        all_ticks = np.concatenate(([state.tick], ticks))
-        self.state = NavState(
-            int(ticks[-1]) if count else state.tick,
-            rotations[-1],
-            positions[-1],
-            velocities[-1],
-            state.gyro_bias,
-            state.accel_bias,
-            state.calibration,
-        )
-        return all_ticks, rotations, positions
+        return _Passed(ticks, gyro, force, *passed)
 
     def _propagate_covariance(self, total: Array, noise: Array, by_errors: Array) -> None:
         cov, nav = self.covariance, slice(0, STATE_DIM)
@@ -162,26 +193,42 @@ class Eskf:
         information[POSE_DIM:], information[:, POSE_DIM:], vector[POSE_DIM:] = 0.0, 0.0, 0.0
         return information, vector
 
-    def correction(self, touched: NDArray[np.int64], information: Array, vector: Array) -> Array:
+    def gains(self, share: float) -> Array:
+        """(C,) share of a measurement's correction that each calibration parameter takes, if mounts
+        and lens take ``share``; with 0 they are "consider" parameters (Schmidt): their covariance
+        counts, their estimate stays. The camera's clock, which no other error resembles, and the
+        errors of the IMU take all."""
+        gains = np.ones(self.base - STATE_DIM)
+        gains[: self.shared] = share
+        gains[CLOCK : CLOCK + 1] = 1.0
+        return gains
+
+    def correction(
+        self, touched: Indices, information: Array, vector: Array, gains: Array | None = None
+    ) -> Array:
         """Returns the error-state correction (B + 6K,) of the prior mean by ``A``, ``b`` on
-        ``touched``."""
+        ``touched``; ``gains`` (C,): see there."""
         local = self.covariance[np.ix_(touched, touched)]
         solved = np.linalg.solve(np.eye(len(touched)) + information @ local, vector)
         delta: Array = self.covariance[:, touched] @ solved
-        delta[STATE_DIM : self.base] *= self.calibration_gain
+        if gains is not None:
+            delta[STATE_DIM : self.base] *= gains
         return delta
 
-    def update_covariance(self, touched: NDArray[np.int64], information: Array) -> None:
-        """Updates the covariance: ``P - P_t (I + A P_tt)^-1 A P_t^T``."""
+    def update_covariance(
+        self, touched: Indices, information: Array, gains: Array | None = None
+    ) -> None:
+        """Updates the covariance: ``P - P_t (I + A P_tt)^-1 A P_t^T``; parameters of the
+        calibration lose what belongs to their share."""
         columns = self.covariance[:, touched]
         local = columns[touched]
         middle = np.linalg.solve(np.eye(len(touched)) + information @ local, information)
         middle = 0.5 * (middle + middle.T)
         # the same product from both sides keeps the matrix symmetric to rounding
         lost = (columns @ middle) @ columns.T
-        held = slice(STATE_DIM, self.base)
-        left = 1.0 - self.calibration_gain
-        lost[held, held] *= 1.0 - np.outer(left, left)
+        if gains is not None:
+            held = slice(STATE_DIM, self.base)
+            lost[held, held] *= 1.0 - np.outer(1.0 - gains, 1.0 - gains)
         self.covariance = self.covariance - 0.5 * (lost + lost.T)
 
     def boxplus(
@@ -229,8 +276,9 @@ class Eskf:
 class IteratedUpdate:
     """An update by one measurement whose normal equations are linearised anew after each step."""
 
-    def __init__(self, eskf: Eskf) -> None:
-        self._eskf = eskf
+    def __init__(self, eskf: Eskf, share: float = 1.0) -> None:
+        """``share``: that mounts and lens take, see ``Eskf.gains``."""
+        self._eskf, self._gains = eskf, eskf.gains(share)
         self._prior, self._clones = eskf.state, eskf.clones
         self._touched = eskf.touched([])
         self._information = np.zeros((POSE_DIM + eskf.shared, POSE_DIM + eskf.shared))
@@ -246,7 +294,8 @@ class IteratedUpdate:
             information, vector = limit_information(information, vector, floors)
         self._touched, self._information = eskf.touched(clones), information
         offset = eskf.deviation(self._prior, self._clones, clones)
-        delta = eskf.correction(self._touched, information, vector + information @ offset)
+        vector = vector + information @ offset
+        delta = eskf.correction(self._touched, information, vector, self._gains)
         eskf.state, eskf.clones = eskf.boxplus(self._prior, self._clones, delta)
 
     def abandon(self) -> None:
@@ -255,5 +304,5 @@ class IteratedUpdate:
 
     def finish(self) -> Array:
         """Updates the covariance by the newest linearisation and returns its information (D, D)."""
-        self._eskf.update_covariance(self._touched, self._information)
+        self._eskf.update_covariance(self._touched, self._information, self._gains)
         return self._information

@@ -38,7 +38,7 @@ def align_with_gravity(eskf: Eskf, force: Array, sigma_mps2: float) -> None:
     touched = np.r_[ROTATION, ACCEL_BIAS]
     if eskf.shared:  # the accelerometer's scale
         touched = np.r_[touched, after(eskf.base - IMU_DIM, ACCEL_SCALE)]
-    information = np.zeros((len(touched), len(touched)))
+    information, gains = np.zeros((len(touched), len(touched))), eskf.gains(0.0)
     for _ in range(_ITERATIONS):
         state = eskf.state
         reaction = state.rotation.T @ _UP
@@ -53,6 +53,7 @@ def align_with_gravity(eskf: Eskf, force: Array, sigma_mps2: float) -> None:
             scale - prior.imu_errors[ACCEL_SCALE],
         ]
         offset = np.concatenate(moved)[: len(touched)]
-        delta = eskf.correction(touched, information, vector + information @ offset)
+        vector = vector + information @ offset
+        delta = eskf.correction(touched, information, vector, gains)
         eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
-    eskf.update_covariance(touched, information)
+    eskf.update_covariance(touched, information, gains)

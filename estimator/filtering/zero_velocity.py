@@ -93,9 +93,10 @@ class ZeroVelocityUpdate:
         by_errors, touched = _derivatives(specific_forces.mean(axis=0), eskf)
         weighted = by_errors.T / variances
         information = weighted @ by_errors
-        delta = eskf.correction(touched, information, weighted @ residual)
+        gains = eskf.gains(0.0)
+        delta = eskf.correction(touched, information, weighted @ residual, gains)
         eskf.state, eskf.clones = eskf.boxplus(state, eskf.clones, delta)
-        eskf.update_covariance(touched, information)
+        eskf.update_covariance(touched, information, gains)
         return True
 
 

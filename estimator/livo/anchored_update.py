@@ -50,15 +50,16 @@ def update_with_scan(
     scan: PlacedScan,
     errors: ScanErrors,
     *,
+    share: float = 1.0,
     iterations: int = 3,
     min_matches: int = 30,
 ) -> LidarReport:
     """Iterated update by a scan that ends at the filter's present time.
 
     Planes are looked up in the first and the second iteration. With fewer than ``min_matches``
-    matches nothing is changed.
+    matches nothing is changed. ``share``: of the correction that mounts and lens take.
     """
-    update = IteratedUpdate(eskf)
+    update = IteratedUpdate(eskf, share)
     returns, shared = Returns(scan.points, scan.beams), eskf.shared
     weak, raw = (np.zeros((3, 0)), np.zeros((3, 0))), np.zeros((6, 6))
     matched, keys, used, rms = None, np.zeros(0, np.int64), 0, 0.0
@@ -79,7 +80,7 @@ def update_with_scan(
         used, rms = found.used, found.rms
         if used < min_matches:
             update.abandon()
-            return LidarReport(matched=used, rms_m=rms, lateral_strength=np.zeros(3))
+            return LidarReport(matched=used, rms_m=rms)
         raw = found.information[POSE, POSE]
         if errors.weak_sigmas is not None and fresh:
             weak = weak_directions(raw, found.noise_information, *errors.weak_sigmas)

@@ -6,18 +6,19 @@ import dataclasses
 
 import numpy as np
 
-from touchdown.estimator.api import LivoParams
+from touchdown.estimator.api import FlownImuParams, LivoParams
+from touchdown.estimator.filtering.flown_noise import with_flown_noise
 from touchdown.estimator.livo.anchored_update import ScanErrors
+from touchdown.estimator.livo.lidar_update import LidarReport
 from touchdown.estimator.livo.visual import VisualReport
 from touchdown.sim.api import ImuParams, SensorRig
 
 
-def flown_imu(imu: ImuParams, params: LivoParams) -> ImuParams:
+def flown_imu(rig: SensorRig, params: LivoParams) -> ImuParams:
     """The IMU with the noise that it has on the flying vehicle."""
-    names = ("gyro_density", "accel_density", "gyro_bias_walk", "accel_bias_walk")
-    return dataclasses.replace(
-        imu, **{name: max(getattr(imu, name), getattr(params, name)) for name in names}
-    )
+    names = [field.name for field in dataclasses.fields(FlownImuParams)]
+    flown = FlownImuParams(**{name: getattr(params, name) for name in names})
+    return with_flown_noise(rig, flown).imu
 
 
 def scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:
@@ -31,6 +32,20 @@ def scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:
         floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
         weak_sigmas=weak if params.use_degeneracy else None,
     )
+
+
+def scan_diagnostics(report: LidarReport, returns: int, voxels: int) -> dict[str, float]:
+    """Figures of an update by one scan, by the name of their plot."""
+    return {
+        "scan_returns": float(returns),
+        "lidar_matched": float(report.matched),
+        "lidar_rms_m": report.rms_m,
+        "lidar_lateral_weakest": float(report.lateral_strength[0]),
+        "lidar_lateral_middle": float(report.lateral_strength[1]),
+        "lidar_weak_translation": float(report.weak_translation),
+        "lidar_weak_rotation": float(report.weak_rotation),
+        "map_voxels": float(voxels),
+    }
 
 
 def visual_diagnostics(report: VisualReport, keyframes: int) -> dict[str, float]:

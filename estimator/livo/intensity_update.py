@@ -240,14 +240,10 @@ class PhotometricUpdate:
         floor[:2] = np.minimum(floor[:2], _PLANE_TILT)
         return replace(errors, floor_sigmas=floor)
 
-    def follow(self, gone: int | None, eskf: Eskf, height_m: float, dark_ticks: int) -> None:
-        """Keeps the images in step with the clones: removes that of clone ``gone``, or starts one
-        of the newest clone. Where intensities alone hold the position, the clone gets the error of
-        an image as a whole."""
+    def begin(self, eskf: Eskf, height_m: float, dark_ticks: int) -> None:
+        """Starts an image of the newest clone. Where intensities alone hold the position, the clone
+        gets the error of an image as a whole."""
         if self._dark_ticks is None:
-            return
-        if gone is not None:
-            del self.images[gone]
             return
         shared = eskf.state.calibration[: eskf.shared]
         self.images.append(IntensityImage.of(eskf.clones[-1].rotation, height_m, shared))
@@ -257,6 +253,11 @@ class PhotometricUpdate:
             eskf.covariance[yaw, yaw] += errors.image_rotation_rad**2
             eskf.covariance[aside, aside] += errors.image_aside_m**2
 
+    def drop(self, k: int) -> None:
+        """Forgets the image of clone ``k``."""
+        if self.images:
+            del self.images[k]
+
     def extend(self, eskf: Eskf, points: Array, intensity: NDArray[np.uint8]) -> None:
         """Adds the returns of the scan just used, ``points`` (N, 3) in the IMU frame, to the newest
         image."""
@@ -265,15 +266,21 @@ class PhotometricUpdate:
             self.images[-1].add(move.apply(points), brightness(intensity))
 
     def measure(
-        self, eskf: Eskf, scan: PlacedScan, intensity: NDArray[np.uint8], dark_ticks: int
+        self,
+        eskf: Eskf,
+        scan: PlacedScan,
+        intensity: NDArray[np.uint8],
+        dark_ticks: int,
+        share: float = 1.0,
     ) -> dict[str, float]:
         """Updates the filter by a scan and its ``intensity`` (N,) after ``dark_ticks`` without an
-        image; returns the figures for the recording."""
+        image; returns the figures for the recording. ``share``: see ``Eskf.gains``."""
         if not self._needed(dark_ticks):
             return {}
         chosen = np.arange(0, len(scan), max(1, len(scan) // _RETURNS))
         part = scan.select(chosen)
-        report = self.update(eskf, part.points, part.beams, brightness(intensity[chosen]))
+        returns = Returns(part.points, part.beams)
+        report = self.update(eskf, returns, brightness(intensity[chosen]), share)
         return {
             "intensity_used": float(report.used),
             "intensity_images": float(report.images),
@@ -305,20 +312,22 @@ class PhotometricUpdate:
         best = sorted(overlaps, key=worth)[: _MOST_IMAGES - 1]
         return sorted([newest, *(k for k, _ in best)])
 
-    def update(self, eskf: Eskf, points: Array, beams: Array, values: Array) -> IntensityReport:
-        """Iterated update by (N, 3) ``points`` and ``beams``, IMU frame, of brightness ``values``
-        (N,). Nothing is changed where too few returns lie on images with texture."""
-        keys = self.choose(eskf, points)
+    def update(
+        self, eskf: Eskf, returns: Returns, values: Array, share: float = 1.0
+    ) -> IntensityReport:
+        """Iterated update by N returns of brightness ``values`` (N,). Nothing is changed where too
+        few returns lie on images with texture."""
+        keys = self.choose(eskf, returns.points)
         if not keys:
             return IntensityReport()
-        update, sigmas = IteratedUpdate(eskf), np.full(len(keys), self._sigma)
+        update, sigmas = IteratedUpdate(eskf, share), np.full(len(keys), self._sigma)
         own = self._errors
         floor = np.array([*[own.rotation_rad] * 3, own.aside_m, own.aside_m, 0.0])
         floors = np.concatenate([floor, np.zeros(eskf.shared + CLONE_DIM * len(keys))])
         used, images, sigma = 0, 0, self._sigma
         for _ in range(_ITERATIONS):
             information, vector, used, images = self._accumulate(
-                eskf, keys, Returns(points, beams), values, sigmas
+                eskf, keys, returns, values, sigmas
             )
             sigma = float(sigmas.min())
             if used < _LEAST_USED:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,9 @@ Array = NDArray[np.float64]
 class LidarReport:
     """Result of an update by one scan, for the recording."""
 
-    matched: int
-    rms_m: float
-    lateral_strength: Array
+    matched: int = 0
+    rms_m: float = 0.0
+    lateral_strength: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) eigenvalues, ascending, of the lateral information after the Schur complement"""
     weak_translation: int = 0
     """number of degenerate directions of translation"""

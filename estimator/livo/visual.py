@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -113,8 +112,7 @@ class VisualParams:
 class VisualFrontEnd:
     """Keyframes and the update by an image. Keyframe k is clone k of the filter.
 
-    ``lidar_in_camera`` (3,): position of the LIDAR, m; ``on_change(k)`` is called before clone k is
-    removed, and with None after one was added.
+    ``lidar_in_camera`` (3,): position of the LIDAR, m.
     """
 
     def __init__(
@@ -123,14 +121,12 @@ class VisualFrontEnd:
         params: VisualParams,
         *,
         lidar_in_camera: Array | None = None,
-        on_change: Callable[[int | None], None] = lambda k: None,
     ) -> None:
         self._camera = camera.intrinsics
         self._imu_from_camera = camera.imu_from_camera
         self._params = params
         self._lidar_in_camera = np.zeros(3) if lidar_in_camera is None else lidar_in_camera
         self._own_variances = np.array([0.0, 0.0, 0.0, 0.0, 0.0, params.height_sigma_m**2])
-        self._on_change = on_change
         self.keyframes: list[Keyframe] = []
 
     # ------------------------------------------------------------------------ keyframes
@@ -155,7 +151,7 @@ class VisualFrontEnd:
         )
         return taken @ self._imu_from_camera
 
-    def add_keyframe(
+    def new_keyframe(
         self,
         eskf: Eskf,
         levels: tuple[Grey, Grey, Grey],
@@ -164,10 +160,10 @@ class VisualFrontEnd:
         *,
         delay_s: float = 0.0,
         extend: bool = True,
-    ) -> bool:
-        """Makes the present image a keyframe if enough of its features have a plane; returns True
-        if so. ``delay_s``: its stamp less the instant of the filter's state; ``extend``:
-        features without returns may take the common plane of the returns around."""
+    ) -> Keyframe | None:
+        """Returns the present image as a keyframe if enough of its features have a plane, else
+        None. ``delay_s``: its stamp less the instant of the filter's state; ``extend``: features
+        without returns may take the common plane of the returns around."""
         pixels = detect_features(levels[0], self._params.features)
         keyframe = self._keyframe(eskf, levels, pixels, tick, delay_s)
         camera_from_odom = self._camera_at(eskf.state.pose, keyframe).inverse()
@@ -175,17 +171,16 @@ class VisualFrontEnd:
         if extend and int(keyframe.valid.sum()) < _LEAST_PLANES:
             extend_plane(keyframe, recent, camera_from_odom, self._camera)
         if int(keyframe.valid.sum()) < _LEAST_PLANES:
-            return False
-        self._append(eskf, keyframe)
-        return True
+            return None
+        return keyframe
 
-    def add_anchor(self, eskf: Eskf, depth_m: float, tick: int) -> None:
-        """Adds the present pose, ``depth_m`` above the ground, as a clone without an image, to
-        anchor the map to."""
+    def new_anchor(self, eskf: Eskf, depth_m: float, tick: int) -> Keyframe:
+        """Returns the present pose, ``depth_m`` above the ground, as a keyframe without an image,
+        to anchor the map to."""
         nothing = (_NO_IMAGE, _NO_IMAGE, _NO_IMAGE)
         keyframe = self._keyframe(eskf, nothing, np.zeros((0, 2)), tick, 0.0)
         keyframe.depth_m = depth_m
-        self._append(eskf, keyframe)
+        return keyframe
 
     def _keyframe(
         self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], pixels: Array, tick: int, delay_s: float
@@ -204,15 +199,19 @@ class VisualFrontEnd:
             delay_s=delay_s,
         )
 
-    def _append(self, eskf: Eskf, keyframe: Keyframe) -> None:
-        if len(self.keyframes) == self._params.max_keyframes:
-            gone = most_redundant(eskf.clones, [k.depth_m for k in self.keyframes])
-            self._on_change(gone)
-            eskf.remove_clone(gone)
-            del self.keyframes[gone]
+    def surplus(self, eskf: Eskf) -> int | None:
+        """The clone that must go before another can be added; None: there is room."""
+        if len(self.keyframes) < self._params.max_keyframes:
+            return None
+        return most_redundant(eskf.clones, [k.depth_m for k in self.keyframes])
+
+    def append(self, eskf: Eskf, keyframe: Keyframe, surplus: int | None) -> None:
+        """Clones the present pose for ``keyframe``; the clone ``surplus`` goes first."""
+        if surplus is not None:
+            eskf.remove_clone(surplus)
+            del self.keyframes[surplus]
         eskf.add_clone(self._own_variances)
         self.keyframes.append(keyframe)
-        self._on_change(None)
 
     def wants_keyframe(self, report: VisualReport, tick: int) -> bool:
         """True if the overlap has become too small for the next image. While tracking fails, new
@@ -226,10 +225,15 @@ class VisualFrontEnd:
     # ------------------------------------------------------------------------ update
 
     def update(
-        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], delay_s: float = 0.0
+        self,
+        eskf: Eskf,
+        levels: tuple[Grey, Grey, Grey],
+        delay_s: float = 0.0,
+        share: float = 1.0,
     ) -> VisualReport:
         """Iterated update by one image whose stamp is ``delay_s`` after the filter's state; nothing
-        is changed if fewer than 15 landmarks are found."""
+        is changed if fewer than 15 landmarks are found. ``share``: of the correction that mounts
+        and lens take."""
         middle = self._params.shutter.middle_s
         mount = corrected_camera(self._imu_from_camera, eskf.state.calibration)
         *poses, now = (pose @ mount for pose in self._exposed(eskf, delay_s, middle))
@@ -237,7 +241,7 @@ class VisualFrontEnd:
         if self._params.newest_only is not None:
             first = len(self.keyframes) - self._params.newest_only
             candidates = [c for c in candidates if c.index >= first]
-        share = max((c.share * _closeness(c.scale) for c in candidates), default=0.0)
+        best = max((c.share * _closeness(c.scale) for c in candidates), default=0.0)
         variances = np.array(
             [np.trace(eskf.covariance[np.ix_(i, i)][POSITION, POSITION])
              for i in map(eskf.clone_indices, range(len(poses)))]
@@ -254,9 +258,9 @@ class VisualFrontEnd:
             if int(found.sum()) >= 10:
                 tracks.append(self._track(eskf, k, usable[found], pixels[found]))
         if sum(len(t.pixels) for t in tracks) < _LEAST_LANDMARKS:
-            return VisualReport(best_share=share)
-        used, rms = self._iterate(eskf, tracks, delay_s)
-        return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=share)
+            return VisualReport(best_share=best)
+        used, rms = self._iterate(IteratedUpdate(eskf, share), eskf, tracks, delay_s)
+        return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=best)
 
     def _exposed(self, eskf: Eskf, delay_s: float, after_s: float = 0.0) -> list[Pose]:
         """odom_from_imu of all clones and of the present, ``after_s`` after the stamps of their
@@ -293,9 +297,11 @@ class VisualFrontEnd:
         )
         return _Track(k, pixels, landmarks, jacobians, spreads, made_with)
 
-    def _iterate(self, eskf: Eskf, tracks: list[_Track], delay_s: float) -> tuple[int, float]:
+    def _iterate(
+        self, update: IteratedUpdate, eskf: Eskf, tracks: list[_Track], delay_s: float
+    ) -> tuple[int, float]:
         keys = [track.keyframe for track in tracks]
-        update, used, rms = IteratedUpdate(eskf), 0, 0.0
+        used, rms = 0, 0.0
         for gate in _GATES_PX:
             information, vector, used, rms = self._accumulate(eskf, tracks, delay_s, gate)
             if used < _LEAST_LANDMARKS:

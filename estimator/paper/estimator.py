@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, PaperParams, PoseTrack
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.intake import Intake
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.filtering.message_order import MessageOrder, stamp_of
-from touchdown.estimator.filtering.rolling_shutter import at_middle_row
 from touchdown.estimator.filtering.undistortion import Undistorter
-from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.paper.camera_pose import CameraPositioning
 from touchdown.estimator.paper.depth_field import half_size_energy
 from touchdown.estimator.paper.lidar_pose import LidarPositioning
@@ -23,9 +21,6 @@ from touchdown.estimator.paper.structured_edges.detector import edge_detector
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
 Array = NDArray[np.float64]
-
-_PATIENCE_S = 0.3
-"""longest delay of a scan or image that is waited for"""
 
 
 class PaperEstimator:
@@ -45,43 +40,28 @@ class PaperEstimator:
         self._energy: tuple[int, NDArray[np.float32]] = (-1, np.zeros((0, 0), np.float32))
         self._scan_track: PoseTrack | None = None
         self._skipped = 0
-        self._guard = InputGuard(rig, params.camera_hz)
-        periods = {"scans": rig.lidar_scan_ticks, "images": rig.tick_hz // params.camera_hz}
-        patience = max(rig.compute_latency_ticks, round(_PATIENCE_S * rig.tick_hz))
-        self._order = MessageOrder(rig, periods, patience, scans_follow_images=True)
-        self._events: list[str] = []
+        self._intake = Intake(rig, self._filter, params.camera_hz, middle_rows=True)
 
     def update(self, obs: Observation) -> Estimate:
         """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         self._scan_track = None
-        obs = self._guard.screen(obs)
-        middles = tuple(at_middle_row(image, self._rig) for image in obs.images)
-        obs = dataclasses.replace(obs, images=middles)
-        self._events = list(self._guard.events)
-        self._skipped += self._guard.refused
-        self._filter.take_imu(obs)
-        tick_before = self._filter.tick
         arrivals = [
             message if isinstance(message, LidarScan) else self._flat(message)
-            for message in self._order.push(obs)
+            for message in self._intake.ready(obs)
         ]
         self._images.extend(m for m in arrivals if isinstance(m, CameraImage))
         for message in arrivals:
-            self._take(message)
-        lag = self._rig.lidar_scan_ticks + max(
-            self._rig.compute_latency_ticks, self._order.longest_wait_ticks
-        )
-        if obs.tick - self._filter.tick > lag + self._rig.lidar_scan_ticks:
-            self._filter.carry_to(obs.tick - lag)
-        if self._filter.tick != tick_before:
-            # zero-velocity updates correct the filter, too, without a message
-            self._filter.catch_up()
+            if self._intake.admit(message):
+                self._take(message)
+        self._intake.finish(obs)
         seconds = self._filter.step_s
         world_from_odom, drift = self._camera.world_from_odom(seconds)
+        skipped = self._skipped + self._intake.skipped + self._camera.failed
         diagnostics = self._lidar.diagnostics | self._camera.diagnostics
-        diagnostics |= {"skipped": float(self._skipped + self._camera.failed)}
+        diagnostics |= {"skipped": float(skipped)}
+        events = tuple(self._intake.events)
         return self._filter.estimate(
-            obs, world_from_odom, drift, self._scan_track, diagnostics, tuple(self._events)
+            obs, world_from_odom, drift, self._scan_track, diagnostics, events
         )
 
     def _flat(self, image: CameraImage) -> CameraImage:
@@ -91,21 +71,15 @@ class PaperEstimator:
         return dataclasses.replace(image, rgb=self._undistort(image.rgb), right_rgb=None)
 
     def _take(self, message: LidarScan | CameraImage) -> None:
-        tick = stamp_of(message)
-        if tick < self._filter.tick or tick > self._filter.propagated_tick:
-            self._skipped += 1
-            name = "scan" if isinstance(message, LidarScan) else "image"
-            self._events.append(f"{name} {tick} refused: it came too late")
-            return
-        self._filter.carry_to(tick)
         if isinstance(message, LidarScan):
+            tick = message.end_tick
             image = nearest_image(list(self._images), tick, self._rig.lidar_scan_ticks)
             energy = None
             if image is not None and self._params.use_colour_smoothness:
                 energy = self._energy_of(image)
             seen_from = None
             if image is not None and image.tick < tick:
-                seen_from = self._filter.pose_at(image.tick)
+                seen_from = self._filter.trail.pose_at(image.tick)
             done = self._lidar.take(message, energy, seen_from)
             self._skipped += not done
             self._scan_track = self._filter.track_of(message, self._scan_track)

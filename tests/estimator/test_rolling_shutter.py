@@ -128,13 +128,13 @@ def test_poses_of_the_trail_lie_between_its_steps() -> None:
     inertial = flown(rate, 240)
     start = inertial.rig.world_from_body_start @ inertial.rig.body_from_imu
     for tick in (181, 200, 238, 240):
-        pose = inertial.pose_at(tick)
+        pose = inertial.trail.pose_at(tick)
         turned = so3_log(start.rotation.T @ pose.rotation)
         np.testing.assert_allclose(turned, tick / 600 * rate, atol=1e-9)
         travelled = pose.translation - start.translation
         np.testing.assert_allclose(travelled, [1.5 * (tick / 600) ** 2, 0.0, 0.0], atol=1e-3)
     now = inertial.eskf.state.pose
-    np.testing.assert_allclose(inertial.pose_at(300).translation, now.translation)
+    np.testing.assert_allclose(inertial.trail.pose_at(300).translation, now.translation)
 
 
 def test_the_motion_is_that_at_the_filter_time() -> None:

@@ -1,8 +1,12 @@
 """States and IMU buffers for tests of the filter."""
 
+from typing import Any
+
 import numpy as np
 
+from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState
+from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import so3_exp
 
@@ -22,3 +26,11 @@ def filled_buffer(rng: np.random.Generator, count: int) -> ImuBuffer:
         force = np.array([0.0, 0.0, GRAVITY_MPS2]) + rng.normal(0.0, 1.0, 3)
         buffer.push(3 * (i + 1), rng.normal(0.0, 0.5, 3), force, False)
     return buffer
+
+
+def add_keyframe(vision: VisualFrontEnd, eskf: Eskf, *view: Any, **more: Any) -> bool:
+    """Makes an image a keyframe, as `livo` does; True if it can be one."""
+    keyframe = vision.new_keyframe(eskf, *view, **more)
+    if keyframe is not None:
+        vision.append(eskf, keyframe, vision.surplus(eskf))
+    return keyframe is not None

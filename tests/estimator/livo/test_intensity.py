@@ -51,7 +51,7 @@ def filter_at(pose, update, texture=1.0, sigma_m=0.3):
     is at ``pose``."""
     eskf = Eskf(NavState(0, TRUE.rotation, TRUE.translation, *np.zeros((3, 3))), np.full(15, 1e-12))
     eskf.add_clone()
-    update.follow(None, eskf, 30.0, 0)
+    update.begin(eskf, 30.0, 0)
     places = ground(300_000, 1)
     update.extend(eskf, TRUE.inverse().apply(places), levels(places, texture))
     eskf.state = NavState(0, pose.rotation, pose.translation, *np.zeros((3, 3)))
@@ -142,7 +142,7 @@ def test_scans_measure_in_the_dark_only():
     assert update.errors_of_planes(errors, 301).floor_sigmas[:2].max() < 1e-3
     assert update.errors_of_planes(errors, 301).floor_sigmas[2:].tolist() == [0.1] * 4
     off = PhotometricUpdate(LEVER, None)
-    off.follow(None, eskf, 30.0, DARK)
+    off.begin(eskf, 30.0, DARK)
     assert off.images == []
 
 
@@ -151,11 +151,11 @@ def test_images_follow_the_clones():
     eskf = filter_at(TRUE, update)
     variance = eskf.covariance[3, 3]
     eskf.add_clone()
-    update.follow(None, eskf, 20.0, DARK)
+    update.begin(eskf, 20.0, DARK)
     first, second = update.images
     assert (first.cell_m, second.cell_m) == pytest.approx((0.18, 0.12))
     assert eskf.covariance[-3, -3] == pytest.approx(variance + 0.03**2)
-    update.follow(0, eskf, 20.0, DARK)
+    update.drop(0)
     assert update.images == [second]
 
 

@@ -98,12 +98,11 @@ def test_returns_of_long_ago_are_not_extended(monkeypatch: pytest.MonkeyPatch) -
     """The LIDAR drops out from the scan at 0.6 s on; that of 0.5 s is fresh for three periods."""
     asked: list[tuple[int, bool]] = []
 
-    def note(self: VisualFrontEnd, *args: Any, delay_s: float = 0.0, extend: bool = True) -> bool:
+    def note(self: VisualFrontEnd, *args: Any, delay_s: float = 0.0, extend: bool = True) -> None:
         assert delay_s == 0.0  # the images lie on the ticks of the IMU
         asked.append((args[3], extend))
-        return False
 
-    monkeypatch.setattr(VisualFrontEnd, "add_keyframe", note)
+    monkeypatch.setattr(VisualFrontEnd, "new_keyframe", note)
     fly([dataclasses.replace(o, scans=()) if o.tick > 350 else o for o in FLIGHT])
     assert [extend for tick, extend in asked if tick <= 480] == [True] * 8
     assert [extend for tick, extend in asked if tick > 480] == [False] * 4

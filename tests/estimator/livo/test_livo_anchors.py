@@ -257,29 +257,27 @@ def test_calibration_is_carried_and_corrected() -> None:
     expected = prior @ full / (full @ prior @ full + 1.0)
     np.testing.assert_allclose(delta, expected, atol=1e-10)
     # not learning: the calibration stays, the rest moves as before and is as sure as before
-    eskf.calibration_gain[:] = 0.0
-    eskf.calibration_gain[CLOCK] = 1.0
-    some = eskf.correction(touched, information, row)[STATE_DIM:base]
-    assert some[CLOCK] == delta[STATE_DIM + CLOCK] != 0.0
-    np.testing.assert_array_equal(np.delete(some, CLOCK), 0.0)
-    eskf.calibration_gain[CLOCK] = 0.25
-    part = eskf.correction(touched, information, row)[STATE_DIM + CLOCK]
-    assert part == pytest.approx(0.25 * delta[STATE_DIM + CLOCK])
+    some = eskf.correction(touched, information, row, eskf.gains(0.0))[STATE_DIM:base]
+    learnt = np.r_[CLOCK, SHARED_DIM:CALIBRATION_DIM]
+    np.testing.assert_array_equal(some[learnt], delta[STATE_DIM:base][learnt])
+    assert some[CLOCK] != 0.0
+    np.testing.assert_array_equal(np.delete(some, learnt), 0.0)
+    quarter, none = np.full(CALIBRATION_DIM, 0.25), np.zeros(CALIBRATION_DIM)
+    part = eskf.correction(touched, information, row, quarter)[STATE_DIM:base]
+    np.testing.assert_allclose(part, 0.25 * delta[STATE_DIM:base])
     partial = Eskf(state, np.full(base, 0.01))
     partial.covariance = prior.copy()
-    partial.calibration_gain[:] = 0.25
-    partial.update_covariance(touched, information)
+    partial.update_covariance(touched, information, quarter)
     # an estimate that takes a share keeps (1 - share)^2 of what full correction takes off
     lost = np.outer(expected, full @ prior)[STATE_DIM:base, STATE_DIM:base]
     kept_block = prior[STATE_DIM:base, STATE_DIM:base] - (1.0 - 0.75**2) * lost
     np.testing.assert_allclose(
         partial.covariance[STATE_DIM:base, STATE_DIM:base], kept_block, atol=1e-10
     )
-    eskf.calibration_gain[CLOCK] = 0.0
-    held = eskf.correction(touched, information, row)
+    held = eskf.correction(touched, information, row, none)
     np.testing.assert_array_equal(held[STATE_DIM:base], 0.0)
     np.testing.assert_array_equal(held[:STATE_DIM], delta[:STATE_DIM])
-    eskf.update_covariance(touched, information)
+    eskf.update_covariance(touched, information, none)
     shared = slice(STATE_DIM, base)
     np.testing.assert_array_equal(eskf.covariance[shared, shared], prior[shared, shared])
     posterior = prior - np.outer(expected, full @ prior)

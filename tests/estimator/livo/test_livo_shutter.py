@@ -22,6 +22,8 @@ from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
+from support.livo_filter_support import add_keyframe
+
 CAMERA = CameraIntrinsics(width=424, height=240, fx=310.0, fy=315.0, cx=211.5, cy=119.5)
 IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.07, 0.02, -0.13]))
 SHUTTER = Shutter(0.015)
@@ -147,7 +149,7 @@ def test_the_pose_of_a_rolling_image_is_recovered(known: bool) -> None:
         NavState(0, key.rotation, key.translation, there[3:], zero, zero), np.full(STATE_DIM, 1e-8)
     )
     eskf.rate = there[:3]
-    assert vision.add_keyframe(eskf, grey_levels(rolling_view(ground, key, there)), recent, 0)
+    assert add_keyframe(vision, eskf, grey_levels(rolling_view(ground, key, there)), recent, 0)
     offset = np.array([0.06, -0.05, 0.02])
     eskf.state = NavState(60, now.rotation, now.translation + offset, -there[3:], zero, zero)
     eskf.rate = -there[:3]

@@ -168,7 +168,7 @@ def test_the_ground_stays_where_it_is_under_a_climb() -> None:
     """At 4.6 m/s the vehicle is half a metre higher when a scan arrives than when it was taken."""
     livo, estimates = run(observations(RIG, 780, accelerated(0, 0, 4.0), seen=False))
     assert estimates[-1].velocity_odom[2] == pytest.approx(5.2, abs=0.05)
-    ground = livo._recent.median_height()
+    ground = livo._map.recent.median_height()
     assert ground is not None and abs(ground) < 0.02
     said = [event for e in estimates for event in e.events if "LIDAR" in event]
     assert said == ["the LIDAR does not measure translation along 2 axes and rotation about 1 axis"]
@@ -182,7 +182,7 @@ def test_the_found_error_of_the_mount_is_applied_to_the_next_scan() -> None:
     livo._eskf.state = dataclasses.replace(livo._eskf.state, calibration=known)
     for obs in FLIGHT[:33]:
         livo.update(obs)
-    assert livo._recent.median_height() == pytest.approx(0.1, abs=2e-3)
+    assert livo._map.recent.median_height() == pytest.approx(0.1, abs=2e-3)
 
 
 def test_a_scan_from_the_edge_of_the_blind_zone_is_not_used() -> None:
@@ -218,7 +218,7 @@ def test_the_map_belongs_to_clones_of_the_poses_that_made_it() -> None:
     counts = [len(livo._eskf.clones) for obs in flight if livo.update(obs)]
     assert (counts[600 // IMU_TICKS], counts[-1]) == (1, 2)
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-6.0, 15.0), [-1.0, 0.0, 1.0]))
-    matched = livo._map.match(np.column_stack([x, y, np.zeros(x.size)]) + [0.4, 0.4, 0.0])
+    matched = livo._map.planes.match(np.column_stack([x, y, np.zeros(x.size)]) + [0.4, 0.4, 0.0])
     assert matched.found.sum() > 40
     assert set(matched.anchors[matched.found].tolist()) == {0, 1}
 

@@ -16,6 +16,8 @@ from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams, Visual
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
+from support.livo_filter_support import add_keyframe
+
 CAMERA = CameraIntrinsics(width=424, height=240, fx=310.0, fy=315.0, cx=211.5, cy=119.5)
 IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.07, 0.02, -0.13]))
 
@@ -213,7 +215,7 @@ def filter_at(pose: Pose) -> Eskf:
 def test_image_update_recovers_a_known_offset() -> None:
     key, now = imu_pose((0, 0, 15), (0, 0, 0)), imu_pose((2.0, 1.0, 14.5), (0.02, -0.01, 0.05))
     vision, eskf = front_end(), filter_at(key)
-    assert vision.add_keyframe(eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), ground_returns(), 0)
+    assert add_keyframe(vision, eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), ground_returns(), 0)
     offset = np.array([0.001, -0.001, 0.004, 0.06, -0.05, 0.02])
     state = eskf.state
     eskf.state = NavState(
@@ -235,7 +237,7 @@ def test_uncertain_depths_weaken_what_a_baseline_measures() -> None:
     sigmas = []
     for depth_sigma_m in (0.0, 1.0):
         vision, eskf = front_end(depth_sigma_m=depth_sigma_m), filter_at(key)
-        vision.add_keyframe(eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), ground_returns(), 0)
+        add_keyframe(vision, eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), ground_returns(), 0)
         eskf.state = filter_at(now).state
         eskf.covariance[3, 3] += 1.0
         assert vision.update(eskf, grey_levels(view(now @ IMU_FROM_CAMERA))).used > 50
@@ -252,7 +254,7 @@ def test_landmarks_follow_the_mount_that_is_found_after_them() -> None:
     variances = np.full(STATE_DIM + CALIBRATION_DIM, 1e-12)
     state = replace(filter_at(key).state, calibration=np.zeros(CALIBRATION_DIM))
     eskf, vision = Eskf(state, variances), front_end()
-    assert vision.add_keyframe(eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), low, 0)
+    assert add_keyframe(vision, eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), low, 0)
     found = np.zeros(CALIBRATION_DIM)
     found[MOUNT_TRANSLATION] = [0.0, 0.0, 0.5]
     start = now.translation + np.array([0.05, -0.04, 0.0])
@@ -264,7 +266,7 @@ def test_landmarks_follow_the_mount_that_is_found_after_them() -> None:
 
 def test_a_keyframe_has_a_height_error_of_its_own() -> None:
     vision, eskf = front_end(height_sigma_m=0.05), filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
-    vision.add_anchor(eskf, 15.0, 0)
+    vision.append(eskf, vision.new_anchor(eskf, 15.0, 0), None)
     own = np.diag(eskf.covariance)[eskf.clone_indices(0)]
     np.testing.assert_allclose(own, [1e-8] * 5 + [1e-8 + 0.05**2])
 
@@ -275,7 +277,7 @@ def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest() -> None:
     for k in range(2):
         pose = imu_pose((1.0 * k, 0.0, 15.0), (0, 0, 0))
         eskf.state = filter_at(pose).state
-        assert vision.add_keyframe(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)), returns, k)
+        assert add_keyframe(vision, eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)), returns, k)
     report = vision.update(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)))
     assert report.keyframes_tracked == 2
     newest = front_end(newest_only=1)
@@ -287,7 +289,7 @@ def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest() -> None:
 def test_a_black_image_changes_nothing_and_is_counted() -> None:
     key = imu_pose((0, 0, 15), (0, 0, 0))
     vision, eskf = front_end(), filter_at(key)
-    vision.add_keyframe(eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), ground_returns(), 0)
+    add_keyframe(vision, eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), ground_returns(), 0)
     before = eskf.covariance.copy()
     black = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
     report = vision.update(eskf, grey_levels(black))
@@ -304,7 +306,7 @@ def test_keyframes_are_bounded_and_their_clones_go_with_them() -> None:
         pose = imu_pose((0.5 * k, 0.0, 15.0), (0, 0, 0))
         eskf.state = NavState(60 * k, pose.rotation, pose.translation, *(3 * [np.zeros(3)]))
         image = grey_levels(view(pose @ IMU_FROM_CAMERA))
-        assert vision.add_keyframe(eskf, image, returns, 60 * k)
+        assert add_keyframe(vision, eskf, image, returns, 60 * k)
     assert len(vision.keyframes) == len(eskf.clones) == 4
     assert eskf.covariance.shape == (STATE_DIM + 24, STATE_DIM + 24)
     for keyframe, clone in zip(vision.keyframes, eskf.clones, strict=True):
@@ -321,9 +323,9 @@ def test_a_plane_is_extended_only_on_demand() -> None:
     pose = imu_pose((0, 0, 22), (0, 0, 0))
     image = grey_levels(view(pose @ IMU_FROM_CAMERA))
     vision, eskf = front_end(), filter_at(pose)
-    assert not vision.add_keyframe(eskf, image, recent, 0, extend=False)
+    assert not add_keyframe(vision, eskf, image, recent, 0, extend=False)
     assert not vision.keyframes and not eskf.clones
-    assert vision.add_keyframe(eskf, image, recent, 0)
+    assert add_keyframe(vision, eskf, image, recent, 0)
     assert vision.keyframes[0].valid.sum() > 60
 
 

@@ -70,7 +70,7 @@ def test_a_displaced_pose_is_pulled_back(sensor: str, shift: Any, turn: Any) -> 
             )
             covariance[3:6, 3:6] += np.diag(np.where(np.array(shift) == 0.0, 0.0, 0.3**2))
             covariance[:3, :3] += np.diag(np.where(np.array(turn) == 0.0, 0.0, 0.1**2))
-            inertial._trail.follow(inertial.eskf.state)
+            inertial.trail.follow(inertial.eskf.state)
             inertial.catch_up()
         estimate = estimator.update(obs)
         if obs.tick == 396:

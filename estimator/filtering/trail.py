@@ -1,0 +1,68 @@
+"""The poses that the filter has passed: for deskewing, and as the track of a scan."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import PoseTrack
+from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.sim.api import LidarScan
+from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp, so3_log
+
+Array = NDArray[np.float64]
+
+_STEPS = 128
+
+
+class Trail:
+    """odom_from_imu at the last IMU ticks: ``ticks`` (N,), ``rotations`` (N, 3, 3), ``positions``
+    (N, 3)."""
+
+    def __init__(self, state: NavState) -> None:
+        self.ticks = np.array([state.tick], np.int64)
+        self.rotations = state.rotation[None]
+        self.positions = state.position[None]
+
+    def extend(self, ticks: Array, rotations: Array, positions: Array) -> None:
+        """Adds the poses passed by the newest propagation."""
+        whole = ticks.astype(np.int64)
+        self.ticks = np.concatenate([self.ticks, whole])[-_STEPS:]
+        self.rotations = np.concatenate([self.rotations, rotations])[-_STEPS:]
+        self.positions = np.concatenate([self.positions, positions])[-_STEPS:]
+
+    def follow(self, state: NavState) -> None:
+        """Moves the whole trail rigidly so that it ends at the filter's state."""
+        rotation = state.rotation @ self.rotations[-1].T
+        self.positions = (self.positions - self.positions[-1]) @ rotation.T + state.position
+        self.rotations = rotation @ self.rotations
+
+    def start_of(self, scan: LidarScan) -> int | None:
+        """Returns the index of the pose at the scan's start, if the trail spans the scan
+        exactly."""
+        first = int(np.searchsorted(self.ticks, scan.start_tick))
+        spans = first + 1 < len(self.ticks) and self.ticks[first] == scan.start_tick
+        return first if spans and self.ticks[-1] == scan.end_tick else None
+
+    def track(self, first: int, imu_from_body: Pose, tick_hz: int) -> PoseTrack:
+        """Returns the body's poses from index ``first`` on."""
+        bodies = self.rotations[first:] @ imu_from_body.rotation
+        return PoseTrack(
+            times_s=self.ticks[first:] / tick_hz,
+            positions_odom=self.positions[first:]
+            + self.rotations[first:] @ imu_from_body.translation,
+            quats_wxyz=np.array([quat_wxyz_from_matrix(rotation) for rotation in bodies]),
+        )
+
+    def pose_at(self, tick: int) -> Pose:
+        """odom_from_imu at ``tick``, as far as the trail reaches."""
+        at = float(np.interp(tick, self.ticks, np.arange(len(self.ticks))))
+        first = min(int(at), max(len(self.ticks) - 2, 0))
+        last = min(first + 1, len(self.ticks) - 1)
+        share = at - first
+        rotation = so3_log(self.rotations[first].T @ self.rotations[last])
+        translation = self.positions[last] - self.positions[first]
+        return Pose(
+            self.rotations[first] @ so3_exp(share * rotation),
+            self.positions[first] + share * translation,
+        )

@@ -1,0 +1,61 @@
+"""The map of `livo`: planes, recent returns and intensity images, anchored to the filter's clones.
+
+A part of the map belongs to the clone that it was seen from and moves with its estimate.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import LivoParams
+from touchdown.estimator.filtering.deskew import PlacedScan, thin_out
+from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.plane_map import PlaneMap
+from touchdown.estimator.livo.anchors import Anchors
+from touchdown.estimator.livo.intensity_update import PhotometricUpdate
+
+Array = NDArray[np.float64]
+
+_SPREAD = 0.12
+"""of a voxel, between two points of a scan that are stored: close to the ground a scan would fill a
+voxel from one corner of it"""
+
+
+class AnchoredMap:
+    """Part k of ``anchors`` and ``images`` belongs to clone k of the filter."""
+
+    def __init__(self, params: LivoParams, lever: Array, dark_ticks: int | None) -> None:
+        """``lever`` (3,), ``dark_ticks``: see ``PhotometricUpdate``."""
+        self._voxel_m = params.voxel_m
+        self.planes = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
+        self.recent = RecentReturns()
+        self.anchors = Anchors()
+        self.photometric = PhotometricUpdate(lever, dark_ticks)
+
+    def extend(
+        self, eskf: Eskf, scan: PlacedScan, intensity: NDArray[np.uint8], lever: Array
+    ) -> None:
+        """Adds the scan just used, with its ``intensity`` (N,), at the present pose to the newest
+        clone's part. ``lever`` (3,): of the LIDAR in the IMU frame."""
+        state = eskf.state
+        points = scan.points @ state.rotation.T + state.position
+        sensor = state.rotation @ lever + state.position
+        terms = self.anchors.kept_from_now(eskf.clones, state.calibration, state.rotation)
+        spread = thin_out(scan.points, _SPREAD * self._voxel_m, 16)
+        self.planes.insert(points[spread], sensor, len(self.anchors) - 1, terms)
+        self.recent.add(points)
+        self.photometric.extend(eskf, scan.points, intensity)
+
+    def begin(self, eskf: Eskf, height_m: float, dark_ticks: int) -> None:
+        """Begins the part of the clone just added, ``height_m`` above the ground."""
+        self.photometric.begin(eskf, height_m, dark_ticks)
+        self.anchors.add(eskf.clones[-1], eskf.state.calibration)
+
+    def hand_over(self, k: int, eskf: Eskf) -> None:
+        """Gives the planes of clone ``k``, which is about to go, to the clone nearest to it."""
+        self.photometric.drop(k)
+        successor, move = self.anchors.reassignment(k, eskf.clones)
+        self.planes.reassign(k, successor, move)
+        self.anchors.remove(k)
