@@ -21,13 +21,7 @@ from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.rolling_shutter import at_middle_row
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
-from touchdown.sim.api import (
-    GRAVITY_MPS2,
-    MagnetometerSample,
-    Observation,
-    SensorNeeds,
-    SensorRig,
-)
+from touchdown.sim.api import GRAVITY_MPS2, MagnetometerSample, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, yaw_from_rotation
 
 Array = NDArray[np.float64]

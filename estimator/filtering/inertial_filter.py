@@ -31,11 +31,7 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
-from touchdown.estimator.filtering.imu_propagation import (
-    ImuBuffer,
-    NavState,
-    propagate_nominal,
-)
+from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState, propagate_nominal
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist
 from touchdown.estimator.filtering.trail import Trail
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
@@ -48,12 +44,7 @@ from touchdown.sim.api import (
     Observation,
     SensorRig,
 )
-from touchdown.sim.frames import (
-    Pose,
-    cross,
-    so3_exp,
-    so3_log,
-)
+from touchdown.sim.frames import Pose, cross, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 
@@ -201,11 +192,7 @@ class InertialFilter:
     # ------------------------------------------------------------------------ measurements
 
     def place_scan(
-        self,
-        scan: LidarScan,
-        imu_from_lidar: Pose | None = None,
-        *,
-        check_blind_zone: bool = False,
+        self, scan: LidarScan, imu_from_lidar: Pose | None = None, *, check_blind_zone: bool = False
     ) -> PlacedScan | None:
         """Returns the valid returns of a scan, deskewed to its end; None if the trail does not span
         the scan. ``imu_from_lidar``: the given mount by default; ``check_blind_zone``: see

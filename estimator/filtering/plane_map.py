@@ -293,12 +293,7 @@ def _gather(
 
 @njit(cache=True)
 def match_planes(
-    voxels: Voxels,
-    points: Array,
-    voxel: float,
-    margin: float,
-    min_count: int,
-    max_thickness: float,
+    voxels: Voxels, points: Array, voxel: float, margin: float, min_count: int, max_thickness: float
 ) -> PlaneMatches:
     """Returns the plane of the voxel of each of (N, 3) points.
 

@@ -13,11 +13,7 @@ from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.plane_map import PlaneMap
 from touchdown.estimator.livo.anchors import Anchors
-from touchdown.estimator.livo.lidar_update import (
-    LidarReport,
-    weak_directions,
-    without_directions,
-)
+from touchdown.estimator.livo.lidar_update import LidarReport, weak_directions, without_directions
 from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_equations
 
 Array = NDArray[np.float64]

@@ -30,12 +30,7 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.livo.anchored_update import ScanErrors
-from touchdown.estimator.livo.intensity_image import (
-    FEWEST,
-    Float32,
-    IntensityImage,
-    brightness,
-)
+from touchdown.estimator.livo.intensity_image import FEWEST, Float32, IntensityImage, brightness
 from touchdown.estimator.livo.plane_equations import Returns, cross_into
 
 Array = NDArray[np.float64]
@@ -342,12 +337,7 @@ class PhotometricUpdate:
         )
 
     def _accumulate(
-        self,
-        eskf: Eskf,
-        keys: list[int],
-        returns: Returns,
-        values: Array,
-        sigmas: Array,
+        self, eskf: Eskf, keys: list[int], returns: Returns, values: Array, sigmas: Array
     ) -> tuple[Array, Array, int, int]:
         """Sums over all images; ``sigmas`` (K,) become those of the residuals on each: an image
         that does not fit counts little."""

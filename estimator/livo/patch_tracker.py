@@ -58,9 +58,7 @@ def _template(
         for i in range(_SIDE + 2):
             di, dj = i - reach, j - reach
             wide[j, i] = _bilinear(
-                image,
-                u + warp[0, 0] * di + warp[0, 1] * dj,
-                v + warp[1, 0] * di + warp[1, 1] * dj,
+                image, u + warp[0, 0] * di + warp[0, 1] * dj, v + warp[1, 0] * di + warp[1, 1] * dj
             )
     mean, mean_u, mean_v = 0.0, 0.0, 0.0
     for j in range(_SIDE):

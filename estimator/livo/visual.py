@@ -116,11 +116,7 @@ class VisualFrontEnd:
     """
 
     def __init__(
-        self,
-        camera: MountedCamera,
-        params: VisualParams,
-        *,
-        lidar_in_camera: Array | None = None,
+        self, camera: MountedCamera, params: VisualParams, *, lidar_in_camera: Array | None = None
     ) -> None:
         self._camera = camera.intrinsics
         self._imu_from_camera = camera.imu_from_camera
@@ -225,11 +221,7 @@ class VisualFrontEnd:
     # ------------------------------------------------------------------------ update
 
     def update(
-        self,
-        eskf: Eskf,
-        levels: tuple[Grey, Grey, Grey],
-        delay_s: float = 0.0,
-        share: float = 1.0,
+        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], delay_s: float = 0.0, share: float = 1.0
     ) -> VisualReport:
         """Iterated update by one image whose stamp is ``delay_s`` after the filter's state; nothing
         is changed if fewer than 15 landmarks are found. ``share``: of the correction that mounts

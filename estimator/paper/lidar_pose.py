@@ -76,11 +76,7 @@ class LidarPositioning:
     """Edge and planar maps, and the correction of the filter by each scan."""
 
     def __init__(
-        self,
-        rig: SensorRig,
-        params: PaperParams,
-        inertial: InertialFilter,
-        recent: RecentReturns,
+        self, rig: SensorRig, params: PaperParams, inertial: InertialFilter, recent: RecentReturns
     ) -> None:
         self._rig = rig
         self._params = params
