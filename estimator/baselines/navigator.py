@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -171,7 +170,7 @@ class Navigator:
 
     def grey(self, rgb: NDArray[np.uint8]) -> Grey:
         """Returns the undistorted grey image (H, W) uint8."""
-        return self._undistort(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
+        return self._undistort.grey(rgb)
 
     def estimate(
         self,

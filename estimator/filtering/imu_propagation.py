@@ -11,7 +11,7 @@ is that of ``error_state``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -77,18 +77,6 @@ class NavState:
         by_force = errors[GYRO_BY_FORCE].reshape(3, 3)
         specific_force = (force - self.accel_bias) * (1.0 - errors[ACCEL_SCALE])
         return (gyro - self.gyro_bias) @ response.T - specific_force @ by_force.T, specific_force
-
-    def copy(self) -> NavState:
-        """Returns a deep copy."""
-        return NavState(
-            self.tick,
-            self.rotation.copy(),
-            self.position.copy(),
-            self.velocity.copy(),
-            self.gyro_bias.copy(),
-            self.accel_bias.copy(),
-            self.calibration.copy(),
-        )
 
 
 class NoiseDensities(NamedTuple):
@@ -169,7 +157,7 @@ def integrate(
 
 
 @njit(cache=True)
-def _skew(v: Array) -> Array:
+def skew_of(v: Array) -> Array:
     out = np.zeros((3, 3))
     out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
     out[1, 0], out[2, 0], out[2, 1] = v[2], -v[1], v[0]
@@ -192,7 +180,7 @@ def transition(
     r, p, v = ROTATION.start, POSITION.start, VELOCITY.start
     for i in range(gyro.shape[0]):
         middle = rotations[i] @ exp_so3(0.5 * step_s * gyro[i])
-        lever = -step_s * (middle @ _skew(force[i]))
+        lever = -step_s * (middle @ skew_of(force[i]))
         step[ROTATION, ROTATION] = exp_so3(-step_s * gyro[i])
         step[VELOCITY, ROTATION] = lever
         step[POSITION, ROTATION] = 0.5 * step_s * lever
@@ -285,12 +273,10 @@ def propagate_nominal(
         step_s,
         GRAVITY_MPS2,
     )
-    return NavState(
-        int(ticks[-1]),
-        rotations[-1],
-        positions[-1],
-        velocities[-1],
-        state.gyro_bias,
-        state.accel_bias,
-        state.calibration,
+    return replace(
+        state,
+        tick=int(ticks[-1]),
+        rotation=rotations[-1],
+        position=positions[-1],
+        velocity=velocities[-1],
     )

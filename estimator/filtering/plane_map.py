@@ -133,7 +133,8 @@ def insert_points(
     """
     keys, moments, owners, seen_from = voxels
     limit = int(0.7 * keys.shape[0])
-    p = np.empty(3)
+    p, one = np.empty(3), np.zeros(_MOMENTS)
+    one[_COUNT] = 1.0
     for i in range(points.shape[0]):
         ix = int(np.floor(points[i, 0] / voxel))
         iy = int(np.floor(points[i, 1] / voxel))
@@ -163,16 +164,7 @@ def insert_points(
         x = p[0] - (ix + 0.5) * voxel
         y = p[1] - (iy + 0.5) * voxel
         z = p[2] - (iz + 0.5) * voxel
-        m[_COUNT] += 1.0
-        m[_X] += x
-        m[_Y] += y
-        m[_Z] += z
-        m[_XX] += x * x
-        m[_XY] += x * y
-        m[_XZ] += x * z
-        m[_YY] += y * y
-        m[_YZ] += y * z
-        m[_ZZ] += z * z
+        _add_moved(m, one, x, y, z)
     return used
 
 
