@@ -74,10 +74,8 @@ IMU_ERRORS = slice(SHARED_DIM, CALIBRATION_DIM)
 class Frame(NamedTuple):
     """A rigid transform, as kernels take it."""
 
-    rotation: Array
-    """(3, 3)"""
-    translation: Array
-    """(3,) m"""
+    rotation: Array  # (3, 3)
+    translation: Array  # (3,) m
 
     @staticmethod
     def of(pose: Pose) -> Frame:
@@ -88,10 +86,8 @@ class Frame(NamedTuple):
 class Frames(NamedTuple):
     """K rigid transforms, as kernels take them."""
 
-    rotations: Array
-    """(K, 3, 3)"""
-    translations: Array
-    """(K, 3) m"""
+    rotations: Array  # (K, 3, 3)
+    translations: Array  # (K, 3) m
 
     @staticmethod
     def of(poses: list[Pose]) -> Frames:

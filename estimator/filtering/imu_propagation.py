@@ -82,14 +82,10 @@ class NavState:
 class NoiseDensities(NamedTuple):
     """White noise of an IMU, and the walk of its biases."""
 
-    gyro: float
-    """rad/s/sqrt(Hz)"""
-    accel: float
-    """m/s^2/sqrt(Hz)"""
-    gyro_walk: float
-    """rad/s^2/sqrt(Hz)"""
-    accel_walk: float
-    """m/s^3/sqrt(Hz)"""
+    gyro: float  # rad/s/sqrt(Hz)
+    accel: float  # m/s^2/sqrt(Hz)
+    gyro_walk: float  # rad/s^2/sqrt(Hz)
+    accel_walk: float  # m/s^3/sqrt(Hz)
 
 
 @njit(cache=True)
@@ -154,6 +150,14 @@ def integrate(
         )
         velocities[i + 1] = velocities[i] + step_s * acceleration
     return rotations, positions, velocities
+
+
+@njit(cache=True)
+def cross_into(a: Array, b: Array, out: Array, at: int) -> None:
+    """Writes a x b into ``out`` from ``at`` on."""
+    out[at] = a[1] * b[2] - a[2] * b[1]
+    out[at + 1] = a[2] * b[0] - a[0] * b[2]
+    out[at + 2] = a[0] * b[1] - a[1] * b[0]
 
 
 @njit(cache=True)

@@ -61,15 +61,11 @@ class RecentReturns:
 class _Cells(NamedTuple):
     """Returns sorted by image cell, in normalised units."""
 
-    starts: NDArray[np.int64]
-    """(rows * cols + 1,) first return of each cell"""
-    seen: Array
-    """(K, 3) x, y, 1 / depth"""
-    width: float
-    """of the image on each side of its axis"""
+    starts: NDArray[np.int64]  # (rows * cols + 1,) first return of each cell
+    seen: Array  # (K, 3) x, y, 1 / depth
+    width: float  # of the image on each side of its axis
     height: float
-    side: float
-    """of a cell"""
+    side: float  # of a cell
 
 
 @njit(cache=True)

@@ -24,17 +24,13 @@ Array = NDArray[np.float64]
 class PlaneMatches(NamedTuple):
     """Planes of the map found for N points."""
 
-    found: NDArray[np.bool_]
-    """(N,)"""
-    normals: Array
-    """(N, 3) unit"""
-    centres: Array
-    """(N, 3) m, a point on each plane"""
+    found: NDArray[np.bool_]  # (N,)
+    normals: Array  # (N, 3) unit
+    centres: Array  # (N, 3) m, a point on each plane
     variances: Array
     """(N, 3): m^2 of the returns about the plane (its thickness); m^2 of the plane's height at the
     point; rad^2 of the normal about either axis"""
-    sensors: Array
-    """(N, 3) m, position that each plane was first seen from"""
+    sensors: Array  # (N, 3) m, position that each plane was first seen from
     anchors: NDArray[np.signedinteger]
     """(N,) index of the anchor that each plane belongs to; -1: none"""
 
@@ -42,28 +38,20 @@ class PlaneMatches(NamedTuple):
 class Voxels(NamedTuple):
     """The S slots of the hash table, as kernels take them."""
 
-    keys: NDArray[np.int64]
-    """(S,)"""
-    moments: Array
-    """(S, 10), in the order of ``_COUNT`` and the following"""
-    owners: NDArray[np.int16]
-    """(S,) index of the anchor; -1: none"""
-    seen_from: Array
-    """(S, 3) m"""
+    keys: NDArray[np.int64]  # (S,)
+    moments: Array  # (S, 10), in the order of ``_COUNT`` and the following
+    owners: NDArray[np.int16]  # (S,) index of the anchor; -1: none
+    seen_from: Array  # (S, 3) m
 
 
 class AnchorTerms(NamedTuple):
     """What moves new points to the state at the creation of each of K anchors, see
     ``Anchors.kept_from_now``."""
 
-    rotations: Array
-    """(K, 3, 3)"""
-    translations: Array
-    """(K, 3) m"""
-    turns: Array
-    """(K, 3) rad, of a beam about the sensor, odom frame, applied first"""
-    shifts: Array
-    """(K, 3) m, with it"""
+    rotations: Array  # (K, 3, 3)
+    translations: Array  # (K, 3) m
+    turns: Array  # (K, 3) rad, of a beam about the sensor, odom frame, applied first
+    shifts: Array  # (K, 3) m, with it
 
 
 _EMPTY = np.int64(-1)

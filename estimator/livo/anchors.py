@@ -28,12 +28,9 @@ Indices = NDArray[np.int64]
 class AnchorFrames(NamedTuple):
     """The K anchors of the map at the present estimate."""
 
-    moves: Frames
-    """that move stored planes to it"""
-    clones: Frames
-    """odom_from_imu"""
-    mount_changes: Array
-    """(K, 6) present mount less the mount when the clone was made"""
+    moves: Frames  # that move stored planes to it
+    clones: Frames  # odom_from_imu
+    mount_changes: Array  # (K, 6) present mount less the mount when the clone was made
     slots: NDArray[np.int64]
     """(K,) place of each among the clones that are touched; -1: not touched"""
 

@@ -25,14 +25,13 @@ from touchdown.estimator.filtering.keyframes import Keyframe
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.livo.anchored_map import AnchoredMap
-from touchdown.estimator.livo.anchored_update import update_with_scan
+from touchdown.estimator.livo.anchored_update import DegeneracyWatch, LidarReport, update_with_scan
 from touchdown.estimator.livo.error_model import (
     flown_imu,
     scan_diagnostics,
     scan_errors,
     visual_diagnostics,
 )
-from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
     calibration_diagnostics,
     corrected_mount,

@@ -75,14 +75,8 @@ class _Track:
     """Landmarks of one keyframe that were found in the present image."""
 
     keyframe: int
-    pixels: Array
-    """(N, 2) in the present image"""
-    landmarks: Array
-    """(N, 3) IMU frame of the keyframe"""
-    jacobians: Array
-    """(N, 3, C) by the shared calibration"""
-    spreads: Array
-    """(N, 3) one standard deviation along the ray"""
+    views: LandmarkViews
+    """as created"""
     made_with: Array
     """(C,) calibration at which ``landmarks`` hold"""
 
@@ -237,7 +231,7 @@ class VisualFrontEnd:
             )  # fmt: skip
             if int(found.sum()) >= 10:
                 tracks.append(self._track(eskf, k, usable[found], pixels[found]))
-        if sum(len(t.pixels) for t in tracks) < _LEAST_LANDMARKS:
+        if sum(len(t.views.pixels) for t in tracks) < _LEAST_LANDMARKS:
             return VisualReport(best_share=best)
         used, rms = self._iterate(IteratedUpdate(eskf, share), eskf, tracks, delay_s)
         return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=best)
@@ -263,19 +257,20 @@ class VisualFrontEnd:
         along = np.einsum("ij,ij->i", rays, planes)
         before = np.einsum("ij,ij->i", starts, planes)
         landmarks = mount.apply(starts + rays * ((1.0 - before) / along)[:, None])
+        rows = self._shutter.row_times(pixels[:, 1], self._camera.height)
         arms = landmarks - mount.translation
         sigmas = np.hypot(self._params.depth_sigma_m, keyframe.sigmas[which])
         spreads = arms * (sigmas / np.linalg.norm(arms, axis=1))[:, None]
         if not eskf.shared:
-            none = np.zeros((len(which), 3, 0))
-            return _Track(k, pixels, landmarks, none, spreads, np.zeros(0))
+            fixed = np.zeros((len(which), 3, 0))
+            return _Track(k, LandmarkViews(pixels, rows, landmarks, fixed, spreads), np.zeros(0))
         made_with = keyframe.calibration[: eskf.shared].copy()
         for given in (FOCAL, CENTER, CAMERA_ROTATION, CAMERA_TRANSLATION):
             made_with[given] = 0.0  # rays are those of the given lens and mount
         jacobians = landmark_jacobians(
             rays, planes, self._lidar_in_camera, mount, twist, self._camera
         )
-        return _Track(k, pixels, landmarks, jacobians, spreads, made_with)
+        return _Track(k, LandmarkViews(pixels, rows, landmarks, jacobians, spreads), made_with)
 
     def _iterate(
         self, update: IteratedUpdate, eskf: Eskf, tracks: list[_Track], delay_s: float
@@ -305,10 +300,10 @@ class VisualFrontEnd:
         calibration = state.calibration[:shared]
         for slot, track_ in enumerate(tracks):
             clone, keyframe = clones[track_.keyframe], self.keyframes[track_.keyframe]
-            landmarks = track_.landmarks + track_.jacobians @ (calibration - track_.made_with)
-            rows = self._shutter.row_times(track_.pixels[:, 1], self._camera.height)
+            views = track_.views
+            landmarks = views.landmarks + views.jacobians @ (calibration - track_.made_with)
             part = calibrated_information(
-                LandmarkViews(track_.pixels, rows, landmarks, track_.jacobians, track_.spreads),
+                views._replace(landmarks=landmarks),
                 Frame.of(now), Frame.of(clone), np.array([eskf.twist, keyframe.twist]),
                 Frame.of(camera), lens, PixelNoise(self._params.pixel_sigma, gate_px),
             )  # fmt: skip

@@ -32,20 +32,13 @@ Indices = NDArray[np.int64]
 class Observations(NamedTuple):
     """L landmarks, each seen first along a ray of its host, and M observations, by landmark."""
 
-    hosts: Indices
-    """(L,) poses that saw each first"""
-    rays: Array
-    """(L, 3) camera frame, z = 1"""
-    prior_depths: Array
-    """(L,) m, by the LIDAR"""
-    landmarks: Indices
-    """(M,)"""
-    observers: Indices
-    """(M,) poses"""
-    pixels: Array
-    """(M, 2)"""
-    sigmas_px: Array
-    """(M,)"""
+    hosts: Indices  # (L,) poses that saw each first
+    rays: Array  # (L, 3) camera frame, z = 1
+    prior_depths: Array  # (L,) m, by the LIDAR
+    landmarks: Indices  # (M,)
+    observers: Indices  # (M,) poses
+    pixels: Array  # (M, 2)
+    sigmas_px: Array  # (M,)
 
 
 @dataclass(slots=True)
