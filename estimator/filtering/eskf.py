@@ -214,14 +214,12 @@ class Eskf:
     ) -> tuple[NavState, list[Pose]]:
         """Returns the mean ``(state, clones)`` moved by an error-state vector."""
         moved = replace(
-            state,
-            rotation=state.rotation @ so3_exp(delta[ROTATION]),
-            position=state.position + delta[POSITION],
-            velocity=state.velocity + delta[VELOCITY],
+            state, rotation=state.rotation @ so3_exp(delta[ROTATION]),
+            position=state.position + delta[POSITION], velocity=state.velocity + delta[VELOCITY],
             gyro_bias=state.gyro_bias + delta[GYRO_BIAS],
             accel_bias=state.accel_bias + delta[ACCEL_BIAS],
             calibration=state.calibration + delta[STATE_DIM : self.base],
-        )
+        )  # fmt: skip
         parts = delta[self.base :].reshape(-1, CLONE_DIM)
         rotations = exp_so3_each(np.ascontiguousarray(parts[:, ROTATION]))
         new_clones = [

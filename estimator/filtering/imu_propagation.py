@@ -270,17 +270,10 @@ def propagate_nominal(
     if len(gyro) == 0:
         return state
     rotations, positions, velocities = integrate(
-        state.rotation,
-        state.position,
-        state.velocity,
-        *state.corrected(gyro, force),
-        step_s,
+        state.rotation, state.position, state.velocity, *state.corrected(gyro, force), step_s,
         GRAVITY_MPS2,
-    )
+    )  # fmt: skip
     return replace(
-        state,
-        tick=int(ticks[-1]),
-        rotation=rotations[-1],
-        position=positions[-1],
+        state, tick=int(ticks[-1]), rotation=rotations[-1], position=positions[-1],
         velocity=velocities[-1],
-    )
+    )  # fmt: skip

@@ -13,12 +13,12 @@ correction is brought to the present (``settle``) and reported (``estimate``).
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, PoseTrack
+from touchdown.estimator.api import Estimate, FlownImuParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan
 from touchdown.estimator.filtering.error_state import (
     NAVIGATION,
@@ -57,6 +57,16 @@ _LIFTING_THRUST = 0.85
 """of the weight: with less static thrust before the first lift-off the vehicle is on the ground"""
 _IDLE_MARGIN = 1.2
 """of the idle speed: below it the rotors give no lift"""
+
+
+def with_flown_noise(rig: SensorRig, params: FlownImuParams) -> SensorRig:
+    """The rig with the IMU's noise as it is on the flying vehicle, whose rotors shake it: the
+    larger of that of the data sheet and ``params``."""
+    larger = {
+        field.name: max(getattr(rig.imu, field.name), getattr(params, field.name))
+        for field in fields(params)
+    }
+    return replace(rig, imu=replace(rig.imu, **larger))
 
 
 def bias_sigmas(imu: ImuParams, *, estimated: bool = False) -> Array:

@@ -73,12 +73,10 @@ class Livo:
         self._eskf.loosely_coupled = params.loose
         self._intake = Intake(rig, self._filter, camera_hz)
         self._vision = VisualFrontEnd(
-            MountedCamera(rig.camera, self._filter.imu_from_camera),
-            params,
-            Shutter(rig.camera_readout_s),
-            open_ticks=2 * rig.tick_hz,
+            MountedCamera(rig.camera, self._filter.imu_from_camera), params,
+            Shutter(rig.camera_readout_s), open_ticks=2 * rig.tick_hz,
             lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
-        )
+        )  # fmt: skip
         dark_ticks = rig.tick_hz // 2 if params.use_intensity else None
         self._map = AnchoredMap(params, self._filter.imu_from_lidar.translation, dark_ticks)
         self._scan_errors = scan_errors(rig, params)

@@ -223,23 +223,19 @@ def _assembled(
     columns = np.empty(_WIDTH, np.int64)
     for k in range(blocks.shape[0]):
         slot = slots[k] if k < slots.shape[0] else -1
-        kept = _CLONE if shared > 0 else POSE_DIM
-        for a in range(_CLONE):
-            columns[a] = a
-        if slot >= 0:
-            for a in range(POSE_DIM):
-                columns[_CLONE + a] = POSE_DIM + shared + POSE_DIM * slot + a
-        elif k < slots.shape[0]:
-            continue
-        for a in range(_WIDTH if slot >= 0 else kept):
-            if kept <= a < _CLONE:
-                continue
+        first = POSE_DIM + shared + POSE_DIM * slot - _CLONE if slot >= 0 else -_WIDTH
+        for a in range(_WIDTH):
+            own = -1 if shared == 0 and a >= _MOUNT else a
+            columns[a] = own if a < _CLONE else first + a
+        for a in range(_WIDTH):
             u = columns[a]
+            if u < 0:
+                continue
             vector[u] += gradients[k, a]
             for b in range(a + 1):
-                if kept <= b < _CLONE:
-                    continue
                 v = columns[b]
+                if v < 0:
+                    continue
                 information[u, v] += blocks[k, a, b]
                 if u != v:
                     information[v, u] += blocks[k, a, b]

@@ -165,17 +165,10 @@ class VisualFrontEnd:
     ) -> Keyframe:
         count = len(pixels)
         return Keyframe(
-            tick=tick,
-            levels=levels,
-            pixels=pixels,
-            valid=np.zeros(count, dtype=np.bool_),
-            planes=np.zeros((count, 3)),
-            sigmas=np.zeros(count),
-            depth_m=0.0,
-            calibration=eskf.state.calibration,
-            twist=eskf.twist,
-            delay_s=delay_s,
-        )
+            tick=tick, levels=levels, pixels=pixels, valid=np.zeros(count, dtype=np.bool_),
+            planes=np.zeros((count, 3)), sigmas=np.zeros(count), depth_m=0.0,
+            calibration=eskf.state.calibration, twist=eskf.twist, delay_s=delay_s,
+        )  # fmt: skip
 
     def surplus(self, eskf: Eskf) -> int | None:
         """The clone that must go before another can be added; None: there is room."""

@@ -148,13 +148,10 @@ class CameraPositioning:
         if not self._params.use_bundle:
             return pose
         return adjust_window(
-            self._map.keyframes[-self._params.bundle_keyframes :],
-            LocalisedImage(pose, sightings),
-            self._map.by_number(),
-            MountedCamera(self._rig.camera, self._imu_from_camera),
-            np.sqrt(2.0) * self._sigmas(np.arange(2)),
-            self._params.depth_sigma_m,
-        )
+            self._map.keyframes[-self._params.bundle_keyframes :], LocalisedImage(pose, sightings),
+            self._map.by_number(), MountedCamera(self._rig.camera, self._imu_from_camera),
+            np.sqrt(2.0) * self._sigmas(np.arange(2)), self._params.depth_sigma_m,
+        )  # fmt: skip
 
     def _odom_frames(self, sightings: Sightings) -> dict[int, Pose]:
         known = self._map.by_number()

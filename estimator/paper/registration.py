@@ -291,11 +291,7 @@ def register_scan(
     )
     distances = _distances(to_global(local, pose), near, is_edge)
     return ScanPose(
-        pose=pose,
-        information=information,
-        vector=vector,
-        edges=int(is_edge.sum()),
-        planes=int((~is_edge).sum()),
-        rms_m=float(np.sqrt(np.mean(distances**2))),
+        pose=pose, information=information, vector=vector, edges=int(is_edge.sum()),
+        planes=int((~is_edge).sum()), rms_m=float(np.sqrt(np.mean(distances**2))),
         converged=converged,
-    )
+    )  # fmt: skip
