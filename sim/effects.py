@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from touchdown.sim.api import FAULT_KINDS, FaultParams
 from touchdown.sim.typing import Bytes, Float32
@@ -76,9 +77,8 @@ class Effects:
 
     def note_lengths(self, name: str, before: Float32, after: Float32) -> None:
         """Notes the share of (N,) lengths in metres that differ, and the mean size of a change."""
-        rows = np.flatnonzero(before != after)
-        size = float(np.abs(after[rows] - before[rows]).mean()) if rows.size else 0.0
-        self.note((name,), rows.size / max(len(before), 1), size)
+        count, total = _changes(before, after)
+        self.note((name,), count / max(len(before), 1), total / max(count, 1))
 
     def end_message(self) -> None:
         """Ends the message that is being made."""
@@ -96,6 +96,17 @@ class Effects:
         self.delivered = {}
         self._now = {}
         self._made.clear()
+
+
+@njit(cache=True, nogil=True)
+def _changes(before: Float32, after: Float32) -> tuple[int, float]:
+    """Number of lengths (N,) that differ, and the sum of the differences' sizes."""
+    count, total = 0, 0.0
+    for i in range(before.shape[0]):
+        if before[i] != after[i]:
+            count += 1
+            total += abs(after[i] - before[i])
+    return count, total
 
 
 class WorldRecord(NamedTuple):

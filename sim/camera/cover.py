@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Scene
+from touchdown.sim.camera.visible import Terrain, heights_of
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.typing import Array
 
@@ -47,20 +48,17 @@ class Cover:
         model = scene.model
         if plants is None or (geom := plants.optics.ground_geom) < 0:
             return None
-        if int(model.geom_type[geom]) != int(mujoco.mjtGeom.mjGEOM_HFIELD):
+        terrain = next((one for one in Terrain.all_of(model).values() if one.geom == geom), None)
+        if terrain is None:
             return None
         rest = mujoco.MjData(model)
         mujoco.mj_kinematics(model, rest)
-        if not np.allclose(rest.geom_xmat[geom].reshape(3, 3), np.eye(3), atol=1e-9):
-            return None
-        field = int(model.geom_dataid[geom])
-        rows, cols = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
-        start, size = int(model.hfield_adr[field]), model.hfield_size[field]
-        data = model.hfield_data[start : start + rows * cols].astype(np.float64)
-        origin = rest.geom_xpos[geom].copy()
+        field, origin, size = terrain.field, terrain.origin_m, model.hfield_size[terrain.field]
+        data = heights_of(model, field).astype(np.float64)
+        rows, cols = data.shape
         x = origin[0] + np.linspace(-size[0], size[0], cols)
         y = origin[1] + np.linspace(-size[1], size[1], rows)
-        ground = origin[2] + size[2] * data.reshape(rows, cols)
+        ground = origin[2] + size[2] * data
         places = [axis.ravel() for axis in np.meshgrid(x, y)]
         raised = plants.visible_height_m(*places).reshape(rows, cols)
         _keep_clear_of_objects(model, rest, geom, x, y, ground, raised)
@@ -68,7 +66,7 @@ class Cover:
             return None
         return Cover(
             field, geom, origin, size[:2].copy(), ground, raised,
-            _fields(model, field, data + raised.ravel() / size[2]),
+            _fields(model, field, (data + raised / size[2]).ravel()),
         )  # fmt: skip
 
     def raised_at(self, x: Array, y: Array) -> Array:

@@ -17,6 +17,7 @@ import numpy as np
 
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.cover import Cover
+from touchdown.sim.camera.visible import Frustum, Terrain, TerrainTiles, VisibleGeoms
 from touchdown.sim.typing import Array, Bytes, Float32, Int32
 
 BACKENDS = ("egl", "osmesa", "glfw")
@@ -24,6 +25,7 @@ BACKENDS = ("egl", "osmesa", "glfw")
 
 _FIRST_HIDDEN_GROUP = 3
 _SEGMENT_FLAGS = (int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR))
+_SKY = int(mujoco.mjtRndFlag.mjRND_SKYBOX)
 _GEOM_TYPE = int(mujoco.mjtObj.mjOBJ_GEOM)
 
 
@@ -74,7 +76,9 @@ class Stage:
     ) -> None:
         self._model = model
         self._cover = cover
-        self._covered: dict[int, bool] = {}  # by the context's id
+        self._terrains = Terrain.all_of(model)
+        self._tiles: dict[tuple[int, bool], TerrainTiles] = {}  # by field, with or without plants
+        self._geoms: VisibleGeoms | None = None
         self._data = mujoco.MjData(model)
         self._pinhole = pinhole
         self._samples = samples
@@ -99,8 +103,11 @@ class Stage:
         of the raster; the buffer is reused by the next call."""
         viewport = self._look(snapshot, camera_id, first, last)
         _select(self._context)
-        self._lay_cover(self._context, snapshot.cam_xpos[camera_id])
+        frustum = self._frustum(snapshot, camera_id, first, last)
+        self._leave_out(frustum, snapshot)
+        self._lay_ground(self._context, frustum)
         mujoco.mjr_render(viewport, self._scene, self._context)
+        self._scene.flags[_SKY] = 1
         pixels = self._pixels[: last - first]
         mujoco.mjr_readPixels(pixels, None, viewport, self._context)
         return pixels
@@ -167,15 +174,27 @@ class Stage:
         self._set_frustum(first, last)
         return mujoco.MjrRect(0, 0, self._pinhole.width, last - first)
 
-    def _lay_cover(self, context: mujoco.MjrContext, eye: Array) -> None:
-        """Uploads the ground with or without plants where it is not as ``eye`` (3,) sees it."""
-        if self._cover is None:
-            return
-        covered = not self._cover.hides(eye)
-        if covered != self._covered.get(id(context), False):
-            model = self._cover.model if covered else self._model
-            mujoco.mjr_uploadHField(model, context, self._cover.field)
-            self._covered[id(context)] = covered
+    def _leave_out(self, frustum: Frustum, snapshot: Snapshot) -> None:
+        """Takes out of the scene what ``frustum`` does not see."""
+        if self._geoms is None:
+            self._geoms = VisibleGeoms(self._model, self._scene)
+        self._geoms.keep(self._scene, frustum, snapshot.geom_xpos)
+        filled = any(terrain.fills(frustum) for terrain in self._terrains.values())
+        self._scene.flags[_SKY] = not filled
+
+    def _lay_ground(self, context: mujoco.MjrContext, frustum: Frustum) -> None:
+        """The tiles of terrain in view, with or without plants as ``frustum`` sees them."""
+        cover = self._cover
+        for field, terrain in self._terrains.items():
+            covered = cover is not None and cover.field == field and not cover.hides(frustum.eye)
+            if (field, covered) not in self._tiles:
+                model = cover.model if cover is not None and covered else self._model
+                self._tiles[field, covered] = TerrainTiles(terrain, model)
+            self._tiles[field, covered].show(context, frustum)
+
+    def _frustum(self, snapshot: Snapshot, camera_id: int, first: int, last: int) -> Frustum:
+        eye, axes = snapshot.cam_xpos[camera_id], snapshot.cam_xmat[camera_id]
+        return Frustum.of(self._pinhole, eye, axes, first, last)
 
     def _set_frustum(self, first: int, last: int) -> None:
         """Sets the frustum's width, which MuJoCo would derive from its height (square pixels)."""
@@ -193,7 +212,8 @@ class Stage:
         if self._samples and self._plain is self._context:
             self._plain = _mujoco_context(self._model, self._pinhole, 0)
         _select(self._plain)
-        self._lay_cover(self._plain, snapshot.cam_xpos[camera_id])
+        frustum = self._frustum(snapshot, camera_id, 0, self._pinhole.height)
+        self._lay_ground(self._plain, frustum)
         for flag in _SEGMENT_FLAGS:
             self._scene.flags[flag] = 1
         mujoco.mjr_render(viewport, self._scene, self._plain)
@@ -226,8 +246,22 @@ def _mujoco_context(
     finally:
         quality.offsamples, quality.shadowsize, buffer.offwidth, buffer.offheight = kept
     context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+    _filter_by_the_nearest_level(context)
     _select(context)
     return context
+
+
+def _filter_by_the_nearest_level(context: mujoco.MjrContext) -> None:
+    """Textures are interpolated in one mip level in place of two: half the texels a pixel."""
+    from OpenGL import GL
+
+    kinds = context.textureType[: context.ntexture]
+    for texture, kind in zip(context.texture, kinds, strict=False):
+        if kind == int(mujoco.mjtTexture.mjTEXTURE_2D):
+            GL.glBindTexture(GL.GL_TEXTURE_2D, int(texture))
+            GL.glTexParameteri(
+                GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST
+            )
 
 
 def _select(context: mujoco.MjrContext) -> None:

@@ -83,6 +83,7 @@ def _no_revision() -> str:
 
 _STOPS: dict[str, dict[str, Callable[..., Any]]] = {
     "concurrent.futures.process": {"ProcessPoolExecutor.__init__": _reach},
+    "touchdown.experiments.benchmarks.all_measures": {"_run": _reach},
     "touchdown.experiments.campaign.executor": {"LocalEngine.run": _fly_some},
     "touchdown.experiments.classification.evaluate": {"measured_footprint": _reach},
     "touchdown.experiments.cli.view": {"run_viewer": _reach},

@@ -1,0 +1,243 @@
+"""What of a scene is drawn: geoms and tiles of terrain in a camera's frustum, sky where it shows.
+
+MuJoCo draws every geom, the whole of a height field and the sky box behind it, whatever the camera
+sees. A rasterizer in software spends most of its time on that.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.typing import Array, Bools, Float32, Indices
+
+_GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+_FIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
+_MARK = 0x5EED1234
+_MOST_BYTES = 128
+"""of an MjvGeom before its position"""
+_TILE_CELLS = 16
+_SMOOTH_COSINE = 0.98
+"""Triangles that differ by more from the mean of a node's have an edge, as MuJoCo draws them
+(determined on its pictures)"""
+_MARGIN_M = 0.05
+"""of a tile's sphere"""
+
+
+@dataclass(frozen=True, slots=True)
+class Frustum:
+    """The view of a camera: ``eye`` (3,), ``axes`` (3, 3) with columns right, up and back, and the
+    slopes of its left, right, bottom and top edges."""
+
+    eye: Array
+    axes: Array
+    slopes: tuple[float, float, float, float]
+
+    @staticmethod
+    def of(k: CameraIntrinsics, eye: Array, axes: Array, first: int, last: int) -> Frustum:
+        """Of rows ``first`` to ``last`` (exclusive)."""
+        side = 0.5 * k.width / k.fx
+        bottom, top = (0.5 * k.height - last) / k.fy, (0.5 * k.height - first) / k.fy
+        return Frustum(eye, axes.reshape(3, 3), (-side, side, bottom, top))
+
+    def holds(self, centers: Array, radii: Array) -> Bools:
+        """(N,) True for spheres (N, 3), (N,) that may be in view."""
+        x, y, z = ((centers - self.eye) @ self.axes).T
+        seen = z <= radii
+        for across, (low, high) in ((x, self.slopes[:2]), (y, self.slopes[2:])):
+            seen &= across + high * z <= radii * np.hypot(1.0, high)
+            seen &= -across - low * z <= radii * np.hypot(1.0, low)
+        return seen
+
+    def corners(self) -> Array:
+        """(4, 3) directions of its corners, world frame."""
+        left, right, bottom, top = self.slopes
+        rays = [[x, y, -1.0] for x in (left, right) for y in (bottom, top)]
+        directions: Array = np.array(rays) @ self.axes.T
+        return directions
+
+
+class VisibleGeoms:
+    """Takes the geoms out of an updated ``scene`` that lie beside a frustum. Height fields come
+    last, so that what stands on them hides them."""
+
+    def __init__(self, model: mujoco.MjModel, scene: mujoco.MjvScene) -> None:
+        geoms = scene.geoms[: scene.ngeom]
+        self._count = scene.ngeom
+        self._ids = np.array([g.objid if g.objtype == _GEOM else -1 for g in geoms])
+        self._radii = np.where(self._ids >= 0, model.geom_rbound[self._ids], 0.0)
+        fields = np.array([g.type == _FIELD for g in geoms], dtype=np.bool_)
+        # planes have no bounds
+        self._always = (self._radii <= 0.0) & ~fields
+        self._last = np.flatnonzero(fields)
+        self._radii[fields] = -np.inf
+        self._records = _records(scene)
+
+    def keep(self, scene: mujoco.MjvScene, frustum: Frustum, places: Array) -> None:
+        """``places``: (G, 3) of the model's geoms."""
+        if self._records is None or scene.ngeom != self._count:
+            return
+        seen = frustum.holds(places[self._ids], self._radii) | self._always
+        order = np.concatenate([np.flatnonzero(seen), self._last])
+        self._records[: len(order)] = self._records[order]
+        scene.ngeom = len(order)
+
+
+def _records(scene: mujoco.MjvScene) -> Any:
+    """(G, B) bytes of the scene's geoms, in place; None where their layout is not found."""
+    if scene.ngeom < 2:
+        return None
+    first, second = (g.pos.__array_interface__["data"][0] for g in scene.geoms[:2])
+    geom = scene.geoms[0]
+    kind, geom.type = geom.type, _MARK  # the first member
+    try:
+        for before in range(4, _MOST_BYTES, 4):
+            if ctypes.c_int32.from_address(first - before).value == _MARK:
+                size = (second - first) * scene.ngeom
+                block = (ctypes.c_uint8 * size).from_address(first - before)
+                return np.frombuffer(block, np.uint8).reshape(scene.ngeom, second - first)
+    finally:
+        geom.type = kind
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Terrain:
+    """A level height field along the world's axes that one fixed geom shows."""
+
+    field: int
+    """id of the height field"""
+    geom: int
+    origin_m: Array
+    """(3,) world, of the field's frame"""
+    half_m: Array
+    """(2,)"""
+    lowest_m: float
+
+    @staticmethod
+    def all_of(model: mujoco.MjModel) -> dict[int, Terrain]:
+        """Those of a model by the ids of their fields."""
+        geoms = np.flatnonzero(model.geom_type == _FIELD)
+        shown = model.geom_dataid[geoms].tolist()
+        rest = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, rest)
+        found = {}
+        for geom, field in zip(geoms.tolist(), shown, strict=True):
+            body = int(model.geom_bodyid[geom])
+            moves = model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0
+            level = np.allclose(rest.geom_xmat[geom].reshape(3, 3), np.eye(3), atol=1e-9)
+            if shown.count(field) > 1 or moves or not level:
+                continue
+            origin, size = rest.geom_xpos[geom].copy(), model.hfield_size[field]
+            low = float(origin[2] + size[2] * heights_of(model, field).min())
+            found[field] = Terrain(field, geom, origin, size[:2].copy(), low)
+        return found
+
+    def fills(self, frustum: Frustum) -> bool:
+        """True where nothing but the terrain and what stands on it is in view: rays that come down
+        to its lowest height within its sides have met it before."""
+        rays, above = frustum.corners(), frustum.eye[2] - self.lowest_m
+        inside = np.abs(frustum.eye[:2] - self.origin_m[:2]) < self.half_m
+        if above <= 0.0 or not inside.all() or (rays[:, 2] >= 0.0).any():
+            return False
+        ends = frustum.eye[:2] + rays[:, :2] * (above / -rays[:, 2:])
+        return bool((np.abs(ends - self.origin_m[:2]) < self.half_m).all())
+
+
+class TerrainTiles:
+    """Display lists of the tiles of a ``terrain`` with heights of ``model``, in place of the one
+    list that MuJoCo draws, which has walls around the field as well. Make and use them in the
+    thread of the GL context."""
+
+    def __init__(self, terrain: Terrain, model: mujoco.MjModel) -> None:
+        from OpenGL import GL
+
+        self._gl, self._terrain = GL, terrain
+        size = model.hfield_size[terrain.field]
+        vertices = _vertices(size[2] * heights_of(model, terrain.field), size)
+        tiles = _tiles(*vertices.shape[:2])
+        points = vertices.reshape(-1, 3)
+        nodes = np.concatenate(_triangles(*vertices.shape[:2]))
+        normals = _normals(points, nodes)
+        self._lists = GL.glGenLists(len(tiles))
+        centers, radii = np.empty((len(tiles), 3)), np.empty(len(tiles))
+        GL.glPushClientAttrib(GL.GL_CLIENT_VERTEX_ARRAY_BIT)
+        GL.glEnableClientState(GL.GL_VERTEX_ARRAY)
+        GL.glEnableClientState(GL.GL_NORMAL_ARRAY)
+        for k, triangles in enumerate(tiles):
+            corners = np.concatenate([points[nodes[triangles]], normals[triangles]], axis=2)
+            used, order = np.unique(corners.reshape(-1, 6), axis=0, return_inverse=True)
+            own = np.ascontiguousarray(used[:, :3])
+            GL.glVertexPointer(3, GL.GL_FLOAT, 0, own)
+            GL.glNormalPointer(GL.GL_FLOAT, 0, np.ascontiguousarray(used[:, 3:]))
+            GL.glNewList(self._lists + k, GL.GL_COMPILE)
+            order = order.ravel().astype(np.uint32)
+            GL.glDrawElements(GL.GL_TRIANGLES, len(order), GL.GL_UNSIGNED_INT, order)
+            GL.glEndList()
+            centers[k] = 0.5 * (own.min(axis=0) + own.max(axis=0))
+            radii[k] = np.linalg.norm(own - centers[k], axis=1).max() + _MARGIN_M
+        GL.glPopClientAttrib()
+        self._centers, self._radii = centers + terrain.origin_m, radii
+
+    def show(self, context: mujoco.MjrContext, frustum: Frustum) -> None:
+        """Makes the tiles in view what ``context`` draws for the height field."""
+        GL = self._gl
+        seen = np.flatnonzero(frustum.holds(self._centers, self._radii))
+        GL.glNewList(context.baseHField + self._terrain.field, GL.GL_COMPILE)
+        if seen.size:
+            lists = (seen + self._lists).astype(np.uint32)
+            GL.glCallLists(len(lists), GL.GL_UNSIGNED_INT, lists)
+        GL.glEndList()
+
+
+def heights_of(model: mujoco.MjModel, field: int) -> Float32:
+    """(rows, cols) of a height field, as a share of its size."""
+    rows, cols = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    start = int(model.hfield_adr[field])
+    shares: Float32 = model.hfield_data[start : start + rows * cols].reshape(rows, cols)
+    return shares
+
+
+def _vertices(heights: Float32, size: Array) -> Float32:
+    """(rows, cols, 3) nodes in the field's frame."""
+    rows, cols = heights.shape
+    x, y = np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows)
+    return np.dstack([*np.meshgrid(x, y), heights]).astype(np.float32)
+
+
+def _normals(points: Float32, nodes: Indices) -> Float32:
+    """(T, 3, 3) unit normals at the corners of triangles (T, 3) of ``points``: the mean of the
+    triangles around a node, or the triangle's own where it differs much from that, as MuJoCo
+    does."""
+    a, b, c = np.moveaxis(points[nodes].astype(np.float64), 1, 0)
+    own = np.cross(b - a, c - a)
+    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    total = np.zeros(points.shape)
+    np.add.at(total, nodes, own[:, None])
+    total /= np.linalg.norm(total, axis=1, keepdims=True)
+    mean = total[nodes]
+    smooth = np.einsum("tkc,tc->tk", mean, own) > _SMOOTH_COSINE
+    return np.where(smooth[..., None], mean, own[:, None]).astype(np.float32)
+
+
+def _triangles(rows: int, cols: int) -> tuple[Indices, Indices]:
+    """Twice (cells, 3) nodes of a field's triangles, right of and above the cells' diagonals."""
+    node = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
+    right = np.column_stack([node, node + 1, node + cols + 1])
+    return right, np.column_stack([node, node + cols + 1, node + cols])
+
+
+def _tiles(rows: int, cols: int) -> list[Indices]:
+    """Indices (T,) of the triangles of each tile, those right of the diagonals first."""
+    cells = np.arange((rows - 1) * (cols - 1)).reshape(rows - 1, cols - 1)
+    found = []
+    for row in range(0, rows - 1, _TILE_CELLS):
+        for col in range(0, cols - 1, _TILE_CELLS):
+            own = cells[row : row + _TILE_CELLS, col : col + _TILE_CELLS].ravel()
+            found.append(np.concatenate([own, own + cells.size]))
+    return found
