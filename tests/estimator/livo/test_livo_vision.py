@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pytest
 
 from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.error_state import CALIBRATION_DIM, MOUNT_TRANSLATION, STATE_DIM
@@ -274,7 +275,9 @@ def test_a_keyframe_has_a_height_error_of_its_own() -> None:
     np.testing.assert_allclose(own, [1e-8] * 5 + [1e-8 + 0.05**2])
 
 
-def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest() -> None:
+def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     vision, returns = front_end(), ground_returns()
     eskf = filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
     for k in range(2):
@@ -283,7 +286,8 @@ def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest() -> None:
         assert add_keyframe(vision, eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)), returns, k)
     report = vision.update(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)))
     assert report.keyframes_tracked == 2
-    newest = front_end(newest_only=1)
+    monkeypatch.setattr("touchdown.estimator.livo.visual._LAST_FEW", 1)
+    newest = front_end(use_closures=False)
     newest.keyframes = vision.keyframes
     report = newest.update(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)))
     assert report.keyframes_tracked == 1
