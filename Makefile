@@ -32,7 +32,8 @@ land: $(READY)
 	$(BIN)/touchdown land crossroad
 
 test: $(READY_TO_TEST)
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" --durations=10
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow" \
+	    --durations=10
 
 check: $(READY_TO_TEST)
 	$(BIN)/ruff check .

@@ -124,6 +124,7 @@ _QUICK_RUNS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
 """Selects the runs of the quick edition among those of the first seed of each campaign."""
 
 
+@functools.cache
 def plan_of(campaign: str, *, quick: bool) -> Plan:
     """Plan of a campaign from its file; for the quick edition, some runs of the first seed.
 

@@ -1,6 +1,5 @@
 """Flights of the baselines: closed loop over a small scene."""
 
-import numpy as np
 import pytest
 
 from touchdown.experiments.errors import UsageError
@@ -40,21 +39,3 @@ def test_landing_without_a_map_is_refused() -> None:
 def test_image_rates_divide_the_cameras_clock(group: str) -> None:
     with pytest.raises(UsageError, match=rf"{group}\.camera_hz = 7"):
         load_config(None, (f"{group}.camera_hz=7",), scene="flat")
-
-
-@pytest.mark.slow
-def test_gps_error_over_twenty_seeds_equals_the_prediction_of_its_receiver() -> None:
-    """The preset ``paper`` predicts a mean 3-D error of 1.01 m, and 0.37 m between flights."""
-    means = []
-    for seed in range(20):
-        config = load_config(
-            None, ("sim.threads=1", "mapper.enabled=false"), scene="flat", estimator="gps",
-            seed=seed, survey_only=True,
-        )  # fmt: skip
-        result = fly(config, None).plain()
-        assert result["outcome"] == "COMPLETED"
-        means.append(result["position_error_m"]["mean"])
-    # 95 % interval of the mean of twenty flights, by the predicted spread
-    assert abs(np.mean(means) - 1.01) < 1.96 * 0.37 / np.sqrt(20)
-    # chi-square of 19 degrees of freedom: 8.9 to 32.9
-    assert 8.9 < 19 * np.var(means, ddof=1) / 0.37**2 < 32.9

@@ -5,6 +5,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -44,27 +45,7 @@ class Watch:
         pass
 
 
-@dataclass(frozen=True, slots=True)
-class Figures:
-    outcome: str
-    out_of_sight_s: float
-    growth_m: float
-    """largest growth of the error in five seconds out of sight"""
-    change_m: float
-    """length of the largest change of the error vector in five seconds"""
-    sigma_before_m: float
-    sigma_after_m: float
-    """standard deviation of the position at both ends of them"""
-    sigma_largest_m: float
-    largest_out_m: float
-    back_m: float
-    """error at the end, over the shore"""
-    sigma_back_m: float
-    worst_sigmas: float
-    """largest error out of sight, in standard deviations"""
-
-
-def fly(seed: int, estimator: str, faults: tuple[str, ...] = ()) -> tuple[Figures, Watch]:
+def fly(seed: int, estimator: str, faults: tuple[str, ...] = ()) -> tuple[SimpleNamespace, Watch]:
     limit_threads()
     config = load_config(
         CONFIG, ["sim.threads=1"], scene="open_water", seed=seed, estimator=estimator,
@@ -83,7 +64,9 @@ def fly(seed: int, estimator: str, faults: tuple[str, ...] = ()) -> tuple[Figure
     return figures(str(result.outcome), np.array(watch.rows)), watch
 
 
-def figures(outcome: str, rows: Any) -> Figures:
+def figures(outcome: str, rows: Any) -> SimpleNamespace:
+    """Growth of the error and change of its vector: the largest in five seconds out of sight, sigma
+    before and after them; ``back``: at the end, over the shore; the worst error in sigmas."""
     times, errors, sigmas, distances = rows[:, 0], rows[:, 1:4], rows[:, 4], rows[:, 5]
     out = np.flatnonzero(distances > OUT_OF_SIGHT_M)
     assert (np.diff(out) == 1).all(), "the shore came into view in between"
@@ -93,7 +76,7 @@ def figures(outcome: str, rows: Any) -> Figures:
     growth = size[starts + steps] - size[starts]
     worst = starts[np.argmax(growth)]
     change = np.linalg.norm(errors[starts + steps] - errors[starts], axis=1)
-    return Figures(
+    return SimpleNamespace(
         outcome=outcome, out_of_sight_s=float(times[out[-1]] - times[out[0]]),
         growth_m=float(growth.max()), change_m=float(change.max()),
         sigma_before_m=float(sigmas[worst]), sigma_after_m=float(sigmas[worst + steps]),

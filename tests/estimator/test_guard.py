@@ -64,13 +64,6 @@ def test_scans_that_are_refused(changes: dict[str, Any], word: str) -> None:
     assert guard.refused == 1
 
 
-def test_a_scan_without_pulses() -> None:
-    none = np.zeros(0, np.float32)
-    empty = scan(directions=np.zeros((0, 3), np.float32), ranges=none, time_offsets=none,
-                 intensity=np.zeros(0, np.uint8))  # fmt: skip
-    assert screen(obs(636, scans=(empty,)))[1] == ["scan 600 refused: no pulses"]
-
-
 def test_missing_returns_are_an_event_in_flight_only() -> None:
     def blind(end: int) -> LidarScan:
         return scan(end, ranges=np.zeros(20, np.float32))

@@ -45,12 +45,6 @@ def fly(mapper: GridMapper, scan: LidarScan, **deliver: object) -> MapView:
     return view
 
 
-def height_at(view: MapView, x: float, y: float) -> tuple[float, float]:
-    grid = view.coarse
-    col, row = np.floor((np.array([x, y]) - grid.origin_xy_m) / grid.cell_m).astype(int)
-    return float(grid.height_m[row, col]), float(grid.count[row, col])
-
-
 def test_moving_scan_maps_plane_and_box_to_their_heights() -> None:
     view = fly(GridMapper(make_rig(), PARAMS), moving_scan(20000, box=BOX))
     seen = view.coarse.count > 0
@@ -63,17 +57,6 @@ def test_moving_scan_maps_plane_and_box_to_their_heights() -> None:
     assert np.abs(heights[far_out]).max() < 2e-3  # lerp between 200 Hz poses of a turning body
     assert np.abs(heights[inside] - 0.5).max() < 2e-3
     assert np.nanmax(view.coarse.height_std_m[seen][far_out]) < 2e-3
-
-
-def test_without_deskew_the_same_scan_would_be_wrong() -> None:
-    """Guards the test above: one pose for all pulses is off by decimetres."""
-    scan = moving_scan(4000)
-    mapper = GridMapper(make_rig(), PARAMS)
-    frozen = motion(0.2)
-    for tick in range(0, 157, 3):
-        scans = (scan,) if tick == 156 else ()
-        view = mapper.update(make_obs(tick, scans=scans), make_estimate(tick, frozen))
-    assert np.nanmax(np.abs(view.coarse.height_m)) > 0.1
 
 
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 129, 2400])

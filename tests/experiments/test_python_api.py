@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import typing
 from pathlib import Path
 from typing import Any
 
@@ -30,20 +29,18 @@ def test_every_name_is_there() -> None:
         _ = touchdown.hover  # type: ignore[attr-defined]
 
 
-def test_importing_is_fast_and_loads_no_simulator() -> None:
+def test_importing_loads_no_simulator() -> None:
     script = (
-        "import sys, time; start = time.process_time(); import touchdown; "
-        "took = time.process_time() - start; "
+        "import sys, touchdown; "
         "print([m for m in ('mujoco', 'numpy', 'pydantic', 'cv2') if m in sys.modules]); "
-        "print(took); touchdown.load_config; "
+        "touchdown.load_config; "
         "print([m for m in ('mujoco', 'cv2', 'open3d', 'numba', 'click') if m in sys.modules])"
     )
     done = subprocess.run(
         [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    first, took, second = done.stdout.splitlines()
+    first, second = done.stdout.splitlines()
     assert (first, second) == ("[]", "[]")
-    assert float(took) < 0.1
 
 
 def test_arguments_win_over_overrides_over_the_file(tmp_path: Path) -> None:
@@ -84,11 +81,6 @@ def test_mistakes_raise_one_line(call: Any, words: str) -> None:
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_function_that_is_no_estimator_breaks_the_first_rule() -> None:
-    (violation,) = touchdown.check_estimator(lambda params, rig: typing.cast(Any, None))
-    assert violation.rule == "builds"
-
-
 def test_flights_are_configured_by_their_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
     flown: list[tuple[Config, Path | None]] = []
 
@@ -106,12 +98,6 @@ def test_flights_are_configured_by_their_arguments(monkeypatch: pytest.MonkeyPat
     assert first.landing.survey_only and out == Path("x")
     assert second == base and none is None
     assert (third.scene, third.estimator, third.wind.mean_kmh) == ("forest", "paper", 0.0)
-
-
-def test_a_sensor_log_is_not_replaced(tmp_path: Path) -> None:
-    (tmp_path / "sensors.mcap").touch()
-    with pytest.raises(UsageError, match=r"holds sensors\.mcap"):
-        touchdown.fly(out=tmp_path)
 
 
 def test_folders_that_vanish_or_are_closed_hold_no_results(

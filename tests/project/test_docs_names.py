@@ -1,10 +1,7 @@
 """Checks of names on the pages: files, modules, code, keys and their defaults."""
 
-import ast
 import contextlib
-import dataclasses
 import importlib
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -15,11 +12,6 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.io.results import columns
 
 from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of, rows_of
-
-SENSOR_KEYS = (
-    "wind", "lidar", "dust", "camera", "lamp", "imu", "gps", "barometer", "magnetometer",
-    "rangefinder", "calibration_error", "vehicle_error", "start",
-)  # fmt: skip
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -77,36 +69,3 @@ def test_scenes_are_listed() -> None:
 
     listed = [row[0].strip("`") for row in rows_of("docs/scenes.md", "scene")]
     assert sorted(listed) == scene_names()
-
-
-def _value(cell: str) -> Any:
-    cell = cell.strip("`")
-    if cell == "none":
-        return None
-    try:
-        return json.loads(cell)
-    except json.JSONDecodeError:
-        return cell
-
-
-def test_sensor_keys_and_defaults() -> None:
-    """Every key of the sensors is on the page, with its default."""
-    config = load_config(profile="ideal").model_dump(mode="json")
-    listed: dict[str, Any] = {}
-    for cells in rows_of("docs/sensors.md", "key"):
-        keys = re.findall(r"`([\w.]+)`", cells[0])
-        values = [cells[1]] if len(keys) == 1 else cells[1].split(", ")
-        listed |= {key: _value(value) for key, value in zip(keys, values, strict=True)}
-    actual = {f"{s}.{key}": value for s in SENSOR_KEYS for key, value in config[s].items()}
-    assert listed == actual
-
-
-def test_options_of_the_environments() -> None:
-    pytest.importorskip("gymnasium")
-    from touchdown.experiments.environments.landing_task import TaskOptions
-
-    listed = {
-        row[0].strip("`"): ast.literal_eval(row[1].strip("`"))
-        for row in rows_of("docs/environments.md", "option")
-    }
-    assert listed == {f.name: f.default for f in dataclasses.fields(TaskOptions)}

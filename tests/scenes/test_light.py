@@ -9,24 +9,13 @@ import pytest
 from numpy.random import default_rng
 from numpy.typing import NDArray
 
-from touchdown.experiments.config.checks import check_faults
-from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError
-from touchdown.scenes.api import LIGHT_LUX, Light, Scene
+from touchdown.scenes.api import LIGHT_LUX, Light
+from touchdown.scenes.authoring import sky
 from touchdown.scenes.authoring.bake import bake_light
 from touchdown.scenes.authoring.builder import Caster
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.light import draw_sun
-from touchdown.scenes.authoring.sky import (
-    DUSK_SUN_DEG,
-    DUSK_SUN_SHARE,
-    light_in_shadow,
-    lit_by,
-    sun_shines,
-)
 from touchdown.scenes.compose import load_scene
-from touchdown.scenes.registry import scene_names
-from touchdown.sim.api import FaultParams
 
 LIGHTS: tuple[Light, ...] = ("day", "overcast", "dusk", "night")
 
@@ -41,52 +30,23 @@ FILE = """<mujoco>
   </worldbody></mujoco>"""
 
 
-def geometry(scene: Scene) -> list[NDArray[np.float64]]:
-    """Everything of a model that bodies and pulses meet."""
-    model = scene.model
-    names = ("geom_pos", "geom_quat", "geom_size", "geom_type", "mesh_vert", "hfield_data", "qpos0")
-    arrays = [np.asarray(getattr(model, name)) for name in names]
-    return arrays if scene.ground is None else [*arrays, scene.ground.class_id]
-
-
-def check_same_places(name: str) -> None:
-    scenes = {light: load_scene(name, 3, light=light) for light in LIGHTS}
-    for light, scene in scenes.items():
-        assert scene.light == light
-        for first, second in zip(geometry(scenes["day"]), geometry(scene), strict=True):
-            np.testing.assert_array_equal(first, second)
-        assert dict(scene.surfaces) == dict(scenes["day"].surfaces)
-    plain = load_scene(name, 3).model
-    np.testing.assert_array_equal(plain.tex_data, scenes["day"].model.tex_data)
-    for other in LIGHTS[1:]:
-        assert (scenes[other].model.tex_data != plain.tex_data).any()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", scene_names())
-def test_light_moves_nothing_in_any_scene(name: str) -> None:
-    check_same_places(name)
-
-
 def suns() -> dict[Light, tuple[mujoco.MjSpec, NDArray[np.float64], float]]:
     """By light: a model with a sun drawn from one seed, the way its light travels, and the number
     that the generator draws next."""
     drawn: dict[Light, tuple[mujoco.MjSpec, NDArray[np.float64], float]] = {}
     for light in LIGHTS:
         spec, rng = mujoco.MjSpec.from_string(FILE.replace("high", "sun")), default_rng(3)
-        with lit_by(light):
+        with sky.lit_by(light):
             drawn[light] = spec, draw_sun(rng, spec), rng.uniform()
     return drawn
 
 
-def test_light_draws_no_numbers() -> None:
-    assert len({number for _, _, number in suns().values()}) == 1
-
-
 def test_the_sun_of_each_light() -> None:
     """Overcast light comes from above and is grey, as strong on level ground as the sun's; the
-    sun of dusk is 2 degrees high, where it stood by day, and red; at night nothing shines."""
+    sun of dusk is 2 degrees high, where it stood by day, and red; at night nothing shines. None
+    draws a number, so that the place is the same."""
     made = suns()
+    assert len({number for _, _, number in made.values()}) == 1
     lights = {name: spec.light("sun") for name, (spec, _, _) in made.items()}
     direction, colour = lights["day"].dir, lights["day"].diffuse
     np.testing.assert_allclose(lights["overcast"].dir, [0.0, 0.0, -1.0], atol=1e-6)
@@ -95,7 +55,7 @@ def test_the_sun_of_each_light() -> None:
     assert grey.mean() == pytest.approx(-direction[2] * colour.mean(), rel=1e-3)
     np.testing.assert_allclose(made["overcast"][1], direction, atol=1e-6)
     low, red = lights["dusk"].dir, lights["dusk"].diffuse
-    assert np.rad2deg(np.arcsin(-low[2])) == pytest.approx(DUSK_SUN_DEG, abs=0.01)
+    assert np.rad2deg(np.arcsin(-low[2])) == pytest.approx(sky.DUSK_SUN_DEG, abs=0.01)
     assert low[0] * direction[1] == pytest.approx(low[1] * direction[0], abs=1e-6)
     assert red[0] > 1.5 * red[1] > 1.5 * red[2]
     assert not any(lamp.active for lamp in made["night"][0].lights)
@@ -115,14 +75,14 @@ def test_shadows_are_those_of_the_light() -> None:
     low = np.array([np.cos(0.2), 0.0, -np.sin(0.2)])
 
     def baked(light: Light, direction: NDArray[np.float64]) -> NDArray[np.float32]:
-        with lit_by(light):
+        with sky.lit_by(light):
             return bake_light([wall], terrain, direction, 256, 0.5)[128]
 
     place = {x: 128 + 4 * x for x in (3, 12, 25)}
     day, dusk = baked("day", sun), baked("dusk", low)
     assert day[place[3]] == pytest.approx(0.5, abs=0.03)
     assert day[place[12]] == pytest.approx(1.0, abs=0.01)
-    assert dusk[place[12]] == pytest.approx(1.0 - DUSK_SUN_SHARE, abs=0.03)
+    assert dusk[place[12]] == pytest.approx(1.0 - sky.DUSK_SUN_SHARE, abs=0.03)
     assert dusk[place[25]] == pytest.approx(1.0, abs=0.01)
     for light in ("overcast", "night"):
         even = baked(light, sun)  # type: ignore[arg-type]
@@ -142,24 +102,19 @@ def test_scenes_from_files_have_every_light(tmp_path: Path) -> None:
     assert active["fill"] == [True, False, False, False]
     assert active["lamp"] == [True, True, True, False]
     np.testing.assert_allclose(overcast.light("high").dir, [0.0, 0.0, -1.0], atol=1e-6)
-    assert -dusk.light("high").dir[2] == pytest.approx(np.sin(np.deg2rad(DUSK_SUN_DEG)), abs=1e-4)
+    assert -dusk.light("high").dir[2] == pytest.approx(
+        np.sin(np.deg2rad(sky.DUSK_SUN_DEG)), abs=1e-4
+    )
     skies = [m.tex_data[: 64 * 64 * 3].mean() for m in (day, overcast, dusk, night)]
     assert skies[3] < 0.3 * skies[0]
     assert len({round(float(s)) for s in skies}) == 4
 
 
 def test_the_light_ends_with_its_context() -> None:
-    with lit_by("night"):
-        assert not sun_shines()
-        with pytest.raises(ValueError, match="stop"), lit_by("dusk"):
+    with sky.lit_by("night"):
+        assert not sky.sun_shines()
+        with pytest.raises(ValueError, match="stop"), sky.lit_by("dusk"):
             raise ValueError("stop")
-        assert light_in_shadow(0.5) == 1.0
-    assert sun_shines()
-    assert light_in_shadow(0.5) == 0.5
-
-
-def test_a_low_sun_needs_day() -> None:
-    low = FaultParams(events=("low_sun@0",))
-    check_faults(Config(faults=low), {})
-    with pytest.raises(UsageError, match=r"low_sun.*light = 'day', not 'night'"):
-        check_faults(Config(faults=low, light="night"), {})
+        assert sky.light_in_shadow(0.5) == 1.0
+    assert sky.sun_shines()
+    assert sky.light_in_shadow(0.5) == 0.5

@@ -9,7 +9,6 @@ import pytest
 
 from touchdown.experiments.flight.run import fly
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.experiments.scene_tools.flyability import check_scene_file
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth.maps import truth_maps
@@ -106,12 +105,6 @@ def test_a_raised_place_says_by_how_much(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     np.testing.assert_allclose(load(str(path)).origin_m, [*MAP, 812.0], atol=1e-6)
-
-
-def test_a_check_states_the_origin(tmp_path: Path) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        assert check_scene_file(place(tmp_path, MAP))["facts"]["origin_m"] == (*MAP, 0.0)
 
 
 def test_a_site_counts_from_the_world_s_origin(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import pytest
 
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import VEHICLE_BODY, load_scene
-from touchdown.scenes.importers.mjcf import surface_of_name
 from touchdown.scenes.truth.raycast import cast_down
 
 FLOOR = '<geom name="lawn" type="plane" size="40 40 1"/>'
@@ -51,13 +50,6 @@ def load(tmp_path: Path, body: str, head: str = "") -> Scene:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return load_scene(write(tmp_path, text), 0)
-
-
-def test_names_give_class_and_reflectivity() -> None:
-    water, trees = surface_of_name("Water_pond"), surface_of_name("trees")
-    assert water is not None and water.water and water.reflectivity == 0.03
-    assert trees is not None and trees.porosity == 0.35
-    assert surface_of_name("pool") is None
 
 
 def test_joints_are_removed_and_the_vehicle_is_unchanged(tmp_path: Path) -> None:
@@ -146,12 +138,6 @@ def test_invalid_assets_are_named(
         (tmp_path / name).write_text("something else")
     with pytest.raises(kind, match=message) as caught:
         load(tmp_path, f"{FLOOR}<geom {geom}/>", f"<asset>{asset}</asset>")
-    assert "\n" not in str(caught.value)
-
-
-def test_missing_include_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"gone\.xml") as caught:
-        load_scene(write(tmp_path, '<mujoco><include file="gone.xml"/></mujoco>'), 0)
     assert "\n" not in str(caught.value)
 
 

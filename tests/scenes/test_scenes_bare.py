@@ -4,16 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from touchdown.scenes.api import LAND_CLASSES, LowSun, Scene
+from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.micro_relief import NEUTRAL, MicroRelief, Ripples
 from touchdown.scenes.authoring.tracks import SKIS, footprints, parallel, runners, wander
-from touchdown.scenes.compose import load_scene
 from touchdown.scenes.places.dunes import layout as dunes
 from touchdown.scenes.places.snow import layout as snow
-from touchdown.scenes.props.tree_shapes import needles
-from touchdown.scenes.props.winter import laden
 from touchdown.scenes.truth.maps import judge_touchdown
 from touchdown.scenes.truth.survey_facts import survey_facts
 
@@ -45,14 +42,13 @@ def test_survey_is_inside_and_its_height_is_free(name: str, seed: int) -> None:
     check_surfaces(cached_scene(name, seed))
 
 
-@pytest.mark.parametrize("name", ["snow", "dunes"])
+@pytest.mark.parametrize("name", [pytest.param("snow", marks=pytest.mark.slow), "dunes"])
 def test_same_seed_same_bytes(name: str) -> None:
     check_seeds(name)
 
 
 def pond_middle(scene: Scene) -> np.ndarray:
     ground = scene.ground
-    assert ground is not None
     rows, cols = np.nonzero(ground.class_id == WATER)
     return ground.origin_xy_m + (np.array([np.median(cols), np.median(rows)]) + 0.5) * ground.cell_m
 
@@ -60,7 +56,6 @@ def pond_middle(scene: Scene) -> np.ndarray:
 def test_frozen_pond_is_level_water_and_never_safe() -> None:
     scene = cached_scene("snow", 0)
     ground = scene.ground
-    assert ground is not None
     assert 80.0 < (ground.class_id == WATER).sum() * ground.cell_m**2 < 350.0
     verdict = judge_touchdown(scene, pond_middle(scene))
     assert verdict.slope_deg < 0.5
@@ -102,16 +97,6 @@ def test_ice_is_slippery_and_covers_the_pond() -> None:
     field = scene.model.hfield_data.reshape(snow.NODES, snow.NODES) * scene.model.hfield_size[0, 2]
     seen = HeightField(heights_m=field + terrain.pos[2], half_m=snow.HALF_M).point(*middle)
     assert 0.001 < slab.pos[2] + slab.size[2] - seen < 0.008
-
-
-def test_slabs_lie_below_the_snow_around_the_pond() -> None:
-    rng = np.random.default_rng(4)
-    plan = snow.draw_plan(rng)
-    relief = snow.shape_snow(rng, plan)
-    heights = relief.terrain.heights_m
-    assert np.ptp(heights[relief.pond_m <= 0.0]) < 1e-9
-    around = (relief.pond_m > 0.4) & (relief.pond_m < 2.0)
-    assert (heights[around] > relief.ice_m + 0.05).mean() > 0.99
 
 
 def test_drifts_lie_behind_rocks_and_fences() -> None:
@@ -164,15 +149,6 @@ def test_light_on_slopes_follows_lambert() -> None:
     assert (level == NEUTRAL).all()
 
 
-def test_terrain_s_own_slope_counts_in_part() -> None:
-    axis = np.linspace(-64.0, 64.0, 65)
-    fine = MicroRelief(half_m=64.0)
-    fine.stand_on(HeightField(heights_m=np.tile(-0.2 * axis, (65, 1)), half_m=64.0))
-    tone = fine.shading(np.random.default_rng(0), SUN)
-    facing = (1.0 - 0.14 * 0.75) / np.sqrt(1.0 + 0.14**2)
-    assert tone[2560, 2560] == pytest.approx(NEUTRAL * (0.5 + 0.5 * facing), abs=1.0)
-
-
 def test_ripples_have_their_wave_length_across_the_wind() -> None:
     cover = np.ones((8, 8), np.float32)
     ripples = Ripples(wave_m=0.12, height_m=0.008, wind_angle=0.0, cover=cover)
@@ -201,18 +177,3 @@ def test_tracks_press_hollows_with_rims() -> None:
     strip = fine.prints[2700:2820].astype(int) - 128
     assert strip.min() < -55 and strip.max() > 8
     np.testing.assert_allclose(parallel(line, 0.5)[:, 1], 0.5, atol=1e-9)
-
-
-def test_a_low_sun_lights_the_fine_relief_too() -> None:
-    """The direction of the low sun reaches the texture."""
-    low = load_scene("snow", 0, LowSun(elevation_deg=12.0, azimuth_deg=90.0)).model
-    own = cached_scene("snow", 0).model
-    assert low.tex_data.tobytes() != own.tex_data.tobytes()
-
-
-def test_snow_lies_on_the_share_of_needles_asked_for() -> None:
-    rng = np.random.default_rng(0)
-    green = needles(rng, (50.0, 70.0, 54.0))
-    shares = [(laden(rng, green, share).min(axis=2) > 150).mean() for share in (0.3, 0.7)]
-    assert shares[0] == pytest.approx(0.25, abs=0.12)
-    assert shares[1] == pytest.approx(0.65, abs=0.12)

@@ -11,7 +11,6 @@ from scipy import ndimage
 from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES, Scene, TruthMaps
 from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.streets import STEP_M, Street, smooth_line
-from touchdown.scenes.props.pools import kidney_outline, rectangle_outline
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 from touchdown.scenes.truth.raycast import cast_down
 
@@ -44,13 +43,12 @@ def test_takeoff_is_level_and_the_survey_is_free(name: str) -> None:
     check_takeoff(scene, 3.0, 0.2)
     check_survey(scene, free_m=24.0, trees_m=24.0)
     check_surfaces(scene, 520)
-    assert scene.ground is not None
     span = np.array(scene.ground.class_id.shape) * scene.ground.cell_m
     np.testing.assert_allclose(span, 128.0)
 
 
-def test_same_seed_same_scene_other_seed_another() -> None:
-    check_seeds("pools", other=1)
+def test_same_seed_same_scene() -> None:
+    check_seeds("pools")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -95,17 +93,6 @@ def test_pools_are_water_beside_a_safe_field() -> None:
     assert judgement.slope_deg < 0.1
     assert judgement.land_class == "water"
     assert not judgement.safe_geometry
-
-
-def test_houses_have_streets_homes_and_traffic() -> None:
-    scene, maps = cached_scene("houses"), survey_maps("houses", 0)
-    assert share(maps, "road") > 0.08
-    walls = [name for name in scene.surfaces if name.startswith("building_wall")]
-    assert len(walls) >= 10
-    assert 1 <= len(scene.moving) <= 2
-    for moving in scene.moving:
-        assert (np.abs(moving.path_world[:, :2]) < 64.0).all()
-        assert np.abs(np.diff(moving.path_world[:, 2])).max() < 0.1
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -154,12 +141,3 @@ def test_street_offsets_and_distances_agree() -> None:
             assert abs(float(distance) - abs(across)) < 0.05
             assert abs(float(where) - along) < 0.6
     assert abs(float(street.kerb_distance(street.point(20.0, 3.0)))) < 0.05
-
-
-def test_outlines_run_counter_clockwise() -> None:
-    rng = np.random.default_rng(0)
-    for outline in (rectangle_outline(1.0, 2.0, 25.0, 12.0, 0.2), kidney_outline(rng, 0, 0, 5.0)):
-        ahead = np.roll(outline, -1, axis=0)
-        area = 0.5 * float((outline[:, 0] * ahead[:, 1] - ahead[:, 0] * outline[:, 1]).sum())
-        assert area > 0.0
-    assert abs(area) > 40.0

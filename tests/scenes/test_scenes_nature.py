@@ -8,14 +8,8 @@ from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.places.forest import relief
 from touchdown.scenes.places.forest.layout import draw_plan
-from touchdown.scenes.places.forest.relief import (
-    BROOK_DEPTH_M,
-    WATER_DEPTH_M,
-    brook_profile,
-    hills,
-    shape_ground,
-)
 from touchdown.scenes.places.forest.stand import TREE_TOP_M
 from touchdown.scenes.places.turf.airfield import fuselage_mesh
 from touchdown.scenes.places.turf.generate import level_pools
@@ -50,7 +44,7 @@ def surveyed(name: str, seed: int) -> tuple[object, np.ndarray, np.ndarray]:
 def shaped(seed: int) -> HeightField:
     """The forest's ground alone, from a stream of its own."""
     rng = np.random.default_rng(seed)
-    return shape_ground(rng, draw_plan(rng))
+    return relief.shape_ground(rng, draw_plan(rng))
 
 
 CASES = [
@@ -93,13 +87,13 @@ def test_brook_falls_all_the_way_below_the_ground() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         plan = draw_plan(rng)
-        ground = HeightField(heights_m=hills(rng), half_m=64.0)
-        bed = brook_profile(plan.brook, ground)
+        ground = HeightField(heights_m=relief.hills(rng), half_m=64.0)
+        bed = relief.brook_profile(plan.brook, ground)
         inside = (np.abs(plan.brook.line_m) < 62.0).all(axis=1)
         steps = np.diff(bed[inside])
         assert (steps < 1e-9).all() or (steps > -1e-9).all()
         assert abs(steps.sum()) >= 0.8 * 0.012 * inside.sum()
-    assert WATER_DEPTH_M < BROOK_DEPTH_M
+    assert relief.WATER_DEPTH_M < relief.BROOK_DEPTH_M
 
 
 def test_clearings_have_the_slope_of_their_kind() -> None:
@@ -107,7 +101,7 @@ def test_clearings_have_the_slope_of_their_kind() -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)
         plan = draw_plan(rng)
-        terrain = shape_ground(rng, plan)
+        terrain = relief.shape_ground(rng, plan)
         for clearing in plan.clearings:
             grid = np.stack(np.meshgrid(*2 * [np.linspace(-3.0, 3.0, 13)]), axis=-1).reshape(-1, 2)
             z = terrain.at(clearing.centre_xy_m + grid)

@@ -5,14 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
-from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
+from touchdown.scenes.truth.maps import judge_touchdown
 from touchdown.scenes.truth.raycast import cast_points
 
 from support.truth_rays import SingleRays
 
-ROOF = LAND_CLASSES.index("building")
 FORMS = {
     "box": "1.0 0.8 1.2", "sphere": "1.1", "capsule": "0.6 1.0", "cylinder": "0.9 1.1",
     "ellipsoid": "1.2 0.8 0.9",
@@ -30,39 +29,6 @@ def scene_of(folder: Path, things: str, assets: str = "") -> Scene:
         encoding="utf-8",
     )
     return load_scene(str(path), 0)
-
-
-def boxes(rng: np.random.Generator) -> tuple[str, np.ndarray]:
-    """Six boxes of 2 m that hang on one body or on nested ones, apart from one another and from
-    the take-off spot; and their middles in the world (6, 2)."""
-    cells = rng.permutation(48)[:6]
-    middles = np.stack([cells % 8, cells // 8], axis=-1) * 5.0 - [17.5, 12.5]
-    middles += rng.uniform(-1.0, 1.0, (6, 2))
-    xml = ""
-    for number, (x, y) in enumerate(middles):
-        geom = f"<geom name='building_{number}' type='box' size='1 1 1' pos='{x} {y} 1'/>"
-        xml += (
-            geom
-            if number < 4
-            else f"<body pos='{x} {y} 0.5'><body pos='{-x} {-y} -0.5'>{geom}</body></body>"
-        )
-    return f"<body name='all'>{xml}</body>", middles
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_boxes_on_nested_bodies_are_seen(tmp_path: Path, layout: int) -> None:
-    things, middles = boxes(np.random.default_rng([layout, 22]))
-    scene = scene_of(tmp_path, things)
-    maps = truth_maps(scene, 0.25)
-    for middle in middles:
-        col, row = np.floor((middle - maps.origin_xy_m) / maps.cell_m).astype(int)
-        assert maps.height_m[row, col] == pytest.approx(2.0, abs=1e-4)
-        assert maps.class_id[row, col] == ROOF
-        assert not maps.safe[row, col]
-    judged = judge_touchdown(scene, middles[layout % 6])
-    assert judged.land_class == "building" and not judged.safe and not judged.safe_geometry
-    beside = judge_touchdown(scene, middles[layout % 6] + [1.3, 0.0])
-    assert beside.obstacle_distance_m == pytest.approx(0.3, abs=0.06) and not beside.safe_geometry
 
 
 def forms(rng: np.random.Generator) -> str:

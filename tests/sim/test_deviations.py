@@ -1,7 +1,6 @@
 """The true vehicle beside the nominal one: draws, physics, telemetry, battery, the IMU's place."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -10,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
-from touchdown.scenes.compose import load_scene
+from touchdown.sim import api as sim
 from touchdown.sim.airframe.battery import (
     DRIVE_EFFICIENCY,
     HOTEL_LOAD_W,
@@ -26,42 +25,29 @@ from touchdown.sim.airframe.deviations import (
 )
 from touchdown.sim.airframe.rotors import Rotors
 from touchdown.sim.airframe.vehicle import rotor_geometry, vehicle_body_id, vehicle_model
-from touchdown.sim.api import (
-    GRAVITY_MPS2,
-    Command,
-    ImuParams,
-    SimParams,
-    VehicleErrorParams,
-    WindParams,
-    WorldParams,
-)
 from touchdown.sim.world import MujocoWorld
+
+from support.places import scene_of
+from support.worlds import NO_NOISE, STILL_AIR
 
 Array = NDArray[np.float64]
 
 XML = """<mujoco><worldbody>
   <geom name="lawn_floor" type="plane" size="60 60 0.1"/><site name="takeoff" pos="1 2 0"/>
 </worldbody></mujoco>"""
-NO_NOISE = ImuParams(
-    gyro_density=0.0, accel_density=0.0, gyro_bias_walk=0.0, accel_bias_walk=0.0,
-    gyro_bias_sigma=0.0, accel_bias_sigma=0.0,
-)  # fmt: skip
-ALL = VehicleErrorParams(
+ALL = sim.VehicleErrorParams(
     mass_share=0.05, center_of_mass_m=0.01, thrust_share=0.05, torque_share=0.05, rotor_share=0.02
 )
-STILL_AIR = WindParams(mean_kmh=0.0, turbulence=False)
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    path: Path = tmp_path_factory.mktemp("place") / "place.xml"
-    path.write_text(XML)
-    return load_scene(str(path), 0)
+def scene() -> Scene:
+    return scene_of(XML)
 
 
 def make(scene: Scene, seed: int = 3, **groups: Any) -> MujocoWorld:
-    params = {"sim": SimParams(threads=1), "wind": STILL_AIR, "imu": NO_NOISE} | groups
-    return MujocoWorld(scene, WorldParams(**params), seed)
+    params = {"sim": sim.SimParams(threads=1), "wind": STILL_AIR, "imu": NO_NOISE} | groups
+    return MujocoWorld(scene, sim.WorldParams(**params), seed)
 
 
 def test_draws_are_uniform_within_their_bounds() -> None:
@@ -84,10 +70,13 @@ def test_a_rotor_deviates_in_thrust_and_torque_alike() -> None:
 
 
 def test_one_bound_leaves_the_draws_of_the_others_alone() -> None:
-    both, alone = draw_deviations(ALL, 4), draw_deviations(VehicleErrorParams(mass_share=0.05), 4)
+    both, alone = (
+        draw_deviations(ALL, 4),
+        draw_deviations(sim.VehicleErrorParams(mass_share=0.05), 4),
+    )
     assert both.mass == alone.mass
     np.testing.assert_array_equal(alone.thrust, np.ones(4))
-    assert not draw_deviations(VehicleErrorParams(), 4).of_the_body
+    assert not draw_deviations(sim.VehicleErrorParams(), 4).of_the_body
 
 
 def test_true_model_is_a_copy_with_another_body(scene: Scene) -> None:
@@ -150,8 +139,8 @@ def test_coefficients_and_mass_scale_the_acceleration(scene: Scene) -> None:
     plain, _ = fall(scene, NOMINAL, speeds)
     stronger = replace(NOMINAL, thrust=np.full(4, 1.05), mass=1.02)
     more, _ = fall(scene, stronger, speeds)
-    lift = plain[2] + GRAVITY_MPS2
-    assert more[2] + GRAVITY_MPS2 == pytest.approx(lift * 1.05 / 1.02, rel=1e-6)
+    lift = plain[2] + sim.GRAVITY_MPS2
+    assert more[2] + sim.GRAVITY_MPS2 == pytest.approx(lift * 1.05 / 1.02, rel=1e-6)
 
 
 def test_a_weak_rotor_tips_the_body_towards_itself(scene: Scene) -> None:
@@ -178,7 +167,7 @@ def test_torque_share_turns_about_the_vertical_and_costs_power(scene: Scene) -> 
 
 
 def test_telemetry_has_noise_and_resolution() -> None:
-    params = VehicleErrorParams(telemetry_sigma_radps=1.0, telemetry_step_radps=1.5)
+    params = sim.VehicleErrorParams(telemetry_sigma_radps=1.0, telemetry_step_radps=1.5)
     sensor = SpeedTelemetry(params, 2)
     speeds = np.array([398.2, 401.7, 380.0, 0.0])
     found = np.array([sensor.read(speeds) for _ in range(2000)])
@@ -187,14 +176,14 @@ def test_telemetry_has_noise_and_resolution() -> None:
     spread = np.sqrt(1.0 + 1.5**2 / 12.0)
     np.testing.assert_allclose(found[:, :3].mean(axis=0), speeds[:3], atol=0.12)
     np.testing.assert_allclose(found[:, :3].std(axis=0), spread, rtol=0.06)
-    np.testing.assert_array_equal(SpeedTelemetry(VehicleErrorParams(), 2).read(speeds), speeds)
+    np.testing.assert_array_equal(SpeedTelemetry(sim.VehicleErrorParams(), 2).read(speeds), speeds)
 
 
 def test_the_world_reports_noisy_speeds_and_keeps_the_true_ones(scene: Scene) -> None:
-    params = VehicleErrorParams(telemetry_sigma_radps=2.0)
+    params = sim.VehicleErrorParams(telemetry_sigma_radps=2.0)
     world = make(scene, vehicle_error=params)
     for _ in range(50):
-        obs = world.step(Command(rotor_speed_radps=np.full(4, 300.0)))
+        obs = world.step(sim.Command(rotor_speed_radps=np.full(4, 300.0)))
     off = obs.rotor_speed_radps - world.truth().rotor_speed_radps
     assert 0.0 < np.abs(off).max() < 10.0
     world.close()
@@ -236,10 +225,10 @@ def test_sag_grows_with_what_was_used_and_is_off_by_default() -> None:
 def test_sag_limits_the_rotors(scene: Scene) -> None:
     fastest = {}
     for sag in (False, True):
-        world = make(scene, sim=SimParams(threads=1, battery_sag=sag))
+        world = make(scene, sim=sim.SimParams(threads=1, battery_sag=sag))
         most = world.rig.vehicle.rotor_speed_max
         for _ in range(80):
-            world.step(Command(rotor_speed_radps=np.full(4, most)))
+            world.step(sim.Command(rotor_speed_radps=np.full(4, most)))
         fastest[sag] = float(world.truth().rotor_speed_radps.mean())
         world.close()
     assert fastest[False] == pytest.approx(most, rel=1e-3)
@@ -252,7 +241,7 @@ def flown(scene: Scene, offset: tuple[float, float, float]) -> tuple[list[Any], 
     samples, truths = [], [world.truth()]
     for k in range(120):
         kick = 60.0 * np.array([1.0, -1.0, -1.0, 0.6]) * np.sin(0.25 * k)
-        obs = world.step(Command(rotor_speed_radps=430.0 + kick))
+        obs = world.step(sim.Command(rotor_speed_radps=430.0 + kick))
         samples += obs.imu
         truths.append(world.truth())
     world.close()
@@ -293,7 +282,7 @@ def test_dead_reckoning_at_the_imu_ends_at_its_own_point(scene: Scene) -> None:
     force = np.array([s.specific_force for s in samples])
     start = first.world_from_body.apply(np.array(offset))
     rotations, positions, velocities = integrate(
-        first.world_from_body.rotation, start, np.zeros(3), gyro, force, 1 / 200, GRAVITY_MPS2
+        first.world_from_body.rotation, start, np.zeros(3), gyro, force, 1 / 200, sim.GRAVITY_MPS2
     )
     turn = last.world_from_body.rotation
     np.testing.assert_allclose(rotations[-1], turn, atol=2e-4)

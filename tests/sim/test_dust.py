@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import GroundRaster, Scene, Surface
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.airframe.vehicle import rotor_geometry, vehicle_body_id, vehicle_model
 from touchdown.sim.api import CameraParams, Command, DustParams, SensorNeeds, SimParams, WorldParams
 from touchdown.sim.dust import (
@@ -22,6 +21,7 @@ from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.world import MujocoWorld
 
 from support.lidar_support import BRIGHT, DOWN, PERFECT, PLANE, TICK_HZ, make_scene, track
+from support.places import scene_of
 
 XML = """<mujoco><worldbody>
   <geom name="field_soil" type="plane" size="60 60 0.1" rgba="0.4 0.3 0.2 1"/>
@@ -31,10 +31,8 @@ WEIGHT, RADIUS = 41.2, 0.1905
 
 
 @pytest.fixture(scope="module")
-def soil(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    path = tmp_path_factory.mktemp("soil") / "soil.xml"
-    path.write_text(XML)
-    scene = load_scene(str(path), 0)
+def soil() -> Scene:
+    scene = scene_of(XML)
     bare = Surface(land_class="field", reflectivity=0.25, dust=1.0)
     return dataclasses.replace(scene, surfaces={**scene.surfaces, "field_soil": bare})
 

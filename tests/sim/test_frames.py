@@ -3,22 +3,7 @@
 import numpy as np
 import pytest
 
-from touchdown.sim.frames import (
-    BODY_FROM_DOWNWARD_OPTICAL,
-    Pose,
-    cross,
-    interpolate_pose,
-    matrices_from_quats_wxyz,
-    matrix_from_quat_wxyz,
-    quat_wxyz_from_matrix,
-    rotation_from_yaw,
-    so3_exp,
-    so3_log,
-    so3_right_jacobian,
-    tilt_from_rotation,
-    wrap_angle,
-    yaw_from_rotation,
-)
+from touchdown.sim import frames
 
 
 @pytest.fixture
@@ -26,42 +11,42 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(7)
 
 
-def random_pose(rng: np.random.Generator) -> Pose:
-    return Pose(so3_exp(rng.normal(size=3)), rng.normal(size=3))
+def random_pose(rng: np.random.Generator) -> frames.Pose:
+    return frames.Pose(frames.so3_exp(rng.normal(size=3)), rng.normal(size=3))
 
 
 def test_cross_is_numpys_to_the_bit(rng: np.random.Generator) -> None:
     for scale in 10.0 ** rng.uniform(-8.0, 8.0, size=200):
         first, second = rng.normal(size=3), scale * rng.normal(size=3)
-        assert np.array_equal(cross(first, second), np.cross(first, second))
+        assert np.array_equal(frames.cross(first, second), np.cross(first, second))
 
 
 def test_exp_log_round_trip_including_half_turns(rng: np.random.Generator) -> None:
     for scale in (1e-12, 1e-6, 1.0, np.pi - 1e-7):
         axis = rng.normal(size=3)
         vector = scale * axis / np.linalg.norm(axis)
-        np.testing.assert_allclose(so3_log(so3_exp(vector)), vector, atol=1e-8)
+        np.testing.assert_allclose(frames.so3_log(frames.so3_exp(vector)), vector, atol=1e-8)
 
 
 def test_exp_of_a_quarter_turn_about_z() -> None:
-    quarter = so3_exp(np.array([0.0, 0.0, np.pi / 2]))
+    quarter = frames.so3_exp(np.array([0.0, 0.0, np.pi / 2]))
     np.testing.assert_allclose(quarter @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-15)
-    np.testing.assert_allclose(quarter, rotation_from_yaw(np.pi / 2), atol=1e-15)
+    np.testing.assert_allclose(quarter, frames.rotation_from_yaw(np.pi / 2), atol=1e-15)
 
 
 def test_quaternion_round_trip_up_to_sign(rng: np.random.Generator) -> None:
     for _ in range(200):
         quat = rng.normal(size=4)
         quat /= np.linalg.norm(quat)
-        again = quat_wxyz_from_matrix(matrix_from_quat_wxyz(quat))
+        again = frames.quat_wxyz_from_matrix(frames.matrix_from_quat_wxyz(quat))
         np.testing.assert_allclose(again, quat if quat[0] >= 0 else -quat, atol=1e-12)
 
 
 def test_batch_conversion_equals_single(rng: np.random.Generator) -> None:
     quats = rng.normal(size=(20, 4))
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    single = np.stack([matrix_from_quat_wxyz(quat) for quat in quats])
-    np.testing.assert_allclose(matrices_from_quats_wxyz(quats), single, atol=1e-15)
+    single = np.stack([frames.matrix_from_quat_wxyz(quat) for quat in quats])
+    np.testing.assert_allclose(frames.matrices_from_quats_wxyz(quats), single, atol=1e-15)
 
 
 def test_inverse_and_associativity(rng: np.random.Generator) -> None:
@@ -75,33 +60,44 @@ def test_inverse_and_associativity(rng: np.random.Generator) -> None:
 def test_right_jacobian_against_finite_differences(rng: np.random.Generator) -> None:
     vector, step = rng.normal(size=3), 1e-6
     numeric = np.stack(
-        [so3_log(so3_exp(vector).T @ so3_exp(vector + step * axis)) / step for axis in np.eye(3)],
+        [
+            frames.so3_log(frames.so3_exp(vector).T @ frames.so3_exp(vector + step * axis)) / step
+            for axis in np.eye(3)
+        ],
         axis=1,
     )
-    np.testing.assert_allclose(so3_right_jacobian(vector), numeric, atol=1e-5)
+    np.testing.assert_allclose(frames.so3_right_jacobian(vector), numeric, atol=1e-5)
 
 
 def test_yaw_tilt_and_wrapping() -> None:
-    rotation = rotation_from_yaw(0.7) @ so3_exp(np.array([0.2, 0.0, 0.0]))
-    assert yaw_from_rotation(rotation) == pytest.approx(0.7)
-    assert tilt_from_rotation(rotation) == pytest.approx(0.2)
-    assert wrap_angle(3 * np.pi) == pytest.approx(np.pi)
-    assert wrap_angle(-0.5 - 2 * np.pi) == pytest.approx(-0.5)
+    rotation = frames.rotation_from_yaw(0.7) @ frames.so3_exp(np.array([0.2, 0.0, 0.0]))
+    assert frames.yaw_from_rotation(rotation) == pytest.approx(0.7)
+    assert frames.tilt_from_rotation(rotation) == pytest.approx(0.2)
+    assert frames.wrap_angle(3 * np.pi) == pytest.approx(np.pi)
+    assert frames.wrap_angle(-0.5 - 2 * np.pi) == pytest.approx(-0.5)
 
 
 def test_interpolation_ends_and_middle(rng: np.random.Generator) -> None:
     a, b = random_pose(rng), random_pose(rng)
-    np.testing.assert_allclose(interpolate_pose(a, b, 0.0).matrix(), a.matrix(), atol=1e-12)
-    np.testing.assert_allclose(interpolate_pose(a, b, 1.0).matrix(), b.matrix(), atol=1e-9)
-    middle = interpolate_pose(a, b, 0.5)
+    np.testing.assert_allclose(frames.interpolate_pose(a, b, 0.0).matrix(), a.matrix(), atol=1e-12)
+    np.testing.assert_allclose(frames.interpolate_pose(a, b, 1.0).matrix(), b.matrix(), atol=1e-9)
+    middle = frames.interpolate_pose(a, b, 0.5)
     np.testing.assert_allclose(
-        so3_log(a.rotation.T @ middle.rotation), so3_log(middle.rotation.T @ b.rotation), atol=1e-9
+        frames.so3_log(a.rotation.T @ middle.rotation),
+        frames.so3_log(middle.rotation.T @ b.rotation),
+        atol=1e-9,
     )
 
 
 def test_downward_sensor_axes() -> None:
     # Optical z looks down, image up (-y) is forward, image right (+x) is the vehicle's right.
-    np.testing.assert_array_equal(BODY_FROM_DOWNWARD_OPTICAL @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0])
-    np.testing.assert_array_equal(BODY_FROM_DOWNWARD_OPTICAL @ [0.0, -1.0, 0.0], [1.0, 0.0, 0.0])
-    np.testing.assert_array_equal(BODY_FROM_DOWNWARD_OPTICAL @ [1.0, 0.0, 0.0], [0.0, -1.0, 0.0])
-    assert np.linalg.det(BODY_FROM_DOWNWARD_OPTICAL) == pytest.approx(1.0)
+    np.testing.assert_array_equal(
+        frames.BODY_FROM_DOWNWARD_OPTICAL @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]
+    )
+    np.testing.assert_array_equal(
+        frames.BODY_FROM_DOWNWARD_OPTICAL @ [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]
+    )
+    np.testing.assert_array_equal(
+        frames.BODY_FROM_DOWNWARD_OPTICAL @ [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]
+    )
+    assert np.linalg.det(frames.BODY_FROM_DOWNWARD_OPTICAL) == pytest.approx(1.0)

@@ -24,19 +24,6 @@ def at_rest(sensor: ImuSensor, count: int) -> Array:
     return np.array([[*s.angular_velocity, *s.specific_force] for s in samples])
 
 
-def test_rest_is_one_g_up() -> None:
-    sample = ImuSensor(PERFECT, 600, 3, 0).sample(9, np.eye(3), np.eye(3), np.zeros(3), np.zeros(3))
-    assert (sample.tick, sample.time_s) == (9, 0.015)
-    np.testing.assert_allclose(sample.angular_velocity, 0.0, atol=1e-12)
-    np.testing.assert_allclose(sample.specific_force, [0.0, 0.0, GRAVITY_MPS2], atol=1e-12)
-
-
-def test_free_fall_is_weightless() -> None:
-    fallen = np.array([0.0, 0.0, -GRAVITY_MPS2 * PERIOD_S])
-    sample = ImuSensor(PERFECT, 600, 3, 0).sample(3, np.eye(3), np.eye(3), np.zeros(3), fallen)
-    np.testing.assert_allclose(sample.specific_force, 0.0, atol=1e-9)
-
-
 def test_constant_acceleration_in_a_turned_body() -> None:
     """Heading north (yaw 90 degrees), accelerating north at 2 m/s^2: forward in the body."""
     north = so3_exp(np.array([0.0, 0.0, np.pi / 2]))

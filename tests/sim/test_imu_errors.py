@@ -22,12 +22,6 @@ def drawn(params: ImuParams) -> Array:
     return np.array([ImuErrors(params, seed).matrix - np.eye(6) for seed in range(SEEDS)])
 
 
-def test_no_error_is_the_identity() -> None:
-    errors = ImuErrors(PERFECT, 3)
-    assert not errors.distorts and not errors.saturates
-    np.testing.assert_array_equal(errors.matrix, np.eye(6))
-
-
 def test_scale_errors_lie_on_the_diagonal_with_their_sigma() -> None:
     found = drawn(replace(PERFECT, scale_sigma=3e-3))
     diagonal = found[:, np.arange(6), np.arange(6)]

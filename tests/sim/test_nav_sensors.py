@@ -9,12 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import GroundRaster, Scene, Surface
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import (
     BarometerParams,
     CameraParams,
     Command,
-    GpsParams,
     MagnetometerParams,
     NavParams,
     Observation,
@@ -28,6 +26,8 @@ from touchdown.sim.navigation.barometer import SEA_LEVEL_PA, BarometerSensor, he
 from touchdown.sim.navigation.magnetometer import MagnetometerSensor, earth_field_world
 from touchdown.sim.navigation.rangefinder import RangefinderSensor
 from touchdown.sim.world import MujocoWorld
+
+from support.places import scene_of
 
 Array = NDArray[np.float64]
 
@@ -200,12 +200,10 @@ MakeWorld = Callable[..., MujocoWorld]
 
 
 @pytest.fixture(scope="module")
-def field(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    path = tmp_path_factory.mktemp("field") / "field.xml"
-    path.write_text(
+def field() -> Scene:
+    return scene_of(
         '<mujoco><worldbody><geom name="lawn" type="plane" size="60 60 0.1"/></worldbody></mujoco>'
     )
-    return load_scene(str(path), 0)
 
 
 @pytest.fixture
@@ -250,13 +248,6 @@ def test_each_sensor_has_its_own_schedule(make_world: MakeWorld) -> None:
         assert arrivals[name] == [(t + latency, t) for t in measured]
 
 
-def test_only_requested_sensors_run(make_world: MakeWorld) -> None:
-    for obs in rest(make_world(SensorNeeds(barometer=True)), 80):
-        assert (obs.gps, obs.magnetometer, obs.rangefinder) == ((), (), ())
-    for obs in rest(make_world(nav=NavParams(gps=GpsParams(preset="denied"))), 80):
-        assert obs.gps == ()
-
-
 def test_readings_at_rest_match_the_scene(make_world: MakeWorld) -> None:
     world = make_world()
     observations = list(rest(world, 400))
@@ -281,15 +272,3 @@ def test_sensors_do_not_disturb_one_another_and_reset_repeats(make_world: MakeWo
     together = [s.altitude_m for o in rest(world, 60) for s in o.barometer]
     again = [s.altitude_m for o in rest(world, 60) for s in o.barometer]
     assert alone == together == again
-
-
-def test_impossible_parameters_are_named(make_world: MakeWorld) -> None:
-    cases: list[tuple[NavParams, str]] = [
-        (NavParams(gps=GpsParams(period_ticks=7)), r"gps\.period_ticks is 7.*divide"),
-        (NavParams(barometer=BarometerParams(latency_ticks=-1)), r"barometer\.latency_ticks"),
-        (NavParams(barometer=BarometerParams(drift_tau_s=0.0)), r"correlation time 0 s"),
-        (NavParams(rangefinder=RangefinderParams(max_range_m=0.0)), r"rangefinder\.min_range_m"),
-    ]
-    for nav, message in cases:
-        with pytest.raises(ValueError, match=message):
-            make_world(nav=nav)

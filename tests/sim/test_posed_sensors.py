@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import Scene
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import CameraParams, LidarParams, WorldParams
 from touchdown.sim.frames import Pose, rotation_from_yaw
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.posed_sensors import PosedSensors, track_along
+
+from support.places import scene_of
 
 SCENE_XML = """
 <mujoco>
@@ -31,10 +32,8 @@ ABOVE = Pose(rotation_from_yaw(0.7), np.array([3.0, -2.0, 20.0]))
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    path = tmp_path_factory.mktemp("place") / "place.xml"
-    path.write_text(SCENE_XML)
-    return load_scene(str(path), 0)
+def scene() -> Scene:
+    return scene_of(SCENE_XML)
 
 
 @pytest.fixture

@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import WindParams, WorldParams
 from touchdown.sim.wakes import Obstacles, Wakes, _table, mean_in_wake, obstacles
 from touchdown.sim.wind import Wind
 from touchdown.sim.world import MujocoWorld
 
-Array = NDArray[np.float64]
+from support.places import cached_scene
+
 EAST = np.array([1.0, 0.0, 0.0])
 FRICTION, ROUGHNESS = 2.0, 0.1
 CAVITY = 8.0 * 1.8 * 1.25 / (1.25**0.3 * (1.0 + 0.24 * 1.25))
@@ -99,7 +98,7 @@ def test_mean_and_turbulence_in_the_wake() -> None:
 
 
 def test_scene_has_walls_and_crowns_as_obstacles_and_no_wires_or_fences() -> None:
-    houses = obstacles(load_scene("houses", 0))
+    houses = obstacles(cached_scene("houses"))
     assert {0.5, 1.0} == set(houses.solidity)
     assert houses.tops_m.max() == pytest.approx(8.7, abs=0.5)
     spans = 2.0 * np.linalg.norm(houses.axes_xy, axis=2)
@@ -109,7 +108,7 @@ def test_scene_has_walls_and_crowns_as_obstacles_and_no_wires_or_fences() -> Non
 
 
 def test_wakes_are_a_switch_and_slow_the_air_of_the_world() -> None:
-    scene = load_scene("houses", 0)
+    scene = cached_scene("houses")
     found = obstacles(scene)
     wall = int(np.argmax(found.tops_m * found.solidity))
     speeds = {}
@@ -137,7 +136,7 @@ def test_rotational_gusts_turn_the_vehicle() -> None:
     rates = {}
     for on in (False, True):
         params = WorldParams(wind=WindParams(mean_kmh=36.0, direction_deg=0.0, rotational=on))
-        world = MujocoWorld(load_scene("crossroad", 0), params, 0)
+        world = MujocoWorld(cached_scene("flat"), params, 0)
         world.start_in_air(np.array([0.0, 0.0, 25.0]), 0.0)
         spins = []
         for _ in range(100):

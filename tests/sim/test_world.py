@@ -8,10 +8,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import MovingBody, Scene, Surface
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.airframe.contacts import ContactSensor
 from touchdown.sim.airframe.ground_probe import GroundProbe
 from touchdown.sim.api import (
@@ -36,7 +34,8 @@ from touchdown.sim.frames import so3_exp, yaw_from_rotation
 from touchdown.sim.moving import MovingBodies
 from touchdown.sim.world import MujocoWorld
 
-Array = NDArray[np.float64]
+from support.places import scene_of
+from support.worlds import NO_NOISE
 
 SCENE_XML = """<mujoco><worldbody>
   <geom name="lawn_floor" type="plane" size="60 60 0.1" rgba="0.3 0.5 0.2 1"/>
@@ -47,10 +46,6 @@ SCENE_XML = """<mujoco><worldbody>
     <geom name="cart_box" type="box" size="0.5 0.3 0.3"/>
   </body>
 </worldbody></mujoco>"""
-NO_NOISE = ImuParams(
-    gyro_density=0.0, accel_density=0.0, gyro_bias_walk=0.0, accel_bias_walk=0.0,
-    gyro_bias_sigma=0.0, accel_bias_sigma=0.0,
-)  # fmt: skip
 SQUARE = np.array([[0.0, -9.0, 0.5], [4.0, -9.0, 0.5], [4.0, -5.0, 0.5], [0.0, -5.0, 0.5]])
 SMALL_IMAGE = CameraParams(width=64, height=36)
 
@@ -58,10 +53,8 @@ MakeWorld = Callable[..., MujocoWorld]
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    path = tmp_path_factory.mktemp("place") / "place.xml"
-    path.write_text(SCENE_XML)
-    plain = load_scene(str(path), 0)
+def scene() -> Scene:
+    plain = scene_of(SCENE_XML)
     cart = MovingBody(body_name="cart", path_world=SQUARE, speed_mps=2.0, start_m=1.0)
     fields = {name: getattr(plain, name) for name in plain.__dataclass_fields__}
     return Scene(**{**fields, "moving": (cart,)})
@@ -166,7 +159,6 @@ def test_stereo_sees_two_images_and_sensors_can_be_added_before_a_flight(
     world = make_world()
     world.require(SensorNeeds(camera_hz=10, stereo=True))
     images = [i for obs, _ in _fly(world, 40) for i in obs.images]
-    assert images[0].right_rgb is not None
     assert images[0].right_rgb.shape == images[0].rgb.shape == (36, 64, 3)
     with pytest.raises(RuntimeError, match=r"before a flight, not at tick 120"):
         world.require(SensorNeeds(lidar=True))

@@ -11,25 +11,13 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
+from touchdown.sim import api as sim
 from touchdown.sim.airframe.vehicle import rotor_geometry
-from touchdown.sim.api import (
-    GRAVITY_MPS2,
-    CameraParams,
-    Command,
-    FaultParams,
-    ImuParams,
-    LampParams,
-    LidarParams,
-    LidarScan,
-    Observation,
-    SensorNeeds,
-    SimParams,
-    WindParams,
-    WorldParams,
-)
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.frames import Pose
 from touchdown.sim.world import MujocoWorld
+
+from support.worlds import NO_NOISE, STILL_AIR
 
 Array = NDArray[np.float64]
 
@@ -37,11 +25,6 @@ XML = """<mujoco><worldbody>
   <geom name="lawn_floor" type="plane" size="60 60 0.1"/><site name="takeoff" pos="-8 0 0"/>
   <geom name="trees_1" type="ellipsoid" size="2 3 2" pos="0 5 4"/>
 </worldbody></mujoco>"""
-NO_NOISE = ImuParams(
-    gyro_density=0.0, accel_density=0.0, gyro_bias_walk=0.0, accel_bias_walk=0.0,
-    gyro_bias_sigma=0.0, accel_bias_sigma=0.0,
-)  # fmt: skip
-STILL_AIR = WindParams(mean_kmh=0.0, turbulence=False)
 
 
 @pytest.fixture(scope="module")
@@ -60,20 +43,22 @@ class Flown:
     """Half a second, or ``steps``, from a hover at ``height``."""
 
     def __init__(
-        self, scene: Scene, needs: SensorNeeds | None = None, height: float = 12.0,
+        self, scene: Scene, needs: sim.SensorNeeds | None = None, height: float = 12.0,
         speed_share: float = 1.0, steps: int = 100, **groups: Any,
     ) -> None:  # fmt: skip
-        params = {"sim": SimParams(threads=1), "wind": STILL_AIR, "imu": NO_NOISE}
-        params |= {"camera": CameraParams(width=64, height=36), **groups}
-        world = MujocoWorld(scene, WorldParams(**params), 3, needs or SensorNeeds())
+        params = {"sim": sim.SimParams(threads=1), "wind": STILL_AIR, "imu": NO_NOISE}
+        params |= {"camera": sim.CameraParams(width=64, height=36), **groups}
+        world = MujocoWorld(scene, sim.WorldParams(**params), 3, needs or sim.SensorNeeds())
         vehicle = world.rig.vehicle
-        self.hover = math.sqrt(vehicle.mass_kg * GRAVITY_MPS2 / (4 * vehicle.thrust_coefficient))
+        self.hover = math.sqrt(
+            vehicle.mass_kg * sim.GRAVITY_MPS2 / (4 * vehicle.thrust_coefficient)
+        )
         world.start_in_air(np.array([0.0, 0.0, height]), 0.0)
-        self.seen: list[Observation] = []
+        self.seen: list[sim.Observation] = []
         self.accelerations, self.poses = [], [world.truth().world_from_body]
         for _ in range(steps):
             self.seen.append(
-                world.step(Command(rotor_speed_radps=np.full(4, speed_share * self.hover)))
+                world.step(sim.Command(rotor_speed_radps=np.full(4, speed_share * self.hover)))
             )
             self.accelerations.append(world.truth().acceleration_world)
             self.poses.append(world.truth().world_from_body)
@@ -84,21 +69,23 @@ class Flown:
         """(N, 3) specific forces of the IMU."""
         return np.array([s.specific_force for obs in self.seen for s in obs.imu])
 
-    def scans(self) -> list[LidarScan]:
+    def scans(self) -> list[sim.LidarScan]:
         return [scan for obs in self.seen for scan in obs.scans]
 
 
 def test_a_weak_motor_turns_its_rotor_more_slowly(scene: Scene) -> None:
-    faults = FaultParams(events=("motor_loss@0",), motor=1, motor_loss_share=0.36)
+    faults = sim.FaultParams(events=("motor_loss@0",), motor=1, motor_loss_share=0.36)
     shares = Flown(scene, faults=faults).truth.rotor_speed_radps / Flown(scene).hover
     np.testing.assert_allclose(shares, [1.0, 0.8, 1.0, 1.0], atol=1e-3)
 
 
 def test_scans_are_cast_from_the_true_mount(scene: Scene) -> None:
     """Ground points lie at height 0 by the mount that the fault has turned, by the rig's not."""
-    faults = FaultParams(events=("miscalibration@0",), miscalibration_deg=3.0, miscalibration_m=0.1)
-    lidar = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False)
-    flown = Flown(scene, SensorNeeds(lidar=True), steps=40, faults=faults, lidar=lidar)
+    faults = sim.FaultParams(
+        events=("miscalibration@0",), miscalibration_deg=3.0, miscalibration_m=0.1
+    )
+    lidar = sim.LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False)
+    flown = Flown(scene, sim.SensorNeeds(lidar=True), steps=40, faults=faults, lidar=lidar)
     nominal = flown.rig.body_from_lidar
     true = Disturbances(faults, 600, 0.0, 3).lidar_mount(60, nominal)
     scan = flown.scans()[0]
@@ -117,10 +104,12 @@ def test_crowns_sway_with_the_square_of_the_mean_wind(scene: Scene) -> None:
     for kmh in (18.0, 36.0):
         flown = Flown(
             scene,
-            SensorNeeds(lidar=True),
+            sim.SensorNeeds(lidar=True),
             steps=45,
-            wind=WindParams(mean_kmh=kmh, direction_deg=20.0, turbulence=False),
-            lidar=LidarParams(sway=1.0, range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False),
+            wind=sim.WindParams(mean_kmh=kmh, direction_deg=20.0, turbulence=False),
+            lidar=sim.LidarParams(
+                sway=1.0, range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False
+            ),
         )
         amounts.append(flown.record.effects["scans"]["sway"].mean_amount)
     assert amounts[1] == pytest.approx(4.0 * amounts[0], rel=0.15)
@@ -149,11 +138,11 @@ def test_thrust_grows_near_the_ground(scene: Scene) -> None:
     rotor = height + float(geometry.positions_body[:, 2].mean())
     gain = 1.0 / (1.0 - (geometry.radius_m / (4.0 * rotor)) ** 2)
     assert far == pytest.approx(0.0, abs=0.02)
-    assert near - far == pytest.approx(GRAVITY_MPS2 * (gain - 1.0), rel=0.05)
+    assert near - far == pytest.approx(sim.GRAVITY_MPS2 * (gain - 1.0), rel=0.05)
 
 
 def test_wind_pushes_rotors_and_fuselage(scene: Scene) -> None:
-    wind = WindParams(mean_kmh=36.0, direction_deg=90.0, turbulence=False)
+    wind = sim.WindParams(mean_kmh=36.0, direction_deg=90.0, turbulence=False)
     flown = Flown(scene, steps=2, height=6.096, wind=wind)
     push, drag = flown.accelerations[0], rotor_geometry(scene.model).drag
     rotors = 4.0 * drag * flown.hover * 10.0 / flown.rig.vehicle.mass_kg
@@ -162,9 +151,9 @@ def test_wind_pushes_rotors_and_fuselage(scene: Scene) -> None:
 
 
 def test_faults_of_messages_act_in_the_world(scene: Scene) -> None:
-    needs = SensorNeeds(gps=True)
+    needs = sim.SensorNeeds(gps=True)
     assert sum(len(obs.gps) for obs in Flown(scene, needs, steps=150).seen) >= 3
-    lost = Flown(scene, needs, steps=150, faults=FaultParams(events=("gps_dropout@0",)))
+    lost = Flown(scene, needs, steps=150, faults=sim.FaultParams(events=("gps_dropout@0",)))
     assert not any(obs.gps for obs in lost.seen)
 
 
@@ -173,8 +162,8 @@ def test_the_lamp_lights_the_ground_at_night(place: Path) -> None:
     means = []
     for below_m in (0.0, 20.0):
         flown = Flown(
-            night, SensorNeeds(camera_hz=10), steps=50, lamp=LampParams(below_m=below_m),
-            camera=CameraParams(width=64, height=36, exposure=True),
+            night, sim.SensorNeeds(camera_hz=10), steps=50, lamp=sim.LampParams(below_m=below_m),
+            camera=sim.CameraParams(width=64, height=36, exposure=True),
         )  # fmt: skip
         means.append(np.mean([image.rgb.mean() for obs in flown.seen for image in obs.images]))
     assert means[1] > 1.5 * means[0]

@@ -46,7 +46,7 @@ def attempts(directory: Path) -> Counter[str]:
     return Counter(line.split()[0] for line in lines)
 
 
-MANY = axes(scene=["flat", "lake"], estimator=["fake:slow", "fake:is_lost"], seeds="0-2")
+MANY = axes(scene=["flat", "lake"], estimator=["fake:slow", "fake:is_lost"], seeds="0-1")
 
 
 def start_campaign(file: Path, out: Path) -> subprocess.Popen[bytes]:

@@ -21,19 +21,12 @@ FUSELAGE_DRAG = 0.03
 def example_vehicle() -> VehicleModel:
     """A 4 kg X quadrotor that hovers at 495 rad/s."""
     return VehicleModel(
-        mass_kg=4.0,
-        inertia_kgm2=np.array([0.06, 0.07, 0.10]),
+        mass_kg=4.0, inertia_kgm2=np.array([0.06, 0.07, 0.10]),
         rotor_xy_m=np.array([[0.2, -0.2], [-0.2, 0.2], [0.2, 0.2], [-0.2, -0.2]]),
-        rotor_spin=np.array([1.0, 1.0, -1.0, -1.0]),
-        thrust_coefficient=4.0e-5,
-        torque_coefficient=6.4e-7,
-        rotor_speed_min=80.0,
-        rotor_speed_max=800.0,
-        motor_time_constant_s=0.04,
-        linear_drag=0.35,
-        leg_height_m=0.25,
-        footprint_radius_m=0.45,
-    )
+        rotor_spin=np.array([1.0, 1.0, -1.0, -1.0]), thrust_coefficient=4.0e-5,
+        torque_coefficient=6.4e-7, rotor_speed_min=80.0, rotor_speed_max=800.0,
+        motor_time_constant_s=0.04, linear_drag=0.35, leg_height_m=0.25, footprint_radius_m=0.45,
+    )  # fmt: skip
 
 
 class Flyer:

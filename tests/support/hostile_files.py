@@ -52,12 +52,8 @@ def pipe(path: Path) -> Path:
 def limited(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """A command in a process with 4 GiB of data and `LIMIT_S`."""
     return subprocess.run(
-        [sys.executable, "-m", "touchdown", *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
+        [sys.executable, "-m", "touchdown", *arguments], cwd=folder, capture_output=True, text=True,
+        timeout=LIMIT_S, check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES)),
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-    )
+    )  # fmt: skip

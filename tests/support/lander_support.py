@@ -1,6 +1,8 @@
 """A vehicle that follows the lander exactly, over a flat map."""
 
+import copy
 import dataclasses
+import functools
 from collections.abc import Iterator
 
 import numpy as np
@@ -27,25 +29,29 @@ Array = NDArray[np.float64]
 
 
 QUICK = SurveyParams(height_m=20.0, legs=2, leg_length_m=20.0, leg_spacing_m=10.0, duration_s=14.0)
-
-
 PARAMS = LandingParams(climb_speed_mps=6.0, descent_speed_mps=5.0)
-
-
 STEP_TICKS = 12
-
-
 ORIGIN = (-20.0, -20.0)
 
 
-def flat_map(height: float = 0.0, seed: int = 1) -> GridMap:
-    return make_grid(np.full((280, 280), height), origin=ORIGIN, seed=seed)
+def flat_map() -> GridMap:
+    return copy.deepcopy(_flat_map())
+
+
+@functools.cache
+def _flat_map() -> GridMap:
+    return make_grid(np.zeros((280, 280)), origin=ORIGIN, seed=1)
 
 
 def fine_map(centre: Array, height: float = 0.0) -> GridMap:
     """6 m of fine cells around a point, as after a flight above it."""
-    corner = tuple(np.round((centre[:2] - 3.0) / 0.05) * 0.05)
-    return make_grid(np.full((120, 120), height), 0.05, origin=corner, returns=12, seed=2)
+    corner = np.round((centre[:2] - 3.0) / 0.05) * 0.05
+    return dataclasses.replace(_fine_map(height), origin_xy_m=corner)
+
+
+@functools.cache
+def _fine_map(height: float) -> GridMap:
+    return make_grid(np.full((120, 120), height), 0.05, returns=12, seed=2)
 
 
 class Puppet:

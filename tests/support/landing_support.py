@@ -134,20 +134,16 @@ def grid_of_returns(
             Grid(*origin, cell_m), HEIGHT_BIN_M, histogram, base,
         )  # fmt: skip
     return GridMap(
-        origin_xy_m=np.array(origin),
-        cell_m=cell_m,
+        origin_xy_m=np.array(origin), cell_m=cell_m,
         count=np.where(known, len(samples), 0).astype(np.float32),
         height_m=samples.mean(axis=0).astype(np.float32),
         height_std_m=samples.std(axis=0).astype(np.float32),
         min_height_m=samples.min(axis=0).astype(np.float32),
         max_height_m=samples.max(axis=0).astype(np.float32),
         rgb=np.where(known[..., None], 120.0, np.nan).astype(np.float32).repeat(3, axis=2),
-        intensity=np.full(shape, 40.0, np.float32),
-        missing=np.zeros(shape, np.float32),
-        last_seen_s=np.zeros(shape, np.float32),
-        histogram=histogram,
-        histogram_base_m=base,
-    )
+        intensity=np.full(shape, 40.0, np.float32), missing=np.zeros(shape, np.float32),
+        last_seen_s=np.zeros(shape, np.float32), histogram=histogram, histogram_base_m=base,
+    )  # fmt: skip
 
 
 def view_of(coarse: GridMap, fine: GridMap | None = None) -> MapView:

@@ -1,20 +1,32 @@
 """What holds for every shipped scene, and scenes that are built once a process."""
 
 import functools
+import tempfile
+from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Scene
+from touchdown.scenes.cache import cached_scene as scene_on_disk
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth.maps import judge_touchdown
 
 PARTS = ("tex_data", "geom_pos", "hfield_data", "mesh_vert", "light_dir", "qpos0")
 
 
-@functools.cache
+@functools.lru_cache(maxsize=6)
 def cached_scene(name: str, seed: int = 0) -> Scene:
-    return load_scene(name, seed)
+    """From the disk where another process has generated it."""
+    return scene_on_disk(name, seed, None, "day")
+
+
+def scene_of(xml: str) -> Scene:
+    """The scene of a file with this text."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "place.xml"
+        path.write_text(xml, encoding="utf-8")
+        return load_scene(str(path), 0)
 
 
 def check_takeoff(scene: Scene, clear_m: float, slope_deg: float = 2.0) -> None:

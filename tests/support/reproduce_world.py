@@ -161,7 +161,8 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     monkeypatch.setattr(
         "touchdown.experiments.campaign.session.make_engine", lambda *_, slots: engine
     )
-    monkeypatch.setattr("touchdown.experiments.reproduce.networks._use_one_thread", lambda: None)
+    for slow in ("campaign.worker.release_memory", "reproduce.networks._use_one_thread"):
+        monkeypatch.setattr(f"touchdown.experiments.{slow}", lambda: None)
     monkeypatch.setattr("touchdown.experiments.reproduce.run._check_libraries", lambda parts: None)
     return found
 

@@ -6,9 +6,13 @@ from typing import Any
 
 from touchdown.experiments.config import loading
 from touchdown.experiments.config.schema import Config
+from touchdown.sim.api import ImuParams, WindParams
 
-IDEAL = "profile=ideal"
-"""An override after ``--set``."""
+NO_NOISE = ImuParams(
+    gyro_density=0.0, accel_density=0.0, gyro_bias_walk=0.0, accel_bias_walk=0.0,
+    gyro_bias_sigma=0.0, accel_bias_sigma=0.0,
+)  # fmt: skip
+STILL_AIR = WindParams(mean_kmh=0.0, turbulence=False)
 
 
 def load_ideal_config(

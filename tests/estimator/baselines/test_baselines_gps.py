@@ -8,15 +8,11 @@ import pytest
 
 from touchdown.estimator.api import GpsEstimatorParams
 from touchdown.estimator.baselines.gps import GpsEstimator
-from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
-from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
-from touchdown.estimator.baselines.stereo import StereoEstimator
 from touchdown.sim.api import (
     GpsFix,
     ImuSample,
     MagnetometerSample,
     Observation,
-    SensorNeeds,
     SensorRig,
 )
 from touchdown.sim.navigation.magnetometer import earth_field_world
@@ -103,21 +99,3 @@ def test_without_fixes_gps_is_not_healthy() -> None:
         cut = obs.gps if obs.time_s < 1.0 else ()
         estimate = estimator.update(dataclasses.replace(obs, gps=cut))
     assert not estimate.healthy
-
-
-@pytest.mark.parametrize(("make", "needs"), [
-    (GpsEstimator, SensorNeeds(gps=True, magnetometer=True, barometer=True)),
-    (
-        OpticalFlowEstimator,
-        SensorNeeds(camera_hz=10, rangefinder=True, magnetometer=True, barometer=True),
-    ),
-    (
-        HybridFlowEstimator,
-        SensorNeeds(
-            camera_hz=10, gps=True, rangefinder=True, magnetometer=True, barometer=True
-        ),
-    ),
-    (StereoEstimator, SensorNeeds(camera_hz=10, stereo=True)),
-])  # fmt: skip
-def test_no_baseline_asks_for_a_lidar(make: Any, needs: SensorNeeds) -> None:
-    assert make(make_rig()).needs == needs

@@ -29,7 +29,7 @@ from touchdown.estimator.calibration.extrinsics import (
     plane_residuals,
     solve_extrinsics,
 )
-from touchdown.estimator.calibration.normals import difference_of_normals, voxel_means
+from touchdown.estimator.calibration.normals import difference_of_normals
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
@@ -112,16 +112,6 @@ def test_normals_differ_at_an_edge_and_not_on_a_face() -> None:
     np.testing.assert_allclose(normals[: len(u)][inside], [[0.0, 0.0, -1.0]] * inside.sum())
 
 
-def test_a_lonely_point_has_no_normal() -> None:
-    difference, _ = difference_of_normals(np.array([[0.0, 0.0, 1.0], [3.0, 0.0, 1.0]]), 0.1, 0.3)
-    assert np.isinf(difference).all()
-
-
-def test_voxel_means_are_means() -> None:
-    points = np.array([[0.01, 0.0, 1.0], [0.03, 0.0, 1.0], [0.5, 0.0, 1.0]])
-    np.testing.assert_allclose(voxel_means(points, 0.1), [[0.02, 0, 1], [0.5, 0, 1]], atol=1e-15)
-
-
 def test_ransac_finds_the_larger_of_two_planes() -> None:
     rng = np.random.default_rng(5)
     many = np.column_stack([rng.uniform(-1, 1, (300, 2)), np.full(300, 2.0)])
@@ -156,14 +146,6 @@ def test_noise_along_slanted_beams_does_not_turn_the_plane() -> None:
         assert found is not None
         turns.append(np.cross(normal, found.normal)[1])
     assert abs(np.rad2deg(np.mean(turns))) < 0.035
-
-
-def test_corners_are_centred_and_a_square_apart() -> None:
-    corners = board_corners(BOARD)
-    assert corners.shape == (BOARD.rows * BOARD.columns, 3)
-    np.testing.assert_allclose(corners.mean(axis=0), 0.0, atol=1e-12)
-    np.testing.assert_allclose(corners[1] - corners[0], [BOARD.square_m, 0.0, 0.0])
-    np.testing.assert_allclose(corners[BOARD.columns] - corners[0], [0.0, BOARD.square_m, 0.0])
 
 
 def _projected(poses: list[Pose]) -> list[Array]:

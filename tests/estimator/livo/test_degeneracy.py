@@ -50,19 +50,6 @@ def test_noise_does_not_count() -> None:
     np.testing.assert_allclose(np.abs(directions), [[1.0], [0.0], [0.0]])
 
 
-def test_weak_directions_are_marginalised() -> None:
-    """Of [[4, 2], [2, 4]] on z and x, x unknown leaves 4 - 2 * 2 / 4 = 3 on z."""
-    information = np.zeros((6, 6))
-    information[np.ix_([5, 3], [5, 3])] = [[4.0, 2.0], [2.0, 4.0]]
-    vector = np.array([0.0, 0.0, 0.0, 8.0, 0.0, 1.0])
-    weak = np.eye(6)[:, [3]]
-    left, gradient = without_directions(information, vector, weak)
-    expected = np.zeros((6, 6))
-    expected[5, 5] = 3.0
-    np.testing.assert_allclose(left, expected, atol=1e-12)
-    np.testing.assert_allclose(gradient, [0, 0, 0, 0, 0, 1.0 - 2.0 * 8.0 / 4.0], atol=1e-12)
-
-
 def test_removal_equals_the_marginal_of_a_gaussian() -> None:
     """The marginal of a Gaussian: its covariance and its mean without the weak coordinate."""
     rng = np.random.default_rng(1)
@@ -77,12 +64,6 @@ def test_removal_equals_the_marginal_of_a_gaussian() -> None:
     np.testing.assert_allclose(np.linalg.inv(strong.T @ left @ strong), covariance, rtol=1e-8)
     solved = covariance @ strong.T @ gradient
     np.testing.assert_allclose(solved, strong.T @ mean, rtol=1e-8)
-
-
-def test_none_left_out_changes_nothing() -> None:
-    information, vector = np.eye(6), np.ones(6)
-    left, gradient = without_directions(information, vector, np.zeros((6, 0)))
-    assert left is information and gradient is vector
 
 
 def test_noisy_normals_add_the_predicted_noise_information() -> None:

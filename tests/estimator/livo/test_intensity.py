@@ -130,19 +130,6 @@ def test_update_finds_the_true_position_over_flat_ground():
     assert np.sqrt(eskf.covariance[3, 3]) < 0.04
 
 
-def test_update_leaves_ground_without_texture_alone():
-    update = PhotometricUpdate(LEVER)
-    pose = Pose(TRUE.rotation, TRUE.translation + [0.25, -0.2, 0.0])
-    eskf = filter_at(pose, update, texture=0.0)
-    places = ground(4000, 3)
-    noisy = np.random.default_rng(1).integers(28, 38, 4000).astype(np.uint8)
-    before = eskf.covariance.copy()
-    figures = update.measure(eskf, scan_from(TRUE, places), noisy, DARK)
-    assert figures["intensity_images"] == 0.0
-    assert np.array_equal(eskf.state.position, pose.translation)
-    assert np.array_equal(eskf.covariance, before)
-
-
 def test_scans_measure_in_the_dark_only():
     update = PhotometricUpdate(LEVER, 300)
     pose = Pose(TRUE.rotation, TRUE.translation + [0.25, -0.2, 0.0])

@@ -9,7 +9,6 @@ from touchdown.estimator.filtering.imu_propagation import (
     ImuBuffer,
     NavState,
     NoiseDensities,
-    exp_so3,
     integrate,
     propagate_nominal,
     transition,
@@ -20,13 +19,6 @@ from touchdown.sim.frames import Pose, so3_exp, so3_log
 from support.livo_filter_support import STEP_S, filled_buffer, random_state
 
 IMU_ERRORS = slice(STATE_DIM + CALIBRATION_DIM - IMU_DIM, STATE_DIM + CALIBRATION_DIM)
-
-
-def test_exp_matches_the_reference_formula() -> None:
-    rng = np.random.default_rng(1)
-    for scale in (1e-9, 1e-4, 0.3, 3.0):
-        vector = scale * rng.normal(size=3)
-        np.testing.assert_allclose(exp_so3(vector), so3_exp(vector), atol=1e-12)
 
 
 def test_circle_is_integrated_to_second_order() -> None:
@@ -67,19 +59,6 @@ def test_constant_force_gives_a_parabola_and_biases_give_none() -> None:
     np.testing.assert_allclose(end.position, moved, atol=1e-12)
     np.testing.assert_allclose(end.velocity, start.velocity + acceleration * t, atol=1e-12)
     np.testing.assert_allclose(end.rotation, np.eye(3), atol=1e-12)
-
-
-def test_propagating_in_two_parts_is_propagating_at_once() -> None:
-    rng = np.random.default_rng(2)
-    buffer = filled_buffer(rng, 20)
-    state = random_state(rng)
-    ticks, gyro, force, _ = buffer.samples(20)
-    whole = propagate_nominal(state, ticks, gyro, force, STEP_S)
-    half = propagate_nominal(state, ticks[:7], gyro[:7], force[:7], STEP_S)
-    parts = propagate_nominal(half, ticks[7:], gyro[7:], force[7:], STEP_S)
-    np.testing.assert_array_equal(whole.position, parts.position)
-    np.testing.assert_array_equal(whole.rotation, parts.rotation)
-    assert whole.tick == parts.tick == 60
 
 
 def test_transition_matches_finite_differences() -> None:

@@ -260,21 +260,3 @@ def test_too_few_matches_change_nothing() -> None:
 def test_lateral_strength_of_level_ground_is_nothing() -> None:
     level = np.diag([1e6, 1e6, 0.0, 0.0, 0.0, 1e6])
     np.testing.assert_allclose(lateral_strength(level), np.zeros(3), atol=1e-6)
-
-
-def test_a_scan_from_the_edge_of_the_blind_zone_is_refused() -> None:
-    # 100 beams straight down; the sensor measures from 0.5 m on, with 0.02 m of noise
-    down, lidar = np.tile([0.0, 0.0, -1.0], (100, 1)), LidarParams(range_sigma_m=0.02)
-    ranges = np.linspace(0.60, 1.0, 100)
-
-    def count(ranges: np.ndarray) -> int:
-        scan = lidar_scan(down[: len(ranges)], ranges)
-        return len(screen_scan(scan, lidar, check_blind_zone=True))
-
-    assert count(ranges) == 100
-    ranges[:10] = 0.57  # a tenth of them nearer than 0.5 + 4 x 0.02
-    assert count(ranges) == 0
-    assert len(screen_scan(lidar_scan(down, ranges), lidar)) == 100
-    ranges[3:10] = 0.7  # three blades of grass do not count
-    assert count(ranges) == 100
-    assert count(ranges[:0]) == 0

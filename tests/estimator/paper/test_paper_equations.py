@@ -11,10 +11,8 @@ from touchdown.estimator.paper.geodesic import (
     geodesic_transform,
     path_energy,
 )
-from touchdown.estimator.paper.pnp import camera_to_global
 from touchdown.estimator.paper.projection import (
     inside_image,
-    lidar_to_camera,
     nearest_image,
     project,
 )
@@ -22,7 +20,6 @@ from touchdown.estimator.paper.registration import (
     edge_distance,
     neighbourhood_shapes,
     plane_distance,
-    to_global,
 )
 from touchdown.estimator.paper.smoothness import (
     fused_smoothness,
@@ -31,15 +28,6 @@ from touchdown.estimator.paper.smoothness import (
 )
 from touchdown.estimator.paper.structured_edges.detector import GradientEdges
 from touchdown.sim.api import CameraImage
-from touchdown.sim.frames import Pose
-
-QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-
-def test_eq_1_turns_then_shifts() -> None:
-    camera_from_lidar = Pose(QUARTER_TURN, np.array([10.0, 0.0, 0.0]))
-    moved = lidar_to_camera(np.array([[1.0, 2.0, 3.0]]), camera_from_lidar)
-    np.testing.assert_allclose(moved, [[8.0, 1.0, 3.0]])
 
 
 def test_eq_2_with_skew() -> None:
@@ -168,13 +156,6 @@ def test_returns_that_share_a_pixel_share_their_score() -> None:
     neighbours, lengths = geodesic_lengths(energy, distance, label, 3, 2)
     score = colour_smoothness(label, rows, cols, neighbours, lengths)
     assert score[0] == score[1]
-
-
-def test_eq_9_and_11_are_rigid_transforms() -> None:
-    pose = Pose(QUARTER_TURN, np.array([0.0, 0.0, 5.0]))
-    point = np.array([[1.0, 2.0, 3.0]])
-    np.testing.assert_allclose(to_global(point, pose), [[-2.0, 1.0, 8.0]])
-    np.testing.assert_allclose(camera_to_global(point, pose), [[-2.0, 1.0, 8.0]])
 
 
 def test_eq_10_distances() -> None:

@@ -42,11 +42,6 @@ def left_out(part: str) -> PaperParams:
     return dataclasses.replace(PLAIN, **switches)
 
 
-def test_a_missing_edge_model_is_named() -> None:
-    with pytest.raises(FileNotFoundError, match="nowhere"):
-        PaperEstimator(RIG, PaperParams(edge_model="nowhere.yml.gz"))
-
-
 def test_standing_without_returns_it_does_not_drift() -> None:
     """On the pad the ground is nearer than the LIDAR's smallest range and the image never changes:
     an unknown bias of 0.05 m/s^2 would move the estimate by 0.22 m in 3 s without zero-velocity

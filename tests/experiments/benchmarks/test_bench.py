@@ -1,28 +1,17 @@
 """The bare computation equals that of the flight, and the parts of the overhead add up."""
 
-import itertools
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import mujoco
 import numba
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks import profile_cost
+from touchdown.experiments.benchmarks import loop_overhead
 from touchdown.experiments.benchmarks.bare_world import BareWorld, _world_rays
 from touchdown.experiments.benchmarks.jit_warmup import compiled_before
-from touchdown.experiments.benchmarks.loop import profile_configs
-from touchdown.experiments.benchmarks.loop_overhead import (
-    NOT_OVERHEAD,
-    _compare,
-    _Sums,
-    measure_overhead,
-)
-from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraParams, LidarScan, Truth, WorldParams
@@ -102,14 +91,14 @@ def test_bare_pixels_are_the_camera_s(bare: BareWorld) -> None:
 
 
 def test_ratio_leaves_estimator_and_lander_out_and_the_excess_adds_up() -> None:
-    sums = _Sums()
+    sums = loop_overhead._Sums()
     for name, ms in {"physics": 1.0, "rays": 4.0, "pixels": 5.0}.items():
         sums.add(name, 1e-3 * ms)
         sums.add(name, 1e-3 * ms)
     sums.add("lidar_sensor", 6e-3)
     sums.add("camera_sensor", 5.5e-3)
     loop = {"world": 13.0, "estimator": 50.0, "lander": 7.0, "mapper": 1.5, "rest": 0.5}
-    found = _compare(loop, sums)
+    found = loop_overhead._compare(loop, sums)
     assert found["ratio"] == pytest.approx(1.5)
     assert found["bare_ms"]["all"] == pytest.approx(10.0)
     assert found["excess_ms"] == pytest.approx(
@@ -123,7 +112,7 @@ def test_ratio_leaves_estimator_and_lander_out_and_the_excess_adds_up() -> None:
 
 def test_overhead_of_a_short_flight(lawn_file: Path, tmp_path: Path) -> None:
     config = load_config(None, SHORT_FLIGHT, scene=str(lawn_file), estimator="oracle", record=True)
-    figures = measure_overhead(config, tmp_path / "run")
+    figures = loop_overhead.measure_overhead(config, tmp_path / "run")
     assert figures["outcome"] == "COMPLETED"
     assert (tmp_path / "run" / "flight.rrd").stat().st_size > 0
     bare_ms, loop_ms = figures["bare_ms"], figures["loop_ms"]
@@ -131,36 +120,8 @@ def test_overhead_of_a_short_flight(lawn_file: Path, tmp_path: Path) -> None:
     assert figures["ratio"] == pytest.approx(loop_ms["all"] / bare_ms["all"])
     excess = sum(figures["excess_ms"].values())
     assert excess == pytest.approx(loop_ms["all"] - bare_ms["all"])
-    counted = {name for name in loop_ms if name not in ("all", *NOT_OVERHEAD)}
+    counted = {name for name in loop_ms if name not in ("all", *loop_overhead.NOT_OVERHEAD)}
     assert loop_ms["all"] == pytest.approx(sum(loop_ms[name] for name in counted))
-
-
-def test_profiles_are_compared_in_turns_of_one_scan(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Flights of 6 s that take 2 ms a step in profile field and 1 ms in ideal, and a hundred times
-    as much while compiled code is loaded."""
-    now, at_work = [0.0], list[str]()
-
-    def fly(config: Config, stack: Any, recorder: Any, _progress: Any) -> None:
-        cost_s = 2e-3 if config.profile == "field" else 1e-3
-        for step in range(1, 301):  # of 0.02 s
-            at_work.append(config.profile)
-            loading = 0.02 * step < profile_cost.WARM_UP_S - 2.0 * profile_cost.TURN_S
-            now[0] += cost_s * (100.0 if loading else 1.0)
-            recorder.tick(SimpleNamespace(truth=SimpleNamespace(time_s=0.02 * step)))
-
-    clock = SimpleNamespace(process_time=lambda: now[0])
-    monkeypatch.setattr(profile_cost, "time", clock)
-    monkeypatch.setattr(profile_cost, "fly_and_judge", fly)
-    for name in ("build_scene", "build_flight_stack", "limit_threads"):
-        monkeypatch.setattr(profile_cost, name, lambda *_: None)
-    both = profile_configs(scene="crossroad", estimator="oracle", seed=0, full=False)
-    found = profile_cost.measure_profile_cost(both)
-    assert found["ratio"] == pytest.approx(2.0, rel=0.1)
-    assert found["ms"] == {"field": pytest.approx(10.0, rel=0.1), "ideal": pytest.approx(5.0, 0.1)}
-    turns = [(name, len(list(steps))) for name, steps in itertools.groupby(at_work)]
-    assert {name for name, _ in turns[::2]} == {"field"}
-    assert {name for name, _ in turns[1::2]} == {"ideal"}
-    assert {steps for _, steps in turns[:-1]} <= {4, 5, 6}
 
 
 def test_bare_physics_is_mujoco_s_own_step(lawn: Scene) -> None:

@@ -9,14 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks import ablation
-from touchdown.experiments.benchmarks.odometry import (
-    TruePath,
-    evo_error,
-    logged_scans,
-    measure,
-    summary,
-)
+from touchdown.experiments.benchmarks import ablation, odometry
 from touchdown.experiments.benchmarks.odometry_baselines import (
     ScanPoints,
     deskew_by_step,
@@ -50,20 +43,20 @@ def test_evo_and_the_own_error_figure_agree() -> None:
     own = PositioningError()
     for position, truth in zip(estimated, true, strict=True):
         own.add(Pose(np.eye(3), position), Pose(np.eye(3), truth))
-    found = evo_error(np.arange(400) / 50.0, list(true), list(estimated))
+    found = odometry.evo_error(np.arange(400) / 50.0, list(true), list(estimated))
     assert found == pytest.approx(own.summary().mean, abs=1e-12)
     assert found == pytest.approx(np.linalg.norm(estimated - true, axis=1).mean(), abs=1e-12)
-    assert math.isnan(evo_error([], [], []))
+    assert math.isnan(odometry.evo_error([], [], []))
 
 
 @needs_evo
 def test_an_estimator_is_measured_from_lift_off_to_the_end(run: Path) -> None:
     logged = open_run(run)
-    measured = measure(logged, replay_config(run, "livo", fresh=True))
+    measured = odometry.measure(logged, replay_config(run, "livo", fresh=True))
     assert measured.own_error_m == pytest.approx(measured.error_m, abs=1e-12)
     assert measured.error_m < 0.03
     assert measured.lost_s is None and measured.cpu_ms > 0.0
-    early = measure(logged, replay_config(run, "livo", fresh=True), LIFT_OFF_S + 0.05)
+    early = odometry.measure(logged, replay_config(run, "livo", fresh=True), LIFT_OFF_S + 0.05)
     assert early.error_m != measured.error_m
 
 
@@ -140,7 +133,7 @@ def test_missing_references_are_one_line(
 
 def test_scans_are_those_of_the_judged_span(run: Path) -> None:
     logged = open_run(run)
-    scans = logged_scans(logged, 1.5)
+    scans = odometry.logged_scans(logged, 1.5)
     assert [round(scan.end_s, 6) for scan in scans] == [1.0, 1.1, 1.2, 1.3, 1.4]
     assert all(scan.shares.min() >= 0.0 and scan.shares.max() <= 1.0 for scan in scans)
     assert all(np.linalg.norm(scan.points, axis=1).min() > 0.0 for scan in scans)
@@ -148,7 +141,7 @@ def test_scans_are_those_of_the_judged_span(run: Path) -> None:
 
 def test_the_true_path_is_interpolated(run: Path) -> None:
     logged = open_run(run)
-    path = TruePath(logged)
+    path = odometry.TruePath(logged)
     before, after = (logged.truth[tick].translation for tick in (900, 912))
     assert path.at(1.51).translation == pytest.approx(0.5 * (before + after), abs=1e-12)
     assert path.at(1.5).translation == pytest.approx(before, abs=1e-12)
@@ -164,7 +157,7 @@ def test_ratios_are_of_the_best_reference_that_is_not_lost() -> None:
         return {"error_m": errors, "lost_s": lost, "cpu_ms": dict.fromkeys(names, 10.0)}
 
     found = {"a": scene(0.02, 0.1, 0.3, None), "b": scene(0.01, 0.05, 0.2, 7.0)}
-    figures = summary(found)
+    figures = odometry.summary(found)
     ratios = figures["ratio"]["reference"]
     assert ratios["a"] == pytest.approx(5.0)
     assert ratios["b"] == pytest.approx(20.0)

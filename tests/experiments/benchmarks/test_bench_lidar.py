@@ -8,14 +8,15 @@ from click.testing import CliRunner
 
 from touchdown.experiments.benchmarks.reference_casters import ReferenceCasters
 from touchdown.experiments.cli.main import cli
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import LidarParams
+
+from support.places import cached_scene
 
 
 def test_casters_agree_on_the_ranges() -> None:
     """MuJoCo's casters agree to the last digits, Embree within its single precision, except on
     moving cars, which its merged scene omits; the noiseless sensor where it returns."""
-    scene = load_scene("crossroad", 0)
+    scene = cached_scene("crossroad")
     params = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False)
     references = ReferenceCasters(scene, params, 0)
     casters = references.casters(np.array([*scene.takeoff_xy_m, 30.0]), 4)

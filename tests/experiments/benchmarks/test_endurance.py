@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks.endurance import _Minutes, endurance_config
+from touchdown.experiments.benchmarks.endurance import _Minutes
 from touchdown.experiments.flight.stage_timer import StageClock
-from touchdown.landing.mission.trajectory import peaks, survey_trajectory
 from touchdown.sim.frames import Pose
 
 
@@ -37,13 +36,3 @@ def test_each_minute_has_its_own_time_and_error() -> None:
     assert first["error_mean_m"] == pytest.approx(0.1)
     assert second_["error_mean_m"] == pytest.approx(0.3)
     assert 10.0 < first["memory_mb"] < 1e5
-
-
-@pytest.mark.parametrize("minutes", [2, 5, 10, 30])
-def test_a_survey_of_any_length_can_be_flown_at_much_the_same_pace(minutes: int) -> None:
-    config = endurance_config(scene="crossroad", estimator="livo", seed=0, minutes=minutes)
-    path = survey_trajectory(np.zeros(3), 0.0, config.survey)
-    assert path.breaks_s[-1] == pytest.approx(60.0 * minutes - 15.0)
-    speed, acceleration = peaks(path)
-    assert 7.0 < speed < 9.0
-    assert 3.5 < acceleration < 5.5

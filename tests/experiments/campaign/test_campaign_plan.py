@@ -12,8 +12,6 @@ from touchdown.experiments.errors import UsageError
 
 from support.campaign_flights import axes, make_plan
 
-ROOT = Path(__file__).parents[3]
-
 
 def test_plan_is_the_product_of_the_axes_seed_by_seed(tmp_path: Path) -> None:
     text = axes(scene=["flat", "lake"], estimator=["livo", "oracle"], seeds="3, 7-8")

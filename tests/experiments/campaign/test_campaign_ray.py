@@ -13,7 +13,7 @@ from touchdown.experiments.campaign import ray_share
 from touchdown.experiments.campaign.arrival import why_not_arrived
 from touchdown.experiments.campaign.executor_ray import RayEngine
 from touchdown.experiments.campaign.plan import Plan
-from touchdown.experiments.campaign.results_table import RUNS, load_rows, write_table
+from touchdown.experiments.campaign.results_table import RUNS, load_rows, read_row, write_table
 from touchdown.experiments.campaign.session import fly_campaign, make_engine
 from touchdown.experiments.errors import UsageError
 
@@ -141,30 +141,35 @@ def _no_result(run: Path, row: dict[str, Any]) -> None:
     (run / "result.json").unlink()
 
 
-@pytest.mark.parametrize(("damage", "reason"), [
+DAMAGES = (
     (_other_configuration, "another version of the program"),
     (_other_run, "it is of the run '../../x'"), (_two_rows, "it has 2 rows"),
     (_other_result, "are of two flights"), (_cut_row, "its row is not in"),
     (_no_result, "its row is not in"),
-])  # fmt: skip
+)  # fmt: skip
+
+
 def test_a_row_that_is_not_the_planned_one_does_not_count(
-    damage: Any, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:good"], seeds="0"))
-    out, name = tmp_path / "out", plan.runs[0].run_id
+    """Each of six runs is damaged on its way here."""
+    plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:good"], seeds="0-5"))
+    out, names = tmp_path / "out", [run.run_id for run in plan.runs]
+    left = dict(zip(names, DAMAGES, strict=True))
     ray = FakeRay(Node("near"))
     get = ray.get
 
     def get_after_damage(reference: Any) -> Any:
         found = get(reference)
-        if (out / RUNS / name).is_dir():
+        for name in [name for name in left if (out / RUNS / name).is_dir()]:
+            damage, _ = left.pop(name)
             damage(out / RUNS / name, read_row(out / RUNS / name))
         return found
 
-    from touchdown.experiments.campaign.results_table import read_row
-
     monkeypatch.setattr(ray, "get", get_after_damage)
     totals = flown(monkeypatch, plan, out, ray)
-    assert totals["crashed"] == 1 and reason in totals["errors"][name]
-    assert fly(plan, out)["finished"] == 1
-    assert why_not_arrived(out, name, plan.runs[0].config_sha) == ""
+    assert totals["crashed"] == 6 and not left
+    for name, (_, reason) in zip(names, DAMAGES, strict=True):
+        assert reason in totals["errors"][name]
+    assert fly(plan, out)["finished"] == 6
+    assert all(why_not_arrived(out, run.run_id, run.config_sha) == "" for run in plan.runs)

@@ -6,11 +6,9 @@ from typing import Any
 
 import pytest
 
-from touchdown.experiments.campaign import session
 from touchdown.experiments.campaign.forecast import CORE_SECONDS, PROFILE_FACTOR, forecast
 from touchdown.experiments.campaign.results_table import ROW_FILE, RUNS, write_table
 from touchdown.experiments.cli.main import main
-from touchdown.experiments.errors import UsageError
 
 from support.campaign_flights import axes, make_plan
 
@@ -70,21 +68,3 @@ def test_finished_rows_give_the_cost(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == sorted(
         [RUNS, run.name, ROW_FILE, "result.json"]
     )
-
-
-def test_the_lines_are_printed_before_the_first_flight(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "cost.toml"
-    file.write_text(FILE % "36.0")
-
-    def stop(*_: Any, watcher: session.Watcher, **__: Any) -> None:
-        watcher.start([], 0, 1)
-        raise UsageError("enough")
-
-    monkeypatch.setattr(session, "fly_campaign", stop)
-    command = ["campaign", str(file), "--out", str(tmp_path / "out"), "--jobs", "1"]
-    assert main(command) == 2
-    assert "to fly: 0.20 core-hours, about 0 h 12 min here" in capsys.readouterr().err
-    assert main([*command, "--quiet"]) == 2
-    assert "core-hours" not in capsys.readouterr().err

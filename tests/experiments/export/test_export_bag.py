@@ -24,7 +24,6 @@ from support.export_support import (
     OFFSET,
     SECONDS,
     links_of,
-    make_flown,
     points_of,
     pose_of,
     read_bag,
@@ -35,25 +34,9 @@ from support.replay_support import shifted
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_flown(tmp_path_factory.mktemp("runs") / "flown")
-
-
-@pytest.fixture(scope="module")
 def stream(run: Path) -> list[Observation]:
     """The observations of the run."""
     return list(SensorLogReader(run / "sensors.mcap"))
-
-
-@pytest.fixture(scope="module")
-def bag(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("bags") / "flown-bag"
-    return export(run, "mcap", out, ExportOptions()).out
-
-
-@pytest.fixture(scope="module")
-def messages(bag: Path) -> dict[str, list[Any]]:
-    return read_bag(bag)
 
 
 def _ns(tick: int) -> int:

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from plyfile import PlyData
 
 from touchdown.experiments.export.flown_run import ExportOptions
@@ -15,18 +14,7 @@ from touchdown.experiments.external.synthetic_stream import SyntheticStream, syn
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import interpolate_pose
 
-from support.export_support import ALL, SECONDS, links_of, make_flown, points_of, read_bag, stamp_of
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_flown(tmp_path_factory.mktemp("runs") / "flown")
-
-
-@pytest.fixture(scope="module")
-def messages(run: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
-    out = tmp_path_factory.mktemp("bags") / "flown"
-    return read_bag(export(run, "mcap", out, ExportOptions()).out)
+from support.export_support import ALL, SECONDS, links_of, points_of, stamp_of
 
 
 def _mean_heights(points: np.ndarray, origin: np.ndarray) -> dict[tuple[int, int], np.ndarray]:

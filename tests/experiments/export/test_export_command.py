@@ -8,22 +8,8 @@ import pytest
 
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.export.flown_run import ExportOptions, open_flown
-from touchdown.experiments.export.run import export
+from touchdown.experiments.export.flown_run import open_flown
 from touchdown.experiments.external.synthetic_stream import synthetic_rig
-
-from support.export_support import make_flown
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_flown(tmp_path_factory.mktemp("runs") / "flown")
-
-
-@pytest.fixture(scope="module")
-def bag(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("bags") / "flown-bag"
-    return export(run, "mcap", out, ExportOptions()).out
 
 
 def _cli(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:

@@ -9,13 +9,8 @@ from touchdown.experiments.export.flown_run import ExportOptions, FlownRun
 from touchdown.experiments.export.run import export
 from touchdown.experiments.io.tum import read_tum
 
-from support.export_support import OFFSET, make_flown, read_bag
+from support.export_support import OFFSET, read_bag
 from support.replay_support import LIFT_OFF_S
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_flown(tmp_path_factory.mktemp("runs") / "flown")
 
 
 def test_a_flight_that_never_took_off_has_no_judged_rows() -> None:

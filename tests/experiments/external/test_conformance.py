@@ -16,11 +16,8 @@ from touchdown.estimator.api import Estimate
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.external.conformance import RULES, Violation, check_estimator
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
-from touchdown.experiments.flight.run import fly
 from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw
-
-from support.worlds import load_ideal_config as load_config
 
 PAGE = Path(__file__).parents[3] / "docs" / "writing-an-estimator.md"
 
@@ -163,13 +160,6 @@ def test_a_copy_that_it_forks_does_not_check_on() -> None:
     assert os.getpid() == here
 
 
-def test_several_bad_habits_are_separated() -> None:
-    def spoil(self: Any, obs: Observation, estimate: Estimate) -> Estimate:
-        return _goes_back(self, obs, _is_nan(self, obs, _writes_scans(self, obs, estimate)))
-
-    assert {v.rule for v in _check(spoil)} == {"inputs", "finite", "time"}
-
-
 def test_what_is_no_estimator_is_reported() -> None:
     def raises(_params: Any, _rig: Any) -> Any:
         raise OSError("no file")
@@ -184,11 +174,6 @@ def test_what_is_no_estimator_is_reported() -> None:
     assert check_estimator(writes_the_rig, seconds=0.2)[0] == Violation(
         "inputs", "build modified the rig"
     )
-
-
-def test_observations_need_their_rig() -> None:
-    with pytest.raises(ValueError, match="rig"):
-        check_estimator(lambda _params, rig: Still(rig, _is_nan), observations=[])
 
 
 ALL = SensorNeeds(
@@ -247,19 +232,6 @@ def test_the_example_of_the_page_keeps_the_contract_and_its_way() -> None:
     true = stream.true_pose(obs.tick).translation
     assert np.linalg.norm(true - rig.world_from_body_start.translation) > 2.0
     assert np.linalg.norm(estimate.world_from_body.translation - true) < 0.5
-
-
-@pytest.mark.slow
-def test_the_example_of_the_page_flies_a_survey(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _module(tmp_path, monkeypatch, "ground_flow_flown", _example())
-    config = load_config(
-        estimator="ground_flow_flown:build", scene="crossroad", record=False, survey_only=True
-    )
-    result = fly(config, None).plain()
-    assert result["outcome"] == "COMPLETED", result["reason"]
-    assert result["position_error_m"]["mean"] < 5.0
 
 
 def test_the_command_passes_the_example(

@@ -1,9 +1,6 @@
 """The pytest plugin, run in a pytest of its own; and the page that explains it."""
 
-import importlib.metadata
-import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,8 +13,6 @@ from touchdown.experiments.pytest_plugin import assert_position_error, fly_all
 pytest_plugins = ["pytester"]
 
 ROOT = Path(__file__).parents[3]
-INSTALLED = bool(importlib.metadata.entry_points(group="pytest11", name="touchdown"))
-TINY = ["survey.legs=1", "survey.leg_length_m=10", "survey.duration_s=5"]
 
 
 def row(**changes: object) -> dict[str, object]:
@@ -79,23 +74,6 @@ def test_an_estimator_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.M
     assert rows[0]["outcome"] == "CRASHED"
     with pytest.raises(AssertionError, match="ArithmeticError: lost my way"):
         assert_position_error(rows, below=1.0)
-
-
-@pytest.mark.slow
-def test_the_example_of_the_page_passes_in_a_pytest_of_its_own(pytester: pytest.Pytester) -> None:
-    """The first Python block of the page, as it stands, in two processes."""
-    page = (ROOT / "docs" / "ci-regression.md").read_text(encoding="utf-8")
-    example = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0]
-    pytester.makepyfile(test_positioning=example)
-    loaded = () if INSTALLED else ("-p", "touchdown.experiments.pytest_plugin")
-    result = pytester.runpytest_subprocess(
-        *loaded, "--touchdown-jobs=2", "--touchdown-out=flown", timeout=600
-    )
-    result.assert_outcomes(passed=2)
-    flown = sorted(path.name for path in (pytester.path / "flown").iterdir())
-    assert flown == ["flat-oracle-s0", "flat-oracle-s1"]
-    tree = json.loads((pytester.path / "flown" / flown[0] / "result.json").read_text())
-    assert tree["outcome"] == "COMPLETED" and tree["seed"] == 0
 
 
 def test_the_plugin_needs_nothing_but_pytest() -> None:

@@ -30,7 +30,6 @@ def test_last_decision_is_listed_in_full_and_earlier_ones_by_rule() -> None:
     step, water = _candidate("step", float("nan"), False), _candidate("water", 0.2, False)
     first = _decision(50.0, good, step, water, step, given_up="a wire")
     choice = choice_of((first, _decision(80.0, good, step)))
-    assert choice is not None
     assert (choice.time_s, choice.scorer, choice.why) == (80.0, "risk", "Site 1 won")
     won, refused = choice.candidates
     assert (won.rank, won.position_m, won.rule, won.value) == (

@@ -59,15 +59,6 @@ def test_wind_vibration_brightness_and_latency() -> None:
     assert found.mount_error_deg == pytest.approx(0.0, abs=1e-5) and found.lens_error_px == 0.0
 
 
-def test_nothing_flown_is_nothing_measured() -> None:
-    rig = make_rig()
-    found = ConditionsObserver(0.1).measured(NOTHING, rig, rig)
-    given = {key: value for key, value in found.model_dump().items() if value is not None}
-    assert given.keys() <= {
-        "mount_error_deg", "lens_error_px", "dust_scans", "dust_images", "dust_returns_share"
-    }  # fmt: skip
-
-
 def test_errors_of_the_calibration_as_applied() -> None:
     true = make_rig()
     turned = Pose(

@@ -12,7 +12,6 @@ from touchdown.experiments.flight.happened import (
     as_json,
     judge_conditions,
     judge_fault,
-    named_conditions,
 )
 from touchdown.experiments.io.measured import Measured
 from touchdown.experiments.io.results import RunResult
@@ -58,18 +57,6 @@ def test_a_fault(text: str, record: dict[str, Any], happened: bool, said: str) -
     verdict = judge_fault(parse_fault(text), record, 60.0, Config())
     assert (verdict.name, verdict.happened) == (text, happened), verdict
     assert said in verdict.text
-
-
-def test_named_conditions() -> None:
-    assert named_conditions(load_config()) == []
-    config = load_config(None, ["wind.mean_kmh=30"], fault=("fog@0",), light="night")
-    assert named_conditions(config) == ["fog@0", "night", "wind"]
-    assert named_conditions(load_config(None, ["profile=harsh"])) == [
-        name for name in effects() if name != "dust"
-    ]
-    one = load_config(None, ["profile=field", "harsh_effects=['dust']"])
-    assert named_conditions(one) == ["dust"]
-    assert set(EFFECT_RULES) == set(effects())
 
 
 def judged(config: Config, **figures: float) -> dict[str, Any]:

@@ -65,7 +65,6 @@ def test_the_error_of_the_estimate_is_kept_at_commit_and_at_contact() -> None:
         judge(referee, time_s, [5, 6, height], Phase.DESCEND, estimate=[5 + error, 6, height],
               contacts=contacts, view=site)  # fmt: skip
     landing = referee.result(Outcome.LANDED).landing
-    assert landing is not None
     assert landing.estimate_error_at_commit_m == pytest.approx(0.4)
     assert landing.estimate_error_at_contact_m == pytest.approx(0.2)
 
@@ -83,7 +82,6 @@ def test_a_safe_landing() -> None:
     result = referee.result(Outcome.LANDED)
     assert ended == [True]
     assert result.survey_s == pytest.approx(36.0)
-    assert result.landing is not None
     assert result.landing.target_offset_m == pytest.approx(0.1)
     assert result.landing.safe is True
     # Two samples between lift-off and the survey's end: exact at 1 s, 0.1 m off at 10 s.
@@ -103,7 +101,6 @@ def test_the_verdict_on_the_ground_is_that_of_the_landing(
     fly_to_descent(referee)
     judge(referee, 61.0, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN)
     landing = referee.result(Outcome.LANDED).landing
-    assert landing is not None
     assert (landing.safe, landing.safe_geometry, landing.safe_class) == (safe, geometry, by_class)
     assert (landing.slope_deg, landing.class_true) == (verdict.slope_deg, verdict.land_class)
 
@@ -162,7 +159,6 @@ def test_what_follows_the_first_contact_is_in_the_result() -> None:
             contacts=LEG_ON_LAWN if step != 2 else (), peak_contact_accel=peak,
         )  # fmt: skip
     landing = referee.result(Outcome.LANDED).landing
-    assert landing is not None
     assert landing.bounce_m == pytest.approx(0.02)
     assert landing.impact_peak_mps2 == pytest.approx(4.5)
     assert landing.tilt_deg == pytest.approx(3.0)
@@ -188,7 +184,6 @@ def test_a_landing_off_the_truth_map_is_never_safe(
         judge(referee, time_s, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN)
     result = referee.result(Outcome.LANDED)
     landing = result.landing
-    assert landing is not None
     assert landing.height_gap_m == (None if largest == np.inf else largest)
     assert (landing.height_agrees, result.reason) == (agrees, reason)
     safe = agrees is not False

@@ -22,9 +22,6 @@ import cv2, numba, scipy.linalg
 blas = [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
 print(json.dumps([blas, cv2.getNumThreads(), numba.get_num_threads()]))
 """
-FLIGHT = ["fly", "{scene}", "--estimator", "{estimator}", "--no-record", "--quiet", "--set",
-          "survey.legs=1", "--set", "survey.leg_length_m=6", "--set", "survey.duration_s=5",
-          "--set", "survey.height_m=8"]  # fmt: skip
 
 
 def environment(**threads: str) -> dict[str, str]:
@@ -42,24 +39,9 @@ def run(*arguments: str, **threads: str) -> str:
     return done.stdout
 
 
-def flown(out: Path, scene: str, estimator: str, **threads: str) -> list[bytes]:
-    words = [word.format(scene=scene, estimator=estimator) for word in FLIGHT]
-    run("-m", "touchdown", *words, "--out", str(out), **threads)
-    return [(out / name).read_bytes() for name in ("truth.tum", "estimate.tum")]
-
-
 @pytest.mark.parametrize("first", ["", "import numpy, scipy.linalg, cv2", "import touchdown"])
 def test_libraries_stay_on_one_thread_whatever_the_environment_says(first: str) -> None:
     four = dict.fromkeys(NAMES, "4")
     blas, opencv, numba = json.loads(run("-c", first + PROBE, **four))
     assert len(blas) >= 2 and set(blas) == {1}
     assert (opencv, numba) == (1, 1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("estimator", ["livo", "paper"])
-def test_a_flight_is_the_same_with_any_threads(tmp_path: Path, estimator: str) -> None:
-    plain = flown(tmp_path / "plain", "crossroad", estimator)
-    settings = [dict.fromkeys(NAMES, count) for count in "124"] + [{name: "2"} for name in NAMES]
-    for number, threads in enumerate(settings):
-        assert flown(tmp_path / str(number), "crossroad", estimator, **threads) == plain, threads

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links
+from touchdown.experiments.io.foreign import inside, is_plain_name, read_object
 from touchdown.experiments.io.run_directory import (
     check_out_dir,
     default_out_dir,
@@ -49,16 +49,6 @@ def test_documents_that_are_none_have_a_reason_of_one_line(
     with pytest.raises(ValueError, match=reason) as caught:
         read_object(file)
     assert "\n" not in str(caught.value)
-
-
-def test_links_are_refused_wherever_they_lead(tmp_path: Path) -> None:
-    (tmp_path / "plain").mkdir()
-    refuse_links([tmp_path / "plain", tmp_path / "none"], "a campaign")
-    (tmp_path / "link").symlink_to(tmp_path / "plain")
-    (tmp_path / "dangling").symlink_to(tmp_path / "none")
-    for name in ("link", "dangling"):
-        with pytest.raises(UsageError, match=f"{name}' is a link; a campaign uses none"):
-            refuse_links([tmp_path / "plain", tmp_path / name], "a campaign")
 
 
 def test_a_link_in_the_way_of_a_file_leads_nowhere(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """The picture of a choice: colours of the score, signs of the candidates, places of the ranks."""
 
-from typing import Any
-
 import cv2
 import numpy as np
 import pytest
@@ -51,28 +49,6 @@ def test_a_ring_marks_accepted_sites_and_a_cross_refused_ones(accepted: bool) ->
     middle, side = image[30, 30].tolist(), image[30, 40].tolist()
     assert (middle == list(colour)) is not accepted  # a ring is open in the middle
     assert (side == list(colour)) is accepted
-
-
-def test_ranks_find_free_places_within_the_map() -> None:
-    image = np.zeros((300, 300, 3), np.uint8)
-    sites = [_candidate(0.0, 0.0, accepted=bool(n % 2)) for n in range(8)]
-    spots = [(290, 20 + 33 * n) for n in range(8)]
-    boxes: list[signs.Box] = []
-    free = signs._free_box
-
-    def kept(*arguments: Any) -> signs.Box:
-        boxes.append(free(*arguments))
-        return boxes[-1]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(signs, "_free_box", kept)
-        signs.draw_ranks(image, spots, sites, scale=1.0, chosen=False, rules=False)
-    assert len(boxes) == 8
-    for n, box in enumerate(boxes):
-        assert box.left >= 0 and box.left + box.width <= 300 and box.top + box.height <= 300
-        assert not any(box.meets(other) for other in boxes[:n])
-    crowded = free(image, (299, 299), (40, 20), [signs.Box(0, 0, 300, 300)], 9)
-    assert crowded == signs.Box(260, 280, 40, 20)
 
 
 def test_image_shows_the_winner_beside_the_other_candidates() -> None:

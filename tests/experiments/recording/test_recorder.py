@@ -11,13 +11,8 @@ from touchdown.estimator.api import GridMap, MapView, PoseTrack
 from touchdown.experiments.drawing.map_images import map_points
 from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
 from touchdown.experiments.io.tum import TumWriter, read_tum
+from touchdown.experiments.recording import mjcf_meshes
 from touchdown.experiments.recording.map_tiles import MapTiles
-from touchdown.experiments.recording.mjcf_meshes import (
-    geom_poses_world,
-    merged_mesh,
-    terrain,
-    visible_geoms,
-)
 from touchdown.experiments.recording.rerun_scene import pose_on_path
 from touchdown.experiments.recording.run_recorder import RunRecorder
 from touchdown.experiments.recording.scan_deskew import scan_points_odom
@@ -62,16 +57,11 @@ def scene() -> Scene:
     model.hfield_data[:] = np.linspace(0.0, 1.0, 21 * 41)
     square = np.array([[0.0, 0, 1], [10, 0, 1], [10, 10, 1], [0, 10, 1]])
     return Scene(
-        name="toy",
-        seed=0,
-        model=model,
-        takeoff_xy_m=np.zeros(2),
-        takeoff_yaw=0.0,
+        name="toy", seed=0, model=model, takeoff_xy_m=np.zeros(2), takeoff_yaw=0.0,
         bounds_xy_m=np.array([[-20.0, -10.0], [20.0, 10.0]]),
-        surfaces={"terrain": Surface(land_class="lawn", reflectivity=0.4)},
-        ground=None,
+        surfaces={"terrain": Surface(land_class="lawn", reflectivity=0.4)}, ground=None,
         moving=(MovingBody(body_name="car", path_world=square, speed_mps=2.0, start_m=5.0),),
-    )
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -160,14 +150,13 @@ def test_moving_body_follows_its_closed_path(scene: Scene) -> None:
 
 
 def test_hidden_and_transparent_geoms_are_not_shown(scene: Scene) -> None:
-    names = {scene.model.geom(geom).name for geom in visible_geoms(scene.model)}
+    names = {scene.model.geom(geom).name for geom in mjcf_meshes.visible_geoms(scene.model)}
     assert names == {"terrain", "house", "car", "vehicle/hull"}
 
 
 def test_box_mesh_is_closed_and_faces_outwards(scene: Scene) -> None:
     house = scene.model.geom("house").id
-    mesh = merged_mesh(scene.model, [house], geom_poses_world(scene.model))
-    assert mesh is not None
+    mesh = mjcf_meshes.merged_mesh(scene.model, [house], mjcf_meshes.geom_poses_world(scene.model))
     corners = mesh.vertices[mesh.faces]
     volume = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
     assert volume == pytest.approx(4 * 2 * 6)
@@ -176,11 +165,10 @@ def test_box_mesh_is_closed_and_faces_outwards(scene: Scene) -> None:
 
 def test_terrain_mesh_spans_the_height_field(scene: Scene) -> None:
     model = scene.model
-    ground = terrain(model, 0, np.eye(4), max_side=11, texture_pixels=16)
+    ground = mjcf_meshes.terrain(model, 0, np.eye(4), max_side=11, texture_pixels=16)
     assert len(ground.vertices) == 11 * 11
     np.testing.assert_allclose(ground.vertices.min(axis=0), [-20.0, -10.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(ground.vertices.max(axis=0), [20.0, 10.0, 2.0], atol=1e-6)
-    assert ground.texture is not None
     assert ground.texture.shape == (8, 16, 3)
     first = ground.vertices[ground.faces[0]]
     assert np.cross(first[1] - first[0], first[2] - first[0])[2] > 0.0

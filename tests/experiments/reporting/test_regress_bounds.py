@@ -12,38 +12,20 @@ from scipy import stats
 
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.reporting.regression.baseline import (
-    FIGURES,
-    Baseline,
-    cells_of,
-    read_baseline,
-    write_baseline,
-)
-from touchdown.experiments.reporting.regression.bounds import (
-    BoundsVerdict,
-    bounds_lines,
-    check_bounds,
-)
+from touchdown.experiments.reporting.regression import baseline, bounds
 
 Row = dict[str, Any]
-POSITION, NEES, SIGMA, SIGMA_Z, D_L, LEVEL = (figure.column for figure in FIGURES)
+POSITION, NEES, SIGMA, SIGMA_Z, D_L, LEVEL = (figure.column for figure in baseline.FIGURES)
 LOGS = (-0.2, 0.0, 0.2)
 """of a figure over its level, by seed: standard deviation 0.2"""
 
 
 def landing(scene: str, seed: int, log: float = 0.0, **changes: Any) -> Row:
     row: Row = {
-        "run_id": f"{scene}-livo-s{seed}",
-        "scene": scene,
-        "estimator": "livo",
-        "seed": seed,
-        "mode": "land",
-        "preset": "short",
-        "outcome": "LANDED",
-        "landing.judged_on": "geometry",
-        "landing.safe_geometry": True,
-        "git_revision": "abc",
-    }
+        "run_id": f"{scene}-livo-s{seed}", "scene": scene, "estimator": "livo", "seed": seed,
+        "mode": "land", "preset": "short", "outcome": "LANDED", "landing.judged_on": "geometry",
+        "landing.safe_geometry": True, "git_revision": "abc",
+    }  # fmt: skip
     levels = {POSITION: 0.1, NEES: 3.0, SIGMA: 0.2, SIGMA_Z: 0.04, D_L: 0.2, LEVEL: 0.5}
     return row | {key: level * math.exp(log) for key, level in levels.items()} | changes
 
@@ -54,8 +36,8 @@ def flights(**changes: float) -> list[Row]:
     return [row | {key: row[key] * factor for key, factor in changes.items()} for row in rows]
 
 
-def against(rows: list[Row], old: list[Row]) -> BoundsVerdict:
-    return check_bounds(rows, Baseline(cells_of(old), "abc", ""))
+def against(rows: list[Row], old: list[Row]) -> bounds.BoundsVerdict:
+    return bounds.check_bounds(rows, baseline.Baseline(baseline.cells_of(old), "abc", ""))
 
 
 def test_the_bound_follows_from_the_spread_between_seeds() -> None:
@@ -74,11 +56,11 @@ def test_the_bound_follows_from_the_spread_between_seeds() -> None:
         assert allowed == pytest.approx(quantile * 0.2 * math.sqrt(2.0 / count))
 
 
-@pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.title)
+@pytest.mark.parametrize("figure", baseline.FIGURES, ids=lambda figure: figure.title)
 def test_each_figure_that_is_six_times_worse_is_named(figure: Any) -> None:
     found = against(flights(**{figure.column: 6.0}), flights())
     assert {one.figure for one in found.figures if one.worse} == {figure.title}
-    assert f"WORSE  a, livo (land short): {figure.title}" in "\n".join(bounds_lines(found))
+    assert f"WORSE  a, livo (land short): {figure.title}" in "\n".join(bounds.bounds_lines(found))
     less = against(flights(), flights(**{figure.column: 6.0}))
     assert less.failed == (figure.column in (SIGMA, SIGMA_Z)), (
         "less is worse for what is stated alone"
@@ -113,12 +95,12 @@ def test_flights_of_other_presets_and_seeds_are_not_compared() -> None:
 
 
 def test_figures_survive_the_file(tmp_path: Path) -> None:
-    write_baseline(flights(), tmp_path / "b.json")
-    assert read_baseline(tmp_path / "b.json").cells == cells_of(flights())
+    baseline.write_baseline(flights(), tmp_path / "b.json")
+    assert baseline.read_baseline(tmp_path / "b.json").cells == baseline.cells_of(flights())
     text = (tmp_path / "b.json").read_text().replace('"nees.mean": 3.0', '"nees.mean": "3"', 1)
     (tmp_path / "b.json").write_text(text)
     with pytest.raises(UsageError, match=r"nees\.mean.* is no figure of a flight"):
-        read_baseline(tmp_path / "b.json")
+        baseline.read_baseline(tmp_path / "b.json")
 
 
 def test_the_command_flies_a_campaign_and_compares_it(
@@ -132,7 +114,7 @@ def test_the_command_flies_a_campaign_and_compares_it(
         directory.mkdir(parents=True)
 
     base, file = tmp_path / "b.json", tmp_path / "c.toml"
-    write_baseline(flights(), base)
+    baseline.write_baseline(flights(), base)
     file.write_text('name = "c"\nmode = "land"\n[axes]\nscene = ["crossroad"]\n')
     monkeypatch.setattr("touchdown.experiments.campaign.session.fly_campaign", fly)
     monkeypatch.setattr(

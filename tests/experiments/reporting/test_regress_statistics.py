@@ -5,28 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from touchdown.experiments.reporting.statistics import (
-    detectable_paired,
-    detectable_unpaired,
-    fewest_pairs,
-    fisher_p,
-    holm,
-    mean_interval,
-    seeds_needed,
-    share_interval,
-    sign_flip_p,
-    unpaired_p,
-    variance_interval,
-)
+from touchdown.experiments.reporting import statistics
 
 
 def test_sign_flips_by_hand() -> None:
     """Differences 1, 2, 3: of eight patterns one reaches 6, for -1, 2, 3 two reach 4."""
-    assert sign_flip_p(np.array([1.0, 2.0, 3.0])) == 1 / 8
-    assert sign_flip_p(np.array([-1.0, 2.0, 3.0])) == 2 / 8
-    assert sign_flip_p(np.zeros(5)) == 1.0
-    assert sign_flip_p(np.full(10, 0.1)) == 1 / 1024
-    both = sign_flip_p(np.array([[1.0, -1.0], [2.0, -2.0], [3.0, -3.0]]))
+    assert statistics.sign_flip_p(np.array([1.0, 2.0, 3.0])) == 1 / 8
+    assert statistics.sign_flip_p(np.array([-1.0, 2.0, 3.0])) == 2 / 8
+    assert statistics.sign_flip_p(np.zeros(5)) == 1.0
+    assert statistics.sign_flip_p(np.full(10, 0.1)) == 1 / 1024
+    both = statistics.sign_flip_p(np.array([[1.0, -1.0], [2.0, -2.0], [3.0, -3.0]]))
     assert both.tolist() == [1 / 8, 1.0]
 
 
@@ -34,40 +22,42 @@ def test_many_pairs_agree_with_the_normal_limit() -> None:
     """40 pairs of unit size with mean 0.3: z = 0.3 sqrt(40) = 1.90; 26 of 40 are positive."""
     differences = np.where(np.arange(40) < 26, 1.0, -1.0)
     exact = sum(math.comb(40, k) for k in range(26, 41)) / 2**40
-    assert float(sign_flip_p(differences)) == pytest.approx(exact, rel=0.1)
+    assert float(statistics.sign_flip_p(differences)) == pytest.approx(exact, rel=0.1)
 
 
 def test_holm_by_hand() -> None:
-    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    assert holm([0.5, 0.9]) == [1.0, 1.0]
-    assert holm([]) == []
+    assert statistics.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert statistics.holm([0.5, 0.9]) == [1.0, 1.0]
+    assert statistics.holm([]) == []
 
 
 def test_fisher_by_hand() -> None:
     """3 of 3 bad against 0 of 3: one of the 20 ways to choose them."""
-    assert fisher_p(3, 3, 0, 3) == pytest.approx(1 / 20)
-    assert fisher_p(0, 10, 0, 10) == 1.0
+    assert statistics.fisher_p(3, 3, 0, 3) == pytest.approx(1 / 20)
+    assert statistics.fisher_p(0, 10, 0, 10) == 1.0
 
 
 def test_wilson_by_hand() -> None:
     """10 of 10: lower end n / (n + z^2)."""
-    share = share_interval(10, 10)
+    share = statistics.share_interval(10, 10)
     assert share.high == pytest.approx(1.0)
     assert share.low == pytest.approx(10 / (10 + 1.959964**2), abs=1e-6)
 
 
 def test_pooled_variance_is_that_of_all_samples_together() -> None:
     flights = np.random.default_rng(3).normal(size=(5, 400)) + np.arange(5)[:, None]
-    found = variance_interval(flights.mean(axis=1).tolist(), flights.var(axis=1).tolist())
+    found = statistics.variance_interval(
+        flights.mean(axis=1).tolist(), flights.var(axis=1).tolist()
+    )
     assert found is not None and found.value == pytest.approx(flights.var())
     assert found.low is not None and found.high is not None
     assert found.low < found.value < found.high
 
 
 def test_one_flight_has_no_interval() -> None:
-    found = mean_interval([0.3])
+    found = statistics.mean_interval([0.3])
     assert found is not None and (found.value, found.low, found.high) == (0.3, None, None)
-    assert mean_interval([]) is None
+    assert statistics.mean_interval([]) is None
     assert not found.excludes(5.0)
 
 
@@ -76,7 +66,7 @@ def test_intervals_cover_as_often_as_they_say(flights: int, least: float) -> Non
     """1000 normal samples. Plain percentiles cover 0.82 and 0.90 for five and ten flights; five
     flights cannot be resampled beyond their extremes."""
     samples = np.random.default_rng([9, flights]).normal(size=(1000, flights))
-    found = [mean_interval(sample) for sample in samples]
+    found = [statistics.mean_interval(sample) for sample in samples]
     covered = [not interval.excludes(0.0) for interval in found if interval is not None]
     assert least <= np.mean(covered) <= 0.965
 
@@ -85,19 +75,21 @@ def test_detectable_effect_of_ten_pairs_by_hand() -> None:
     """At 0.04/24 all ten differences must be positive: Phi(effect)^10 = 0.8, effect = 2.01."""
     from scipy.stats import norm
 
-    effect = detectable_paired(10, 0.04 / 24)
+    effect = statistics.detectable_paired(10, 0.04 / 24)
     assert effect == pytest.approx(norm.ppf(0.8**0.1), abs=0.06)
-    assert detectable_paired(9, 0.04 / 24) is None
-    assert fewest_pairs(0.04 / 24) == 10
-    assert detectable_paired(1, 0.5) is None
-    assert detectable_unpaired(3, 3, 0.04) is None, "one of 20 shuffles is no less than 0.05"
-    assert detectable_unpaired(4, 4, 0.04) is not None
+    assert statistics.detectable_paired(9, 0.04 / 24) is None
+    assert statistics.fewest_pairs(0.04 / 24) == 10
+    assert statistics.detectable_paired(1, 0.5) is None
+    assert statistics.detectable_unpaired(3, 3, 0.04) is None, (
+        "one of 20 shuffles is no less than 0.05"
+    )
+    assert statistics.detectable_unpaired(4, 4, 0.04) is not None
 
 
 def test_detectable_effect_of_many_flights_nears_the_normal_limit() -> None:
     """(1.645 + 0.842) / sqrt(n), and sqrt(2/n) for two samples."""
-    assert detectable_paired(400, 0.05) == pytest.approx(2.486 / 20, rel=0.01)
-    assert detectable_unpaired(400, 400, 0.05) == pytest.approx(
+    assert statistics.detectable_paired(400, 0.05) == pytest.approx(2.486 / 20, rel=0.01)
+    assert statistics.detectable_unpaired(400, 400, 0.05) == pytest.approx(
         2.486 * math.sqrt(2 / 400), rel=0.01
     )
 
@@ -108,14 +100,14 @@ def test_seeds_needed_by_tables_of_the_paired_t_test() -> None:
     for effect, pairs in ((0.5, 34), (1.0, 10), (0.01, 78489)):
         pair = effect + np.array([-1.0, 1.0]) / math.sqrt(2.0)
         assert pair.std(ddof=1) == pytest.approx(1.0)
-        assert seeds_needed(pair, 0.05) == pairs
-    assert seeds_needed(np.full(3, 0.7), 0.05) == 6
-    assert seeds_needed(np.array([-1.0, 1.0]), 0.05) is None
+        assert statistics.seeds_needed(pair, 0.05) == pairs
+    assert statistics.seeds_needed(np.full(3, 0.7), 0.05) == 6
+    assert statistics.seeds_needed(np.array([-1.0, 1.0]), 0.05) is None
 
 
 def test_unpaired_test_sees_a_shift_and_no_more() -> None:
     rng = np.random.default_rng(1)
     new, old = rng.normal(size=(10, 200)), rng.normal(size=(10, 200))
-    alike = unpaired_p(new, old)
+    alike = statistics.unpaired_p(new, old)
     assert (alike <= 0.05).mean() == pytest.approx(0.05, abs=0.03)
-    assert np.median(unpaired_p(new + 3.0, old)) < 1e-3
+    assert np.median(statistics.unpaired_p(new + 3.0, old)) < 1e-3

@@ -11,14 +11,7 @@ import pytest
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import load_runs
-from touchdown.experiments.reporting.document import (
-    Report,
-    condition_sentences,
-    make_report,
-    markdown,
-    page,
-    write_report,
-)
+from touchdown.experiments.reporting import document
 from touchdown.experiments.reporting.flights import check_revisions, load_flights, path_deviation
 from touchdown.experiments.reporting.narrative import leading_sentences
 from touchdown.experiments.reporting.run_table import LANDING_COLUMNS, markdown_table, summary
@@ -91,13 +84,13 @@ def rows(campaign: Path) -> list[dict[str, Any]]:
     return load_flights(campaign)
 
 
-def table(report: Report, key: str) -> Table:
+def table(report: document.Report, key: str) -> Table:
     return next(t for section in report.sections for t in section.tables if t.key == key)
 
 
 @pytest.fixture(scope="module")
-def report(rows: list[dict[str, Any]]) -> Report:
-    return make_report(rows, title="Touchdown: made <up>", configuration='name = "x"')
+def report(rows: list[dict[str, Any]]) -> document.Report:
+    return document.make_report(rows, title="Touchdown: made <up>", configuration='name = "x"')
 
 
 def test_deviation_of_the_flown_path_by_hand(campaign: Path) -> None:
@@ -109,7 +102,7 @@ def test_deviation_of_the_flown_path_by_hand(campaign: Path) -> None:
     assert path_deviation(campaign / "nothing") is None
 
 
-def test_table_2_has_the_published_figures_beside_crossroad(report: Report) -> None:
+def test_table_2_has_the_published_figures_beside_crossroad(report: document.Report) -> None:
     found = table(report, "table2_error")
     assert found.header == ["method", "crossroad", "paper prints", "lake", "all scenes"]
     lines = {line[0].text: line for line in found.rows}
@@ -127,7 +120,7 @@ def test_table_2_has_the_published_figures_beside_crossroad(report: Report) -> N
     assert table(report, "table2_variance").rows[1][2].text == "0.1568"
 
 
-def test_words_follow_the_data(report: Report) -> None:
+def test_words_follow_the_data(report: document.Report) -> None:
     words = "\n".join(line for section in report.sections for line in section.words)
     assert "21 flights: 3 methods over 2 scenes, 6 seeds." in words
     assert "2 were not successful (`livo` 1, `gps` 1)" in words
@@ -150,7 +143,7 @@ def test_a_method_that_never_took_off_does_not_compete(rows: list[dict[str, Any]
     words = leading_sentences(flow)
     assert words[0].startswith("crossroad: `paper` is ahead by E_tra")
     assert "crossroad: no flight with a figure to compare of `livo`." in words
-    best = table(make_report(grounded, title="x"), "table2_error").rows
+    best = table(document.make_report(grounded, title="x"), "table2_error").rows
     assert {line[0].text: line[1].kind for line in best} == {
         "`livo`": "", "`paper`": "best", "`gps`": "",
     }  # fmt: skip
@@ -164,7 +157,7 @@ def test_a_path_that_never_left_the_ground_has_no_deviation(tmp_path: Path) -> N
     assert path_deviation(run) is None
 
 
-def test_lost_flights_are_counted_and_named(report: Report) -> None:
+def test_lost_flights_are_counted_and_named(report: document.Report) -> None:
     found = table(report, "outcomes")
     assert found.numbers["gps"]["lake"] == {"COMPLETED": 2, "DIVERGED": 1}
     assert found.notes[0].startswith("2 of 21 flights were not successful.")
@@ -173,7 +166,7 @@ def test_lost_flights_are_counted_and_named(report: Report) -> None:
     assert gps[3].text == "2.20 (set)", "the lost flight is in the mean"
 
 
-def test_shares_of_stages_by_hand(report: Report) -> None:
+def test_shares_of_stages_by_hand(report: document.Report) -> None:
     """30 ms of each 0.1 s over 20 s are 6 s of the 10 s; 15 ms are 3 s."""
     shares = table(report, "time").numbers["paper"]["shares"]
     assert shares == pytest.approx({"world": 0.6, "estimator": 0.3, "other": 0.1})
@@ -183,7 +176,7 @@ def test_a_missing_revision_is_stated_with_its_remedy(
     rows: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     without = [rows[0] | {"git_revision": None}, rows[1] | {"git_revision": "unknown"}, *rows[2:]]
-    words = "\n".join(condition_sentences(without))
+    words = "\n".join(document.condition_sentences(without))
     assert "Git revision: `0123abc`. Git revision of 2 flights not recorded: Touchdown was" in words
     assert "unknown" not in words
     check_revisions(rows, tmp_path)
@@ -191,8 +184,8 @@ def test_a_missing_revision_is_stated_with_its_remedy(
         check_revisions(without, tmp_path)
 
 
-def test_one_file_that_loads_nothing(report: Report) -> None:
-    text = page(report)
+def test_one_file_that_loads_nothing(report: document.Report) -> None:
+    text = document.page(report)
     assert "Touchdown: made &lt;up&gt;" in text and "<up>" not in text
     assert not re.search(
         r"""(src|href)\s*=\s*["'](?!#|data:)""", text.replace("xlink:href", "href")
@@ -206,12 +199,12 @@ def test_one_file_that_loads_nothing(report: Report) -> None:
         assert f'href="#{section.key}"' in text and f'<section id="{section.key}">' in text
 
 
-def test_the_same_flights_the_same_report(campaign: Path, report: Report) -> None:
-    again = make_report(
+def test_the_same_flights_the_same_report(campaign: Path, report: document.Report) -> None:
+    again = document.make_report(
         load_flights(campaign), title="Touchdown: made <up>", configuration='name = "x"'
     )
-    assert page(again) == page(report)
-    assert markdown(again) == markdown(report)
+    assert document.page(again) == document.page(report)
+    assert document.markdown(again) == document.markdown(report)
 
 
 def test_command_writes_everything(
@@ -230,18 +223,20 @@ def test_command_writes_everything(
     assert "cannot be written" in capsys.readouterr().err
 
 
-def test_files_of_others_are_no_report_to_be_replaced(report: Report, tmp_path: Path) -> None:
+def test_files_of_others_are_no_report_to_be_replaced(
+    report: document.Report, tmp_path: Path
+) -> None:
     mine = tmp_path / "report.md"
     mine.write_text("mine")
     for text in ("{}", '{"title": "mine"}', "no JSON"):
         (tmp_path / "report.json").write_text(text)
         with pytest.raises(UsageError, match=r"holds 'report\.md', which is of no report"):
-            write_report(report, [], tmp_path)
+            document.write_report(report, [], tmp_path)
     assert mine.read_text() == "mine"
     (tmp_path / "report.json").unlink()
     mine.unlink()
     for _ in range(2):
-        written = write_report(report, [], tmp_path)
+        written = document.write_report(report, [], tmp_path)
     assert written["markdown"] == mine and mine.read_text() != "mine"
 
 
@@ -263,6 +258,6 @@ def test_flights_without_a_map_are_not_in_the_tables_of_maps(tmp_path: Path) -> 
     nothing = {"duration_s": 18.0, "density_per_m2": 0.0,
                "levelness_error_deg": {"mean": None, "max": None, "places": 0}}  # fmt: skip
     write_flight(tmp_path, "lake", "gps", 0, map=nothing)
-    report = make_report(load_flights(tmp_path), title="x")
+    report = document.make_report(load_flights(tmp_path), title="x")
     assert set(table(report, "table1").numbers) == {"livo"}
     assert len(table(report, "density").rows) == 1

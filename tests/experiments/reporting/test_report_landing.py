@@ -1,6 +1,5 @@
 """The part of a report that is about landings, on made-up flights."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ import pytest
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.flights import load_flights
 from touchdown.experiments.reporting.landing_figure import landing_pictures
-from touchdown.experiments.reporting.landings import landing_sentences, landing_tables, offset_xy
+from touchdown.experiments.reporting.landings import landing_tables, offset_xy
 from touchdown.experiments.reporting.tables import Table
 
 from support.report_support import LANDING, write_run
@@ -108,22 +107,6 @@ def test_table_6_beside_the_papers(sites: list[dict[str, Any]]) -> None:
     assert list(published.SITES) == [
         "turf", "rooftop_parking", "cottage", "footbridge", "pools"
     ]  # fmt: skip
-
-
-def test_words_say_what_happened(rows: list[dict[str, Any]]) -> None:
-    words = "\n".join(landing_sentences(rows))
-    assert "`livo`: 3 of 4 flights landed (75 % [30, 95])." in words
-    assert "1 touched ground that is unsafe by geometry: crossroad seed 3." in words
-    assert "`gps`: 3 of 3 flights landed (100 % [44, 100]). None touched ground that is" in words
-    assert re.search(r'd_L 1\.00 m \[[^]]+\], 1\.41 printed for "GPS"', words)
-    assert "v_z" not in words, "set, so not compared"
-    assert re.search(r'd_L 0\.050 m \[[^]]+\], 0\.41 printed for "Ours"', words)
-    assert (
-        "`livo`, the worst of its landings: bounce 2.00 cm, deceleration 7.50 m/s², tilt 2.00 °."
-        in words
-    )
-    assert "Closest to the site, by mean d_L: `livo` (0.050 m), then `gps` (1.00 m)." in words
-    assert "the order is `paper`, `hybrid_flow`, `optical_flow`, `gps`." in words
 
 
 def test_offsets_are_from_the_commanded_spot(rows: list[dict[str, Any]]) -> None:

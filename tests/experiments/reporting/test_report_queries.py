@@ -4,19 +4,8 @@ from typing import Any
 
 import pytest
 
+from touchdown.experiments.reporting import queries
 from touchdown.experiments.reporting.measures import TRAJECTORY_VARIANCE, estimates, mean_of
-from touchdown.experiments.reporting.queries import (
-    CellKey,
-    LandingCounts,
-    count_by_method,
-    flown_cells,
-    landings_by_cell,
-    largest_by_cell,
-    numbers_by_cell,
-    outcome_counts,
-    outcomes_by_cell,
-    texts_by_cell,
-)
 
 
 def row(scene: str, method: str, outcome: str = "LANDED", **more: Any) -> dict[str, Any]:
@@ -31,35 +20,41 @@ ROWS = [
     row("lake", "gps", error=2.0, area=3.0, kind="grass"),
     row("lake", "gps", kind="sand"),
 ]
-LAKE, FLAT = CellKey("gps", "lake"), CellKey("gps", "flat")
+LAKE, FLAT = queries.CellKey("gps", "lake"), queries.CellKey("gps", "flat")
 
 
 def test_numbers_keep_the_order_of_the_rows_without_missing_ones() -> None:
-    assert numbers_by_cell(ROWS, ["error"]) == {
+    assert queries.numbers_by_cell(ROWS, ["error"]) == {
         LAKE: ([3.0, 1.0, 2.0],),
-        CellKey("livo", "flat"): ([0.5],),
+        queries.CellKey("livo", "flat"): ([0.5],),
     }
-    pooled = numbers_by_cell(ROWS, ["error", "area"], pooled=True)
-    assert pooled == {CellKey("gps"): ([3.0, 2.0], [1.0, 3.0]), CellKey("livo"): ([0.5], [2.0])}
+    pooled = queries.numbers_by_cell(ROWS, ["error", "area"], pooled=True)
+    assert pooled == {
+        queries.CellKey("gps"): ([3.0, 2.0], [1.0, 3.0]),
+        queries.CellKey("livo"): ([0.5], [2.0]),
+    }
 
 
 def test_counts_of_flights_and_outcomes() -> None:
-    assert list(outcome_counts(ROWS).items()) == [("LANDED", 5), ("NO_SITE", 1)]
-    assert outcomes_by_cell(ROWS)[LAKE] == {"LANDED": 3, "NO_SITE": 1}
-    assert outcomes_by_cell(ROWS, pooled=True)[CellKey("gps")] == {"LANDED": 4, "NO_SITE": 1}
-    assert count_by_method(ROWS) == {"gps": 5, "livo": 1}
-    assert flown_cells(ROWS) == {LAKE, FLAT, CellKey("livo", "flat")}
+    assert list(queries.outcome_counts(ROWS).items()) == [("LANDED", 5), ("NO_SITE", 1)]
+    assert queries.outcomes_by_cell(ROWS)[LAKE] == {"LANDED": 3, "NO_SITE": 1}
+    assert queries.outcomes_by_cell(ROWS, pooled=True)[queries.CellKey("gps")] == {
+        "LANDED": 4,
+        "NO_SITE": 1,
+    }
+    assert queries.count_by_method(ROWS) == {"gps": 5, "livo": 1}
+    assert queries.flown_cells(ROWS) == {LAKE, FLAT, queries.CellKey("livo", "flat")}
 
 
 def test_texts_come_in_the_order_of_their_first_rows() -> None:
-    found = texts_by_cell(ROWS, "kind")
+    found = queries.texts_by_cell(ROWS, "kind")
     assert list(found[LAKE].items()) == [("sand", 2), ("None", 1), ("grass", 1)]
     assert found[FLAT] == {"None": 1}
 
 
 def test_largest_numbers() -> None:
-    assert largest_by_cell(ROWS, ["error", "area"])[LAKE] == (3.0, 3.0)
-    assert largest_by_cell(ROWS, ["error", "area"])[FLAT] == (None, 4.0)
+    assert queries.largest_by_cell(ROWS, ["error", "area"])[LAKE] == (3.0, 3.0)
+    assert queries.largest_by_cell(ROWS, ["error", "area"])[FLAT] == (None, 4.0)
 
 
 def test_counts_of_landings() -> None:
@@ -69,9 +64,9 @@ def test_counts_of_landings() -> None:
         row("lake", "gps", **safe), row("lake", "gps", **unsafe),
         row("lake", "gps", "TIPPED", **unsafe), row("lake", "gps", "NO_SITE"),
     ]  # fmt: skip
-    counts = LandingCounts(flights=4, landed=2, landed_safely=1, unsafe=2)
-    assert landings_by_cell(rows) == {LAKE: counts}
-    assert landings_by_cell(rows, pooled=True) == {CellKey("gps"): counts}
+    counts = queries.LandingCounts(flights=4, landed=2, landed_safely=1, unsafe=2)
+    assert queries.landings_by_cell(rows) == {LAKE: counts}
+    assert queries.landings_by_cell(rows, pooled=True) == {queries.CellKey("gps"): counts}
 
 
 def test_estimates_by_cell() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.drawing.map_axes import tick_step
 from touchdown.experiments.scene_tools.flyability import check_scene_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
 from touchdown.experiments.scene_tools.seed_check import check_scene
@@ -18,7 +17,7 @@ from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
 from touchdown.scenes.render import render_scene
-from touchdown.scenes.truth.survey_facts import LayoutRasters, layout_difference, survey_facts
+from touchdown.scenes.truth.survey_facts import survey_facts
 
 from support.worlds import load_ideal_config as load_config
 
@@ -111,24 +110,6 @@ def test_maps_show_class_height_and_safe_ground(views: SceneViews) -> None:
     assert np.abs(pixel(height, 0.0, 10.0) - pixel(height, -10.0, -10.0)).max() > 60
 
 
-def test_written_maps_have_ticks_and_the_survey(views: SceneViews) -> None:
-    assert [tick_step(span) for span in (160.0, 66.0, 34.0, 1.0)] == [10.0, 5.0, 2.0, 0.1]
-    image = views.draw("class")
-    framed = views.framed("class", image)
-    height, width = image.shape[0] - LEGEND_ROWS, image.shape[1]
-    top, left = 14, 54
-    changed = (framed[top : top + height, left : left + width] != image[:height]).any(axis=-1)
-    # Legs from the middle of the map to the east and north: nothing west of the circle changes.
-    assert changed[height // 2 - 10 : height // 2, width // 2 - 10 : width // 2 + 10].any()
-    assert not changed[:, : width // 2 - 12].any() and not changed[height // 2 + 12 :].any()
-    assert changed.mean() < 0.02
-    below = framed[top + height, left : left + width].min(axis=-1)
-    ticks = np.flatnonzero(below > 200)
-    np.testing.assert_allclose(ticks, np.arange(0, 11) * width / 10, atol=1.5)  # every 5 m
-    depth = views.draw("depth")
-    assert views.framed("depth", depth) is depth
-
-
 def test_all_views_of_a_file_are_written_and_listed(
     place_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -152,28 +133,6 @@ def test_survey_facts_of_known_ground(place: Scene) -> None:
     # class; within 1.5 m of its step there is no safe geometry.
     wide = survey_facts(place, 8.0, 16.0, 2.0, 4.0)
     assert wide.safe_share < wide.safe_geometry_share < 1.0
-
-
-def test_difference_of_layouts_is_exact() -> None:
-    level = LayoutRasters(
-        height_m=np.zeros((4, 5), np.float32),
-        class_id=np.zeros((4, 5), np.uint8),
-        grey=np.zeros((3, 3), np.float32),
-    )
-    height = np.full((4, 5), 0.3, np.float32)
-    height[0, 0] = np.nan
-    classes = level.class_id.copy()
-    classes[:2] = 1
-    other = LayoutRasters(height_m=height, class_id=classes, grey=np.full((3, 3), 7.0, np.float32))
-    found = layout_difference(level, other)
-    assert found.height_m == pytest.approx(0.3)
-    assert found.class_share == pytest.approx(0.5)
-    assert found.grey == pytest.approx(7.0)
-    smaller = LayoutRasters(
-        height_m=np.zeros((2, 2), np.float32), class_id=classes[:2, :2], grey=other.grey
-    )
-    with pytest.raises(ValueError, match="extent"):
-        layout_difference(level, smaller)
 
 
 def write_place(tmp_path: Path, geoms: str) -> str:

@@ -47,17 +47,6 @@ def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
     assert torch.equal(without, none)
 
 
-def test_paint_has_one_colour(torch: Any) -> None:
-    """Of each image, what was added is a multiple of one colour: paint has no image in it."""
-    from touchdown.landing.classification.learning.augment import marked
-
-    plain = torch.full((30, 3, 48, 48), 0.5)
-    added = (marked(plain, torch.Generator().manual_seed(1), 1.0) - plain).flatten(2)
-    for one in added:
-        spread = torch.linalg.svdvals(one)
-        assert float(spread[1]) <= 1e-4 * max(1.0, float(spread[0]))
-
-
 def test_blended_pictures_have_blended_classes(torch: Any) -> None:
     """Images as bright as their class is high: what is left of a class is left of its light."""
     from touchdown.landing.classification.learning.augment import blended
@@ -81,11 +70,3 @@ def test_shares_of_blended_pictures_are_beta_distributed(torch: Any, strength: f
     draws = np.array([_beta(strength, generator) for _ in range(4000)])
     assert draws.mean() == pytest.approx(0.5, abs=0.025)
     assert draws.var() == pytest.approx(1.0 / (8.0 * strength + 4.0), rel=0.06)
-
-
-def test_a_turn_of_a_plain_picture_changes_nothing(torch: Any) -> None:
-    from touchdown.landing.classification.learning.augment import _moved
-
-    images = torch.full((4, 3, 16, 16), 0.25)
-    moved = _moved(images, torch.Generator().manual_seed(3))
-    np.testing.assert_allclose(moved, 0.25, rtol=1e-6)

@@ -4,27 +4,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.landing.api import Candidate, GroundPrediction, LandingParams
-from touchdown.landing.classification import engine
+from touchdown.landing.classification import engine, site_check
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.scores import probabilities
-from touchdown.landing.classification.site_check import (
-    SiteClass,
-    SiteClassCheck,
-    fuse_lidar_evidence,
-    in_traffic_zone,
-    pulses_around,
-)
 from touchdown.landing.classification.survey_images import SurveyImages, brightened
 from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.frames import Pose
 
 from support.ground_class_support import COLOURS, ByColour, photograph, plain, small_rig
 from support.landing_support import make_estimate, make_grid, make_obs, view_of
-
-Array = NDArray[np.float64]
 
 
 def test_the_input_of_a_network_is_light_by_channel() -> None:
@@ -94,19 +84,21 @@ def test_pulses_count_in_the_square_around_the_site_alone() -> None:
     grid.missing[:] = 1.0
     grid.missing[25:27, 30:34] = 5.0
     site = np.array([1.4, 0.2, 0.0])
-    missing, hits = pulses_around(view_of(grid), site, 0.3)
+    missing, hits = site_check.pulses_around(view_of(grid), site, 0.3)
     assert (missing, hits) == (16.0 + 8 * 4.0, 16 * 40.0)
-    corner = pulses_around(view_of(grid), np.array([-4.85, -4.85, 0.0]), 0.3)
+    corner = site_check.pulses_around(view_of(grid), np.array([-4.85, -4.85, 0.0]), 0.3)
     assert corner == (9.0, 9 * 40.0)
 
 
 def test_evidence_keeps_a_distribution_and_counts_twenty_pulses_at_most() -> None:
     image = np.full(7, 1.0 / 7.0)
     for missing, hits, traffic in ((5.0, 5.0, False), (0.0, 9.0, True), (400.0, 600.0, True)):
-        assert fuse_lidar_evidence(image, missing, hits, traffic).sum() == pytest.approx(1.0)
-    few, many = (fuse_lidar_evidence(image, n, 9.0 * n, False) for n in (2.0, 2000.0))
+        assert site_check.fuse_lidar_evidence(image, missing, hits, traffic).sum() == pytest.approx(
+            1.0
+        )
+    few, many = (site_check.fuse_lidar_evidence(image, n, 9.0 * n, False) for n in (2.0, 2000.0))
     np.testing.assert_allclose(few, many)
-    less = fuse_lidar_evidence(image, 1.0, 9.0, False)
+    less = site_check.fuse_lidar_evidence(image, 1.0, 9.0, False)
     water = D_LAND.index("water")
     ratio = 15.0 * (0.85 / 0.99) ** 9
     assert less[water] == pytest.approx(ratio / (ratio + 6.0))
@@ -120,8 +112,8 @@ def test_zones_of_traffic_have_borders() -> None:
     chosen.traffic_zone[:] = False
     chosen.traffic_zone[15, 40] = True
     for xy, inside in (((4.1, 1.1), True), ((1.1, 4.1), False), ((4.3, 1.1), False)):
-        assert in_traffic_zone(chosen, np.array([*xy, 0.0])) is inside
-    assert not in_traffic_zone(chosen, np.array([99.0, 1.0, 0.0]))
+        assert site_check.in_traffic_zone(chosen, np.array([*xy, 0.0])) is inside
+    assert not site_check.in_traffic_zone(chosen, np.array([99.0, 1.0, 0.0]))
 
 
 class Lawn(ByColour):
@@ -134,8 +126,8 @@ class Lawn(ByColour):
         return GroundPrediction(probabilities=chance, in_distribution=every)
 
 
-def check_with(classifier: ByColour, *views: tuple[float, float, str]) -> SiteClassCheck:
-    check = SiteClassCheck(classifier, small_rig(), LandingParams())
+def check_with(classifier: ByColour, *views: tuple[float, float, str]) -> site_check.SiteClassCheck:
+    check = site_check.SiteClassCheck(classifier, small_rig(), LandingParams())
     check.images = images_of(*views)
     return check
 
@@ -156,13 +148,13 @@ def test_a_class_needs_the_known_ground_and_a_name_that_is_allowed() -> None:
     check = check_with(Lawn(), (0.0, 20.0, "lawn"))
     chance = np.full(7, 0.01)
     chance[D_LAND.index("lawn")] = 0.94
-    assert check.refusal(SiteClass(chance, True), False) is None
-    strange = check.refusal(SiteClass(chance, False), False)
+    assert check.refusal(site_check.SiteClass(chance, True), False) is None
+    strange = check.refusal(site_check.SiteClass(chance, False), False)
     assert strange is not None and strange.rule == "unfamiliar_ground"
     chance[[D_LAND.index("lawn"), D_LAND.index("road")]] = (0.01, 0.94)
-    unsafe = check.refusal(SiteClass(chance, True), False)
+    unsafe = check.refusal(site_check.SiteClass(chance, True), False)
     assert unsafe is not None and unsafe.rule == "unsafe_ground"
-    assert check.refusal(SiteClass(chance, True), True) is None
+    assert check.refusal(site_check.SiteClass(chance, True), True) is None
     site = Candidate(
         position_odom=np.zeros(3), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5, slope_deg=0.0,
         roughness_m=0.0, clearance_m=3.0, accepted=True, reason="landable", rule="lower_value",

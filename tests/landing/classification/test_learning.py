@@ -2,8 +2,6 @@
 
 import copy
 import dataclasses
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -163,35 +161,3 @@ def test_a_training_may_begin_with_the_weights_of_a_file(torch: Any, tmp_path: P
         Trainer(other, train, val, tmp_path, cpu, start=file)
     with pytest.raises(FileNotFoundError, match="does not exist; name a network"):
         Trainer(params, train, val, tmp_path, cpu, start=tmp_path / "none.onnx")
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="a setting of glibc")
-def test_memory_is_used_again() -> None:
-    """A second array of 64 MB has no page (4 kB) that the system would have to zero."""
-    script = (
-        "import resource, numpy as np\n"
-        "from touchdown.experiments.classification.train import keep_freed_memory\n"
-        "keep_freed_memory()\n"
-        "faults = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
-        "def more():\n"
-        "    before = faults()\n"
-        "    np.ones(8_000_000)\n"
-        "    return faults() - before\n"
-        "print(more(), more())\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    first, second = map(int, done.stdout.split())
-    assert second < 100 < first
-
-
-def test_a_device_that_is_not_here(torch: Any) -> None:
-    from touchdown.landing.classification.learning.training import chosen_device
-
-    with pytest.raises(ValueError, match="unknown device 'tpu'"):
-        chosen_device("tpu")
-    if not torch.cuda.is_available():
-        assert chosen_device("auto").type == "cpu"
-        with pytest.raises(ValueError, match="finds no GPU here"):
-            chosen_device("cuda")

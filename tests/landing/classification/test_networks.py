@@ -27,22 +27,10 @@ def _count(network: Any) -> int:
     return sum(weights.numel() for weights in network.parameters())
 
 
-def test_every_network_is_listed() -> None:
-    assert set(PUBLISHED) == set(NETWORKS)
-
-
 @pytest.mark.parametrize("name", NETWORKS)
 def test_number_of_weights_is_as_published(name: str) -> None:
     with torch.device("meta"):
         assert _count(build_network(name, 1000, 224)) == PUBLISHED[name]
-
-
-def test_what_attention_adds_to_resnet50() -> None:
-    """By hand: 2 C C/16 + C/16 + C + 98 + 2 for each of 3, 4, 6, 3 blocks of 256 to 2048."""
-    assert cbam.parameters_of(256) == 2 * 256 * 16 + 16 + 256 + 98 + 2
-    blocks_of = zip((256, 512, 1024, 2048), (3, 4, 6, 3), strict=True)
-    added = sum(count * cbam.parameters_of(channels) for channels, count in blocks_of)
-    assert added == PUBLISHED["resnet50_cbam"] - PUBLISHED["resnet50"] == 2_532_592
 
 
 @pytest.mark.parametrize("name", NETWORKS)
@@ -61,18 +49,6 @@ def test_small_pictures_go_through(name: str) -> None:
     with torch.device("meta"):
         network = build_network(name, 7, 96).eval()
         assert network(torch.zeros(2, 3, 96, 96)).shape == (2, 7)
-
-
-@pytest.mark.parametrize("name", ["resnet18", "resnet50_cbam", "mobilenet_v3_large"])
-def test_the_same_seed_gives_the_same_network(name: str) -> None:
-    scores = []
-    for _ in range(2):
-        torch.manual_seed(5)
-        network = build_network(name, 7, 64).eval()
-        with torch.no_grad():
-            scores.append(network(torch.ones(1, 3, 64, 64)).numpy())
-    assert np.isfinite(scores[0]).all()
-    assert (scores[0] == scores[1]).all()
 
 
 @pytest.mark.parametrize(("name", "size", "message"), [

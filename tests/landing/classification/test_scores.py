@@ -90,11 +90,6 @@ def test_unsure_ground_stays_white() -> None:
     assert class_overlays._shares(chance, D_LAND, 0.5) == {"lawn": 0.5, "unsure": 0.5}
 
 
-def test_thirty_colours_differ() -> None:
-    colours = class_overlays.class_colours([str(n) for n in range(30)])
-    assert len(set(colours.values())) == 30
-
-
 def _sum(content: bytes) -> str:
     return f"{hashlib.sha256(content).hexdigest()}  n.onnx\n"
 

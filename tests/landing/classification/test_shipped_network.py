@@ -13,47 +13,24 @@ import pytest
 from touchdown.experiments.classification.patches import scene_patches
 from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_layout
 from touchdown.experiments.cli import main as cli
-from touchdown.landing.classification.onboard import (
-    SHIPPED,
-    OnnxGroundClassifier,
-    load_onboard_classifier,
-)
-from touchdown.landing.classification.weights import read_network
+from touchdown.landing.classification import onboard
 from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES
 
 SEED = 900_004
 """of no data set, and one that leaves 4 when divided by 5"""
 PICTURES = 24
-LARGEST_MB = 60.0
 
 
 @pytest.fixture(scope="module")
-def classifier() -> OnnxGroundClassifier:
-    return load_onboard_classifier(SHIPPED)
-
-
-def test_shipped_network_description(classifier: OnnxGroundClassifier) -> None:
-    assert len(read_network(SHIPPED)) <= LARGEST_MB * 1e6
-    description = classifier.description()
-    assert description["network"] == "resnet50_cbam"
-    assert classifier.image_size == 128
-    assert 0.5 <= classifier.min_probability < 1.0
-
-
-def test_number_of_weights() -> None:
-    """Filters and matrices are float16: all weights but those that are one for a channel."""
-    onnx = pytest.importorskip("onnx")
-    model = onnx.load_from_string(read_network(SHIPPED))
-    halves = [t for t in model.graph.initializer if t.data_type == onnx.TensorProto.FLOAT16]
-    filters = sum(int(np.prod(tensor.dims)) for tensor in halves)
-    assert filters == 25_985_760  # and 69 207 more in biases and norms
+def classifier() -> onboard.OnnxGroundClassifier:
+    return onboard.load_onboard_classifier(onboard.SHIPPED)
 
 
 @pytest.mark.parametrize("scene", [
     "lake",
     *(pytest.param(name, marks=pytest.mark.slow) for name in ("houses", *HELD_OUT_SCENES)),
 ])  # fmt: skip
-def test_accuracy_on_unseen_scenes(scene: str, classifier: OnnxGroundClassifier) -> None:
+def test_accuracy_on_unseen_scenes(scene: str, classifier: onboard.OnnxGroundClassifier) -> None:
     """The bound is far below the scores in `docs/results/ground-classification.md`."""
     assert split_of_layout(scene, SEED) == "test"
     patches = scene_patches(scene, SEED, PICTURES, classifier.image_size, variation=0)
@@ -79,7 +56,7 @@ def test_commands_without_a_network_use_the_shipped_one(
     assert cli.main(whole) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["network"] == "resnet50_cbam" and report["image_size"] == 128
-    assert report["rom_mb"] == SHIPPED.stat().st_size / 1e6
+    assert report["rom_mb"] == onboard.SHIPPED.stat().st_size / 1e6
     assert 0 < report["pictures"] <= len(patches)
     picture = next(home.glob("*/*.png"))
     out = tmp_path / "classes"

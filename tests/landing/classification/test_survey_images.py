@@ -68,7 +68,6 @@ def test_smaller_patch_where_no_image_shows_the_whole_one() -> None:
     """At 5 m the image shows 3.9 m the short way: half of 6.4 m fits, nothing of a site aside."""
     survey_images = _kept(Pose(np.eye(3), np.array([0.0, 0.0, 5.0])))
     patch = survey_images.patch(np.zeros(3), 6.4, 32)
-    assert patch is not None
     width = (float(patch[:, -1, :2].mean()) - float(patch[:, 0, :2].mean())) / 2.0
     assert abs(width) == pytest.approx(0.5 * 6.4 * 31 / 32, abs=0.4)
     assert survey_images.patch(np.array([0.0, 9.0, 0.0]), 6.4, 32) is None
@@ -162,7 +161,6 @@ def test_images_of_a_dark_night_show_nothing() -> None:
 def test_a_dim_patch_is_as_bright_as_by_day_and_keeps_its_hue() -> None:
     pose = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
     patch = _kept(pose, _dim_grass).patch(np.zeros(3), 6.4, 32)
-    assert patch is not None
     assert 90.0 < patch.mean() < 125.0
     red, green, blue = patch.mean(axis=(0, 1))
     assert red / green == pytest.approx(0.6, abs=0.05)

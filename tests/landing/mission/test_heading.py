@@ -37,7 +37,6 @@ def test_it_begins_four_metres_up_and_is_never_fast(
 ) -> None:
     path, now = climb(height, duration), 5.0
     turn = turn_in_climb(path, now, angle_deg)
-    assert turn is not None
     times = np.linspace(0.0, turn.duration_s + duration + 1.0, 2001)
     samples = np.array([turn.sample(now + float(t)) for t in times])
     heights = np.array([path.sample(float(t))[0][2] for t in times]) - 2.0
@@ -55,6 +54,5 @@ def test_it_begins_four_metres_up_and_is_never_fast(
 def test_a_slow_climb_is_used_to_its_end() -> None:
     path = climb(30.0, 40.0)
     turn = turn_in_climb(path, 0.0, 90.0)
-    assert turn is not None
     assert turn.begin_s + turn.duration_s == pytest.approx(40.0)
     assert turn_in_climb(path, 0.0, 0.0) is None

@@ -41,7 +41,6 @@ def refusal(place: Surveyed, x: float, y: float) -> str:
 def allowed_share(place: Surveyed, x0: float, x1: float, y0: float, y1: float) -> float:
     """Of the cells of a rectangle, those that the selector would land on."""
     costmap = place.selection.costmap
-    assert costmap is not None
     low = np.floor((np.array([x0, y0]) - costmap.origin_xy_m) / costmap.cell_m).astype(int)
     high = np.ceil((np.array([x1, y1]) - costmap.origin_xy_m) / costmap.cell_m).astype(int)
     return float(place.selection.allowed[low[1] : high[1], low[0] : high[0]].mean())
@@ -110,7 +109,6 @@ def test_ditch_hidden_at_30_m_is_found_on_the_second_look(tmp_path: Path) -> Non
     place = survey(write(tmp_path, "ditch", slot), *SHORTER)
     site = np.array([12.4, 0.0, 0.0])
     look = look_again(hover_over(place, site, 10.0, 4.0), site, 3.0, PARAMS)
-    assert look.position_odom is not None
     assert abs(look.position_odom[0] - 12.1) > 1.0, look.reason
     assert "moved" in look.reason
 

@@ -13,44 +13,24 @@ from numpy.typing import NDArray
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import GridMap, MapView
 from touchdown.landing.api import LandingParams, Phase, SurveyParams
-from touchdown.landing.mission import energy
+from touchdown.landing.mission import energy, phases
 from touchdown.landing.mission.choice import choose_sites
 from touchdown.landing.mission.descent import descend_to, final_descent
 from touchdown.landing.mission.heading import HeadingTurn
 from touchdown.landing.mission.health import HealthWatch
 from touchdown.landing.mission.mission_state import Mission, vertical_move
-from touchdown.landing.mission.phases import (
-    approach_height,
-    climb_back,
-    come_down_here,
-    initialise,
-    land_somewhere,
-    return_home,
-    search_leg,
-    select,
-    survey,
-    take_off,
-)
 from touchdown.landing.mission.touchdown import TouchdownDetector
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
+from support import landing_support
 from support.lander_support import QUICK, STEP_TICKS
-from support.landing_support import (
-    LEG_HEIGHT,
-    make_estimate,
-    make_grid,
-    make_imu,
-    make_obs,
-    make_rig,
-    view_of,
-)
 
 Array = NDArray[np.float64]
 STEP_S = STEP_TICKS / 600.0
 HOVER_RADPS = float(np.sqrt(GRAVITY_MPS2 / 4e-5))
 SITE = np.array([1.0, -2.0, 0.0])
-COARSE = make_grid(np.zeros((100, 100)), origin=(-10.0, -10.0), returns=4)
+COARSE = landing_support.make_grid(np.zeros((100, 100)), origin=(-10.0, -10.0), returns=4)
 Maps = Callable[[float], tuple[GridMap | None, int]]
 
 
@@ -58,7 +38,7 @@ def fine(height: Array | float, centre: Array = SITE) -> GridMap:
     """12 m of fine cells around a point."""
     corner = np.round((centre[:2] - 6.0) / 0.05) * 0.05
     raster = np.broadcast_to(np.asarray(height, float), (240, 240))
-    return make_grid(raster, 0.05, origin=(corner[0], corner[1]), returns=6)
+    return landing_support.make_grid(raster, 0.05, origin=(corner[0], corner[1]), returns=6)
 
 
 LEVEL = fine(0.0)
@@ -70,7 +50,7 @@ class Stage:
     the version by the height of the legs; rotors carry ``carried`` of the weight."""
 
     def __init__(self, position: Array, yaw: float = 0.0, **params: Any) -> None:
-        rig = make_rig()
+        rig = landing_support.make_rig()
         start = Pose(rotation_from_yaw(yaw), rig.world_from_body_start.translation)
         rig = dataclasses.replace(rig, world_from_body_start=start)
         self.mission = Mission(rig, dataclasses.replace(LandingParams(), **params), QUICK)
@@ -81,26 +61,26 @@ class Stage:
         self.tick, self.battery = 0, 1.0
         self.carried: Callable[[float], float] = lambda legs: 1.0
         self.result: Any = None
-        self.mission.obs = make_obs(0)
+        self.mission.obs = landing_support.make_obs(0)
         self.feed()
         self.mission.reference_world = self.mission.world(self.position)
         self.mission.site_odom = SITE.copy()
 
     def feed(self, velocity: Array | None = None) -> None:
-        legs = float(self.position[2]) - LEG_HEIGHT
+        legs = float(self.position[2]) - landing_support.LEG_HEIGHT
         grid, version = self.maps(legs)
         speed = HOVER_RADPS * np.sqrt(self.carried(legs))
-        obs = make_obs(
+        obs = landing_support.make_obs(
             self.tick,
-            imu=tuple(make_imu(self.tick, GRAVITY_MPS2) for _ in range(4)),
+            imu=tuple(landing_support.make_imu(self.tick, GRAVITY_MPS2) for _ in range(4)),
             rotor_speed_radps=np.full(4, speed),
             battery_fraction=self.battery,
         )
-        estimate = make_estimate(
+        estimate = landing_support.make_estimate(
             self.tick, Pose(np.eye(3), self.position), np.zeros(3) if velocity is None else velocity
         )
         estimate = dataclasses.replace(estimate, world_from_odom=self.world_from_odom)
-        view: MapView = dataclasses.replace(view_of(COARSE, grid), version=version)
+        view: MapView = dataclasses.replace(landing_support.view_of(COARSE, grid), version=version)
         self.mission.update(obs, estimate, view)
 
     def run(self, steps: Any, seconds: float = 120.0) -> list[Setpoint]:
@@ -130,7 +110,7 @@ def test_descent_looks_at_10_m_and_sweeps_along_the_heading_at_4_m() -> None:
     stage = Stage(SITE + [0.0, 0.0, 15.0], yaw=yaw, sweep_m=1.4)
     setpoints = stage.run(descend_to(stage.mission))
     assert stage.result is None
-    path = places(setpoints) - SITE - [0.0, 0.0, LEG_HEIGHT]
+    path = places(setpoints) - SITE - [0.0, 0.0, landing_support.LEG_HEIGHT]
     along, across = (path[:, :2] @ rotation_from_yaw(yaw)[:2, :2]).T
     np.testing.assert_allclose(across, 0.0, atol=1e-6)
     at_look, at_commit = (np.abs(path[:, 2] - height) < 0.03 for height in (10.0, 4.0))
@@ -184,7 +164,6 @@ def test_a_box_on_the_site_is_evaded_at_10_m_and_too_near_at_4_m(
     assert (stage.result is not None) == refused
     if not refused:
         site = stage.mission.committed_site_world
-        assert site is not None
         assert 1.0 < np.linalg.norm(site[:2] - SITE[:2]) < 3.0
         np.testing.assert_allclose(path[-1, :2], site[:2], atol=1e-6)
 
@@ -195,7 +174,7 @@ def test_a_box_on_the_site_is_evaded_at_10_m_and_too_near_at_4_m(
 def test_final_descent_follows_the_ground_slowly_and_not_near_it() -> None:
     """The ground is 0.15 m above the site's height; below 1.5 m the map says nonsense."""
     ground, wrong = fine(0.15), fine(1.2)
-    stage = Stage(SITE + [0.5, 0.0, 4.0 + LEG_HEIGHT])
+    stage = Stage(SITE + [0.5, 0.0, 4.0 + landing_support.LEG_HEIGHT])
     stage.maps = lambda legs: (ground, 2) if legs - 0.15 > 1.4 else (wrong, 3)
     stage.carried = lambda legs: 0.5 if legs <= 0.15 + 1e-3 else 1.0
     setpoints = stage.run(final_descent(stage.mission))
@@ -206,26 +185,26 @@ def test_final_descent_follows_the_ground_slowly_and_not_near_it() -> None:
     added = np.diff(path[:, 2]) / STEP_S - 0.5 * (speed[1:] + speed[:-1])
     assert np.max(added) == pytest.approx(0.05, abs=2e-3)
     assert added.min() > -1e-3
-    frozen = path[1:, 2] - LEG_HEIGHT - 0.15 < 1.3
+    frozen = path[1:, 2] - landing_support.LEG_HEIGHT - 0.15 < 1.3
     np.testing.assert_allclose(added[frozen], 0.0, atol=1e-3)
-    low = path[:, 2] - LEG_HEIGHT - 0.15 < 0.19
+    low = path[:, 2] - landing_support.LEG_HEIGHT - 0.15 < 0.19
     assert low.any()
     np.testing.assert_allclose(speed[low], -LandingParams().touchdown_speed_mps, atol=2e-3)
     aside = path[:, 0] - SITE[0]
     np.testing.assert_allclose(aside, 0.5 * np.exp(-STEP_S * np.arange(len(path))), atol=1e-6)
-    assert path[-1, 2] - LEG_HEIGHT == pytest.approx(0.15, abs=0.1)
+    assert path[-1, 2] - landing_support.LEG_HEIGHT == pytest.approx(0.15, abs=0.1)
 
 
 def test_a_missing_weight_high_above_the_ground_is_no_touchdown() -> None:
-    stage = Stage(SITE + [0.0, 0.0, 4.0 + LEG_HEIGHT])
+    stage = Stage(SITE + [0.0, 0.0, 4.0 + landing_support.LEG_HEIGHT])
     stage.carried = lambda legs: 0.5
     setpoints = stage.run(final_descent(stage.mission))
-    legs = min(s.position_odom[2] for s in setpoints) - LEG_HEIGHT
+    legs = min(s.position_odom[2] for s in setpoints) - landing_support.LEG_HEIGHT
     assert 0.2 < legs < 0.6
 
 
 def test_motors_stop_in_half_a_second_and_rest_for_one() -> None:
-    stage = Stage(SITE + [0.0, 0.0, 1.0 + LEG_HEIGHT])
+    stage = Stage(SITE + [0.0, 0.0, 1.0 + landing_support.LEG_HEIGHT])
     stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
     setpoints = stage.run(final_descent(stage.mission))
     ramp = [s.thrust_limit for s in setpoints if s.thrust_limit is not None]
@@ -246,13 +225,15 @@ def test_touchdown_is_found_when_the_weight_is_missing(
 ) -> None:
     """Of (1 - share) weights, low-passed over 5 samples above 0.3 for 0.12 s, or over 0.8 s above
     0.2: 0.8 ln(s / (s - 0.2)) seconds with s = 0.5 or 0.25."""
-    detector, speed = TouchdownDetector(make_rig()), HOVER_RADPS * np.sqrt(share)
+    detector, speed = TouchdownDetector(landing_support.make_rig()), HOVER_RADPS * np.sqrt(share)
     found = None
     for tick in range(3, 1800, 3):
-        obs = make_obs(
-            tick, imu=(make_imu(tick, GRAVITY_MPS2),), rotor_speed_radps=np.full(4, speed)
+        obs = landing_support.make_obs(
+            tick,
+            imu=(landing_support.make_imu(tick, GRAVITY_MPS2),),
+            rotor_speed_radps=np.full(4, speed),
         )
-        estimate = make_estimate(tick, Pose.identity(), (0.0, 0.0, -sink))
+        estimate = landing_support.make_estimate(tick, Pose.identity(), (0.0, 0.0, -sink))
         if detector.update(obs, estimate):
             found = tick / 600.0
             break
@@ -265,8 +246,8 @@ def test_touchdown_is_found_when_the_weight_is_missing(
 
 
 def test_motors_spin_up_after_the_sensors_have_settled() -> None:
-    stage = Stage(np.array([0.0, 0.0, LEG_HEIGHT]))
-    setpoints = stage.run(initialise(stage.mission))
+    stage = Stage(np.array([0.0, 0.0, landing_support.LEG_HEIGHT]))
+    setpoints = stage.run(phases.initialise(stage.mission))
     off = sum(not s.motors_on for s in setpoints)
     assert off * STEP_S == pytest.approx(1.5, abs=1.1 * STEP_S)
     assert {s.thrust_limit for s in setpoints[off:]} == {0.4}
@@ -274,10 +255,10 @@ def test_motors_spin_up_after_the_sensors_have_settled() -> None:
 
 
 def test_take_off_climbs_to_survey_height_and_turns_the_heading() -> None:
-    stage = Stage(np.array([0.0, 0.0, LEG_HEIGHT]), yaw=0.3)
+    stage = Stage(np.array([0.0, 0.0, landing_support.LEG_HEIGHT]), yaw=0.3)
     stage.mission.survey = dataclasses.replace(QUICK, climb_turn_deg=90.0)
     stage.mission.takeoff_s = None
-    setpoints = stage.run(take_off(stage.mission))
+    setpoints = stage.run(phases.take_off(stage.mission))
     assert setpoints[-1].position_odom == pytest.approx([0.0, 0.0, QUICK.height_m])
     assert setpoints[-1].yaw_odom == pytest.approx(0.3 + np.pi / 2)
     assert stage.mission.takeoff_s == 0.0
@@ -296,15 +277,15 @@ def test_the_way_to_the_site_keeps_its_margin(top: float, aside: float, expected
     height = np.zeros((120, 120))
     row, col = int((aside + 10.0) / 0.2), int((8.0 + 10.0) / 0.2)
     height[row : row + 2, col : col + 2] = top
-    grid = make_grid(height, origin=(-10.0, -10.0), returns=2, sigma=0.0)
-    stage.mission.map_view = view_of(grid)
+    grid = landing_support.make_grid(height, origin=(-10.0, -10.0), returns=2, sigma=0.0)
+    stage.mission.map_view = landing_support.view_of(grid)
     site = np.array([10.0, 0.0, 0.0])
-    assert approach_height(stage.mission, stage.position, site) == pytest.approx(expected)
+    assert phases.approach_height(stage.mission, stage.position, site) == pytest.approx(expected)
 
 
 def test_the_survey_lies_along_the_heading_of_the_start() -> None:
     stage = Stage(np.array([0.0, 0.0, 20.0]), yaw=0.5)
-    path = places(stage.run(survey(stage.mission))) @ rotation_from_yaw(0.5)
+    path = places(stage.run(phases.survey(stage.mission))) @ rotation_from_yaw(0.5)
     assert path[-1] == pytest.approx([0.0, 10.0, 20.0], abs=0.05)
     assert 20.0 < path[:, 0].max() < 30.0
     assert path[:, 1].min() > -1e-6 and path[:, 1].max() < 10.0 + 1e-6
@@ -313,7 +294,7 @@ def test_the_survey_lies_along_the_heading_of_the_start() -> None:
 
 def test_a_decision_takes_its_time_and_sets_the_site() -> None:
     stage = Stage(np.array([0.0, 0.0, 20.0]), decision_latency_s=0.4)
-    setpoints = stage.run(select(stage.mission))
+    setpoints = stage.run(phases.select(stage.mission))
     assert len(setpoints) * STEP_S == pytest.approx(0.5 + 0.4, abs=3.0 * STEP_S)
     assert np.ptp(places(setpoints), axis=0) == pytest.approx(0.0, abs=1e-9)
     (decision,) = stage.mission.decisions
@@ -325,7 +306,7 @@ def test_a_decision_takes_its_time_and_sets_the_site() -> None:
 def test_a_refused_site_is_remembered_and_its_decision_says_why() -> None:
     stage = Stage(np.array([0.0, 0.0, 20.0]), go_arounds=0)
     stage.maps = lambda legs: (RUBBLE if legs < 12.0 else None, 1)
-    stage.run(land_somewhere(stage.mission))
+    stage.run(phases.land_somewhere(stage.mission))
     assert stage.result is False and stage.mission.no_site
     refused, decision = stage.mission.refused_odom, stage.mission.decisions[-1]
     assert len(refused) == 1
@@ -337,11 +318,11 @@ def test_a_refused_site_is_remembered_and_its_decision_says_why() -> None:
 def test_strong_wind_makes_sites_beside_obstacles_less_probable() -> None:
     height = np.zeros((100, 100))
     height[5::20, 5::20] = 1.0
-    grid = make_grid(height, origin=(-10.0, -10.0), returns=8)
+    grid = landing_support.make_grid(height, origin=(-10.0, -10.0), returns=8)
     found = []
     for wind in (0.0, 12.0):
         stage = Stage(np.array([0.0, 0.0, 20.0]), min_safe_probability=0.0, gust_drift_s=0.1)
-        stage.mission.map_view = view_of(grid)
+        stage.mission.map_view = landing_support.view_of(grid)
         stage.mission.wind._wind = np.array([wind, 0.0])
         found.append(sum(site.safe_probability for site in choose_sites(stage.mission)[:4]))
     assert found[1] < found[0] - 0.01
@@ -350,7 +331,7 @@ def test_strong_wind_makes_sites_beside_obstacles_less_probable() -> None:
 def test_the_way_home_is_flown_at_survey_height() -> None:
     stage = Stage(np.array([6.0, 0.0, 9.0]))
     stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
-    path = places(stage.run(return_home(stage.mission)))
+    path = places(stage.run(phases.return_home(stage.mission)))
     aside = (path[:, 0] > 0.01) & (path[:, 0] < 5.99)
     assert aside.any()
     np.testing.assert_allclose(path[aside, 2], QUICK.height_m, atol=0.01)
@@ -364,7 +345,7 @@ def test_a_search_leg_lies_beside_the_last_one_and_begins_at_its_nearer_end() ->
     turn = rotation_from_yaw(yaw)
     for here, ends in ((0.0, (0.0, 20.0)), (20.0, (20.0, 0.0))):
         stage = Stage(turn @ [here, 10.0, 20.0], yaw=yaw)
-        path = places(stage.run(search_leg(stage.mission, 1))) @ turn
+        path = places(stage.run(phases.search_leg(stage.mission, 1))) @ turn
         np.testing.assert_allclose(path[:, 2], 20.0, atol=1e-6)
         assert path[-1] == pytest.approx([ends[1], 30.0, 20.0], abs=0.01)
         passed = np.linalg.norm(path - [ends[0], 30.0, 20.0], axis=1).min()
@@ -374,7 +355,7 @@ def test_a_search_leg_lies_beside_the_last_one_and_begins_at_its_nearer_end() ->
 
 def test_a_go_around_climbs_to_survey_height_on_the_spot() -> None:
     stage = Stage(SITE + [0.0, 0.0, 9.0])
-    path = places(stage.run(climb_back(stage.mission)))
+    path = places(stage.run(phases.climb_back(stage.mission)))
     assert path[-1] == pytest.approx([*SITE[:2], QUICK.height_m], abs=0.01)
     np.testing.assert_allclose(path[:, :2], np.tile(SITE[:2], (len(path), 1)), atol=1e-9)
 
@@ -387,7 +368,7 @@ def test_an_aborted_flight_comes_down_where_the_wind_has_blown_it(
     stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
     stage.position = stage.position + [blown, 0.0, 0.0]
     stage.feed()
-    stage.run(come_down_here(stage.mission))
+    stage.run(phases.come_down_here(stage.mission))
     assert stage.position[0] - SITE[0] == pytest.approx(lands_at, abs=0.02)
 
 
@@ -426,8 +407,8 @@ def test_costs_of_segments_by_hand() -> None:
     blind = dataclasses.replace(params, second_look=False)
     assert energy.landing_time_s(20.0, blind) == pytest.approx(28.0)
     assert energy.return_time_s(40.0, 20.0, params) == pytest.approx(1.2 * (15.0 + landing))
-    survey = SurveyParams(leg_length_m=40.0, leg_spacing_m=16.0)
-    assert energy.search_leg_time_s(survey, params) == pytest.approx(1.2 * (15.0 + 8.0))
+    legs = SurveyParams(leg_length_m=40.0, leg_spacing_m=16.0)
+    assert energy.search_leg_time_s(legs, params) == pytest.approx(1.2 * (15.0 + 8.0))
     around = 1.2 * (20.0 / 3.0 + 3.0 + landing)
     assert energy.go_around_time_s(20.0, params) == pytest.approx(around)
 

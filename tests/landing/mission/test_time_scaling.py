@@ -7,16 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams, Phase, SurveyParams
+from touchdown.landing.mission import time_scaling
 from touchdown.landing.mission.thrust_need import need
-from touchdown.landing.mission.time_scaling import (
-    BRAKE_PER_S,
-    JERK_PER_S2,
-    SPEED_UP_PER_S,
-    TimeScaling,
-    _load,
-    next_rate,
-    scaled,
-)
 from touchdown.landing.mission.trajectory import State, survey_trajectory, through
 from touchdown.landing.mission.wind import FeltWind
 from touchdown.sim.api import GRAVITY_MPS2
@@ -34,7 +26,7 @@ SURVEY = survey_trajectory(np.array([0.0, 0.0, 30.0]), 0.4, SurveyParams())
 
 def _flown(wind: Array, seconds: float, behind_m: float = 0.0) -> tuple[Array, ...]:
     """Times, rates, their derivatives and the reference along the survey in a steady wind."""
-    scaling = TimeScaling(VEHICLE, SLOWING)
+    scaling = time_scaling.TimeScaling(VEHICLE, SLOWING)
     scaling.begin(SURVEY, wind)
     rows = []
     for step in range(round(seconds / STEP_S)):
@@ -47,18 +39,11 @@ def _flown(wind: Array, seconds: float, behind_m: float = 0.0) -> tuple[Array, .
                 now,
                 scaling.rate,
                 scaling.change,
-                *scaled(SURVEY.sample(at_s), scaling.rate, scaling.change),
+                *time_scaling.scaled(SURVEY.sample(at_s), scaling.rate, scaling.change),
             )
         )
         scaling.advance(SURVEY, at_s, STEP_S, wind, behind_m)
     return tuple(np.array(column) for column in zip(*rows, strict=True))
-
-
-def test_hover_in_still_air_needs_its_hover_speed() -> None:
-    found = need(VEHICLE, np.zeros(3), np.zeros(3))
-    hover = np.sqrt(VEHICLE.mass_kg * GRAVITY_MPS2 / (4.0 * VEHICLE.thrust_coefficient))
-    assert found.speed_share == pytest.approx(hover / VEHICLE.rotor_speed_max, rel=1e-4)
-    assert found.tilt_rad == pytest.approx(0.0, abs=1e-6)
 
 
 def test_climbing_needs_the_thrust_that_inflow_takes() -> None:
@@ -119,22 +104,22 @@ def test_rate_and_its_derivatives_keep_their_bounds() -> None:
     for step in range(20_000):
         if step % 150 == 0:
             target = float(rng.choice([0.0, 1.0, rng.uniform()]))
-        rate, change = next_rate(rate, change, target, STEP_S)
+        rate, change = time_scaling.next_rate(rate, change, target, STEP_S)
         rates.append(rate)
         changes.append(change)
     assert min(rates) >= 0.0
     assert max(rates) <= 1.0
-    assert min(changes) >= -BRAKE_PER_S - 1e-12
-    assert max(changes) <= SPEED_UP_PER_S + 1e-12
+    assert min(changes) >= -time_scaling.BRAKE_PER_S - 1e-12
+    assert max(changes) <= time_scaling.SPEED_UP_PER_S + 1e-12
     inside = (np.array(rates[1:]) > 0.02) & (np.array(rates[1:]) < 0.98)
-    assert np.abs(np.diff(changes))[inside].max() <= JERK_PER_S2 * STEP_S + 1e-12
+    assert np.abs(np.diff(changes))[inside].max() <= time_scaling.JERK_PER_S2 * STEP_S + 1e-12
 
 
 @pytest.mark.parametrize("target", [0.0, 1.0])
 def test_rest_and_full_rate_are_reached_exactly(target: float) -> None:
     rate, change = 0.5, 0.0
     for _ in range(6_000):
-        rate, change = next_rate(rate, change, target, STEP_S)
+        rate, change = time_scaling.next_rate(rate, change, target, STEP_S)
     assert (rate, change) == (target, 0.0)
 
 
@@ -163,14 +148,6 @@ def test_slowed_survey_needs_no_more_than_the_margin() -> None:
     assert max(shares) < params.wind_thrust_share + 0.02
 
 
-def test_slowing_is_off_by_default() -> None:
-    scaling, gale = TimeScaling(VEHICLE, LandingParams()), np.array([-16.0, 0.0, 0.0])
-    scaling.begin(SURVEY, gale)
-    for _ in range(1000):
-        scaling.advance(SURVEY, 5.0, STEP_S, gale, 5.0)
-    assert (scaling.rate, scaling.lost_s) == (1.0, 0.0)
-
-
 def test_clock_waits_for_a_vehicle_that_falls_behind() -> None:
     assert (_flown(np.zeros(3), 10.0, behind_m=0.5)[1] == 1.0).all()
     assert _flown(np.zeros(3), 20.0, behind_m=2.5)[1][-1] == 0.0
@@ -179,7 +156,10 @@ def test_clock_waits_for_a_vehicle_that_falls_behind() -> None:
 def test_weak_rotors_slow_the_clock_earlier() -> None:
     wind = np.array([-7.0, 0.0, 0.0])
     leg = through([State(np.zeros(3)), State(np.array([60.0, 0.0, 0.0]))], [15.0])
-    nominal, weak = TimeScaling(VEHICLE, SLOWING), TimeScaling(VEHICLE, SLOWING)
+    nominal, weak = (
+        time_scaling.TimeScaling(VEHICLE, SLOWING),
+        time_scaling.TimeScaling(VEHICLE, SLOWING),
+    )
     share = need(VEHICLE, -wind, np.zeros(3)).speed_share
     for _ in range(200):
         weak.learn(-wind, np.zeros(3), 1.12 * share * VEHICLE.rotor_speed_max, 0.1)
@@ -198,12 +178,12 @@ def test_clock_slows_before_the_path_asks_too_much() -> None:
     """Before the load reaches its limit, by what braking at 0.2 a second leaves."""
     wind = np.array([-7.0, 0.0, 0.0])
     leg = through([State(np.zeros(3)), State(np.array([60.0, 0.0, 0.0]))], [9.0])
-    scaling = TimeScaling(VEHICLE, SLOWING)
+    scaling = time_scaling.TimeScaling(VEHICLE, SLOWING)
 
     def allows_itself(at_s: float) -> bool:
         _, velocity, acceleration = leg.sample(at_s)
         air = velocity - scaling._gusts * wind
-        return _load(air, acceleration, scaling._coefficients, scaling._limits) < 1.0
+        return time_scaling._load(air, acceleration, scaling._coefficients, scaling._limits) < 1.0
 
     first = next(t for t in np.arange(0.0, 4.5, 0.05) if not allows_itself(t))
     assert allows_itself(first - 0.3)

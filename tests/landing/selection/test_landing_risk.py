@@ -2,22 +2,13 @@
 scikit-image's."""
 
 import dataclasses
-from collections.abc import Callable
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from touchdown.experiments.benchmarks.selection.stages import STAGES, staged_selection
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection import risk
-from touchdown.landing.selection.clustering import (
-    _follow,
-    _nearest_higher,
-    _search_offsets,
-    bandwidths,
-)
 from touchdown.landing.selection.risk_features import NAMES, RiskFeatures
 from touchdown.landing.selection.selector import SelectionLimits, select_sites
 from touchdown.sim.frames import Pose
@@ -135,61 +126,3 @@ def test_stages_agree_with_open3d_scipy_and_scikit_image() -> None:
     assert np.corrcoef(ours.total[both], theirs.total[both])[0, 1] > 0.97
     best = [s.modes[np.argmax(s.total[tuple(s.modes.T)])] for s in (ours, theirs)]
     assert np.hypot(*(best[0] - best[1])) * 0.2 < 1.0
-
-
-def density_of_scikit_image(picture: np.ndarray, bandwidth: float) -> np.ndarray:
-    """Kernel density in space and colour together, on a window of three bandwidths."""
-    reach = int(np.ceil(3.0 * bandwidth))
-    rows, cols, _ = picture.shape
-    total = np.zeros((rows, cols))
-    for dr in range(-reach, reach + 1):
-        for dc in range(-reach, reach + 1):
-            a = picture[max(dr, 0) : rows + min(dr, 0), max(dc, 0) : cols + min(dc, 0)]
-            b = picture[max(-dr, 0) : rows + min(-dr, 0), max(-dc, 0) : cols + min(-dc, 0)]
-            squared = ((a - b) ** 2).sum(axis=2) + dr**2 + dc**2
-            target = total[max(dr, 0) : rows + min(dr, 0), max(dc, 0) : cols + min(dc, 0)]
-            target += np.exp(-squared / (2.0 * bandwidth**2))
-    return total
-
-
-def hills() -> np.ndarray:
-    r, c = np.mgrid[0:48, 0:64]
-    places = ((12, 14), (33, 20), (20, 47), (38, 52))
-    return 0.5 * sum(np.exp(-((r - a) ** 2 + (c - b) ** 2) / 50.0) for a, b in places)
-
-
-def photograph() -> np.ndarray:
-    """What the camera sees of `crossroad`, small and a little blurred."""
-    file = Path(__file__).parents[3] / "docs" / "images" / "crossroad_camera.png"
-    grey = cv2.resize(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), (96, 96),
-                      interpolation=cv2.INTER_AREA)  # fmt: skip
-    return 2.0 / 255.0 * cv2.GaussianBlur(grey.astype(np.float64), (0, 0), 2.0)
-
-
-@pytest.mark.parametrize(("image", "count", "shared"), [(hills, 5, 0.9), (photograph, 17, 0.85)])
-def test_quick_shift_finds_the_modes_of_scikit_image(
-    image: Callable[[], np.ndarray], count: int, shared: float
-) -> None:
-    """On the same density. Which neighbour is nearest depends there on colour as well: modes are
-    the same, borders between clusters only nearly."""
-    segmentation = pytest.importorskip("skimage.segmentation")
-    picture = np.repeat(image()[..., None], 3, axis=2)
-    bandwidth, radius = 3.0, 8.0
-    labels = segmentation.quickshift(picture, kernel_size=bandwidth, max_dist=radius,
-                                     ratio=1.0, convert2lab=False, rng=0)  # fmt: skip
-    density = density_of_scikit_image(picture, bandwidth).astype(np.float32)
-    root = _follow(_nearest_higher(density, _search_offsets(radius))).reshape(density.shape)
-    ours = np.unique(root, return_inverse=True)[1].reshape(density.shape)
-    overlap = np.zeros((ours.max() + 1, labels.max() + 1))
-    np.add.at(overlap, (ours, labels), 1.0)
-    assert ours.max() + 1 == labels.max() + 1 == count
-    assert overlap.max(axis=0).sum() / ours.size > shared
-    modes = np.column_stack(np.divmod(np.unique(root), density.shape[1]))
-    for label in range(count):
-        top = np.where(labels == label, density, -np.inf).argmax()
-        place = np.array(divmod(int(top), density.shape[1]))
-        assert np.hypot(*(modes - place).T).min() <= 1.5
-
-
-def test_bandwidth_follows_from_the_footprint() -> None:
-    assert bandwidths(2.0) == (3.0, 12.0)

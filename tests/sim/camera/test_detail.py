@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-import functools
 from pathlib import Path
 
 import cv2
@@ -16,6 +15,8 @@ from touchdown.sim.api import CameraParams
 from touchdown.sim.camera import detail
 from touchdown.sim.camera.sensor import CameraSensor
 
+from support.places import cached_scene
+
 SIZE = (200, 120)
 PLACE = """<mujoco><worldbody>
   <geom name="field_floor" type="plane" size="0 0 1" rgba="0.5 0.5 0.5 1"/>
@@ -28,11 +29,6 @@ PLACE = """<mujoco><worldbody>
 def params(**changes: object) -> CameraParams:
     plain = CameraParams(width=SIZE[0], height=SIZE[1], noise_sigma=0.0)
     return dataclasses.replace(plain, **changes)  # type: ignore[arg-type]
-
-
-@functools.cache
-def flat() -> Scene:
-    return load_scene("flat", 0)
 
 
 @pytest.fixture
@@ -147,7 +143,7 @@ def test_lookup_knows_ground_by_its_class(place: Scene) -> None:
 
 
 def test_raster_says_what_the_ground_is() -> None:
-    scene = load_scene("snow", 0)
+    scene = cached_scene("snow")
     assert scene.ground is not None and scene.ground.detail_id is not None
     water = scene.ground.class_id == 5
     assert (scene.ground.detail_id[water] == NO_DETAIL_ID).all()
@@ -158,13 +154,13 @@ def test_raster_says_what_the_ground_is() -> None:
 
 def test_grain_is_off_by_default_and_absent_from_above() -> None:
     assert CameraParams().detail is False
-    scene = flat()
+    scene = cached_scene("flat")
     xy = tuple(scene.takeoff_xy_m)
     np.testing.assert_array_equal(picture(scene, xy, 11.0), picture(scene, xy, 11.0, detail=True))
 
 
 def test_grain_is_seen_and_keeps_the_colour() -> None:
-    scene = flat()
+    scene = cached_scene("flat")
     xy = tuple(scene.takeoff_xy_m)
     plain, grained = picture(scene, xy, 0.4), picture(scene, xy, 0.4, detail=True)
     assert fine(grained) > 3.0 * fine(plain)
@@ -198,7 +194,7 @@ def test_things_and_water_have_no_grain(place: Scene) -> None:
 
 def test_bands_and_lens_show_the_same_grain() -> None:
     """A distorted image, drawn through a wider raster, keeps the grain of its middle."""
-    scene = flat()
+    scene = cached_scene("flat")
     xy = tuple(scene.takeoff_xy_m)
     straight = picture(scene, xy, 1.0, detail=True)
     bent = picture(scene, xy, 1.0, detail=True, distortion=(0.05, 0.0, 0.0, 0.0, 0.0))

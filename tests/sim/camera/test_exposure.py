@@ -128,15 +128,10 @@ def test_shot_noise_has_the_variance_of_the_mean_electrons(
     """Few electrons, so that their noise is far above the steps of grey levels."""
     well = 800.0
     params = CameraParams(
-        exposure=True,
-        full_well_e=well,
-        read_noise_e=read_noise_e,
-        exposure_min_s=0.01,
-        exposure_max_s=0.01,
-        gain_max=gain,
-        electrons_per_lux_s=well / gain / (LIGHT_LUX["day"] * 0.01) * (MIDDLE_GREY * 3.0),
-        gain=1.0,
-    )
+        exposure=True, full_well_e=well, read_noise_e=read_noise_e, exposure_min_s=0.01,
+        exposure_max_s=0.01, gain_max=gain,
+        electrons_per_lux_s=well / gain / (LIGHT_LUX["day"] * 0.01) * (MIDDLE_GREY * 3.0), gain=1.0,
+    )  # fmt: skip
     image = still(make_scene(floor="0.55 0.55 0.55 1"), params)
     electrons = linear(image[60:-60, 60:-60]) * well / gain
     mean = electrons.mean()
@@ -179,9 +174,3 @@ def test_light_and_lamp_are_noted(below_m: float, lamp: float) -> None:
     if lamp == 0.0:
         assert 2e-4 < noted["light_lux"].mean_amount < 2e-3
         assert noted["gain"].mean_amount == CameraParams().gain_max
-
-
-def test_ideal_images_know_nothing_of_all_this() -> None:
-    sensor = CameraSensor(make_scene(), CameraParams(), 0)
-    assert not sensor.exposes_rows
-    assert not sensor.takes_time

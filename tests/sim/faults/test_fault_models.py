@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.errors import UsageError
 from touchdown.scenes.api import Scene
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.airframe.rotors import Rotors
 from touchdown.sim.airframe.vehicle import RotorGeometry
 from touchdown.sim.api import (
@@ -29,6 +28,7 @@ from touchdown.sim.world import MujocoWorld
 
 from support.fault_support import HZ, STEP, delivered
 from support.lidar_support import DOWN
+from support.places import scene_of
 from support.worlds import load_ideal_config as load_config
 
 Array = NDArray[np.float64]
@@ -147,13 +147,11 @@ def test_a_miscalibrated_mount_is_off_by_the_stated_amounts() -> None:
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    path = tmp_path_factory.mktemp("place") / "place.xml"
-    path.write_text(
+def scene() -> Scene:
+    return scene_of(
         '<mujoco><worldbody><geom name="lawn" type="plane" size="60 60 0.1" rgba="0.3 0.5 0.2 1"/>'
         '<geom name="wall" type="box" size="1 4 2" pos="6 0 2"/></worldbody></mujoco>'
     )
-    return load_scene(str(path), 0)
 
 
 def params_with(faults: FaultParams) -> WorldParams:

@@ -6,9 +6,10 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
-from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.lidar.raycast_scene import FIRST_HIDDEN_GROUP, LidarScene
+
+from support.places import cached_scene
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -53,7 +54,6 @@ def mujoco_distances(scene: Scene, rays: Float32) -> Array:
 
 def share_within_1_mm(scene: Scene, rays: Float32) -> float:
     target = LidarScene(scene).static
-    assert target is not None
     ours, theirs = target.cast(rays).distance.astype(np.float64), mujoco_distances(scene, rays)
     missed = np.isinf(ours) & np.isinf(theirs)
     return float(np.mean(missed | (np.abs(np.where(missed, 0.0, ours) - theirs) < 1e-3)))
@@ -125,17 +125,15 @@ def scene_rays(scene: Scene, count: int) -> Float32:
     ],
 )
 def test_scenes_as_in_mujoco(name: str) -> None:
-    scene = load_scene(name, 0)
-    count = 100_000
-    assert share_within_1_mm(scene, scene_rays(scene, count)) > 0.999
+    scene = cached_scene(name)
+    assert share_within_1_mm(scene, scene_rays(scene, 50_000)) > 0.999
 
 
 def test_open_ground_is_a_shortcut_and_nothing_else() -> None:
     """Marching rays over the terrain gives what the general caster gives."""
-    scene = load_scene("crossroad", 1)
+    scene = cached_scene("crossroad")
     rays = scene_rays(scene, 50_000)
     target = LidarScene(scene).static
-    assert target is not None
     quick, others = target.cast_apart(rays)
     general = target.cast_all(rays)
     assert 0.05 < len(others) / len(rays) < 0.8
