@@ -187,16 +187,6 @@ def test_commands_in_prose_exist(page: Path) -> None:
                 pytest.fail(f"{name_of(page)}: {code}: {error.message}")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_options_in_prose_exist(page: Path) -> None:
-    """Options that are written without their command are options of some command."""
-    described = _site_hooks().help_of_commands() + text_of("experiments/pytest_plugin.py")
-    known = set(re.findall(r"--[a-z][\w-]*", described))
-    for code in inline_of(page):
-        if code.startswith("--"):
-            assert code.split()[0].split("=")[0] in known, f"{name_of(page)}: {code}"
-
-
 def test_the_overview_names_every_command_once() -> None:
     table = " ".join(row[0] for row in rows_of("docs/command-overview.md", "command")) + " "
     for command in _leaves(cli.cli):
@@ -206,14 +196,6 @@ def test_the_overview_names_every_command_once() -> None:
 
 def test_the_front_page_is_two_screens() -> None:
     assert len(text_of("README.md").splitlines()) <= 110
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_make_targets_exist(page: Path) -> None:
-    targets = set(re.findall(r"^(\w+):", text_of("Makefile"), re.MULTILINE))
-    for text in (*blocks_of(page, "sh"), *inline_of(page)):
-        for target in re.findall(r"^make (\w+)", text, re.MULTILINE):
-            assert target in targets, f"{name_of(page)}: make {target}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -22,15 +22,6 @@ def test_files_that_are_named_exist(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_modules_in_tables_exist(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    for folder in re.findall(r"^\| module of `(\w+)/`", text, re.MULTILINE):
-        for cells in rows_of(name_of(page), f"module of `{folder}/`"):
-            for module in re.findall(r"`([\w/]+(?:\.py)?/?)`", cells[0]):
-                assert (ROOT / folder / module).exists(), f"{name_of(page)}: {folder}/{module}"
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_dotted_names_are_keys_or_can_be_imported(page: Path) -> None:
     """Keys of the configuration, keys of a run's result, or names in the code."""
     keys = load_config(profile="ideal").model_dump()

@@ -290,12 +290,3 @@ def test_battery_counts_shaft_and_hotel_power() -> None:
     assert battery.fraction == 0.0
     with pytest.raises(ValueError, match=r"battery_capacity_j"):
         Battery(0.0)
-
-
-def test_hover_power_is_that_of_a_four_kilogram_quadrotor(
-    alone: mujoco.MjModel, vehicle: VehicleModel
-) -> None:
-    power = _spinning(alone, vehicle, _hover_speed(vehicle)).shaft_power()
-    assert power == pytest.approx(4.0 * vehicle.torque_coefficient * _hover_speed(vehicle) ** 3)
-    endurance_s = 700e3 / (power / DRIVE_EFFICIENCY + HOTEL_LOAD_W)
-    assert 15.0 < endurance_s / 60.0 < 30.0

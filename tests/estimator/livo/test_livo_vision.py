@@ -88,17 +88,6 @@ def test_other_ground_is_not_taken_for_that_of_the_keyframe() -> None:
     assert shares[0] > 0.9 and shares[1] < 0.1
 
 
-def test_a_blank_image_tracks_nothing() -> None:
-    key = imu_pose((0.0, 0.0, 12.0), (0.0, 0.0, 0.0)) @ IMU_FROM_CAMERA
-    source = grey_levels(view(key))
-    black = grey_levels(np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8))
-    pixels = detect_features(source[0], 100)
-    planes = np.tile(plane_in(key), (len(pixels), 1))
-    found, _, _ = track(source, black, pixels, planes, Pose.identity(), CAMERA)
-    assert not found.any()
-    assert len(detect_features(black[0], 100)) == 0
-
-
 def test_feature_planes_fit_a_slope_and_refuse_a_step() -> None:
     rng = np.random.default_rng(4)
     normal = np.array([0.1, -0.05, 1.0])

@@ -4,7 +4,6 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-import mujoco
 import numba
 import numpy as np
 import pytest
@@ -122,22 +121,6 @@ def test_overhead_of_a_short_flight(lawn_file: Path, tmp_path: Path) -> None:
     assert excess == pytest.approx(loop_ms["all"] - bare_ms["all"])
     counted = {name for name in loop_ms if name not in ("all", *loop_overhead.NOT_OVERHEAD)}
     assert loop_ms["all"] == pytest.approx(sum(loop_ms[name] for name in counted))
-
-
-def test_bare_physics_is_mujoco_s_own_step(lawn: Scene) -> None:
-    """The measured call is ``mj_step`` alone: the same state as stepping by hand."""
-    world = BareWorld(lawn, WorldParams(), 0)
-    truth = truth_at(20.0, rotor_speed=400.0)
-    world.physics(truth, 12)
-    data = mujoco.MjData(lawn.model)
-    data.qpos[:3], data.qpos[3:7] = truth.world_from_body.translation, [1.0, 0.0, 0.0, 0.0]
-    data.qvel[:3] = truth.velocity_world
-    data.xfrc_applied[:] = world._data.xfrc_applied
-    for _ in range(12):
-        mujoco.mj_step(lawn.model, data)
-    np.testing.assert_array_equal(data.qpos, world._data.qpos)
-    assert world._data.xfrc_applied[:, 2].max() > 10.0
-    world.close()
 
 
 def test_a_measurement_during_compilation_is_repeated() -> None:

@@ -1,6 +1,5 @@
 """``touchdown bench imu``: reading recordings, and the fit of the vibration's levels."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from touchdown.experiments.benchmarks.imu_spectra import (
     read_recordings,
     recorded_vibration,
 )
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.sim.vibration import HARMONIC_RMS, PropellerVibration
 
@@ -80,19 +78,3 @@ def test_a_fit_reproduces_the_bands_of_what_it_is_given(
     levels = found["harmonics"], found["modes"]
     again = band_rms(recorded_vibration(seconds=60.0, seed=3, levels=levels), RECORDED_HZ)
     np.testing.assert_allclose(again, found["recorded"], rtol=0.25)
-
-
-def test_the_command_prints_a_table_or_json_and_draws(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(imu_spectra, "_SECONDS", 10.0)
-    write(tmp_path, recorded_vibration(seconds=10.0))
-    out = tmp_path / "figures"
-    assert cli.main(["bench", "imu", "--data", str(tmp_path), "--out", str(out)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split("  ")[0] for line in lines[1:]] == list(imu_spectra.AXES)
-    assert (out / "imu_spectra.png").stat().st_size < 150_000
-    assert cli.main(["bench", "imu", "--data", str(tmp_path), "--json"]) == 0
-    assert set(json.loads(capsys.readouterr().out)) == {
-        "recorded", "simulated", "harmonics", "modes",
-    }  # fmt: skip

@@ -17,16 +17,6 @@ def test_the_page_has_every_key_once_with_a_meaning() -> None:
     assert [key for key in keys if not reference.meaning_of(key)] == []
 
 
-@pytest.mark.parametrize(("key", "unit"), [
-    ("survey.height_m", "m"), ("wind.mean_kmh", "km/h"), ("landing.touchdown_speed_mps", "m/s"),
-    ("paper.closure_rate_deg_s", "°/s"), ("control.rate_radps", "rad/s"),
-    ("sim.imu_ticks", "ticks"), ("livo.camera_hz", "Hz"), ("landing.max_missing_ratio", ""),
-    ("survey.legs", ""), ("bias.xy_m", "m"), ("gps.antenna_body_m", "m"),
-])  # fmt: skip
-def test_units_follow_the_names(key: str, unit: str) -> None:
-    assert reference.unit_of(key) == unit
-
-
 def test_defaults_can_be_given_back() -> None:
     pairs = [(key, reference.default_of(key).strip("`")) for key in known_keys()]
     texts = [f"{key}={text}" for key, text in pairs if text != "none"]

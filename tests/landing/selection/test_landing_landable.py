@@ -1,7 +1,5 @@
 """The geometric check on synthetic ground, and touchdown detection."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -217,11 +215,3 @@ def test_touchdown_is_detected_where_the_estimate_rises_and_the_vehicle_bounces(
         if detector.update(obs, make_estimate(3 * step, Pose.identity(), (0.0, 0.0, 0.3))):
             break
     assert 0.2 < step * 0.005 < 1.0
-
-
-def test_literal_form_is_available_end_to_end() -> None:
-    params = dataclasses.replace(PARAMS, flatness_form="literal")
-    view = view_of(make_grid(ground()))
-    sites = select_sites(view, ABOVE, params, footprint_radius_m=0.5).candidates
-    assert sites
-    assert sites[0].accepted

@@ -82,11 +82,3 @@ def test_pattern_does_not_repeat(name: str) -> None:
         other = scan_pattern.directions(tenth * count, count)
         apart = np.rad2deg(np.linalg.norm(first - other, axis=1))
         assert np.median(apart) > 0.05
-
-
-def test_six_lasers_fan_out_in_the_short_direction() -> None:
-    """Within 25 microseconds the prisms hardly turn: the lasers' own spread of 2 * 0.03661 rad
-    remains, refracted a little."""
-    _, elevation = angles_deg(HORIZON.directions(0, 6))
-    assert np.all(np.diff(elevation) > 0.0)
-    assert np.ptp(elevation) == pytest.approx(np.rad2deg(2 * 0.03661), rel=0.25)
