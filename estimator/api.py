@@ -22,13 +22,7 @@ from touchdown.estimator.parameters import MapperParams as MapperParams
 from touchdown.estimator.parameters import OpticalFlowParams as OpticalFlowParams
 from touchdown.estimator.parameters import PaperParams as PaperParams
 from touchdown.estimator.parameters import StereoParams as StereoParams
-from touchdown.sim.api import (
-    CameraImage,
-    CameraIntrinsics,
-    Observation,
-    SensorNeeds,
-    SensorRig,
-)
+from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]

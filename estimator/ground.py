@@ -54,12 +54,9 @@ _CONVERGED_M = 1e-4
 class _Heights(NamedTuple):
     """Histograms of the returns of each cell."""
 
-    histogram: Bytes
-    """(rows, cols, bins)"""
-    base: Float32
-    """(rows, cols) m, lower side of the first bin"""
-    ends: Bytes
-    """(rows, cols, 2) first and one past the last bin with returns"""
+    histogram: Bytes  # (rows, cols, bins)
+    base: Float32  # (rows, cols) m, lower side of the first bin
+    ends: Bytes  # (rows, cols, 2) first and one past the last bin with returns
 
 
 def ground_of(

@@ -58,13 +58,9 @@ def update_heading(eskf: Eskf, field_imu: Array, azimuth: float, sigma: float) -
     rotation = eskf.state.rotation
     residual = wrap_angle(azimuth - heading_of(rotation, field_imu))
     update(
-        eskf,
-        np.arange(3)[ROTATION],
-        rotation[2:3],
-        np.array([residual]),
-        np.array([[sigma * sigma]]),
-        gate=3.0,
-    )
+        eskf, np.arange(3)[ROTATION], rotation[2:3], np.array([residual]),
+        np.array([[sigma * sigma]]), gate=3.0,
+    )  # fmt: skip
 
 
 def update_velocity(eskf: Eskf, fix: GpsFix, lever_imu: Array, rate_imu: Array) -> float:
@@ -102,10 +98,6 @@ class BaroHeight:
             residual = float(np.mean(heights)) - self._sum / self._count - then
             variance = self._sigma_m**2 / len(heights)
             update(
-                eskf,
-                np.arange(6)[POSITION][2:],
-                np.ones((1, 1)),
-                np.array([residual]),
-                np.array([[variance]]),
-                gate=4.0,
-            )
+                eskf, np.arange(6)[POSITION][2:], np.ones((1, 1)), np.array([residual]),
+                np.array([[variance]]), gate=4.0,
+            )  # fmt: skip

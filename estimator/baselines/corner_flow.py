@@ -20,15 +20,9 @@ def follow(before: Grey, now: Grey, pixels: Array, guess: Array) -> tuple[NDArra
     if len(pixels) == 0:
         return np.zeros(0, np.int64), np.zeros((0, 2))
     found, good, _ = cv2.calcOpticalFlowPyrLK(
-        before,
-        now,
-        pixels.astype(np.float32)[:, None],
-        guess.astype(np.float32)[:, None].copy(),
-        winSize=_WINDOW,
-        maxLevel=_LEVELS,
-        criteria=_STOP,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
+        before, now, pixels.astype(np.float32)[:, None], guess.astype(np.float32)[:, None].copy(),
+        winSize=_WINDOW, maxLevel=_LEVELS, criteria=_STOP, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
     reached = found[:, 0].astype(np.float64)
     height, width = now.shape
     inside = (reached >= 0.0).all(axis=1) & (reached <= [width - 1, height - 1]).all(axis=1)

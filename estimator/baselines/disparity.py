@@ -96,11 +96,7 @@ class GroundHeight:
 
 
 def inverse_depths(
-    found: NDArray[np.int64],
-    shifts: Array,
-    ground_m: Array,
-    scale: float,
-    params: StereoParams,
+    found: NDArray[np.int64], shifts: Array, ground_m: Array, scale: float, params: StereoParams
 ) -> tuple[Array, Array]:
     """(N,) inverse depths of corners and their variances: those of the ground ``ground_m`` (N,),
     updated by the disparities ``shifts`` (M,) of the corners ``found`` (M,), as far as these

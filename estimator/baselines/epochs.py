@@ -111,13 +111,11 @@ class EpochQueue:
         inbox = self._inbox
         images, fixes = _split(inbox.images, tick), _split(inbox.fixes, tick)
         return Epoch(
-            tick=tick,
-            image=images[-1] if images else None,
-            fix=fixes[-1] if fixes else None,
+            tick=tick, image=images[-1] if images else None, fix=fixes[-1] if fixes else None,
             magnetometer=tuple(_split(inbox.magnetometer, tick)),
             barometer=tuple(_split(inbox.barometer, tick)),
             rangefinder=tuple(_split(inbox.rangefinder, tick)),
-        )
+        )  # fmt: skip
 
 
 def _split(messages: list[T], tick: int) -> list[T]:

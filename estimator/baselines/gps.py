@@ -74,13 +74,9 @@ class GpsEstimator:
     def __init__(self, rig: SensorRig, params: GpsEstimatorParams | None = None) -> None:
         params = params or GpsEstimatorParams()
         self._nav = Navigator(
-            rig,
-            self.needs,
-            known_start=False,
-            correction_time_s=params.correction_time_s,
-            heading_sigma_deg=params.heading_sigma_deg,
-            baro_sigma_m=params.baro_sigma_m,
-        )
+            rig, self.needs, known_start=False, correction_time_s=params.correction_time_s,
+            heading_sigma_deg=params.heading_sigma_deg, baro_sigma_m=params.baro_sigma_m,
+        )  # fmt: skip
         self._satellites = SatelliteAiding(self._nav, FollowingAnchor(params.follow_period_s))
 
     def update(self, obs: Observation) -> Estimate:

@@ -122,13 +122,10 @@ def solve_displacement(
     rotation_before = np.einsum("nij,nik->jk", weighted, _rotation_jacobian(before)) * height_m
     rotation_now = np.einsum("nij,nik->jk", weighted, _rotation_jacobian(now)) * lower
     return Displacement(
-        translation=translation,
-        covariance=inverse,
-        by_rotation_before=-inverse @ rotation_before,
-        by_rotation_now=inverse @ rotation_now,
-        used=int(agree.sum()),
+        translation=translation, covariance=inverse, by_rotation_before=-inverse @ rotation_before,
+        by_rotation_now=inverse @ rotation_now, used=int(agree.sum()),
         rms=float(np.sqrt(np.mean(residuals[agree] ** 2))),
-    )
+    )  # fmt: skip
 
 
 def update_with_displacement(

@@ -94,20 +94,13 @@ class HybridFlowEstimator:
     def __init__(self, rig: SensorRig, params: HybridFlowParams | None = None) -> None:
         self._params = params = params or HybridFlowParams()
         self.needs = SensorNeeds(
-            camera_hz=params.camera_hz,
-            gps=True,
-            rangefinder=True,
-            magnetometer=True,
+            camera_hz=params.camera_hz, gps=True, rangefinder=True, magnetometer=True,
             barometer=True,
-        )
+        )  # fmt: skip
         self._nav = Navigator(
-            rig,
-            self.needs,
-            known_start=False,
-            correction_time_s=params.correction_time_s,
-            heading_sigma_deg=params.heading_sigma_deg,
-            baro_sigma_m=params.baro_sigma_m,
-        )
+            rig, self.needs, known_start=False, correction_time_s=params.correction_time_s,
+            heading_sigma_deg=params.heading_sigma_deg, baro_sigma_m=params.baro_sigma_m,
+        )  # fmt: skip
         anchor = WanderingAnchor(
             params.wander_period_s, params.drift_density, white_m=0.02, correction_time_s=1.0
         )
@@ -163,13 +156,9 @@ class HybridFlowEstimator:
         if measured is None:
             return
         update_with_displacement(
-            eskf,
-            measured,
-            self._imu_from_camera.translation,
-            floor_m=params.floor_sigma_m,
-            scale_sigma=params.scale_sigma,
-            gate=_GATE,
-        )
+            eskf, measured, self._imu_from_camera.translation, floor_m=params.floor_sigma_m,
+            scale_sigma=params.scale_sigma, gate=_GATE,
+        )  # fmt: skip
         self._diagnostics = {
             "flow_used": float(measured.used),
             "flow_rms_m": measured.rms,
@@ -202,11 +191,9 @@ class HybridFlowEstimator:
         seen = view.seen(pixels, self._attitude_before) & view.seen(reached, attitude)
         return solve_displacement(
             _rotated(self._directions_before(pixels[seen]), rotation),
-            self._directions_now(reached[seen], attitude),
-            height,
-            self._params.pixel_sigma / view.focal,
-            min_used=20,
-        )
+            self._directions_now(reached[seen], attitude), height,
+            self._params.pixel_sigma / view.focal, min_used=20,
+        )  # fmt: skip
 
     def _directions_before(self, pixels: Array) -> Array:
         return self._directions(
@@ -247,12 +234,9 @@ class HybridFlowEstimator:
         lever = height * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
         return Displacement(
             translation=np.array([*(height * moved[0]), expected[2]]),
-            covariance=np.diag([sigma, sigma, 10.0]) ** 2,
-            by_rotation_before=-lever,
-            by_rotation_now=lever,
-            used=1,
-            rms=0.0,
-        )
+            covariance=np.diag([sigma, sigma, 10.0]) ** 2, by_rotation_before=-lever,
+            by_rotation_now=lever, used=1, rms=0.0,
+        )  # fmt: skip
 
 
 def _rotated(directions: Array, rotation: Array) -> Array:

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,13 +20,7 @@ from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.rolling_shutter import at_middle_row
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
-from touchdown.sim.api import (
-    GRAVITY_MPS2,
-    MagnetometerSample,
-    Observation,
-    SensorNeeds,
-    SensorRig,
-)
+from touchdown.sim.api import GRAVITY_MPS2, MagnetometerSample, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, yaw_from_rotation
 
 Array = NDArray[np.float64]
@@ -131,14 +124,12 @@ class Navigator:
         on them."""
         needs = self.needs
         return dataclasses.replace(
-            obs,
-            scans=(),
+            obs, scans=(),
             images=tuple(image for image in obs.images if self._thinning.keeps(image)),
-            gps=obs.gps if needs.gps else (),
-            barometer=obs.barometer if needs.barometer else (),
+            gps=obs.gps if needs.gps else (), barometer=obs.barometer if needs.barometer else (),
             magnetometer=obs.magnetometer if needs.magnetometer else (),
             rangefinder=obs.rangefinder if needs.rangefinder else (),
-        )
+        )  # fmt: skip
 
     def _aligned(self, world_from_body: Pose) -> InertialFilter:
         rig = dataclasses.replace(self.rig, world_from_body_start=world_from_body)
@@ -177,7 +168,7 @@ class Navigator:
 
     def grey(self, rgb: NDArray[np.uint8]) -> Grey:
         """Returns the undistorted grey image (H, W) uint8."""
-        return self._undistort(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
+        return self._undistort.grey(rgb)
 
     def estimate(
         self,
@@ -208,16 +199,9 @@ class Navigator:
     ) -> Estimate:
         """Returns the estimate on the ground before the attitude is known."""
         return Estimate(
-            tick=obs.tick,
-            time_s=obs.time_s,
-            odom_from_body=self.rig.world_from_body_start,
-            world_from_odom=world_from_odom,
-            velocity_odom=np.zeros(3),
-            angular_velocity_body=np.zeros(3),
-            acceleration_odom=np.zeros(3),
-            position_covariance=_UNKNOWN_M2 * np.eye(3),
-            rotation_covariance=np.eye(3),
-            healthy=False,
-            diagnostics=diagnostics,
-            events=self._guard.events,
-        )
+            tick=obs.tick, time_s=obs.time_s, odom_from_body=self.rig.world_from_body_start,
+            world_from_odom=world_from_odom, velocity_odom=np.zeros(3),
+            angular_velocity_body=np.zeros(3), acceleration_odom=np.zeros(3),
+            position_covariance=_UNKNOWN_M2 * np.eye(3), rotation_covariance=np.eye(3),
+            healthy=False, diagnostics=diagnostics, events=self._guard.events,
+        )  # fmt: skip

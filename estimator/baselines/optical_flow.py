@@ -48,13 +48,9 @@ class OpticalFlowEstimator:
             camera_hz=params.camera_hz, rangefinder=True, magnetometer=True, barometer=True
         )
         self._nav = Navigator(
-            rig,
-            self.needs,
-            known_start=True,
-            correction_time_s=params.correction_time_s,
-            heading_sigma_deg=params.heading_sigma_deg,
-            baro_sigma_m=params.baro_sigma_m,
-        )
+            rig, self.needs, known_start=True, correction_time_s=params.correction_time_s,
+            heading_sigma_deg=params.heading_sigma_deg, baro_sigma_m=params.baro_sigma_m,
+        )  # fmt: skip
         self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
         self._ground = GroundBelow(rig, params.ground_memory_s)
         self._shutter = ShutterModel(rig)
@@ -115,13 +111,9 @@ class OpticalFlowEstimator:
         if measured is None:
             return
         innovation = update_with_displacement(
-            eskf,
-            measured,
-            self._imu_from_camera.translation,
-            floor_m=params.floor_sigma_m,
-            scale_sigma=params.scale_sigma,
-            gate=_GATE,
-        )
+            eskf, measured, self._imu_from_camera.translation, floor_m=params.floor_sigma_m,
+            scale_sigma=params.scale_sigma, gate=_GATE,
+        )  # fmt: skip
         self._distance += float(np.linalg.norm(measured.translation))
         self._seen_s = time_s
         self._diagnostics = {

@@ -20,11 +20,7 @@ from touchdown.estimator.baselines.navigator import Grey, Navigator
 from touchdown.estimator.filtering.eskf import IteratedUpdate
 from touchdown.estimator.filtering.keyframes import bearing_rays, detect_features
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
-from touchdown.estimator.filtering.rolling_shutter import (
-    STATIONARY,
-    ShutterModel,
-    ground_depths,
-)
+from touchdown.estimator.filtering.rolling_shutter import STATIONARY, ShutterModel, ground_depths
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 

@@ -97,14 +97,10 @@ def _valid_pulses(
 class _Pulses(NamedTuple):
     """Pulses of a scan, and the indices of those to be used."""
 
-    directions: Float32
-    """(N, 3)"""
-    ranges: Float32
-    """(N,) m"""
-    time_offsets: Float32
-    """(N,) s after the first pose"""
-    chosen: Indices
-    """(K,)"""
+    directions: Float32  # (N, 3)
+    ranges: Float32  # (N,) m
+    time_offsets: Float32  # (N,) s after the first pose
+    chosen: Indices  # (K,)
 
 
 @njit(cache=True)

@@ -1,12 +1,10 @@
 """The error state by name: the one place that knows the order of its coordinates.
 
-==========================  ===  =================================================================
-navigation state             15  rotation (right perturbation), position, velocity, gyroscope bias,
-                                 accelerometer bias
-shared calibration           17  mounts, lens and camera clock: scans and images depend on them
-errors of the IMU            21  scales, misalignment, g-sensitivity: act through the propagation
-clones                6 a clone  rotation, position
-==========================  ===  =================================================================
+- navigation state, 15: rotation (right perturbation), position, velocity, biases of gyroscope and
+  accelerometer;
+- shared calibration, 17: mounts, lens and camera clock, on which scans and images depend;
+- errors of the IMU, 21: scales, misalignment, g-sensitivity, which act through the propagation;
+- clones, 6 each: rotation, position.
 
 A filter has both parts of the calibration or neither. A measurement touches the pose, the shared
 calibration and a few clones, in this order; its normal equations are over these coordinates alone.
@@ -74,10 +72,8 @@ IMU_ERRORS = slice(SHARED_DIM, CALIBRATION_DIM)
 class Frame(NamedTuple):
     """A rigid transform, as kernels take it."""
 
-    rotation: Array
-    """(3, 3)"""
-    translation: Array
-    """(3,) m"""
+    rotation: Array  # (3, 3)
+    translation: Array  # (3,) m
 
     @staticmethod
     def of(pose: Pose) -> Frame:
@@ -88,10 +84,8 @@ class Frame(NamedTuple):
 class Frames(NamedTuple):
     """K rigid transforms, as kernels take them."""
 
-    rotations: Array
-    """(K, 3, 3)"""
-    translations: Array
-    """(K, 3) m"""
+    rotations: Array  # (K, 3, 3)
+    translations: Array  # (K, 3) m
 
     @staticmethod
     def of(poses: list[Pose]) -> Frames:

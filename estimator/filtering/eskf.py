@@ -10,7 +10,6 @@ Roumeliotis and Burdick 2002 ("Stochastic cloning").
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,32 +44,6 @@ Indices = NDArray[np.int64]
 
 _RATE_SAMPLES = 3
 """of the IMU, over which the angular rate is a mean: one alone is mostly vibration"""
-
-
-class _Passed(NamedTuple):
-    """Samples of the IMU, corrected, and the states before and after each."""
-
-    ticks: NDArray[np.int64]
-    gyro: Array
-    force: Array
-    rotations: Array
-    positions: Array
-    velocities: Array
-
-    @property
-    def linearised(self) -> tuple[Array, Array, Array]:
-        """What ``transition`` needs."""
-        return self.rotations, self.gyro, self.force
-
-    def end(self, state: NavState) -> NavState:
-        """``state`` after all samples."""
-        return replace(
-            state,
-            tick=int(self.ticks[-1]) if len(self.ticks) else state.tick,
-            rotation=self.rotations[-1],
-            position=self.positions[-1],
-            velocity=self.velocities[-1],
-        )
 
 
 class Eskf:
@@ -108,31 +81,36 @@ class Eskf:
 
         Returns the ticks (N + 1,), rotations (N + 1, 3, 3) and positions (N + 1, 3) passed.
         """
-        passed = self._passed(buffer, count)
-        self._propagate_covariance(*transition(*passed.linearised, buffer.step_s, buffer.densities))
+        first = self.state.tick
+        self.state, gyro, ticks, rotations, positions, linear = self._passed(buffer, count)
+        self._propagate_covariance(*linear)
         if count:
-            self.rate = passed.gyro[-_RATE_SAMPLES:].mean(axis=0)
-        ticks = np.concatenate(([self.state.tick], passed.ticks))
-        self.state = passed.end(self.state)
-        return ticks, passed.rotations, passed.positions
+            self.rate = gyro[-_RATE_SAMPLES:].mean(axis=0)
+        return np.concatenate(([first], ticks)), rotations, positions
 
     def predicted(self, buffer: ImuBuffer) -> tuple[NavState, Array]:
         """State and covariance (15, 15) after all samples of the buffer; the filter stays."""
-        covariance = self.covariance[NAVIGATION, NAVIGATION]
-        if buffer.count == 0:
-            return self.state, covariance.copy()
-        passed = self._passed(buffer, buffer.count)
-        total, noise, _ = transition(*passed.linearised, buffer.step_s, buffer.densities)
-        return passed.end(self.state), total @ covariance @ total.T + noise
+        state, *_, (total, noise, _) = self._passed(buffer, buffer.count)
+        return state, total @ self.covariance[NAVIGATION, NAVIGATION] @ total.T + noise
 
-    def _passed(self, buffer: ImuBuffer, count: int) -> _Passed:
+    def _passed(
+        self, buffer: ImuBuffer, count: int
+    ) -> tuple[NavState, Array, Indices, Array, Array, tuple[Array, Array, Array]]:
+        """The state after ``count`` samples, corrected rates (N, 3), ticks (N,), rotations and
+        positions passed, from the present ones on, and what ``transition`` gives."""
         ticks, gyro, force, _ = buffer.samples(count)
-        state = self.state
-        gyro, force = state.corrected(gyro, force)
-        passed = integrate(
-            state.rotation, state.position, state.velocity, gyro, force, buffer.step_s, GRAVITY_MPS2
-        )
-        return _Passed(ticks, gyro, force, *passed)
+        gyro, force = self.state.corrected(gyro, force)
+        rotations, positions, velocities = integrate(
+            self.state.rotation, self.state.position, self.state.velocity, gyro, force,
+            buffer.step_s, GRAVITY_MPS2,
+        )  # fmt: skip
+        linear = transition(rotations, gyro, force, buffer.step_s, buffer.densities)
+        tick = int(ticks[-1]) if count else self.state.tick
+        state = replace(
+            self.state, tick=tick, rotation=rotations[-1], position=positions[-1],
+            velocity=velocities[-1],
+        )  # fmt: skip
+        return state, gyro, ticks, rotations, positions, linear
 
     def _propagate_covariance(self, total: Array, noise: Array, by_errors: Array) -> None:
         cov, nav = self.covariance, slice(0, STATE_DIM)
@@ -235,15 +213,13 @@ class Eskf:
         self, state: NavState, clones: list[Pose], delta: Array
     ) -> tuple[NavState, list[Pose]]:
         """Returns the mean ``(state, clones)`` moved by an error-state vector."""
-        moved = NavState(
-            state.tick,
-            state.rotation @ so3_exp(delta[ROTATION]),
-            state.position + delta[POSITION],
-            state.velocity + delta[VELOCITY],
-            state.gyro_bias + delta[GYRO_BIAS],
-            state.accel_bias + delta[ACCEL_BIAS],
-            state.calibration + delta[STATE_DIM : self.base],
-        )
+        moved = replace(
+            state, rotation=state.rotation @ so3_exp(delta[ROTATION]),
+            position=state.position + delta[POSITION], velocity=state.velocity + delta[VELOCITY],
+            gyro_bias=state.gyro_bias + delta[GYRO_BIAS],
+            accel_bias=state.accel_bias + delta[ACCEL_BIAS],
+            calibration=state.calibration + delta[STATE_DIM : self.base],
+        )  # fmt: skip
         parts = delta[self.base :].reshape(-1, CLONE_DIM)
         rotations = exp_so3_each(np.ascontiguousarray(parts[:, ROTATION]))
         new_clones = [

@@ -11,7 +11,7 @@ is that of ``error_state``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -78,30 +78,14 @@ class NavState:
         specific_force = (force - self.accel_bias) * (1.0 - errors[ACCEL_SCALE])
         return (gyro - self.gyro_bias) @ response.T - specific_force @ by_force.T, specific_force
 
-    def copy(self) -> NavState:
-        """Returns a deep copy."""
-        return NavState(
-            self.tick,
-            self.rotation.copy(),
-            self.position.copy(),
-            self.velocity.copy(),
-            self.gyro_bias.copy(),
-            self.accel_bias.copy(),
-            self.calibration.copy(),
-        )
-
 
 class NoiseDensities(NamedTuple):
     """White noise of an IMU, and the walk of its biases."""
 
-    gyro: float
-    """rad/s/sqrt(Hz)"""
-    accel: float
-    """m/s^2/sqrt(Hz)"""
-    gyro_walk: float
-    """rad/s^2/sqrt(Hz)"""
-    accel_walk: float
-    """m/s^3/sqrt(Hz)"""
+    gyro: float  # rad/s/sqrt(Hz)
+    accel: float  # m/s^2/sqrt(Hz)
+    gyro_walk: float  # rad/s^2/sqrt(Hz)
+    accel_walk: float  # m/s^3/sqrt(Hz)
 
 
 @njit(cache=True)
@@ -169,7 +153,15 @@ def integrate(
 
 
 @njit(cache=True)
-def _skew(v: Array) -> Array:
+def cross_into(a: Array, b: Array, out: Array, at: int) -> None:
+    """Writes a x b into ``out`` from ``at`` on."""
+    out[at] = a[1] * b[2] - a[2] * b[1]
+    out[at + 1] = a[2] * b[0] - a[0] * b[2]
+    out[at + 2] = a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True)
+def skew_of(v: Array) -> Array:
     out = np.zeros((3, 3))
     out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
     out[1, 0], out[2, 0], out[2, 1] = v[2], -v[1], v[0]
@@ -192,7 +184,7 @@ def transition(
     r, p, v = ROTATION.start, POSITION.start, VELOCITY.start
     for i in range(gyro.shape[0]):
         middle = rotations[i] @ exp_so3(0.5 * step_s * gyro[i])
-        lever = -step_s * (middle @ _skew(force[i]))
+        lever = -step_s * (middle @ skew_of(force[i]))
         step[ROTATION, ROTATION] = exp_so3(-step_s * gyro[i])
         step[VELOCITY, ROTATION] = lever
         step[POSITION, ROTATION] = 0.5 * step_s * lever
@@ -278,19 +270,10 @@ def propagate_nominal(
     if len(gyro) == 0:
         return state
     rotations, positions, velocities = integrate(
-        state.rotation,
-        state.position,
-        state.velocity,
-        *state.corrected(gyro, force),
-        step_s,
+        state.rotation, state.position, state.velocity, *state.corrected(gyro, force), step_s,
         GRAVITY_MPS2,
-    )
-    return NavState(
-        int(ticks[-1]),
-        rotations[-1],
-        positions[-1],
-        velocities[-1],
-        state.gyro_bias,
-        state.accel_bias,
-        state.calibration,
-    )
+    )  # fmt: skip
+    return replace(
+        state, tick=int(ticks[-1]), rotation=rotations[-1], position=positions[-1],
+        velocity=velocities[-1],
+    )  # fmt: skip

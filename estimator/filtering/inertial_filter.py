@@ -13,12 +13,12 @@ correction is brought to the present (``settle``) and reported (``estimate``).
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, PoseTrack
+from touchdown.estimator.api import Estimate, FlownImuParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan
 from touchdown.estimator.filtering.error_state import (
     NAVIGATION,
@@ -31,11 +31,7 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
-from touchdown.estimator.filtering.imu_propagation import (
-    ImuBuffer,
-    NavState,
-    propagate_nominal,
-)
+from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState, propagate_nominal
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist
 from touchdown.estimator.filtering.trail import Trail
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
@@ -48,12 +44,7 @@ from touchdown.sim.api import (
     Observation,
     SensorRig,
 )
-from touchdown.sim.frames import (
-    Pose,
-    cross,
-    so3_exp,
-    so3_log,
-)
+from touchdown.sim.frames import Pose, cross, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 
@@ -66,6 +57,16 @@ _LIFTING_THRUST = 0.85
 """of the weight: with less static thrust before the first lift-off the vehicle is on the ground"""
 _IDLE_MARGIN = 1.2
 """of the idle speed: below it the rotors give no lift"""
+
+
+def with_flown_noise(rig: SensorRig, params: FlownImuParams) -> SensorRig:
+    """The rig with the IMU's noise as it is on the flying vehicle, whose rotors shake it: the
+    larger of that of the data sheet and ``params``."""
+    larger = {
+        field.name: max(getattr(rig.imu, field.name), getattr(params, field.name))
+        for field in fields(params)
+    }
+    return replace(rig, imu=replace(rig.imu, **larger))
 
 
 def bias_sigmas(imu: ImuParams, *, estimated: bool = False) -> Array:
@@ -201,11 +202,7 @@ class InertialFilter:
     # ------------------------------------------------------------------------ measurements
 
     def place_scan(
-        self,
-        scan: LidarScan,
-        imu_from_lidar: Pose | None = None,
-        *,
-        check_blind_zone: bool = False,
+        self, scan: LidarScan, imu_from_lidar: Pose | None = None, *, check_blind_zone: bool = False
     ) -> PlacedScan | None:
         """Returns the valid returns of a scan, deskewed to its end; None if the trail does not span
         the scan. ``imu_from_lidar``: the given mount by default; ``check_blind_zone``: see

@@ -18,14 +18,10 @@ _LATERAL = np.array([2, 3, 4])
 class NormalEquations(NamedTuple):
     """Weighted least squares over D error coordinates. Kernels return it, too."""
 
-    information: Array
-    """(D, D) ``sum h^T h / var``"""
-    vector: Array
-    """(D,) ``sum h^T r / var``"""
-    used: int
-    """residuals within the gate"""
-    rms: float
-    """of these residuals, m or pixels"""
+    information: Array  # (D, D) ``sum h^T h / var``
+    vector: Array  # (D,) ``sum h^T r / var``
+    used: int  # residuals within the gate
+    rms: float  # of these residuals, m or pixels
 
 
 def limit_information(

@@ -61,15 +61,11 @@ class RecentReturns:
 class _Cells(NamedTuple):
     """Returns sorted by image cell, in normalised units."""
 
-    starts: NDArray[np.int64]
-    """(rows * cols + 1,) first return of each cell"""
-    seen: Array
-    """(K, 3) x, y, 1 / depth"""
-    width: float
-    """of the image on each side of its axis"""
+    starts: NDArray[np.int64]  # (rows * cols + 1,) first return of each cell
+    seen: Array  # (K, 3) x, y, 1 / depth
+    width: float  # of the image on each side of its axis
     height: float
-    side: float
-    """of a cell"""
+    side: float  # of a cell
 
 
 @njit(cache=True)
@@ -124,28 +120,35 @@ def _project_into_cells(
 
 
 @njit(cache=True)
+def _gather(ray: Array, cells: _Cells, radius: float, near: Array) -> int:
+    """Writes the returns within ``radius`` of a ray (2,) into ``near`` (M, 3): offset in radii and
+    inverse depth; returns their number, M at most."""
+    starts, seen, width, height, cell = cells
+    rows, cols = _shape(width, height, cell)
+    reach, count = int(np.ceil(radius / cell)), 0
+    col, row = int((ray[0] + width) / cell), int((ray[1] + height) / cell)
+    for r in range(max(0, row - reach), min(rows, row + reach + 1)):
+        first = r * cols + max(0, col - reach)
+        final = r * cols + min(cols, col + reach + 1)
+        for i in range(starts[first], starts[final]):
+            dx, dy = seen[i, 0] - ray[0], seen[i, 1] - ray[1]
+            if dx * dx + dy * dy <= radius * radius and count < near.shape[0]:
+                near[count, 0], near[count, 1] = dx / radius, dy / radius
+                near[count, 2] = seen[i, 2]
+                count += 1
+    return count
+
+
+@njit(cache=True)
 def _fit_planes(
     rays: Array, cells: _Cells, radius: float, min_points: int, depth_tolerance: float
 ) -> tuple[NDArray[np.bool_], Array]:
     """Fits ``1 / z = a + b x + c y`` around each of (N, 2) rays; refuses depth steps."""
-    starts, seen, width, height, cell = cells
-    rows, cols = _shape(width, height, cell)
-    reach = int(np.ceil(radius / cell))
     valid = np.zeros(rays.shape[0], dtype=np.bool_)
     planes = np.zeros((rays.shape[0], 3))
     near = np.empty((512, 3))
     for k in range(rays.shape[0]):
-        col, row = int((rays[k, 0] + width) / cell), int((rays[k, 1] + height) / cell)
-        count = 0
-        for r in range(max(0, row - reach), min(rows, row + reach + 1)):
-            first = r * cols + max(0, col - reach)
-            final = r * cols + min(cols, col + reach + 1)
-            for i in range(starts[first], starts[final]):
-                dx, dy = seen[i, 0] - rays[k, 0], seen[i, 1] - rays[k, 1]
-                if dx * dx + dy * dy <= radius * radius and count < near.shape[0]:
-                    near[count, 0], near[count, 1] = dx / radius, dy / radius
-                    near[count, 2] = seen[i, 2]
-                    count += 1
+        count = _gather(rays[k], cells, radius, near)
         if count < min_points:
             continue
         normal = np.zeros((3, 3))
@@ -185,26 +188,16 @@ def _rough_depths(
     rays: Array, cells: _Cells, radius: float, min_points: int, most_share: float
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Depth of the foremost returns within ``radius`` of (N, 2) rays, and their scatter."""
-    starts, seen, width, height, cell = cells
-    rows, cols = _shape(width, height, cell)
     valid = np.zeros(rays.shape[0], dtype=np.bool_)
     depths, sigmas = np.zeros(rays.shape[0]), np.zeros(rays.shape[0])
-    near = np.empty(256)
+    near = np.empty((256, 3))
     for k in range(rays.shape[0]):
-        col, row = int((rays[k, 0] + width) / cell), int((rays[k, 1] + height) / cell)
-        count = 0
-        for r in range(max(0, row - 1), min(rows, row + 2)):
-            first, final = r * cols + max(0, col - 1), r * cols + min(cols, col + 2)
-            for i in range(starts[first], starts[final]):
-                dx, dy = seen[i, 0] - rays[k, 0], seen[i, 1] - rays[k, 1]
-                if dx * dx + dy * dy <= radius * radius and count < near.shape[0]:
-                    near[count] = 1.0 / seen[i, 2]
-                    count += 1
+        count = _gather(rays[k], cells, radius, near)
         if count < min_points:
             continue
         # the camera sees what is in front; returns from elsewhere looked past it
         two_thirds = (2 * count + 2) // 3
-        front = np.sort(near[:count])[:two_thirds]
+        front = np.sort(1.0 / near[:count, 2])[:two_thirds]
         depth = front[len(front) // 2]
         sigma = np.std(front)
         if sigma > most_share * depth:

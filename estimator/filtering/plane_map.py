@@ -24,17 +24,13 @@ Array = NDArray[np.float64]
 class PlaneMatches(NamedTuple):
     """Planes of the map found for N points."""
 
-    found: NDArray[np.bool_]
-    """(N,)"""
-    normals: Array
-    """(N, 3) unit"""
-    centres: Array
-    """(N, 3) m, a point on each plane"""
+    found: NDArray[np.bool_]  # (N,)
+    normals: Array  # (N, 3) unit
+    centres: Array  # (N, 3) m, a point on each plane
     variances: Array
     """(N, 3): m^2 of the returns about the plane (its thickness); m^2 of the plane's height at the
     point; rad^2 of the normal about either axis"""
-    sensors: Array
-    """(N, 3) m, position that each plane was first seen from"""
+    sensors: Array  # (N, 3) m, position that each plane was first seen from
     anchors: NDArray[np.signedinteger]
     """(N,) index of the anchor that each plane belongs to; -1: none"""
 
@@ -42,28 +38,20 @@ class PlaneMatches(NamedTuple):
 class Voxels(NamedTuple):
     """The S slots of the hash table, as kernels take them."""
 
-    keys: NDArray[np.int64]
-    """(S,)"""
-    moments: Array
-    """(S, 10), in the order of ``_COUNT`` and the following"""
-    owners: NDArray[np.int16]
-    """(S,) index of the anchor; -1: none"""
-    seen_from: Array
-    """(S, 3) m"""
+    keys: NDArray[np.int64]  # (S,)
+    moments: Array  # (S, 10), in the order of ``_COUNT`` and the following
+    owners: NDArray[np.int16]  # (S,) index of the anchor; -1: none
+    seen_from: Array  # (S, 3) m
 
 
 class AnchorTerms(NamedTuple):
     """What moves new points to the state at the creation of each of K anchors, see
     ``Anchors.kept_from_now``."""
 
-    rotations: Array
-    """(K, 3, 3)"""
-    translations: Array
-    """(K, 3) m"""
-    turns: Array
-    """(K, 3) rad, of a beam about the sensor, odom frame, applied first"""
-    shifts: Array
-    """(K, 3) m, with it"""
+    rotations: Array  # (K, 3, 3)
+    translations: Array  # (K, 3) m
+    turns: Array  # (K, 3) rad, of a beam about the sensor, odom frame, applied first
+    shifts: Array  # (K, 3) m, with it
 
 
 _EMPTY = np.int64(-1)
@@ -133,7 +121,8 @@ def insert_points(
     """
     keys, moments, owners, seen_from = voxels
     limit = int(0.7 * keys.shape[0])
-    p = np.empty(3)
+    p, one = np.empty(3), np.zeros(_MOMENTS)
+    one[_COUNT] = 1.0
     for i in range(points.shape[0]):
         ix = int(np.floor(points[i, 0] / voxel))
         iy = int(np.floor(points[i, 1] / voxel))
@@ -163,16 +152,7 @@ def insert_points(
         x = p[0] - (ix + 0.5) * voxel
         y = p[1] - (iy + 0.5) * voxel
         z = p[2] - (iz + 0.5) * voxel
-        m[_COUNT] += 1.0
-        m[_X] += x
-        m[_Y] += y
-        m[_Z] += z
-        m[_XX] += x * x
-        m[_XY] += x * y
-        m[_XZ] += x * z
-        m[_YY] += y * y
-        m[_YZ] += y * z
-        m[_ZZ] += z * z
+        _add_moved(m, one, x, y, z)
     return used
 
 
@@ -293,12 +273,7 @@ def _gather(
 
 @njit(cache=True)
 def match_planes(
-    voxels: Voxels,
-    points: Array,
-    voxel: float,
-    margin: float,
-    min_count: int,
-    max_thickness: float,
+    voxels: Voxels, points: Array, voxel: float, margin: float, min_count: int, max_thickness: float
 ) -> PlaneMatches:
     """Returns the plane of the voxel of each of (N, 3) points.
 

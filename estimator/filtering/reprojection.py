@@ -21,7 +21,7 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
     Pinhole,
 )
-from touchdown.estimator.filtering.imu_propagation import exp_so3
+from touchdown.estimator.filtering.imu_propagation import cross_into, exp_so3
 from touchdown.estimator.filtering.information import NormalEquations
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
@@ -40,16 +40,11 @@ class MountedCamera:
 class LandmarkViews(NamedTuple):
     """Landmarks of one keyframe found in the present image."""
 
-    pixels: Array
-    """(N, 2) in the present image"""
-    row_times: Array
-    """(N,) s, instants of their rows less that of the exposure"""
-    landmarks: Array
-    """(N, 3) in the keyframe's IMU frame"""
-    jacobians: Array
-    """(N, 3, C) by the shared calibration, C = 0 or 17"""
-    spreads: Array
-    """(N, 3) one standard deviation along their rays"""
+    pixels: Array  # (N, 2) in the present image
+    row_times: Array  # (N,) s, instants of their rows less that of the exposure
+    landmarks: Array  # (N, 3) in the keyframe's IMU frame
+    jacobians: Array  # (N, 3, C) by the shared calibration, C = 0 or 17
+    spreads: Array  # (N, 3) one standard deviation along their rays
 
 
 class PixelNoise(NamedTuple):
@@ -143,12 +138,8 @@ def calibrated_information(
         to_key = m @ key_now
         to_world = m @ back
         for a in range(2):
-            jacobian[a, 0] = m[a, 1] * offset[2] - m[a, 2] * offset[1]
-            jacobian[a, 1] = m[a, 2] * offset[0] - m[a, 0] * offset[2]
-            jacobian[a, 2] = m[a, 0] * offset[1] - m[a, 1] * offset[0]
-            jacobian[a, key] = -(to_key[a, 1] * q[2] - to_key[a, 2] * q[1])
-            jacobian[a, key + 1] = -(to_key[a, 2] * q[0] - to_key[a, 0] * q[2])
-            jacobian[a, key + 2] = -(to_key[a, 0] * q[1] - to_key[a, 1] * q[0])
+            cross_into(m[a], offset, jacobian[a], ROTATION.start)
+            cross_into(q, to_key[a], jacobian[a], key + ROTATION.start)
             for b in range(3):
                 jacobian[a, POSITION.start + b] = -to_world[a, b]
                 jacobian[a, key + POSITION.start + b] = to_world[a, b]
@@ -172,10 +163,9 @@ def calibrated_information(
                 for b in range(POSE_DIM):
                     jacobian[a, calibration + CLOCK] -= jacobian[a, b] * twists[0, b]
                     jacobian[a, calibration + CLOCK] -= jacobian[a, key + b] * twists[1, b]
-                jacobian[a, turn] += mount[a, 1] * lever[2] - mount[a, 2] * lever[1]
-                jacobian[a, turn + 1] += mount[a, 2] * lever[0] - mount[a, 0] * lever[2]
-                jacobian[a, turn + 2] += mount[a, 0] * lever[1] - mount[a, 1] * lever[0]
+                cross_into(mount[a], lever, world, 0)
                 for b in range(3):
+                    jacobian[a, turn + b] += world[b]
                     jacobian[a, calibration + CAMERA_TRANSLATION.start + b] -= mount[a, b]
         weight = 1.0 / ((1.0 + 4.0 * error2 / (gate_px * gate_px)) * sigma_px * sigma_px)
         # an error of the landmark's depth moves its pixel along the epipolar line

@@ -17,14 +17,14 @@ class Undistorter:
 
     def __init__(self, rig: SensorRig) -> None:
         camera = rig.camera
-        self._maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
+        self._maps: tuple[NDArray[np.int16], NDArray[np.uint16]] | None = None
         if np.any(camera.distortion):
             size = (camera.width, camera.height)
             matrix = camera.matrix()
             maps = cv2.initUndistortRectifyMap(
-                matrix, camera.distortion, None, matrix, size, cv2.CV_32FC1
+                matrix, camera.distortion, None, matrix, size, cv2.CV_16SC2
             )
-            self._maps = np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
+            self._maps = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
 
     @property
     def is_identity(self) -> bool:
@@ -36,3 +36,7 @@ class Undistorter:
         if self._maps is None:
             return image
         return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def grey(self, rgb: Image) -> Image:
+        """Returns the undistorted grey image (H, W)."""
+        return self(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))

@@ -28,12 +28,9 @@ Indices = NDArray[np.int64]
 class AnchorFrames(NamedTuple):
     """The K anchors of the map at the present estimate."""
 
-    moves: Frames
-    """that move stored planes to it"""
-    clones: Frames
-    """odom_from_imu"""
-    mount_changes: Array
-    """(K, 6) present mount less the mount when the clone was made"""
+    moves: Frames  # that move stored planes to it
+    clones: Frames  # odom_from_imu
+    mount_changes: Array  # (K, 6) present mount less the mount when the clone was made
     slots: NDArray[np.int64]
     """(K,) place of each among the clones that are touched; -1: not touched"""
 
@@ -63,22 +60,21 @@ class Anchors:
     ) -> AnchorTerms:
         """Transforms of new returns to the anchors' poses as kept, and the changes of the mount.
         ``imu_rotation`` (3, 3): odom_from_imu of the scan."""
-        moves = [kept @ clone.inverse() for clone, kept in zip(clones, self._poses, strict=True)]
+        moves = _between(Frames.of(self._poses), Frames.of(clones))
         changes = -self._mount_changes(calibration)
         turns, shifts = (
             np.ascontiguousarray(changes[:, part] @ imu_rotation.T)
             for part in (MOUNT_ROTATION, MOUNT_TRANSLATION)
         )
-        return AnchorTerms(*Frames.of(moves), turns, shifts)
+        return AnchorTerms(*moves, turns, shifts)
 
     def frames(self, clones: list[Pose], calibration: Array, touched: Indices) -> AnchorFrames:
         """The anchors at the present estimate; ``touched``: of them, ascending."""
         slots = np.full(len(self), -1, dtype=np.int64)
         slots[touched] = np.arange(len(touched))
-        moves = [c @ kept.inverse() for c, kept in zip(clones, self._poses, strict=True)]
-        return AnchorFrames(
-            Frames.of(moves), Frames.of(clones), self._mount_changes(calibration), slots
-        )
+        now = Frames.of(clones)
+        moves = _between(now, Frames.of(self._poses))
+        return AnchorFrames(moves, now, self._mount_changes(calibration), slots)
 
     def _mount_changes(self, calibration: Array) -> Array:
         mount = _mount_part(calibration)
@@ -98,3 +94,10 @@ class Anchors:
 
 def _mount_part(calibration: Array) -> Array:
     return calibration[:MOUNT_DIM] if len(calibration) else np.zeros(MOUNT_DIM)
+
+
+def _between(ends: Frames, starts: Frames) -> Frames:
+    """``end @ start.inverse()`` of each."""
+    rotations = ends.rotations @ starts.rotations.transpose(0, 2, 1)
+    moved = (rotations @ starts.translations[:, :, None])[:, :, 0]
+    return Frames(rotations, ends.translations - moved)

@@ -7,9 +7,8 @@ import dataclasses
 import numpy as np
 
 from touchdown.estimator.api import FlownImuParams, LivoParams
-from touchdown.estimator.filtering.flown_noise import with_flown_noise
-from touchdown.estimator.livo.anchored_update import ScanErrors
-from touchdown.estimator.livo.lidar_update import LidarReport
+from touchdown.estimator.filtering.inertial_filter import with_flown_noise
+from touchdown.estimator.livo.anchored_update import LidarReport, ScanErrors
 from touchdown.estimator.livo.visual import VisualReport
 from touchdown.sim.api import ImuParams, SensorRig
 

@@ -25,14 +25,13 @@ from touchdown.estimator.filtering.keyframes import Keyframe
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.livo.anchored_map import AnchoredMap
-from touchdown.estimator.livo.anchored_update import update_with_scan
+from touchdown.estimator.livo.anchored_update import DegeneracyWatch, LidarReport, update_with_scan
 from touchdown.estimator.livo.error_model import (
     flown_imu,
     scan_diagnostics,
     scan_errors,
     visual_diagnostics,
 )
-from touchdown.estimator.livo.lidar_update import DegeneracyWatch, LidarReport
 from touchdown.estimator.livo.online_calibration import (
     calibration_diagnostics,
     corrected_mount,
@@ -40,7 +39,7 @@ from touchdown.estimator.livo.online_calibration import (
 )
 from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.shutter import Shutter
-from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams
+from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -50,8 +49,6 @@ _FEWEST_RETURNS = 50
 """minimum of a usable scan"""
 _FRESH_SCANS = 3
 """periods of a scan after which the last one no longer covers the ground in view"""
-_LAST_FEW = 4
-"""newest keyframes, whose tracking is no loop closure"""
 _ANCHOR_REACH = 0.5
 """of the height: distance from the newest keyframe beyond which the map needs another anchor"""
 _INFLATION, _FLOOR = 1.8, 0.005
@@ -76,20 +73,10 @@ class Livo:
         self._eskf.loosely_coupled = params.loose
         self._intake = Intake(rig, self._filter, camera_hz)
         self._vision = VisualFrontEnd(
-            MountedCamera(rig.camera, self._filter.imu_from_camera),
-            VisualParams(
-                max_keyframes=params.keyframes,
-                track_keyframes=params.track_keyframes,
-                features=params.features,
-                sigma_px=params.pixel_sigma,
-                open_ticks=2 * rig.tick_hz,
-                newest_only=None if params.use_closures else _LAST_FEW,
-                depth_sigma_m=params.depth_sigma_m,
-                height_sigma_m=params.anchor_height_m,
-                shutter=Shutter(rig.camera_readout_s),
-            ),
+            MountedCamera(rig.camera, self._filter.imu_from_camera), params,
+            Shutter(rig.camera_readout_s), open_ticks=2 * rig.tick_hz,
             lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
-        )
+        )  # fmt: skip
         dark_ticks = rig.tick_hz // 2 if params.use_intensity else None
         self._map = AnchoredMap(params, self._filter.imu_from_lidar.translation, dark_ticks)
         self._scan_errors = scan_errors(rig, params)
@@ -172,7 +159,7 @@ class Livo:
 
     def _take_image(self, image: CameraImage) -> None:
         eskf, vision, recent = self._eskf, self._vision, self._map.recent
-        levels = grey_levels(self._undistort(image.rgb))
+        levels = grey_levels(self._undistort.grey(image.rgb))
         delay_s = image.time_s - eskf.state.tick / self._rig.tick_hz
         vision.measure_open_keyframes(eskf, recent, image.tick)
         report = vision.update(eskf, levels, delay_s, self._params.image_calibration_gain)

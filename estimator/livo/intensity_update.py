@@ -29,14 +29,10 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
+from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.estimator.livo.anchored_update import ScanErrors
-from touchdown.estimator.livo.intensity_image import (
-    FEWEST,
-    Float32,
-    IntensityImage,
-    brightness,
-)
-from touchdown.estimator.livo.plane_equations import Returns, cross_into
+from touchdown.estimator.livo.intensity_image import FEWEST, Float32, IntensityImage, brightness
+from touchdown.estimator.livo.plane_equations import Returns
 
 Array = NDArray[np.float64]
 
@@ -70,10 +66,8 @@ class Photometry(NamedTuple):
     information: Array
     vector: Array
     used: int
-    spread: float
-    """robust standard deviation of the residuals"""
-    noise_share: float
-    """of the squared gradients"""
+    spread: float  # robust standard deviation of the residuals
+    noise_share: float  # of the squared gradients
 
 
 class ImageView(NamedTuple):
@@ -81,15 +75,11 @@ class ImageView(NamedTuple):
 
     means: Float32
     weights: Float32
-    axes: Array
-    """(2, 3) of the image in the clone's frame"""
+    axes: Array  # (2, 3) of the image in the clone's frame
     cell: float
-    clone_rotation: Array
-    """odom_from_clone"""
-    mount_turn: Array
-    """(3,) rad, mount now less that when the image was made"""
-    mount_shift: Array
-    """(3,) m"""
+    clone_rotation: Array  # odom_from_clone
+    mount_turn: Array  # (3,) rad, mount now less that when the image was made
+    mount_shift: Array  # (3,) m
 
 
 @njit(cache=True)
@@ -342,12 +332,7 @@ class PhotometricUpdate:
         )
 
     def _accumulate(
-        self,
-        eskf: Eskf,
-        keys: list[int],
-        returns: Returns,
-        values: Array,
-        sigmas: Array,
+        self, eskf: Eskf, keys: list[int], returns: Returns, values: Array, sigmas: Array
     ) -> tuple[Array, Array, int, int]:
         """Sums over all images; ``sigmas`` (K,) become those of the residuals on each: an image
         that does not fit counts little."""

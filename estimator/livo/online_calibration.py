@@ -89,21 +89,18 @@ def calibration_diagnostics(calibration: Array) -> dict[str, float]:
 
 def corrected_mount(imu_from_lidar: Pose, calibration: Array) -> Pose:
     """Returns the LIDAR's given mount corrected by ``calibration`` (38,) or (0,)."""
-    return _moved(imu_from_lidar, calibration, MOUNT_ROTATION, MOUNT_TRANSLATION)
+    if not len(calibration):
+        return imu_from_lidar
+    turn, shift = calibration[MOUNT_ROTATION], calibration[MOUNT_TRANSLATION]
+    return Pose(so3_exp(turn) @ imu_from_lidar.rotation, imu_from_lidar.translation + shift)
 
 
 def corrected_camera(imu_from_camera: Pose, calibration: Array) -> Pose:
     """Returns the camera's given mount corrected by ``calibration`` (38,) or (0,)."""
-    return _moved(imu_from_camera, calibration, CAMERA_ROTATION, CAMERA_TRANSLATION)
-
-
-def _moved(mount: Pose, calibration: Array, rotation: slice, translation: slice) -> Pose:
     if not len(calibration):
-        return mount
-    return Pose(
-        so3_exp(calibration[rotation]) @ mount.rotation,
-        mount.translation + calibration[translation],
-    )
+        return imu_from_camera
+    turn, shift = calibration[CAMERA_ROTATION], calibration[CAMERA_TRANSLATION]
+    return Pose(so3_exp(turn) @ imu_from_camera.rotation, imu_from_camera.translation + shift)
 
 
 def corrected_lens(camera: CameraIntrinsics, calibration: Array) -> Pinhole:

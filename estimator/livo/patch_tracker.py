@@ -24,9 +24,11 @@ HALF = 6
 _SIDE = 2 * HALF + 1
 
 
-def grey_levels(rgb: NDArray[np.uint8]) -> tuple[Grey, Grey, Grey]:
-    """Grey image (H, W) and its halves; a light blur first tames noise and texel steps."""
-    grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), (3, 3), 0.7)
+def grey_levels(image: NDArray[np.uint8]) -> tuple[Grey, Grey, Grey]:
+    """A grey image (H, W), or that of a coloured one, and its halves; a light blur first tames
+    noise and texel steps."""
+    plain = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    grey = cv2.GaussianBlur(plain, (3, 3), 0.7)
     half = cv2.pyrDown(grey)
     quarter = cv2.pyrDown(half)
     return np.asarray(grey, np.uint8), np.asarray(half, np.uint8), np.asarray(quarter, np.uint8)
@@ -58,9 +60,7 @@ def _template(
         for i in range(_SIDE + 2):
             di, dj = i - reach, j - reach
             wide[j, i] = _bilinear(
-                image,
-                u + warp[0, 0] * di + warp[0, 1] * dj,
-                v + warp[1, 0] * di + warp[1, 1] * dj,
+                image, u + warp[0, 0] * di + warp[0, 1] * dj, v + warp[1, 0] * di + warp[1, 1] * dj
             )
     mean, mean_u, mean_v = 0.0, 0.0, 0.0
     for j in range(_SIDE):

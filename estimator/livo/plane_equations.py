@@ -22,6 +22,7 @@ from touchdown.estimator.filtering.error_state import (
     ROTATION,
     Frame,
 )
+from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.estimator.filtering.plane_map import PlaneMatches
 from touchdown.estimator.livo.anchors import AnchorFrames
 
@@ -35,45 +36,28 @@ _WIDTH = _CLONE + POSE_DIM
 class Returns(NamedTuple):
     """Returns of a scan in the IMU frame, as kernels take them."""
 
-    points: Array
-    """(N, 3) m"""
-    beams: Array
-    """(N, 3) m, from the sensor to the point"""
+    points: Array  # (N, 3) m
+    beams: Array  # (N, 3) m, from the sensor to the point
 
 
 class ScanNoise(NamedTuple):
     """Noise of the returns, and the gate of their residuals."""
 
-    range_sigma: float
-    """m"""
-    angle_sigma: float
-    """rad"""
-    plane_floor: float
-    """m, of any plane"""
-    gate: float
-    """standard deviations"""
+    range_sigma: float  # m
+    angle_sigma: float  # rad
+    plane_floor: float  # m, of any plane
+    gate: float  # standard deviations
 
 
 class PlaneEquations(NamedTuple):
     """Normal equations of a scan, (D,) coordinates: pose, shared calibration, touched clones."""
 
-    information: Array
-    """(D, D)"""
-    vector: Array
-    """(D,)"""
+    information: Array  # (D, D)
+    vector: Array  # (D,)
     used: int
-    rms: float
-    """m"""
+    rms: float  # m
     noise_information: Array
     """(6, 6) part of the pose's information that comes from the noise of the normals alone"""
-
-
-@njit(cache=True)
-def cross_into(a: Array, b: Array, out: Array, at: int) -> None:
-    """Writes a x b into ``out`` from ``at`` on."""
-    out[at] = a[1] * b[2] - a[2] * b[1]
-    out[at + 1] = a[2] * b[0] - a[0] * b[2]
-    out[at + 2] = a[0] * b[1] - a[1] * b[0]
 
 
 @njit(cache=True)
@@ -239,23 +223,19 @@ def _assembled(
     columns = np.empty(_WIDTH, np.int64)
     for k in range(blocks.shape[0]):
         slot = slots[k] if k < slots.shape[0] else -1
-        kept = _CLONE if shared > 0 else POSE_DIM
-        for a in range(_CLONE):
-            columns[a] = a
-        if slot >= 0:
-            for a in range(POSE_DIM):
-                columns[_CLONE + a] = POSE_DIM + shared + POSE_DIM * slot + a
-        elif k < slots.shape[0]:
-            continue
-        for a in range(_WIDTH if slot >= 0 else kept):
-            if kept <= a < _CLONE:
-                continue
+        first = POSE_DIM + shared + POSE_DIM * slot - _CLONE if slot >= 0 else -_WIDTH
+        for a in range(_WIDTH):
+            own = -1 if shared == 0 and a >= _MOUNT else a
+            columns[a] = own if a < _CLONE else first + a
+        for a in range(_WIDTH):
             u = columns[a]
+            if u < 0:
+                continue
             vector[u] += gradients[k, a]
             for b in range(a + 1):
-                if kept <= b < _CLONE:
-                    continue
                 v = columns[b]
+                if v < 0:
+                    continue
                 information[u, v] += blocks[k, a, b]
                 if u != v:
                     information[v, u] += blocks[k, a, b]

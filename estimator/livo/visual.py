@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.error_state import (
     CAMERA_ROTATION,
     CAMERA_TRANSLATION,
@@ -52,6 +53,8 @@ _GATES_PX = (12.0, 6.0, 3.0, 3.0)
 """of the iterations"""
 _LEAST_LANDMARKS = 15
 """of an update"""
+_LAST_FEW = 4
+"""newest keyframes, whose tracking is no loop closure"""
 _LEAST_PLANES = 25
 """features of a keyframe with depth; with fewer, the others are assigned the common plane of the
 returns around, if there is one"""
@@ -72,14 +75,8 @@ class _Track:
     """Landmarks of one keyframe that were found in the present image."""
 
     keyframe: int
-    pixels: Array
-    """(N, 2) in the present image"""
-    landmarks: Array
-    """(N, 3) IMU frame of the keyframe"""
-    jacobians: Array
-    """(N, 3, C) by the shared calibration"""
-    spreads: Array
-    """(N, 3) one standard deviation along the ray"""
+    views: LandmarkViews
+    """as created"""
     made_with: Array
     """(C,) calibration at which ``landmarks`` hold"""
 
@@ -87,46 +84,27 @@ class _Track:
 _NO_IMAGE = np.zeros((0, 0), dtype=np.uint8)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class VisualParams:
-    """Settings of ``VisualFrontEnd``."""
-
-    max_keyframes: int
-    track_keyframes: int
-    """keyframes that each image is tracked from"""
-    features: int
-    """corners of a keyframe"""
-    sigma_px: float
-    """standard deviation of a tracked corner"""
-    open_ticks: int
-    """age up to which a keyframe still receives depths"""
-    newest_only: int | None = None
-    """number of newest keyframes that are tracked; None: all"""
-    depth_sigma_m: float = 0.0
-    """of a landmark along its ray"""
-    height_sigma_m: float = 0.0
-    """height error that all landmarks and planes of a keyframe share"""
-    shutter: Shutter = field(default_factory=Shutter)
-
-
 class VisualFrontEnd:
     """Keyframes and the update by an image. Keyframe k is clone k of the filter.
 
-    ``lidar_in_camera`` (3,): position of the LIDAR, m.
+    ``open_ticks``: age up to which a keyframe still receives depths; ``lidar_in_camera`` (3,):
+    position of the LIDAR, m.
     """
 
     def __init__(
         self,
         camera: MountedCamera,
-        params: VisualParams,
+        params: LivoParams,
+        shutter: Shutter,
         *,
+        open_ticks: int,
         lidar_in_camera: Array | None = None,
     ) -> None:
         self._camera = camera.intrinsics
         self._imu_from_camera = camera.imu_from_camera
-        self._params = params
+        self._params, self._shutter, self._open_ticks = params, shutter, open_ticks
         self._lidar_in_camera = np.zeros(3) if lidar_in_camera is None else lidar_in_camera
-        self._own_variances = np.array([0.0, 0.0, 0.0, 0.0, 0.0, params.height_sigma_m**2])
+        self._own_variances = np.array([0.0, 0.0, 0.0, 0.0, 0.0, params.anchor_height_m**2])
         self.keyframes: list[Keyframe] = []
 
     # ------------------------------------------------------------------------ keyframes
@@ -137,8 +115,8 @@ class VisualFrontEnd:
             age = tick - keyframe.tick
             if (
                 keyframe.pixels.size
-                and age <= self._params.open_ticks
-                and age % (self._params.open_ticks // 4) == 0
+                and age <= self._open_ticks
+                and age % (self._open_ticks // 4) == 0
             ):
                 camera_from_odom = self._camera_at(eskf.clones[k], keyframe).inverse()
                 measure_planes(keyframe, recent, camera_from_odom, self._camera)
@@ -187,21 +165,14 @@ class VisualFrontEnd:
     ) -> Keyframe:
         count = len(pixels)
         return Keyframe(
-            tick=tick,
-            levels=levels,
-            pixels=pixels,
-            valid=np.zeros(count, dtype=np.bool_),
-            planes=np.zeros((count, 3)),
-            sigmas=np.zeros(count),
-            depth_m=0.0,
-            calibration=eskf.state.calibration,
-            twist=eskf.twist,
-            delay_s=delay_s,
-        )
+            tick=tick, levels=levels, pixels=pixels, valid=np.zeros(count, dtype=np.bool_),
+            planes=np.zeros((count, 3)), sigmas=np.zeros(count), depth_m=0.0,
+            calibration=eskf.state.calibration, twist=eskf.twist, delay_s=delay_s,
+        )  # fmt: skip
 
     def surplus(self, eskf: Eskf) -> int | None:
         """The clone that must go before another can be added; None: there is room."""
-        if len(self.keyframes) < self._params.max_keyframes:
+        if len(self.keyframes) < self._params.keyframes:
             return None
         return most_redundant(eskf.clones, [k.depth_m for k in self.keyframes])
 
@@ -217,29 +188,25 @@ class VisualFrontEnd:
         """True if the overlap has become too small for the next image. While tracking fails, new
         keyframes come at a low rate, so that they do not replace all others."""
         ticks = [keyframe.tick for keyframe in self.keyframes if keyframe.pixels.size]
-        newest = ticks[-1] if ticks else -self._params.open_ticks
+        newest = ticks[-1] if ticks else -self._open_ticks
         if report.used == 0:
-            return tick - newest >= self._params.open_ticks // 4
+            return tick - newest >= self._open_ticks // 4
         return report.used < 80 or report.best_share < 0.6
 
     # ------------------------------------------------------------------------ update
 
     def update(
-        self,
-        eskf: Eskf,
-        levels: tuple[Grey, Grey, Grey],
-        delay_s: float = 0.0,
-        share: float = 1.0,
+        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], delay_s: float = 0.0, share: float = 1.0
     ) -> VisualReport:
         """Iterated update by one image whose stamp is ``delay_s`` after the filter's state; nothing
         is changed if fewer than 15 landmarks are found. ``share``: of the correction that mounts
         and lens take."""
-        middle = self._params.shutter.middle_s
+        middle = self._shutter.middle_s
         mount = corrected_camera(self._imu_from_camera, eskf.state.calibration)
         *poses, now = (pose @ mount for pose in self._exposed(eskf, delay_s, middle))
         candidates = overlaps(self.keyframes, poses, now, self._camera)
-        if self._params.newest_only is not None:
-            first = len(self.keyframes) - self._params.newest_only
+        if not self._params.use_closures:
+            first = len(self.keyframes) - _LAST_FEW
             candidates = [c for c in candidates if c.index >= first]
         best = max((c.share * _closeness(c.scale) for c in candidates), default=0.0)
         variances = np.array(
@@ -257,7 +224,7 @@ class VisualFrontEnd:
             )  # fmt: skip
             if int(found.sum()) >= 10:
                 tracks.append(self._track(eskf, k, usable[found], pixels[found]))
-        if sum(len(t.pixels) for t in tracks) < _LEAST_LANDMARKS:
+        if sum(len(t.views.pixels) for t in tracks) < _LEAST_LANDMARKS:
             return VisualReport(best_share=best)
         used, rms = self._iterate(IteratedUpdate(eskf, share), eskf, tracks, delay_s)
         return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=best)
@@ -277,25 +244,26 @@ class VisualFrontEnd:
         twist[POSITION] = eskf.clones[k].rotation.T @ twist[POSITION]
         rays, starts = rows_of_keyframe(
             bearing_rays(keyframe.pixels[which], self._camera), twist, mount,
-            self._params.shutter.row_times(keyframe.pixels[which, 1], self._camera.height),
+            self._shutter.row_times(keyframe.pixels[which, 1], self._camera.height),
         )  # fmt: skip
         planes = keyframe.planes[which]
         along = np.einsum("ij,ij->i", rays, planes)
         before = np.einsum("ij,ij->i", starts, planes)
         landmarks = mount.apply(starts + rays * ((1.0 - before) / along)[:, None])
+        rows = self._shutter.row_times(pixels[:, 1], self._camera.height)
         arms = landmarks - mount.translation
         sigmas = np.hypot(self._params.depth_sigma_m, keyframe.sigmas[which])
         spreads = arms * (sigmas / np.linalg.norm(arms, axis=1))[:, None]
         if not eskf.shared:
-            none = np.zeros((len(which), 3, 0))
-            return _Track(k, pixels, landmarks, none, spreads, np.zeros(0))
+            fixed = np.zeros((len(which), 3, 0))
+            return _Track(k, LandmarkViews(pixels, rows, landmarks, fixed, spreads), np.zeros(0))
         made_with = keyframe.calibration[: eskf.shared].copy()
         for given in (FOCAL, CENTER, CAMERA_ROTATION, CAMERA_TRANSLATION):
             made_with[given] = 0.0  # rays are those of the given lens and mount
         jacobians = landmark_jacobians(
             rays, planes, self._lidar_in_camera, mount, twist, self._camera
         )
-        return _Track(k, pixels, landmarks, jacobians, spreads, made_with)
+        return _Track(k, LandmarkViews(pixels, rows, landmarks, jacobians, spreads), made_with)
 
     def _iterate(
         self, update: IteratedUpdate, eskf: Eskf, tracks: list[_Track], delay_s: float
@@ -325,12 +293,12 @@ class VisualFrontEnd:
         calibration = state.calibration[:shared]
         for slot, track_ in enumerate(tracks):
             clone, keyframe = clones[track_.keyframe], self.keyframes[track_.keyframe]
-            landmarks = track_.landmarks + track_.jacobians @ (calibration - track_.made_with)
-            rows = self._params.shutter.row_times(track_.pixels[:, 1], self._camera.height)
+            views = track_.views
+            landmarks = views.landmarks + views.jacobians @ (calibration - track_.made_with)
             part = calibrated_information(
-                LandmarkViews(track_.pixels, rows, landmarks, track_.jacobians, track_.spreads),
+                views._replace(landmarks=landmarks),
                 Frame.of(now), Frame.of(clone), np.array([eskf.twist, keyframe.twist]),
-                Frame.of(camera), lens, PixelNoise(self._params.sigma_px, gate_px),
+                Frame.of(camera), lens, PixelNoise(self._params.pixel_sigma, gate_px),
             )  # fmt: skip
             start = POSE_DIM + shared + CLONE_DIM * slot
             where = np.r_[0 : POSE_DIM + shared, start : start + CLONE_DIM]

@@ -14,33 +14,25 @@ Float32 = NDArray[np.float32]
 class Track(NamedTuple):
     """Timed poses of the body, M >= 2, ascending."""
 
-    times: Array
-    """(M,) s"""
-    positions: Array
-    """(M, 3) m"""
-    quats_wxyz: Array
-    """(M, 4)"""
+    times: Array  # (M,) s
+    positions: Array  # (M, 3) m
+    quats_wxyz: Array  # (M, 4)
 
 
 class Pulses(NamedTuple):
     """N pulses in the odom frame."""
 
-    origins: Float32
-    """(N, 3) m"""
-    beams: Float32
-    """(N, 3) unit"""
-    ranges: Float32
-    """(N,) m; 0: no return"""
+    origins: Float32  # (N, 3) m
+    beams: Float32  # (N, 3) unit
+    ranges: Float32  # (N,) m; 0: no return
 
 
 class Grid(NamedTuple):
     """Where the cells of a grid lie."""
 
-    x: float
-    """m, of the corner"""
+    x: float  # m, of the corner
     y: float
-    cell: float
-    """m"""
+    cell: float  # m
 
 
 class Lens(NamedTuple):

@@ -22,6 +22,7 @@ from touchdown.estimator.filtering.error_state import (
     Frames,
     Pinhole,
 )
+from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
@@ -32,20 +33,13 @@ Indices = NDArray[np.int64]
 class Observations(NamedTuple):
     """L landmarks, each seen first along a ray of its host, and M observations, by landmark."""
 
-    hosts: Indices
-    """(L,) poses that saw each first"""
-    rays: Array
-    """(L, 3) camera frame, z = 1"""
-    prior_depths: Array
-    """(L,) m, by the LIDAR"""
-    landmarks: Indices
-    """(M,)"""
-    observers: Indices
-    """(M,) poses"""
-    pixels: Array
-    """(M, 2)"""
-    sigmas_px: Array
-    """(M,)"""
+    hosts: Indices  # (L,) poses that saw each first
+    rays: Array  # (L, 3) camera frame, z = 1
+    prior_depths: Array  # (L,) m, by the LIDAR
+    landmarks: Indices  # (M,)
+    observers: Indices  # (M,) poses
+    pixels: Array  # (M, 2)
+    sigmas_px: Array  # (M,)
 
 
 @dataclass(slots=True)
@@ -57,15 +51,6 @@ class BundleProblem:
     fixed: int
     depths: Array
     seen: Observations
-
-
-@njit(cache=True)
-def _cross_rows(m: Array, p: Array, out: Array) -> None:
-    """``out = -m [p]_x``: derivative of ``m R exp(e) p`` with respect to e for ``m R`` given."""
-    for a in range(2):
-        out[a, 0] = -(m[a, 1] * p[2] - m[a, 2] * p[1])
-        out[a, 1] = -(m[a, 2] * p[0] - m[a, 0] * p[2])
-        out[a, 2] = -(m[a, 0] * p[1] - m[a, 1] * p[0])
 
 
 @njit(cache=True)
@@ -98,7 +83,6 @@ def _reduced_system(
     back = np.ascontiguousarray(camera_rotation.T)
     projection = np.zeros((2, 3))
     j_observer, j_host = np.zeros((2, 6)), np.zeros((2, 6))
-    part = np.zeros((2, 3))
     cost = 0.0
     for o in range(landmarks.shape[0]):
         m, k, h = landmarks[o], observers[o], hosts[landmarks[o]]
@@ -120,10 +104,10 @@ def _reduced_system(
         in_imu = projection @ back
         in_world = in_imu @ to_observer
         through_host = in_world @ rotations[h]
-        _cross_rows(in_imu, in_observer, part)
-        j_observer[:, ROTATION], j_observer[:, POSITION] = -part, -in_world
-        _cross_rows(through_host, in_host, part)
-        j_host[:, ROTATION], j_host[:, POSITION] = part, in_world
+        for a in range(2):
+            cross_into(in_imu[a], in_observer, j_observer[a], ROTATION.start)
+            cross_into(in_host, through_host[a], j_host[a], ROTATION.start)
+        j_observer[:, POSITION], j_host[:, POSITION] = -in_world, in_world
         j_depth = through_host @ direction
         at, to = POSE_DIM * k, POSE_DIM * h
         for a in range(POSE_DIM):

@@ -14,11 +14,7 @@ from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
-from touchdown.estimator.filtering.rolling_shutter import (
-    CameraTwist,
-    ShutterModel,
-    ground_depths,
-)
+from touchdown.estimator.filtering.rolling_shutter import CameraTwist, ShutterModel, ground_depths
 from touchdown.estimator.paper.closures import Closures
 from touchdown.estimator.paper.depth_field import DepthField
 from touchdown.estimator.paper.landmarks import Features, LandmarkDetector
@@ -72,11 +68,7 @@ class CameraPositioning:
     """Visual map and the correction of the filter by the images of keyframes."""
 
     def __init__(
-        self,
-        rig: SensorRig,
-        params: PaperParams,
-        inertial: InertialFilter,
-        recent: RecentReturns,
+        self, rig: SensorRig, params: PaperParams, inertial: InertialFilter, recent: RecentReturns
     ) -> None:
         self._rig = rig
         self._params = params
@@ -156,13 +148,10 @@ class CameraPositioning:
         if not self._params.use_bundle:
             return pose
         return adjust_window(
-            self._map.keyframes[-self._params.bundle_keyframes :],
-            LocalisedImage(pose, sightings),
-            self._map.by_number(),
-            MountedCamera(self._rig.camera, self._imu_from_camera),
-            np.sqrt(2.0) * self._sigmas(np.arange(2)),
-            self._params.depth_sigma_m,
-        )
+            self._map.keyframes[-self._params.bundle_keyframes :], LocalisedImage(pose, sightings),
+            self._map.by_number(), MountedCamera(self._rig.camera, self._imu_from_camera),
+            np.sqrt(2.0) * self._sigmas(np.arange(2)), self._params.depth_sigma_m,
+        )  # fmt: skip
 
     def _odom_frames(self, sightings: Sightings) -> dict[int, Pose]:
         known = self._map.by_number()
@@ -265,10 +254,7 @@ class CameraPositioning:
     # ------------------------------------------------------------------------ closures
 
     def _close_loops(
-        self,
-        keyframe: MapKeyframe,
-        features: tuple[Features, Features],
-        before: MapKeyframe | None,
+        self, keyframe: MapKeyframe, features: tuple[Features, Features], before: MapKeyframe | None
     ) -> None:
         """Queries the dictionary with the new keyframe and adds closures to old ones that PnP
         confirms."""

@@ -19,12 +19,7 @@ _COUNT, _X, _Y, _Z = range(4)
 
 @njit(cache=True)
 def _insert(
-    keys: NDArray[np.int64],
-    sums: Array,
-    used: int,
-    points: Array,
-    voxel: float,
-    max_count: int,
+    keys: NDArray[np.int64], sums: Array, used: int, points: Array, voxel: float, max_count: int
 ) -> int:
     limit = int(0.7 * keys.shape[0])
     for i in range(points.shape[0]):

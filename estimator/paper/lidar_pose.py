@@ -62,13 +62,10 @@ def scan_features(
     if energy is not None:
         f_c = scan_colour_smoothness(energy, points_camera, camera)
     features = sort_out_features(
-        fused_smoothness(f_l, f_c, params.colour_weight),
-        shadowed,
-        beams_lidar[:, :2] / beams_lidar[:, 2:],
-        cells=params.planar_cells,
-        edges=params.edge_points,
-        edge_threshold=params.edge_threshold,
-    )
+        fused_smoothness(f_l, f_c, params.colour_weight), shadowed,
+        beams_lidar[:, :2] / beams_lidar[:, 2:], cells=params.planar_cells,
+        edges=params.edge_points, edge_threshold=params.edge_threshold,
+    )  # fmt: skip
     return features, f_c
 
 
@@ -76,11 +73,7 @@ class LidarPositioning:
     """Edge and planar maps, and the correction of the filter by each scan."""
 
     def __init__(
-        self,
-        rig: SensorRig,
-        params: PaperParams,
-        inertial: InertialFilter,
-        recent: RecentReturns,
+        self, rig: SensorRig, params: PaperParams, inertial: InertialFilter, recent: RecentReturns
     ) -> None:
         self._rig = rig
         self._params = params
@@ -129,12 +122,10 @@ class LidarPositioning:
     def _correct(self, features: ScanFeatures) -> None:
         params = self._params
         result = register_scan(
-            features,
-            self._maps,
+            features, self._maps,
             PosePrior(self._filter.eskf.state.pose, self._filter.pose_information()),
-            edge_sigma_m=params.edge_sigma_m,
-            plane_sigma_m=params.plane_sigma_m,
-        )
+            edge_sigma_m=params.edge_sigma_m, plane_sigma_m=params.plane_sigma_m,
+        )  # fmt: skip
         if result is None:
             return
         information, vector = limit_information(result.information, result.vector, _FLOOR_SIGMAS)

@@ -11,6 +11,7 @@ from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
 from touchdown.estimator.filtering.error_state import POSE_DIM, POSITION, ROTATION, after
+from touchdown.estimator.filtering.imu_propagation import skew_of
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
@@ -42,11 +43,6 @@ _TARGET_ROTATION, _TARGET_POSITION = after(POSE_DIM, ROTATION), after(POSE_DIM, 
 
 
 @njit(cache=True)
-def _skew(v: Array) -> Array:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-@njit(cache=True)
 def _linearise(
     residuals: Array,
     source_rotations: Array,
@@ -64,13 +60,13 @@ def _linearise(
     for e in range(count):
         back = np.ascontiguousarray(source_rotations[e].T)
         # inverse of the right Jacobian, to first order of the (small) rotation residual
-        curl = np.eye(3) + 0.5 * _skew(residuals[e, ROTATION])
+        curl = np.eye(3) + 0.5 * skew_of(residuals[e, ROTATION])
         jacobian = np.zeros((6, 12))
         jacobian[ROTATION, ROTATION] = -curl @ (
             np.ascontiguousarray(target_rotations[e].T) @ source_rotations[e]
         )
         jacobian[ROTATION, _TARGET_ROTATION] = curl
-        jacobian[POSITION, ROTATION] = _skew(translations[e])
+        jacobian[POSITION, ROTATION] = skew_of(translations[e])
         jacobian[POSITION, POSITION] = -back
         jacobian[POSITION, _TARGET_POSITION] = back
         weighted = np.ascontiguousarray(jacobian.T) @ informations[e] * weights[e]

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import POSITION, ROTATION
+from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.estimator.filtering.plane_map import smallest_eigen
 from touchdown.estimator.paper.feature_map import FeatureMap
 from touchdown.sim.frames import Pose, so3_exp, so3_log
@@ -177,14 +178,7 @@ def _normal_equations(
                 residual = offset[c] - along * axis[c]
             for k in range(3):
                 row[POSITION.start + k] = direction[k]
-            x = y = z = 0.0
-            for k in range(3):
-                x += direction[k] * rotation[k, 0]
-                y += direction[k] * rotation[k, 1]
-                z += direction[k] * rotation[k, 2]
-            row[0] = q[1] * z - q[2] * y
-            row[1] = q[2] * x - q[0] * z
-            row[2] = q[0] * y - q[1] * x
+            cross_into(q, np.ascontiguousarray(rotation.T) @ direction, row, ROTATION.start)
             for a in range(6):
                 vector[a] -= weight * row[a] * residual
                 for b in range(6):
@@ -297,11 +291,7 @@ def register_scan(
     )
     distances = _distances(to_global(local, pose), near, is_edge)
     return ScanPose(
-        pose=pose,
-        information=information,
-        vector=vector,
-        edges=int(is_edge.sum()),
-        planes=int((~is_edge).sum()),
-        rms_m=float(np.sqrt(np.mean(distances**2))),
+        pose=pose, information=information, vector=vector, edges=int(is_edge.sum()),
+        planes=int((~is_edge).sum()), rms_m=float(np.sqrt(np.mean(distances**2))),
         converged=converged,
-    )
+    )  # fmt: skip

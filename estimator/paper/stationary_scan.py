@@ -50,9 +50,6 @@ def features_of_stationary_scan(
     picked[0, chosen.edges] = True
     picked[1, chosen.planes] = True
     return StationaryFeatures(
-        energy=energy,
-        pixels=pixels[seen],
-        f_c=f_c[seen],
-        edge=picked[0, seen],
+        energy=energy, pixels=pixels[seen], f_c=f_c[seen], edge=picked[0, seen],
         planar=picked[1, seen],
-    )
+    )  # fmt: skip

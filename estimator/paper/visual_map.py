@@ -158,9 +158,7 @@ class VisualMap:
             )
             behind.append(good)
         joined = Sightings(
-            np.concatenate([p.hosts for p in parts]),
-            np.concatenate([p.kinds for p in parts]),
-            np.concatenate([p.indices for p in parts]),
-            np.concatenate([p.pixels for p in parts]),
-        )
+            np.concatenate([p.hosts for p in parts]), np.concatenate([p.kinds for p in parts]),
+            np.concatenate([p.indices for p in parts]), np.concatenate([p.pixels for p in parts]),
+        )  # fmt: skip
         return joined, (behind[0], behind[1])

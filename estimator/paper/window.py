@@ -126,12 +126,9 @@ def adjust_window(
         return newest.pose
     problem, keys = built
     poses, depths = adjust(
-        problem,
-        camera.imu_from_camera,
-        camera.intrinsics,
-        depth_sigma_m=depth_sigma_m,
+        problem, camera.imu_from_camera, camera.intrinsics, depth_sigma_m=depth_sigma_m,
         prior_sigmas=_PRIOR_SIGMAS,
-    )
+    )  # fmt: skip
     for keyframe, pose in zip(window[first_free:], poses[problem.fixed : -1], strict=True):
         moved = keyframe.odom_from_imu.inverse() @ pose
         keyframe.map_from_imu = keyframe.map_from_imu @ moved

@@ -213,7 +213,7 @@ def _livo(config: Config) -> _EstimatorFactory:
 
 
 def _as_flown(rig: SensorRig, config: Config) -> SensorRig:
-    from touchdown.estimator.filtering.flown_noise import with_flown_noise
+    from touchdown.estimator.filtering.inertial_filter import with_flown_noise
 
     return with_flown_noise(rig, config.flown_imu)
 

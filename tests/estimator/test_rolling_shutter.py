@@ -11,8 +11,7 @@ import pytest
 
 from touchdown.estimator.api import FlownImuParams
 from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
-from touchdown.estimator.filtering.flown_noise import with_flown_noise
-from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.inertial_filter import InertialFilter, with_flown_noise
 from touchdown.estimator.filtering.rolling_shutter import (
     CameraTwist,
     ShutterModel,

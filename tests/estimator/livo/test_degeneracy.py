@@ -6,14 +6,15 @@ import pytest
 from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
-from touchdown.estimator.livo.anchors import Anchors
-from touchdown.estimator.livo.lidar_update import (
+from touchdown.estimator.livo.anchored_update import (
     DegeneracyWatch,
     LidarReport,
+    ScanErrors,
+    update_with_scan,
     weak_directions,
     without_directions,
 )
+from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.plane_extension import common_plane
 from touchdown.sim.frames import so3_exp
 

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.error_state import STATE_DIM, Frame, Pinhole
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
@@ -18,7 +19,7 @@ from touchdown.estimator.filtering.reprojection import (
 from touchdown.estimator.livo.online_calibration import exposed
 from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
-from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams
+from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
@@ -137,10 +138,11 @@ def test_the_pose_of_a_rolling_image_is_recovered(known: bool) -> None:
     zero = np.zeros(3)
     vision = VisualFrontEnd(
         MountedCamera(CAMERA, IMU_FROM_CAMERA),
-        VisualParams(
-            max_keyframes=4, track_keyframes=2, features=150, sigma_px=0.5, open_ticks=1200,
-            shutter=SHUTTER if known else Shutter(),
+        LivoParams(
+            keyframes=4, track_keyframes=2, features=150, pixel_sigma=0.5,
+            depth_sigma_m=0.0, anchor_height_m=0.0,
         ),
+        SHUTTER if known else Shutter(), open_ticks=1200,
     )  # fmt: skip
     rng = np.random.default_rng(6)
     recent = RecentReturns(scans=1, per_scan=60_000)

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pytest
 
+from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.error_state import CALIBRATION_DIM, MOUNT_TRANSLATION, STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
@@ -12,7 +14,8 @@ from touchdown.estimator.filtering.keyframes import Overlap, choose, detect_feat
 from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.estimator.livo.patch_tracker import grey_levels, track
-from touchdown.estimator.livo.visual import VisualFrontEnd, VisualParams, VisualReport
+from touchdown.estimator.livo.shutter import Shutter
+from touchdown.estimator.livo.visual import VisualFrontEnd, VisualReport
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
@@ -180,10 +183,11 @@ def test_a_pixel_beyond_the_gate_does_not_count() -> None:
 def front_end(**params: float) -> VisualFrontEnd:
     return VisualFrontEnd(
         MountedCamera(CAMERA, IMU_FROM_CAMERA),
-        VisualParams(
-            max_keyframes=4, track_keyframes=2, features=150, sigma_px=0.5, open_ticks=1200,
-            **params,
+        LivoParams(
+            **{"keyframes": 4, "track_keyframes": 2, "features": 150, "pixel_sigma": 0.5,
+               "depth_sigma_m": 0.0, "anchor_height_m": 0.0, **params},
         ),
+        Shutter(), open_ticks=1200,
     )  # fmt: skip
 
 
@@ -254,13 +258,15 @@ def test_landmarks_follow_the_mount_that_is_found_after_them() -> None:
 
 
 def test_a_keyframe_has_a_height_error_of_its_own() -> None:
-    vision, eskf = front_end(height_sigma_m=0.05), filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
+    vision, eskf = front_end(anchor_height_m=0.05), filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
     vision.append(eskf, vision.new_anchor(eskf, 15.0, 0), None)
     own = np.diag(eskf.covariance)[eskf.clone_indices(0)]
     np.testing.assert_allclose(own, [1e-8] * 5 + [1e-8 + 0.05**2])
 
 
-def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest() -> None:
+def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     vision, returns = front_end(), ground_returns()
     eskf = filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
     for k in range(2):
@@ -269,7 +275,8 @@ def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest() -> None:
         assert add_keyframe(vision, eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)), returns, k)
     report = vision.update(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)))
     assert report.keyframes_tracked == 2
-    newest = front_end(newest_only=1)
+    monkeypatch.setattr("touchdown.estimator.livo.visual._LAST_FEW", 1)
+    newest = front_end(use_closures=False)
     newest.keyframes = vision.keyframes
     report = newest.update(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)))
     assert report.keyframes_tracked == 1
