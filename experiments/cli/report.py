@@ -148,7 +148,7 @@ def regress(directory: Path, baseline: Path, update: bool, as_json: bool, **more
     Compares each scene and method: a paired test on equal seeds, a bootstrap where seeds differ,
     corrected over all of them, so that chance alone fails at most 5 comparisons of 100. Flights
     with an error in the baseline and none now are worse without a test, and so is
-    a directory with nothing to compare. --bounds compares five figures of few flights instead.
+    a directory with nothing to compare. --bounds compares six figures of few flights instead.
 
     Example: touchdown regress campaigns/positioning --baseline baseline.json
     """

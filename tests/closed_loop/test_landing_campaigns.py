@@ -37,7 +37,7 @@ def test_commanded_site_is_safe_with_clearance() -> None:
 def test_scene_seed_is_separate_from_the_seed(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[tuple[str, int]] = []
     monkeypatch.setattr(
-        "touchdown.scenes.compose.load_scene", lambda *location: loaded.append(location[:2])
+        "touchdown.scenes.cache.cached_scene", lambda *location: loaded.append(location[:2])
     )
     build_scene(load_config(None, ["scene_seed=7"], scene="turf", seed=3))
     build_scene(load_config(None, [], scene="turf", seed=3))
