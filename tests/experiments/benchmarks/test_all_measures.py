@@ -51,9 +51,8 @@ def test_two_checkouts_take_turns(tmp_path: Path, capsys: pytest.CaptureFixture[
     for place, title in enumerate(TITLES, 1):
         assert found[title]["values"] == [place, 0.5 * place] and found[title]["ratio"] == 0.5
     assert cli.main(["bench", "compare", *map(str, trees)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split() == ["landing", "in", "a", "worker", "1", "0.5", "core-s", "per", "s",
-                                "x", "0.50"]  # fmt: skip
+    words = capsys.readouterr().out.splitlines()[0].split()
+    assert " ".join(words) == "landing in a worker 1 0.5 core-s per s x 0.50"
 
 
 @pytest.mark.usefixtures("_as_modules")
@@ -86,9 +85,5 @@ def test_the_clock_counts_calls_and_their_processor_time() -> None:
             return sum(range(much))
 
     clock, sensor = Clock(Sensor, "work"), Sensor()
-    assert clock.ms() == 0.0
-    assert sensor.work(10) == 45 and sensor.work(much=4) == 6
-    assert clock.calls == 2 and clock.seconds > 0.0
-    assert clock.ms() == pytest.approx(500.0 * clock.seconds)
-    clock.reset()
-    assert clock.calls == 0
+    assert clock.ms() == 0.0 and sensor.work(10) == 45 and sensor.work(much=4) == 6
+    assert clock.calls == 2 and clock.ms() == 500.0 * clock.seconds > 0.0
