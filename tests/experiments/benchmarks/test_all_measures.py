@@ -1,7 +1,5 @@
 """`touchdown bench all` and `bench compare` on stand-ins of checkouts that print known figures."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
