@@ -1,6 +1,5 @@
 """Two landings in one process on one thread, as a worker of a campaign flies them: prints what the
-second costs as one JSON object. Runs as a file on any
-checkout that has these classes.
+second costs as one JSON object. Runs as a file on any checkout that has these classes.
 
 All times are processor times; those of picture, scan and estimator are of the calls of their
 classes' methods.

@@ -5,19 +5,21 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
-import numpy as np
 import zstandard
-from numpy.typing import NDArray
 
 MAX_TEXT_BYTES = 1 << 19
 """of all texts and profiles of a PNG that may be compressed; a byte inflates to 1032 at most"""
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _STEP = 1 << 20
-_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-"""of a pixel, by the colour type of a PNG"""
+_KINDS: Mapping[int, tuple[int, tuple[int, ...]]] = {
+    0: (1, (1, 2, 4, 8, 16)), 2: (3, (8, 16)), 3: (1, (1, 2, 4, 8)), 4: (2, (8, 16)),
+    6: (4, (8, 16)),
+}  # fmt: skip
+"""channels of a pixel and their possible bits, by the colour type of a PNG"""
 _LAST_FILTER = 4
 _ADAM7 = (
     (0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2),
@@ -47,13 +49,13 @@ def inflated_chunk(data: bytes, compression: str, size: int) -> bytes:
 
 def check_png(file: BinaryIO, most_pixels: int) -> None:
     """Reads a PNG file to its end. Raises ValueError, a predicate of "an image", unless its chunks
-    have their checksums, it has at most ``most_pixels``, its data inflate to no more bytes than
-    these pixels need, and each row has a known filter: decoders inflate all, and print about damage
-    what they like."""
+    have their checksums, it has at most ``most_pixels``, its data inflate to as many bytes as these
+    pixels need, and each row has a known filter: decoders inflate all, and print about damage what
+    they like."""
     if file.read(len(_SIGNATURE)) != _SIGNATURE:
         raise ValueError("is no PNG file")
     kind, text, done = b"", 0, 0
-    filters = np.zeros(1, np.int64)
+    passes: list[_Rows] = []
     inflater = zlib.decompressobj()
     while kind != b"IEND":
         size, kind = struct.unpack(">I4s", _exactly(file, 8))
@@ -65,11 +67,13 @@ def check_png(file: BinaryIO, most_pixels: int) -> None:
             piece = _exactly(file, min(_STEP, size - start))
             checksum = zlib.crc32(piece, checksum)
             if kind == b"IHDR":
-                filters = _rows(piece, most_pixels)
-            elif kind == b"IDAT":
-                done = _inflate_rows(inflater, piece, filters, done)
+                passes = _passes(piece, most_pixels)
+            elif kind == b"IDAT" and passes:
+                done = _inflate_rows(inflater, piece, passes, done)
         if struct.unpack(">I", _exactly(file, 4)) != (checksum,):
             raise ValueError("does not have its checksum")
+    if not passes or done < passes[-1].end:
+        raise ValueError("does not hold all of its rows")
 
 
 def _exactly(file: BinaryIO, size: int) -> bytes:
@@ -79,37 +83,48 @@ def _exactly(file: BinaryIO, size: int) -> bytes:
     return data
 
 
-def _rows(header: bytes, most_pixels: int) -> NDArray[np.int64]:
-    """Offsets of the filter byte of each row in the inflated data, and last their size."""
+class _Rows(NamedTuple):
+    """Rows of a pass of an image in the inflated data: from ``start`` to ``end``, each of ``step``
+    bytes with its filter first."""
+
+    start: int
+    step: int
+    end: int
+
+
+def _passes(header: bytes, most_pixels: int) -> list[_Rows]:
+    """The passes of an image, in order."""
     if len(header) != 13:
         raise ValueError("has a header of another size")
     width, height, bits, colour, packing, filtering, interlace = struct.unpack(">IIBBBBB", header)
     if width * height > most_pixels:
         raise ValueError(f"has {width} x {height} pixels, more than {most_pixels}")
-    if colour not in _CHANNELS or packing or filtering or interlace > 1:
+    channels, depths = _KINDS.get(colour, (0, ()))
+    if not width * height or bits not in depths or packing or filtering or interlace > 1:
         raise ValueError("is of a kind that PNG does not have")
-    sizes = [np.zeros(1, np.int64)]
+    found, start = [], 0
     for x, y, step_x, step_y in _ADAM7 if interlace else ((0, 0, 1, 1),):
         columns, rows = -(-(width - x) // step_x), -(-(height - y) // step_y)
         if columns > 0 and rows > 0:
-            sizes.append(np.full(rows, 1 + -(-columns * bits * _CHANNELS[colour] // 8)))
-    return np.cumsum(np.concatenate(sizes))
+            step = 1 + -(-columns * bits * channels // 8)
+            found.append(_Rows(start, step, start := start + rows * step))
+    return found
 
 
-def _inflate_rows(
-    inflater: zlib._Decompress, piece: bytes, filters: NDArray[np.int64], done: int
-) -> int:
+def _inflate_rows(inflater: zlib._Decompress, piece: bytes, passes: list[_Rows], done: int) -> int:
     """Inflates a piece of the data of an image, of which ``done`` bytes came before, and returns
     the bytes so far. Raises ValueError above their size, for an unknown filter and for damage."""
     try:
         while piece and not inflater.eof:
-            data = np.frombuffer(inflater.decompress(piece, _STEP), np.uint8)
+            data = inflater.decompress(piece, _STEP)
             piece = inflater.unconsumed_tail
-            first, end = np.searchsorted(filters, (done, done + len(data)))
-            if done + len(data) > filters[-1]:
+            if done + len(data) > passes[-1].end:
                 raise ValueError("inflates to more than its size in pixels needs")
-            if (data[filters[first:end] - done] > _LAST_FILTER).any():
-                raise ValueError("has a row with an unknown filter")
+            for start, step, end in passes:
+                first = start + max(-(-(done - start) // step), 0) * step
+                filters = data[max(first - done, 0) : max(end - done, 0) : step]
+                if first < end and filters and max(filters) > _LAST_FILTER:
+                    raise ValueError("has a row with an unknown filter")
             done += len(data)
     except zlib.error:
         raise ValueError("cannot be inflated") from None

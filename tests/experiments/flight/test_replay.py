@@ -79,7 +79,7 @@ def test_replays_are_equal_to_the_byte(run: Path, tmp_path: Path) -> None:
         result.pop("timing")
     assert results[0] == results[1]
     assert results[0]["position_error_m"]["mean"] < 0.02
-    assert results[0]["outcome"] == "COMPLETED"
+    assert results[0]["outcome"] == "COMPLETED" and results[0]["nees"]["samples"] > 0
     assert (tmp_path / "one" / "truth.tum").read_bytes() == (run / "truth.tum").read_bytes()
 
 

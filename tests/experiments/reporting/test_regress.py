@@ -1,7 +1,5 @@
 """`touchdown regress`: the verdict on made-up campaigns, and the command."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from itertools import product

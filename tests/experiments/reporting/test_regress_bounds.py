@@ -1,7 +1,5 @@
 """`touchdown regress --bounds`: the bounds by hand, and the command."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

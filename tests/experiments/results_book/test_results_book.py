@@ -231,6 +231,15 @@ def test_missing_flights_are_named(tmp_path: Path) -> None:
         record_of(LANDINGS, tmp_path / "nothing")
 
 
+def test_nothing_is_written_of_missing_flights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = {"directory": "d", "runs": 2, "finished": 1, "missing": 1, "crashed": 0, "outcomes": {}}
+    monkeypatch.setattr("touchdown.experiments.results_book.flying.fly", lambda *_: [found])
+    assert cli.main(["results", "--out", str(tmp_path), "--write", "--quiet"]) == 1
+    assert "nothing is written" in capsys.readouterr().err
+
+
 def test_sets_of_a_profile_are_of_one_revision() -> None:
     before = {"field/landings": {"revision": "a"}, "ideal/landings": {"revision": "b"}}
     assert merged(before, {"ideal/landings": {"revision": "c"}})["ideal/landings"] == {

@@ -40,6 +40,12 @@ BOMBS = {
     "filter": (png(8, 8, data=bytes(175) + b"\5"), "has a row with an unknown filter"),
     "kind": (png(8, 8, methods=(0, 1, 0)), "is of a kind that PNG does not have"),
     "pass": (png(8, 8, methods=(0, 0, 1), data=LAST_ROW + b"\5"), "a row with an unknown filter"),
+    "depth": (png(8, 8, 4), "is of a kind that PNG does not have"),
+    "rows": (png(8, 8, inflated=199), "does not hold all of its rows"),
+    "narrow": (
+        png(1, 999_999, data=bytes(3_999_992) + b"\5\0\0\0"),
+        "a row with an unknown filter",
+    ),
     "none": (b"GIF", "is no PNG file"),
 }
 
