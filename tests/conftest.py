@@ -1,7 +1,5 @@
 """Settings of the whole test suite, before anything is imported."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import tempfile

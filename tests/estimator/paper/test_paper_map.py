@@ -1,7 +1,5 @@
 """The visual map of `paper`: its keyframes, their bundle adjustment and loop closures."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

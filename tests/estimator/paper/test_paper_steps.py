@@ -1,7 +1,5 @@
 """Every step of the paper's positioning: what it repairs of a disturbed state, and by how much."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -73,8 +73,7 @@ def test_replays_are_equal_to_the_byte(run: Path, tmp_path: Path) -> None:
     results = []
     for name in ("one", "two"):
         results.append(replay(run, replay_config(run, "livo"), tmp_path / name).plain())
-    one, two = ((tmp_path / name / "estimate.tum").read_bytes() for name in ("one", "two"))
-    assert one == two
+    assert len({(tmp_path / n / "estimate.tum").read_bytes() for n in ("one", "two")}) == 1
     for result in results:
         result.pop("timing")
     assert results[0] == results[1]
