@@ -71,12 +71,13 @@ class MujocoWorld:
         check_rates(params.sim, needs)
         self._vehicle = vehicle_model(scene.model)
         self._deviations = draw_deviations(params.vehicle_error, seed)
+        drawn = scene
         scene = replace(scene, model=true_model(scene.model, self._deviations))
         self._scene, self._params, self._seed, self._needs = scene, params, seed, needs
         self._sim, self._model = params.sim, scene.model
         self._step_s = self._sim.control_ticks / self._sim.tick_hz
         self._prepare_body()
-        self._imaging = ImagingSensors(scene, params, seed, self._moving)
+        self._imaging = ImagingSensors(drawn, params, seed, self._moving)
         self._imaging.add(needs)
         self._nav = self._make_nav()
         self.rig = self._make_rig()
