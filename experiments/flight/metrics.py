@@ -247,7 +247,8 @@ LEVELNESS_MAX_SLOPE_DEG = 15.0
 """steeper planes are roofs and banks, not ground to land on"""
 
 
-class GroundMap(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class GroundMap:
     """What the figures of a map are made of: its cells, their returns and the ground's height."""
 
     origin_xy_m: Array
