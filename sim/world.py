@@ -48,7 +48,7 @@ from touchdown.sim.wind import Wind
 
 _NOTHING = SensorNeeds()
 _NEAR_GROUND_M = 4.0
-"""Clearance above which the ground adds less than 0.02 % to the thrust: looked at less often there"""
+"""Above it the ground adds less than 0.02 % to the thrust, and is looked at less often."""
 _PROBE_STEPS = 8
 
 
