@@ -67,7 +67,7 @@ def _empty_patch() -> _Patch:
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath=_ANY_ORDER, error_model="numpy")
+@njit(cache=True, fastmath=_ANY_ORDER, forceinline=True, error_model="numpy")
 def _load(part: Grey, pixels: Float32) -> None:
     """Writes the part (H, W) of an image into ``pixels``, row after row."""
     height, width = part.shape
@@ -76,7 +76,7 @@ def _load(part: Grey, pixels: Float32) -> None:
             pixels[j * width + i] = np.float32(part[j, i])
 
 
-@njit(cache=True, fastmath=_ANY_ORDER, error_model="numpy")
+@njit(cache=True, fastmath=_ANY_ORDER, forceinline=True, error_model="numpy")
 def _template(image: Grey, u: float, v: float, warp: Array, patch: _Patch) -> bool:
     """Samples the keyframe at (u, v) + warp @ offset over the patch, and its gradient with respect
     to the offset; all zero-mean. False at the border."""
@@ -124,7 +124,7 @@ def _template(image: Grey, u: float, v: float, warp: Array, patch: _Patch) -> bo
     return True
 
 
-@njit(cache=True, fastmath=_ANY_ORDER, error_model="numpy")
+@njit(cache=True, fastmath=_ANY_ORDER, forceinline=True, error_model="numpy")
 def _sample(image: Grey, u: float, v: float, patch: _Patch) -> None:
     """Interpolates the image over the patch around (u, v)."""
     pixels, seen = patch.pixels, patch.seen
@@ -140,7 +140,7 @@ def _sample(image: Grey, u: float, v: float, patch: _Patch) -> None:
         seen[k] = upper + w10 * pixels[k + _ROW] + w11 * pixels[k + _ROW + 1]
 
 
-@njit(cache=True, fastmath=_ANY_ORDER, error_model="numpy")
+@njit(cache=True, fastmath=_ANY_ORDER, forceinline=True, error_model="numpy")
 def _correlation(patch: _Patch, power: np.float32) -> float:
     """Of what is seen with the patch; ``power``: sum of the patch's squares."""
     values, seen = patch.values, patch.seen
@@ -155,7 +155,7 @@ def _correlation(patch: _Patch, power: np.float32) -> float:
     return cross / np.sqrt(max(power * seen_power, np.float32(1e-9)))
 
 
-@njit(cache=True, fastmath=_ANY_ORDER, error_model="numpy")
+@njit(cache=True, fastmath=_ANY_ORDER, forceinline=True, error_model="numpy")
 def _align(
     image: Grey, u: float, v: float, patch: _Patch, steps: int
 ) -> tuple[bool, float, float, float]:
