@@ -47,17 +47,25 @@ class Rays:
     range_noise: Float32
     bits: Uint32
 
-    def at(self, rows: Indices) -> Rays:
+    @staticmethod
+    def of(count: int) -> Rays:
+        """Memory for so many rays."""
+        return Rays(
+            np.empty((count, 6), dtype=np.float32),
+            np.empty(count),
+            np.empty(count, dtype=np.float32),
+            np.empty(count, dtype=np.uint32),
+        )
+
+    def part(self, start: int, end: int) -> Rays:
+        """The rays from ``start`` to ``end``, in the same memory."""
+        rows = slice(start, end)
         return Rays(self.rays[rows], self.times[rows], self.range_noise[rows], self.bits[rows])
 
-    @staticmethod
-    def joined(*groups: Rays) -> Rays:
-        return Rays(
-            np.concatenate([group.rays for group in groups]),
-            np.concatenate([group.times for group in groups]),
-            np.concatenate([group.range_noise for group in groups]),
-            np.concatenate([group.bits for group in groups]),
-        )
+    def move(self, rows: Indices, start: int) -> None:
+        """Moves ``rows`` (K,) to the rows from ``start`` on."""
+        for values in (self.rays, self.times, self.range_noise, self.bits):
+            values[start : start + len(rows)] = values[rows]
 
 
 Movers = list[tuple[RayTarget, Track]]

@@ -49,6 +49,7 @@ _MAP_CELLS = 256.0
 _NEIGHBOUR_RAD = math.radians(0.7)
 _STEP_M = 0.05
 _SLACK = 1.5
+_STEP_BEHIND_M = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,19 +105,38 @@ def _uniform(bits: np.uint32, salt: int) -> float:
 
 
 @njit(cache=True, nogil=True)
-def passing(geom: Int32, cosine: Float32, bits: Uint32, porosity: Float32) -> Indices:
-    """Indices of the rays that pass through what they hit. The result depends on ray and geom alone
-    and insides never reflect, so a ray that entered a porous body also leaves it."""
-    out = np.empty(geom.shape[0], dtype=np.int64)
+def pass_on(
+    rows: Indices,
+    rays: Float32,
+    times: Array,
+    bits: Uint32,
+    porosity: Float32,
+    distance: Float32,
+    geom: Int32,
+    cosine: Float32,
+) -> tuple[Indices, Float32, Array, Float32]:
+    """Those of the rays ``rows`` (K,) that pass through what they hit, which is no hit from now on:
+    their rows, (P, 6) rays from just behind, instants, and how far they have come. The result
+    depends on ray and geom alone and insides never reflect, so a ray that entered a porous body
+    also leaves it."""
+    passing = np.empty(rows.shape[0], dtype=np.int64)
     count = 0
-    for i in range(geom.shape[0]):
+    for i in rows:
         g = geom[i]
         if g < 0 or porosity[g] <= 0.0:
             continue
         if cosine[i] < 0.0 or _uniform(bits[i], _PORE_SALT + g) < porosity[g]:
-            out[count] = i
+            passing[count] = i
             count += 1
-    return out[:count].copy()
+    onward, came = np.empty((count, 6), dtype=np.float32), np.empty(count, dtype=np.float32)
+    for k in range(count):
+        i = passing[k]
+        came[k] = distance[i] + np.float32(_STEP_BEHIND_M)
+        for c in range(3):
+            onward[k, c] = rays[i, c] + came[k] * rays[i, 3 + c]
+            onward[k, 3 + c] = rays[i, 3 + c]
+        distance[i], geom[i], cosine[i] = np.inf, -1, 0.0
+    return passing[:count], onward, times[passing[:count]], came
 
 
 @njit(cache=True, forceinline=True)
@@ -337,34 +357,33 @@ def _apart(
 @njit(cache=True, nogil=True)
 def probed_apart(
     pulses: Indices,
+    count: int,
     distance: Float32,
     cosine: Float32,
-    end_distance: Float32,
-    end_cosine: Float32,
-    other_end_distance: Float32,
-    other_end_cosine: Float32,
     angle_squared: float,
 ) -> Indices:
-    """Those of ``pulses`` (K,) one of whose ends (K,), an angle off the axis, finds another surface
-    than the axis (``distance``, ``cosine`` of all pulses): positions in
-    ``pulses``."""
-    out = np.empty(pulses.shape[0], dtype=np.int64)
-    count = 0
-    for k in range(pulses.shape[0]):
+    """Those of ``pulses`` (K,) one of whose ends, an angle off the axis, finds another surface than
+    the axis: positions in ``pulses``. ``distance`` and ``cosine``: of ``count`` axes, of K ends on
+    one side and of K on the other."""
+    size = pulses.shape[0]
+    out = np.empty(size, dtype=np.int64)
+    found = 0
+    for k in range(size):
         d, c = distance[pulses[k]], cosine[pulses[k]]
-        if _apart(d, end_distance[k], c, end_cosine[k], angle_squared) or _apart(
-            d, other_end_distance[k], c, other_end_cosine[k], angle_squared
+        one, two = count + k, count + size + k
+        if _apart(d, distance[one], c, cosine[one], angle_squared) or _apart(
+            d, distance[two], c, cosine[two], angle_squared
         ):
-            out[count] = k
-            count += 1
-    return out[:count].copy()
+            out[found] = k
+            found += 1
+    return out[:found].copy()
 
 
 @njit(cache=True, nogil=True)
 def receive_split(
     pulses: Indices,
-    part_distance: Float32,
-    part_strength: Float32,
+    distance: Float32,
+    strength: Float32,
     bits: Uint32,
     range_noise: Float32,
     pulse_length: float,
@@ -377,30 +396,35 @@ def receive_split(
     intensity: Bytes,
 ) -> None:
     """For divided pulses, overwrites ``ranges`` and ``intensity`` of ``pulses`` (K,) by the first
-    or the strongest echo of their P equal parts: distances and strengths (K, P), sorted here in
-    place; no strength where a part meets nothing. ``bits`` and ``range_noise`` (N,) of all pulses.
+    or the strongest echo of their P equal parts. ``distance`` and ``strength``, none where a part
+    meets nothing: of the axes of the N pulses, then of K parts of one kind after another.
     """
-    parts = part_distance.shape[1]
-    for k in range(pulses.shape[0]):
+    size = pulses.shape[0]
+    parts = 1 + (distance.shape[0] - ranges.shape[0]) // max(size, 1)
+    distances, strengths = np.empty(parts, np.float32), np.empty(parts, np.float32)
+    for k in range(size):
         i = pulses[k]
-        distances, strengths = part_distance[k], part_strength[k]
+        distances[0], strengths[0] = distance[i], strength[i]
+        for p in range(1, parts):
+            part = ranges.shape[0] + (p - 1) * size + k
+            distances[p], strengths[p] = distance[part], strength[part]
         _sort_parts(distances, strengths)
         best_range, best_strength, best_power = 0.0, 0.0, 0.0
         p = 0
         while p < parts and distances[p] < np.inf:
             start = distances[p]
-            strength, power, moment = 0.0, 0.0, 0.0
+            total, power, moment = 0.0, 0.0, 0.0
             while p < parts and distances[p] - start <= pulse_length:
                 d, s = distances[p], strengths[p]
-                strength += s / parts
+                total += s / parts
                 power += s / (d * d + 1e-9)
                 moment += d * s / (d * d + 1e-9)
                 p += 1
             mean = moment / power
-            if not _detected(mean, strength, bits[i], anchors, quantiles):
+            if not _detected(mean, total, bits[i], anchors, quantiles):
                 continue
             if power > best_power:
-                best_range, best_strength, best_power = mean, strength, power
+                best_range, best_strength, best_power = mean, total, power
             if not strongest:
                 break
         ranges[i], intensity[i] = 0.0, 0
