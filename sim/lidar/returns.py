@@ -46,9 +46,9 @@ _PORE_SALT = 1 << 8
 
 _MAP_CELLS = 256.0
 """Along half a side of the octahedral map of a view: cells of 0.2 to 0.45 degrees."""
-_NEIGHBOUR_RAD = math.radians(0.7)
-_STEP_M = 0.05
-_SLACK = 1.5
+_NEIGHBOUR_SQUARED = np.float32(math.radians(0.7) ** 2)
+_STEP_M, _SLACK = np.float32(0.05), np.float32(1.5)
+_LEAST_SQUARE = np.float32(0.05**2)
 _STEP_BEHIND_M = 1e-3
 
 
@@ -283,10 +283,11 @@ def clutter(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _view_map(nominal: Float32, chosen: Indices) -> tuple[Int32, Int32, int]:
     """The ``chosen`` (C,) directions on the octahedral map of the sphere, seen from +z: the part of
-    the map that they fill, flat, with one of them in each cell or -1; their cells (C,); its
+    the map that they fill, flat, with one of them in each cell or C; their cells (C,); its
     width."""
-    cols, rows = np.empty(chosen.shape[0], np.int32), np.empty(chosen.shape[0], np.int32)
-    for k in range(chosen.shape[0]):
+    size = chosen.shape[0]
+    cols, rows = np.empty(size, np.int32), np.empty(size, np.int32)
+    for k in range(size):
         x, y, z = nominal[chosen[k], 0], nominal[chosen[k], 1], nominal[chosen[k], 2]
         scale = 1.0 / (abs(x) + abs(y) + abs(z))
         u, v = x * scale, y * scale
@@ -297,9 +298,9 @@ def _view_map(nominal: Float32, chosen: Indices) -> tuple[Int32, Int32, int]:
     rows -= rows.min() - 1
     width = cols.max() + 2
     cells = rows * np.int32(width) + cols
-    grid = np.full(width * (rows.max() + 2), -1, dtype=np.int32)
-    for k in range(chosen.shape[0]):
-        grid[cells[k]] = chosen[k]
+    grid = np.full(width * (rows.max() + 2), size, dtype=np.int32)
+    for k in range(size):
+        grid[cells[k]] = k
     return grid, cells, width
 
 
@@ -309,49 +310,58 @@ def near_edges(
 ) -> Indices:
     """Those of the ``candidates`` (C,) with a neighbour in the view, among the candidates of the
     same scan, that lies nearer or farther than the slope of either surface explains, or with no
-    neighbour that could decide."""
-    if not candidates.shape[0]:
+    neighbour that could decide. It has no branches, which would be guessed wrong at every edge."""
+    size = candidates.shape[0]
+    if not size:
         return candidates
     grid, cells, width = _view_map(nominal, candidates)
-    chosen = np.empty(candidates.shape[0], dtype=np.int64)
-    count = 0
-    for k in range(candidates.shape[0]):
+    seen = np.empty((size + 1, 8), np.float32)  # of one length with the lines of a cache
+    seen[size] = np.nan  # nothing, which is neither nearer nor farther
+    for k in range(size):
         i = candidates[k]
-        edge, alone = False, True
-        for place in range(9):
-            j = grid[cells[k] + (place // 3 - 1) * width + place % 3 - 1]
-            if j < 0 or j == i:
-                continue
-            alone = False
-            if abs(distance[i] - distance[j]) <= _STEP_M:
-                continue
-            x = nominal[i, 0] - nominal[j, 0]
-            y = nominal[i, 1] - nominal[j, 1]
-            z = nominal[i, 2] - nominal[j, 2]
-            angle_squared = x * x + y * y + z * z
-            if angle_squared < _NEIGHBOUR_RAD * _NEIGHBOUR_RAD and _apart(
-                distance[i], distance[j], cosine[i], cosine[j], angle_squared
-            ):
-                edge = True
-                break
-        if edge or alone:
-            chosen[count] = i
-            count += 1
+        seen[k, 0], seen[k, 1], seen[k, 2] = nominal[i, 0], nominal[i, 1], nominal[i, 2]
+        seen[k, 3], seen[k, 4] = distance[i], _square(cosine[i])
+    chosen = np.empty(size, dtype=np.int64)
+    count = 0
+    for k in range(size):
+        edge, others = False, 0
+        for row in range(-1, 2):
+            start = np.uint64(cells[k] + row * width - 1)
+            for col in range(3):
+                j = np.uint64(grid[start + np.uint64(col)])
+                x, y, z = seen[k, 0] - seen[j, 0], seen[k, 1] - seen[j, 1], seen[k, 2] - seen[j, 2]
+                angle_squared = x * x + y * y + z * z
+                edge |= (angle_squared < _NEIGHBOUR_SQUARED) & _apart(
+                    seen[k, 3], seen[j, 3], seen[k, 4], seen[j, 4], angle_squared
+                )
+                others += (j != size) & (j != k)
+        chosen[count] = candidates[k]
+        count += edge | (others == 0)
     return chosen[:count].copy()
 
 
 @njit(cache=True, forceinline=True)
+def _square(cosine: np.float32) -> np.float32:
+    """Square of a cosine, which counts as 0.05 at least."""
+    return max(cosine * cosine, _LEAST_SQUARE)
+
+
+@njit(cache=True, forceinline=True)
 def _apart(
-    distance: float, other: float, cosine: float, other_cosine: float, angle_squared: float
+    distance: np.float32,
+    other: np.float32,
+    square: np.float32,
+    other_square: np.float32,
+    angle_squared: np.float32,
 ) -> bool:
     """True if two hits lie at ranges that no plane through one of them explains. The angle between
-    their rays is given squared, and the comparison is of squares: this saves two roots."""
+    their rays and the cosines are given squared, and the comparison is of squares: this saves
+    roots."""
     gap = abs(distance - other) - _STEP_M
-    if not gap > 0.0:  # also where neither hits anything
-        return False
-    c = max(min(abs(cosine), abs(other_cosine)), 0.05)
-    reach = _SLACK * min(distance, other)
-    return gap * gap * c * c > reach * reach * angle_squared * (1.0 - c * c)
+    c = other_square if other_square < square else square
+    reach = _SLACK * (other if other < distance else distance)
+    # not where neither hits anything
+    return (gap > 0.0) & (gap * gap * c > reach * reach * angle_squared * (np.float32(1.0) - c))
 
 
 @njit(cache=True, nogil=True)
@@ -365,17 +375,16 @@ def probed_apart(
     """Those of ``pulses`` (K,) one of whose ends, an angle off the axis, finds another surface than
     the axis: positions in ``pulses``. ``distance`` and ``cosine``: of ``count`` axes, of K ends on
     one side and of K on the other."""
-    size = pulses.shape[0]
+    size, angle = pulses.shape[0], np.float32(angle_squared)
     out = np.empty(size, dtype=np.int64)
     found = 0
     for k in range(size):
-        d, c = distance[pulses[k]], cosine[pulses[k]]
+        d, c = distance[pulses[k]], _square(cosine[pulses[k]])
         one, two = count + k, count + size + k
-        if _apart(d, distance[one], c, cosine[one], angle_squared) or _apart(
-            d, distance[two], c, cosine[two], angle_squared
-        ):
-            out[found] = k
-            found += 1
+        out[found] = k
+        found += _apart(d, distance[one], c, _square(cosine[one]), angle) | _apart(
+            d, distance[two], c, _square(cosine[two]), angle
+        )
     return out[:found].copy()
 
 

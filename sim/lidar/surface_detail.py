@@ -177,7 +177,8 @@ class SurfaceDetail:
         if not len(rows):
             return 0, 0.0
         height = self.plant_height_m(x, y, mean)
-        return _shorten(rows, height, leaf_area, hits.cosine, pulses.bits, hits.distance)
+        passed = -np.log(_even(rows, pulses.bits))  # by the law of Beer and Lambert
+        return _shorten(rows, height, leaf_area, passed, hits.cosine, hits.distance)
 
     def visible_height_m(self, x: Array, y: Array, under_m: float = math.inf) -> Array:
         """Mean heights (N,) above the ground, at places (N,) in the world, from which pulses and
@@ -305,26 +306,32 @@ def _log_gains(
 
 
 @njit(cache=True, nogil=True)
+def _even(rows: Indices, bits: Uint32) -> Array:
+    """Numbers in (0, 1) of the rays ``rows`` (K,)."""
+    out = np.empty(rows.shape[0])
+    for k in range(rows.shape[0]):
+        out[k] = (float(hashed(bits[rows[k]], _LEAF_SALT)) + 0.5) / 4294967296.0
+    return out
+
+
+@njit(cache=True, nogil=True)
 def _shorten(
     rows: Indices,
     height: Float32,
     leaf_area: Float32,
+    passed: Array,
     cosine: Float32,
-    bits: Uint32,
     distance: Float32,
 ) -> tuple[int, float]:
-    """Draws the path of each of the rays ``rows`` (K,) in the plants by the law of Beer and
-    Lambert, and ends it there unless the ground comes first. Returns how many it shortens, and by
-    how many metres all of them."""
+    """Ends the rays ``rows`` (K,) in plants at the optical depths ``passed`` (K,) unless the ground
+    comes first. Returns how many it shortens, and by how many metres all of them."""
     shortened, total = 0, 0.0
     for k in range(rows.shape[0]):
         i = rows[k]
         path = min(height[k] / max(cosine[i], _LEAST_COSINE), distance[i])
-        bit = (float(hashed(bits[i], _LEAF_SALT)) + 0.5) / 4294967296.0
-        depth = -math.log(bit) * height[k] / (_LEAF_PROJECTION * leaf_area[k])
-        if depth < path:
-            before = distance[i]
-            distance[i] = distance[i] - path + depth
-            shortened += distance[i] != before
-            total += abs(distance[i] - before)
+        depth = passed[k] * height[k] / (_LEAF_PROJECTION * leaf_area[k])
+        before = distance[i]
+        distance[i] = before - path + depth if depth < path else before
+        shortened += distance[i] != before
+        total += abs(distance[i] - before)
     return shortened, total
