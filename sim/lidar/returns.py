@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 
 from touchdown.sim.lidar.beams import hashed, normal_cell, normal_in
+from touchdown.sim.lidar.rays import ground_cells
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
 
 _LIMIT_SPREAD = 0.02
@@ -197,18 +198,18 @@ def receive(
     empty."""
     varied = gain.shape[0] > 0
     rows, cols = ground_reflectivity.shape
+    place = np.empty(rays.shape[0], dtype=np.int32)
+    ground_cells(rays, distance, geom, ground_geom, ground_frame, rows, cols, place)
+    ground = ground_reflectivity.ravel()
     for i in range(rays.shape[0]):
         strengths[i], ranges[i], intensity[i] = 0.0, 0.0, 0
         d, g = distance[i], geom[i]
         if g < 0 or d < min_range or d > max_range:
             continue
         rho, wet = reflectivity[g], water[g]
-        if g == ground_geom:
-            col = math.floor((rays[i, 0] + d * rays[i, 3] - ground_frame[0]) * ground_frame[2])
-            row = math.floor((rays[i, 1] + d * rays[i, 4] - ground_frame[1]) * ground_frame[2])
-            if 0 <= row < rows and 0 <= col < cols:
-                rho = ground_reflectivity[row, col]
-                wet = rho < 0.0
+        if place[i] >= 0:
+            rho = ground[place[i]]
+            wet = rho < 0.0
         if varied:
             rho = min(rho * gain[i], max(rho, np.float32(1.0)))
         strength = _strength(rho, wet, cosine[i], bits[i])

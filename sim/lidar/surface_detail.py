@@ -29,7 +29,7 @@ from touchdown.sim.lidar.beams import hashed
 from touchdown.sim.lidar.lattice_noise import add_plane_noise, add_space_noise
 from touchdown.sim.lidar.patterns.livox import PATTERNS, ScanPattern
 from touchdown.sim.lidar.raycast_scene import OpticalTable, optical_table
-from touchdown.sim.lidar.rays import Movers, Rays
+from touchdown.sim.lidar.rays import Movers, Rays, ground_cells
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
 
 FINEST_M = 0.06
@@ -85,15 +85,11 @@ class SurfaceDetail:
 
     @cached_property
     def _surfaces(self) -> Float32:
+        """(M + G, 3) of materials and geoms: spread, mean height, leaf area index"""
         optics = self.optics
-        return np.array([optics.spread, optics.canopy_m, optics.leaf_area])
-
-    @cached_property
-    def _materials(self) -> Float32:
-        optics = self.optics
-        return np.array(
-            [optics.material_spread, optics.material_canopy_m, optics.material_leaf_area]
-        )
+        materials = [optics.material_spread, optics.material_canopy_m, optics.material_leaf_area]
+        geoms = [optics.spread, optics.canopy_m, optics.leaf_area]
+        return np.concatenate([np.column_stack(materials), np.column_stack(geoms)])
 
     @staticmethod
     def of(
@@ -129,7 +125,7 @@ class SurfaceDetail:
             optics.ground_geom,
             optics.ground_frame,
             optics.ground_material,
-            self._materials,
+            len(optics.material_spread),
             self.texture > 0.0,
             self.vegetation > 0.0,
             rows,
@@ -214,15 +210,6 @@ class SurfaceDetail:
         return scale * np.clip(factor, np.float32(0.5), np.float32(1.5))
 
 
-@njit(cache=True, forceinline=True)
-def _material(x: float, y: float, frame: Array, material: Bytes) -> int:
-    """Index of the ground's material at a place, -1 beyond the raster."""
-    col, row = math.floor((x - frame[0]) * frame[2]), math.floor((y - frame[1]) * frame[2])
-    if 0 <= row < material.shape[0] and 0 <= col < material.shape[1]:
-        return int(material[row, col])
-    return -1
-
-
 @njit(cache=True, nogil=True)
 def _find(
     rays: Float32,
@@ -233,39 +220,42 @@ def _find(
     ground_geom: int,
     ground_frame: Array,
     ground_material: Bytes,
-    materials: Float32,
+    materials: int,
     texture: bool,
     plants: bool,
     rows: Indices,
     tables: Float32,
 ) -> tuple[int, int, int]:
     """Fills the ``rows`` (3, N) and ``tables`` (3, 5, N) of `Places` from the front, and returns
-    how many each has. ``surfaces`` (3, G) and ``materials`` (3, M): spread, mean height and leaf
-    area index."""
+    how many each has. ``surfaces`` (M + G, 3) of M ``materials`` and the geoms: spread, mean height
+    and leaf area index. Most hits are kept: all are written, which saves branches."""
+    place = np.empty(rays.shape[0], dtype=np.int32)
+    height, width = ground_material.shape
+    ground_cells(rays, distance, geom, ground_geom, ground_frame, height, width, place)
+    kinds = ground_material.ravel()
+    flat_x, flat_y, flat_d, flat_s = tables[0, 0], tables[0, 1], tables[0, 3], tables[0, 4]
+    x_in, y_in, mean_in, leaves_in = tables[2, 0], tables[2, 1], tables[2, 3], tables[2, 4]
+    flat_rows, plant_rows = rows[0], rows[2]
     flat, solid, grown = 0, 0, 0
     for i in range(rays.shape[0]):
-        g = geom[i]
+        g, d = geom[i], distance[i]
         if g < 0:
             continue
-        x = np.float32(rays[i, 0] + distance[i] * rays[i, 3])
-        y = np.float32(rays[i, 1] + distance[i] * rays[i, 4])
-        spread, mean, leaves = surfaces[0, g], surfaces[1, g], surfaces[2, g]
-        if g == ground_geom:
-            kind = _material(x, y, ground_frame, ground_material)
-            if kind >= 0:
-                spread, mean, leaves = materials[0, kind], materials[1, kind], materials[2, kind]
-        if texture and spread > 0.0:
-            kind, at = (0, flat) if g == ground_geom else (1, solid)
-            rows[kind, at] = i
-            tables[kind, 0, at], tables[kind, 1, at] = x, y
-            tables[kind, 2, at] = rays[i, 2] + distance[i] * rays[i, 5]
-            tables[kind, 3, at], tables[kind, 4, at] = distance[i], spread
-            flat, solid = (flat + 1, solid) if g == ground_geom else (flat, solid + 1)
-        if plants and cosine[i] > 0.0 and mean > 0.0 and leaves > 0.0:
-            rows[2, grown] = i
-            tables[2, 0, grown], tables[2, 1, grown] = x, y
-            tables[2, 3, grown], tables[2, 4, grown] = mean, leaves
-            grown += 1
+        x, y = np.float32(rays[i, 0] + d * rays[i, 3]), np.float32(rays[i, 1] + d * rays[i, 4])
+        own = kinds[place[i]] if place[i] >= 0 else materials + g
+        spread, mean, leaves = surfaces[own, 0], surfaces[own, 1], surfaces[own, 2]
+        flat_rows[flat], flat_x[flat], flat_y[flat] = i, x, y
+        flat_d[flat], flat_s[flat] = d, spread
+        varied = texture & (spread > 0.0)
+        flat += varied & (g == ground_geom)
+        if varied & (g != ground_geom):
+            rows[1, solid], tables[1, 0, solid], tables[1, 1, solid] = i, x, y
+            tables[1, 2, solid] = rays[i, 2] + d * rays[i, 5]
+            tables[1, 3, solid], tables[1, 4, solid] = d, spread
+            solid += 1
+        plant_rows[grown], x_in[grown], y_in[grown] = i, x, y
+        mean_in[grown], leaves_in[grown] = mean, leaves
+        grown += plants & (cosine[i] > 0.0) & (mean > 0.0) & (leaves > 0.0)
     return flat, solid, grown
 
 
