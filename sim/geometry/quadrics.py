@@ -26,7 +26,6 @@ _KINDS = {
     mujoco.mjtGeom.mjGEOM_CAPSULE: _CAPSULE,
 }
 _MISS = np.uint32(0xFFFFFFFF)
-_LAYER_STEP_M = 1e-4
 _LARGEST_GAP_M = 1e-3
 """Where a ray runs further between wrapping and shape, another surface may lie in between."""
 
@@ -79,13 +78,13 @@ def settle(
     distance: Float32,
     geom: Int32,
     cosine: Float32,
-) -> tuple[Float32, Indices, Float32]:
+    again: Indices,
+) -> int:
     """True hits of rays (K, 6) from those on triangles. Those that are nearer than what is known go
     to ``rows`` (K,) of ``distance``, ``geom`` and ``cosine`` (see
     ``sim.geometry.ray_target.Hits``), with what the rays have ``travelled`` (K,) already. Returns
-    the rays that have to be cast on, where they start again, their rows and how far they came:
-    those that pass between a shape and its wrapping."""
-    again = np.empty(rays.shape[0], dtype=np.int64)
+    the number of those that have to be cast on, which pass between a shape and its wrapping, and
+    puts them to the front of ``again`` (K,)."""
     count = 0
     local = np.empty(6)
     for i in range(rays.shape[0]):
@@ -117,15 +116,20 @@ def settle(
         if distance[row] > wrapped_distance[i] + travelled[i]:
             again[count] = i
             count += 1
-    again = again[:count]
-    onward, came = np.empty((count, 6), dtype=np.float32), np.empty(count, dtype=np.float32)
-    for k in range(count):
-        step = wrapped_distance[again[k]] + np.float32(_LAYER_STEP_M)
-        came[k] = travelled[again[k]] + step
+    return count
+
+
+@njit(cache=True, nogil=True)
+def rays_behind(
+    rays: Float32, chosen: Indices, distance: Float32, onward: Float32, travelled: Float32
+) -> None:
+    """Fills ``onward`` (K, 6): the ``chosen`` (K,) rays, which start ``distance`` (K,) further on;
+    adds it to what they have ``travelled`` (K,)."""
+    for k in range(chosen.shape[0]):
+        travelled[k] += distance[k]
         for c in range(3):
-            onward[k, c] = rays[again[k], c] + step * rays[again[k], 3 + c]
-            onward[k, 3 + c] = rays[again[k], 3 + c]
-    return onward, rows[again], came
+            onward[k, c] = rays[chosen[k], c] + distance[k] * rays[chosen[k], 3 + c]
+            onward[k, 3 + c] = rays[chosen[k], 3 + c]
 
 
 @njit(cache=True, forceinline=True)

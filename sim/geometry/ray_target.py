@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any
 
 # Open3D would otherwise probe for a display when it is first imported.
 os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
@@ -14,10 +13,11 @@ import numpy as np
 import open3d as o3d
 
 from touchdown.sim.frames import Pose
-from touchdown.sim.geometry.quadrics import ShapeTable, settle
+from touchdown.sim.geometry.quadrics import ShapeTable, rays_behind, settle
 from touchdown.sim.typing import Array, Float32, Indices, Int32
 
 _MOST_LAYERS = 9
+_LAYER_STEP_M = np.float32(1e-4)
 """Wrappings of round shapes that one ray may graze."""
 _NO_GEOM = -1
 
@@ -127,14 +127,13 @@ class RayTarget:
         """Puts the hits of ``rays`` (K, 6), which have come ``travelled`` (K,) already, to ``rows``
         (K,) of ``hits`` where they are nearer than what is there."""
         for _ in range(_MOST_LAYERS):
-            if not rows.size:
-                return
-            answer = self.embree(rays)
-            rays, rows, travelled = settle(
+            answer, again = self.embree(rays), np.empty(len(rays), dtype=np.int64)
+            wrapped = answer["t_hit"].numpy()
+            count = settle(
                 rays,
                 rows,
                 travelled,
-                answer["t_hit"].numpy(),
+                wrapped,
                 answer["primitive_ids"].numpy(),
                 answer["primitive_normals"].numpy(),
                 self._geom_of_triangle,
@@ -145,7 +144,14 @@ class RayTarget:
                 hits.distance,
                 hits.geom,
                 hits.cosine,
+                again,
             )
+            if not count:
+                return
+            again, onward = again[:count], np.empty((count, 6), dtype=np.float32)
+            rows, travelled = rows[again], travelled[again]
+            rays_behind(rays, again, wrapped[again] + _LAYER_STEP_M, onward, travelled)
+            rays = onward
 
     def embree(self, rays: Float32) -> dict[str, o3d.core.Tensor]:
         """The bare cast against the triangles, as Open3D answers it."""

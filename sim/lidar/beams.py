@@ -199,8 +199,7 @@ def _draw(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _deviates(words: Uint32, count: int, quantiles: Array, ends: Indices, out: Array) -> None:
-    """`normal_in` of the first ``count`` of ``words``; those of the first and last cell are noted in
-    ``ends``."""
+    """`normal_in` of the first ``count`` of ``words``; notes those in the tails in ``ends``."""
     for n in range(count):
         cell = words[n] >> _REST
         low = quantiles[cell]
@@ -209,7 +208,7 @@ def _deviates(words: Uint32, count: int, quantiles: Array, ends: Indices, out: A
     found = 0
     for n in range(count):  # apart from the tails, so that not all lanes work on them
         ends[found] = n
-        found += np.uint32(words[n] + _CELL) < np.uint32(2 * _CELL)
+        found += int(np.uint32(words[n] + _CELL) < np.uint32(2 * _CELL))
     for n in ends[:found]:
         out[n] = _tail(int(words[n]))
 
@@ -240,11 +239,15 @@ def _turn(
         u, v, f = lanes[_U + n], lanes[_V + n], lanes[_W + n]
         # The nearer of x and y to the beam's plane of view spans it: no pole within any pattern.
         along_x = abs(x) < 0.99
-        own, other = (x, y) if along_x else (y, x)
+        other = y if along_x else x
         inverse = 1.0 / np.sqrt(other * other + z * z)
         along, beside = 1.0 / inverse, -x * y * inverse
-        ux, uy, uz = (along, beside, -x * z * inverse) if along_x else (z * inverse, 0.0, -x * inverse)
-        vx, vy, vz = (0.0, z * inverse, -y * inverse) if along_x else (beside, along, -y * z * inverse)
+        ux, uy, uz = (
+            (along, beside, -x * z * inverse) if along_x else (z * inverse, 0.0, -x * inverse)
+        )
+        vx, vy, vz = (
+            (0.0, z * inverse, -y * inverse) if along_x else (beside, along, -y * z * inverse)
+        )
         lx, ly, lz = x + u * ux + v * vx, y + u * uy + v * vy, z + u * uz + v * vz
         e = 1.0 - f
         # Neighbouring poses differ by fractions of a degree: the chord serves for the arc.
@@ -254,6 +257,43 @@ def _turn(
         scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
         lanes[n], lanes[_Y + n], lanes[_Z + n] = e * ax + f * bx, e * ay + f * by, e * az + f * bz
         lanes[_U + n], lanes[_V + n], lanes[_W + n] = dx * scale, dy * scale, dz * scale
+
+
+@njit(cache=True, nogil=True)
+def in_view(
+    eyes: Array,
+    turns: Array,
+    positions: Array,
+    rotations: Array,
+    center: Array,
+    radius: float,
+    cone_rad: float,
+) -> bool:
+    """True if a moving body (``center`` (3,) in its own frame) may come into a cone about the
+    LIDAR's z axis. The tracks of both: (M, 3) and (M, 3, 3) in the world."""
+    middle, half = eyes.shape[0] // 2, positions.shape[0] // 2
+    wander = rotated = drift = squared = along = 0.0
+    for m in range(eyes.shape[0]):
+        for r in range(3):
+            wander = max(wander, abs(eyes[m, r] - eyes[middle, r]))
+            rotated = max(rotated, abs(turns[m, r, 2] - turns[middle, r, 2]))
+    for r in range(3):
+        first = 0.0
+        for m in range(positions.shape[0]):
+            at = positions[m, r]
+            for c in range(3):
+                at += rotations[m, r, c] * center[c]
+            if m == 0:
+                first = at
+            drift = max(drift, abs(at - first))
+            if m == half:
+                squared += (at - eyes[middle, r]) ** 2
+                along += (at - eyes[middle, r]) * turns[middle, r, 2]
+    distance, reach = math.sqrt(squared), radius + 2.0 * (wander + drift)
+    if reach >= distance:
+        return True
+    off_axis = math.acos(min(max(along / distance, -1.0), 1.0))
+    return off_axis - math.asin(reach / distance) - 2.0 * rotated <= cone_rad
 
 
 @njit(cache=True, nogil=True)

@@ -53,7 +53,7 @@ class GroundTarget(RayTarget):
         if self._ground is None:
             return super().cast_apart(rays, hits)
         others = self._ground.march(rays, hits)
-        self.cast_on(rays[others], others, np.zeros(len(others), np.float32), hits)
+        self.cast_on(np.take(rays, others, axis=0), others, np.zeros(len(others), np.float32), hits)
         return others
 
 

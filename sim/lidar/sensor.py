@@ -19,8 +19,9 @@ from touchdown.sim.dust import DustCloud
 from touchdown.sim.effects import Effects, Returns
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.frames import Pose
+from touchdown.sim.geometry.quadrics import rays_behind
 from touchdown.sim.geometry.ray_target import Hits
-from touchdown.sim.lidar import beams, returns
+from touchdown.sim.lidar import beam_edges, beams, returns
 from touchdown.sim.lidar.patterns.livox import PATTERNS, ScanPattern
 from touchdown.sim.lidar.range_errors import RangeErrors
 from touchdown.sim.lidar.raycast_scene import LidarScene
@@ -33,6 +34,7 @@ from touchdown.sim.typing import Array, Bytes, Float32, Indices
 
 _MOST_PASSES = 5
 """Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
+_STEP_BEHIND_M = np.float32(1e-3)
 _ON_AXIS: Array = np.zeros((1, 3))
 _CALM: Array = np.zeros(2)
 _NO_GAIN: Float32 = np.empty(0, dtype=np.float32)
@@ -48,8 +50,8 @@ class LidarSensor:
     """Simulates the LIDAR that ``params.preset`` names in ``scene``.
 
     ``scan`` is a pure function of its arguments, the scene and the seed: it may run in any thread
-    beside the physics, one scan at a time. Without ``weather`` the air is clear; ``wind_mps``, (2,) the mean wind at
-    20 ft, moves crowns. ``dust`` is noted up to a scan's end before the scan.
+    beside the physics, one scan at a time. Without ``weather`` the air is clear; ``wind_mps``, (2,)
+    the mean wind at 20 ft, moves crowns. ``dust`` is noted up to a scan's end before the scan.
     """
 
     def __init__(
@@ -197,22 +199,19 @@ class LidarSensor:
 
     def _in_view(self, track: Track, movers: Movers) -> Movers:
         """The moving bodies that may come into the field of view during a scan."""
-        middle = len(track.times_s) // 2
-        eye, boresight = track.positions[middle], track.rotations[middle][:, 2]
-        wander = float(np.abs(track.positions - eye).max())
-        rotated = float(np.abs(track.rotations[:, :, 2] - boresight).max())
-        seen = []
-        for target, motion in movers:
-            centers = motion.positions + motion.rotations @ target.center
-            apart = centers[len(centers) // 2] - eye
-            distance = float(np.linalg.norm(apart))
-            reach = target.radius + 2.0 * (wander + float(np.abs(centers - centers[0]).max()))
-            if reach < distance:
-                off_axis = np.arccos(np.clip(apart @ boresight / distance, -1.0, 1.0))
-                if off_axis - np.arcsin(reach / distance) - 2.0 * rotated > self._cone_rad:
-                    continue
-            seen.append((target, motion))
-        return seen
+        return [
+            (target, motion)
+            for target, motion in movers
+            if beams.in_view(
+                track.positions,
+                track.rotations,
+                motion.positions,
+                motion.rotations,
+                target.center,
+                target.radius,
+                self._cone_rad,
+            )
+        ]
 
     # ----------------------------------------------------------------------------- hits
 
@@ -228,9 +227,11 @@ class LidarSensor:
             near = np.arange(len(rays.rays))
         else:
             near = (static.cast_apart if open_ground else static.fill)(rays.rays, hits)
+        if not movers:
+            return near
         rows, travelled = np.arange(len(rays.rays)), np.zeros(len(rays.rays), np.float32)
         met = _cast_at_movers(rays.rays, rays.times, rows, travelled, hits, movers)
-        return np.concatenate([near, *met]) if met else near
+        return np.concatenate([near, *met])
 
     def _penetrate(self, pulses: Rays, hits: Hits, movers: Movers) -> None:
         """Replaces hits on porous surfaces by what lies behind, where the pulse passes."""
@@ -239,21 +240,19 @@ class LidarSensor:
             return
         rows = np.arange(len(pulses.rays))
         for left in range(_MOST_PASSES, -1, -1):
-            rows, onward, times, travelled = returns.pass_on(
-                rows,
-                pulses.rays,
-                pulses.times,
-                pulses.bits,
-                porosity,
-                hits.distance,
-                hits.geom,
-                hits.cosine,
+            came = np.empty(len(rows), dtype=np.float32)
+            count = returns.passing(
+                rows, pulses.bits, porosity, hits.distance, hits.geom, hits.cosine, came
             )
-            if not rows.size or not left:
+            if not count or not left:
                 return
+            rows, came = rows[:count], came[:count] + _STEP_BEHIND_M
+            onward, travelled = np.empty((count, 6), dtype=np.float32), np.zeros_like(came)
+            rays_behind(pulses.rays, rows, came, onward, travelled)
             if static is not None:
                 static.cast_on(onward, rows, travelled, hits)
-            _cast_at_movers(onward, times, rows, travelled, hits, movers)
+            if movers:
+                _cast_at_movers(onward, pulses.times[rows], rows, travelled, hits, movers)
 
     # -------------------------------------------------------------------------- returns
 
@@ -336,12 +335,12 @@ class LidarSensor:
         rays, hits = self._rays, self._hits
         near = np.zeros(count, dtype=np.bool_)
         near[others] = True
-        others = returns.near_edges(nominal, hits.distance, hits.cosine, np.flatnonzero(near))
+        others = beam_edges.near_edges(nominal, hits.distance, hits.cosine, np.flatnonzero(near))
         angle_squared = float(np.sum(parts[0, :2] ** 2))
         ends = count + 2 * len(others)
         self._aim(first, nominal, others, parts[:2], track, rays.part(count, ends))
         self._cast(rays.part(count, ends), hits.part(count, ends), movers)
-        kept = returns.probed_apart(others, count, hits.distance, hits.cosine, angle_squared)
+        kept = beam_edges.probed_apart(others, count, hits.distance, hits.cosine, angle_squared)
         split = others[kept]
         rows = count + np.concatenate([kept, len(others) + kept])
         start, end = count + len(rows), count + len(split) * len(parts)

@@ -132,7 +132,9 @@ class SurfaceDetail:
             tables,
         )
         found = enumerate((flat, solid, plants))
-        return Places(*(Found(rows[k, :n], *(column[:n] for column in tables[k])) for k, n in found))
+        return Places(
+            *(Found(rows[k, :n], *(column[:n] for column in tables[k])) for k, n in found)
+        )
 
     def gains(self, places: Places, pulses: Rays, hits: Hits, movers: Movers) -> Float32:
         """(N,) factors of the reflectivity where the rays hit; empty: 1 everywhere."""
@@ -144,9 +146,7 @@ class SurfaceDetail:
             _log_gains(*found, plane, self.salt, *self.width_rad, self.texture, gain)
         return np.exp(gain, out=gain)
 
-    def _place_on_movers(
-        self, found: Found, pulses: Rays, geom: Int32, movers: Movers
-    ) -> None:
+    def _place_on_movers(self, found: Found, pulses: Rays, geom: Int32, movers: Movers) -> None:
         """Carries those places of ``found``, world frame, that lie on a moving body into its frame,
         at the instants of the rays."""
         if not movers or not self.moving[geom[found.rows]].any():
