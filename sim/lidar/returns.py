@@ -109,9 +109,8 @@ def passing(
     travelled: Float32,
 ) -> int:
     """Puts those of the rays ``rows`` (K,) that pass through what they hit to its front, and how
-    far they have come to ``travelled`` (K,); what they hit is no hit from now on. Returns their
-    number. The result depends on ray and geom alone and insides never reflect, so a ray that
-    entered a porous body also leaves it."""
+    far they have come to ``travelled`` (K,). Returns their number. The result depends on ray and
+    geom alone and insides never reflect, so a ray that entered a porous body also leaves it."""
     count = 0
     for k in range(rows.shape[0]):
         i = rows[k]
@@ -120,7 +119,6 @@ def passing(
             continue
         if cosine[i] < 0.0 or _uniform(bits[i], _PORE_SALT + g) < porosity[g]:
             rows[count], travelled[count] = i, distance[i]
-            distance[i], geom[i], cosine[i] = np.inf, -1, 0.0
             count += 1
     return count
 

@@ -244,9 +244,11 @@ class LidarSensor:
             count = returns.passing(
                 rows, pulses.bits, porosity, hits.distance, hits.geom, hits.cosine, came
             )
+            rows, came = rows[:count], came[:count] + _STEP_BEHIND_M
+            hits.geom[rows] = -1
             if not count or not left:
                 return
-            rows, came = rows[:count], came[:count] + _STEP_BEHIND_M
+            hits.distance[rows], hits.cosine[rows] = np.inf, 0.0
             onward, travelled = np.empty((count, 6), dtype=np.float32), np.zeros_like(came)
             rays_behind(pulses.rays, rows, came, onward, travelled)
             if static is not None:

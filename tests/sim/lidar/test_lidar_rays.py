@@ -135,8 +135,7 @@ def test_open_ground_is_a_shortcut_and_nothing_else() -> None:
     scene = cached_scene("crossroad")
     rays = scene_rays(scene, 50_000)
     target = LidarScene(scene).static
-    general = target.cast_all(rays)
-    quick = Hits.of(len(rays))
+    general, quick = target.cast_all(rays), Hits.of(len(rays))
     others = target.cast_apart(rays, quick)
     assert 0.05 < len(others) / len(rays) < 0.8
     np.testing.assert_array_equal(quick.geom, general.geom)
