@@ -247,8 +247,23 @@ LEVELNESS_MAX_SLOPE_DEG = 15.0
 """steeper planes are roofs and banks, not ground to land on"""
 
 
+@dataclass(frozen=True, slots=True)
+class GroundMap:
+    """What the figures of a map are made of: its cells, their returns and the ground's height."""
+
+    origin_xy_m: Array
+    cell_m: float
+    count: NDArray[np.float32]
+    height_m: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, grid: GridMap) -> GroundMap:
+        """Returns the ground of ``grid``, in arrays of its own."""
+        return cls(grid.origin_xy_m, grid.cell_m, grid.count.copy(), grid.ground().height_m)
+
+
 def levelness_error_deg(
-    grid: GridMap, true_points: Callable[[Array, float], Array], seed: int
+    grid: GridMap | GroundMap, true_points: Callable[[Array, float], Array], seed: int
 ) -> Array:
     """Angle between map and true normals at up to ten seeded places where the ground is planar.
 
@@ -281,7 +296,7 @@ def levelness_error_deg(
     return np.array(errors)
 
 
-def _map_points(grid: GridMap, centre_xy: Array, radius: float) -> Array:
+def _map_points(grid: GridMap | GroundMap, centre_xy: Array, radius: float) -> Array:
     """(N, 3) centres and mean heights of the seen cells within ``radius`` of a point."""
     low = np.floor((centre_xy - radius - grid.origin_xy_m) / grid.cell_m).astype(int)
     high = np.ceil((centre_xy + radius - grid.origin_xy_m) / grid.cell_m).astype(int)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.flight.conditions import ConditionsObserver
+from touchdown.experiments.flight.metrics import GroundMap
 from touchdown.experiments.io.results import Event, PhaseStart
 from touchdown.experiments.recording.run_recorder import Recorder
 from touchdown.experiments.recording.step_record import StepRecord
@@ -70,7 +70,7 @@ class StepObserver:
         self._progress = progress
         self._next_s = 0.0
         self._latest_map: GridMap | None = None
-        self._survey_map: GridMap | None = None
+        self._survey_map: GroundMap | None = None
 
     def tick(self, step: StepRecord) -> None:
         """Takes one control step."""
@@ -88,18 +88,20 @@ class StepObserver:
         self._recorder.tick(step)
 
     def end_survey(self) -> None:
-        """Keeps a copy of the map as it is now."""
-        self._survey_map = copy.deepcopy(self._latest_map)
+        """Keeps the ground of the map as it is now."""
+        if self._latest_map is not None:
+            self._survey_map = GroundMap.of(self._latest_map)
 
     def close(self) -> None:
         """Closes the recorder."""
         self._recorder.close()
 
     @property
-    def judged_map(self) -> GridMap:
-        """The map at the end of the survey, or the newest one where the survey did not end.
+    def judged_map(self) -> GroundMap:
+        """The ground mapped at the end of the survey, or the newest where the survey did not end.
         Raises RuntimeError before the first step."""
-        judged = self._survey_map or self._latest_map
-        if judged is None:
+        if self._survey_map is not None:
+            return self._survey_map
+        if self._latest_map is None:
             raise RuntimeError("judged_map before the first step")
-        return judged
+        return GroundMap.of(self._latest_map)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import GridMap
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.choice import choice_of
 from touchdown.experiments.flight.happened import as_json, judge_conditions
-from touchdown.experiments.flight.metrics import levelness_error_deg
+from touchdown.experiments.flight.metrics import GroundMap, levelness_error_deg
 from touchdown.experiments.flight.observers import StepObserver
 from touchdown.experiments.flight.referee import Judgement
 from touchdown.experiments.flight.stage_timer import StageClock
@@ -87,13 +85,14 @@ def _timing(clock: StageClock, sim_s: float) -> Timing:
     )
 
 
-def _map_figures(stack: FlightStack, judgement: Judgement, grid: GridMap, seed: int) -> MapFigures:
+def _map_figures(
+    stack: FlightStack, judgement: Judgement, grid: GroundMap, seed: int
+) -> MapFigures:
     """``density_per_m2``: returns per square metre of the mapped area at the end of the survey."""
     seen = grid.count > 0
     area = float(seen.sum()) * grid.cell_m**2
-    ground = dataclasses.replace(grid, height_m=grid.ground().height_m)
     errors: NDArray[np.float64] = levelness_error_deg(
-        ground, TruthLookup(stack.scene).surface_points, seed
+        grid, TruthLookup(stack.scene).surface_points, seed
     )
     return MapFigures(
         duration_s=judgement.survey_s,

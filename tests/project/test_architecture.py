@@ -327,6 +327,21 @@ def test_kernels_of_estimation_take_their_columns_by_name() -> None:
     assert _bare_indices(ast.parse(kernel)) == ["3 row[6 + k]"]
 
 
+def test_kernels_that_reorder_sums_have_one_machine_code() -> None:
+    """What a compiled function calls exists twice, optimised apart: either must do the same."""
+    kernels = [
+        node for path in SOURCES for node in ast.walk(_tree(path))
+        if isinstance(node, ast.FunctionDef) and _compiled(node)
+    ]  # fmt: skip
+    decorators = {node.name: ast.unparse(node.decorator_list[0]) for node in kernels}
+    called = {
+        call.func.id for node in kernels for call in ast.walk(node)
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)
+    }  # fmt: skip
+    loose = {name for name, how in decorators.items() if "fastmath" in how and "inline" not in how}
+    assert loose and not loose & called, "set forceinline=True"
+
+
 def test_no_paths_of_one_machine() -> None:
     pattern = re.compile(r"""(?<![\w.])/(home|Users|work|root|tmp|mnt)/[A-Za-z_]""")
     for path in TEXTS:

@@ -194,10 +194,6 @@ def test_the_overview_names_every_command_once() -> None:
         assert len(found) == 1, f"docs/command-overview.md names '{command}' {len(found)} times"
 
 
-def test_the_front_page_is_two_screens() -> None:
-    assert len(text_of("README.md").splitlines()) <= 110
-
-
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_python_blocks_compile(page: Path) -> None:
     for block in blocks_of(page, "python"):

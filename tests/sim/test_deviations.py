@@ -20,6 +20,7 @@ from touchdown.sim.airframe.deviations import (
     NOMINAL,
     Deviations,
     SpeedTelemetry,
+    _give_back,
     draw_deviations,
     true_model,
 )
@@ -92,6 +93,9 @@ def test_true_model_is_a_copy_with_another_body(scene: Scene) -> None:
     assert true.body_subtreemass[body] == pytest.approx(1.1 * before[0])
     assert scene.model.body_mass[body] == before[0]
     assert true_model(scene.model, NOMINAL) is scene.model
+    levels = np.ones(40_000_000, np.uint8)
+    _give_back(levels)
+    assert levels.mean() < 0.01
 
 
 def test_the_rig_has_the_nominal_vehicle_and_the_physics_the_true_one(scene: Scene) -> None:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.flight import result
+from touchdown.experiments.flight.metrics import GroundMap
 from touchdown.experiments.flight.result import _map_figures
 
 from support.landing_support import grid_of_returns
@@ -26,7 +27,7 @@ def test_levelness_is_that_of_the_ground_under_plants(monkeypatch: pytest.Monkey
     stack: Any = SimpleNamespace(scene=None)
     judgement: Any = SimpleNamespace(survey_s=36.0)
     before = result.levelness_error_deg(grid, lambda xy, r: level(None, xy, r), 3)
-    found = _map_figures(stack, judgement, grid, 3)
+    found = _map_figures(stack, judgement, GroundMap.of(grid), 3)
     assert before.mean() > 1.0
     assert found.levelness_error_deg.mean is not None and found.levelness_error_deg.mean < 0.4
     assert found.density_per_m2 == pytest.approx(30 / 0.04)
