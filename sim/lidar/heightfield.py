@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.typing import Array, Float32, Indices, Int32
 
 _STEEPEST = -0.05
@@ -66,11 +67,12 @@ class GroundGrid:
             _block_lids(lids),
         )
 
-    def march(self, rays: Float32, distance: Float32, geom: Int32, cosine: Float32) -> Indices:
-        """Fills in the hits of the rays (N, 6) that fall on open ground; returns the others."""
+    def march(self, rays: Float32, hits: Hits) -> Indices:
+        """Fills in ``hits`` of the rays (N, 6): those that fall on open ground. The others, which
+        are returned, meet nothing."""
         return _march(
             rays, self.geom, self.origin, self.cell, self.heights, self.lids, self.closed,
-            self.block_lids, distance, geom, cosine,
+            self.block_lids, hits.distance, hits.geom, hits.cosine,
         )  # fmt: skip
 
 
@@ -156,6 +158,7 @@ def _march(
     count = 0
     for i in range(rays.shape[0]):
         dz = float(rays[i, 5])
+        distance[i], geom[i], cosine[i] = np.inf, -1, 0.0
         others[count] = i
         count += 1
         if dz > _STEEPEST:

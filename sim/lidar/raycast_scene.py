@@ -48,15 +48,13 @@ class GroundTarget(RayTarget):
         self._ground = ground
         super().__init__(vertices, triangles, geoms, shapes)
 
-    def cast_apart(self, rays: Float32) -> tuple[Hits, Indices]:
-        """Nearest hits, and the indices of the rays that passed near anything but open ground."""
+    def cast_apart(self, rays: Float32, hits: Hits) -> Indices:
+        """As `RayTarget.cast_apart`."""
         if self._ground is None:
-            return super().cast_apart(rays)
-        hits = Hits.none(len(rays))
-        others = self._ground.march(rays, hits.distance, hits.geom, hits.cosine)
-        if others.size:
-            hits.put(others, self.cast_all(rays[others]))
-        return hits, others
+            return super().cast_apart(rays, hits)
+        others = self._ground.march(rays, hits)
+        self.cast_on(np.take(rays, others, axis=0), others, np.zeros(len(others), np.float32), hits)
+        return others
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.ray_target import RayTarget
 from touchdown.sim.lidar import beams
 from touchdown.sim.moving import BodyTrack
-from touchdown.sim.typing import Array, Float32, Indices, Uint32
+from touchdown.sim.typing import Array, Float32, Indices, Int32, Uint32
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,18 +48,47 @@ class Rays:
     range_noise: Float32
     bits: Uint32
 
-    def at(self, rows: Indices) -> Rays:
+    @staticmethod
+    def of(count: int) -> Rays:
+        """Memory for so many rays."""
+        return Rays(
+            np.empty((count, 6), dtype=np.float32),
+            np.empty(count),
+            np.empty(count, dtype=np.float32),
+            np.empty(count, dtype=np.uint32),
+        )
+
+    def part(self, start: int, end: int) -> Rays:
+        """The rays from ``start`` to ``end``, in the same memory."""
+        rows = slice(start, end)
         return Rays(self.rays[rows], self.times[rows], self.range_noise[rows], self.bits[rows])
 
-    @staticmethod
-    def joined(*groups: Rays) -> Rays:
-        return Rays(
-            np.concatenate([group.rays for group in groups]),
-            np.concatenate([group.times for group in groups]),
-            np.concatenate([group.range_noise for group in groups]),
-            np.concatenate([group.bits for group in groups]),
-        )
+    def move(self, rows: Indices, start: int) -> None:
+        """Moves ``rows`` (K,) to the rows from ``start`` on."""
+        for values in (self.rays, self.times, self.range_noise, self.bits):
+            values[start : start + len(rows)] = values[rows]
 
 
 Movers = list[tuple[RayTarget, Track]]
 """Moving bodies with their tracks over a scan"""
+
+
+@njit(cache=True, nogil=True)
+def ground_cells(
+    rays: Float32,
+    distance: Float32,
+    geom: Int32,
+    ground_geom: int,
+    frame: Array,
+    rows: int,
+    cols: int,
+    out: Int32,
+) -> None:
+    """Flat indices ``out`` (N,) of the cells of the ground's raster that the rays hit, -1 beyond it
+    and elsewhere; the ground as in ``sim.lidar.raycast_scene.OpticalTable``."""
+    for i in range(rays.shape[0]):
+        d = distance[i] if geom[i] == ground_geom else np.float32(0.0)
+        col = np.int32(np.floor((rays[i, 0] + d * rays[i, 3] - frame[0]) * frame[2]))
+        row = np.int32(np.floor((rays[i, 1] + d * rays[i, 4] - frame[1]) * frame[2]))
+        inside = (geom[i] == ground_geom) & (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        out[i] = row * np.int32(cols) + col if inside else np.int32(-1)
