@@ -85,32 +85,16 @@ def ground_of(
     wanted[inner] = True if where is None else where
     if histogram is not None and base is not None and wanted.any():
         several = (missing <= count) & ((count <= _FEW) | (spread > ONE_SURFACE_STD_M))
-        _find_ground(
-            histogram[around], base[around], (count, mean, spread), cell_m, (wanted, several),
-            height, std,
+        reach, slope_reach = max(round(_REACH_M / cell_m), 1), round(_SLOPE_REACH_M / cell_m)
+        square = np.ones((2 * slope_reach + 1, 2 * slope_reach + 1), np.uint8)
+        near: Bytes = cv2.dilate(wanted.astype(np.uint8), square).astype(np.uint8)
+        own, ends = mean.copy(), np.empty((*mean.shape, 2), np.uint8)
+        _own_modes(histogram[around], base[around], spread, near, own, ends)
+        _pooled_modes(
+            _Heights(histogram[around], base[around], ends), count, (wanted, several), own, cell_m,
+            (slope_reach, reach), height, std,
         )  # fmt: skip
     return height[inner], std[inner]
-
-
-def _find_ground(
-    histogram: Bytes, base: Float32, layers: tuple[Float32, Float32, Float32], cell_m: float,
-    masks: tuple[Mask, Mask], height: Float32, std: Float32,
-) -> None:  # fmt: skip
-    """Writes ``height`` and ``std`` (rows, cols) of the cells that are wanted and may show several
-    surfaces, the two ``masks``."""
-    count, mean, spread = layers
-    wanted, _ = masks
-    own = mean.copy()
-    side = 2 * round(_SLOPE_REACH_M / cell_m) + 1
-    square = np.ones((side, side), np.uint8)
-    near: Bytes = cv2.dilate(wanted.astype(np.uint8), square).astype(np.uint8)
-    ends = np.empty((*mean.shape, 2), np.uint8)
-    _own_modes(histogram, base, spread, near, own, ends)
-    slope_reach, reach = round(_SLOPE_REACH_M / cell_m), round(_REACH_M / cell_m)
-    _pooled_modes(
-        _Heights(histogram, base, ends), count, masks, own, cell_m, (slope_reach, max(reach, 1)),
-        height, std,
-    )  # fmt: skip
 
 
 @numba.njit(cache=True)

@@ -42,10 +42,35 @@ class MapperParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LivoParams:
-    """LIDAR-inertial-visual odometry (``estimator/livo/estimator.py``)."""
+class FlownImuParams:
+    """Noise of the IMU on the flying vehicle, where above that of the data sheet: what `paper` and
+    the baselines assume. ``livo`` has its own."""
 
     __pydantic_config__ = FORBID_EXTRA
+
+    gyro_density: NotNegative = 0.0
+    """rad/s/sqrt(Hz) of the gyroscope"""
+    accel_density: NotNegative = 0.0
+    """m/s^2/sqrt(Hz) of the accelerometer"""
+    gyro_bias_walk: NotNegative = 0.0
+    """rad/s^2/sqrt(Hz): what scale, alignment and g-sensitivity add to the bias"""
+    accel_bias_walk: NotNegative = 0.0
+    """m/s^3/sqrt(Hz), likewise"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EstimatorParams:
+    """What all estimators with an inertial filter have."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    correction_time_s: NotNegative = 0.15
+    """a correction of the filter reaches control over this time"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LivoParams(FlownImuParams):
+    """LIDAR-inertial-visual odometry (``estimator/livo/estimator.py``)."""
 
     camera_hz: Count = 10
     """image rate; a divisor of the camera's clock"""
@@ -113,14 +138,6 @@ class LivoParams:
     """prior of the misalignment of each axis of the gyroscope towards each of the two others"""
     gyro_g_sigma: NotNegative = 0.0
     """prior of the gyroscope's response to specific force, rad/s per m/s^2"""
-    gyro_density: NotNegative = 0.0
-    """rad/s/sqrt(Hz) of the gyroscope on the flying vehicle, where above that of the data sheet"""
-    accel_density: NotNegative = 0.0
-    """m/s^2/sqrt(Hz), likewise of the accelerometer"""
-    gyro_bias_walk: NotNegative = 0.0
-    """rad/s^2/sqrt(Hz), likewise; what scale, alignment and g-sensitivity add to the bias"""
-    accel_bias_walk: NotNegative = 0.0
-    """m/s^3/sqrt(Hz), likewise"""
     use_degeneracy: bool = True
     """scans do not correct degenerate directions, such as lateral motion over level ground"""
     weak_sigma_m: NotNegative = 0.1
@@ -142,27 +159,8 @@ class LivoParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FlownImuParams:
-    """Noise of the IMU on the flying vehicle, where above that of the data sheet, as `paper` and
-    the baselines assume it. ``livo`` has its own."""
-
-    __pydantic_config__ = FORBID_EXTRA
-
-    gyro_density: NotNegative = 0.0
-    """rad/s/sqrt(Hz) of the gyroscope"""
-    accel_density: NotNegative = 0.0
-    """m/s^2/sqrt(Hz) of the accelerometer"""
-    gyro_bias_walk: NotNegative = 0.0
-    """rad/s^2/sqrt(Hz): what scale, alignment and g-sensitivity add to the bias"""
-    accel_bias_walk: NotNegative = 0.0
-    """m/s^3/sqrt(Hz), likewise"""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PaperParams:
+class PaperParams(EstimatorParams):
     """LIDAR-camera positioning of Zou, Sun and Kong 2024 (``estimator/paper``)."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
     """image rate; a divisor of the camera's clock"""
@@ -217,8 +215,6 @@ class PaperParams:
     """of a landmark's depth by Eq. 12"""
     recent_keyframes: Count = 12
     """newest keyframes, whose landmarks give the odometry"""
-    correction_time_s: NotNegative = 0.15
-    """a correction of the filter reaches control over this time"""
     closure_speed_mps: NotNegative = 0.1
     """fastest motion of the odometry frame when closures correct the past"""
     closure_rate_deg_s: NotNegative = 0.5
@@ -226,88 +222,72 @@ class PaperParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class GpsEstimatorParams:
-    """GPS, IMU, magnetometer and barometer (``estimator/baselines/gps.py``)."""
+class NavigationParams(EstimatorParams):
+    """What the baselines with magnetometer and barometer have."""
 
-    __pydantic_config__ = FORBID_EXTRA
-
-    follow_period_s: Positive = 0.3
-    """time constant with which the position follows the fixes"""
     heading_sigma_deg: NotNegative = 5.0
     """of one reading of the magnetometer, ten a second"""
     baro_sigma_m: NotNegative = 0.5
     """of one reading of the barometer, its drift included"""
-    correction_time_s: NotNegative = 0.15
-    """a correction of the filter reaches control over this time"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class OpticalFlowParams:
-    """Optical flow, rangefinder, IMU, magnetometer and barometer
-    (``estimator/baselines/optical_flow.py``)."""
+class GpsEstimatorParams(NavigationParams):
+    """GPS, IMU, magnetometer and barometer (``estimator/baselines/gps.py``)."""
 
-    __pydantic_config__ = FORBID_EXTRA
-
-    camera_hz: Count = 10
-    """image rate; a divisor of the camera's clock"""
-    features: Count = 60
-    """corners of an image"""
-    window_pixels: Count = 64
-    """side of the central part of the image that they are taken from"""
-    pixel_sigma: NotNegative = 0.3
-    """of the flow of one corner"""
-    floor_sigma_m: NotNegative = 0.01
-    """error floor of a displacement, however many corners it is made of"""
-    scale_sigma: NotNegative = 0.05
-    """the same as a share of the displacement, for ground that is not level"""
-    ground_memory_s: NotNegative = 0.2
-    """time constant of the ground's height below the rangefinder"""
-    heading_sigma_deg: NotNegative = 2.0
-    """of one reading of the magnetometer, ten a second"""
-    baro_sigma_m: NotNegative = 0.5
-    """of one reading of the barometer, its drift included"""
-    drift_share: NotNegative = 0.005
-    """standard deviation that each metre flown adds to the filter's own"""
-    correction_time_s: NotNegative = 0.15
-    """a correction of the filter reaches control over this time"""
+    follow_period_s: Positive = 0.3
+    """time constant with which the position follows the fixes"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class HybridFlowParams:
-    """Dense optical flow and phase correlation with GPS
-    (``estimator/baselines/hybrid_flow.py``)."""
-
-    __pydantic_config__ = FORBID_EXTRA
+class FlowParams(NavigationParams):
+    """What the two by optical flow have."""
 
     camera_hz: Count = 10
     """image rate; a divisor of the camera's clock"""
-    side_pixels: Count = 256
-    """of the levelled image, a power of two"""
     pixel_sigma: NotNegative = 0.3
-    """of one flow vector of the levelled image"""
+    """of the flow of one corner, or of one vector of the levelled image"""
     floor_sigma_m: NotNegative = 0.01
-    """error floor of a displacement, however many vectors it is made of"""
+    """error floor of a displacement, however many of them it is made of"""
     scale_sigma: NotNegative = 0.05
     """the same as a share of the displacement, for ground that is not level"""
     ground_memory_s: NotNegative = 0.5
     """time constant of the ground's height below the rangefinder"""
-    heading_sigma_deg: NotNegative = 5.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OpticalFlowParams(FlowParams):
+    """Optical flow, rangefinder, IMU, magnetometer and barometer
+    (``estimator/baselines/optical_flow.py``)."""
+
+    features: Count = 60
+    """corners of an image"""
+    window_pixels: Count = 64
+    """side of the central part of the image that they are taken from"""
+    ground_memory_s: NotNegative = 0.2
+    """time constant of the ground's height below the rangefinder"""
+    heading_sigma_deg: NotNegative = 2.0
     """of one reading of the magnetometer, ten a second"""
-    baro_sigma_m: NotNegative = 0.5
-    """of one reading of the barometer, its drift included"""
+    drift_share: NotNegative = 0.005
+    """standard deviation that each metre flown adds to the filter's own"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HybridFlowParams(FlowParams):
+    """Dense optical flow and phase correlation with GPS
+    (``estimator/baselines/hybrid_flow.py``)."""
+
+    side_pixels: Count = 256
+    """of the levelled image, a power of two"""
     wander_period_s: Positive = 60.0
     """correlation time of the receiver's error"""
     drift_density: NotNegative = 0.03
     """m/sqrt(s): random walk of the odometry, from which the receiver's error is separated"""
-    correction_time_s: NotNegative = 0.15
-    """a correction of the filter reaches control over this time"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StereoParams:
+class StereoParams(EstimatorParams):
     """Visual odometry on the stereo pair and the IMU (``estimator/baselines/stereo.py``)."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
     """image rate; a divisor of the camera's clock"""
@@ -329,5 +309,3 @@ class StereoParams:
     """m/sqrt(s): random walk of the mean height of the ground in view"""
     drift_share: NotNegative = 0.003
     """standard deviation that each metre flown adds to the filter's own"""
-    correction_time_s: NotNegative = 0.15
-    """a correction of the filter reaches control over this time"""

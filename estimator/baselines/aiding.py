@@ -39,9 +39,7 @@ def update(
         covariance = covariance * (squared / (gate * gate))
     weight = np.linalg.inv(covariance)
     information = jacobian.T @ weight @ jacobian
-    delta = eskf.correction(touched, information, jacobian.T @ (weight @ residual))
-    eskf.state, eskf.clones = eskf.boxplus(eskf.state, eskf.clones, delta)
-    eskf.update_covariance(touched, information)
+    eskf.apply(touched, information, jacobian.T @ (weight @ residual))
     return math.sqrt(squared)
 
 

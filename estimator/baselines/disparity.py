@@ -22,14 +22,6 @@ _ROWS_PX = 1.0
 """largest difference of a corner's rows in the two images"""
 
 
-def triangulate(disparity: Array, scale: float) -> Array:
-    """(N,) depths along the optical axis, metres, of disparities (N,) in pixels; NaN where they
-    are not positive."""
-    positive = np.where(disparity > 0.0, disparity, np.nan)
-    depths: Array = scale / positive
-    return depths
-
-
 def disparities(
     left: Grey, right: Grey, pixels: Array, expected_m: Array, scale: float
 ) -> tuple[NDArray[np.int64], Array]:

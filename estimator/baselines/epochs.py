@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
 
 from touchdown.estimator.filtering.message_order import ArrivingStream, DelayBound
 from touchdown.sim.api import (
@@ -20,6 +20,8 @@ from touchdown.sim.api import (
 
 _PATIENCE_S = 0.3
 """longest delay of an image that is waited for"""
+_EVENTS, _SAMPLES = ("images", "gps"), ("magnetometer", "barometer", "rangefinder")
+"""fields of `Observation`: messages that are epochs, and what is used at the next one"""
 _BEAT_HZ = 10
 """Smallest rate of epochs, independent of messages."""
 
@@ -45,15 +47,6 @@ class Epoch:
     rangefinder: tuple[RangefinderSample, ...] = ()
 
 
-@dataclass(slots=True)
-class _Inbox:
-    images: list[CameraImage] = field(default_factory=list)
-    fixes: list[GpsFix] = field(default_factory=list)
-    magnetometer: list[MagnetometerSample] = field(default_factory=list)
-    barometer: list[BarometerSample] = field(default_factory=list)
-    rangefinder: list[RangefinderSample] = field(default_factory=list)
-
-
 class EpochQueue:
     """Delays messages by the largest nominal latency of the sensors in ``needs``, and by that of an
     image that is later than that and still to be expected.
@@ -68,31 +61,23 @@ class EpochQueue:
             rig.tick_hz // needs.camera_hz if needs.camera_hz else 0,
             DelayBound(rig.compute_latency_ticks, patience),
         )
-        latencies = [
-            rig.compute_latency_ticks if needs.camera_hz else 0,
-            nav.gps.latency_ticks if needs.gps else 0,
-            nav.barometer.latency_ticks if needs.barometer else 0,
-            nav.magnetometer.latency_ticks if needs.magnetometer else 0,
-            nav.rangefinder.latency_ticks if needs.rangefinder else 0,
-        ]
-        self._lag = max(latencies)
+        sensors = ("gps", "barometer", "magnetometer", "rangefinder")
+        latencies = [getattr(nav, name).latency_ticks for name in sensors if getattr(needs, name)]
+        self._lag = max([rig.compute_latency_ticks if needs.camera_hz else 0, *latencies])
         self._beat = rig.tick_hz // _BEAT_HZ
         self._last = 0
-        self._inbox = _Inbox()
+        self._waiting: dict[str, list[Any]] = {name: [] for name in (*_EVENTS, *_SAMPLES)}
         self.late = 0
 
     def take(self, obs: Observation) -> list[Epoch]:
         """Adds the arrived messages; returns the epochs that are complete now, oldest first."""
-        inbox = self._inbox
         for image in obs.images:
             self._images.take(image.tick, obs.tick)
-        inbox.images += self._in_time(obs.images)
-        inbox.fixes += self._in_time(obs.gps)
-        inbox.magnetometer += obs.magnetometer
-        inbox.barometer += obs.barometer
-        inbox.rangefinder += obs.rangefinder
+        for name, waiting in self._waiting.items():
+            arrived = getattr(obs, name)
+            waiting += self._in_time(arrived) if name in _EVENTS else arrived
         horizon = obs.tick - self._lag
-        ticks = {image.tick for image in inbox.images} | {fix.tick for fix in inbox.fixes}
+        ticks = {message.tick for name in _EVENTS for message in self._waiting[name]}
         ticks |= set(range((self._last // self._beat + 1) * self._beat, horizon + 1, self._beat))
         complete = []
         for tick in sorted(ticks):
@@ -108,13 +93,11 @@ class EpochQueue:
 
     def _epoch(self, tick: int) -> Epoch:
         self._last = tick
-        inbox = self._inbox
-        images, fixes = _split(inbox.images, tick), _split(inbox.fixes, tick)
+        images, fixes = (_split(self._waiting[name], tick) for name in _EVENTS)
+        samples = {name: tuple(_split(self._waiting[name], tick)) for name in _SAMPLES}
         return Epoch(
             tick=tick, image=images[-1] if images else None, fix=fixes[-1] if fixes else None,
-            magnetometer=tuple(_split(inbox.magnetometer, tick)),
-            barometer=tuple(_split(inbox.barometer, tick)),
-            rangefinder=tuple(_split(inbox.rangefinder, tick)),
+            **samples,
         )  # fmt: skip
 
 

@@ -27,8 +27,6 @@ class GroundBelow:
         start = rig.world_from_body_start.translation
         self.height_m = float(start[2]) - rig.vehicle.leg_height_m
         self._time_s = -math.inf
-        self.age_s = math.inf
-        """since the last echo"""
 
     def take(self, samples: Sequence[RangefinderSample], state: NavState) -> None:
         """Updates by the ``samples`` since the last call, up to the filter's state."""
@@ -43,4 +41,3 @@ class GroundBelow:
             share = -math.expm1(-step_s / self._memory_s) if self._memory_s > 0.0 else 1.0
             self.height_m += share * (float(hit[2]) - self.height_m)
             self._time_s = sample.time_s
-        self.age_s = now_s - self._time_s

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.baselines.aiding import update
 from touchdown.estimator.filtering.error_state import CLONE_DIM, POSE_DIM, POSITION, ROTATION, after
 from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import skew
 
@@ -27,11 +28,7 @@ _MIN_DESCENT = 0.2
 def level_directions(pixels: Array, camera: CameraIntrinsics, world_from_camera: Array) -> Array:
     """(N, 2) x and y of the directions of undistorted ``pixels`` (N, 2) one metre down; NaN where
     a direction does not point down."""
-    rays = np.empty((len(pixels), 3))
-    rays[:, 0] = (pixels[:, 0] - camera.cx) / camera.fx
-    rays[:, 1] = (pixels[:, 1] - camera.cy) / camera.fy
-    rays[:, 2] = 1.0
-    world = rays @ world_from_camera.T
+    world = bearing_rays(pixels, camera) @ world_from_camera.T
     down = np.where(world[:, 2] < -_MIN_DESCENT, -world[:, 2], np.nan)
     directions: Array = world[:, :2] / down[:, None]
     return directions

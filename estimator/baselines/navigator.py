@@ -72,7 +72,7 @@ class Navigator:
         self._azimuth: float | None = None if known_start else field_azimuth(rig.nav.magnetometer)
         self._readings = np.zeros(2)
         self._pad_yaw = 0.0
-        self._undistort = Undistorter(rig)
+        self.grey = Undistorter(rig).grey
         self.skipped = 0
         self.rate_imu: Array = np.zeros(3)
         """(3,) rad/s at the epoch, bias removed"""
@@ -165,10 +165,6 @@ class Navigator:
         left = 2.0 * abs(math.sin(0.5 * (self._yaw() - self._pad_yaw)))
         lasting = left * self._alignment.heading_sigma()
         return math.hypot(self._heading_sigma, _LASTING * lasting)
-
-    def grey(self, rgb: NDArray[np.uint8]) -> Grey:
-        """Returns the undistorted grey image (H, W) uint8."""
-        return self._undistort.grey(rgb)
 
     def estimate(
         self,

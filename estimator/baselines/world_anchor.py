@@ -27,11 +27,6 @@ class FollowingAnchor:
         """(3,) m, world_from_odom"""
 
     @property
-    def known(self) -> bool:
-        """True once a fix was processed."""
-        return self._target is not None
-
-    @property
     def covariance(self) -> Array:
         """(3, 3) m^2 as reported by the receiver. Its error wanders as slowly as the flight is
         long, so that fixes do not average it out."""

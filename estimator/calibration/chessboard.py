@@ -119,15 +119,10 @@ def fit_camera(
     scale = 1.0 / np.linalg.norm(jacobian, axis=0)
     scaled = jacobian * scale
     covariance = variance * np.linalg.inv(scaled.T @ scaled) * np.outer(scale, scale)
+    (width, height), (fx, fy, cx, cy) = image_size, lens[:4].tolist()
     return CameraFit(
         camera=CameraIntrinsics(
-            width=image_size[0],
-            height=image_size[1],
-            fx=float(lens[0]),
-            fy=float(lens[1]),
-            cx=float(lens[2]),
-            cy=float(lens[3]),
-            distortion=lens[4:].copy(),
+            width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=lens[4:].copy()
         ),
         rotation_vectors=rotation_vectors,
         translations=translations,

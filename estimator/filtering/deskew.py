@@ -1,9 +1,4 @@
-"""Screening, deskewing and thinning of LIDAR scans for the estimators.
-
-The mapper deskews by a kernel of its own (``estimator/mapping/kernels.py``): it keeps pulses
-without return, accepts tracks of any spacing and computes in float32, so that a shared kernel
-would change its maps.
-"""
+"""Screening, deskewing and thinning of LIDAR scans."""
 
 from __future__ import annotations
 
@@ -14,9 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.error_state import Frame, Frames
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.sim.api import LidarParams, LidarScan
-from touchdown.sim.frames import Pose
+from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -24,6 +19,17 @@ Indices = NDArray[np.int64]
 
 _BLIND_SIGMAS = 4.0
 _BLIND_SHARE = 0.05
+_W, _X, _Y, _Z = range(4)
+"""of a quaternion"""
+_KNOT_EVERY = 64
+
+
+class Track(NamedTuple):
+    """Timed poses of a body, M >= 2, ascending."""
+
+    times: Array  # (M,) s
+    positions: Array  # (M, 3) m
+    quats_wxyz: Array  # (M, 4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +59,8 @@ def screen_scan(scan: LidarScan, lidar: LidarParams, *, check_blind_zone: bool =
     standard deviations of ``min_range_m``. There the sensor reports too long a range for some
     pulses and none for others, and a map started from such a scan lies too low.
     """
-    pulses = _valid_pulses(scan.ranges, scan.time_offsets, lidar.min_range_m, lidar.max_range_m)
+    within = (scan.ranges >= lidar.min_range_m) & (scan.ranges <= lidar.max_range_m)
+    pulses = np.flatnonzero(within & (scan.time_offsets >= 0.0))  # false for NaN
     if check_blind_zone and len(pulses):
         blind = lidar.min_range_m + _BLIND_SIGMAS * lidar.range_sigma_m
         if np.count_nonzero(scan.ranges[pulses] < blind) > _BLIND_SHARE * len(pulses):
@@ -74,79 +81,108 @@ def place_scan(
     ``rotations`` (M + 1, 3, 3) and ``positions`` (M + 1, 3): odom_from_imu every ``step_s`` from
     the start of the scan to its end.
     """
-    shot = _Pulses(scan.directions, scan.ranges, scan.time_offsets, pulses)
-    track = Frames(rotations, positions)
-    points, beams = _deskew(shot, Frame.of(imu_from_lidar), track, step_s)
-    return PlacedScan(points, beams, pulses)
+    end = rotations[-1].T
+    quats = np.array([quat_wxyz_from_matrix(rotation) for rotation in end @ rotations])
+    times = step_s * np.arange(float(len(quats)))
+    origins, directions = deskew(
+        scan.directions[pulses], scan.time_offsets[pulses], 0.0,
+        Track(times, (positions - positions[-1]) @ end.T, quats), Frame.of(imu_from_lidar),
+    )  # fmt: skip
+    beams = (scan.ranges[pulses, None] * directions).astype(np.float64)
+    return PlacedScan(origins + beams, beams, pulses)
 
 
 @njit(cache=True)
-def _valid_pulses(
-    ranges: Float32, time_offsets: Float32, min_range: float, max_range: float
-) -> Indices:
-    """Returns the indices (K,); comparisons with NaN are false."""
-    chosen = np.empty(ranges.shape[0], dtype=np.int64)
-    count = 0
-    for i in range(ranges.shape[0]):
-        if ranges[i] >= min_range and ranges[i] <= max_range and time_offsets[i] >= 0.0:
-            chosen[count] = i
-            count += 1
-    return chosen[:count]
+def _lerp_pose(track: Track, index: int, time: float, pose: Frame) -> None:
+    """Writes the pose at ``time`` between track entries ``index`` and ``index + 1``: straight line
+    and normalised quaternion lerp."""
+    times, positions, quats = track
+    span = times[index + 1] - times[index]
+    f = 0.0 if span <= 0.0 else (time - times[index]) / span
+    f = min(max(f, 0.0), 1.0)
+    for k in range(3):
+        pose.translation[k] = positions[index, k] + f * (
+            positions[index + 1, k] - positions[index, k]
+        )
+    dot = 0.0
+    for k in range(4):
+        dot += quats[index, k] * quats[index + 1, k]
+    g = f if dot >= 0.0 else -f
+    w = (1.0 - f) * quats[index, _W] + g * quats[index + 1, _W]
+    x = (1.0 - f) * quats[index, _X] + g * quats[index + 1, _X]
+    y = (1.0 - f) * quats[index, _Y] + g * quats[index + 1, _Y]
+    z = (1.0 - f) * quats[index, _Z] + g * quats[index + 1, _Z]
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    r = pose.rotation
+    r[0, 0], r[0, 1], r[0, 2] = 1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
+    r[1, 0], r[1, 1], r[1, 2] = s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)
+    r[2, 0], r[2, 1], r[2, 2] = s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)
 
 
-class _Pulses(NamedTuple):
-    """Pulses of a scan, and the indices of those to be used."""
+@njit(cache=True, error_model="numpy")
+def deskew(
+    directions: Float32,
+    time_offsets: Float32,
+    start_time: float,
+    track: Track,
+    mount: Frame,
+) -> tuple[Float32, Float32]:
+    """Returns origin and direction of every pulse, (N, 3) float32, in the frame of the ``track``,
+    from the pose of its own instant.
 
-    directions: Float32  # (N, 3)
-    ranges: Float32  # (N,) m
-    time_offsets: Float32  # (N,) s after the first pose
-    chosen: Indices  # (K,)
+    ``directions`` (N, 3) float32, LIDAR frame; ``time_offsets`` (N,) float32 seconds, ascending;
+    ``mount``: of the LIDAR on the body. Times outside the track take its nearest end.
+    """
+    # Exact poses at knots, with the mount in them; between two, a quarter of a millisecond apart,
+    # straight lines differ from the turn by less than 1e-6 even at 10 rad/s.
+    pose = Frame(np.empty((3, 3)), np.empty(3))
+    first, second = Frame(np.empty((3, 3)), np.empty(3)), Frame(np.empty((3, 3)), np.empty(3))
+    origins, beams = np.empty_like(directions), np.empty_like(directions)
+    count = directions.shape[0]
+    last = track.times.shape[0] - 2
+    index = 0
+    for knot in range(0, count, _KNOT_EVERY):
+        end = min(knot + _KNOT_EVERY, count - 1)
+        if knot == 0:
+            time = start_time + time_offsets[0]
+            while index < last and track.times[index + 1] < time:
+                index += 1
+            _lerp_pose(track, index, time, pose)
+            _mount(pose, mount, second)
+        first.rotation[:], first.translation[:] = second.rotation, second.translation
+        time = start_time + time_offsets[end]
+        while index < last and track.times[index + 1] < time:
+            index += 1
+        _lerp_pose(track, index, time, pose)
+        _mount(pose, mount, second)
+        span = time_offsets[end] - time_offsets[knot]
+        per_span = 1.0 / span if span > 0.0 else 0.0
+        r, q = first.rotation, second.rotation
+        for i in range(knot, min(knot + _KNOT_EVERY, count)):
+            f = (time_offsets[i] - time_offsets[knot]) * per_span
+            dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+            for k in range(3):
+                start = first.translation[k]
+                origins[i, k] = start + f * (second.translation[k] - start)
+                r0 = r[k, 0] + f * (q[k, 0] - r[k, 0])
+                r1 = r[k, 1] + f * (q[k, 1] - r[k, 1])
+                r2 = r[k, 2] + f * (q[k, 2] - r[k, 2])
+                beams[i, k] = r0 * dx + r1 * dy + r2 * dz
+    return origins, beams
 
 
 @njit(cache=True)
-def _deskew(
-    shot: _Pulses, imu_from_lidar: Frame, track: Frames, step_s: float
-) -> tuple[Array, Array]:
-    """Returns points (K, 3) and beams (K, 3), see ``place_scan``."""
-    directions, ranges, time_offsets, pulses = shot
-    lidar_rotation, lidar_position = imu_from_lidar
-    rotations, positions = track
-    count = pulses.shape[0]
-    last = rotations.shape[0] - 1
-    relative_r = np.empty((last + 1, 3, 3))
-    relative_p = np.empty((last + 1, 3))
-    spins = np.zeros((last + 1, 3))
-    for m in range(last + 1):
-        relative_r[m] = rotations[last].T @ rotations[m]
-        relative_p[m] = rotations[last].T @ (positions[m] - positions[last])
-    for m in range(last):
-        # within 5 ms the rotation is a few milliradians: its first order is exact to 1e-8 rad
-        rotation = rotations[m].T @ rotations[m + 1]
-        spins[m, 0] = 0.5 * (rotation[2, 1] - rotation[1, 2])
-        spins[m, 1] = 0.5 * (rotation[0, 2] - rotation[2, 0])
-        spins[m, 2] = 0.5 * (rotation[1, 0] - rotation[0, 1])
-    points = np.empty((count, 3))
-    beams = np.empty((count, 3))
-    for kept in range(count):
-        i = pulses[kept]
-        r = ranges[i]
-        at = time_offsets[i] / step_s
-        m = min(int(at), last - 1)
-        f = at - m
-        x, y, z = directions[i, 0] * r, directions[i, 1] * r, directions[i, 2] * r
-        bx = lidar_rotation[0, 0] * x + lidar_rotation[0, 1] * y + lidar_rotation[0, 2] * z
-        by = lidar_rotation[1, 0] * x + lidar_rotation[1, 1] * y + lidar_rotation[1, 2] * z
-        bz = lidar_rotation[2, 0] * x + lidar_rotation[2, 1] * y + lidar_rotation[2, 2] * z
-        sx, sy, sz = f * spins[m, 0], f * spins[m, 1], f * spins[m, 2]
-        qx, qy, qz = bx + lidar_position[0], by + lidar_position[1], bz + lidar_position[2]
-        ux, uy, uz = qx + sy * qz - sz * qy, qy + sz * qx - sx * qz, qz + sx * qy - sy * qx
-        dx, dy, dz = bx + sy * bz - sz * by, by + sz * bx - sx * bz, bz + sx * by - sy * bx
-        rot = relative_r[m]
-        for k in range(3):
-            moved = relative_p[m, k] + f * (relative_p[m + 1, k] - relative_p[m, k])
-            points[kept, k] = rot[k, 0] * ux + rot[k, 1] * uy + rot[k, 2] * uz + moved
-            beams[kept, k] = rot[k, 0] * dx + rot[k, 1] * dy + rot[k, 2] * dz
-    return points, beams
+def _mount(body: Frame, mount: Frame, mounted: Frame) -> None:
+    """Writes the pose of a sensor that is mounted on ``body``."""
+    for k in range(3):
+        mounted.translation[k] = body.translation[k]
+        for j in range(3):
+            mounted.translation[k] += body.rotation[k, j] * mount.translation[j]
+            mounted.rotation[k, j] = (
+                body.rotation[k, 0] * mount.rotation[0, j]
+                + body.rotation[k, 1] * mount.rotation[1, j]
+                + body.rotation[k, 2] * mount.rotation[2, j]
+            )
 
 
 @njit(cache=True)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics
-from touchdown.sim.frames import Pose
+from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 
@@ -97,6 +97,17 @@ class Frames(NamedTuple):
     def poses(self) -> list[Pose]:
         """The transforms one by one."""
         return [Pose(r, t) for r, t in zip(self.rotations, self.translations, strict=True)]
+
+
+def moved_by(pose: Pose, error: Array) -> Pose:
+    """The pose with an error (6,) added."""
+    return Pose(pose.rotation @ so3_exp(error[ROTATION]), pose.translation + error[POSITION])
+
+
+def error_between(start: Pose, end: Pose) -> Array:
+    """(6,) the error that moves ``start`` to ``end``."""
+    rotation = so3_log(start.rotation.T @ end.rotation)
+    return np.concatenate([rotation, end.translation - start.translation])
 
 
 class Pinhole(NamedTuple):

@@ -29,17 +29,18 @@ from touchdown.estimator.filtering.error_state import (
     STATE_DIM,
     VELOCITY,
     Frames,
+    error_between,
 )
 from touchdown.estimator.filtering.imu_propagation import (
     ImuBuffer,
     NavState,
+    Passage,
     exp_so3_each,
-    integrate,
+    propagate_nominal,
     transition,
 )
 from touchdown.estimator.filtering.information import square_root
-from touchdown.sim.api import GRAVITY_MPS2
-from touchdown.sim.frames import Pose, so3_exp, so3_log
+from touchdown.sim.frames import Pose, so3_exp
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -90,36 +91,25 @@ class Eskf:
 
         Returns the ticks (N + 1,), rotations (N + 1, 3, 3) and positions (N + 1, 3) passed.
         """
-        first = self.state.tick
-        self.state, gyro, ticks, rotations, positions, linear = self._passed(buffer, count)
+        ticks = np.concatenate(([self.state.tick], buffer.samples(count)[0]))
+        passed, linear = self._passed(buffer, count)
+        self.state = passed.end
         self._propagate_covariance(*linear)
         if count:
-            self.rate = gyro[-_RATE_SAMPLES:].mean(axis=0)
-        return np.concatenate(([first], ticks)), rotations, positions
+            self.rate = passed.gyro[-_RATE_SAMPLES:].mean(axis=0)
+        return ticks, passed.rotations, passed.positions
 
     def predicted(self, buffer: ImuBuffer) -> tuple[NavState, Array]:
         """State and covariance (15, 15) after all samples of the buffer; the filter stays."""
-        state, *_, (total, noise, _) = self._passed(buffer, buffer.count)
-        return state, total @ self.covariance[NAVIGATION, NAVIGATION] @ total.T + noise
+        passed, (total, noise, _) = self._passed(buffer, buffer.count)
+        return passed.end, total @ self.covariance[NAVIGATION, NAVIGATION] @ total.T + noise
 
-    def _passed(
-        self, buffer: ImuBuffer, count: int
-    ) -> tuple[NavState, Array, Indices, Array, Array, tuple[Array, Array, Array]]:
-        """The state after ``count`` samples, corrected rates (N, 3), ticks (N,), rotations and
-        positions passed, from the present ones on, and what ``transition`` gives."""
-        ticks, gyro, force, _ = buffer.samples(count)
-        gyro, force = self.state.corrected(gyro, force)
-        rotations, positions, velocities = integrate(
-            self.state.rotation, self.state.position, self.state.velocity, gyro, force,
-            buffer.step_s, GRAVITY_MPS2,
-        )  # fmt: skip
-        linear = transition(rotations, gyro, force, buffer.step_s, buffer.densities)
-        tick = int(ticks[-1]) if count else self.state.tick
-        state = replace(
-            self.state, tick=tick, rotation=rotations[-1], position=positions[-1],
-            velocity=velocities[-1],
-        )  # fmt: skip
-        return state, gyro, ticks, rotations, positions, linear
+    def _passed(self, buffer: ImuBuffer, count: int) -> tuple[Passage, tuple[Array, Array, Array]]:
+        """The way over ``count`` samples, and what ``transition`` gives."""
+        passed = propagate_nominal(self.state, *buffer.samples(count)[:3], buffer.step_s)
+        return passed, transition(
+            passed.rotations, passed.gyro, passed.force, buffer.step_s, buffer.densities
+        )
 
     def _propagate_covariance(self, total: Array, noise: Array, by_errors: Array) -> None:
         cov, nav = self.covariance, slice(0, STATE_DIM)
@@ -228,6 +218,14 @@ class Eskf:
             lost[held, held] *= 1.0 - np.outer(1.0 - gains, 1.0 - gains)
         self.covariance = self.covariance - lost
 
+    def apply(
+        self, touched: Indices, information: Array, vector: Array, gains: Array | None = None
+    ) -> None:
+        """Updates mean and covariance by ``A``, ``b`` on ``touched``."""
+        delta = self.correction(touched, information, vector, gains)
+        self.state, self.clones = self.boxplus(self.state, self.clones, delta)
+        self.update_covariance(touched, information, gains)
+
     def boxplus(
         self, state: NavState, clones: list[Pose], delta: Array, only: list[int] | None = None
     ) -> tuple[NavState, list[Pose]]:
@@ -253,21 +251,15 @@ class Eskf:
     def deviation(self, state: NavState, clones: list[Pose], touched_clones: list[int]) -> Array:
         """Error coordinates (6 + S + 6m,) of the present mean relative to a prior mean: pose first,
         then the S shared parameters of the calibration and the given clones."""
-        parts = [
-            so3_log(state.rotation.T @ self.state.rotation),
-            self.state.position - state.position,
-            (self.state.calibration - state.calibration)[: self.shared],
-        ]
-        for k in touched_clones:
-            parts.append(so3_log(clones[k].rotation.T @ self.clones[k].rotation))
-            parts.append(self.clones[k].translation - clones[k].translation)
-        return np.concatenate(parts)
+        calibration = (self.state.calibration - state.calibration)[: self.shared]
+        moves = [error_between(clones[k], self.clones[k]) for k in touched_clones]
+        return np.concatenate([error_between(state.pose, self.state.pose), calibration, *moves])
 
     def touched(self, clones: list[int]) -> NDArray[np.int64]:
         """Error coordinates of pose, shared calibration and the given clones, (6 + S + 6m,)."""
-        own = self.base + CLONE_DIM * np.array(clones, np.int64)[:, None] + np.arange(CLONE_DIM)
         shared = np.arange(STATE_DIM, STATE_DIM + self.shared)
-        return np.concatenate([np.arange(POSE_DIM), shared, own.ravel()])
+        own = [self.clone_indices(k) for k in clones]
+        return np.concatenate([np.arange(POSE_DIM), shared, *own])
 
 
 class IteratedUpdate:

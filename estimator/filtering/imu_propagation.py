@@ -304,17 +304,26 @@ class ImuBuffer:
         self.count -= count
 
 
+class Passage(NamedTuple):
+    """The way of a state over N samples."""
+
+    end: NavState
+    gyro: Array  # (N, 3) rad/s, corrected
+    force: Array  # (N, 3) m/s^2, likewise
+    rotations: Array  # (N + 1, 3, 3), from the start on
+    positions: Array  # (N + 1, 3)
+
+
 def propagate_nominal(
     state: NavState, ticks: NDArray[np.int64], gyro: Array, force: Array, step_s: float
-) -> NavState:
-    """The state after N samples ((N, 3) raw gyro and specific force)."""
-    if len(gyro) == 0:
-        return state
+) -> Passage:
+    """Propagates a state over N samples ((N, 3) raw gyro and specific force)."""
+    gyro, force = state.corrected(gyro, force)
     rotations, positions, velocities = integrate(
-        state.rotation, state.position, state.velocity, *state.corrected(gyro, force), step_s,
-        GRAVITY_MPS2,
+        state.rotation, state.position, state.velocity, gyro, force, step_s, GRAVITY_MPS2
+    )
+    end = NavState(
+        int(ticks[-1]) if len(ticks) else state.tick, rotations[-1], positions[-1], velocities[-1],
+        state.gyro_bias, state.accel_bias, state.calibration,
     )  # fmt: skip
-    return NavState(
-        int(ticks[-1]), rotations[-1], positions[-1], velocities[-1], state.gyro_bias,
-        state.accel_bias, state.calibration,
-    )  # fmt: skip
+    return Passage(end, gyro, force, rotations, positions)

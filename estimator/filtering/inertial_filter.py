@@ -31,6 +31,7 @@ from touchdown.estimator.filtering.error_state import (
     STATE_DIM,
     VELOCITY,
     Frame,
+    error_between,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
@@ -74,7 +75,7 @@ def with_flown_noise(rig: SensorRig, params: FlownImuParams) -> SensorRig:
     larger of that of the data sheet and ``params``."""
     larger = {
         field.name: max(getattr(rig.imu, field.name), getattr(params, field.name))
-        for field in fields(params)
+        for field in fields(FlownImuParams)
     }
     return replace(rig, imu=replace(rig.imu, **larger))
 
@@ -164,7 +165,7 @@ class InertialFilter:
             ticks = np.array([sample.tick])
             self._propagated = propagate_nominal(
                 self._propagated, ticks, rate[None], force[None], self.step_s
-            )
+            ).end
 
     def is_stationary(self, rotor_speed: Array) -> bool:
         """True if the rotor speeds imply that the vehicle stands on the ground. A descending
@@ -250,15 +251,15 @@ class InertialFilter:
         symmetric: Array = 0.5 * (inverse + inverse.T)
         return symmetric
 
-    def correct(self, pose: Pose, information: Array, vector: Array) -> None:
+    def correct(
+        self, pose: Pose, information: Array, vector: Array, floors: Array | None = None
+    ) -> None:
         """Updates the filter by a measured odom_from_imu with its information (6, 6); ``vector``
-        (6,): the remaining gradient at ``pose`` (zero where a solver has converged)."""
-        prior = self.eskf.state
-        offset = np.concatenate(
-            [so3_log(prior.rotation.T @ pose.rotation), pose.translation - prior.position]
-        )
+        (6,): the remaining gradient at ``pose`` (zero where a solver has converged); ``floors``
+        (6,): see ``IteratedUpdate.step``."""
         update = IteratedUpdate(self.eskf)
-        update.step([], information, vector + information @ offset)
+        offset = error_between(self.eskf.state.pose, pose)
+        update.step([], information, vector + information @ offset, floors)
         update.finish()
         self.trail.follow(self.eskf.state)
 

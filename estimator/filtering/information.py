@@ -25,20 +25,13 @@ class NormalEquations(NamedTuple):
     rms: float  # of these residuals, m or pixels
 
 
-def limit_information(
-    information: Array, vector: Array, floor_sigmas: Array
-) -> tuple[Array, Array]:
-    """Applies an information floor: returns the measurement, (D, D) and (D,), with independent
-    errors of ``floor_sigmas`` (D,) added, which do not average out over its residuals.
-
-    With ``F`` the added covariance, ``(A^-1 + F)^-1 = (I + A F)^-1 A``, which holds for a singular
-    ``A`` as well.
-    """
-    size = len(vector)
-    widened = np.eye(size) + information * floor_sigmas**2
-    solved = np.linalg.solve(widened, np.column_stack([information, vector]))
-    symmetric: Array = 0.5 * (solved[:, :size] + solved[:, :size].T)
-    return symmetric, np.asarray(solved[:, size], dtype=np.float64)
+def limit_information(information: Array, errors: Array) -> Array:
+    """Applies an information floor: returns the ``information`` A (D, D) of a measurement with
+    independent ``errors`` of covariance F (D, D) added, which do not average out over its
+    residuals. ``(A^-1 + F)^-1 = (I + A F)^-1 A`` holds for a singular A as well."""
+    limited = np.linalg.solve(np.eye(len(errors)) + information @ errors, information)
+    symmetric: Array = 0.5 * (limited + limited.T)
+    return symmetric
 
 
 def square_root(matrix: Array) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -86,6 +85,7 @@ def reprojection_information(
     )  # fmt: skip
 
 
+@njit(cache=True, error_model="numpy")
 def calibrated_information(
     views: LandmarkViews,
     now: Frame,
@@ -102,33 +102,6 @@ def calibrated_information(
     velocity now and at the keyframe. Cauchy weights of scale ``gate_px`` / 2, zero beyond
     ``gate_px``.
     """
-    rows, residuals, used, squares = _whitened(
-        views, now, keyframe, twists, camera_from_imu, lens, noise
-    )
-    rms = math.sqrt(squares / used) if used else 0.0
-    return NormalEquations(rows.T @ rows, rows.T @ residuals, used, rms)
-
-
-class _Whitened(NamedTuple):
-    """Residuals within the gate in units of their standard deviations, two for a landmark."""
-
-    rows: Array  # (2 U, 12 + C) derivatives
-    residuals: Array  # (2 U,)
-    used: int  # U
-    squares: float  # sum of U squared distances, pixels^2
-
-
-@njit(cache=True, error_model="numpy")
-def _whitened(
-    views: LandmarkViews,
-    now: Frame,
-    keyframe: Frame,
-    twists: Array,
-    camera_from_imu: Frame,
-    lens: Pinhole,
-    noise: PixelNoise,
-) -> _Whitened:
-    """The residuals that ``calibrated_information`` sums up."""
     pixels, row_times, landmarks, jacobians, spreads = views
     camera_rotation, camera_position = camera_from_imu
     fx, fy, cx, cy = lens
@@ -136,14 +109,11 @@ def _whitened(
     shared = jacobians.shape[2]
     calibration, key = POSE_DIM, POSE_DIM + shared
     size = key + POSE_DIM
+    # in units of their standard deviations, two for a landmark
     rows, residuals = np.empty((2 * len(pixels), size)), np.empty(2 * len(pixels))
     jacobian, turned = np.zeros((2, size)), np.empty((3, 3))
-    mount, m, to_world, to_key = (
-        np.empty((2, 3)),
-        np.empty((2, 3)),
-        np.empty((2, 3)),
-        np.empty((2, 3)),
-    )
+    mount, m = np.empty((2, 3)), np.empty((2, 3))
+    to_world, to_key = np.empty((2, 3)), np.empty((2, 3))
     world, offset, turn, ray, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     used, squares = 0, 0.0
     for i in range(len(pixels)):
@@ -217,4 +187,6 @@ def _whitened(
         residuals[2 * used], residuals[2 * used + 1] = wuu * ru + wuv * rv, wuv * ru + wvv * rv
         used += 1
         squares += error2
-    return _Whitened(rows[: 2 * used], residuals[: 2 * used], used, squares)
+    rows, residuals = rows[: 2 * used], residuals[: 2 * used]
+    rms = np.sqrt(squares / used) if used > 0 else 0.0
+    return NormalEquations(rows.T @ rows, rows.T @ residuals, used, rms)

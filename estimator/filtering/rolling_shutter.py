@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.imu_propagation import exp_so3_each
+from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.sim.api import CameraImage, CameraIntrinsics, SensorRig
 from touchdown.sim.frames import Pose, cross
 
@@ -39,10 +40,7 @@ def ground_depths(pixels: Array, camera: CameraIntrinsics, pose: Pose, ground_m:
     """Depths (N,) along the optical axis of level ground of height ``ground_m`` at ``pixels``
     (N, 2). ``pose``: of the camera, z up."""
     height = max(float(pose.translation[2]) - ground_m, _NEAREST_M)
-    rays = np.column_stack(
-        [(pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(pixels))]
-    )
-    down = -rays @ pose.rotation[2]
+    down = -bearing_rays(pixels, camera) @ pose.rotation[2]
     depths: Array = height / np.maximum(down, 1.0 / _FARTHEST_HEIGHTS)
     return depths
 
@@ -94,9 +92,8 @@ class ShutterModel:
         delays = self.row_delays(pixels, twist.late_s)
         camera = self._camera
         focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-        rays = np.column_stack([(pixels - centre) / focal, np.ones(len(pixels))])
         rotations = exp_so3_each(delays[:, None] * twist.rate)
-        points = np.einsum("nij,nj->ni", rotations, rays) * depths[:, None]
+        points = np.einsum("nij,nj->ni", rotations, bearing_rays(pixels, camera)) * depths[:, None]
         points += delays[:, None] * twist.velocity
         front = points[:, 2] > _NEAREST_M
         scale = np.where(front, points[:, 2], 1.0)

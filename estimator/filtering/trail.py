@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import PoseTrack
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.sim.api import LidarScan
-from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp, so3_log
+from touchdown.sim.frames import Pose, interpolate_pose, quat_wxyz_from_matrix
 
 Array = NDArray[np.float64]
 
@@ -59,10 +59,5 @@ class Trail:
         at = float(np.interp(tick, self.ticks, np.arange(len(self.ticks))))
         first = min(int(at), max(len(self.ticks) - 2, 0))
         last = min(first + 1, len(self.ticks) - 1)
-        share = at - first
-        rotation = so3_log(self.rotations[first].T @ self.rotations[last])
-        translation = self.positions[last] - self.positions[first]
-        return Pose(
-            self.rotations[first] @ so3_exp(share * rotation),
-            self.positions[first] + share * translation,
-        )
+        ends = [Pose(self.rotations[k], self.positions[k]) for k in (first, last)]
+        return interpolate_pose(ends[0], ends[1], at - first)

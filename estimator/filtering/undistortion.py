@@ -31,11 +31,6 @@ class Undistorter:
             self._maps = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
             self._table = _table(*self._maps)
 
-    @property
-    def is_identity(self) -> bool:
-        """True if the lens has no distortion."""
-        return self._maps is None
-
     def __call__(self, image: Image) -> Image:
         """Returns the undistorted image (H, W, 3)."""
         if self._maps is None:

@@ -14,11 +14,11 @@ from touchdown.estimator.filtering.error_state import (
     ROTATION,
     VELOCITY,
     after,
+    error_between,
 )
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.sim.api import GRAVITY_MPS2
-from touchdown.sim.frames import so3_log
 
 Array = NDArray[np.float64]
 
@@ -76,14 +76,8 @@ class ZeroVelocityUpdate:
         anchor, state = self._anchor, eskf.state
         duration = len(gyro) * self._step_s
         rates, specific_forces = state.corrected(gyro, force)
-        residual = np.concatenate(
-            [
-                so3_log(state.rotation.T @ anchor.rotation),
-                anchor.position - state.position,
-                -state.velocity,
-                rates.mean(axis=0),
-            ]
-        )
+        stray = error_between(state.pose, anchor.pose)
+        residual = np.concatenate([stray, -state.velocity, rates.mean(axis=0)])
         gyro_variance = self._gyro_density**2 / duration + _RATE_SIGMA**2
         variances = np.repeat(
             [_ROTATION_SIGMA**2, _POSITION_SIGMA**2, _VELOCITY_SIGMA**2, gyro_variance], 3
@@ -93,10 +87,7 @@ class ZeroVelocityUpdate:
         by_errors, touched = _derivatives(specific_forces.mean(axis=0), eskf)
         weighted = by_errors.T / variances
         information = weighted @ by_errors
-        gains = eskf.gains(0.0)
-        delta = eskf.correction(touched, information, weighted @ residual, gains)
-        eskf.state, eskf.clones = eskf.boxplus(state, eskf.clones, delta)
-        eskf.update_covariance(touched, information, gains)
+        eskf.apply(touched, information, weighted @ residual, eskf.gains(0.0))
         return True
 
 

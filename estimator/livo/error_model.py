@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
-from touchdown.estimator.api import FlownImuParams, LivoParams
-from touchdown.estimator.filtering.inertial_filter import with_flown_noise
+from touchdown.estimator.api import LivoParams
 from touchdown.estimator.livo.anchored_update import LidarReport, ScanErrors
 from touchdown.estimator.livo.visual import VisualReport
-from touchdown.sim.api import ImuParams, SensorRig
-
-
-def flown_imu(rig: SensorRig, params: LivoParams) -> ImuParams:
-    """The IMU with the noise that it has on the flying vehicle."""
-    names = [field.name for field in dataclasses.fields(FlownImuParams)]
-    flown = FlownImuParams(**{name: getattr(params, name) for name in names})
-    return with_flown_noise(rig, flown).imu
+from touchdown.sim.api import SensorRig
 
 
 def scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, LivoParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, thin_out
 from touchdown.estimator.filtering.error_state import POSITION
-from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.inertial_filter import InertialFilter, with_flown_noise
 from touchdown.estimator.filtering.intake import Intake
 from touchdown.estimator.filtering.keyframes import Keyframe
 from touchdown.estimator.filtering.reprojection import MountedCamera
@@ -27,7 +27,6 @@ from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.livo.anchored_map import AnchoredMap
 from touchdown.estimator.livo.anchored_update import DegeneracyWatch, LidarReport, update_with_scan
 from touchdown.estimator.livo.error_model import (
-    flown_imu,
     scan_diagnostics,
     scan_errors,
     visual_diagnostics,
@@ -57,17 +56,16 @@ to image and scan to scan, while the filter takes them for white noise"""
 
 
 class Livo:
-    """Tightly coupled estimator, see the module. Deterministic: ``seed`` is unused because nothing
-    is drawn at random."""
+    """Tightly coupled estimator, see the module. Deterministic; nothing is drawn at random."""
 
-    def __init__(self, rig: SensorRig, params: LivoParams | None = None, seed: int = 0) -> None:
+    def __init__(self, rig: SensorRig, params: LivoParams | None = None) -> None:
         self._rig = rig
         self._params = params = params or LivoParams()
         camera_hz = params.camera_hz if params.use_vision else 0
         self.needs = SensorNeeds(camera_hz=camera_hz, lidar=True)
+        flown = with_flown_noise(rig, params).imu
         self._filter = InertialFilter(
-            rig, params.correction_time_s,
-            flown=flown_imu(rig, params), calibration_sigmas=prior_sigmas(params),
+            rig, params.correction_time_s, flown=flown, calibration_sigmas=prior_sigmas(params)
         )  # fmt: skip
         self._eskf = self._filter.eskf
         self._eskf.loosely_coupled = params.loose

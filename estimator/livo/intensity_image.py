@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ _FAINTEST = 4.0
 _MOST_RETURNS = 8.0
 """a cell takes no further ones: the oldest carry the least drift"""
 _BRIGHTNESS = np.log(np.maximum(np.arange(256.0), _FAINTEST))
+_WEIGHTS = np.array([0.25, 0.5, 0.25])
 FEWEST = 1.5
 """returns that a smoothed cell needs (weighted mean over its neighbourhood)"""
 
@@ -54,27 +56,6 @@ def add_returns(
         if 0 <= row < rows and 0 <= column < columns and counts[row, column] < _MOST_RETURNS:
             sums[row, column] += values[i]
             counts[row, column] += 1.0
-
-
-@njit(cache=True)
-def smooth(sums: Float32, counts: Float32, means: Float32, weights: Float32) -> None:
-    """Writes mean and number of returns of each cell and its neighbours, weighted 1, 2, 1 along
-    either axis; mean 0 where there is none."""
-    rows, columns = sums.shape
-    for r in range(1, rows - 1):
-        for c in range(1, columns - 1):
-            n = 4.0 * counts[r, c]
-            n += 2.0 * (counts[r - 1, c] + counts[r + 1, c] + counts[r, c - 1] + counts[r, c + 1])
-            n += counts[r - 1, c - 1] + counts[r - 1, c + 1]
-            n += counts[r + 1, c - 1] + counts[r + 1, c + 1]
-            weights[r, c] = n / 16.0
-            if n == 0.0:
-                means[r, c] = 0.0
-                continue
-            s = 4.0 * sums[r, c]
-            s += 2.0 * (sums[r - 1, c] + sums[r + 1, c] + sums[r, c - 1] + sums[r, c + 1])
-            s += sums[r - 1, c - 1] + sums[r - 1, c + 1] + sums[r + 1, c - 1] + sums[r + 1, c + 1]
-            means[r, c] = s / n
 
 
 @dataclass(eq=False)
@@ -110,10 +91,15 @@ class IntensityImage:
         self._smoothed = None
 
     def smoothed(self) -> tuple[Float32, Float32]:
-        """Smoothed means and numbers of returns (SIDE, SIDE)."""
+        """Mean and number of returns (SIDE, SIDE) of each cell and its neighbours, weighted 1, 2, 1
+        along either axis; mean 0 where there is none."""
         if self._smoothed is None:
-            self._smoothed = np.zeros_like(self.sums), np.zeros_like(self.sums)
-            smooth(self.sums, self.counts, *self._smoothed)
+            sums, weights = (
+                np.asarray(cv2.sepFilter2D(layer, -1, _WEIGHTS, _WEIGHTS), np.float32)
+                for layer in (self.sums, self.counts)
+            )
+            means = np.divide(sums, weights, out=np.zeros_like(sums), where=weights > 0.0)
+            self._smoothed = means, weights
         return self._smoothed
 
     def share_known(self, points: Array) -> float:

@@ -10,7 +10,7 @@ what the noise of an image adds to its gradients is taken off the information.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +29,11 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
-from touchdown.estimator.filtering.imu_propagation import cross_into
+from touchdown.estimator.filtering.imu_propagation import (
+    cross_into,
+    rotate_back_into,
+    rotate_into,
+)
 from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.livo.anchored_update import ScanErrors
 from touchdown.estimator.livo.intensity_image import FEWEST, Float32, IntensityImage, brightness
@@ -110,10 +114,9 @@ def photometry(
     used = 0
     for i in range(points.shape[0]):
         p, beam = points[i], beams[i]
+        rotate_into(rotation, p, q)
         for a in range(3):
-            q[a] = translation[a]
-            for b in range(3):
-                q[a] += rotation[a, b] * p[b]
+            q[a] += translation[a]
             seen[a] = q[a] - lever[a]
         u, v = 0.0, 0.0
         cross_into(w, seen, arm, 0)
@@ -142,13 +145,8 @@ def photometry(
         absolute += abs(residual)
         for a in range(3):
             g[a] = gu * axes[0, a] + gv * axes[1, a]
-        for b in range(3):
-            now[b] = rotation[0, b] * g[0] + rotation[1, b] * g[1] + rotation[2, b] * g[2]
-            to_odom[b] = (
-                clone_rotation[b, 0] * g[0]
-                + clone_rotation[b, 1] * g[1]
-                + clone_rotation[b, 2] * g[2]
-            )
+        rotate_back_into(rotation, g, now)
+        rotate_into(clone_rotation, g, to_odom)
         cross_into(p, now, row, ROTATION.start)
         cross_into(g, q, row, _CLONE + ROTATION.start)
         cross_into(beam, now, row, _MOUNT + MOUNT_ROTATION.start)
@@ -272,12 +270,7 @@ class PhotometricUpdate:
         part = scan.select(chosen)
         returns = Returns(part.points, part.beams)
         report = self.update(eskf, returns, brightness(intensity[chosen]), share)
-        return {
-            "intensity_used": float(report.used),
-            "intensity_images": float(report.images),
-            "intensity_sigma": report.sigma,
-            "intensity_aside_m": report.aside_m,
-        }
+        return {f"intensity_{name}": float(value) for name, value in asdict(report).items()}
 
     def choose(self, eskf: Eskf, points: Array) -> list[int]:
         """Images to compare ``points`` (N, 3), IMU frame, with: the newest that covers them, then
@@ -327,7 +320,7 @@ class PhotometricUpdate:
             update.step(keys, information, vector, floors)
         self._sigma = sigma
         update.finish()
-        limited, _ = limit_information(*eskf.coupled(information, vector), floors)
+        limited = limit_information(eskf.coupled(information, vector)[0], np.diag(floors**2))
         weakest = float(np.linalg.eigvalsh(limited[_ASIDE, _ASIDE])[0])
         return IntensityReport(
             used=used, images=images, sigma=sigma, aside_m=1.0 / np.sqrt(max(weakest, 1e-12))

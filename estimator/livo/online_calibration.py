@@ -18,6 +18,8 @@ before the pose at its stamp, and is displaced by the offset times the twist (Li
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -80,18 +82,13 @@ def calibration_diagnostics(calibration: Array) -> dict[str, float]:
     calibration."""
     if not len(calibration):
         return {}
-    rotation = np.degrees(calibration[MOUNT_ROTATION])
-    camera = np.degrees(calibration[CAMERA_ROTATION])
-    return {
-        "calibration_roll_deg": float(rotation[0]),
-        "calibration_pitch_deg": float(rotation[1]),
-        "calibration_yaw_deg": float(rotation[2]),
-        "calibration_camera_roll_deg": float(camera[0]),
-        "calibration_camera_pitch_deg": float(camera[1]),
-        "calibration_camera_yaw_deg": float(camera[2]),
-        "calibration_focal": float(calibration[FOCAL].mean()),
-        "calibration_clock_ms": 1e3 * float(calibration[CLOCK]),
+    found = {
+        f"calibration_{which}{axis}_deg": math.degrees(angle)
+        for which, part in (("", MOUNT_ROTATION), ("camera_", CAMERA_ROTATION))
+        for axis, angle in zip(("roll", "pitch", "yaw"), calibration[part], strict=True)
     }
+    found["calibration_focal"] = float(calibration[FOCAL].mean())
+    return found | {"calibration_clock_ms": 1e3 * float(calibration[CLOCK])}
 
 
 def corrected_mount(imu_from_lidar: Pose, calibration: Array) -> Pose:
@@ -132,13 +129,9 @@ def exposed(poses: list[Pose], twists: Array, delays_s: Array, calibration: Arra
     return Frames(rotations @ turns, translations + moves[:, POSITION]).poses()
 
 
+@njit(cache=True)
 def landmark_jacobians(
-    rays: Array,
-    planes: Array,
-    sensor: Array,
-    imu_from_camera: Pose,
-    twist: Array,
-    camera: CameraIntrinsics,
+    rays: Array, planes: Array, sensor: Array, imu_from_camera: Frame, twist: Array, lens: Pinhole
 ) -> Array:
     """Derivatives of landmarks by the shared calibration, (N, 3, 17), in the IMU frame of their
     keyframe.
@@ -150,23 +143,7 @@ def landmark_jacobians(
     correction: their scans were registered to this moment.
     """
     out = np.zeros((len(rays), 3, SHARED_DIM))
-    focal = Pinhole.of(camera)
-    _add_jacobians(rays, planes, sensor, Frame.of(imu_from_camera), twist, focal, out)
-    return out
-
-
-@njit(cache=True)
-def _add_jacobians(
-    rays: Array,
-    planes: Array,
-    sensor: Array,
-    mount: Frame,
-    twist: Array,
-    lens: Pinhole,
-    out: Array,
-) -> None:
-    """Adds what ``landmark_jacobians`` returns to ``out`` (N, 3, 17), which is zero."""
-    rotation = mount.rotation
+    rotation = imu_from_camera.rotation
     reach, far, beam, move = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     turn, plane = np.empty(3), np.empty(3)
     for i in range(len(rays)):
@@ -183,7 +160,7 @@ def _add_jacobians(
         rotate_into(rotation, n, plane)
         # from an earlier pose the ground lies further on: rotated and translated about the IMU
         for a in range(3):
-            beam[a] = far[a] + mount.translation[a]
+            beam[a] = far[a] + imu_from_camera.translation[a]
         cross_into(twist[ROTATION], beam, move, 0)
         ahead = 0.0
         for a in range(3):
@@ -207,6 +184,7 @@ def _add_jacobians(
             _meet(move, plane, far, rotation, jacobian, CAMERA_ROTATION.start + axis)
             move[:] = rotation[axis]
             _meet(move, plane, far, rotation, jacobian, CAMERA_TRANSLATION.start + axis)
+    return out
 
 
 @njit(cache=True)

@@ -15,8 +15,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame, Pinhole
-from touchdown.sim.api import CameraIntrinsics
-from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -198,17 +196,17 @@ def _align(
 
 
 @njit(cache=True)
-def track_patches(
+def track(
     source: tuple[Grey, Grey, Grey],
     target: tuple[Grey, Grey, Grey],
     pixels: Array,
     planes: Array,
     motion: Frame,
     lens: Pinhole,
-    top_level: int,
-    min_correlation: float,
+    top_level: int = 1,
+    min_correlation: float = 0.7,
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Tracks (N, 2) ``pixels`` of ``source`` into ``target``.
+    """Tracks (N, 2) ``pixels`` of ``source`` into ``target``, images without distortion.
 
     ``planes`` (N, 3): the plane ``n . P = 1`` of each patch in the source camera's frame;
     ``motion``: predicted target_camera_from_source_camera. Returns found
@@ -267,20 +265,3 @@ def track_patches(
             found[k] = True
             tracked[k, 0], tracked[k, 1] = u, v
     return found, tracked, predicted
-
-
-def track(
-    source: tuple[Grey, Grey, Grey],
-    target: tuple[Grey, Grey, Grey],
-    pixels: Array,
-    planes: Array,
-    target_from_source: Pose,
-    camera: CameraIntrinsics,
-    top_level: int = 1,
-    min_correlation: float = 0.7,
-) -> tuple[NDArray[np.bool_], Array, Array]:
-    """See ``track_patches``; images without distortion."""
-    return track_patches(
-        source, target, pixels, planes, Frame.of(target_from_source), Pinhole.of(camera),
-        top_level, min_correlation,
-    )  # fmt: skip

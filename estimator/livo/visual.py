@@ -17,6 +17,7 @@ from touchdown.estimator.filtering.error_state import (
     POSE_DIM,
     POSITION,
     Frame,
+    Pinhole,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.information import NormalEquations
@@ -218,7 +219,7 @@ class VisualFrontEnd:
             usable = np.flatnonzero(keyframe.valid)
             found, pixels, _ = track(
                 keyframe.levels, levels, keyframe.pixels[usable], keyframe.planes[usable],
-                now.inverse() @ poses[k], self._camera,
+                Frame.of(now.inverse() @ poses[k]), Pinhole.of(self._camera),
             )  # fmt: skip
             if int(found.sum()) >= 10:
                 tracks.append(self._track(eskf, k, usable[found], pixels[found]))
@@ -262,7 +263,7 @@ class VisualFrontEnd:
         for given in (FOCAL, CENTER, CAMERA_ROTATION, CAMERA_TRANSLATION):
             made_with[given] = 0.0  # rays are those of the given lens and mount
         jacobians = landmark_jacobians(
-            rays, planes, self._lidar_in_camera, mount, twist, self._camera
+            rays, planes, self._lidar_in_camera, Frame.of(mount), twist, Pinhole.of(self._camera)
         )
         return _Track(k, LandmarkViews(pixels, rows, landmarks, jacobians, spreads), made_with)
 

@@ -1,4 +1,4 @@
-"""Compiled kernels of the mapper: deskew, colour, accumulate. One thread and a fixed order of sums,
+"""Compiled kernels of the mapper: colour, accumulate. One thread and a fixed order of sums,
 so that the same scans give the same map to the bit."""
 
 from __future__ import annotations
@@ -8,113 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame
-from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses, Track
+from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-_W, _X, _Y, _Z = range(4)
-"""of a quaternion"""
-_KNOT_EVERY = 64
 _BLOCK = 256
 """pulses whose pixel indices are computed before any pixel is read"""
 _BINS_BELOW = 4
 """of a histogram below its first return"""
 _LOW_RETURNS = 3
 """far below the others from which they are the ground"""
-
-
-@numba.njit(cache=True)
-def _lerp_pose(track: Track, index: int, time: float, pose: Frame) -> None:
-    """Writes the pose at ``time`` between track entries ``index`` and ``index + 1``: straight line
-    and normalised quaternion lerp."""
-    times, positions, quats = track
-    span = times[index + 1] - times[index]
-    f = 0.0 if span <= 0.0 else (time - times[index]) / span
-    f = min(max(f, 0.0), 1.0)
-    for k in range(3):
-        pose.translation[k] = positions[index, k] + f * (
-            positions[index + 1, k] - positions[index, k]
-        )
-    dot = 0.0
-    for k in range(4):
-        dot += quats[index, k] * quats[index + 1, k]
-    g = f if dot >= 0.0 else -f
-    w = (1.0 - f) * quats[index, _W] + g * quats[index + 1, _W]
-    x = (1.0 - f) * quats[index, _X] + g * quats[index + 1, _X]
-    y = (1.0 - f) * quats[index, _Y] + g * quats[index + 1, _Y]
-    z = (1.0 - f) * quats[index, _Z] + g * quats[index + 1, _Z]
-    s = 2.0 / (w * w + x * x + y * y + z * z)
-    r = pose.rotation
-    r[0, 0], r[0, 1], r[0, 2] = 1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
-    r[1, 0], r[1, 1], r[1, 2] = s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)
-    r[2, 0], r[2, 1], r[2, 2] = s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def deskew(
-    directions: Float32,
-    time_offsets: Float32,
-    start_time: float,
-    track: Track,
-    body_from_lidar: Frame,
-    origins: Float32,
-    beams: Float32,
-) -> None:
-    """Origin and direction of every pulse in the odom frame, from the pose of its own instant,
-    pulses without return included (``locate_missing`` needs them).
-
-    directions: (N, 3) float32, LIDAR frame; time_offsets: (N,) float32 seconds, ascending. Writes
-    ``origins`` and ``beams``, (N, 3) float32. Times outside the track take its nearest end.
-    """
-    # Exact poses at knots, with the mount in them; between two, a quarter of a millisecond apart,
-    # straight lines differ from the turn by less than 1e-6 even at 10 rad/s.
-    pose = Frame(np.empty((3, 3)), np.empty(3))
-    first, second = Frame(np.empty((3, 3)), np.empty(3)), Frame(np.empty((3, 3)), np.empty(3))
-    count = directions.shape[0]
-    last = track.times.shape[0] - 2
-    index = 0
-    for knot in range(0, count, _KNOT_EVERY):
-        end = min(knot + _KNOT_EVERY, count - 1)
-        if knot == 0:
-            time = start_time + time_offsets[0]
-            while index < last and track.times[index + 1] < time:
-                index += 1
-            _lerp_pose(track, index, time, pose)
-            _mount(pose, body_from_lidar, second)
-        first.rotation[:], first.translation[:] = second.rotation, second.translation
-        time = start_time + time_offsets[end]
-        while index < last and track.times[index + 1] < time:
-            index += 1
-        _lerp_pose(track, index, time, pose)
-        _mount(pose, body_from_lidar, second)
-        span = time_offsets[end] - time_offsets[knot]
-        per_span = 1.0 / span if span > 0.0 else 0.0
-        r, q = first.rotation, second.rotation
-        for i in range(knot, min(knot + _KNOT_EVERY, count)):
-            f = (time_offsets[i] - time_offsets[knot]) * per_span
-            dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-            for k in range(3):
-                start = first.translation[k]
-                origins[i, k] = start + f * (second.translation[k] - start)
-                r0 = r[k, 0] + f * (q[k, 0] - r[k, 0])
-                r1 = r[k, 1] + f * (q[k, 1] - r[k, 1])
-                r2 = r[k, 2] + f * (q[k, 2] - r[k, 2])
-                beams[i, k] = r0 * dx + r1 * dy + r2 * dz
-
-
-@numba.njit(cache=True)
-def _mount(body: Frame, mount: Frame, mounted: Frame) -> None:
-    """Writes the pose of a sensor that is mounted on ``body``."""
-    for k in range(3):
-        mounted.translation[k] = body.translation[k]
-        for j in range(3):
-            mounted.translation[k] += body.rotation[k, j] * mount.translation[j]
-            mounted.rotation[k, j] = (
-                body.rotation[k, 0] * mount.rotation[0, j]
-                + body.rotation[k, 1] * mount.rotation[1, j]
-                + body.rotation[k, 2] * mount.rotation[2, j]
-            )
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -308,35 +212,36 @@ def _raise_by(counts: NDArray[np.uint8], up: int) -> None:
 
 
 @numba.njit(cache=True)
+def _cell_at(x: float, y: float, grid: Grid, shape: tuple[int, int]) -> tuple[int, int]:
+    """Row and column of the cell at (x, y); a row of -1 beside the grid and for NaN."""
+    col, row = np.floor((x - grid.x) / grid.cell), np.floor((y - grid.y) / grid.cell)
+    if not (0 <= col < shape[1] and 0 <= row < shape[0]):
+        return -1, -1
+    return int(row), int(col)
+
+
+@numba.njit(cache=True)
 def update_ground_level(pulses: Pulses, blocks: Grid, level: Float32) -> None:
     """Updates the lowest return of every block of the scene, (rows, cols), NaN where nothing was
     seen: the level at which pulses without return are expected to have met the ground."""
     origins, beams, ranges = pulses
-    rows, cols = level.shape
     for i in range(ranges.shape[0]):
         r = ranges[i]
         if not r > 0.0:
             continue
-        x = origins[i, 0] + r * beams[i, 0]
-        y = origins[i, 1] + r * beams[i, 1]
+        x, y = origins[i, 0] + r * beams[i, 0], origins[i, 1] + r * beams[i, 1]
         z = origins[i, 2] + r * beams[i, 2]
-        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
-            continue
-        col = int(np.floor((x - blocks.x) / blocks.cell))
-        row = int(np.floor((y - blocks.y) / blocks.cell))
-        if 0 <= col < cols and 0 <= row < rows:
-            known = level[row, col]
-            if np.isnan(known) or z < known:
-                level[row, col] = z
+        row, col = _cell_at(x, y, blocks, level.shape)
+        if row >= 0 and np.isfinite(z) and not z >= level[row, col]:
+            level[row, col] = z
 
 
 @numba.njit(cache=True)
 def _expected_level(x: float, y: float, fallback: float, blocks: Grid, level: Float32) -> float:
     """Level of the block at (x, y), else the lowest of its eight neighbours, else the fallback."""
     rows, cols = level.shape
-    col = int(np.floor((x - blocks.x) / blocks.cell))
-    row = int(np.floor((y - blocks.y) / blocks.cell))
-    if not (0 <= col < cols and 0 <= row < rows):
+    row, col = _cell_at(x, y, blocks, level.shape)
+    if row < 0:
         return fallback
     if not np.isnan(level[row, col]):
         return level[row, col]
@@ -385,14 +290,9 @@ def accumulate_missing(
 ) -> None:
     """Counts pulses without return, (K, 2) x, y, in their cells. With many of them the count of
     returns fades, so that the ratio of both follows the recent past."""
-    rows, cols = count.shape
     for i in range(spots.shape[0]):
-        x, y = spots[i, 0], spots[i, 1]
-        if not (np.isfinite(x) and np.isfinite(y)):
-            continue
-        col = int(np.floor((x - grid.x) / grid.cell))
-        row = int(np.floor((y - grid.y) / grid.cell))
-        if 0 <= col < cols and 0 <= row < rows:
+        row, col = _cell_at(spots[i, 0], spots[i, 1], grid, count.shape)
+        if row >= 0:
             if missing[row, col] + 1.0 > count_cap:
                 missing[row, col] = count_cap
                 count[row, col] *= 1.0 - 1.0 / count_cap

@@ -25,12 +25,18 @@ from touchdown.estimator.api import (
     MapView,
     PoseTrack,
 )
+from touchdown.estimator.filtering.deskew import Track, deskew
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.mapping import kernels
-from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses, Track
+from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
-from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from touchdown.sim.frames import (
+    Pose,
+    interpolate_pose,
+    matrix_from_quat_wxyz,
+    quat_wxyz_from_matrix,
+)
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -46,11 +52,6 @@ _UNKNOWN_AT_FIRST = (
     "height_m", "height_std_m", "min_height_m", "max_height_m", "intensity", "histogram_base_m",
 )  # fmt: skip
 """layers without a value where nothing was seen"""
-_RETURN_LAYERS = (
-    "count", "height_m", "height_std_m", "min_height_m", "max_height_m", "rgb", "rgb_count",
-    "intensity", "missing", "last_seen_s",
-)  # fmt: skip
-"""of ``records.Layers``"""
 
 
 class _TimedPose(NamedTuple):
@@ -234,11 +235,8 @@ class GridMapper:
         entries.reverse()
         if len(entries) < 2:
             entries = [self._track[0], self._track[1]]
-        return PoseTrack(
-            times_s=np.array([entry.time_s for entry in entries]),
-            positions_odom=np.array([entry.position_odom for entry in entries]),
-            quats_wxyz=np.array([entry.quat_wxyz for entry in entries]),
-        )
+        times, positions, quats = (np.array(part) for part in zip(*entries, strict=True))
+        return PoseTrack(times_s=times, positions_odom=positions, quats_wxyz=quats)
 
     def _pose_at(self, time_s: float, estimate: Estimate) -> Pose:
         track = self._track_spanning(time_s, time_s, estimate)
@@ -247,10 +245,11 @@ class GridMapper:
         index = int(np.clip(np.searchsorted(track.times_s, time_s) - 1, 0, track.times_s.size - 2))
         span = track.times_s[index + 1] - track.times_s[index]
         f = float(np.clip((time_s - track.times_s[index]) / span, 0.0, 1.0))
-        first, second = track.quats_wxyz[index], track.quats_wxyz[index + 1]
-        quat = (1.0 - f) * first + f * (second if first @ second >= 0.0 else -second)
-        position = (1.0 - f) * track.positions_odom[index] + f * track.positions_odom[index + 1]
-        return Pose(matrix_from_quat_wxyz(quat), position)
+        first, second = (
+            Pose(matrix_from_quat_wxyz(track.quats_wxyz[k]), track.positions_odom[k])
+            for k in (index, index + 1)
+        )
+        return interpolate_pose(first, second, f)
 
     def _place_fine_grid(self, estimate: Estimate) -> None:
         """Switches the fine grid on below ``fine_below_m`` and keeps it under the vehicle."""
@@ -278,16 +277,11 @@ class GridMapper:
         track = self._track_spanning(scan.start_time_s, scan.end_time_s, estimate)
         if track is None:
             return
-        n = scan.ranges.shape[0]
-        origins, beams = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-        times, positions, quats = (
-            np.ascontiguousarray(part, dtype=np.float64)
-            for part in (track.times_s, track.positions_odom, track.quats_wxyz)
-        )
-        kernels.deskew(
-            scan.directions, scan.time_offsets, scan.start_time_s,
-            Track(times, positions, quats), Frame.of(self._rig.body_from_lidar),
-            origins, beams,
+        parts = track.times_s, track.positions_odom, track.quats_wxyz
+        placed = Track(*(np.ascontiguousarray(part, np.float64) for part in parts))
+        origins, beams = deskew(
+            scan.directions, scan.time_offsets, scan.start_time_s, placed,
+            Frame.of(self._rig.body_from_lidar),
         )  # fmt: skip
         pulses = Pulses(origins, beams, scan.ranges)
         colours = self._colour(scan, images, pulses)
@@ -322,7 +316,8 @@ class GridMapper:
         return colours
 
     def _missing_spots(self, pulses: Pulses) -> Float32:
-        blocks = Grid(*_corner(self._coarse), _GROUND_BLOCK_M)
+        x, y = self._coarse.origin_xy_m.tolist()
+        blocks = Grid(x, y, _GROUND_BLOCK_M)
         kernels.update_ground_level(pulses, blocks, self._ground_level)
         spots = np.empty((len(pulses.ranges), 2), np.float32)
         found = kernels.locate_missing(
@@ -335,8 +330,9 @@ class GridMapper:
         self, grid: _Grid, scan: LidarScan, pulses: Pulses, colours: Float32,
         spots: Float32,
     ) -> None:  # fmt: skip
-        place = Grid(*_corner(grid), grid.cell_m)
-        layers = Layers(*(grid.layers[name] for name in _RETURN_LAYERS))
+        x, y = grid.origin_xy_m.tolist()
+        place = Grid(x, y, grid.cell_m)
+        layers = Layers(grid.layers["count"], *(grid.layers[name] for name in Layers._fields[1:]))
         cap = self._params.count_cap
         kernels.accumulate_returns(
             pulses, colours, scan.intensity, scan.end_time_s, cap, self._params.extreme_memory_s,
@@ -346,8 +342,3 @@ class GridMapper:
             pulses, place, HEIGHT_BIN_M, grid.layers["histogram"], grid.layers["histogram_base_m"]
         )
         kernels.accumulate_missing(spots, place, cap, layers.counts, layers.missing)
-
-
-def _corner(grid: _Grid) -> tuple[float, float]:
-    x, y = grid.origin_xy_m.tolist()
-    return x, y

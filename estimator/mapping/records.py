@@ -7,16 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
-
-
-class Track(NamedTuple):
-    """Timed poses of the body, M >= 2, ascending."""
-
-    times: Array  # (M,) s
-    positions: Array  # (M, 3) m
-    quats_wxyz: Array  # (M, 4)
 
 
 class Pulses(NamedTuple):

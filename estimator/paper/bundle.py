@@ -21,10 +21,12 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
     Frames,
     Pinhole,
+    error_between,
+    moved_by,
 )
 from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.sim.api import CameraIntrinsics
-from touchdown.sim.frames import Pose, so3_exp, so3_log
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -163,26 +165,16 @@ def adjust(
         information, vector, coupling, curvature, slope, _ = _reduced_system(
             Frames.of(poses), depths, seen, depth_sigma_m, mount, lens, 3.0
         )
-        offsets = [_offset(start, pose) for start, pose in zip(problem.poses, poses, strict=True)]
+        offsets = [error_between(*ends) for ends in zip(problem.poses, poses, strict=True)]
         stray = np.concatenate(offsets)[free]
         weights = np.tile(prior, len(poses) - problem.fixed)
         delta = np.zeros(len(vector))
         delta[free] = np.linalg.solve(
             information[free, free] + np.diag(weights), vector[free] - weights * stray
         )
-        steps = delta.reshape(-1, 6)
-        poses = [
-            Pose(pose.rotation @ so3_exp(step[ROTATION]), pose.translation + step[POSITION])
-            for pose, step in zip(poses, steps, strict=True)
-        ]
+        poses = [moved_by(*move) for move in zip(poses, delta.reshape(-1, 6), strict=True)]
         depths = depths + (slope - coupling @ delta) / curvature
         depths = np.clip(depths, 0.5 * seen.prior_depths, 2.0 * seen.prior_depths)
         if float(np.abs(delta).max()) < 1e-5:
             break
     return poses, depths
-
-
-def _offset(start: Pose, pose: Pose) -> Array:
-    return np.concatenate(
-        [so3_log(start.rotation.T @ pose.rotation), pose.translation - start.translation]
-    )

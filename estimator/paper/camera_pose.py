@@ -52,16 +52,14 @@ _CLOSURE_FLOOR_SIGMAS = np.array([1e-3, 1e-3, 5e-4, 0.015, 0.015, 0.1])
 
 def with_common_errors(information: Array, pose: Pose, centre: Array) -> Array:
     """Information (6, 6) of a pose from landmarks around ``centre`` (3,) whose map may be shifted
-    and tilted as a whole: ``(A^-1 + F)^-1``. A tilted map tilts the pose and swings it about the
+    and tilted as a whole. A tilted map tilts the pose and swings it about the
     centre, so that the position given the tilt stays as accurate as before; gravity determines the
     tilt better."""
     swing = np.zeros((6, 2))
     swing[:3] = pose.rotation.T[:, :2]
     swing[3:] = -skew(pose.translation - centre)[:, :2]
     common = np.diag(_FLOOR_SIGMAS**2) + _GROUND_TILT_SIGMA**2 * swing @ swing.T
-    widened = np.linalg.solve(np.eye(6) + information @ common, information)
-    symmetric: Array = 0.5 * (widened + widened.T)
-    return symmetric
+    return limit_information(information, common)
 
 
 class CameraPositioning:
@@ -119,7 +117,7 @@ class CameraPositioning:
             sightings = no_sightings()
         self._last_position = self._filter.eskf.state.position
         if self._worth_keeping(sightings):
-            self._remember(image.tick, features, behind, sightings, energy)
+            self._remember(features, behind, sightings, energy)
         self.diagnostics["keyframes"] = float(len(self._map.keyframes))
         self.diagnostics["closures"] = float(self._closures.closed)
         return corrected
@@ -193,7 +191,6 @@ class CameraPositioning:
 
     def _remember(
         self,
-        tick: int,
         features: tuple[Features, Features],
         behind: tuple[Indices, Indices],
         sightings: Sightings,
@@ -214,7 +211,7 @@ class CameraPositioning:
             sets.append(
                 LandmarkSet(
                     self._imu_from_camera.apply(rays), found.pixels[fresh],
-                    found.descriptors[fresh], depth, np.full(len(fresh), -1, dtype=np.int64),
+                    found.descriptors[fresh], depth,
                 )
             )  # fmt: skip
         if sum(len(s.points) for s in sets) + len(sightings) < _LEAST_LANDMARKS:
@@ -226,7 +223,7 @@ class CameraPositioning:
         if newest is not None:
             in_map = newest.map_from_imu @ newest.odom_from_imu.inverse() @ pose
         keyframe = MapKeyframe(
-            self._next_number, tick, pose, in_map, depth_m, (sets[0], sets[1]), sightings
+            self._next_number, pose, in_map, depth_m, (sets[0], sets[1]), sightings
         )
         self._next_number += 1
         self._map.keyframes.append(keyframe)
@@ -258,10 +255,7 @@ class CameraPositioning:
     ) -> None:
         """Queries the dictionary with the new keyframe and adds closures to old ones that PnP
         confirms."""
-        words = (
-            self._closures.words(0, features[0].descriptors),
-            self._closures.words(1, features[1].descriptors),
-        )
+        words = self._closures.words(features)
         recent = self._map.keyframes[-self._params.recent_keyframes - 1 :]
         young = {k.number for k in recent}
         # a large change of scale magnifies the depth errors of landmarks
@@ -305,7 +299,7 @@ class CameraPositioning:
         )  # fmt: skip
         if solved is None or solved.inliers.sum() < _LEAST_AGREEMENT * len(sightings):
             return False
-        information, _ = limit_information(solved.information, np.zeros(6), _CLOSURE_FLOOR_SIGMAS)
+        information = limit_information(solved.information, np.diag(_CLOSURE_FLOOR_SIGMAS**2))
         self._closures.close(keyframes[at], keyframe, solved.pose, information)
         return True
 

@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.paper.dictionary import InvertedIndex, Vocabulary
-from touchdown.estimator.paper.landmarks import BRISK, SIFT
+from touchdown.estimator.paper.landmarks import BRISK, SIFT, Features
 from touchdown.estimator.paper.pose_graph import Edge, PoseGraph
 from touchdown.estimator.paper.visual_map import MapKeyframe
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_log
 
 Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 
 _WORDS = 3000
@@ -39,23 +38,25 @@ class Closures:
 
     # ------------------------------------------------------------------------ dictionary
 
-    def words(self, kind: int, descriptors: Bytes) -> Indices:
-        """The dictionary's words (N,) of (N, D) descriptors."""
-        return self._vocabularies[kind].assign(descriptors)
+    def words(self, features: tuple[Features, Features]) -> Indices:
+        """The dictionary's words (N,) of an image's features; those of the two kinds differ."""
+        sift, brisk = (
+            vocabulary.assign(found.descriptors)
+            for vocabulary, found in zip(self._vocabularies, features, strict=True)
+        )
+        return np.concatenate([2 * sift, 2 * brisk + 1])
 
-    def candidates(self, words: tuple[Indices, Indices], among: set[int], most: int) -> list[int]:
+    def candidates(self, words: Indices, among: set[int], most: int) -> list[int]:
         """Returns the keyframes of ``among`` that share most words with an image of these words."""
-        scores = self._index.scores(_joined(words))
+        scores = self._index.scores(words)
         old = [(s, -k) for k, s in scores.items() if k in among and s >= _LEAST_LIKENESS]
         return [-k for _, k in sorted(old, reverse=True)[:most]]
 
     # ------------------------------------------------------------------------ graph
 
-    def add(
-        self, keyframe: MapKeyframe, words: tuple[Indices, Indices], before: int | None
-    ) -> None:
+    def add(self, keyframe: MapKeyframe, words: Indices, before: int | None) -> None:
         """Adds a new keyframe, connected by odometry to keyframe ``before``."""
-        self._index.add(keyframe.number, _joined(words))
+        self._index.add(keyframe.number, words)
         self._graph.add_node(keyframe.number, keyframe.map_from_imu, keyframe.odom_from_imu)
         if before is not None:
             self._graph.add_edge(
@@ -123,11 +124,6 @@ class Closures:
         here = here + gap * min(1.0, self._speed * seconds / max(length, 1e-12))
         self.world_from_odom = Pose(rotation, here - rotation @ position_odom)
         return self.world_from_odom
-
-
-def _joined(words: tuple[Indices, Indices]) -> Indices:
-    """Words of both kinds with distinct numbers."""
-    return np.concatenate([2 * words[0], 2 * words[1] + 1])
 
 
 def level_transform(odom: Pose, world: Pose) -> Pose:

@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import Frame
+from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.paper.geodesic import (
     colour_smoothness,
@@ -68,21 +70,18 @@ def _nearest_per_pixel(
     points: Float32,
     counts: NDArray[np.int64],
     per_scan: int,
-    rotation: Array,
-    translation: Array,
+    camera_from_odom: Frame,
     matrix: Array,
     shape: tuple[int, int],
 ) -> Float32:
     """Depth of the nearest return at every half-size pixel; 0 where there is none."""
-    depth = np.zeros(shape, dtype=np.float32)
+    depth, seen, offset = np.zeros(shape, np.float32), np.empty(3), camera_from_odom.translation
     for s in range(counts.shape[0]):
         for i in range(s * per_scan, s * per_scan + counts[s]):
-            px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-            z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+            rotate_into(camera_from_odom.rotation, points[i], seen)
+            x, y, z = seen[0] + offset[0], seen[1] + offset[1], seen[2] + offset[2]
             if z < 0.1:
                 continue
-            x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
-            y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
             u = (matrix[0, 0] * x + matrix[0, 1] * y) / z + matrix[0, 2]
             v = matrix[1, 1] * y / z + matrix[1, 2]
             col, row = int(np.floor(0.5 * u + 0.25)), int(np.floor(0.5 * v + 0.25))
@@ -106,9 +105,8 @@ class DepthField:
         points, counts, per_scan = recent.view()
         shape = (energy.shape[0], energy.shape[1])
         nearest = _nearest_per_pixel(
-            points, counts, per_scan, camera_from_odom.rotation, camera_from_odom.translation,
-            camera.matrix(), shape,
-        )  # fmt: skip
+            points, counts, per_scan, Frame.of(camera_from_odom), camera.matrix(), shape
+        )
         rows, cols = np.nonzero(nearest)
         self._depths = nearest[rows, cols].astype(np.float64)
         self._distance, self._label = geodesic_transform(

@@ -66,8 +66,6 @@ class PaperEstimator:
 
     def _flat(self, image: CameraImage) -> CameraImage:
         """The image without the lens's distortion."""
-        if self._undistort.is_identity:
-            return image
         return dataclasses.replace(image, rgb=self._undistort(image.rgb), right_rgb=None)
 
     def _take(self, message: LidarScan | CameraImage) -> None:

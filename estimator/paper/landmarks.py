@@ -86,17 +86,14 @@ class LandmarkDetector:
         usable = np.flatnonzero(inside)
         responses = np.array([keypoints[int(i)].response for i in usable])
         chosen = usable[spread(pixels[usable], responses, (width, height), cell_px, most)]
-        if len(chosen) == 0:
-            width_bytes = SIFT_BYTES if kind == SIFT else BRISK_BYTES
-            return Features(kind, np.zeros((0, 2)), np.zeros((0, width_bytes), np.uint8))
         # the size marks which of the asked keypoints come back: BRISK drops those near the border
         asked = [keypoints[int(i)] for i in chosen]
         for number, keypoint in enumerate(asked):
             keypoint.class_id = number
-        described, descriptors = detector.compute(image, asked)
+        described, descriptors = detector.compute(image, asked) if asked else ((), None)
         kept = np.array([k.class_id for k in described], dtype=np.int64)
         if len(kept) == 0:
-            return Features(kind, np.zeros((0, 2)), np.zeros((0, BRISK_BYTES), np.uint8))
+            descriptors = np.zeros((0, SIFT_BYTES if kind == SIFT else BRISK_BYTES))
         return Features(kind, pixels[chosen[kept]], np.asarray(descriptors).astype(np.uint8))
 
     def _adapt_threshold(self, found: int) -> None:

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import PaperParams
 from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
-from touchdown.estimator.filtering.information import lateral_strength, limit_information
+from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.paper.depth_field import scan_colour_smoothness
 from touchdown.estimator.paper.feature_map import FeatureMap
-from touchdown.estimator.paper.projection import lidar_to_camera
 from touchdown.estimator.paper.registration import (
     FeatureMaps,
     PosePrior,
@@ -113,7 +112,7 @@ class LidarPositioning:
         if seen_from is not None:
             pose = self._filter.eskf.state.pose
             camera_from_imu = camera_from_imu @ seen_from.inverse() @ pose
-        in_camera = lidar_to_camera(scan.points, camera_from_imu)
+        in_camera = camera_from_imu.apply(scan.points)
         in_lidar = scan.beams @ self._imu_from_lidar.rotation
         return scan_features(
             scan.beams, in_lidar, in_camera, scan.pulses, energy, self._rig.camera, self._params
@@ -128,8 +127,7 @@ class LidarPositioning:
         )  # fmt: skip
         if result is None:
             return
-        information, vector = limit_information(result.information, result.vector, _FLOOR_SIGMAS)
-        self._filter.correct(result.pose, information, vector)
+        self._filter.correct(result.pose, result.information, result.vector, _FLOOR_SIGMAS)
         self._report(result)
 
     def _report(self, result: ScanPose) -> None:

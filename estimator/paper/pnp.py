@@ -7,19 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import error_between, moved_by
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
+from touchdown.estimator.paper.projection import project
 from touchdown.sim.api import CameraIntrinsics
-from touchdown.sim.frames import Pose, so3_exp, so3_log
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _GATES_PX = (24.0, 12.0, 6.0, 4.0, 3.0, 3.0)
-
-
-def camera_to_global(points_camera: Array, global_from_camera: Pose) -> Array:
-    """Eq. 11: ``p_g = R_c p_c + T_c`` of (N, 3) points."""
-    return global_from_camera.apply(points_camera)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -42,13 +39,8 @@ def reprojection_errors(
     """(N, 2) measured pixels minus predicted ones of the landmarks (N, 3); infinite behind the
     camera."""
     points = (global_from_imu @ imu_from_camera).inverse().apply(landmarks)
-    front = points[:, 2] > 0.05
-    depth = np.where(front, points[:, 2], 1.0)
-    u = camera.fx * points[:, 0] / depth + camera.cx
-    v = camera.fy * points[:, 1] / depth + camera.cy
-    errors = pixels - np.column_stack([u, v])
-    errors[~front] = np.inf
-    return errors
+    predicted, front = project(points, camera.matrix())
+    return np.where(front[:, None], pixels - predicted, np.inf)
 
 
 def solve_pnp(
@@ -92,13 +84,9 @@ def solve_pnp(
         information, vector, used = accumulate(pose, gate)
         if used < min_inliers:
             return None
-        offset = np.concatenate(
-            [so3_log(guess.rotation.T @ pose.rotation), pose.translation - guess.translation]
-        )
-        delta = np.linalg.solve(
-            information + guess_information, vector - guess_information @ offset
-        )
-        pose = Pose(pose.rotation @ so3_exp(delta[:3]), pose.translation + delta[3:])
+        gradient = vector - guess_information @ error_between(guess, pose)
+        step: Array = np.linalg.solve(information + guess_information, gradient).astype(np.float64)
+        pose = moved_by(pose, step)
     information, _, used = accumulate(pose, _GATES_PX[-1])
     errors = reprojection_errors(pixels, landmarks, pose, imu_from_camera, camera)
     length = np.hypot(errors[:, 0], errors[:, 1])

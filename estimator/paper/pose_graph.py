@@ -10,9 +10,16 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
-from touchdown.estimator.filtering.error_state import POSE_DIM, POSITION, ROTATION, after
+from touchdown.estimator.filtering.error_state import (
+    POSE_DIM,
+    POSITION,
+    ROTATION,
+    after,
+    error_between,
+    moved_by,
+)
 from touchdown.estimator.filtering.imu_propagation import skew_of
-from touchdown.sim.frames import Pose, so3_exp, so3_log
+from touchdown.sim.frames import Pose, so3_log
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -129,10 +136,7 @@ class PoseGraph:
             matrix, vector = self._system()
             steps = splu(matrix).solve(vector).reshape(-1, 6)
             for number, step in zip(list(self.poses), steps, strict=True):
-                pose = self.poses[number]
-                self.poses[number] = Pose(
-                    pose.rotation @ so3_exp(step[:3]), pose.translation + step[3:]
-                )
+                self.poses[number] = moved_by(self.poses[number], step)
 
     def position_covariance(self, number: int) -> Array:
         """(3, 3) m^2 of a node's position given everything in the graph."""
@@ -149,32 +153,19 @@ class PoseGraph:
         vector = np.zeros(size)
         diagonal = np.zeros(size)
         for number, (pose, weights) in self._priors.items():
-            now, at = self.poses[number], 6 * order[number]
-            rotation = so3_log(pose.rotation.T @ now.rotation)
-            stray = np.concatenate([rotation, now.translation - pose.translation])
+            at = 6 * order[number]
             diagonal[at : at + 6] = weights
-            vector[at : at + 6] = -weights * stray
-        if not self.edges:
-            everywhere = np.arange(size)
-            return coo_matrix((diagonal, (everywhere, everywhere))).tocsc(), vector
-        blocks, vectors = self._edge_blocks()
-        sources = np.array([order[e.source] for e in self.edges])
-        targets = np.array([order[e.target] for e in self.edges])
-        where = np.concatenate(
-            [6 * sources[:, None] + np.arange(6), 6 * targets[:, None] + np.arange(6)], axis=1
-        )
-        np.add.at(vector, where, vectors)
-        rows = np.repeat(where, 12, axis=1).ravel()
-        cols = np.tile(where, (1, 12)).ravel()
-        everywhere = np.arange(size)
-        matrix = coo_matrix(
-            (
-                np.concatenate([blocks.ravel(), diagonal]),
-                (np.concatenate([rows, everywhere]), np.concatenate([cols, everywhere])),
-            ),
-            shape=(size, size),
-        )
-        return matrix.tocsc(), vector
+            vector[at : at + 6] = -weights * error_between(pose, self.poses[number])
+        values, rows, cols = diagonal, np.arange(size), np.arange(size)
+        if self.edges:
+            blocks, vectors = self._edge_blocks()
+            ends = np.array([(order[e.source], order[e.target]) for e in self.edges])
+            where = (6 * ends[:, :, None] + np.arange(6)).reshape(-1, 12)
+            np.add.at(vector, where, vectors)
+            values = np.concatenate([blocks.ravel(), values])
+            rows = np.concatenate([np.repeat(where, 12, axis=1).ravel(), rows])
+            cols = np.concatenate([np.tile(where, (1, 12)).ravel(), cols])
+        return coo_matrix((values, (rows, cols)), shape=(size, size)).tocsc(), vector
 
     def _edge_blocks(self) -> tuple[Array, Array]:
         poses = self.poses

@@ -1,4 +1,4 @@
-"""Projection of LIDAR points into the image (paper, section 3.2)."""
+"""Projection of LIDAR points into the image (paper, section 3.2); Eq. 1 is `Pose.apply`."""
 
 from __future__ import annotations
 
@@ -8,17 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraImage
-from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
 _NEAREST_DEPTH_M = 0.05
-
-
-def lidar_to_camera(points_lidar: Array, camera_from_lidar: Pose) -> Array:
-    """Eq. 1: ``p_c = R p_l + t``, (N, 3) m from the LIDAR's (or any rigidly tied) frame to the
-    camera's. The extracted text writes the equation with homogeneous 4-vectors; it is the same."""
-    return camera_from_lidar.apply(points_lidar)
 
 
 def project(points_camera: Array, matrix: Array) -> tuple[Array, NDArray[np.bool_]]:

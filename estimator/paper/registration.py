@@ -8,11 +8,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.error_state import POSITION, ROTATION
+from touchdown.estimator.filtering.error_state import POSITION, ROTATION, error_between, moved_by
 from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.estimator.filtering.plane_map import smallest_eigen
 from touchdown.estimator.paper.feature_map import FeatureMap
-from touchdown.sim.frames import Pose, so3_exp, so3_log
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -63,11 +63,6 @@ class ScanPose:
     planes: int
     rms_m: float
     converged: bool
-
-
-def to_global(points: Array, pose: Pose) -> Array:
-    """Eq. 9: ``p_g = R p_l + T`` of (N, 3) points."""
-    return pose.apply(points)
 
 
 @njit(cache=True)
@@ -200,12 +195,12 @@ def _flat_triangles(near: Array) -> Mask:
 
 
 def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose) -> tuple[Array, Array, Mask]:
-    """Steps 3 to 9: points (M, 3) with a line or plane nearby, their neighbourhoods (M, 5, 3), and
-    the mask (M,) of edge points."""
+    """Steps 3 to 9, points placed by Eq. 9: those (M, 3) with a line or plane nearby, their
+    neighbourhoods (M, 5, 3), and the mask (M,) of edge points."""
     edges, planes = features.edges, features.planes
-    edge_found, edge_near = maps.edges.nearest(to_global(edges, pose))
+    edge_found, edge_near = maps.edges.nearest(pose.apply(edges))
     lines, _ = neighbourhood_shapes(edge_near, edge_found)
-    plane_found, plane_near = maps.planes.nearest(to_global(planes, pose))
+    plane_found, plane_near = maps.planes.nearest(pose.apply(planes))
     _, flats = neighbourhood_shapes(plane_near, plane_found)
     flats &= _flat_triangles(plane_near)
     local = np.concatenate([edges[lines], planes[flats]])
@@ -223,16 +218,6 @@ def _keep_best(distances: Array, is_edge: Mask) -> Mask:
         order = members[np.argsort(distances[members], kind="stable")]
         keep[order[: int(np.ceil(_KEPT_SHARE * len(order)))]] = True
     return keep
-
-
-def _moved(pose: Pose, delta: Array) -> Pose:
-    return Pose(pose.rotation @ so3_exp(delta[ROTATION]), pose.translation + delta[POSITION])
-
-
-def _deviation(guess: Pose, pose: Pose) -> Array:
-    return np.concatenate(
-        [so3_log(guess.rotation.T @ pose.rotation), pose.translation - guess.translation]
-    )
 
 
 def register_scan(
@@ -264,9 +249,9 @@ def register_scan(
         information, vector = _normal_equations(
             local, near[:, 0], axes, is_edge, pose.rotation, pose.translation, sigmas
         )
-        vector = vector - guess_information @ _deviation(guess, pose)
+        vector = vector - guess_information @ error_between(guess, pose)
         delta = np.linalg.solve(information + guess_information, vector)
-        return _moved(pose, np.asarray(delta, dtype=np.float64)), float(np.abs(delta).max())
+        return moved_by(pose, np.asarray(delta, dtype=np.float64)), float(np.abs(delta).max())
 
     for _ in range(rounds):
         start = pose
@@ -276,20 +261,20 @@ def register_scan(
         axes = _axes(near, is_edge)
         for _ in range(_FIRST_STEPS):
             pose, _ = step(pose)
-        keep = _keep_best(_distances(to_global(local, pose), near, is_edge), is_edge)
+        keep = _keep_best(_distances(pose.apply(local), near, is_edge), is_edge)
         local, near = local[keep], near[keep]
         is_edge, axes = is_edge[keep], axes[keep]
         for _ in range(steps):
             pose, size = step(pose)
             if size < 1e-5:
                 break
-        converged = float(np.abs(_deviation(start, pose)).max()) < 5e-4
+        converged = float(np.abs(error_between(start, pose)).max()) < 5e-4
         if converged:
             break
     information, vector = _normal_equations(
         local, near[:, 0], axes, is_edge, pose.rotation, pose.translation, sigmas
     )
-    distances = _distances(to_global(local, pose), near, is_edge)
+    distances = _distances(pose.apply(local), near, is_edge)
     return ScanPose(
         pose=pose, information=information, vector=vector, edges=int(is_edge.sum()),
         planes=int((~is_edge).sum()), rms_m=float(np.sqrt(np.mean(distances**2))),

@@ -11,7 +11,7 @@ from touchdown.estimator.api import PaperParams
 from touchdown.estimator.filtering.deskew import screen_scan
 from touchdown.estimator.paper.depth_field import half_size_energy
 from touchdown.estimator.paper.lidar_pose import scan_features
-from touchdown.estimator.paper.projection import inside_image, lidar_to_camera, project
+from touchdown.estimator.paper.projection import inside_image, project
 from touchdown.estimator.paper.structured_edges.detector import edge_detector
 from touchdown.sim.api import LidarScan, SensorRig
 
@@ -41,7 +41,7 @@ def features_of_stationary_scan(
     camera without distortion."""
     pulses = screen_scan(scan, rig.lidar)
     points = scan.points[pulses].astype(np.float64)
-    in_camera = lidar_to_camera(points, rig.body_from_camera.inverse() @ rig.body_from_lidar)
+    in_camera = (rig.body_from_camera.inverse() @ rig.body_from_lidar).apply(points)
     energy = half_size_energy(rgb, edge_detector(params.edge_model))
     chosen, f_c = scan_features(points, points, in_camera, pulses, energy, rig.camera, params)
     pixels, front = project(in_camera, rig.camera.matrix())

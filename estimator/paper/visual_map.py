@@ -30,8 +30,6 @@ class LandmarkSet:
     """(L, D)"""
     depths: Array
     """(L,) m along the optical axis by the LIDAR (Eq. 12)"""
-    words: Indices
-    """(L,) in the dictionary of the kind"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +64,6 @@ class MapKeyframe:
     """A keyframe of the map; poses are of the IMU."""
 
     number: int
-    tick: int
     odom_from_imu: Pose
     """from the filter, refined by the bundle adjustment while the keyframe is in the window"""
     map_from_imu: Pose

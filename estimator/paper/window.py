@@ -28,16 +28,6 @@ class LandmarkKey(NamedTuple):
     landmark: int
 
 
-class _Observation(NamedTuple):
-    """One sighting, in the order of sorting."""
-
-    host: int
-    kind: int
-    landmark: int
-    view: int
-    row: int
-
-
 @dataclass(frozen=True, slots=True)
 class LocalisedImage:
     """The newest image: its odom_from_imu and the landmarks seen in it."""
@@ -63,14 +53,14 @@ def build_problem(
     inside = {keyframe.number for keyframe in window}
     views = [(k.number, k.sightings) for k in window] + [(-1, newest.sightings)]
     rows = [
-        _Observation(int(h), int(kind), int(i), observer, n)
+        (LandmarkKey(int(h), int(kind), int(i)), observer, n)
         for observer, (_, seen) in enumerate(views)
         for n, (h, kind, i) in enumerate(zip(seen.hosts, seen.kinds, seen.indices, strict=True))
         if int(h) in known
     ]
     if len(rows) < 20:
         return None
-    outside = sorted({row.host for row in rows} - inside)
+    outside = sorted({key.host for key, _, _ in rows} - inside)
     fixed = [known[number] for number in outside] + window[:first_free]
     free = window[first_free:]
     numbers = [k.number for k in fixed + free] + [-1]
@@ -78,15 +68,14 @@ def build_problem(
     rows.sort()
     keys: list[LandmarkKey] = []
     landmarks, observers, pixels, sigmas = [], [], [], []
-    for host, kind, index, observer, n in rows:
-        key = LandmarkKey(host, kind, index)
+    for key, observer, n in rows:
         if not keys or keys[-1] != key:
             keys.append(key)
         number, seen = views[observer]
         landmarks.append(len(keys) - 1)
         observers.append(place[number])
         pixels.append(seen.pixels[n])
-        sigmas.append(sigmas_px[kind])
+        sigmas.append(sigmas_px[key.kind])
     camera_from_imu = camera.imu_from_camera.inverse()
     sets = [known[host].landmarks[kind] for host, kind, _ in keys]
     points = np.array([s.points[key.landmark] for s, key in zip(sets, keys, strict=True)])

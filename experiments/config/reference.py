@@ -50,7 +50,8 @@ def meanings(kind: Any) -> dict[str, str]:
     """The docstring below each field of a class, on one line."""
     (body,) = ast.parse(inspect.getsource(kind)).body
     assert isinstance(body, ast.ClassDef)
-    found: dict[str, str] = {}
+    base: Any = kind.__base__
+    found: dict[str, str] = dict(meanings(base)) if hasattr(base, "__dataclass_fields__") else {}
     for field, text in zip(body.body, body.body[1:], strict=False):
         if not (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)):
             continue

@@ -209,7 +209,7 @@ _EstimatorFactory = Callable[[SensorRig, Callable[[], Truth]], Estimator]
 def _livo(config: Config) -> _EstimatorFactory:
     from touchdown.estimator.livo.estimator import Livo
 
-    return lambda rig, _truth: Livo(rig, config.livo, seed=config.seed)
+    return lambda rig, _truth: Livo(rig, config.livo)
 
 
 def _as_flown(rig: SensorRig, config: Config) -> SensorRig:

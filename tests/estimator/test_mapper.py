@@ -9,10 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapperParams, MapView, PoseTrack
+from touchdown.estimator.filtering.deskew import Track, deskew
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.mapping import kernels
 from touchdown.estimator.mapping.mapper import GridMapper
-from touchdown.estimator.mapping.records import Grid, Lens, Pulses, Track
+from touchdown.estimator.mapping.records import Grid, Lens, Pulses
 from touchdown.sim.api import CameraImage, LidarScan
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp
 
@@ -73,13 +74,11 @@ def test_every_pulse_is_placed_by_the_pose_at_its_time(count: int) -> None:
     offsets = (np.arange(1, count + 1) / 24000.0).astype(np.float32)
     directions = rng.standard_normal((count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    origins, beams = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     quats = np.array([quat_wxyz_from_matrix(body(t).rotation) for t in times])
     quats[1::3] *= -1.0  # the same rotations
-    kernels.deskew(
+    origins, beams = deskew(
         directions.astype(np.float32), offsets, 0.0,
-        Track(times, np.array([body(t).translation for t in times]), quats),
-        Frame.of(mount), origins, beams,
+        Track(times, np.array([body(t).translation for t in times]), quats), Frame.of(mount),
     )  # fmt: skip
     poses = [body(float(t)) @ mount for t in offsets]
     # A tenth of the Horizon's rate puts knots 2.7 ms apart: the chord of 13 mrad is 2e-5 short.

@@ -13,7 +13,6 @@ from touchdown.estimator.baselines.disparity import (
     GroundHeight,
     disparities,
     inverse_depths,
-    triangulate,
 )
 from touchdown.estimator.baselines.epochs import EpochQueue
 from touchdown.estimator.baselines.ground_below import GroundBelow
@@ -168,7 +167,6 @@ def test_ground_below_keeps_the_last_echo_over_water() -> None:
 
 def test_following_anchor_is_where_the_fixes_are() -> None:
     anchor = FollowingAnchor(follow_s=0.2)
-    assert not anchor.known
     anchor.take(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.5, 0.8]), 0.2)
     np.testing.assert_array_equal(anchor.offset, [1.0, 2.0, 3.0])
     anchor.take(np.array([1.1, 2.0, 3.0]), np.array([0.5, 0.5, 0.8]), 0.4)
@@ -209,13 +207,6 @@ def test_wandering_anchor_is_consistent() -> None:
 def test_wandering_anchor_learns_little_within_one_correlation_time() -> None:
     _, variance = _anchor_errors(tau_s=60.0, seconds=6.0, runs=1)
     np.testing.assert_allclose(variance, 2.0 * np.array([0.25, 0.25, 0.64]) / 2.1, rtol=0.01)
-
-
-def test_triangulation_by_hand() -> None:
-    """600 pixels of focal length and 0.05 m of baseline: 30 pixel metres. One pixel is 30 m, two
-    are 15 m; no disparity is no depth."""
-    depths = triangulate(np.array([1.0, 2.0, 0.0, -1.0]), 600.0 * 0.05)
-    np.testing.assert_allclose(depths, [30.0, 15.0, np.nan, np.nan])
 
 
 @pytest.mark.parametrize("shift", [3, 28])

@@ -29,10 +29,7 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
-from touchdown.estimator.livo.anchored_update import (
-    ScanErrors,
-    update_with_scan,
-)
+from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
 from touchdown.estimator.livo.anchors import AnchorFrames, Anchors
 from touchdown.estimator.livo.error_model import scan_errors
 from touchdown.estimator.livo.online_calibration import (
@@ -136,8 +133,9 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
         return out @ rotation.T
 
     jacobians = landmark_jacobians(
-        bearing_rays(pixels, CAMERA), planes, sensor, IMU_FROM_CAMERA, twist, CAMERA
-    )
+        bearing_rays(pixels, CAMERA), planes, sensor, Frame.of(IMU_FROM_CAMERA), twist,
+        Pinhole.of(CAMERA),
+    )  # fmt: skip
     assert jacobians.shape == (5, 3, SHARED_DIM)
     assert np.abs(jacobians[:, :, CAMERA_ROTATION]).max(axis=(0, 1)).min() > 1.0
     assert np.abs(jacobians[:, :, CAMERA_TRANSLATION]).max(axis=(0, 1)).min() > 0.01

@@ -53,7 +53,7 @@ def test_constant_force_gives_a_parabola_and_biases_give_none() -> None:
     acceleration, count = np.array([1.0, -2.0, 3.0]), 100
     gyro = np.tile(start.gyro_bias, (count, 1))
     force = np.tile(acceleration + [0.0, 0.0, GRAVITY_MPS2] + start.accel_bias, (count, 1))
-    end = propagate_nominal(start, 3 * np.arange(1, count + 1), gyro, force, STEP_S)
+    end = propagate_nominal(start, 3 * np.arange(1, count + 1), gyro, force, STEP_S).end
     t = count * STEP_S
     moved = start.position + start.velocity * t + 0.5 * acceleration * t**2
     np.testing.assert_allclose(end.position, moved, atol=1e-12)
@@ -78,13 +78,13 @@ def test_transition_matches_finite_differences() -> None:
         NoiseDensities(0.0, 0.0, 0.0, 0.0),
     )
     eskf = Eskf(state, np.ones(STATE_DIM))
-    nominal = propagate_nominal(state, ticks, gyro, force, STEP_S)
+    nominal = propagate_nominal(state, ticks, gyro, force, STEP_S).end
     epsilon = 1e-5
     for k in range(STATE_DIM):
         delta = np.zeros(STATE_DIM)
         delta[k] = epsilon
         moved, _ = eskf.boxplus(state, [], delta)
-        end = propagate_nominal(moved, ticks, gyro, force, STEP_S)
+        end = propagate_nominal(moved, ticks, gyro, force, STEP_S).end
         difference = np.concatenate(
             [
                 so3_log(nominal.rotation.T @ end.rotation),
@@ -166,7 +166,7 @@ def test_derivative_by_the_imu_errors_matches_finite_differences() -> None:
             delta = np.zeros(eskf.base)
             delta[IMU_ERRORS.start + k] = sign * epsilon
             moved, _ = eskf.boxplus(state, [], delta)
-            ends.append(propagate_nominal(moved, ticks, gyro, force, STEP_S))
+            ends.append(propagate_nominal(moved, ticks, gyro, force, STEP_S).end)
         plus, minus = ends
         difference = np.concatenate(
             [

@@ -21,7 +21,7 @@ STEP_S = 0.005
 def test_deskew_brings_a_fixed_point_to_one_place() -> None:
     """A moving, turning sensor measures one world point again and again."""
     rng = np.random.default_rng(1)
-    steps, count = 20, 400
+    steps, count = 20, 4000
     times = np.linspace(0.0, 0.1, steps + 1)
     rate, velocity = np.array([0.4, -0.3, 0.5]), np.array([5.0, 1.0, -2.0])
     rotations = np.array([so3_exp(rate * t) for t in times])
@@ -197,13 +197,9 @@ def test_a_return_weighs_by_its_beam_its_plane_and_its_residual(
 def test_floor_adds_its_covariance() -> None:
     rng = np.random.default_rng(6)
     root = rng.normal(size=(6, 8))
-    information, mean = root @ root.T, rng.normal(size=6)
-    sigmas = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
-    widened, vector = limit_information(information, information @ mean, sigmas)
-    np.testing.assert_allclose(
-        np.linalg.inv(widened), np.linalg.inv(information) + np.diag(sigmas**2), rtol=1e-8
-    )
-    np.testing.assert_allclose(np.linalg.solve(widened, vector), mean, rtol=1e-8)
+    information, errors = root @ root.T, np.diag([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    limited = limit_information(information, errors)
+    np.testing.assert_allclose(np.linalg.inv(limited), np.linalg.inv(information) + errors)
 
 
 @pytest.mark.parametrize("walls", [True, False])

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import LivoParams
-from touchdown.estimator.filtering.error_state import CALIBRATION_DIM, MOUNT_TRANSLATION, STATE_DIM
+from touchdown.estimator.filtering.error_state import (
+    CALIBRATION_DIM,
+    MOUNT_TRANSLATION,
+    STATE_DIM,
+    Frame,
+    Pinhole,
+)
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.filtering.keyframes import Overlap, choose, detect_features, most_redundant
@@ -22,6 +28,7 @@ from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_
 from support.livo_filter_support import add_keyframe
 
 CAMERA = CameraIntrinsics(width=424, height=240, fx=310.0, fy=315.0, cx=211.5, cy=119.5)
+LENS = Pinhole.of(CAMERA)
 IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.07, 0.02, -0.13]))
 
 
@@ -67,8 +74,9 @@ def test_patches_are_found_to_a_tenth_of_a_pixel_under_scale_and_turn() -> None:
     pixels = detect_features(source[0], 100)
     planes = np.tile(plane_in(key), (len(pixels), 1))
     guess = Pose(now.rotation, now.translation + np.array([0.04, -0.03, 0.0]))
-    found, tracked, predicted = track(source, target, pixels, planes, guess.inverse() @ key, CAMERA)
-    _, _, truth = track(source, target, pixels, planes, now.inverse() @ key, CAMERA)
+    moves = [Frame.of(pose.inverse() @ key) for pose in (guess, now)]
+    found, tracked, predicted = track(source, target, pixels, planes, moves[0], LENS)
+    _, _, truth = track(source, target, pixels, planes, moves[1], LENS)
     assert found.sum() > 40
     assert np.linalg.norm(predicted[found] - truth[found], axis=1).mean() > 1.0
     error = tracked[found] - truth[found]
@@ -82,7 +90,7 @@ def test_other_ground_is_not_taken_for_that_of_the_keyframe() -> None:
     pixels = detect_features(source[0], 100)
     planes = np.tile(plane_in(key), (len(pixels), 1))
     shares = [
-        track(source, target, pixels, planes, Pose.identity(), CAMERA)[0].mean()
+        track(source, target, pixels, planes, Frame.of(Pose.identity()), LENS)[0].mean()
         for target in (source, other)
     ]
     assert shares[0] > 0.9 and shares[1] < 0.1

@@ -11,6 +11,7 @@ from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.paper.camera_pose import CameraPositioning, with_common_errors
 from touchdown.estimator.paper.closures import Closures
+from touchdown.estimator.paper.landmarks import Features
 from touchdown.estimator.paper.pnp import reprojection_errors
 from touchdown.estimator.paper.visual_map import LandmarkSet, MapKeyframe, Sightings
 from touchdown.sim.frames import Pose, so3_exp
@@ -38,13 +39,12 @@ def positioning(**changes: Any) -> CameraPositioning:
 
 def none_of(kind: int) -> LandmarkSet:
     size = 128 if kind == 0 else 64
-    nothing = np.zeros(0, np.int64)
     empty = np.zeros((0, size), np.uint8)
-    return LandmarkSet(NOTHING, np.zeros((0, 2)), empty, np.zeros(0), nothing)
+    return LandmarkSet(NOTHING, np.zeros((0, 2)), empty, np.zeros(0))
 
 
 def keyframe(number: int, odom: Pose, in_map: Pose) -> MapKeyframe:
-    return MapKeyframe(number, 60 * number, odom, in_map, 12.0, (none_of(0), none_of(1)))
+    return MapKeyframe(number, odom, in_map, 12.0, (none_of(0), none_of(1)))
 
 
 def test_a_bundle_repairs_the_free_keyframes_and_the_newest_pose() -> None:
@@ -70,8 +70,7 @@ def test_a_bundle_repairs_the_free_keyframes_and_the_newest_pose() -> None:
         inside = (truth[k] @ IMU_FROM_CAMERA).inverse().apply(points[mine])
         depths = inside[:, 2] * (1.0 + 0.003 * rng.standard_normal(60))
         placed = IMU_FROM_CAMERA.apply(inside * (depths / inside[:, 2])[:, None])
-        words = np.zeros(60, np.int64)
-        found = LandmarkSet(placed, pixels[k][mine], np.zeros((60, 128), np.uint8), depths, words)
+        found = LandmarkSet(placed, pixels[k][mine], np.zeros((60, 128), np.uint8), depths)
         window[k].landmarks = (found, none_of(1))
         errors.append(np.abs(depths - inside[:, 2]).mean())
 
@@ -100,7 +99,7 @@ def test_a_bundle_repairs_the_free_keyframes_and_the_newest_pose() -> None:
 def test_a_closure_moves_the_newest_keyframe_by_its_share_of_the_information() -> None:
     """Four hops of 6 mm and a closure of 12 mm, the same variance: half of 2 mm."""
     closures = Closures(0.1, 0.01)
-    words = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+    words = np.zeros(0, np.int64)
     keyframes = []
     for k in range(5):
         pose = Pose(np.eye(3), np.array([5.0 * k, 0.0, 12.0]))
@@ -120,7 +119,7 @@ def test_a_closure_moves_the_newest_keyframe_by_its_share_of_the_information() -
 def test_a_closure_is_weighed_in_the_frame_of_its_source() -> None:
     """Information on x in the map is information on -y of a source that looks north."""
     closures = Closures(0.1, 0.01)
-    words = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+    words = np.zeros(0, np.int64)
     north = Pose(so3_exp(np.array([0.0, 0.0, np.pi / 2])), np.array([1.0, 2.0, 12.0]))
     ends = [keyframe(k, north, north) for k in (0, 1)]
     for end in ends:
@@ -284,11 +283,11 @@ def test_candidates_share_words_and_are_asked_for() -> None:
     closures = Closures(0.1, 0.01)
     for number, words in enumerate(([1, 2, 3], [1, 2, 9], [1, 8, 7], [1, 2, 3])):
         pose = Pose.identity()
-        none = np.zeros(0, np.int64)
-        closures.add(keyframe(number, pose, pose), (np.array(words), none), None)
-    asked = np.array([1, 2, 3]), np.zeros(0, np.int64)
+        closures.add(keyframe(number, pose, pose), np.array(words), None)
+    asked = np.array([1, 2, 3])
     assert closures.candidates(asked, {0, 1, 2}, 2) == [0, 1]  # the word 1 is everywhere
     assert closures.candidates(asked, {0, 1, 2, 3}, 1) == [0]
     assert closures.candidates(asked, {2}, 2) == []
-    other = np.zeros(0, np.int64), np.array([1, 2, 3])  # words of the other kind
-    assert closures.candidates(other, {0, 1, 2}, 2) == []
+    blank = [np.zeros((1, size), np.uint8) for size in (128, 64)]
+    sift, brisk = (Features(kind, np.zeros((1, 2)), blank[kind]) for kind in (0, 1))
+    assert len(np.unique(closures.words((sift, brisk)))) == 2  # those of the two kinds differ

@@ -8,7 +8,7 @@ import pytest
 
 from touchdown.estimator.api import PaperParams
 from touchdown.estimator.filtering.deskew import PlacedScan
-from touchdown.estimator.filtering.error_state import Frame, Frames, Pinhole
+from touchdown.estimator.filtering.error_state import Frame, Frames, Pinhole, moved_by
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.paper import lidar_pose, registration
@@ -101,7 +101,7 @@ def test_normal_equations_are_derivatives_of_the_robust_cost() -> None:
     pose = Pose(so3_exp(np.array([0.3, -0.2, 0.5])), np.array([0.5, -1.0, 0.2]))
 
     def cost(delta: np.ndarray) -> float:
-        moved = registration._moved(pose, delta)
+        moved = moved_by(pose, delta)
         offset = moved.apply(local) - anchors
         along = (offset * axes).sum(axis=1)
         square = np.where(is_edge, (offset**2).sum(axis=1) - along**2, along**2)
@@ -298,7 +298,7 @@ def test_equations_of_the_bundle_are_derivatives_of_its_cost() -> None:
     depths, sigmas = rng.uniform(10.0, 13.0, 4), np.full(6, 0.7)
 
     def residuals(x: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-        now = [registration._moved(p, x[6 * k : 6 * k + 6]) for k, p in enumerate(poses)]
+        now = [moved_by(p, x[6 * k : 6 * k + 6]) for k, p in enumerate(poses)]
         out = np.zeros((6, 2))
         for o, (m, k) in enumerate(zip(landmarks, observers, strict=True)):
             seen = IMU_FROM_CAMERA.apply(rays[m : m + 1] * (depths[m] + x[18 + m]))
@@ -309,7 +309,7 @@ def test_equations_of_the_bundle_are_derivatives_of_its_cost() -> None:
 
     def equations(x: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Matrix and vector before the depths are eliminated, and the cost."""
-        now = [registration._moved(p, x[6 * k : 6 * k + 6]) for k, p in enumerate(poses)]
+        now = [moved_by(p, x[6 * k : 6 * k + 6]) for k, p in enumerate(poses)]
         information, vector, coupling, curvature, slope, cost = _reduced_system(
             Frames.of(now), depths + x[18:],
             Observations(hosts, rays, depths, landmarks, observers, pixels, sigmas),
@@ -353,7 +353,7 @@ def test_equations_of_the_pose_graph_are_derivatives_of_its_cost() -> None:
     edge = graph.edges[0]
 
     def cost(delta: np.ndarray) -> float:
-        moved = [registration._moved(end, delta[6 * k :][:6]) for k, end in enumerate(ends)]
+        moved = [moved_by(end, delta[6 * k :][:6]) for k, end in enumerate(ends)]
         residual = edge_residual(edge, *moved)
         return float(0.5 * residual @ edge.information @ residual)
 
