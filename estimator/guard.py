@@ -19,7 +19,6 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import image_defect, some_pixels
-from touchdown.estimator.filtering.message_order import stamp_of
 from touchdown.sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
 
 _CLUTTER_M = 10.0
@@ -200,16 +199,16 @@ class _Stream:
             elapsed_s = (now - self._delivered) / self._tick_hz
             events.append(f"{self._name}s again after {elapsed_s:.2f} s")
         self._delivered, self._in_dropout = now, False
-        flags = _unordered([stamp_of(message) for message in messages])
+        flags = _unordered([_ticks(message)[1] for message in messages])
         kept: list[Message] = []
         for message, unordered in zip(messages, flags, strict=True):
             taken: Message | None = None
             reason = "out of order" if unordered else self._stamp_fault(message, now)
             if not reason:
                 taken, reason = judge(message)
-            self._report(stamp_of(message), taken is None, reason, events)
+            self._report(_ticks(message)[1], taken is None, reason, events)
             if taken is not None:
-                self._newest = stamp_of(message)
+                self._newest = _ticks(message)[1]
                 kept.append(taken)
         same = len(kept) == len(messages) and all(
             a is b for a, b in zip(kept, messages, strict=True)
@@ -235,8 +234,7 @@ class _Stream:
             events.append(f"no {self._name} for {elapsed / self._tick_hz:.2f} s")
 
     def _stamp_fault(self, message: LidarScan | CameraImage, now: int) -> str:
-        end = stamp_of(message)
-        start = message.start_tick if isinstance(message, LidarScan) else end
+        start, end = _ticks(message)
         if end > now:
             return "from the future"
         if start > end or (start == end and isinstance(message, LidarScan)):
@@ -246,6 +244,12 @@ class _Stream:
         if end < self._newest or (isinstance(message, LidarScan) and start < self._newest):
             return "older than one that came before it"
         return ""
+
+
+def _ticks(message: LidarScan | CameraImage) -> tuple[int, int]:
+    if isinstance(message, LidarScan):
+        return message.start_tick, message.end_tick
+    return message.tick, message.tick
 
 
 def _unordered(stamps: list[int]) -> list[bool]:

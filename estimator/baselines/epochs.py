@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from touchdown.estimator.filtering.message_order import ArrivingStream, DelayBound
 from touchdown.sim.api import (
@@ -24,14 +24,6 @@ _EVENTS, _SAMPLES = ("images", "gps"), ("magnetometer", "barometer", "rangefinde
 """fields of `Observation`: messages that are epochs, and what is used at the next one"""
 _BEAT_HZ = 10
 """Smallest rate of epochs, independent of messages."""
-
-
-class _Stamped(Protocol):
-    @property
-    def tick(self) -> int: ...
-
-
-T = TypeVar("T", bound=_Stamped)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -86,7 +78,7 @@ class EpochQueue:
             complete.append(self._epoch(tick))
         return complete
 
-    def _in_time(self, messages: Sequence[T]) -> list[T]:
+    def _in_time(self, messages: Sequence[Any]) -> list[Any]:
         kept = [message for message in messages if message.tick > self._last]
         self.late += len(messages) - len(kept)
         return kept
@@ -101,7 +93,7 @@ class EpochQueue:
         )  # fmt: skip
 
 
-def _split(messages: list[T], tick: int) -> list[T]:
+def _split(messages: list[Any], tick: int) -> list[Any]:
     """Removes and returns those measured at or before ``tick``, oldest first."""
     due = sorted((m for m in messages if m.tick <= tick), key=lambda m: m.tick)
     messages[:] = [m for m in messages if m.tick > tick]

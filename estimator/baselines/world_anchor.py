@@ -67,18 +67,13 @@ class WanderingAnchor:
         self.offset: Array = np.zeros(3)
 
     @property
-    def known(self) -> bool:
-        """True once a fix was processed."""
-        return not math.isnan(self._time_s)
-
-    @property
     def covariance(self) -> Array:
         """(3, 3) m^2 of the offset."""
         return np.diag(self._covariance[:, 0, 0])
 
     def take(self, offset: Array, sigma: Array, time_s: float) -> None:
         """As ``FollowingAnchor.take``."""
-        first = not self.known
+        first = math.isnan(self._time_s)
         if first:
             self._covariance[:, 1, 1] = sigma * sigma
         else:
@@ -102,6 +97,6 @@ class WanderingAnchor:
 
     def step(self, seconds: float) -> None:
         """Moves the frame towards its target."""
-        if self.known:
+        if not math.isnan(self._time_s):
             share = -math.expm1(-seconds / self._correction_time_s)
             self.offset = self.offset + share * (self._mean[:, 0] - self.offset)

@@ -29,7 +29,6 @@ from touchdown.estimator.filtering.error_state import (
     STATE_DIM,
     VELOCITY,
     Frames,
-    error_between,
 )
 from touchdown.estimator.filtering.imu_propagation import (
     ImuBuffer,
@@ -47,6 +46,10 @@ Indices = NDArray[np.int64]
 
 _RATE_SAMPLES = 3
 """of the IMU, over which the angular rate is a mean: one alone is mostly vibration"""
+
+
+_CONVERGED = np.repeat([2e-5, 5e-4], 3)
+"""rad and m: a step by less than these is the last one that is worth its time"""
 
 
 class Prior(NamedTuple):
@@ -248,13 +251,6 @@ class Eskf:
             new_clones[k] = pose
         return moved, new_clones
 
-    def deviation(self, state: NavState, clones: list[Pose], touched_clones: list[int]) -> Array:
-        """Error coordinates (6 + S + 6m,) of the present mean relative to a prior mean: pose first,
-        then the S shared parameters of the calibration and the given clones."""
-        calibration = (self.state.calibration - state.calibration)[: self.shared]
-        moves = [error_between(clones[k], self.clones[k]) for k in touched_clones]
-        return np.concatenate([error_between(state.pose, self.state.pose), calibration, *moves])
-
     def touched(self, clones: list[int]) -> NDArray[np.int64]:
         """Error coordinates of pose, shared calibration and the given clones, (6 + S + 6m,)."""
         shared = np.arange(STATE_DIM, STATE_DIM + self.shared)
@@ -271,20 +267,23 @@ class IteratedUpdate:
         self._mean, self._clones = eskf.state, eskf.clones
         self._touched, self._prior = np.zeros(0, np.int64), eskf.prior(np.zeros(0, np.int64))
         self._information, self._delta = np.zeros((0, 0)), np.zeros(len(eskf.covariance))
+        self._moved = self._delta
+        """of ``_delta``, what the present mean has moved by: that of the clones linearised about"""
 
     def step(
         self, clones: list[int], information: Array, vector: Array, floors: Array | None = None
-    ) -> None:
+    ) -> bool:
         """Moves the mean by the measurement (D, D), (D,) of pose, shared calibration and the given
         clones, linearised at the present mean; other clones follow in the end. ``floors`` (D,):
         standard deviations of errors that do not average out over the residuals, see
-        ``limit_information``, in the same equation as the prior."""
+        ``limit_information``, in the same equation as the prior. True if the pose hardly moves."""
         eskf = self._eskf
         information, vector = eskf.coupled(information, vector)
-        vector = vector + information @ eskf.deviation(self._mean, self._clones, clones)
+        coordinates = eskf.touched(clones)
+        vector = vector + information @ self._moved[coordinates]
         # what the measurement says nothing about only follows
         known = np.flatnonzero(information.any(axis=0))
-        touched = eskf.touched(clones)[known]
+        touched = coordinates[known]
         if not np.array_equal(touched, self._touched):
             floors = None if floors is None else floors[known]
             self._touched, self._prior = touched, eskf.prior(touched, floors)
@@ -293,6 +292,9 @@ class IteratedUpdate:
             touched, self._information, vector[known], self._gains, self._prior
         )
         eskf.state, eskf.clones = eskf.boxplus(self._mean, self._clones, self._delta, clones)
+        before, self._moved = self._moved, np.zeros(len(self._delta))
+        self._moved[coordinates] = self._delta[coordinates]
+        return bool((np.abs(self._moved - before)[POSE] < _CONVERGED).all())
 
     def abandon(self) -> None:
         """Returns to the mean before the first step."""

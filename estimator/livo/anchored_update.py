@@ -19,6 +19,8 @@ from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_e
 Array = NDArray[np.float64]
 
 _PLANE_FLOOR_M = 0.003
+_SAME_PLANE_M = 0.02
+"""displacement of a return up to which its plane is not looked up again"""
 _GATES = (6.0, 4.0)
 """standard deviations, of the first iteration and of the others"""
 
@@ -66,17 +68,21 @@ def update_with_scan(
 ) -> LidarReport:
     """Iterated update by a scan that ends at the filter's present time.
 
-    Planes are looked up in the first and the second iteration. With fewer than ``min_matches``
-    matches nothing is changed. ``share``: of the correction that mounts and lens take.
+    Planes are looked up in the first iteration, and in the second if the first has moved the
+    returns. With fewer than ``min_matches`` matches nothing is changed. ``share``: of the
+    correction that mounts and lens take.
     """
     update = IteratedUpdate(eskf, share)
     returns, shared = Returns(scan.points, scan.beams), eskf.shared
     weak, raw = (np.zeros((3, 0)), np.zeros((3, 0))), np.zeros((6, 6))
     matched, keys, used, rms = None, np.zeros(0, np.int64), 0, 0.0
+    looked_up = np.full_like(scan.points, np.inf)
     for iteration in range(iterations):
-        state, fresh = eskf.state, iteration < 2
+        state = eskf.state
+        placed = scan.points @ state.rotation.T + state.position
+        fresh = iteration < 2 and np.abs(placed - looked_up).max() > _SAME_PLANE_M
         if fresh or matched is None:
-            matched = plane_map.match(scan.points @ state.rotation.T + state.position)
+            matched, looked_up = plane_map.match(placed), placed
             keys = np.unique(matched.anchors[matched.found])
             keys = keys[keys >= 0].astype(np.int64)
         noise = ScanNoise(
@@ -102,7 +108,8 @@ def update_with_scan(
         # would tie the clones to each other too firmly
         floor = errors.floor_sigmas
         floors = np.concatenate([floor, np.zeros(shared), np.tile(floor, len(keys))])
-        update.step(keys.tolist(), information, vector, floors)
+        if update.step(keys.tolist(), information, vector, floors) and iteration > 0:
+            break
     update.finish()
     return LidarReport(
         matched=used,

@@ -277,7 +277,8 @@ class VisualFrontEnd:
             if used < _LEAST_LANDMARKS:
                 update.abandon()
                 return 0, 0.0
-            update.step(keys, information, vector)
+            if update.step(keys, information, vector) and gate == _GATES_PX[-1]:
+                break
         update.finish()
         return used, rms
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -18,10 +18,8 @@ RIM = 8
 """pixels, even, that the structured detector sees beyond the image's border"""
 
 
-class EdgeDetector(Protocol):
-    """(H, W, 3) uint8 RGB -> (H, W) float32 energy in [0, 1]; deterministic."""
-
-    def __call__(self, rgb: Rgb) -> Float32: ...
+EdgeDetector = Callable[[Rgb], Float32]
+"""(H, W, 3) uint8 RGB -> (H, W) float32 energy in [0, 1]; deterministic"""
 
 
 class GradientEdges:

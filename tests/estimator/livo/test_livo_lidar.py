@@ -1,5 +1,7 @@
 """Deskewing, the plane map and the point-to-plane update on hand-made geometry."""
 
+from unittest import mock
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.information import lateral_strength, limit_information
 from touchdown.estimator.filtering.plane_map import PlaneMap, smallest_eigen
+from touchdown.estimator.livo import anchored_update
 from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
 from touchdown.estimator.livo.anchors import Anchors
 from touchdown.sim.api import LidarParams
@@ -217,13 +220,11 @@ def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
     variances[:3], variances[3:6] = 1e-4, 1e-2
     eskf = Eskf(state, variances)
     floor = 0.01 if walls else 0.5
-    report = update_with_scan(
-        eskf, plane_map, Anchors(), placed(points),
-        ScanErrors(
-            range_sigma_m=0.02, angle_sigma_rad=1e-3,
-            floor_sigmas=np.array([1e-4, 1e-4, 1e-3, floor, floor, 1e-3]),
-        ),
+    errors = ScanErrors(
+        range_sigma_m=0.02, angle_sigma_rad=1e-3,
+        floor_sigmas=np.array([1e-4, 1e-4, 1e-3, floor, floor, 1e-3]),
     )  # fmt: skip
+    report = update_with_scan(eskf, plane_map, Anchors(), placed(points), errors)
     error = np.abs(eskf.state.position - true_position)
     assert report.matched > 0.7 * len(points)
     assert error[2] < 0.02  # the map's own noise is shared: its offset is the limit
@@ -238,6 +239,14 @@ def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
         np.testing.assert_allclose(error[:2], [0.05, 0.04], atol=5e-3)
         assert np.sqrt(eskf.covariance[3, 3]) > 0.09
         assert report.lateral_strength[0] < 1e3
+    # from there on the returns stay on their planes; where walls hold the pose, two steps suffice
+    equations = anchored_update.plane_equations
+    with (
+        mock.patch.object(plane_map, "match", wraps=plane_map.match) as lookups,
+        mock.patch.object(anchored_update, "plane_equations", wraps=equations) as steps,
+    ):
+        update_with_scan(eskf, plane_map, Anchors(), placed(points), errors)
+    assert (lookups.call_count, steps.call_count) == (1, 2 if walls else 3)
 
 
 def test_too_few_matches_change_nothing() -> None:
