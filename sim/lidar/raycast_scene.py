@@ -52,7 +52,7 @@ class GroundTarget(RayTarget):
         """As `RayTarget.cast_apart`."""
         if self._ground is None:
             return super().cast_apart(rays, hits)
-        others = self._ground.march(rays, hits)
+        others = self._ground.land(rays, hits)
         self.cast_on(np.take(rays, others, axis=0), others, np.zeros(len(others), np.float32), hits)
         return others
 
