@@ -47,7 +47,9 @@ class GroundGrid:
 
     @staticmethod
     def of(geom: int, origin: Array, cell: Array, heights: Array, clutter: Array) -> GroundGrid:
-        """``clutter`` (T, 3, 3): corners of all other fixed triangles in the world."""
+        """``clutter`` (T, 3, 3): corners of all other fixed triangles in the world. The grid made
+        has cells of half the side, since what stands on one leaves all of it to others."""
+        heights, cell = _halved(np.asarray(heights, np.float32)), np.asarray(cell, np.float64) / 2
         near, right = heights[:-1, :-1], heights[:-1, 1:]
         above, far = heights[1:, :-1], heights[1:, 1:]
         corners = np.array([near, right, above, far], dtype=np.float64)
@@ -61,12 +63,14 @@ class GroundGrid:
         free = np.full((4, *low.shape), np.inf, dtype=np.float32)
         for quadrant in range(4):
             turned = np.s_[:: 2 * (quadrant // 2) - 1, :: 2 * (quadrant % 2) - 1]
-            _map_horizon(lids[turned], low[turned], slope[turned], min(cell), free[quadrant][turned])
+            _map_horizon(
+                lids[turned], low[turned], slope[turned], min(cell), free[quadrant][turned]
+            )
         return GroundGrid(
             geom,
             np.asarray(origin, dtype=np.float64),
-            np.asarray(cell, dtype=np.float64),
-            np.ascontiguousarray(heights, dtype=np.float32),
+            cell,
+            heights,
             free,
         )
 
@@ -77,6 +81,17 @@ class GroundGrid:
             rays, self.geom, self.origin, self.cell, self.heights, self.free,
             hits.distance, hits.geom, hits.cosine,
         )  # fmt: skip
+
+
+def _halved(heights: Float32) -> Float32:
+    """The same surface with twice as many cells in rows and columns."""
+    rows, cols = heights.shape
+    out = np.empty((2 * rows - 1, 2 * cols - 1), dtype=np.float32)
+    out[::2, ::2] = heights
+    out[1::2, ::2] = 0.5 * (heights[:-1] + heights[1:])
+    out[::2, 1::2] = 0.5 * (heights[:, :-1] + heights[:, 1:])
+    out[1::2, 1::2] = 0.5 * (heights[:-1, :-1] + heights[1:, 1:])
+    return out
 
 
 @njit(cache=True)
