@@ -16,10 +16,10 @@ import numpy as np
 from numba import njit
 
 from touchdown.sim.geometry.ray_target import Hits
-from touchdown.sim.typing import Array, Float32, Indices, Int32
+from touchdown.sim.typing import Array, Bytes, Float32, Indices, Int32
 
-_SLOPES = (3.4, 2.4, 1.7, 1.2, 0.84, 0.6, 0.42, 0.3)
-"""Levels of the horizon map, metres down per metre along"""
+_SLOPES: Array = np.array([np.inf, 3.4, 2.4, 1.7, 1.2, 0.84, 0.6, 0.42, 0.3])
+"""Levels of the horizon map, metres down per metre along; inf where something stands"""
 _FLATTEST = -0.28
 """Downward part of a ray that is less steep than the last of them"""
 _TRIES = 3
@@ -40,10 +40,9 @@ class GroundGrid:
     """(2,) metres along x and y"""
     heights: Float32
     """(rows, cols) world metres"""
-    free: Float32
-    """(4, rows - 1, cols - 1) slopes: rays that are steeper land in the cell if they come from
-    above it, and meet nothing before; they come from greater x and y, smaller x, smaller y, both
-    smaller. inf where something stands."""
+    free: Bytes
+    """(4, rows - 1, cols - 1) level of the horizon map: a steeper ray that comes down in the cell
+    has met nothing before. Rays come from greater x and y, smaller x, smaller y, both smaller."""
 
     @staticmethod
     def of(geom: int, origin: Array, cell: Array, heights: Array, clutter: Array) -> GroundGrid:
@@ -60,7 +59,7 @@ class GroundGrid:
         north = np.maximum(abs(far - right), abs(above - near)) / cell[1]
         slope = np.where(closed > -np.inf, np.inf, np.hypot(east, north))
         lids = np.maximum(corners.max(axis=0), closed)
-        free = np.full((4, *low.shape), np.inf, dtype=np.float32)
+        free = np.zeros((4, *low.shape), dtype=np.uint8)
         for quadrant in range(4):
             turned = np.s_[:: 2 * (quadrant // 2) - 1, :: 2 * (quadrant % 2) - 1]
             _map_horizon(
@@ -146,12 +145,12 @@ def _close_piece(
 
 
 @njit(cache=True)
-def _map_horizon(lids: Array, low: Array, slope: Array, side: float, free: Float32) -> None:
+def _map_horizon(lids: Array, low: Array, slope: Array, side: float, free: Bytes) -> None:
     """Fills one quadrant of `GroundGrid.free`, turned so that the rays come from smaller rows and
     columns, from the highest and lowest points of all cells and the slopes of the ground."""
     rows, cols = lids.shape
-    for level in _SLOPES:
-        drop = level * side
+    for level in range(1, _SLOPES.shape[0]):
+        drop = _SLOPES[level] * side
         over = lids.copy()  # and falls by a drop at most from cell to cell
         for row in range(1, rows):
             for col in range(1, cols):
@@ -163,9 +162,9 @@ def _map_horizon(lids: Array, low: Array, slope: Array, side: float, free: Float
                 # they are as steep as itself.
                 beyond = max(over[row - 2, col], over[row - 2, col - 1], over[row - 2, col - 2],
                              over[row - 1, col - 2], over[row, col - 2])  # fmt: skip
-                if beyond - drop < low[row, col]:
-                    steep = max(slope[row - 1, col], slope[row, col - 1], slope[row - 1, col - 1])
-                    free[row, col] = max(level, steep, slope[row, col])
+                steep = max(slope[row - 1, col], slope[row, col - 1], slope[row - 1, col - 1])
+                if beyond - drop < low[row, col] and max(steep, slope[row, col]) < _SLOPES[level]:
+                    free[row, col] = level
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -175,7 +174,7 @@ def _land(
     origin: Array,
     cell: Array,
     heights: Float32,
-    free: Float32,
+    free: Bytes,
     distance: Float32,
     geom: Int32,
     cosine: Float32,
@@ -210,7 +209,7 @@ def _land(
             if found:
                 break
         level = near
-        slope = free[np.uint64(2 * (dv > 0.0) + (du > 0.0)), row, col]
+        slope = _SLOPES[free[np.uint64(2 * (dv > 0.0) + (du > 0.0)), row, col]]
         flat = rays[i, 3] * rays[i, 3] + rays[i, 4] * rays[i, 4]
         inside = (u >= 0.0) & (u < cols) & (v >= 0.0) & (v < rows)  # nothing is known beyond
         if found & inside & (t >= 0.0) & (dz * dz > slope * slope * flat):
