@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from touchdown.sim.geometry.ray_target import Hits
-from touchdown.sim.typing import Array, Bytes, Float32, Indices, Int32
+from touchdown.sim.typing import Array, Bytes, Float32, Indices
 
 _SLOPES: Array = np.array([np.inf, 3.4, 2.4, 1.7, 1.2, 0.84, 0.6, 0.42, 0.3])
 """Levels of the horizon map, metres down per metre along; inf where something stands"""
@@ -48,9 +48,9 @@ class GroundGrid:
     def of(geom: int, origin: Array, cell: Array, heights: Array, clutter: Array) -> GroundGrid:
         """``clutter`` (T, 3, 3): corners of all other fixed triangles in the world. The grid made
         has cells of half the side, since what stands on one leaves all of it to others."""
-        heights, cell = _halved(np.asarray(heights, np.float32)), np.asarray(cell, np.float64) / 2
-        near, right = heights[:-1, :-1], heights[:-1, 1:]
-        above, far = heights[1:, :-1], heights[1:, 1:]
+        nodes, cell = _halved(heights.astype(np.float32)), np.asarray(cell, np.float64) / 2
+        near, right = nodes[:-1, :-1], nodes[:-1, 1:]
+        above, far = nodes[1:, :-1], nodes[1:, 1:]
         corners = np.array([near, right, above, far], dtype=np.float64)
         low = corners.min(axis=0)
         closed = np.full(low.shape, -np.inf)
@@ -65,21 +65,12 @@ class GroundGrid:
             _map_horizon(
                 lids[turned], low[turned], slope[turned], min(cell), free[quadrant][turned]
             )
-        return GroundGrid(
-            geom,
-            np.asarray(origin, dtype=np.float64),
-            cell,
-            heights,
-            free,
-        )
+        return GroundGrid(geom, np.asarray(origin, dtype=np.float64), cell, nodes, free)
 
     def land(self, rays: Float32, hits: Hits) -> Indices:
         """Fills in ``hits`` of the rays (N, 6): those that fall on open ground. The others, which
         are returned, meet nothing."""
-        return _land(
-            rays, self.geom, self.origin, self.cell, self.heights, self.free,
-            hits.distance, hits.geom, hits.cosine,
-        )  # fmt: skip
+        return _land(rays, self.geom, self.origin, self.cell, self.heights, self.free, hits)
 
 
 def _halved(heights: Float32) -> Float32:
@@ -175,11 +166,10 @@ def _land(
     cell: Array,
     heights: Float32,
     free: Bytes,
-    distance: Float32,
-    geom: Int32,
-    cosine: Float32,
+    hits: Hits,
 ) -> Indices:
     """As `GroundGrid.land`."""
+    distance, geom, cosine = hits
     _, rows, cols = free.shape
     scale_x, scale_y, one = 1.0 / cell[0], 1.0 / cell[1], np.uint64(1)
     others = np.empty(rays.shape[0], dtype=np.int64)

@@ -20,6 +20,7 @@ from touchdown.sim.geometry.quadrics import ShapeTable
 from touchdown.sim.geometry.ray_target import Hits, RayTarget, body_pose, geom_pose
 from touchdown.sim.geometry.tessellation import geom_mesh
 from touchdown.sim.lidar.heightfield import GroundGrid
+from touchdown.sim.lidar.rays import ground_cells
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32
 
 VEHICLE_PREFIX = "vehicle/"
@@ -87,6 +88,11 @@ class OpticalTable:
     """(M,)"""
     material_leaf_area: Float32
     """(M,)"""
+
+    def cells(self, rays: Float32, hits: Hits) -> Int32:
+        """Flat indices (N,) of the cells of the raster that rays (N, 6) hit, -1 elsewhere."""
+        rows, cols = self.ground_reflectivity.shape
+        return ground_cells(rays, hits, self.ground_geom, self.ground_frame, rows, cols)
 
 
 class Crowns(NamedTuple):
