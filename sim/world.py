@@ -299,6 +299,11 @@ class MujocoWorld:
         drawn = self._deviations.sizes() | self._imu.errors.sizes()
         return WorldRecord(faults, {**sensors, "air": self._air_effects}, drawn)
 
+    def take_textures(self) -> None:
+        """Uploads the textures to the cameras and frees the memory that the scene has for them, so
+        that nobody else can draw it: for the owner of a scene that flies once."""
+        self._imaging.take_textures()
+
     def close(self) -> None:
         """Ends the worker threads and frees the camera. The world is unusable afterwards."""
         self._imaging.close()

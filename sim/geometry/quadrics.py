@@ -7,7 +7,7 @@ double precision. A ray that starts inside a shape meets it where it leaves, as 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -30,8 +30,7 @@ _LARGEST_GAP_M = 1e-3
 """Where a ray runs further between wrapping and shape, another surface may lie in between."""
 
 
-@dataclass(frozen=True, slots=True)
-class ShapeTable:
+class ShapeTable(NamedTuple):
     """Shapes by MuJoCo geom id, in the frame that rays are given in."""
 
     kind: NDArray[np.int8]
@@ -71,20 +70,16 @@ def settle(
     triangle: Uint32,
     normal: Float32,
     geom_of_triangle: Int32,
-    kinds: NDArray[np.int8],
-    rotations: Array,
-    centers: Array,
-    sizes: Array,
-    distance: Float32,
-    geom: Int32,
-    cosine: Float32,
+    shapes: ShapeTable,
+    hits: tuple[Float32, Int32, Float32],
     again: Indices,
 ) -> int:
     """True hits of rays (K, 6) from those on triangles. Those that are nearer than what is known go
-    to ``rows`` (K,) of ``distance``, ``geom`` and ``cosine`` (see
-    ``sim.geometry.ray_target.Hits``), with what the rays have ``travelled`` (K,) already. Returns
-    the number of those that have to be cast on, which pass between a shape and its wrapping, and
-    puts them to the front of ``again`` (K,)."""
+    to ``rows`` (K,) of ``hits`` (see ``sim.geometry.ray_target.Hits``), with what the rays have
+    ``travelled`` (K,) already. Returns the number of those that have to be cast on, which pass
+    between a shape and its wrapping, and puts them to the front of ``again`` (K,)."""
+    kinds, rotations, centers, sizes = shapes
+    distance, geom, cosine = hits
     count = 0
     local = np.empty(6)
     for i in range(rays.shape[0]):

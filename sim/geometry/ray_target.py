@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from typing import NamedTuple
 
 # Open3D would otherwise probe for a display when it is first imported.
 os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
@@ -22,8 +22,7 @@ _LAYER_STEP_M = np.float32(1e-4)
 _NO_GEOM = -1
 
 
-@dataclass(frozen=True, slots=True)
-class Hits:
+class Hits(NamedTuple):
     """Nearest hit of each ray."""
 
     distance: Float32
@@ -37,11 +36,8 @@ class Hits:
     @staticmethod
     def of(count: int) -> Hits:
         """Memory for so many."""
-        return Hits(
-            np.empty(count, dtype=np.float32),
-            np.empty(count, dtype=np.int32),
-            np.empty(count, dtype=np.float32),
-        )
+        distance, cosine = np.empty((2, count), dtype=np.float32)
+        return Hits(distance, np.empty(count, dtype=np.int32), cosine)
 
     @staticmethod
     def none(count: int) -> Hits:
@@ -58,7 +54,7 @@ class Hits:
 
     def move(self, rows: Indices, start: int) -> None:
         """Moves ``rows`` (K,) to the rows from ``start`` on."""
-        for values in (self.distance, self.geom, self.cosine):
+        for values in self:
             values[start : start + len(rows)] = values[rows]
 
     def part(self, start: int, end: int) -> Hits:
@@ -128,24 +124,11 @@ class RayTarget:
         (K,) of ``hits`` where they are nearer than what is there."""
         for _ in range(_MOST_LAYERS):
             answer, again = self.embree(rays), np.empty(len(rays), dtype=np.int64)
-            wrapped = answer["t_hit"].numpy()
+            wrapped, triangle = answer["t_hit"].numpy(), answer["primitive_ids"].numpy()
             count = settle(
-                rays,
-                rows,
-                travelled,
-                wrapped,
-                answer["primitive_ids"].numpy(),
-                answer["primitive_normals"].numpy(),
-                self._geom_of_triangle,
-                self._shapes.kind,
-                self._shapes.rotation,
-                self._shapes.center,
-                self._shapes.size,
-                hits.distance,
-                hits.geom,
-                hits.cosine,
-                again,
-            )
+                rays, rows, travelled, wrapped, triangle, answer["primitive_normals"].numpy(),
+                self._geom_of_triangle, self._shapes, hits, again,
+            )  # fmt: skip
             if not count:
                 return
             again, onward = again[:count], np.empty((count, 6), dtype=np.float32)

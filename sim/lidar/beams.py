@@ -13,6 +13,7 @@ from statistics import NormalDist
 import numpy as np
 from numba import njit
 
+from touchdown.sim.lidar.rays import Rays, Track
 from touchdown.sim.typing import Array, Float32, Indices, Uint32
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -87,24 +88,6 @@ def hashed(bits: np.uint32, salt: int) -> np.uint32:
     return np.uint32(h ^ (h >> np.uint32(16)))
 
 
-@njit(cache=True, nogil=True)
-def rotations_of(quats_wxyz: Array) -> Array:
-    """(M, 4) unit quaternions -> (M, 3, 3)."""
-    out = np.empty((quats_wxyz.shape[0], 3, 3))
-    for k in range(quats_wxyz.shape[0]):
-        w, x, y, z = quats_wxyz[k]
-        out[k, 0, 0], out[k, 0, 1], out[k, 0, 2] = (
-            1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
-        )  # fmt: skip
-        out[k, 1, 0], out[k, 1, 1], out[k, 1, 2] = (
-            2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
-        )  # fmt: skip
-        out[k, 2, 0], out[k, 2, 1], out[k, 2, 2] = (
-            2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
-        )  # fmt: skip
-    return out
-
-
 @njit(cache=True, forceinline=True)
 def _fraction(start: float, end: float, time: float) -> float:
     """Fraction of the interval between two samples of a track at ``time``, clamped to [0, 1]."""
@@ -121,24 +104,20 @@ def aim(
     key: np.uint64,
     quantiles: Array,
     angle_sigma: float,
-    track_times: Array,
-    positions: Array,
-    rotations: Array,
-    rays: Float32,
-    times: Array,
-    range_noise: Float32,
-    bits: Uint32,
+    track: Track,
+    out: Rays,
 ) -> None:
     """World rays of the ``pulses`` (K,), ascending indices into ``nominal`` (N, 3), pulse i being
     number ``first_pulse + i``. Each has S rays, turned off its axis by the first two columns of
     ``offsets`` (S, 3), radians along the LIDAR's x and y, and all of them by the same pointing
     error of ``angle_sigma`` radians; the third column separates the random bits of the rays.
 
-    The track: (M,) seconds, (M, 3) and (M, 3, 3) world_from_lidar. Fills ``rays`` (S K, 6), offset
-    by offset, with origins and unit directions, ``times`` (S K,) with seconds, ``range_noise``
-    (S K,) with normal deviates, ``bits`` (S K,). It works on blocks of pulses between two poses, in
-    loops that fill the lanes of the processor.
+    The track is the LIDAR's. Fills ``out`` (S K rays), offset by offset; its range noise are normal
+    deviates. It works on blocks of pulses between two poses, in loops that fill the lanes of the
+    processor.
     """
+    track_times, positions, rotations = track
+    rays, times, range_noise, bits = out
     words = np.empty(4 * _BLOCK, np.uint32)
     normals, lanes = np.empty(3 * _BLOCK), np.empty(6 * _BLOCK)
     ends = np.empty(3 * _BLOCK, np.int64)
@@ -260,17 +239,11 @@ def _turn(
 
 
 @njit(cache=True, nogil=True)
-def in_view(
-    eyes: Array,
-    turns: Array,
-    positions: Array,
-    rotations: Array,
-    center: Array,
-    radius: float,
-    cone_rad: float,
-) -> bool:
+def in_view(lidar: Track, body: Track, center: Array, radius: float, cone_rad: float) -> bool:
     """True if a moving body (``center`` (3,) in its own frame) may come into a cone about the
-    LIDAR's z axis. The tracks of both: (M, 3) and (M, 3, 3) in the world."""
+    LIDAR's z axis."""
+    _, eyes, turns = lidar
+    _, positions, rotations = body
     middle, half = eyes.shape[0] // 2, positions.shape[0] // 2
     wander = rotated = drift = squared = along = 0.0
     for m in range(eyes.shape[0]):
@@ -298,17 +271,12 @@ def in_view(
 
 @njit(cache=True, nogil=True)
 def rays_near(
-    rays: Float32,
-    times: Array,
-    track_times: Array,
-    positions: Array,
-    rotations: Array,
-    center: Array,
-    radius: float,
+    rays: Float32, times: Array, track: Track, center: Array, radius: float
 ) -> tuple[Indices, Float32]:
     """The rays (N, 6), fired at ``times`` (N,), that pass through the bounding sphere of
     a moving body (``center`` (3,) in its own frame): their indices (K,), and (K, 6) themselves in
-    the body's frame at their own instants. The track as for `aim`."""
+    the body's frame at their own instants."""
+    track_times, positions, rotations = track
     centers = np.empty_like(positions)
     for m in range(positions.shape[0]):
         for r in range(3):

@@ -16,13 +16,14 @@ one another than the pulse is long merge into one echo at their energy-weighted 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from touchdown.sim.lidar.beams import hashed, normal_cell, normal_in
-from touchdown.sim.lidar.rays import ground_cells
+from touchdown.sim.geometry.ray_target import Hits
+from touchdown.sim.lidar.beams import hashed, normal_cell, normal_in, quantile_table
+from touchdown.sim.lidar.rays import Rays
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
 
 _LIMIT_SPREAD = 0.02
@@ -42,18 +43,19 @@ _WATER_SALT = 0x85EBCA6B
 _LIMIT_SALT = 0x27D4EB2F
 _AIR_SALT = 0x165667B1
 _DROP_SALT = 0x2545F491
+_STEP_BEHIND_M = np.float32(1e-3)
 _PORE_SALT = 1 << 8
 """Plus the geom's id; keeps clear of the salts of a beam's parts."""
 
 
-@dataclass(frozen=True, slots=True)
-class LinkBudget:
+class LinkBudget(NamedTuple):
     """Range limit by strength (reflectivity times cosine of the incidence)."""
 
     anchors: Array
     """(K, 3): limit in metres, its reflectivity, exponent up to the next anchor"""
     sure: Array
     """Strength that is detected at any distance up to (i + 1) * 0.5 m, whatever the noise."""
+    quantiles: Array = quantile_table()
 
     @staticmethod
     def of(
@@ -99,18 +101,15 @@ def _uniform(bits: np.uint32, salt: int) -> float:
 
 
 @njit(cache=True, nogil=True)
-def passing(
-    rows: Indices,
-    bits: Uint32,
-    porosity: Float32,
-    distance: Float32,
-    geom: Int32,
-    cosine: Float32,
-    travelled: Float32,
+def pass_on(
+    rows: Indices, pulses: Rays, hits: Hits, porosity: Float32, onward: Float32, travelled: Float32
 ) -> int:
-    """Puts those of the rays ``rows`` (K,) that pass through what they hit to its front, and how
-    far they have come to ``travelled`` (K,). Returns their number. The result depends on ray and
-    geom alone and insides never reflect, so a ray that entered a porous body also leaves it."""
+    """Puts those of the ``pulses`` ``rows`` (K,) that pass through what they hit to its front, what
+    is left of them to ``onward`` (K, 6), and how far they have come to ``travelled`` (K,); takes
+    the hits from them. Returns their number. The result depends on ray and geom alone and insides
+    never reflect, so a ray that entered a porous body also leaves it."""
+    rays, _, _, bits = pulses
+    distance, geom, cosine = hits
     count = 0
     for k in range(rows.shape[0]):
         i = rows[k]
@@ -118,7 +117,11 @@ def passing(
         if g < 0 or porosity[g] <= 0.0:
             continue
         if cosine[i] < 0.0 or _uniform(bits[i], _PORE_SALT + g) < porosity[g]:
-            rows[count], travelled[count] = i, distance[i]
+            rows[count], travelled[count] = i, distance[i] + _STEP_BEHIND_M
+            for c in range(3):
+                onward[count, c] = rays[i, c] + travelled[count] * rays[i, 3 + c]
+                onward[count, 3 + c] = rays[i, 3 + c]
+            distance[i], geom[i], cosine[i] = np.inf, -1, 0.0
             count += 1
     return count
 
@@ -153,21 +156,14 @@ def _level(strength: float) -> np.uint8:
 
 @njit(cache=True, nogil=True)
 def receive(
-    rays: Float32,
-    distance: Float32,
-    geom: Int32,
-    cosine: Float32,
-    range_noise: Float32,
-    bits: Uint32,
+    pulses: Rays,
+    hits: Hits,
+    cells: Int32,
     reflectivity: Float32,
     water: Bools,
-    ground_geom: int,
-    ground_frame: Array,
-    ground_reflectivity: Float32,
+    ground: Float32,
     gain: Float32,
-    anchors: Array,
-    sure: Array,
-    quantiles: Array,
+    budget: LinkBudget,
     range_sigma: float,
     min_range: float,
     max_range: float,
@@ -176,22 +172,21 @@ def receive(
     intensity: Bytes,
 ) -> None:
     """Fills, for undivided pulses, ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where
-    nothing comes back, and ``strengths`` (N,). The ground as in
-    ``sim.lidar.raycast_scene.OpticalTable``. ``gain``: factors (N,) of matt reflectivities, or
-    empty."""
+    nothing comes back, and ``strengths`` (N,). Surfaces as in
+    ``sim.lidar.raycast_scene.OpticalTable``, the ground's (C,) by ``cells`` (N,), -1 elsewhere.
+    ``gain``: factors (N,) of matt reflectivities, or empty."""
+    _, _, range_noise, bits = pulses
+    distance, geom, cosine = hits
+    anchors, sure, quantiles = budget
     varied = gain.shape[0] > 0
-    rows, cols = ground_reflectivity.shape
-    place = np.empty(rays.shape[0], dtype=np.int32)
-    ground_cells(rays, distance, geom, ground_geom, ground_frame, rows, cols, place)
-    ground = ground_reflectivity.ravel()
-    for i in range(rays.shape[0]):
+    for i in range(distance.shape[0]):
         strengths[i], ranges[i], intensity[i] = 0.0, 0.0, 0
         d, g = distance[i], geom[i]
         if g < 0 or d < min_range or d > max_range:
             continue
         rho, wet = reflectivity[g], water[g]
-        if place[i] >= 0:
-            rho = ground[place[i]]
+        if cells[i] >= 0:
+            rho = ground[cells[i]]
             wet = rho < 0.0
         if varied:
             rho = min(rho * gain[i], max(rho, np.float32(1.0)))
@@ -208,8 +203,7 @@ def weaken(
     distance: Float32,
     bits: Uint32,
     extinction: float,
-    anchors: Array,
-    quantiles: Array,
+    budget: LinkBudget,
     strengths: Float32,
     ranges: Float32,
     intensity: Bytes,
@@ -217,6 +211,7 @@ def weaken(
     """Attenuates undivided pulses by air of this extinction in 1/m, over the way out and back:
     lowers ``strengths`` and ``intensity`` (N,) and sets the ``ranges`` (N,) of echoes that become
     too weak to 0."""
+    anchors, _, quantiles = budget
     for i in range(distance.shape[0]):
         if strengths[i] <= 0.0:
             continue
@@ -267,14 +262,12 @@ def clutter(
 @njit(cache=True, nogil=True)
 def receive_split(
     pulses: Indices,
+    rays: Rays,
     distance: Float32,
     strength: Float32,
-    bits: Uint32,
-    range_noise: Float32,
     pulse_length: float,
     strongest: bool,
-    anchors: Array,
-    quantiles: Array,
+    budget: LinkBudget,
     range_sigma: float,
     min_range: float,
     ranges: Float32,
@@ -284,6 +277,8 @@ def receive_split(
     or the strongest echo of their P equal parts. ``distance`` and ``strength``, none where a part
     meets nothing: of the axes of the N pulses, then of K parts of one kind after another.
     """
+    _, _, range_noise, bits = rays
+    anchors, _, quantiles = budget
     size = pulses.shape[0]
     parts = 1 + (distance.shape[0] - ranges.shape[0]) // max(size, 1)
     distances, strengths = np.empty(parts, np.float32), np.empty(parts, np.float32)

@@ -19,7 +19,6 @@ from touchdown.sim.dust import DustCloud
 from touchdown.sim.effects import Effects, Returns
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.frames import Pose
-from touchdown.sim.geometry.quadrics import rays_behind
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar import beam_edges, beams, returns
 from touchdown.sim.lidar.patterns.livox import PATTERNS, ScanPattern
@@ -30,11 +29,10 @@ from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.lidar.sway import Sway
 from touchdown.sim.lidar.weather import Clutter, LidarWeather
 from touchdown.sim.moving import BodyTrack
-from touchdown.sim.typing import Array, Bytes, Float32, Indices
+from touchdown.sim.typing import Array, Bytes, Float32, Indices, Int32
 
 _MOST_PASSES = 5
 """Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
-_STEP_BEHIND_M = np.float32(1e-3)
 _ON_AXIS: Array = np.zeros((1, 3))
 _CALM: Array = np.zeros(2)
 _NO_GAIN: Float32 = np.empty(0, dtype=np.float32)
@@ -68,7 +66,6 @@ class LidarSensor:
         self._scene = LidarScene(scene)
         key = np.random.default_rng([seed, crc32(b"lidar")]).integers(2**64, dtype=np.uint64)
         self._key = np.uint64(key)
-        self._quantiles = beams.quantile_table()
         self._parts = beam_parts(self._pattern)
         outermost = self._pattern.directions(0, self._pattern.point_rate_hz)[:, 2].min()
         self._cone_rad = float(np.arccos(outermost)) + _CONE_MARGIN_RAD
@@ -86,9 +83,7 @@ class LidarSensor:
         self.effects = Effects()
         """of rain, fog, dust and a moved mount on scans"""
         if dust is not None or (weather is not None and weather.ever):
-            self._weather = LidarWeather(
-                weather, self._pattern, params, self._budget, self._quantiles
-            )
+            self._weather = LidarWeather(weather, self._pattern, params, self._budget)
 
     @property
     def scene(self) -> LidarScene:
@@ -165,22 +160,9 @@ class LidarSensor:
         """Fills ``rays``: those of the ``chosen`` pulses (K,) at the first of the ``offsets``
         (S, 3) from the axis, then those at the second."""
         beams.aim(
-            first,
-            self._pattern.point_rate_hz,
-            chosen,
-            offsets,
-            nominal,
-            self._key,
-            self._quantiles,
-            np.deg2rad(self._params.angle_sigma_deg),
-            track.times_s,
-            track.positions,
-            track.rotations,
-            rays.rays,
-            rays.times,
-            rays.range_noise,
-            rays.bits,
-        )
+            first, self._pattern.point_rate_hz, chosen, offsets, nominal, self._key,
+            self._budget.quantiles, np.deg2rad(self._params.angle_sigma_deg), track, rays,
+        )  # fmt: skip
 
     def _movers(self, times_s: Array, moving: Mapping[str, BodyTrack]) -> Movers:
         unknown = sorted(set(moving) - set(self._scene.moving))
@@ -202,15 +184,7 @@ class LidarSensor:
         return [
             (target, motion)
             for target, motion in movers
-            if beams.in_view(
-                track.positions,
-                track.rotations,
-                motion.positions,
-                motion.rotations,
-                target.center,
-                target.radius,
-                self._cone_rad,
-            )
+            if beams.in_view(track, motion, target.center, target.radius, self._cone_rad)
         ]
 
     # ----------------------------------------------------------------------------- hits
@@ -238,19 +212,13 @@ class LidarSensor:
         porosity, static = self._scene.optics.porosity, self._scene.static
         if not porosity.any():
             return
-        rows = np.arange(len(pulses.rays))
+        rows, travelled = np.arange(len(pulses.rays)), np.empty(len(pulses.rays), np.float32)
+        onward = np.empty((len(rows), 6), np.float32)
         for left in range(_MOST_PASSES, -1, -1):
-            came = np.empty(len(rows), dtype=np.float32)
-            count = returns.passing(
-                rows, pulses.bits, porosity, hits.distance, hits.geom, hits.cosine, came
-            )
-            rows, came = rows[:count], came[:count] + _STEP_BEHIND_M
-            hits.geom[rows] = -1
+            count = returns.pass_on(rows, pulses, hits, porosity, onward, travelled)
             if not count or not left:
                 return
-            hits.distance[rows], hits.cosine[rows] = np.inf, 0.0
-            onward, travelled = np.empty((count, 6), dtype=np.float32), np.zeros_like(came)
-            rays_behind(pulses.rays, rows, came, onward, travelled)
+            rows, travelled, onward = rows[:count], travelled[:count], onward[:count]
             if static is not None:
                 static.cast_on(onward, rows, travelled, hits)
             if movers:
@@ -276,8 +244,9 @@ class LidarSensor:
         rays = count + len(split) * len(self._parts)
         pulses, hits = self._rays.part(0, rays), self._hits.part(0, rays)
         self._penetrate(pulses, hits, movers)
-        gain = self._refine(pulses, hits, movers)
-        strengths, ranges, intensity = self._receive(pulses, hits, gain)
+        cells = self._scene.optics.cells(pulses.rays, hits)
+        gain = self._refine(pulses, hits, cells, movers)
+        strengths, ranges, intensity = self._receive(pulses, hits, cells, gain)
         weakened = []
         for clutter in air:
             seen = Returns(ranges[:count], intensity[:count])
@@ -287,20 +256,10 @@ class LidarSensor:
         ranges, intensity = ranges[:count], intensity[:count]
         if split.size:
             returns.receive_split(
-                split,
-                hits.distance,
-                strengths,
-                pulses.bits,
-                pulses.range_noise,
-                self._params.pulse_length_m,
-                self._params.return_mode == "strongest",
-                self._budget.anchors,
-                self._quantiles,
-                self._params.range_sigma_m,
-                self._params.min_range_m,
-                ranges,
-                intensity,
-            )
+                split, pulses, hits.distance, strengths, self._params.pulse_length_m,
+                self._params.return_mode == "strongest", self._budget,
+                self._params.range_sigma_m, self._params.min_range_m, ranges, intensity,
+            )  # fmt: skip
         if self._range_errors is not None:
             changed = self._range_errors.apply(pulses.range_noise, hits.cosine, ranges, intensity)
             self.effects.note_lengths("ranging", count, *changed)
@@ -311,7 +270,7 @@ class LidarSensor:
             self.effects.note(clutter.effects, min(lost + seen.changed_share(clear), 1.0))
         return ranges, intensity
 
-    def _refine(self, pulses: Rays, hits: Hits, movers: Movers) -> Float32:
+    def _refine(self, pulses: Rays, hits: Hits, cells: Int32, movers: Movers) -> Float32:
         """Moves ``hits`` by the sway of crowns and into plants; factors (N,) of the reflectivities
         there, or empty."""
         count = max(len(pulses.rays), 1)
@@ -319,7 +278,7 @@ class LidarSensor:
             self.effects.note_lengths("sway", count, *self._sway.move(pulses, hits))
         if self._detail is None:
             return _NO_GAIN
-        places = self._detail.find(pulses, hits)
+        places = self._detail.find(pulses, hits, cells)
         gain = self._detail.gains(places, pulses, hits, movers)
         if self._detail.vegetation > 0.0:
             changed = self._detail.enter_plants(places, pulses, hits)
@@ -352,35 +311,18 @@ class LidarSensor:
         self._cast(rays.part(start, end), hits.part(start, end), movers)
         return split
 
-    def _receive(self, pulses: Rays, hits: Hits, gain: Float32) -> tuple[Float32, Float32, Bytes]:
+    def _receive(
+        self, pulses: Rays, hits: Hits, cells: Int32, gain: Float32
+    ) -> tuple[Float32, Float32, Bytes]:
         """Strengths, ranges and intensities of rays as pulses of their own."""
         optics = self._scene.optics
-        strengths = np.empty(len(pulses.rays), dtype=np.float32)
-        ranges = np.empty(len(pulses.rays), dtype=np.float32)
-        intensity = np.empty(len(pulses.rays), dtype=np.uint8)
+        strengths, ranges = np.empty((2, len(cells)), dtype=np.float32)
+        intensity = np.empty(len(cells), dtype=np.uint8)
         returns.receive(
-            pulses.rays,
-            hits.distance,
-            hits.geom,
-            hits.cosine,
-            pulses.range_noise,
-            pulses.bits,
-            optics.reflectivity,
-            optics.water,
-            optics.ground_geom,
-            optics.ground_frame,
-            optics.ground_reflectivity,
-            gain,
-            self._budget.anchors,
-            self._budget.sure,
-            self._quantiles,
-            self._params.range_sigma_m,
-            self._params.min_range_m,
-            self._max_range,
-            strengths,
-            ranges,
-            intensity,
-        )
+            pulses, hits, cells, optics.reflectivity, optics.water,
+            optics.ground_reflectivity.ravel(), gain, self._budget, self._params.range_sigma_m,
+            self._params.min_range_m, self._max_range, strengths, ranges, intensity,
+        )  # fmt: skip
         return strengths, ranges, intensity
 
     @staticmethod
@@ -399,15 +341,7 @@ def _cast_at_movers(
     near, and the rows of these rays."""
     met = []
     for target, track in movers:
-        chosen, local = beams.rays_near(
-            rays,
-            times,
-            track.times_s,
-            track.positions,
-            track.rotations,
-            target.center,
-            target.radius,
-        )
+        chosen, local = beams.rays_near(rays, times, track, target.center, target.radius)
         if chosen.size:
             target.cast_on(local, rows[chosen], travelled[chosen], hits)
             met.append(rows[chosen])

@@ -29,7 +29,7 @@ from touchdown.sim.lidar.beams import hashed
 from touchdown.sim.lidar.lattice_noise import add_plane_noise, add_space_noise
 from touchdown.sim.lidar.patterns.livox import PATTERNS, ScanPattern
 from touchdown.sim.lidar.raycast_scene import OpticalTable, optical_table
-from touchdown.sim.lidar.rays import Movers, Rays, ground_cells
+from touchdown.sim.lidar.rays import Movers, Rays
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
 
 FINEST_M = 0.06
@@ -112,25 +112,15 @@ class SurfaceDetail:
         optics, moving = optical_table(scene.model, scene), np.zeros(scene.model.ngeom, np.bool_)
         return SurfaceDetail.of(params, PATTERNS[params.preset], scene, optics, moving)
 
-    def find(self, pulses: Rays, hits: Hits) -> Places:
-        """What the rays meet: surfaces with texture, and plants."""
+    def find(self, pulses: Rays, hits: Hits, cells: Int32) -> Places:
+        """What the rays meet: surfaces with texture, and plants. ``cells``: as from
+        `OpticalTable.cells`."""
         optics, count = self.optics, len(pulses.rays)
         rows, tables = np.empty((3, count), np.int64), np.empty((3, 5, count), np.float32)
         flat, solid, plants = _find(
-            pulses.rays,
-            hits.distance,
-            hits.geom,
-            hits.cosine,
-            self._surfaces,
-            optics.ground_geom,
-            optics.ground_frame,
-            optics.ground_material,
-            len(optics.material_spread),
-            self.texture > 0.0,
-            self.vegetation > 0.0,
-            rows,
-            tables,
-        )
+            pulses.rays, hits, cells, self._surfaces, optics.ground_geom, optics.ground_material,
+            len(optics.material_spread), self.texture > 0.0, self.vegetation > 0.0, rows, tables,
+        )  # fmt: skip
         found = enumerate((flat, solid, plants))
         return Places(
             *(Found(rows[k, :n], *(column[:n] for column in tables[k])) for k, n in found)
@@ -213,12 +203,10 @@ class SurfaceDetail:
 @njit(cache=True, nogil=True)
 def _find(
     rays: Float32,
-    distance: Float32,
-    geom: Int32,
-    cosine: Float32,
+    hits: Hits,
+    cells: Int32,
     surfaces: Float32,
     ground_geom: int,
-    ground_frame: Array,
     ground_material: Bytes,
     materials: int,
     texture: bool,
@@ -229,9 +217,7 @@ def _find(
     """Fills the ``rows`` (3, N) and ``tables`` (3, 5, N) of `Places` from the front, and returns
     how many each has. ``surfaces`` (M + G, 3) of M ``materials`` and the geoms: spread, mean height
     and leaf area index. Most hits are kept: all are written, which saves branches."""
-    place = np.empty(rays.shape[0], dtype=np.int32)
-    height, width = ground_material.shape
-    ground_cells(rays, distance, geom, ground_geom, ground_frame, height, width, place)
+    distance, geom, cosine = hits
     kinds = ground_material.ravel()
     flat_x, flat_y, flat_d, flat_s = tables[0, 0], tables[0, 1], tables[0, 3], tables[0, 4]
     x_in, y_in, mean_in, leaves_in = tables[2, 0], tables[2, 1], tables[2, 3], tables[2, 4]
@@ -242,7 +228,7 @@ def _find(
         if g < 0:
             continue
         x, y = np.float32(rays[i, 0] + d * rays[i, 3]), np.float32(rays[i, 1] + d * rays[i, 4])
-        own = kinds[place[i]] if place[i] >= 0 else materials + g
+        own = kinds[cells[i]] if cells[i] >= 0 and kinds.size else materials + g
         spread, mean, leaves = surfaces[own, 0], surfaces[own, 1], surfaces[own, 2]
         flat_rows[flat], flat_x[flat], flat_y[flat] = i, x, y
         flat_d[flat], flat_s[flat] = d, spread

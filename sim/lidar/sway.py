@@ -27,7 +27,7 @@ from touchdown.sim.api import AIR_DENSITY_KGPM3, LidarParams
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar.raycast_scene import LidarScene
 from touchdown.sim.lidar.rays import Rays
-from touchdown.sim.typing import Array, Bools, Float32, Indices, Int32
+from touchdown.sim.typing import Array, Bools, Indices
 
 TURBULENCE = 0.2
 """Standard deviation of the wind over its mean (MIL-F-8785C at tree height)"""
@@ -95,10 +95,7 @@ class Sway:
     def move(self, pulses: Rays, hits: Hits) -> tuple[int, float]:
         """Changes the distances of ``hits`` of ``pulses`` on crowns; the number of these, and the
         sum of the changes in metres."""
-        return _move(
-            pulses.rays, pulses.times, self.porous, self.along, self._swing, self.centers,
-            self.squares, hits.distance, hits.geom, hits.cosine,
-        )  # fmt: skip
+        return _move(pulses, hits, self.porous, self.along, self._swing, self.centers, self.squares)
 
     @cached_property
     def _swing(self) -> Array:
@@ -122,18 +119,17 @@ def _displace(geoms: Indices, times_s: Array, along: Array, swing: Array, moved:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _move(
-    rays: Float32,
-    times_s: Array,
+    pulses: Rays,
+    hits: Hits,
     porous: Bools,
     along: Array,
     swing: Array,
     centers: Array,
     squares: Array,
-    distance: Float32,
-    geom: Int32,
-    cosine: Float32,
 ) -> tuple[int, float]:
     """As `Sway.move`; the arrays of (G,) geoms are those of `Sway`."""
+    rays, times_s, _, _ = pulses
+    distance, geom, cosine = hits
     moved, total = 0, 0.0
     for i in range(rays.shape[0]):
         g = geom[i]

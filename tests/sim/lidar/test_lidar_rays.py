@@ -131,7 +131,7 @@ def test_scenes_as_in_mujoco(name: str) -> None:
 
 
 def test_open_ground_is_a_shortcut_and_nothing_else() -> None:
-    """Marching rays over the terrain gives what the general caster gives."""
+    """Landing rays by the horizon map gives what the general caster gives."""
     scene = cached_scene("crossroad")
     rays = scene_rays(scene, 50_000)
     target = LidarScene(scene).static
