@@ -1,6 +1,7 @@
 """Settings of the whole test suite, before anything is imported."""
 
 import fcntl
+import gc
 import os
 import tempfile
 from pathlib import Path
@@ -14,6 +15,13 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 # Scenes of other revisions, or of the user, stay out of the tests.
 os.environ["TOUCHDOWN_SCENE_CACHE"] = f"{tempfile.gettempdir()}/touchdown-scenes-{os.getuid()}"
+
+# Collecting and compiling make many objects that live, which a collection visits for nothing.
+gc.set_threshold(100_000, 20, 50)
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
 
 
 def pytest_configure() -> None:
