@@ -3,6 +3,7 @@
 import fcntl
 import gc
 import os
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,9 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 # Tests share the machine with each other's processes; libraries stay on one thread.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+# Hundreds of processes start, and each would compile the sources anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 # Scenes of other revisions, or of the user, stay out of the tests.
 os.environ["TOUCHDOWN_SCENE_CACHE"] = f"{tempfile.gettempdir()}/touchdown-scenes-{os.getuid()}"
 
