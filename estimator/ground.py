@@ -12,7 +12,7 @@ below.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numba
@@ -92,6 +92,13 @@ def ground_of(
     return height[inner], std[inner]
 
 
+def _fixed(layer: Any) -> Any:
+    """A contiguous array that is not written."""
+    layer = np.ascontiguousarray(layer).view()
+    layer.flags.writeable = False
+    return layer
+
+
 def _find_ground(
     histogram: Bytes, base: Float32, layers: tuple[Float32, Float32, Float32], cell_m: float,
     masks: tuple[Mask, Mask], height: Float32, std: Float32,
@@ -100,6 +107,8 @@ def _find_ground(
     surfaces, the two ``masks``."""
     count, mean, spread = layers
     wanted, _ = masks
+    # Whole maps, windows and read-only views become one type, so that kernels compile once.
+    histogram, base, count, spread = map(_fixed, (histogram, base, count, spread))
     own = mean.copy()
     side = 2 * round(_SLOPE_REACH_M / cell_m) + 1
     square = np.ones((side, side), np.uint8)
