@@ -9,6 +9,7 @@ is reported as an event. Plausible outliers are left to the filters' innovation 
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Callable
 from typing import TypeVar
@@ -91,8 +92,8 @@ class InputGuard:
         self._repaired = 0
         for sample in samples:
             # one infinity or NaN among the six numbers makes their sum so
-            total = sample.angular_velocity.sum() + sample.specific_force.sum()
-            if np.isfinite(total):
+            numbers = sample.angular_velocity.tolist() + sample.specific_force.tolist()
+            if math.isfinite(sum(numbers)):
                 self._imu = sample
                 out.append(sample)
                 continue

@@ -434,4 +434,7 @@ class World(Protocol):
 
     def truth(self) -> Truth: ...
 
+    def take_textures(self) -> None:
+        """Frees the memory that the scene has for its textures: nobody else can draw it then."""
+
     def close(self) -> None: ...

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from touchdown.sim.api import FAULT_KINDS, FaultParams
 from touchdown.sim.typing import Bytes, Float32
@@ -75,10 +74,9 @@ class Effects:
         change = np.abs(new - old)
         self.note(names, float((change > 0).any(axis=-1).mean()), float(change.mean()))
 
-    def note_lengths(self, name: str, before: Float32, after: Float32) -> None:
-        """Notes the share of (N,) lengths in metres that differ, and the mean size of a change."""
-        count, total = _changes(before, after)
-        self.note((name,), count / max(len(before), 1), total / max(count, 1))
+    def note_lengths(self, name: str, count: int, changed: int, total_m: float) -> None:
+        """Notes how many of ``count`` lengths have ``changed``, and by how much all of them."""
+        self.note((name,), changed / count, total_m / max(changed, 1))
 
     def end_message(self) -> None:
         """Ends the message that is being made."""
@@ -96,17 +94,6 @@ class Effects:
         self.delivered = {}
         self._now = {}
         self._made.clear()
-
-
-@njit(cache=True, nogil=True)
-def _changes(before: Float32, after: Float32) -> tuple[int, float]:
-    """Number of lengths (N,) that differ, and the sum of the differences' sizes."""
-    count, total = 0, 0.0
-    for i in range(before.shape[0]):
-        if before[i] != after[i]:
-            count += 1
-            total += abs(after[i] - before[i])
-    return count, total
 
 
 class WorldRecord(NamedTuple):

@@ -28,6 +28,7 @@ from touchdown.sim.frames import so3_log
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.moving import BodyTrack, MovingBodies
+from touchdown.sim.textures import give_back_textures
 from touchdown.sim.typing import Array, Bytes
 from touchdown.sim.wind import Wind
 
@@ -127,6 +128,13 @@ class ImagingSensors:
         images = self.images.collect(tick)
         self.camera.effects.deliver(len(images))
         return images
+
+    def take_textures(self) -> None:
+        """Uploads the textures of the scene's model and returns their memory to the system."""
+        for camera in (self.camera, self._right):
+            if camera is not None and self._image_period:
+                self._renderer.submit(camera.open).result()
+        give_back_textures(self._model)
 
     def close(self) -> None:
         """Ends the worker threads and frees the cameras."""

@@ -55,8 +55,8 @@ def screen_scan(scan: LidarScan, lidar: LidarParams, *, check_blind_zone: bool =
     """
     pulses = _valid_pulses(scan.ranges, scan.time_offsets, lidar.min_range_m, lidar.max_range_m)
     if check_blind_zone and len(pulses):
-        closest = float(np.quantile(scan.ranges[pulses].astype(np.float64), _BLIND_SHARE))
-        if closest < lidar.min_range_m + _BLIND_SIGMAS * lidar.range_sigma_m:
+        blind = lidar.min_range_m + _BLIND_SIGMAS * lidar.range_sigma_m
+        if np.count_nonzero(scan.ranges[pulses] < blind) > _BLIND_SHARE * len(pulses):
             return pulses[:0]
     return pulses
 
@@ -150,6 +150,18 @@ def _deskew(
 
 
 @njit(cache=True)
+def moved(points: Array, chosen: Indices, frame: Frame) -> Array:
+    """Returns the ``chosen`` (K,) of (N, 3) points, rotated and translated, (K, 3)."""
+    out = np.empty((chosen.shape[0], 3))
+    for k in range(chosen.shape[0]):
+        x, y, z = points[chosen[k], 0], points[chosen[k], 1], points[chosen[k], 2]
+        for a in range(3):
+            r = frame.rotation[a]
+            out[k, a] = r[0] * x + r[1] * y + r[2] * z + frame.translation[a]
+    return out
+
+
+@njit(cache=True)
 def thin_out(points: Array, cell: float, table_bits: int) -> NDArray[np.int64]:
     """Returns the indices of one point per occupied cube of side ``cell`` (the first), ascending.
 
@@ -158,11 +170,11 @@ def thin_out(points: Array, cell: float, table_bits: int) -> NDArray[np.int64]:
     size = 1 << table_bits
     taken = np.zeros(size, dtype=np.bool_)
     chosen = np.empty(points.shape[0], dtype=np.int64)
-    count = 0
+    count, scale = 0, 1.0 / cell
     for i in range(points.shape[0]):
-        ix = np.int64(np.floor(points[i, 0] / cell))
-        iy = np.int64(np.floor(points[i, 1] / cell))
-        iz = np.int64(np.floor(points[i, 2] / cell))
+        ix = np.int64(np.floor(points[i, 0] * scale))
+        iy = np.int64(np.floor(points[i, 1] * scale))
+        iz = np.int64(np.floor(points[i, 2] * scale))
         mixed = (ix * 73856093) ^ (iy * 19349669) ^ (iz * 83492791)
         slot = (mixed ^ (mixed >> 15)) & (size - 1)
         if not taken[slot]:

@@ -94,6 +94,10 @@ class Frames(NamedTuple):
         translations = np.array([pose.translation for pose in poses]).reshape(-1, 3)
         return Frames(rotations, translations)
 
+    def poses(self) -> list[Pose]:
+        """The transforms one by one."""
+        return [Pose(r, t) for r, t in zip(self.rotations, self.translations, strict=True)]
+
 
 class Pinhole(NamedTuple):
     """A lens without distortion, pixels."""

@@ -10,6 +10,7 @@ Roumeliotis and Burdick 2002 ("Stochastic cloning").
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from touchdown.estimator.filtering.error_state import (
     ROTATION,
     STATE_DIM,
     VELOCITY,
+    Frames,
 )
 from touchdown.estimator.filtering.imu_propagation import (
     ImuBuffer,
@@ -35,7 +37,7 @@ from touchdown.estimator.filtering.imu_propagation import (
     integrate,
     transition,
 )
-from touchdown.estimator.filtering.information import limit_information
+from touchdown.estimator.filtering.information import square_root
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
@@ -44,6 +46,13 @@ Indices = NDArray[np.int64]
 
 _RATE_SAMPLES = 3
 """of the IMU, over which the angular rate is a mean: one alone is mostly vibration"""
+
+
+class Prior(NamedTuple):
+    """Covariance before a measurement of D error coordinates."""
+
+    rows: Array  # (D, B + 6K) with all
+    spread: Array  # (D, D) of them, and what the measurement errs by as a whole
 
 
 class Eskf:
@@ -181,38 +190,49 @@ class Eskf:
         gains[CLOCK : CLOCK + 1] = 1.0
         return gains
 
+    def prior(self, touched: Indices, floor_sigmas: Array | None = None) -> Prior:
+        """The part of the covariance that a measurement of ``touched`` (D,) corrects.
+        ``floor_sigmas`` (D,): of independent errors of the measurement as a whole."""
+        rows = self.covariance[touched]
+        spread = rows[:, touched]
+        if floor_sigmas is not None:
+            spread[np.diag_indices(len(touched))] += floor_sigmas**2
+        return Prior(rows, spread)
+
     def correction(
-        self, touched: Indices, information: Array, vector: Array, gains: Array | None = None
-    ) -> Array:
+        self, touched: Indices, information: Array, vector: Array, gains: Array | None = None,
+        prior: Prior | None = None,
+    ) -> Array:  # fmt: skip
         """Returns the error-state correction (B + 6K,) of the prior mean by ``A``, ``b`` on
-        ``touched``; ``gains`` (C,): see there."""
-        local = self.covariance[np.ix_(touched, touched)]
-        solved = np.linalg.solve(np.eye(len(touched)) + information @ local, vector)
-        delta: Array = self.covariance[:, touched] @ solved
+        ``touched``; ``gains`` (C,): see there; ``prior``: that of ``touched``, if known."""
+        rows, spread = prior or self.prior(touched)
+        solved = np.linalg.solve(np.eye(len(touched)) + information @ spread, vector)
+        delta: Array = solved @ rows
         if gains is not None:
             delta[STATE_DIM : self.base] *= gains
         return delta
 
     def update_covariance(
-        self, touched: Indices, information: Array, gains: Array | None = None
-    ) -> None:
+        self, touched: Indices, information: Array, gains: Array | None = None,
+        prior: Prior | None = None,
+    ) -> None:  # fmt: skip
         """Updates the covariance: ``P - P_t (I + A P_tt)^-1 A P_t^T``; parameters of the
-        calibration lose what belongs to their share."""
-        columns = self.covariance[:, touched]
-        local = columns[touched]
-        middle = np.linalg.solve(np.eye(len(touched)) + information @ local, information)
-        middle = 0.5 * (middle + middle.T)
-        # the same product from both sides keeps the matrix symmetric to rounding
-        lost = (columns @ middle) @ columns.T
+        calibration lose what belongs to their share. ``prior``: that of ``touched``, if known."""
+        rows, spread = prior or self.prior(touched)
+        middle = np.linalg.solve(np.eye(len(touched)) + information @ spread, information)
+        # a square keeps the matrix symmetric
+        root = square_root(np.asarray(middle, np.float64)).T @ rows
+        lost = root.T @ root
         if gains is not None:
             held = slice(STATE_DIM, self.base)
             lost[held, held] *= 1.0 - np.outer(1.0 - gains, 1.0 - gains)
-        self.covariance = self.covariance - 0.5 * (lost + lost.T)
+        self.covariance = self.covariance - lost
 
     def boxplus(
-        self, state: NavState, clones: list[Pose], delta: Array
+        self, state: NavState, clones: list[Pose], delta: Array, only: list[int] | None = None
     ) -> tuple[NavState, list[Pose]]:
-        """Returns the mean ``(state, clones)`` moved by an error-state vector."""
+        """Returns the mean ``(state, clones)`` moved by an error-state vector; of the clones
+        ``only`` these, if given."""
         moved = replace(
             state, rotation=state.rotation @ so3_exp(delta[ROTATION]),
             position=state.position + delta[POSITION], velocity=state.velocity + delta[VELOCITY],
@@ -220,12 +240,14 @@ class Eskf:
             accel_bias=state.accel_bias + delta[ACCEL_BIAS],
             calibration=state.calibration + delta[STATE_DIM : self.base],
         )  # fmt: skip
-        parts = delta[self.base :].reshape(-1, CLONE_DIM)
-        rotations = exp_so3_each(np.ascontiguousarray(parts[:, ROTATION]))
-        new_clones = [
-            Pose(clone.rotation @ rotations[k], clone.translation + parts[k, POSITION])
-            for k, clone in enumerate(clones)
-        ]
+        which = list(range(len(clones))) if only is None else only
+        parts = delta[self.base :].reshape(-1, CLONE_DIM)[which]
+        rotations, translations = Frames.of([clones[k] for k in which])
+        turns = exp_so3_each(np.ascontiguousarray(parts[:, ROTATION]))
+        new_clones = list(clones)
+        ends = Frames(rotations @ turns, translations + parts[:, POSITION]).poses()
+        for k, pose in zip(which, ends, strict=True):
+            new_clones[k] = pose
         return moved, new_clones
 
     def deviation(self, state: NavState, clones: list[Pose], touched_clones: list[int]) -> Array:
@@ -243,10 +265,9 @@ class Eskf:
 
     def touched(self, clones: list[int]) -> NDArray[np.int64]:
         """Error coordinates of pose, shared calibration and the given clones, (6 + S + 6m,)."""
+        own = self.base + CLONE_DIM * np.array(clones, np.int64)[:, None] + np.arange(CLONE_DIM)
         shared = np.arange(STATE_DIM, STATE_DIM + self.shared)
-        return np.concatenate(
-            [np.arange(POSE_DIM), shared, *(self.clone_indices(k) for k in clones)]
-        )
+        return np.concatenate([np.arange(POSE_DIM), shared, own.ravel()])
 
 
 class IteratedUpdate:
@@ -255,30 +276,38 @@ class IteratedUpdate:
     def __init__(self, eskf: Eskf, share: float = 1.0) -> None:
         """``share``: that mounts and lens take, see ``Eskf.gains``."""
         self._eskf, self._gains = eskf, eskf.gains(share)
-        self._prior, self._clones = eskf.state, eskf.clones
-        self._touched = eskf.touched([])
-        self._information = np.zeros((POSE_DIM + eskf.shared, POSE_DIM + eskf.shared))
+        self._mean, self._clones = eskf.state, eskf.clones
+        self._touched, self._prior = np.zeros(0, np.int64), eskf.prior(np.zeros(0, np.int64))
+        self._information, self._delta = np.zeros((0, 0)), np.zeros(len(eskf.covariance))
 
     def step(
         self, clones: list[int], information: Array, vector: Array, floors: Array | None = None
     ) -> None:
         """Moves the mean by the measurement (D, D), (D,) of pose, shared calibration and the given
-        clones, linearised at the present mean. ``floors`` (D,): see ``limit_information``."""
+        clones, linearised at the present mean; other clones follow in the end. ``floors`` (D,):
+        standard deviations of errors that do not average out over the residuals, see
+        ``limit_information``, in the same equation as the prior."""
         eskf = self._eskf
         information, vector = eskf.coupled(information, vector)
-        if floors is not None:
-            information, vector = limit_information(information, vector, floors)
-        self._touched, self._information = eskf.touched(clones), information
-        offset = eskf.deviation(self._prior, self._clones, clones)
-        vector = vector + information @ offset
-        delta = eskf.correction(self._touched, information, vector, self._gains)
-        eskf.state, eskf.clones = eskf.boxplus(self._prior, self._clones, delta)
+        vector = vector + information @ eskf.deviation(self._mean, self._clones, clones)
+        # what the measurement says nothing about only follows
+        known = np.flatnonzero(information.any(axis=0))
+        touched = eskf.touched(clones)[known]
+        if not np.array_equal(touched, self._touched):
+            floors = None if floors is None else floors[known]
+            self._touched, self._prior = touched, eskf.prior(touched, floors)
+        self._information = information[np.ix_(known, known)]
+        self._delta = eskf.correction(
+            touched, self._information, vector[known], self._gains, self._prior
+        )
+        eskf.state, eskf.clones = eskf.boxplus(self._mean, self._clones, self._delta, clones)
 
     def abandon(self) -> None:
         """Returns to the mean before the first step."""
-        self._eskf.state, self._eskf.clones = self._prior, self._clones
+        self._eskf.state, self._eskf.clones = self._mean, self._clones
 
-    def finish(self) -> Array:
-        """Updates the covariance by the newest linearisation and returns its information (D, D)."""
-        self._eskf.update_covariance(self._touched, self._information, self._gains)
-        return self._information
+    def finish(self) -> None:
+        """Moves all clones by the newest step and updates the covariance by its linearisation."""
+        eskf = self._eskf
+        eskf.state, eskf.clones = eskf.boxplus(self._mean, self._clones, self._delta)
+        eskf.update_covariance(self._touched, self._information, self._gains, self._prior)

@@ -11,7 +11,7 @@ is that of ``error_state``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +37,9 @@ from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
+
+
+_NO_ERRORS = np.zeros(IMU_DIM)
 
 
 @dataclass(slots=True)
@@ -67,16 +70,11 @@ class NavState:
     def imu_errors(self) -> Array:
         """(21,) relative scale errors of gyroscope and accelerometer, by axis, the gyroscope's
         misalignment, rad, and its g-sensitivity; zero without a calibration."""
-        return self.calibration[IMU_ERRORS] if len(self.calibration) else np.zeros(IMU_DIM)
+        return self.calibration[IMU_ERRORS] if len(self.calibration) else _NO_ERRORS
 
     def corrected(self, gyro: Array, force: Array) -> tuple[Array, Array]:
         """Returns (N, 3) samples less bias, scale error, misalignment and g-sensitivity."""
-        errors = self.imu_errors
-        response = np.diag(1.0 - errors[GYRO_SCALE])
-        response[CROSS_AXES[:, 0], CROSS_AXES[:, 1]] = -errors[GYRO_CROSS]
-        by_force = errors[GYRO_BY_FORCE].reshape(3, 3)
-        specific_force = (force - self.accel_bias) * (1.0 - errors[ACCEL_SCALE])
-        return (gyro - self.gyro_bias) @ response.T - specific_force @ by_force.T, specific_force
+        return _corrected(gyro, force, self.gyro_bias, self.accel_bias, self.imu_errors)
 
 
 class NoiseDensities(NamedTuple):
@@ -91,6 +89,14 @@ class NoiseDensities(NamedTuple):
 @njit(cache=True)
 def exp_so3(vector: Array) -> Array:
     """Rodrigues for kernels: (3,) rad -> (3, 3)."""
+    out = np.empty((3, 3))
+    exp_so3_into(vector, out)
+    return out
+
+
+@njit(cache=True)
+def exp_so3_into(vector: Array, out: Array) -> None:
+    """Writes ``exp_so3`` of a vector into ``out``."""
     x, y, z = vector[0], vector[1], vector[2]
     angle2 = x * x + y * y + z * z
     if angle2 < 1e-12:
@@ -98,7 +104,6 @@ def exp_so3(vector: Array) -> Array:
     else:
         angle = np.sqrt(angle2)
         sine, cosine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle2
-    out = np.empty((3, 3))
     out[0, 0] = 1.0 - cosine * (y * y + z * z)
     out[1, 1] = 1.0 - cosine * (x * x + z * z)
     out[2, 2] = 1.0 - cosine * (x * x + y * y)
@@ -108,7 +113,6 @@ def exp_so3(vector: Array) -> Array:
     out[2, 0] = cosine * x * z - sine * y
     out[1, 2] = cosine * y * z - sine * x
     out[2, 1] = cosine * y * z + sine * x
-    return out
 
 
 @njit(cache=True)
@@ -153,11 +157,48 @@ def integrate(
 
 
 @njit(cache=True)
+def _corrected(
+    gyro: Array, force: Array, gyro_bias: Array, accel_bias: Array, errors: Array
+) -> tuple[Array, Array]:
+    """See ``NavState.corrected``; ``errors`` (21,)."""
+    rates, forces, rate = np.empty(gyro.shape), np.empty(gyro.shape), np.empty(3)
+    by_force = errors[GYRO_BY_FORCE].reshape(3, 3)
+    for i in range(gyro.shape[0]):
+        for a in range(3):
+            rate[a] = gyro[i, a] - gyro_bias[a]
+            rates[i, a] = (1.0 - errors[GYRO_SCALE.start + a]) * rate[a]
+            scale = 1.0 - errors[ACCEL_SCALE.start + a]
+            forces[i, a] = scale * (force[i, a] - accel_bias[a])
+        for k in range(CROSS_AXES.shape[0]):
+            rates[i, CROSS_AXES[k, 0]] -= errors[GYRO_CROSS.start + k] * rate[CROSS_AXES[k, 1]]
+        for a in range(3):
+            for b in range(3):
+                rates[i, a] -= by_force[a, b] * forces[i, b]
+    return rates, forces
+
+
+@njit(cache=True)
 def cross_into(a: Array, b: Array, out: Array, at: int) -> None:
     """Writes a x b into ``out`` from ``at`` on."""
     out[at] = a[1] * b[2] - a[2] * b[1]
     out[at + 1] = a[2] * b[0] - a[0] * b[2]
     out[at + 2] = a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True)
+def rotate_into(rotation: Array, vector: Array, out: Array) -> None:
+    """Writes ``rotation @ vector`` into ``out``."""
+    x, y, z = vector[0], vector[1], vector[2]
+    for a in range(3):
+        out[a] = rotation[a, 0] * x + rotation[a, 1] * y + rotation[a, 2] * z
+
+
+@njit(cache=True)
+def rotate_back_into(rotation: Array, vector: Array, out: Array) -> None:
+    """Writes ``rotation.T @ vector`` into ``out``."""
+    x, y, z = vector[0], vector[1], vector[2]
+    for a in range(3):
+        out[a] = rotation[0, a] * x + rotation[1, a] * y + rotation[2, a] * z
 
 
 @njit(cache=True)
@@ -273,7 +314,7 @@ def propagate_nominal(
         state.rotation, state.position, state.velocity, *state.corrected(gyro, force), step_s,
         GRAVITY_MPS2,
     )  # fmt: skip
-    return replace(
-        state, tick=int(ticks[-1]), rotation=rotations[-1], position=positions[-1],
-        velocity=velocities[-1],
+    return NavState(
+        int(ticks[-1]), rotations[-1], positions[-1], velocities[-1], state.gyro_bias,
+        state.accel_bias, state.calibration,
     )  # fmt: skip

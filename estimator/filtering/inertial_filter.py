@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, FlownImuParams, PoseTrack
@@ -28,10 +30,18 @@ from touchdown.estimator.filtering.error_state import (
     ROTATION,
     STATE_DIM,
     VELOCITY,
+    Frame,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
-from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState, propagate_nominal
+from touchdown.estimator.filtering.imu_propagation import (
+    ImuBuffer,
+    NavState,
+    cross_into,
+    exp_so3_into,
+    propagate_nominal,
+    rotate_back_into,
+)
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist
 from touchdown.estimator.filtering.trail import Trail
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
@@ -44,7 +54,7 @@ from touchdown.sim.api import (
     Observation,
     SensorRig,
 )
-from touchdown.sim.frames import Pose, cross, so3_exp, so3_log
+from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]
 
@@ -259,7 +269,7 @@ class InertialFilter:
         lets the jump decay."""
         if changed:
             self.catch_up()
-        self.jump = self.jump * np.exp(-self.step_s / self._correction_time_s)
+        self.jump = self.jump * math.exp(-self.step_s / self._correction_time_s)
 
     def catch_up(self) -> None:
         """Propagates the corrected state to the present; the resulting jump decays over
@@ -284,29 +294,69 @@ class InertialFilter:
     ) -> Estimate:
         """Returns the estimate at the present. The position's covariance is that of the filter
         times ``inflation`` plus ``extra_covariance`` (3, 3) m^2."""
-        propagated, offset = self._propagated, self.imu_from_body
-        rotation = propagated.rotation @ so3_exp(self.jump[ROTATION])
-        rates, forces = propagated.corrected(
-            self._newest.angular_velocity[None], self._newest.specific_force[None]
+        present, newest = self._propagated, self._newest
+        rates, forces = present.corrected(
+            newest.angular_velocity[None], newest.specific_force[None]
         )
-        rate, to_world = rates[0], world_from_odom.rotation
-        to_body = self.rig.body_from_imu.rotation
-        spread = self.covariance[POSITION, POSITION]
-        position_covariance = inflation * (to_world @ spread @ to_world.T) + extra_covariance
+        imu = _Motion(present.rotation, present.position, present.velocity, rates[0], forces[0])
+        body = _motion_of_body(imu, self.jump, Frame.of(self.imu_from_body))
+        spread = _turned(world_from_odom.rotation, self.covariance[POSITION, POSITION])
+        position_covariance = inflation * spread + extra_covariance
         return Estimate(
             tick=obs.tick,
             time_s=obs.time_s,
-            odom_from_body=Pose(rotation, propagated.position + self.jump[POSITION]) @ offset,
+            odom_from_body=Pose(body.rotation, body.position),
             world_from_odom=world_from_odom,
-            velocity_odom=propagated.velocity
-            + self.jump[VELOCITY]
-            + rotation @ cross(rate, offset.translation),
-            angular_velocity_body=to_body @ rate,
-            acceleration_odom=rotation @ forces[0] - _GRAVITY,
+            velocity_odom=body.velocity,
+            angular_velocity_body=body.rate,
+            acceleration_odom=body.force,
             position_covariance=position_covariance,
-            rotation_covariance=to_body @ self.covariance[ROTATION, ROTATION] @ to_body.T,
-            healthy=bool(np.trace(position_covariance) < 1.0),
+            rotation_covariance=_turned(
+                self.rig.body_from_imu.rotation, self.covariance[ROTATION, ROTATION]
+            ),
+            healthy=bool(position_covariance.trace() < 1.0),
             scan_track=scan_track,
             diagnostics=diagnostics,
             events=events,
         )
+
+
+class _Motion(NamedTuple):
+    """Motion of the IMU or of the body's origin, odom frame; the angular rate in its own frame."""
+
+    rotation: Array  # (3, 3)
+    position: Array
+    velocity: Array
+    rate: Array
+    force: Array
+    """specific force of the IMU in its own frame; acceleration of the body"""
+
+
+@njit(cache=True)
+def _motion_of_body(imu: _Motion, jump: Array, imu_from_body: Frame) -> _Motion:
+    """The body's motion from that of the IMU with ``jump`` (15,) added."""
+    turn, lever, rate = np.empty((3, 3)), np.empty(3), np.empty(3)
+    exp_so3_into(jump[ROTATION], turn)
+    rotation = imu.rotation @ turn
+    position, velocity = imu.position + jump[POSITION], imu.velocity + jump[VELOCITY]
+    cross_into(imu.rate, imu_from_body.translation, lever, 0)
+    rotate_back_into(imu_from_body.rotation, imu.rate, rate)
+    return _Motion(
+        rotation @ imu_from_body.rotation,
+        position + rotation @ imu_from_body.translation,
+        velocity + rotation @ lever,
+        rate,
+        rotation @ imu.force - _GRAVITY,
+    )
+
+
+@njit(cache=True)
+def _turned(rotation: Array, covariance: Array) -> Array:
+    """The covariance (3, 3) in the axes that ``rotation`` maps to."""
+    out = np.zeros((3, 3))
+    for a in range(3):
+        for b in range(3):
+            for c in range(3):
+                for d in range(3):
+                    out[a, b] += rotation[a, c] * covariance[c, d] * rotation[b, d]
+    return out

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpstrf
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,15 @@ def limit_information(
     solved = np.linalg.solve(widened, np.column_stack([information, vector]))
     symmetric: Array = 0.5 * (solved[:, :size] + solved[:, :size].T)
     return symmetric, np.asarray(solved[:, size], dtype=np.float64)
+
+
+def square_root(matrix: Array) -> Array:
+    """Returns R (D, r) with ``R R^T = matrix`` (D, D), positive semi-definite of rank r: Cholesky
+    factors with pivots, which end where what is left is rounding."""
+    factors, order, rank, _ = dpstrf(0.5 * (matrix + matrix.T), lower=1)
+    root = np.zeros((len(matrix), rank))
+    root[order - 1] = np.tril(factors[:, :rank])
+    return root
 
 
 def lateral_strength(information: Array) -> Array:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import Frame, Pinhole
+from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
@@ -119,29 +123,54 @@ def overlaps(
 ) -> list[Overlap]:
     """Overlaps of the keyframes (poses odom_from_camera) with a predicted view."""
     found = []
-    inverse = odom_from_camera.inverse()
-    margin = 12.0
-    half_diagonal = 0.5 * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
+    inverse, lens = odom_from_camera.inverse(), Pinhole.of(camera)
+    x, y, _ = odom_from_camera.translation.tolist()
+    half_diagonal = 0.5 * math.hypot(camera.width / camera.fx, camera.height / camera.fy)
     for index, (keyframe, pose) in enumerate(zip(keyframes, camera_poses, strict=True)):
-        offset = pose.translation - odom_from_camera.translation
-        if np.hypot(offset[0], offset[1]) > 4.0 * half_diagonal * keyframe.depth_m:
+        far = math.hypot(pose.translation[0] - x, pose.translation[1] - y)
+        if far > 4.0 * half_diagonal * keyframe.depth_m:
             continue
-        landmarks = keyframe.landmarks_camera(camera)[keyframe.valid]
-        if len(landmarks) < min_visible:
-            continue
-        points = (inverse @ pose).apply(landmarks)
-        depth = np.maximum(points[:, 2], 1e-3)
-        u = camera.fx * points[:, 0] / depth + camera.cx
-        v = camera.fy * points[:, 1] / depth + camera.cy
-        inside = (points[:, 2] > 0.1) & (u > margin) & (u < camera.width - margin)
-        inside &= (v > margin) & (v < camera.height - margin)
-        visible = int(inside.sum())
+        visible, depth = _in_view(
+            keyframe.pixels, keyframe.planes, keyframe.valid, Frame.of(inverse @ pose), lens,
+            (camera.width, camera.height),
+        )  # fmt: skip
         if visible < min_visible:
             continue
-        scale = keyframe.depth_m / float(np.median(points[inside, 2]))
+        scale = keyframe.depth_m / depth
         if scale_range[0] < scale < scale_range[1]:
-            found.append(Overlap(index, visible, visible / len(landmarks), scale))
+            share = visible / np.count_nonzero(keyframe.valid)
+            found.append(Overlap(index, visible, share, scale))
     return found
+
+
+@njit(cache=True)
+def _in_view(
+    pixels: Array,
+    planes: Array,
+    valid: NDArray[np.bool_],
+    view_from_keyframe: Frame,
+    lens: Pinhole,
+    size: tuple[int, int],
+) -> tuple[int, float]:
+    """How many of a keyframe's ``valid`` landmarks lie within a view of ``size`` pixels, and their
+    median depth there."""
+    margin, count = 12.0, 0
+    depths, ray, seen = np.empty(len(pixels)), np.ones(3), np.empty(3)
+    for i in range(len(pixels)):
+        if not valid[i]:
+            continue
+        ray[0], ray[1] = (pixels[i, 0] - lens.cx) / lens.fx, (pixels[i, 1] - lens.cy) / lens.fy
+        rotate_into(view_from_keyframe.rotation, ray, seen)
+        depth = 1.0 / (ray[0] * planes[i, 0] + ray[1] * planes[i, 1] + planes[i, 2])
+        for a in range(3):
+            seen[a] = depth * seen[a] + view_from_keyframe.translation[a]
+        if seen[2] <= 0.1:
+            continue
+        u, v = lens.fx * seen[0] / seen[2] + lens.cx, lens.fy * seen[1] / seen[2] + lens.cy
+        if margin < u < size[0] - margin and margin < v < size[1] - margin:
+            depths[count] = seen[2]
+            count += 1
+    return count, np.median(depths[:count]) if count > 0 else 0.0
 
 
 def choose(candidates: list[Overlap], variances: Array, most: int, min_share: float) -> list[int]:

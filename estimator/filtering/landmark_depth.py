@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.deskew import moved
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.sim.frames import Pose
 
@@ -27,6 +28,9 @@ _SIGMA_FACTOR = 2.0
 show the feature"""
 
 
+_IDENTITY = Frame(np.eye(3), np.zeros(3))
+
+
 class RecentReturns:
     """Returns of the last few scans, odom frame, in a ring buffer of fixed size."""
 
@@ -36,13 +40,13 @@ class RecentReturns:
         self._per_scan = per_scan
         self._next = 0
 
-    def add(self, points_odom: Array) -> None:
+    def add(self, points: Array, odom_from_points: Frame = _IDENTITY) -> None:
         """Adds at most ``per_scan`` evenly strided of (N, 3) points."""
-        stride = max(1, -(-len(points_odom) // self._per_scan))
-        part = points_odom[::stride]
+        stride = max(1, -(-len(points) // self._per_scan))
+        chosen = np.arange(0, len(points), stride)
         start = self._next * self._per_scan
-        self._points[start : start + len(part)] = part
-        self._counts[self._next] = len(part)
+        self._points[start : start + len(chosen)] = moved(points, chosen, odom_from_points)
+        self._counts[self._next] = len(chosen)
         self._next = (self._next + 1) % len(self._counts)
 
     def median_height(self) -> float | None:
@@ -62,7 +66,7 @@ class _Cells(NamedTuple):
     """Returns sorted by image cell, in normalised units."""
 
     starts: NDArray[np.int64]  # (rows * cols + 1,) first return of each cell
-    seen: Array  # (K, 3) x, y, 1 / depth
+    seen: Float32  # (K, 3) x, y, 1 / depth
     width: float  # of the image on each side of its axis
     height: float
     side: float  # of a cell
@@ -75,48 +79,84 @@ def _shape(width: float, height: float, side: float) -> tuple[int, int]:
 
 
 @njit(cache=True)
-def _project_into_cells(
+def _sort_into_cells(
+    rays: Array,
     returns: tuple[Float32, NDArray[np.int64], int],
     camera_from_odom: Frame,
     width: float,
     height: float,
     cell: float,
 ) -> _Cells:
-    """Sorts the visible ``returns``, as ``RecentReturns.view`` has them, by image cell."""
+    """Sorts the ``returns``, as ``RecentReturns.view`` has them, by image cell: those visible in
+    the cells around any of (N, 2) rays."""
     points, counts, per_scan = returns
-    rotation, translation = camera_from_odom
     rows, cols = _shape(width, height, cell)
-    total = 0
+    wanted = np.zeros((rows, cols), np.bool_)
+    for k in range(rays.shape[0]):
+        row, col = int((rays[k, 1] + height) / cell), int((rays[k, 0] + width) / cell)
+        wanted[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2] = True
+    near = np.append(wanted, False)  # the last: out of view
+    starts, kept = np.zeros(rows * cols + 1, dtype=np.int64), 0
+    where = np.empty(counts.shape[0] * per_scan, np.int32)
+    chosen = np.empty(counts.shape[0] * per_scan, np.int32)
     for s in range(counts.shape[0]):
-        total += counts[s]
-    seen = np.empty((total, 3))
-    where = np.empty(total, dtype=np.int64)
-    starts = np.zeros(rows * cols + 1, dtype=np.int64)
-    kept = 0
-    for s in range(counts.shape[0]):
-        for i in range(s * per_scan, s * per_scan + counts[s]):
-            px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-            z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
-            if z < 0.1:
-                continue
-            x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
-            y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
-            x, y = x / z, y / z
-            if abs(x) >= width or abs(y) >= height:
-                continue
-            slot = int((y + height) / cell) * cols + int((x + width) / cell)
-            seen[kept, 0], seen[kept, 1], seen[kept, 2] = x, y, 1.0 / z
-            where[kept] = slot
-            starts[slot + 1] += 1
-            kept += 1
-    for k in range(rows * cols):
-        starts[k + 1] += starts[k]
-    cursor = starts[:-1].copy()
-    ordered = np.empty((kept, 3))
-    for i in range(kept):
-        ordered[cursor[where[i]]] = seen[i]
+        first, last = s * per_scan, s * per_scan + counts[s]
+        _locate(
+            points[first:last], camera_from_odom, (width, height, 1.0 / cell), cols,
+            where[first:last],
+        )  # fmt: skip
+        for i in range(first, last):
+            chosen[kept] = i
+            kept += near[where[i]]
+            starts[where[i] + 1] += near[where[i]]
+    starts = np.cumsum(starts)
+    cursor, ordered = starts.copy(), np.empty((starts[-1], 3), np.float32)
+    r, t = camera_from_odom
+    for i in chosen[:kept]:
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        inverse = 1.0 / (r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + t[2])
+        at = cursor[where[i]]
+        ordered[at, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + t[0]) * inverse
+        ordered[at, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + t[1]) * inverse
+        ordered[at, 2] = inverse
         cursor[where[i]] += 1
     return _Cells(starts, ordered, width, height, cell)
+
+
+_BLOCK = 256
+
+
+@njit(cache=True, error_model="numpy")
+def _locate(
+    points: Float32,
+    camera_from_odom: Frame,
+    view: tuple[float, float, float],
+    cols: int,
+    cells: NDArray[np.int32],
+) -> None:
+    """Writes the cells (N,) of (N, 3) points, -1 for those out of ``view``: half width, half
+    height, cells per unit. Block by block and without branches, the processor takes several points
+    at a time."""
+    r, t = camera_from_odom.rotation.astype(np.float32), camera_from_odom.translation
+    xx, xy, xz, xt = r[0, 0], r[0, 1], r[0, 2], np.float32(t[0])
+    yx, yy, yz, yt = r[1, 0], r[1, 1], r[1, 2], np.float32(t[1])
+    zx, zy, zz, zt = r[2, 0], r[2, 1], r[2, 2], np.float32(t[2])
+    width, height, scale = np.float32(view[0]), np.float32(view[1]), np.float32(view[2])
+    nearest, one, none, per_row = np.float32(0.1), np.float32(1.0), np.int32(-1), np.int32(cols)
+    px, py = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    pz = np.empty(_BLOCK, np.float32)
+    for start in range(0, points.shape[0], _BLOCK):
+        part = cells[start : start + _BLOCK]
+        for i in range(part.shape[0]):
+            px[i], py[i], pz[i] = points[start + i, 0], points[start + i, 1], points[start + i, 2]
+        for i in range(part.shape[0]):
+            z = zx * px[i] + zy * py[i] + zz * pz[i] + zt
+            inverse = one / max(z, nearest)
+            x = (xx * px[i] + xy * py[i] + xz * pz[i] + xt) * inverse
+            y = (yx * px[i] + yy * py[i] + yz * pz[i] + yt) * inverse
+            inside = (z >= nearest) & (abs(x) < width) & (abs(y) < height)
+            column, row = np.int32((x + width) * scale), np.int32((y + height) * scale)
+            part[i] = row * per_row + column if inside else none
 
 
 @njit(cache=True)
@@ -151,35 +191,36 @@ def _fit_planes(
         count = _gather(rays[k], cells, radius, near)
         if count < min_points:
             continue
-        normal = np.zeros((3, 3))
-        right = np.zeros(3)
-        row_k = np.ones(3)
+        sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0
+        d, dx, dy = 0.0, 0.0, 0.0
         for i in range(count):
-            row_k[1], row_k[2] = near[i, 0], near[i, 1]
-            for a in range(3):
-                right[a] += row_k[a] * near[i, 2]
-                for b in range(3):
-                    normal[a, b] += row_k[a] * row_k[b]
+            x, y, inverse = near[i, 0], near[i, 1], near[i, 2]
+            sx, sy, sxx, sxy, syy = sx + x, sy + y, sxx + x * x, sxy + x * y, syy + y * y
+            d, dx, dy = d + inverse, dx + x * inverse, dy + y * inverse
         # returns on one line, or all to one side, leave the feature's own depth open
-        if abs(normal[0, 1]) > 0.5 * count or abs(normal[0, 2]) > 0.5 * count:
+        if abs(sx) > 0.5 * count or abs(sy) > 0.5 * count:
             continue
-        if normal[1, 1] < 0.03 * count or normal[2, 2] < 0.03 * count:
+        if sxx < 0.03 * count or syy < 0.03 * count:
             continue
-        fit = np.linalg.solve(normal + 1e-6 * count * np.eye(3), right)
-        if not fit[0] > 1e-3:
+        ridge = 1e-6 * count
+        n, sxx, syy = count + ridge, sxx + ridge, syy + ridge
+        of_a, of_b, of_c = sxx * syy - sxy * sxy, sy * sxy - sx * syy, sx * sxy - sy * sxx
+        det = n * of_a + sx * of_b + sy * of_c
+        a = (of_a * d + of_b * dx + of_c * dy) / det
+        b = (of_b * d + (n * syy - sy * sy) * dx + (sx * sy - n * sxy) * dy) / det
+        c = (of_c * d + (sx * sy - n * sxy) * dx + (n * sxx - sx * sx) * dy) / det
+        if not a > 1e-3:
             continue
         worst, total = 0.0, 0.0
         for i in range(count):
-            predicted = fit[0] + fit[1] * near[i, 0] + fit[2] * near[i, 1]
-            error = (near[i, 2] - predicted) / (fit[0] * fit[0])
+            error = (near[i, 2] - (a + b * near[i, 0] + c * near[i, 1])) / (a * a)
             total += error * error
             worst = max(worst, abs(error))
         if np.sqrt(total / count) > depth_tolerance or worst > 4.0 * depth_tolerance:
             continue
         valid[k] = True
-        planes[k, 0] = fit[1] / radius
-        planes[k, 1] = fit[2] / radius
-        planes[k, 2] = fit[0] - (fit[1] * rays[k, 0] + fit[2] * rays[k, 1]) / radius
+        planes[k, 0], planes[k, 1] = b / radius, c / radius
+        planes[k, 2] = a - (b * rays[k, 0] + c * rays[k, 1]) / radius
     return valid, planes
 
 
@@ -225,7 +266,7 @@ def feature_planes(
     foremost returns close by, as a plane that faces the camera, and a sigma from their scatter.
     """
     width, height = half_view[0] * 1.02, half_view[1] * 1.02
-    cells = _project_into_cells(recent.view(), Frame.of(camera_from_odom), width, height, radius)
+    cells = _sort_into_cells(rays, recent.view(), Frame.of(camera_from_odom), width, height, radius)
     valid, planes = _fit_planes(rays, cells, radius, min_points, depth_tolerance_m)
     sigmas = np.zeros(len(rays))
     open_ = np.flatnonzero(~valid)

@@ -226,6 +226,12 @@ def smallest_eigen(cov: Array) -> tuple[float, float, float, float, float, float
 
 
 @njit(cache=True)
+def _side(at: float, face: float) -> int:
+    """On which side of a voxel a coordinate about its centre lies beyond ``face``; 0: on none."""
+    return int(at > face) - int(at < -face)
+
+
+@njit(cache=True)
 def _gather(
     keys: NDArray[np.int64],
     moments: Array,
@@ -239,35 +245,24 @@ def _gather(
     """Writes into ``total`` (11,) the moments about the centre of the voxel of (x, y, z), merged
     with the neighbours whose face is within ``margin``, and last the slot with most points. Returns
     that centre."""
-    cell = (np.floor(x / voxel), np.floor(y / voxel), np.floor(z / voxel))
-    centre = ((cell[0] + 0.5) * voxel, (cell[1] + 0.5) * voxel, (cell[2] + 0.5) * voxel)
-    side = np.zeros(3, dtype=np.int64)
-    at = (x - centre[0], y - centre[1], z - centre[2])
-    for k in range(3):
-        if at[k] > 0.5 * voxel - margin:
-            side[k] = 1
-        elif at[k] < margin - 0.5 * voxel:
-            side[k] = -1
+    ix, iy, iz = np.floor(x / voxel), np.floor(y / voxel), np.floor(z / voxel)
+    centre = ((ix + 0.5) * voxel, (iy + 0.5) * voxel, (iz + 0.5) * voxel)
+    face = 0.5 * voxel - margin
+    sx, sy, sz = _side(x - centre[0], face), _side(y - centre[1], face), _side(z - centre[2], face)
     total[:] = 0.0
     most = 0.0
     for corner in range(8):
-        step = np.zeros(3, dtype=np.int64)
-        wanted = True
-        for k in range(3):
-            if (corner >> k) & 1:
-                step[k] = side[k]
-                wanted = wanted and side[k] != 0
-        if not wanted:
+        dx, dy, dz = sx * (corner & 1), sy * ((corner >> 1) & 1), sz * (corner >> 2)
+        if (dx != 0) + (dy != 0) + (dz != 0) != (corner & 1) + ((corner >> 1) & 1) + (corner >> 2):
             continue
-        key = _pack(int(cell[0]) + step[0], int(cell[1]) + step[1], int(cell[2]) + step[2])
-        slot = _slot(keys, key)
+        slot = _slot(keys, _pack(int(ix) + dx, int(iy) + dy, int(iz) + dz))
         if keys[slot] == _EMPTY:
             continue
         m = moments[slot]
         if m[_COUNT] > most:
             most = m[_COUNT]
             total[_MOMENTS] = slot
-        _add_moved(total, m, step[0] * voxel, step[1] * voxel, step[2] * voxel)
+        _add_moved(total, m, dx * voxel, dy * voxel, dz * voxel)
     return centre
 
 

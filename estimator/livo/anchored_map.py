@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import LivoParams
-from touchdown.estimator.filtering.deskew import PlacedScan, thin_out
+from touchdown.estimator.filtering.deskew import PlacedScan, moved, thin_out
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.plane_map import PlaneMap
@@ -40,12 +41,13 @@ class AnchoredMap:
         """Adds the scan just used, with its ``intensity`` (N,), at the present pose to the newest
         clone's part. ``lever`` (3,): of the LIDAR in the IMU frame."""
         state = eskf.state
-        points = scan.points @ state.rotation.T + state.position
+        pose = Frame(state.rotation, state.position)
         sensor = state.rotation @ lever + state.position
         terms = self.anchors.kept_from_now(eskf.clones, state.calibration, state.rotation)
         spread = thin_out(scan.points, _SPREAD * self._voxel_m, 16)
-        self.planes.insert(points[spread], sensor, len(self.anchors) - 1, terms)
-        self.recent.add(points)
+        points = moved(scan.points, spread, pose)
+        self.planes.insert(points, sensor, len(self.anchors) - 1, terms)
+        self.recent.add(scan.points, pose)
         self.photometric.extend(eskf, scan.points, intensity)
 
     def begin(self, eskf: Eskf, height_m: float, dark_ticks: int) -> None:

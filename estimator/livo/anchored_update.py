@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.deskew import PlacedScan
-from touchdown.estimator.filtering.error_state import POSE, POSITION, ROTATION, Frame
+from touchdown.estimator.filtering.error_state import POSE, POSE_DIM, POSITION, ROTATION, Frame
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.plane_map import PlaneMap
@@ -90,7 +91,7 @@ def update_with_scan(
         if used < min_matches:
             update.abandon()
             return LidarReport(matched=used, rms_m=rms)
-        raw = found.information[POSE, POSE]
+        raw = found.information[POSE, POSE].copy()
         if errors.weak_sigmas is not None and fresh:
             weak = weak_directions(raw, found.noise_information, *errors.weak_sigmas)
         columns = np.zeros((len(found.vector), weak[0].shape[1] + weak[1].shape[1]))
@@ -124,23 +125,28 @@ def weak_directions(
     follows Zhang, Kaess and Singh 2016 ("On degeneracy of optimization-based state estimation
     problems"), here with thresholds in the units of the state.
     """
-    weak = []
-    for own, other, sigma in (
-        (slice(0, 3), slice(3, 6), sigma_rad),
-        (slice(3, 6), slice(0, 3), sigma_m),
-    ):
-        # the pseudo-inverse ignores unobserved directions of the other block
-        rest = np.linalg.pinv(information[other, other], rcond=1e-9, hermitian=True)
-        following = np.zeros((6, 3))
-        following[own] = np.eye(3)
-        following[other] = -rest @ information[other, own]
-        schur = following.T @ information @ following
-        values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
-        noise_information = np.einsum(
-            "ij,ik,kj->j", vectors, following.T @ noise @ following, vectors
-        )
-        weak.append(vectors[:, values - 2.0 * noise_information < 1.0 / sigma**2])
-    return weak[0], weak[1]
+    return (
+        _weak_axes(information, noise, ROTATION, POSITION, sigma_rad),
+        _weak_axes(information, noise, POSITION, ROTATION, sigma_m),
+    )
+
+
+@njit(cache=True)
+def _weak_axes(information: Array, noise: Array, own: slice, other: slice, sigma: float) -> Array:
+    """The degenerate directions of the three coordinates ``own``, the three others marginalised."""
+    # the pseudo-inverse ignores unobserved directions of the other block
+    known, axes = np.linalg.eigh(information[other, other].copy())
+    rest = np.zeros((3, 3))
+    for k in range(3):
+        if known[k] > 1e-9 * known[2]:
+            rest += np.outer(axes[:, k], axes[:, k]) / known[k]
+    following = np.zeros((POSE_DIM, 3))
+    following[own] = np.eye(3)
+    following[other] = -rest @ information[other, own].copy()
+    schur = following.T @ information @ following
+    values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
+    noise_information = np.sum(vectors * ((following.T @ noise @ following) @ vectors), axis=0)
+    return vectors[:, values - 2.0 * noise_information < 1.0 / sigma**2]
 
 
 def without_directions(information: Array, vector: Array, weak: Array) -> tuple[Array, Array]:

@@ -80,10 +80,12 @@ class Livo:
         dark_ticks = rig.tick_hz // 2 if params.use_intensity else None
         self._map = AnchoredMap(params, self._filter.imu_from_lidar.translation, dark_ticks)
         self._scan_errors = scan_errors(rig, params)
-        self._floor = np.array([_FLOOR, _FLOOR, np.hypot(_FLOOR, params.ground_sigma_m)]) ** 2
+        floor = np.array([_FLOOR, _FLOOR, np.hypot(_FLOOR, params.ground_sigma_m)])
+        self._floor = np.diag(floor**2)
         self._degeneracy = DegeneracyWatch()
         self._undistort = Undistorter(rig)
         self._vision_tick, self._scan_tick = 0, 0
+        self._odom = Pose.identity()
         self._height = 0.0
         """median range of the newest scan, m"""
         self._skipped = 0
@@ -108,7 +110,7 @@ class Livo:
         self._diagnostics["skipped"] = float(self._skipped + self._intake.skipped)
         self._diagnostics["stationary"] = float(self._filter.stationary)
         return self._filter.estimate(
-            obs, Pose.identity(), np.diag(self._floor) + np.outer(jump, jump), self._scan_track,
+            obs, self._odom, self._floor + jump * jump[:, None], self._scan_track,
             dict(self._diagnostics), tuple(self._intake.events), _INFLATION,
         )  # fmt: skip
 
@@ -122,6 +124,7 @@ class Livo:
             return
         report, intensity = LidarReport(), scan.intensity[placed.pulses]
         if len(placed) >= _FEWEST_RETURNS:
+            self._height = float(np.median(scan.ranges[placed.pulses]))
             report = self._update_with_scan(placed, intensity)
             self._intake.events += self._degeneracy.events(report)
         self._filter.trail.follow(self._eskf.state)
@@ -134,7 +137,6 @@ class Livo:
 
     def _update_with_scan(self, scan: PlacedScan, intensity: NDArray[np.uint8]) -> LidarReport:
         params, photometric = self._params, self._map.photometric
-        self._height = float(np.median(np.linalg.norm(scan.beams, axis=1)))
         share = params.scan_calibration_gain * (self._height >= params.calibrate_above_m)
         report = LidarReport()
         if params.use_lidar:

@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.sim.frames import Pose
+
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
@@ -26,28 +28,29 @@ _FAINTEST = 4.0
 """weaker intensities count as this: the logarithm of single digits is mostly rounding"""
 _MOST_RETURNS = 8.0
 """a cell takes no further ones: the oldest carry the least drift"""
+_BRIGHTNESS = np.log(np.maximum(np.arange(256.0), _FAINTEST))
 FEWEST = 1.5
 """returns that a smoothed cell needs (weighted mean over its neighbourhood)"""
 
 
 def brightness(intensity: NDArray[np.uint8]) -> Array:
     """Returns the logarithm of intensities (N,)."""
-    return np.log(np.maximum(intensity.astype(np.float64), _FAINTEST))
+    return _BRIGHTNESS[intensity]
 
 
 @njit(cache=True)
 def add_returns(
-    sums: Float32, counts: Float32, points: Array, values: Array, axes: Array, cell: float
+    sums: Float32, counts: Float32, points: Array, values: Array, axes: Array, centre: Array
 ) -> None:
-    """Adds returns to an image (rows, columns): ``points`` (N, 3) in the clone's frame, ``axes``
-    (2, 3) of the image in that frame. Returns beside the image are left out."""
+    """Adds returns to an image (rows, columns): ``points`` (N, 3), ``axes`` (2, 3) of the image in
+    their frame, a cell long, and its ``centre`` (2,) in cells from their origin. Returns beside the
+    image are left out."""
     rows, columns = sums.shape
     for i in range(points.shape[0]):
-        u, v = 0.0, 0.0
-        for a in range(3):
-            u += axes[0, a] * points[i, a]
-            v += axes[1, a] * points[i, a]
-        column, row = int(np.floor(u / cell)) + columns // 2, int(np.floor(v / cell)) + rows // 2
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        u = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z + centre[0]
+        v = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z + centre[1]
+        column, row = int(np.floor(u)) + columns // 2, int(np.floor(v)) + rows // 2
         if 0 <= row < rows and 0 <= column < columns and counts[row, column] < _MOST_RETURNS:
             sums[row, column] += values[i]
             counts[row, column] += 1.0
@@ -95,9 +98,15 @@ class IntensityImage:
         cell = max(_CELL_SHARE * height_m, _LEAST_CELL_M)
         return IntensityImage(rotation[:2].copy(), cell, calibration.copy(), sums, counts)
 
-    def add(self, points: Array, values: Array) -> None:
-        """Adds ``points`` (N, 3), the clone's frame, of the brightness ``values`` (N,)."""
-        add_returns(self.sums, self.counts, points, values, self.axes, self.cell_m)
+    def add(self, points: Array, values: Array, pose: Pose | None = None) -> None:
+        """Adds ``points`` (N, 3) of the brightness ``values`` (N,); ``pose`` moves them to the
+        clone's frame."""
+        pose = pose or Pose.identity()
+        scaled = self.axes / self.cell_m
+        add_returns(
+            self.sums, self.counts, points, values, scaled @ pose.rotation,
+            scaled @ pose.translation,
+        )  # fmt: skip
         self._smoothed = None
 
     def smoothed(self) -> tuple[Float32, Float32]:

@@ -30,6 +30,7 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.imu_propagation import cross_into
+from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.livo.anchored_update import ScanErrors
 from touchdown.estimator.livo.intensity_image import FEWEST, Float32, IntensityImage, brightness
 from touchdown.estimator.livo.plane_equations import Returns
@@ -253,7 +254,7 @@ class PhotometricUpdate:
         image."""
         if self.images:
             move = eskf.clones[-1].inverse() @ eskf.state.pose
-            self.images[-1].add(move.apply(points), brightness(intensity))
+            self.images[-1].add(points, brightness(intensity), move)
 
     def measure(
         self,
@@ -325,8 +326,9 @@ class PhotometricUpdate:
                 return IntensityReport(used=used, images=images, sigma=sigma)
             update.step(keys, information, vector, floors)
         self._sigma = sigma
-        information = update.finish()
-        weakest = float(np.linalg.eigvalsh(information[_ASIDE, _ASIDE])[0])
+        update.finish()
+        limited, _ = limit_information(*eskf.coupled(information, vector), floors)
+        weakest = float(np.linalg.eigvalsh(limited[_ASIDE, _ASIDE])[0])
         return IntensityReport(
             used=used, images=images, sigma=sigma, aside_m=1.0 / np.sqrt(max(weakest, 1e-12))
         )

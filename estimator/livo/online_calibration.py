@@ -19,6 +19,7 @@ before the pose at its stamp, and is displaced by the offset times the twist (Li
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import LivoParams
@@ -39,9 +40,15 @@ from touchdown.estimator.filtering.error_state import (
     POSITION,
     ROTATION,
     SHARED_DIM,
+    Frame,
+    Frames,
     Pinhole,
 )
-from touchdown.estimator.filtering.imu_propagation import exp_so3_each
+from touchdown.estimator.filtering.imu_propagation import (
+    cross_into,
+    exp_so3_each,
+    rotate_into,
+)
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
 
@@ -120,11 +127,9 @@ def exposed(poses: list[Pose], twists: Array, delays_s: Array, calibration: Arra
     """
     clock = calibration[CLOCK] if len(calibration) else 0.0
     moves = (delays_s - clock)[:, None] * twists
-    rotations = exp_so3_each(np.ascontiguousarray(moves[:, ROTATION]))
-    return [
-        Pose(pose.rotation @ rotations[k], pose.translation + moves[k, POSITION])
-        for k, pose in enumerate(poses)
-    ]
+    turns = exp_so3_each(np.ascontiguousarray(moves[:, ROTATION]))
+    rotations, translations = Frames.of(poses)
+    return Frames(rotations @ turns, translations + moves[:, POSITION]).poses()
 
 
 def landmark_jacobians(
@@ -144,32 +149,78 @@ def landmark_jacobians(
     IMU at the keyframe, in its own frame. Returns taken a little earlier or later need no
     correction: their scans were registered to this moment.
     """
-    along = np.einsum("ij,ij->i", rays, planes)[:, None]
-    beams = rays / along - sensor
-    rotation, lever = imu_from_camera.rotation, imu_from_camera.translation
     out = np.zeros((len(rays), 3, SHARED_DIM))
-    reach = rays / along
-    # the plane moves by n . (rotation x beam + translation), the landmark by as much along its ray
-    out[:, :, MOUNT_ROTATION] = reach[:, :, None] * np.cross(beams, planes)[:, None, :] @ rotation.T
-    out[:, :, MOUNT_TRANSLATION] = reach[:, :, None] * planes[:, None, :] @ rotation.T
-    # from an earlier pose the ground lies further on: rotated and translated about the IMU
-    ahead = (np.cross(twist[ROTATION], reach @ rotation.T + lever) + twist[POSITION]) @ rotation
-    out[:, :, CLOCK] = reach * np.einsum("ij,ij->i", planes, ahead)[:, None]
-    bends = np.zeros((len(rays), 3, 4))
-    bends[:, 0, 0], bends[:, 1, 1] = -rays[:, 0], -rays[:, 1]
-    bends[:, 0, 2], bends[:, 1, 3] = -1.0 / camera.fx, -1.0 / camera.fy
-    # a ray that bends meets the same plane elsewhere
-    across = np.einsum("ij,ijk->ik", planes, bends)
-    lens = slice(FOCAL.start, CENTER.stop)
-    out[:, :, lens] = (bends - rays[:, :, None] * (across / along)[:, None, :]) / along[:, :, None]
-    # so does one that turns about the camera, or starts beside it: axes of the IMU
-    unit = rotation[None]
-    rotated = np.cross(unit, reach[:, None, :]).swapaxes(1, 2)
-    for part, moves in (
-        (CAMERA_ROTATION, rotated),
-        (CAMERA_TRANSLATION, np.broadcast_to(rotation.T, (len(rays), 3, 3))),
-    ):
-        off = np.einsum("ij,ijk->ik", planes, moves)
-        out[:, :, part] = moves - reach[:, :, None] * off[:, None, :]
-    out[:] = rotation @ out
+    focal = Pinhole.of(camera)
+    _add_jacobians(rays, planes, sensor, Frame.of(imu_from_camera), twist, focal, out)
     return out
+
+
+@njit(cache=True)
+def _add_jacobians(
+    rays: Array,
+    planes: Array,
+    sensor: Array,
+    mount: Frame,
+    twist: Array,
+    lens: Pinhole,
+    out: Array,
+) -> None:
+    """Adds what ``landmark_jacobians`` returns to ``out`` (N, 3, 17), which is zero."""
+    rotation = mount.rotation
+    reach, far, beam, move = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    turn, plane = np.empty(3), np.empty(3)
+    for i in range(len(rays)):
+        ray, n, jacobian = rays[i], planes[i], out[i]
+        along = ray[0] * n[0] + ray[1] * n[1] + ray[2] * n[2]
+        for a in range(3):
+            reach[a] = ray[a] / along
+            beam[a] = reach[a] - sensor[a]
+        rotate_into(rotation, reach, far)
+        # the plane moves by n . (rotation x beam + translation), the landmark by as much along its
+        # ray
+        cross_into(beam, n, move, 0)
+        rotate_into(rotation, move, turn)
+        rotate_into(rotation, n, plane)
+        # from an earlier pose the ground lies further on: rotated and translated about the IMU
+        for a in range(3):
+            beam[a] = far[a] + mount.translation[a]
+        cross_into(twist[ROTATION], beam, move, 0)
+        ahead = 0.0
+        for a in range(3):
+            ahead += plane[a] * (move[a] + twist[POSITION.start + a])
+        for a in range(3):
+            for b in range(3):
+                jacobian[a, MOUNT_ROTATION.start + b] = far[a] * turn[b]
+                jacobian[a, MOUNT_TRANSLATION.start + b] = far[a] * plane[b]
+            jacobian[a, CLOCK] = far[a] * ahead
+        # a ray that bends meets the same plane elsewhere
+        for axis in range(2):
+            f = lens.fx if axis == 0 else lens.fy
+            move[:] = 0.0
+            move[axis] = -reach[axis]
+            _meet(move, plane, far, rotation, jacobian, FOCAL.start + axis)
+            move[axis] = -1.0 / (f * along)
+            _meet(move, plane, far, rotation, jacobian, CENTER.start + axis)
+        # so does one that turns about the camera, or starts beside it: axes of the IMU
+        for axis in range(3):
+            cross_into(rotation[axis], reach, move, 0)
+            _meet(move, plane, far, rotation, jacobian, CAMERA_ROTATION.start + axis)
+            move[:] = rotation[axis]
+            _meet(move, plane, far, rotation, jacobian, CAMERA_TRANSLATION.start + axis)
+
+
+@njit(cache=True)
+def _meet(
+    move: Array, plane: Array, far: Array, rotation: Array, jacobian: Array, column: int
+) -> None:
+    """Writes the motion of a landmark ``far`` (3,) on ``plane`` (3,), IMU frame, whose ray moves by
+    ``move`` (3,) there, camera frame, into a column."""
+    off = 0.0
+    for a in range(3):
+        moved = 0.0
+        for b in range(3):
+            moved += rotation[a, b] * move[b]
+        jacobian[a, column] = moved
+        off += plane[a] * moved
+    for a in range(3):
+        jacobian[a, column] -= off * far[a]

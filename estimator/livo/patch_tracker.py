@@ -7,6 +7,8 @@ values (Baker and Matthews 2004), coarse to fine.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numba import njit
@@ -17,11 +19,23 @@ from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 Grey = NDArray[np.uint8]
 
 HALF = 6
 """patches are 13 x 13"""
 _SIDE = 2 * HALF + 1
+_ROW = 16
+"""values from row to row of what lies flat: a patch, its neighbours, and some to spare"""
+_FLAT = _SIDE * _ROW
+_WIDE = 2 * HALF + 3
+"""of a patch with its neighbours, whose differences are the gradients"""
+_MOST = 64
+"""pixels along either side of a warped patch"""
+_INSIDE = np.tile(np.arange(_ROW) < _SIDE, _SIDE).astype(np.float32)
+"""1 for values of a flat patch, 0 for those to spare"""
+_ANY_ORDER = {"reassoc", "contract", "nsz", "arcp"}
+"""of sums, so that the processor takes a vector of pixels at a time"""
 
 
 def grey_levels(image: NDArray[np.uint8]) -> tuple[Grey, Grey, Grey]:
@@ -34,111 +48,153 @@ def grey_levels(image: NDArray[np.uint8]) -> tuple[Grey, Grey, Grey]:
     return np.asarray(grey, np.uint8), np.asarray(half, np.uint8), np.asarray(quarter, np.uint8)
 
 
-@njit(cache=True)
-def _bilinear(image: Grey, u: float, v: float) -> float:
-    x, y = int(u), int(v)
-    fx, fy = u - x, v - y
-    upper = (1.0 - fx) * image[y, x] + fx * image[y, x + 1]
-    lower = (1.0 - fx) * image[y + 1, x] + fx * image[y + 1, x + 1]
-    return (1.0 - fy) * upper + fy * lower
+class _Patch(NamedTuple):
+    """A zero-mean patch of a keyframe and what it is compared with, flat; zero beside the patch."""
+
+    values: Float32
+    grad_u: Float32
+    grad_v: Float32
+    pixels: Float32  # of the image around
+    seen: Float32  # interpolated
 
 
 @njit(cache=True)
-def _template(
-    image: Grey, u: float, v: float, warp: Array, patch: Array, grad_u: Array, grad_v: Array
-) -> bool:
+def _empty_patch() -> _Patch:
+    most = (_WIDE + 1) * _ROW
+    return _Patch(
+        np.zeros(_FLAT, np.float32), np.zeros(_FLAT, np.float32), np.zeros(_FLAT, np.float32),
+        np.zeros(_MOST * (_MOST + 1), np.float32), np.zeros(most, np.float32),
+    )  # fmt: skip
+
+
+@njit(cache=True, fastmath=_ANY_ORDER, forceinline=True, error_model="numpy")
+def _load(part: Grey, pixels: Float32) -> None:
+    """Writes the part (H, W) of an image into ``pixels``, row after row."""
+    height, width = part.shape
+    for j in range(height):
+        for i in range(width):
+            pixels[j * width + i] = np.float32(part[j, i])
+
+
+@njit(cache=True, fastmath=_ANY_ORDER, forceinline=True, error_model="numpy")
+def _template(image: Grey, u: float, v: float, warp: Array, patch: _Patch) -> bool:
     """Samples the keyframe at (u, v) + warp @ offset over the patch, and its gradient with respect
-    to the offset; all zero-mean. False at the border or without texture."""
+    to the offset; all zero-mean. False at the border."""
+    values, grad_u, grad_v, pixels, seen = patch
     reach = HALF + 1
     span_u = reach * (abs(warp[0, 0]) + abs(warp[0, 1])) + 1.0
     span_v = reach * (abs(warp[1, 0]) + abs(warp[1, 1])) + 1.0
     height, width = image.shape
     if not (span_u <= u < width - 1 - span_u and span_v <= v < height - 1 - span_v):
         return False
-    wide = np.empty((_SIDE + 2, _SIDE + 2))
-    for j in range(_SIDE + 2):
-        for i in range(_SIDE + 2):
-            di, dj = i - reach, j - reach
-            wide[j, i] = _bilinear(
-                image, u + warp[0, 0] * di + warp[0, 1] * dj, v + warp[1, 0] * di + warp[1, 1] * dj
-            )
-    mean, mean_u, mean_v = 0.0, 0.0, 0.0
-    for j in range(_SIDE):
-        for i in range(_SIDE):
-            patch[j, i] = wide[j + 1, i + 1]
-            grad_u[j, i] = 0.5 * (wide[j + 1, i + 2] - wide[j + 1, i])
-            grad_v[j, i] = 0.5 * (wide[j + 2, i + 1] - wide[j, i + 1])
-            mean += patch[j, i]
-            mean_u += grad_u[j, i]
-            mean_v += grad_v[j, i]
-    area = _SIDE * _SIDE
-    for j in range(_SIDE):
-        for i in range(_SIDE):
-            patch[j, i] -= mean / area
-            grad_u[j, i] -= mean_u / area
-            grad_v[j, i] -= mean_v / area
+    if max(span_u, span_v) > 0.5 * _MOST - 2.0:
+        return False
+    left, top = int(u - span_u), int(v - span_v)
+    right, bottom = int(u + span_u) + 2, int(v + span_v) + 2
+    _load(image[top:bottom, left:right], pixels)
+    stride, one = np.uint32(right - left), np.uint32(1)
+    step_u, step_v = np.float32(warp[0, 0]), np.float32(warp[1, 0])
+    for j in range(_WIDE):
+        # counted from the corner, float32 is fine enough
+        row_u = np.float32(u - left - reach * warp[0, 0] + (j - reach) * warp[0, 1])
+        row_v = np.float32(v - top - reach * warp[1, 0] + (j - reach) * warp[1, 1])
+        for i in range(_WIDE):
+            at_u, at_v = row_u + np.float32(i) * step_u, row_v + np.float32(i) * step_v
+            x, y = np.int32(at_u), np.int32(at_v)
+            fx, fy = at_u - np.float32(x), at_v - np.float32(y)
+            at = np.uint32(y) * stride + np.uint32(x)
+            upper = pixels[at] + fx * (pixels[at + one] - pixels[at])
+            at += stride
+            lower = pixels[at] + fx * (pixels[at + one] - pixels[at])
+            seen[j * _ROW + i] = upper + fy * (lower - upper)
+    half, area = np.float32(0.5), np.float32(_SIDE * _SIDE)
+    mean, mean_u, mean_v = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for k in range(_FLAT):
+        values[k] = _INSIDE[k] * seen[k + _ROW + 1]
+        grad_u[k] = _INSIDE[k] * half * (seen[k + _ROW + 2] - seen[k + _ROW])
+        grad_v[k] = _INSIDE[k] * half * (seen[k + 2 * _ROW + 1] - seen[k + 1])
+        mean += values[k]
+        mean_u += grad_u[k]
+        mean_v += grad_v[k]
+    mean, mean_u, mean_v = mean / area, mean_u / area, mean_v / area
+    for k in range(_FLAT):
+        values[k] -= _INSIDE[k] * mean
+        grad_u[k] -= _INSIDE[k] * mean_u
+        grad_v[k] -= _INSIDE[k] * mean_v
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=_ANY_ORDER, forceinline=True, error_model="numpy")
+def _sample(image: Grey, u: float, v: float, patch: _Patch) -> None:
+    """Interpolates the image over the patch around (u, v)."""
+    pixels, seen = patch.pixels, patch.seen
+    left, top = int(u) - HALF, int(v) - HALF
+    part = image[top : top + _SIDE + 1, left : left + _SIDE + 1]
+    for j in range(_SIDE + 1):
+        for i in range(_SIDE + 1):
+            pixels[j * _ROW + i] = np.float32(part[j, i])
+    one, fx, fy = np.float32(1.0), np.float32(u - int(u)), np.float32(v - int(v))
+    w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+    for k in range(_FLAT):
+        upper = w00 * pixels[k] + w01 * pixels[k + 1]
+        seen[k] = upper + w10 * pixels[k + _ROW] + w11 * pixels[k + _ROW + 1]
+
+
+@njit(cache=True, fastmath=_ANY_ORDER, forceinline=True, error_model="numpy")
+def _correlation(patch: _Patch, power: np.float32) -> float:
+    """Of what is seen with the patch; ``power``: sum of the patch's squares."""
+    values, seen = patch.values, patch.seen
+    mean, cross, seen_power = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for k in range(_FLAT):
+        mean += _INSIDE[k] * seen[k]
+    mean = mean / np.float32(_SIDE * _SIDE)
+    for k in range(_FLAT):
+        value = _INSIDE[k] * (seen[k] - mean)
+        cross += value * values[k]
+        seen_power += value * value
+    return cross / np.sqrt(max(power * seen_power, np.float32(1e-9)))
+
+
+@njit(cache=True, fastmath=_ANY_ORDER, forceinline=True, error_model="numpy")
 def _align(
-    image: Grey, u: float, v: float, patch: Array, grad_u: Array, grad_v: Array, steps: int
+    image: Grey, u: float, v: float, patch: _Patch, steps: int
 ) -> tuple[bool, float, float, float]:
     """Translation that aligns the patch, from the guess (u, v): success, u, v and correlation."""
-    huu, huv, hvv, power = 0.0, 0.0, 0.0, 0.0
-    for j in range(_SIDE):
-        for i in range(_SIDE):
-            huu += grad_u[j, i] * grad_u[j, i]
-            huv += grad_u[j, i] * grad_v[j, i]
-            hvv += grad_v[j, i] * grad_v[j, i]
-            power += patch[j, i] * patch[j, i]
-    det = huu * hvv - huv * huv
+    values, grad_u, grad_v, seen = patch.values, patch.grad_u, patch.grad_v, patch.seen
+    zero = np.float32(0.0)
+    huu, huv, hvv, power, still_u, still_v = zero, zero, zero, zero, zero, zero
+    for k in range(_FLAT):
+        huu += grad_u[k] * grad_u[k]
+        huv += grad_u[k] * grad_v[k]
+        hvv += grad_v[k] * grad_v[k]
+        power += values[k] * values[k]
+        still_u += grad_u[k] * values[k]
+        still_v += grad_v[k] * values[k]
+    a, b, c = np.float64(huu), np.float64(huv), np.float64(hvv)
+    det = a * c - b * b
     # half a grey level per pixel in the weaker direction places a patch to a tenth of a pixel
-    if det < 1.0 or det / (huu + hvv) < 0.25 * _SIDE * _SIDE:
+    if det < 1.0 or det / (a + c) < 0.25 * _SIDE * _SIDE:
         return False, u, v, 0.0
     height, width = image.shape
-    seen = np.empty((_SIDE, _SIDE))
-    correlation = 0.0
     start_u, start_v = u, v
     for step in range(steps + 1):
         if not (HALF + 1 <= u < width - HALF - 2 and HALF + 1 <= v < height - HALF - 2):
             return False, u, v, 0.0
-        x, y = int(u), int(v)
-        fx, fy = u - x, v - y
-        w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-        mean = 0.0
-        for j in range(_SIDE):
-            for i in range(_SIDE):
-                a, b = y + j - HALF, x + i - HALF
-                value = (
-                    w00 * image[a, b]
-                    + w01 * image[a, b + 1]
-                    + w10 * image[a + 1, b]
-                    + w11 * image[a + 1, b + 1]
-                )
-                seen[j, i] = value
-                mean += value
-        mean /= _SIDE * _SIDE
-        bu, bv, cross, seen_power = 0.0, 0.0, 0.0, 0.0
-        for j in range(_SIDE):
-            for i in range(_SIDE):
-                value = seen[j, i] - mean
-                error = value - patch[j, i]
-                bu += grad_u[j, i] * error
-                bv += grad_v[j, i] * error
-                cross += value * patch[j, i]
-                seen_power += value * value
-        correlation = cross / np.sqrt(max(power * seen_power, 1e-9))
+        _sample(image, u, v, patch)
         if step == steps:
             break
-        du = (hvv * bu - huv * bv) / det
-        dv = (huu * bv - huv * bu) / det
+        # gradients sum to zero: the mean of what is seen drops out
+        bu, bv = -still_u, -still_v
+        for k in range(_FLAT):
+            bu += grad_u[k] * seen[k]
+            bv += grad_v[k] * seen[k]
+        du, dv = (c * bu - b * bv) / det, (a * bv - b * bu) / det
         u, v = u - du, v - dv
         if abs(u - start_u) > HALF or abs(v - start_v) > HALF:
             return False, u, v, 0.0
         if du * du + dv * dv < 1e-4:
             break
-    return True, u, v, correlation
+    return True, u, v, _correlation(patch, power)
 
 
 @njit(cache=True)
@@ -164,10 +220,7 @@ def track_patches(
     found = np.zeros(count, dtype=np.bool_)
     tracked = np.zeros((count, 2))
     predicted = np.zeros((count, 2))
-    patch = np.empty((_SIDE, _SIDE))
-    grad_u = np.empty((_SIDE, _SIDE))
-    grad_v = np.empty((_SIDE, _SIDE))
-    warp = np.empty((2, 2))
+    patch, warp = _empty_patch(), np.empty((2, 2))
     height, width = target[0].shape
     for k in range(count):
         x, y = (pixels[k, 0] - cx) / fx, (pixels[k, 1] - cy) / fy
@@ -200,15 +253,12 @@ def track_patches(
         for level in range(top_level, -1, -1):
             scale = 1.0 / (1 << level)
             fine = level == 0
-            ok = _template(
-                source[level], pixels[k, 0] * scale, pixels[k, 1] * scale, warp,
-                patch, grad_u, grad_v,
-            )  # fmt: skip
+            ok = _template(source[level], pixels[k, 0] * scale, pixels[k, 1] * scale, warp, patch)
             if not ok:
                 good = not fine
                 continue
             ok, nu, nv, correlation = _align(
-                target[level], u * scale, v * scale, patch, grad_u, grad_v, 8 if fine else 5
+                target[level], u * scale, v * scale, patch, 8 if fine else 5
             )
             if ok:
                 u, v = nu / scale, nv / scale

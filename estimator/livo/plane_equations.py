@@ -22,7 +22,7 @@ from touchdown.estimator.filtering.error_state import (
     ROTATION,
     Frame,
 )
-from touchdown.estimator.filtering.imu_propagation import cross_into
+from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into
 from touchdown.estimator.filtering.plane_map import PlaneMatches
 from touchdown.estimator.livo.anchors import AnchorFrames
 
@@ -58,15 +58,6 @@ class PlaneEquations(NamedTuple):
     rms: float  # m
     noise_information: Array
     """(6, 6) part of the pose's information that comes from the noise of the normals alone"""
-
-
-@njit(cache=True)
-def _rotated(rotation: Array, vector: Array, out: Array) -> None:
-    """Writes ``rotation.T @ vector`` into ``out``."""
-    for a in range(3):
-        out[a] = 0.0
-        for b in range(3):
-            out[a] += rotation[b, a] * vector[b]
 
 
 @njit(cache=True)
@@ -116,14 +107,14 @@ def plane_equations(
             continue
         p, beam, k = scan.points[i], scan.beams[i], planes.anchors[i]
         n[:], c[:], sensor[:] = planes.normals[i], planes.centres[i], planes.sensors[i]
-        own, width = pose, _CLONE
+        own = pose
         if k >= 0:
             move = Frame(anchors.moves.rotations[k], anchors.moves.translations[k])
-            own, width = Frame(anchors.clones.rotations[k], anchors.clones.translations[k]), _WIDTH
+            own = Frame(anchors.clones.rotations[k], anchors.clones.translations[k])
             _moved(move, planes.normals[i], 0.0, n)
             _moved(move, planes.centres[i], 1.0, c)
             _moved(move, planes.sensors[i], 1.0, sensor)
-        _rotated(pose.rotation, n, in_imu)
+        rotate_back_into(pose.rotation, n, in_imu)
         _moved(pose, p, 1.0, x)
         height, along, length2 = 0.0, 0.0, 0.0
         for a in range(3):
@@ -131,10 +122,10 @@ def plane_equations(
             along += in_imu[a] * beam[a]
             length2 += beam[a] * beam[a]
         # the plane in the IMU frame of its clone, where it turns about the sensor with the mount
-        _rotated(own.rotation, n, in_clone)
+        rotate_back_into(own.rotation, n, in_clone)
         for a in range(3):
             reach[a] = x[a] - sensor[a]
-        _rotated(own.rotation, reach, arm)
+        rotate_back_into(own.rotation, reach, arm)
         if k >= 0:
             change = anchors.mount_changes[k]
             cross_into(arm, in_clone, row, _MOUNT)
@@ -164,12 +155,14 @@ def plane_equations(
             # the plane turns and moves with its clone
             for a in range(3):
                 reach[a] = x[a] - own.translation[a]
-            _rotated(own.rotation, reach, arm)
+            rotate_back_into(own.rotation, reach, arm)
             cross_into(in_clone, arm, row, _CLONE + ROTATION.start)
             for a in range(3):
                 row[_CLONE + POSITION.start + a] = -n[a]
+        else:
+            row[_CLONE:] = 0.0
         block, gradient = blocks[k], gradients[k]  # -1 is the last: planes without an anchor
-        for a in range(width):
+        for a in range(_WIDTH):
             scaled = weight * row[a]
             gradient[a] -= scaled * height
             for b in range(a + 1):

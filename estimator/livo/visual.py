@@ -203,17 +203,15 @@ class VisualFrontEnd:
         and lens take."""
         middle = self._shutter.middle_s
         mount = corrected_camera(self._imu_from_camera, eskf.state.calibration)
-        *poses, now = (pose @ mount for pose in self._exposed(eskf, delay_s, middle))
+        every = list(range(len(self.keyframes)))
+        *poses, now = (p @ mount for p in self._exposed(eskf, every, delay_s, middle))
         candidates = overlaps(self.keyframes, poses, now, self._camera)
         if not self._params.use_closures:
             first = len(self.keyframes) - _LAST_FEW
             candidates = [c for c in candidates if c.index >= first]
         best = max((c.share * _closeness(c.scale) for c in candidates), default=0.0)
-        variances = np.array(
-            [np.trace(eskf.covariance[np.ix_(i, i)][POSITION, POSITION])
-             for i in map(eskf.clone_indices, range(len(poses)))]
-        )  # fmt: skip
-        chosen = choose(candidates, variances, self._params.track_keyframes, 0.35)
+        variances = np.diag(eskf.covariance)[eskf.base :].reshape(-1, CLONE_DIM)[:, POSITION]
+        chosen = choose(candidates, variances.sum(axis=1), self._params.track_keyframes, 0.35)
         tracks: list[_Track] = []
         for k in chosen:
             keyframe = self.keyframes[k]
@@ -229,12 +227,15 @@ class VisualFrontEnd:
         used, rms = self._iterate(IteratedUpdate(eskf, share), eskf, tracks, delay_s)
         return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=best)
 
-    def _exposed(self, eskf: Eskf, delay_s: float, after_s: float = 0.0) -> list[Pose]:
-        """odom_from_imu of all clones and of the present, ``after_s`` after the stamps of their
-        images."""
-        twists = np.array([*(keyframe.twist for keyframe in self.keyframes), eskf.twist])
-        delays = np.array([*(keyframe.delay_s for keyframe in self.keyframes), delay_s])
-        poses = [*eskf.clones, eskf.state.pose]
+    def _exposed(
+        self, eskf: Eskf, which: list[int], delay_s: float, after_s: float = 0.0
+    ) -> list[Pose]:
+        """odom_from_imu of the clones ``which`` and of the present, ``after_s`` after the stamps of
+        their images."""
+        keyframes = [self.keyframes[k] for k in which]
+        twists = np.array([*(keyframe.twist for keyframe in keyframes), eskf.twist])
+        delays = np.array([*(keyframe.delay_s for keyframe in keyframes), delay_s])
+        poses = [*(eskf.clones[k] for k in which), eskf.state.pose]
         return exposed(poses, twists, delays + after_s, eskf.state.calibration)
 
     def _track(self, eskf: Eskf, k: int, which: NDArray[np.int64], pixels: Array) -> _Track:
@@ -284,25 +285,24 @@ class VisualFrontEnd:
     ) -> NormalEquations:
         state = eskf.state
         shared = eskf.shared
-        size = POSE_DIM + shared + CLONE_DIM * len(tracks)
+        head = POSE_DIM + shared
+        size = head + CLONE_DIM * len(tracks)
         information, vector = np.zeros((size, size)), np.zeros(size)
         lens = corrected_lens(self._camera, state.calibration)
         used, total = 0, 0.0
-        *clones, now = self._exposed(eskf, delay_s)
+        *clones, now = self._exposed(eskf, [track.keyframe for track in tracks], delay_s)
         camera = corrected_camera(self._imu_from_camera, state.calibration).inverse()
         calibration = state.calibration[:shared]
         for slot, track_ in enumerate(tracks):
-            clone, keyframe = clones[track_.keyframe], self.keyframes[track_.keyframe]
-            views = track_.views
+            clone, keyframe, views = clones[slot], self.keyframes[track_.keyframe], track_.views
             landmarks = views.landmarks + views.jacobians @ (calibration - track_.made_with)
             part = calibrated_information(
                 views._replace(landmarks=landmarks),
                 Frame.of(now), Frame.of(clone), np.array([eskf.twist, keyframe.twist]),
                 Frame.of(camera), lens, PixelNoise(self._params.pixel_sigma, gate_px),
             )  # fmt: skip
-            start = POSE_DIM + shared + CLONE_DIM * slot
-            where = np.r_[0 : POSE_DIM + shared, start : start + CLONE_DIM]
-            information[np.ix_(where, where)] += part.information
+            where = np.append(np.arange(head), np.arange(CLONE_DIM) + head + CLONE_DIM * slot)
+            information[where[:, None], where] += part.information
             vector[where] += part.vector
             used += part.used
             total += part.used * part.rms * part.rms

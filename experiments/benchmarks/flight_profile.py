@@ -37,7 +37,7 @@ STAGES: Mapping[str, str] = {
     "film": _SIM + "camera.row_exposures:RowExposures.develop",
     "camera": _SIM + "imaging_sensors:ImagingSensors._render",
     "lidar: aim": _SIM + "lidar.sensor:LidarSensor._aim",
-    "lidar: open ground": _SIM + "lidar.heightfield:GroundGrid.march",
+    "lidar: open ground": _SIM + "lidar.heightfield:GroundGrid.land",
     "lidar: Embree": _SIM + "geometry.ray_target:RayTarget.embree",
     "lidar: split beams": _SIM + "lidar.sensor:LidarSensor._split",
     "lidar: detail": _SIM + "lidar.sensor:LidarSensor._refine",

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import ctypes
-import mmap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +13,8 @@ import numpy as np
 
 from touchdown.sim.airframe.vehicle import ROTOR_COUNT, vehicle_body_id
 from touchdown.sim.api import VehicleErrorParams
-from touchdown.sim.typing import Array, Bytes
+from touchdown.sim.textures import give_back_textures
+from touchdown.sim.typing import Array
 
 _DRAWN = 64
 
@@ -77,25 +76,13 @@ def true_model(model: Any, deviations: Deviations) -> Any:
     if not deviations.of_the_body:
         return model
     true = copy.copy(model)
-    _give_back(true.tex_data)
+    give_back_textures(true)
     body = vehicle_body_id(true)
     true.body_mass[body] *= deviations.mass
     true.body_inertia[body] *= deviations.mass
     true.body_ipos[body] += deviations.center_of_mass_m
     mujoco.mj_setConst(true, mujoco.MjData(true))
     return true
-
-
-def _give_back(unused: Bytes) -> None:
-    """Returns the memory of an array that nobody reads any more to the system, 80 MB of textures,
-    where the system knows how; the array reads 0 then."""
-    advise = getattr(ctypes.CDLL(None), "madvise", None)
-    if advise is None or not hasattr(mmap, "MADV_DONTNEED"):
-        return
-    first = -(-unused.ctypes.data // mmap.PAGESIZE) * mmap.PAGESIZE
-    size = (unused.ctypes.data + unused.nbytes - first) // mmap.PAGESIZE * mmap.PAGESIZE
-    if size > 0:
-        advise(ctypes.c_void_p(first), ctypes.c_size_t(size), mmap.MADV_DONTNEED)
 
 
 class SpeedTelemetry:

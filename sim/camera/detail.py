@@ -1,7 +1,7 @@
 """Grain of the ground near the camera: photographs multiplied into the drawn raster.
 
 A scene's ground has one texture with a texel of 2.5 cm, ten pixels of a camera 1.5 m up. Where the
-camera is nearer to the ground than `_FAR_M`, each pixel's place follows from its depth and the
+camera is nearer to the ground than `FAR_M`, each pixel's place follows from its depth and the
 camera's pose; the photograph of that place's material, divided by its own local mean, multiplies
 the pixel. The colour, its patterns and its light stay the scene's own.
 
@@ -22,7 +22,6 @@ import cv2
 import mujoco
 import numpy as np
 import scipy.fft
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import fourier_gaussian
 
@@ -30,26 +29,17 @@ from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, OTHER_CLAS
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.gl import InverseDepth, Snapshot
+from touchdown.sim.camera.grain import FAR_M, LEVELS, SIDE_PX, TOLERANCE_M, multiply_grain
 from touchdown.sim.typing import Array, Bytes, Float32
 
 PHOTOGRAPHS = Path(__file__).parent / "photographs"
-_SIDE_BITS = 10
-SIDE_PX = 1 << _SIDE_BITS
-_FAR_M = 10.0
-"""Depth beyond which no grain is added; it fades in over the next `_FADE_M` towards the camera."""
-_FADE_M = 4.0
 _HEIGHT_CELL_M = 0.25
 _KIND_CELL_M = 0.1
-_TOLERANCE_M = 0.16
-"""What lies nearer to the ground's height than this is ground: a cell's corner lies 0.11 m off its
-middle on a slope of 32 degrees."""
 _MOST_CELLS = 2048
 _MARGIN_M = 8.0
 _HIGH_M = 1e3
 _FIRST_HIDDEN_GROUP = 3
 _NOISE_PX = 256
-_NOISE_CELL_M = 0.0625
-_LEVELS = 6
 _OF_CLASS = {"lawn": "grass", "field": "soil", "path": "concrete", "road": "asphalt"}
 """Photographs of geoms of a class."""
 _GROUND_TYPES = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
@@ -126,11 +116,11 @@ class GroundDetail:
         ground = self._ground
         eye = snapshot.cam_xpos[camera_id]
         cell = np.floor((eye[:2] - ground.origin_xy_m) / ground.height_cell_m).astype(int)
-        reach = int(np.ceil(_FAR_M / ground.height_cell_m))
+        reach = int(np.ceil(FAR_M / ground.height_cell_m))
         low = np.clip(cell - reach, 0, np.array(ground.height_m.shape)[::-1])
         high = np.clip(cell + reach + 1, 0, np.array(ground.height_m.shape)[::-1])
         near = ground.height_m[low[1] : high[1] : 4, low[0] : high[0] : 4]
-        return bool(ground.names) and bool((near > eye[2] - _FAR_M).any())
+        return bool(ground.names) and bool((near > eye[2] - FAR_M).any())
 
     def add(
         self, drawn: Bytes, depth: InverseDepth, snapshot: Snapshot, camera_id: int, last_row: int
@@ -145,9 +135,10 @@ class GroundDetail:
         right, down, ahead = axes[:, 0] / k.fx, -axes[:, 1] / k.fy, -axes[:, 2]
         corner = ahead - k.cx * right + (last_row - 1 - k.cy) * down
         rays = np.stack([corner, right, -down]).astype(np.float32)
-        frame = np.array(
-            [*ground.origin_xy_m, 1.0 / ground.height_cell_m, 1.0 / ground.kind_cell_m]
-        )
+        # Texel numbers stay positive, so that cutting off decimals rounds down.
+        beyond = 0.6018 * 0.91 * heights.shape[1] * ground.height_cell_m + 1.0
+        cells_per_m = 1.0 / ground.height_cell_m, 1.0 / ground.kind_cell_m
+        frame = np.array([*ground.origin_xy_m, *cells_per_m, beyond])
         multiply_grain(
             drawn, depth.levels, np.float32(depth.far), np.float32(depth.per_level),
             snapshot.cam_xpos[camera_id], rays, frame, heights, ground.kind,
@@ -194,7 +185,7 @@ def _covered_heights(ground: GroundLookup, cover: Cover) -> Float32:
     places = [axis.ravel() for axis in np.meshgrid(x, y)]
     raised = cover.raised_at(*places).reshape(rows, cols)
     bare = cover.ground_at(*places).reshape(rows, cols)
-    open_ground = np.abs(ground.height_m - bare) < _TOLERANCE_M
+    open_ground = np.abs(ground.height_m - bare) < TOLERANCE_M
     return np.where(open_ground, ground.height_m + raised, ground.height_m).astype(np.float32)
 
 
@@ -293,7 +284,7 @@ def pyramid(names: tuple[str, ...]) -> Pyramid:
     """Mip levels of the grains of ``names``."""
     level = [grain(name) for name in names]
     texels, starts, start = [], [], 0
-    for step in range(_LEVELS):
+    for step in range(LEVELS):
         starts.append(start)
         for image in level:
             wide = image.astype(np.uint32)
@@ -314,128 +305,3 @@ def blend_noise() -> Float32:
     band = np.exp(-(((np.hypot(rows, cols) - 12.0) / 5.0) ** 2))
     field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((_NOISE_PX,) * 2)) * band)
     return np.clip(0.5 + 1.2 * field / field.std(), 0.0, 1.0).astype(np.float32)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def multiply_grain(
-    image: Bytes,
-    depth: Float32,
-    inverse_far: np.float32,
-    per_level: np.float32,
-    eye: Array,
-    rays: Float32,
-    frame: Array,
-    height: Float32,
-    kind: Bytes,
-    texels: NDArray[np.uint32],
-    starts: NDArray[np.int64],
-    texels_per_m: Float32,
-    noise: Float32,
-    metres_per_pixel: np.float32,
-) -> None:
-    """Multiplies grain into ``image`` (rows, W, 3). depth: (rows, W), 1 / metres along the axis is
-    ``inverse_far`` + ``per_level`` times it; rays: (3, 3) direction of pixel (0, 0), its change per
-    column and per row; frame: origin and cells per metre of ``height`` and of ``kind``; texels,
-    starts: as `Pyramid`; metres_per_pixel: at 1 m."""
-    rows, cols = depth.shape
-    high_rows, high_cols = height.shape
-    kind_rows, kind_cols = kind.shape
-    eye_x, eye_y = np.float32(eye[0] - frame[0]), np.float32(eye[1] - frame[1])
-    eye_z = np.float32(eye[2])
-    to_high, to_kind = np.float32(frame[2]), np.float32(frame[3])
-    to_noise = np.float32(1.0 / _NOISE_CELL_M)
-    wrap = noise.shape[0] - 1
-    far, near = np.float32(_FAR_M), np.float32(_FAR_M - _FADE_M)
-    zero, one, half, full = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(255.0)
-    coarse, tolerance, middle = np.float32(1.4), np.float32(_TOLERANCE_M), np.float32(128.0)
-    turn_c, turn_s = np.float32(0.7986 * 0.91), np.float32(0.6018 * 0.91)
-    # Texel numbers stay positive, so that cutting off decimals rounds down.
-    beyond = np.float32(turn_s * high_cols / to_high + 1.0)
-    least = (one / far - inverse_far) / per_level
-    for i in range(rows):
-        up = np.float32(i)
-        ray_x = rays[0, 0] + up * rays[2, 0]
-        ray_y = rays[0, 1] + up * rays[2, 1]
-        ray_z = rays[0, 2] + up * rays[2, 2]
-        for j in range(cols):
-            if depth[i, j] <= least:
-                continue
-            d = one / (inverse_far + per_level * depth[i, j])
-            right = np.float32(j)
-            x = eye_x + d * (ray_x + right * rays[1, 0])
-            y = eye_y + d * (ray_y + right * rays[1, 1])
-            if x < zero or y < zero:
-                continue
-            row, col = np.int32(y * to_high), np.int32(x * to_high)
-            if row >= high_rows or col >= high_cols:
-                continue
-            z = eye_z + d * (ray_z + right * rays[1, 2])
-            if abs(z - height[row, col]) > tolerance:
-                continue
-            row, col = np.int32(y * to_kind), np.int32(x * to_kind)
-            if row >= kind_rows or col >= kind_cols:
-                continue
-            layer = kind[row, col]
-            if layer == 255:
-                continue
-            share = noise[np.int32(y * to_noise) & wrap, np.int32(x * to_noise) & wrap]
-            size = d * metres_per_pixel * texels_per_m[layer]
-            level = 0
-            scale = texels_per_m[layer]
-            while size > coarse and level < _LEVELS - 1:
-                size *= half
-                scale *= half
-                level += 1
-            shift = _SIDE_BITS - level
-            start = starts[level] + (np.int64(layer) << 2 * shift)
-            strength = min(one, (far - d) / (far - near)) / middle
-            red, green, blue = zero, zero, zero
-            if share > zero:
-                r, g, b = _texel(texels, start, shift, y * scale, x * scale, size)
-                red, green, blue = share * r, share * g, share * b
-            if share < one:
-                rest = one - share
-                u = turn_c * x + turn_s * y
-                v = turn_c * y - turn_s * x + beyond
-                r, g, b = _texel(texels, start, shift, v * scale, u * scale, size)
-                red, green, blue = red + rest * r, green + rest * g, blue + rest * b
-            base = one - middle * strength
-            image[i, j, 0] = np.uint8(min(image[i, j, 0] * (base + strength * red) + half, full))
-            image[i, j, 1] = np.uint8(min(image[i, j, 1] * (base + strength * green) + half, full))
-            image[i, j, 2] = np.uint8(min(image[i, j, 2] * (base + strength * blue) + half, full))
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _channel(packed: np.uint32, bit: int) -> np.float32:
-    return np.float32(np.uint8(packed >> bit))
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _texel(
-    texels: NDArray[np.uint32],
-    start: int,
-    shift: int,
-    row: np.float32,
-    col: np.float32,
-    size: np.float32,
-) -> tuple[np.float32, np.float32, np.float32]:
-    """Colour of the periodic image of 1 << ``shift`` texels a side there: of the texel, or between
-    neighbours where a pixel's ``size`` in texels is small."""
-    mask = (1 << shift) - 1
-    if size > 0.7:
-        packed = texels[start + ((np.int32(row) & mask) << shift) + (np.int32(col) & mask)]
-        return _channel(packed, 0), _channel(packed, 8), _channel(packed, 16)
-    row, col = row + np.float32(mask + 0.5), col + np.float32(mask + 0.5)
-    top, left = np.int32(row), np.int32(col)
-    v, u = row - np.float32(top), col - np.float32(left)
-    i, j = (top & mask) << shift, left & mask
-    k, m = (top + 1 & mask) << shift, left + 1 & mask
-    one = np.float32(1.0)
-    a, b, c, d = (one - v) * (one - u), (one - v) * u, v * (one - u), v * u
-    p, q = texels[start + i + j], texels[start + i + m]
-    r, s = texels[start + k + j], texels[start + k + m]
-    return (
-        a * _channel(p, 0) + b * _channel(q, 0) + c * _channel(r, 0) + d * _channel(s, 0),
-        a * _channel(p, 8) + b * _channel(q, 8) + c * _channel(r, 8) + d * _channel(s, 8),
-        a * _channel(p, 16) + b * _channel(q, 16) + c * _channel(r, 16) + d * _channel(s, 16),
-    )

@@ -7,7 +7,7 @@ double precision. A ray that starts inside a shape meets it where it leaves, as 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -30,8 +30,7 @@ _LARGEST_GAP_M = 1e-3
 """Where a ray runs further between wrapping and shape, another surface may lie in between."""
 
 
-@dataclass(frozen=True, slots=True)
-class ShapeTable:
+class ShapeTable(NamedTuple):
     """Shapes by MuJoCo geom id, in the frame that rays are given in."""
 
     kind: NDArray[np.int8]
@@ -65,36 +64,37 @@ class ShapeTable:
 @njit(cache=True, nogil=True)
 def settle(
     rays: Float32,
+    rows: Indices,
+    travelled: Float32,
     wrapped_distance: Float32,
     triangle: Uint32,
     normal: Float32,
     geom_of_triangle: Int32,
-    kinds: NDArray[np.int8],
-    rotations: Array,
-    centers: Array,
-    sizes: Array,
-    distance: Float32,
-    geom: Int32,
-    cosine: Float32,
-) -> Indices:
-    """True hits of rays (N, 6) from those on triangles: fills ``distance``, ``geom`` and ``cosine``
-    (N,) (see ``sim.geometry.ray_target.Hits``; inf, -1 and 0 for none so far). Returns the rays
-    that have to be cast on from ``wrapped_distance``: those that pass between a shape and its
-    wrapping."""
-    again = np.empty(rays.shape[0], dtype=np.int64)
+    shapes: ShapeTable,
+    hits: tuple[Float32, Int32, Float32],
+    again: Indices,
+) -> int:
+    """True hits of rays (K, 6) from those on triangles. Those that are nearer than what is known go
+    to ``rows`` (K,) of ``hits`` (see ``sim.geometry.ray_target.Hits``), with what the rays have
+    ``travelled`` (K,) already. Returns the number of those that have to be cast on, which pass
+    between a shape and its wrapping, and puts them to the front of ``again`` (K,)."""
+    kinds, rotations, centers, sizes = shapes
+    distance, geom, cosine = hits
     count = 0
     local = np.empty(6)
     for i in range(rays.shape[0]):
-        distance[i], geom[i], cosine[i] = np.inf, -1, 0.0
         if triangle[i] == _MISS:
             continue
-        g = geom_of_triangle[triangle[i]]
+        g, row = geom_of_triangle[triangle[i]], rows[i]
         kind = kinds[g]
         if kind == _OTHER:
-            distance[i], geom[i] = wrapped_distance[i], g
-            cosine[i] = -(
-                normal[i, 0] * rays[i, 3] + normal[i, 1] * rays[i, 4] + normal[i, 2] * rays[i, 5]
-            )
+            if wrapped_distance[i] + travelled[i] < distance[row]:
+                distance[row], geom[row] = wrapped_distance[i] + travelled[i], g
+                cosine[row] = -(
+                    normal[i, 0] * rays[i, 3]
+                    + normal[i, 1] * rays[i, 4]
+                    + normal[i, 2] * rays[i, 5]
+                )
             continue
         for r in range(3):
             local[r] = 0.0
@@ -103,12 +103,28 @@ def settle(
                 local[r] += rotations[g, c, r] * (rays[i, c] - centers[g, c])
                 local[3 + r] += rotations[g, c, r] * rays[i, 3 + c]
         met, facing = _meet(kind, local, sizes[g])
-        if met >= 0.0:
-            distance[i], geom[i], cosine[i] = met, g, facing
-        if met < 0.0 or met - wrapped_distance[i] > _LARGEST_GAP_M:
+        if met >= 0.0 and np.float32(met) + travelled[i] < distance[row]:
+            distance[row], geom[row], cosine[row] = np.float32(met) + travelled[i], g, facing
+        if met >= 0.0 and met - wrapped_distance[i] <= _LARGEST_GAP_M:
+            continue
+        # What is known lies before all that is still to come.
+        if distance[row] > wrapped_distance[i] + travelled[i]:
             again[count] = i
             count += 1
-    return again[:count].copy()
+    return count
+
+
+@njit(cache=True, nogil=True)
+def rays_behind(
+    rays: Float32, chosen: Indices, distance: Float32, onward: Float32, travelled: Float32
+) -> None:
+    """Fills ``onward`` (K, 6): the ``chosen`` (K,) rays, which start ``distance`` (K,) further on;
+    adds it to what they have ``travelled`` (K,)."""
+    for k in range(chosen.shape[0]):
+        travelled[k] += distance[k]
+        for c in range(3):
+            onward[k, c] = rays[chosen[k], c] + distance[k] * rays[chosen[k], 3 + c]
+            onward[k, 3 + c] = rays[chosen[k], 3 + c]
 
 
 @njit(cache=True, forceinline=True)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 # Open3D would otherwise probe for a display when it is first imported.
 os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
@@ -12,20 +11,18 @@ os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
 import mujoco
 import numpy as np
 import open3d as o3d
-from numpy.typing import NDArray
 
 from touchdown.sim.frames import Pose
-from touchdown.sim.geometry.quadrics import ShapeTable, settle
+from touchdown.sim.geometry.quadrics import ShapeTable, rays_behind, settle
 from touchdown.sim.typing import Array, Float32, Indices, Int32
 
-_MOST_LAYERS = 8
+_MOST_LAYERS = 9
+_LAYER_STEP_M = np.float32(1e-4)
 """Wrappings of round shapes that one ray may graze."""
-_LAYER_STEP_M = 1e-4
 _NO_GEOM = -1
 
 
-@dataclass(frozen=True, slots=True)
-class Hits:
+class Hits(NamedTuple):
     """Nearest hit of each ray."""
 
     distance: Float32
@@ -37,28 +34,33 @@ class Hits:
     negative when the ray meets the surface from inside"""
 
     @staticmethod
-    def none(count: int) -> Hits:
-        return Hits(
-            np.full(count, np.inf, dtype=np.float32),
-            np.full(count, _NO_GEOM, dtype=np.int32),
-            np.zeros(count, dtype=np.float32),
-        )
+    def of(count: int) -> Hits:
+        """Memory for so many."""
+        distance, cosine = np.empty((2, count), dtype=np.float32)
+        return Hits(distance, np.empty(count, dtype=np.int32), cosine)
 
     @staticmethod
-    def joined(*groups: Hits) -> Hits:
-        return Hits(
-            np.concatenate([group.distance for group in groups]),
-            np.concatenate([group.geom for group in groups]),
-            np.concatenate([group.cosine for group in groups]),
-        )
+    def none(count: int) -> Hits:
+        """So many misses."""
+        hits = Hits.of(count)
+        hits.clear()
+        return hits
 
-    def at(self, rays: NDArray[Any]) -> Hits:
-        return Hits(self.distance[rays], self.geom[rays], self.cosine[rays])
+    def clear(self) -> None:
+        """Makes all of them misses."""
+        self.distance.fill(np.inf)
+        self.geom.fill(_NO_GEOM)
+        self.cosine.fill(0.0)
 
-    def put(self, rays: NDArray[Any], hits: Hits) -> None:
-        self.distance[rays] = hits.distance
-        self.geom[rays] = hits.geom
-        self.cosine[rays] = hits.cosine
+    def move(self, rows: Indices, start: int) -> None:
+        """Moves ``rows`` (K,) to the rows from ``start`` on."""
+        for values in self:
+            values[start : start + len(rows)] = values[rows]
+
+    def part(self, start: int, end: int) -> Hits:
+        """Those of the rays from ``start`` to ``end``, in the same memory."""
+        rows = slice(start, end)
+        return Hits(self.distance[rows], self.geom[rows], self.cosine[rows])
 
 
 class RayTarget:
@@ -93,12 +95,46 @@ class RayTarget:
 
     def cast(self, rays: Float32) -> Hits:
         """Nearest hits of (N, 6) float32 origins and unit directions in the target's frame."""
-        return self.cast_apart(rays)[0]
+        hits = Hits.none(len(rays))
+        self.cast_apart(rays, hits)
+        return hits
 
-    def cast_apart(self, rays: Float32) -> tuple[Hits, Indices]:
-        """Nearest hits, and the indices of the rays that passed near anything but open ground: all
-        of them, where nothing is known of the ground."""
-        return self.cast_all(rays), np.arange(len(rays))
+    def cast_all(self, rays: Float32) -> Hits:
+        """Nearest hits without the shortcut for open ground: for rays that start or end near
+        objects."""
+        hits = Hits.none(len(rays))
+        self.fill(rays, hits)
+        return hits
+
+    def cast_apart(self, rays: Float32, hits: Hits) -> Indices:
+        """Fills ``hits`` (N,) with the nearest hits of ``rays`` (N, 6), and returns the indices of
+        those that passed near anything but open ground: all of them, where nothing is known of the
+        ground."""
+        return self.fill(rays, hits)
+
+    def fill(self, rays: Float32, hits: Hits) -> Indices:
+        """As `cast_apart`, without the shortcut for open ground."""
+        hits.clear()
+        rows = np.arange(len(rays))
+        self.cast_on(rays, rows, np.zeros(len(rays), np.float32), hits)
+        return rows
+
+    def cast_on(self, rays: Float32, rows: Indices, travelled: Float32, hits: Hits) -> None:
+        """Puts the hits of ``rays`` (K, 6), which have come ``travelled`` (K,) already, to ``rows``
+        (K,) of ``hits`` where they are nearer than what is there."""
+        for _ in range(_MOST_LAYERS):
+            answer, again = self.embree(rays), np.empty(len(rays), dtype=np.int64)
+            wrapped, triangle = answer["t_hit"].numpy(), answer["primitive_ids"].numpy()
+            count = settle(
+                rays, rows, travelled, wrapped, triangle, answer["primitive_normals"].numpy(),
+                self._geom_of_triangle, self._shapes, hits, again,
+            )  # fmt: skip
+            if not count:
+                return
+            again, onward = again[:count], np.empty((count, 6), dtype=np.float32)
+            rows, travelled = rows[again], travelled[again]
+            rays_behind(rays, again, wrapped[again] + _LAYER_STEP_M, onward, travelled)
+            rays = onward
 
     def embree(self, rays: Float32) -> dict[str, o3d.core.Tensor]:
         """The bare cast against the triangles, as Open3D answers it."""
@@ -106,53 +142,6 @@ class RayTarget:
             o3d.core.Tensor.from_numpy(rays), nthreads=1
         )
         return answer
-
-    def cast_all(self, rays: Float32) -> Hits:
-        """Nearest hits without the shortcut for open ground: for rays that start or end near
-        objects."""
-        hits, again, reached = self._cast_once(rays)
-        for _ in range(_MOST_LAYERS):
-            if not again.size:
-                break
-            onward, travelled = rays_behind(rays[again], reached + np.float32(_LAYER_STEP_M))
-            behind, more, reached = self._cast_once(onward)
-            behind.distance[:] += travelled
-            nearer = behind.distance < hits.distance[again]
-            hits.put(again[nearer], behind.at(nearer))
-            reached += travelled[more]
-            again = again[more]
-            # What is known lies before all that is still to come.
-            open_ended = hits.distance[again] > reached
-            again, reached = again[open_ended], reached[open_ended]
-        return hits
-
-    def _cast_once(self, rays: Float32) -> tuple[Hits, Indices, Float32]:
-        """Hits, the rays that have to be cast on, and how far those came."""
-        answer = self.embree(rays)
-        hits = Hits.none(len(rays))
-        reached = answer["t_hit"].numpy()
-        again = settle(
-            rays,
-            reached,
-            answer["primitive_ids"].numpy(),
-            answer["primitive_normals"].numpy(),
-            self._geom_of_triangle,
-            self._shapes.kind,
-            self._shapes.rotation,
-            self._shapes.center,
-            self._shapes.size,
-            hits.distance,
-            hits.geom,
-            hits.cosine,
-        )
-        return hits, again, reached[again]
-
-
-def rays_behind(rays: Float32, distance: Float32) -> tuple[Float32, Float32]:
-    """Copies of (N, 6) rays that start ``distance`` (N,) further on, and those distances."""
-    onward = rays.copy()
-    onward[:, :3] += distance[:, None] * onward[:, 3:]
-    return onward, distance
 
 
 def body_pose(data: mujoco.MjData, body_id: int) -> Pose:

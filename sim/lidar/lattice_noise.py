@@ -32,7 +32,7 @@ def _node(place: np.uint32, salt: np.uint32) -> np.float32:
     return np.float32(np.int32(h)) * _SCALE
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True, error_model="numpy")
 def add_plane_noise(
     x: Float32, y: Float32, cell_m: float, salt: np.uint32, amplitude: Float32, out: Float32
 ) -> None:
@@ -52,7 +52,7 @@ def add_plane_noise(
         out[n] += amplitude[n] * (low + (high - low) * v) / np.sqrt(power)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True, error_model="numpy")
 def add_space_noise(
     x: Float32,
     y: Float32,

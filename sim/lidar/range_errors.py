@@ -21,6 +21,7 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.sim.api import LidarParams
@@ -78,33 +79,69 @@ class RangeErrors:
 
     def bias_m(self, range_m: Reals, strength: Reals, cosine: Reals) -> Reals:
         """Systematic errors (N,) of echoes."""
-        late = np.log10(_weakness(range_m, strength)) / WALK_DECADES
-        c = np.maximum(np.abs(cosine), _LEAST_COSINE)
-        smear = self.half_width_rad * range_m * np.sqrt(np.maximum(1.0 / (c * c) - 1.0, 0.0))
-        total: Reals = self.constant_m + self.walk_m * np.clip(late, -1.0, 1.0)
-        return total + self.incidence_m * (smear / (smear + SMEAR_M))
+        return self._errors(range_m, strength, cosine)[0]
 
     def noise_sigma_m(self, range_m: Reals, strength: Reals) -> Reals:
         """Standard deviations (N,) of the ranges of echoes."""
-        return self.sigma_m * np.sqrt(1.0 + self.growth * (_weakness(range_m, strength) - 1.0))
+        return self._errors(range_m, strength, np.ones(1))[1]
 
     def apply(
         self, range_noise: Float32, cosine: Float32, ranges: Float32, intensity: Bytes
-    ) -> None:
+    ) -> tuple[int, float]:
         """Adds the errors to ``ranges`` (N,), which have the white noise of ``sigma_m`` already:
         its normal deviates are the first N of ``range_noise``, cosines of incidence those of
-        ``cosine``."""
-        count = len(ranges)
-        strength = _STRENGTH_OF_LEVEL[intensity]
+        ``cosine``. Returns the number of ranges that change, and the sum of the changes."""
         distance = np.maximum(ranges, np.float32(self.min_range_m))
-        more = self.noise_sigma_m(distance, strength) - np.float32(self.sigma_m)
-        error = range_noise[:count] * more + self.bias_m(distance, strength, cosine[:count])
-        np.copyto(
-            ranges, np.maximum(ranges + error, np.float32(self.min_range_m)), where=ranges > 0.0
-        )
+        strength = np.take(_STRENGTH_OF_LEVEL, intensity)
+        bias, sigma = self._errors(distance, strength, cosine[: len(ranges)])
+        return _add(range_noise, bias, sigma, self.sigma_m, self.min_range_m, ranges)
+
+    def _errors(self, range_m: Reals, strength: Reals, cosine: Reals) -> tuple[Reals, Reals]:
+        distance, strength, cosine = np.broadcast_arrays(*np.atleast_1d(range_m, strength, cosine))
+        reach = distance * (1.0 / REFERENCE_M)
+        weakness = reach * reach * (REFERENCE_STRENGTH / strength)
+        bias, sigma = np.log10(weakness), np.empty_like(weakness)
+        _fill(
+            distance, weakness, cosine, self.constant_m, self.walk_m, self.incidence_m,
+            self.half_width_rad, self.sigma_m, self.growth, bias, sigma,
+        )  # fmt: skip
+        return bias, sigma
 
 
-def _weakness(range_m: Reals, strength: Reals) -> Reals:
-    """Power of the reference's echo over that of these."""
-    reach = range_m / REFERENCE_M
-    return reach * reach * (REFERENCE_STRENGTH / strength)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(
+    distance: Reals,
+    weakness: Reals,
+    cosine: Reals,
+    constant: float,
+    walk: float,
+    incidence: float,
+    half_width: float,
+    sigma_m: float,
+    growth: float,
+    bias: Reals,
+    sigma: Reals,
+) -> None:
+    """Fills ``bias`` (N,), which holds the decades of ``weakness`` (N,), the power of the
+    reference's echo over that of these, and the noise's ``sigma`` (N,)."""
+    for n in range(distance.shape[0]):
+        c = max(abs(cosine[n]), _LEAST_COSINE)
+        smear = half_width * distance[n] * np.sqrt(max(1.0 / (c * c) - 1.0, 0.0))
+        late = min(max(bias[n] * (1.0 / WALK_DECADES), -1.0), 1.0)
+        bias[n] = constant + walk * late + incidence * (smear / (smear + SMEAR_M))
+        sigma[n] = sigma_m * np.sqrt(1.0 + growth * (weakness[n] - 1.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add(
+    noise: Float32, bias: Float32, sigma: Float32, usual: float, min_range: float, ranges: Float32
+) -> tuple[int, float]:
+    """As `RangeErrors.apply`, where ``usual`` is the standard deviation of the white noise."""
+    changed, total = 0, 0.0
+    for n in range(ranges.shape[0]):
+        before = ranges[n]
+        if before > 0.0:
+            ranges[n] = max(before + noise[n] * (sigma[n] - usual) + bias[n], min_range)
+            changed += ranges[n] != before
+            total += abs(ranges[n] - before)
+    return changed, total

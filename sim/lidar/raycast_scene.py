@@ -20,6 +20,7 @@ from touchdown.sim.geometry.quadrics import ShapeTable
 from touchdown.sim.geometry.ray_target import Hits, RayTarget, body_pose, geom_pose
 from touchdown.sim.geometry.tessellation import geom_mesh
 from touchdown.sim.lidar.heightfield import GroundGrid
+from touchdown.sim.lidar.rays import ground_cells
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32
 
 VEHICLE_PREFIX = "vehicle/"
@@ -48,15 +49,13 @@ class GroundTarget(RayTarget):
         self._ground = ground
         super().__init__(vertices, triangles, geoms, shapes)
 
-    def cast_apart(self, rays: Float32) -> tuple[Hits, Indices]:
-        """Nearest hits, and the indices of the rays that passed near anything but open ground."""
+    def cast_apart(self, rays: Float32, hits: Hits) -> Indices:
+        """As `RayTarget.cast_apart`."""
         if self._ground is None:
-            return super().cast_apart(rays)
-        hits = Hits.none(len(rays))
-        others = self._ground.march(rays, hits.distance, hits.geom, hits.cosine)
-        if others.size:
-            hits.put(others, self.cast_all(rays[others]))
-        return hits, others
+            return super().cast_apart(rays, hits)
+        others = self._ground.land(rays, hits)
+        self.cast_on(np.take(rays, others, axis=0), others, np.zeros(len(others), np.float32), hits)
+        return others
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +88,11 @@ class OpticalTable:
     """(M,)"""
     material_leaf_area: Float32
     """(M,)"""
+
+    def cells(self, rays: Float32, hits: Hits) -> Int32:
+        """Flat indices (N,) of the cells of the raster that rays (N, 6) hit, -1 elsewhere."""
+        rows, cols = self.ground_reflectivity.shape
+        return ground_cells(rays, hits, self.ground_geom, self.ground_frame, rows, cols)
 
 
 class Crowns(NamedTuple):

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from touchdown.sim.frames import Pose
-from touchdown.sim.geometry.ray_target import RayTarget
-from touchdown.sim.lidar import beams
+from touchdown.sim.geometry.ray_target import Hits, RayTarget
 from touchdown.sim.moving import BodyTrack
-from touchdown.sim.typing import Array, Float32, Indices, Uint32
+from touchdown.sim.typing import Array, Float32, Indices, Int32, Uint32
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
+class Track(NamedTuple):
     """World poses of one body at ascending instants: (M,), (M, 3), (M, 3, 3)."""
 
     times_s: Array
@@ -26,7 +25,7 @@ class Track:
         return Track(
             np.ascontiguousarray(body.times_s, dtype=np.float64),
             np.ascontiguousarray(body.positions, dtype=np.float64),
-            beams.rotations_of(np.ascontiguousarray(body.quats_wxyz, dtype=np.float64)),
+            rotations_of(np.ascontiguousarray(body.quats_wxyz, dtype=np.float64)),
         )
 
     def mounted(self, mount: Pose) -> Track:
@@ -38,8 +37,7 @@ class Track:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Rays:
+class Rays(NamedTuple):
     """World rays (N, 6) with the instants (N,), range noise (N,) and random bits (N,) of each."""
 
     rays: Float32
@@ -47,18 +45,57 @@ class Rays:
     range_noise: Float32
     bits: Uint32
 
-    def at(self, rows: Indices) -> Rays:
+    @staticmethod
+    def of(count: int) -> Rays:
+        """Memory for so many rays."""
+        noise, bits = np.empty(count, np.float32), np.empty(count, np.uint32)
+        return Rays(np.empty((count, 6), np.float32), np.empty(count), noise, bits)
+
+    def part(self, start: int, end: int) -> Rays:
+        """The rays from ``start`` to ``end``, in the same memory."""
+        rows = slice(start, end)
         return Rays(self.rays[rows], self.times[rows], self.range_noise[rows], self.bits[rows])
 
-    @staticmethod
-    def joined(*groups: Rays) -> Rays:
-        return Rays(
-            np.concatenate([group.rays for group in groups]),
-            np.concatenate([group.times for group in groups]),
-            np.concatenate([group.range_noise for group in groups]),
-            np.concatenate([group.bits for group in groups]),
-        )
+    def move(self, rows: Indices, start: int) -> None:
+        """Moves ``rows`` (K,) to the rows from ``start`` on."""
+        for values in self:
+            values[start : start + len(rows)] = values[rows]
+
+
+@njit(cache=True, nogil=True)
+def rotations_of(quats_wxyz: Array) -> Array:
+    """(M, 4) unit quaternions -> (M, 3, 3)."""
+    out = np.empty((quats_wxyz.shape[0], 3, 3))
+    for k in range(quats_wxyz.shape[0]):
+        w, x, y, z = quats_wxyz[k]
+        out[k, 0, 0], out[k, 0, 1], out[k, 0, 2] = (
+            1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
+        )  # fmt: skip
+        out[k, 1, 0], out[k, 1, 1], out[k, 1, 2] = (
+            2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
+        )  # fmt: skip
+        out[k, 2, 0], out[k, 2, 1], out[k, 2, 2] = (
+            2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
+        )  # fmt: skip
+    return out
 
 
 Movers = list[tuple[RayTarget, Track]]
 """Moving bodies with their tracks over a scan"""
+
+
+@njit(cache=True, nogil=True)
+def ground_cells(
+    rays: Float32, hits: Hits, ground_geom: int, frame: Array, rows: int, cols: int
+) -> Int32:
+    """Flat indices (N,) of the cells of the ground's raster that the rays (N, 6) hit, -1 beyond it
+    and elsewhere; the ground as in ``sim.lidar.raycast_scene.OpticalTable``."""
+    distance, geom, _ = hits
+    out = np.empty(rays.shape[0], dtype=np.int32)
+    for i in range(rays.shape[0]):
+        d = distance[i] if geom[i] == ground_geom else np.float32(0.0)
+        col = np.int32(np.floor((rays[i, 0] + d * rays[i, 3] - frame[0]) * frame[2]))
+        row = np.int32(np.floor((rays[i, 1] + d * rays[i, 4] - frame[1]) * frame[2]))
+        inside = (geom[i] == ground_geom) & (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        out[i] = row * np.int32(cols) + col if inside else np.int32(-1)
+    return out

@@ -16,12 +16,14 @@ one another than the pulse is long merge into one echo at their energy-weighted 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from touchdown.sim.lidar.beams import hashed, normal_cell, normal_in
+from touchdown.sim.geometry.ray_target import Hits
+from touchdown.sim.lidar.beams import hashed, normal_cell, normal_in, quantile_table
+from touchdown.sim.lidar.rays import Rays
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
 
 _LIMIT_SPREAD = 0.02
@@ -41,24 +43,19 @@ _WATER_SALT = 0x85EBCA6B
 _LIMIT_SALT = 0x27D4EB2F
 _AIR_SALT = 0x165667B1
 _DROP_SALT = 0x2545F491
+_STEP_BEHIND_M = np.float32(1e-3)
 _PORE_SALT = 1 << 8
 """Plus the geom's id; keeps clear of the salts of a beam's parts."""
 
-_MAP_CELLS = 256.0
-"""Along half a side of the octahedral map of a view: cells of 0.2 to 0.45 degrees."""
-_NEIGHBOUR_RAD = math.radians(0.7)
-_STEP_M = 0.05
-_SLACK = 1.5
 
-
-@dataclass(frozen=True, slots=True)
-class LinkBudget:
+class LinkBudget(NamedTuple):
     """Range limit by strength (reflectivity times cosine of the incidence)."""
 
     anchors: Array
     """(K, 3): limit in metres, its reflectivity, exponent up to the next anchor"""
     sure: Array
     """Strength that is detected at any distance up to (i + 1) * 0.5 m, whatever the noise."""
+    quantiles: Array = quantile_table()
 
     @staticmethod
     def of(
@@ -104,19 +101,29 @@ def _uniform(bits: np.uint32, salt: int) -> float:
 
 
 @njit(cache=True, nogil=True)
-def passing(geom: Int32, cosine: Float32, bits: Uint32, porosity: Float32) -> Indices:
-    """Indices of the rays that pass through what they hit. The result depends on ray and geom alone
-    and insides never reflect, so a ray that entered a porous body also leaves it."""
-    out = np.empty(geom.shape[0], dtype=np.int64)
+def pass_on(
+    rows: Indices, pulses: Rays, hits: Hits, porosity: Float32, onward: Float32, travelled: Float32
+) -> int:
+    """Puts those of the ``pulses`` ``rows`` (K,) that pass through what they hit to its front, what
+    is left of them to ``onward`` (K, 6), and how far they have come to ``travelled`` (K,); takes
+    the hits from them. Returns their number. The result depends on ray and geom alone and insides
+    never reflect, so a ray that entered a porous body also leaves it."""
+    rays, _, _, bits = pulses
+    distance, geom, cosine = hits
     count = 0
-    for i in range(geom.shape[0]):
+    for k in range(rows.shape[0]):
+        i = rows[k]
         g = geom[i]
         if g < 0 or porosity[g] <= 0.0:
             continue
         if cosine[i] < 0.0 or _uniform(bits[i], _PORE_SALT + g) < porosity[g]:
-            out[count] = i
+            rows[count], travelled[count] = i, distance[i] + _STEP_BEHIND_M
+            for c in range(3):
+                onward[count, c] = rays[i, c] + travelled[count] * rays[i, 3 + c]
+                onward[count, 3 + c] = rays[i, 3 + c]
+            distance[i], geom[i], cosine[i] = np.inf, -1, 0.0
             count += 1
-    return out[:count].copy()
+    return count
 
 
 @njit(cache=True, forceinline=True)
@@ -149,21 +156,14 @@ def _level(strength: float) -> np.uint8:
 
 @njit(cache=True, nogil=True)
 def receive(
-    rays: Float32,
-    distance: Float32,
-    geom: Int32,
-    cosine: Float32,
-    range_noise: Float32,
-    bits: Uint32,
+    pulses: Rays,
+    hits: Hits,
+    cells: Int32,
     reflectivity: Float32,
     water: Bools,
-    ground_geom: int,
-    ground_frame: Array,
-    ground_reflectivity: Float32,
+    ground: Float32,
     gain: Float32,
-    anchors: Array,
-    sure: Array,
-    quantiles: Array,
+    budget: LinkBudget,
     range_sigma: float,
     min_range: float,
     max_range: float,
@@ -172,23 +172,22 @@ def receive(
     intensity: Bytes,
 ) -> None:
     """Fills, for undivided pulses, ``ranges`` (N,) in metres and ``intensity`` (N,), both 0 where
-    nothing comes back, and ``strengths`` (N,). The ground as in
-    ``sim.lidar.raycast_scene.OpticalTable``. ``gain``: factors (N,) of matt reflectivities, or
-    empty."""
+    nothing comes back, and ``strengths`` (N,). Surfaces as in
+    ``sim.lidar.raycast_scene.OpticalTable``, the ground's (C,) by ``cells`` (N,), -1 elsewhere.
+    ``gain``: factors (N,) of matt reflectivities, or empty."""
+    _, _, range_noise, bits = pulses
+    distance, geom, cosine = hits
+    anchors, sure, quantiles = budget
     varied = gain.shape[0] > 0
-    rows, cols = ground_reflectivity.shape
-    for i in range(rays.shape[0]):
+    for i in range(distance.shape[0]):
         strengths[i], ranges[i], intensity[i] = 0.0, 0.0, 0
         d, g = distance[i], geom[i]
         if g < 0 or d < min_range or d > max_range:
             continue
         rho, wet = reflectivity[g], water[g]
-        if g == ground_geom:
-            col = math.floor((rays[i, 0] + d * rays[i, 3] - ground_frame[0]) * ground_frame[2])
-            row = math.floor((rays[i, 1] + d * rays[i, 4] - ground_frame[1]) * ground_frame[2])
-            if 0 <= row < rows and 0 <= col < cols:
-                rho = ground_reflectivity[row, col]
-                wet = rho < 0.0
+        if cells[i] >= 0:
+            rho = ground[cells[i]]
+            wet = rho < 0.0
         if varied:
             rho = min(rho * gain[i], max(rho, np.float32(1.0)))
         strength = _strength(rho, wet, cosine[i], bits[i])
@@ -204,8 +203,7 @@ def weaken(
     distance: Float32,
     bits: Uint32,
     extinction: float,
-    anchors: Array,
-    quantiles: Array,
+    budget: LinkBudget,
     strengths: Float32,
     ranges: Float32,
     intensity: Bytes,
@@ -213,6 +211,7 @@ def weaken(
     """Attenuates undivided pulses by air of this extinction in 1/m, over the way out and back:
     lowers ``strengths`` and ``intensity`` (N,) and sets the ``ranges`` (N,) of echoes that become
     too weak to 0."""
+    anchors, _, quantiles = budget
     for i in range(distance.shape[0]):
         if strengths[i] <= 0.0:
             continue
@@ -260,147 +259,52 @@ def clutter(
         ranges[i], intensity[i] = r, _level(strength)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _view_map(nominal: Float32, chosen: Indices) -> tuple[Int32, Int32, int]:
-    """The ``chosen`` (C,) directions on the octahedral map of the sphere, seen from +z: the part of
-    the map that they fill, flat, with one of them in each cell or -1; their cells (C,); its
-    width."""
-    cols, rows = np.empty(chosen.shape[0], np.int32), np.empty(chosen.shape[0], np.int32)
-    for k in range(chosen.shape[0]):
-        x, y, z = nominal[chosen[k], 0], nominal[chosen[k], 1], nominal[chosen[k], 2]
-        scale = 1.0 / (abs(x) + abs(y) + abs(z))
-        u, v = x * scale, y * scale
-        if z < 0.0:
-            u, v = math.copysign(1.0 - abs(v), u), math.copysign(1.0 - abs(u), v)
-        cols[k], rows[k] = int((u + 1.0) * _MAP_CELLS), int((v + 1.0) * _MAP_CELLS)
-    cols -= cols.min() - 1
-    rows -= rows.min() - 1
-    width = cols.max() + 2
-    cells = rows * np.int32(width) + cols
-    grid = np.full(width * (rows.max() + 2), -1, dtype=np.int32)
-    for k in range(chosen.shape[0]):
-        grid[cells[k]] = chosen[k]
-    return grid, cells, width
-
-
-@njit(cache=True, nogil=True)
-def near_edges(
-    nominal: Float32, distance: Float32, cosine: Float32, candidates: Indices
-) -> Indices:
-    """Those of the ``candidates`` (C,) with a neighbour in the view, among the candidates of the
-    same scan, that lies nearer or farther than the slope of either surface explains, or with no
-    neighbour that could decide."""
-    if not candidates.shape[0]:
-        return candidates
-    grid, cells, width = _view_map(nominal, candidates)
-    chosen = np.empty(candidates.shape[0], dtype=np.int64)
-    count = 0
-    for k in range(candidates.shape[0]):
-        i = candidates[k]
-        edge, alone = False, True
-        for place in range(9):
-            j = grid[cells[k] + (place // 3 - 1) * width + place % 3 - 1]
-            if j < 0 or j == i:
-                continue
-            alone = False
-            if abs(distance[i] - distance[j]) <= _STEP_M:
-                continue
-            x = nominal[i, 0] - nominal[j, 0]
-            y = nominal[i, 1] - nominal[j, 1]
-            z = nominal[i, 2] - nominal[j, 2]
-            angle_squared = x * x + y * y + z * z
-            if angle_squared < _NEIGHBOUR_RAD * _NEIGHBOUR_RAD and _apart(
-                distance[i], distance[j], cosine[i], cosine[j], angle_squared
-            ):
-                edge = True
-                break
-        if edge or alone:
-            chosen[count] = i
-            count += 1
-    return chosen[:count].copy()
-
-
-@njit(cache=True, forceinline=True)
-def _apart(
-    distance: float, other: float, cosine: float, other_cosine: float, angle_squared: float
-) -> bool:
-    """True if two hits lie at ranges that no plane through one of them explains. The angle between
-    their rays is given squared, and the comparison is of squares: this saves two roots."""
-    gap = abs(distance - other) - _STEP_M
-    if not gap > 0.0:  # also where neither hits anything
-        return False
-    c = max(min(abs(cosine), abs(other_cosine)), 0.05)
-    reach = _SLACK * min(distance, other)
-    return gap * gap * c * c > reach * reach * angle_squared * (1.0 - c * c)
-
-
-@njit(cache=True, nogil=True)
-def probed_apart(
-    pulses: Indices,
-    distance: Float32,
-    cosine: Float32,
-    end_distance: Float32,
-    end_cosine: Float32,
-    other_end_distance: Float32,
-    other_end_cosine: Float32,
-    angle_squared: float,
-) -> Indices:
-    """Those of ``pulses`` (K,) one of whose ends (K,), an angle off the axis, finds another surface
-    than the axis (``distance``, ``cosine`` of all pulses): positions in
-    ``pulses``."""
-    out = np.empty(pulses.shape[0], dtype=np.int64)
-    count = 0
-    for k in range(pulses.shape[0]):
-        d, c = distance[pulses[k]], cosine[pulses[k]]
-        if _apart(d, end_distance[k], c, end_cosine[k], angle_squared) or _apart(
-            d, other_end_distance[k], c, other_end_cosine[k], angle_squared
-        ):
-            out[count] = k
-            count += 1
-    return out[:count].copy()
-
-
 @njit(cache=True, nogil=True)
 def receive_split(
     pulses: Indices,
-    part_distance: Float32,
-    part_strength: Float32,
-    bits: Uint32,
-    range_noise: Float32,
+    rays: Rays,
+    distance: Float32,
+    strength: Float32,
     pulse_length: float,
     strongest: bool,
-    anchors: Array,
-    quantiles: Array,
+    budget: LinkBudget,
     range_sigma: float,
     min_range: float,
     ranges: Float32,
     intensity: Bytes,
 ) -> None:
     """For divided pulses, overwrites ``ranges`` and ``intensity`` of ``pulses`` (K,) by the first
-    or the strongest echo of their P equal parts: distances and strengths (K, P), sorted here in
-    place; no strength where a part meets nothing. ``bits`` and ``range_noise`` (N,) of all pulses.
+    or the strongest echo of their P equal parts. ``distance`` and ``strength``, none where a part
+    meets nothing: of the axes of the N pulses, then of K parts of one kind after another.
     """
-    parts = part_distance.shape[1]
-    for k in range(pulses.shape[0]):
+    _, _, range_noise, bits = rays
+    anchors, _, quantiles = budget
+    size = pulses.shape[0]
+    parts = 1 + (distance.shape[0] - ranges.shape[0]) // max(size, 1)
+    distances, strengths = np.empty(parts, np.float32), np.empty(parts, np.float32)
+    for k in range(size):
         i = pulses[k]
-        distances, strengths = part_distance[k], part_strength[k]
+        distances[0], strengths[0] = distance[i], strength[i]
+        for p in range(1, parts):
+            part = ranges.shape[0] + (p - 1) * size + k
+            distances[p], strengths[p] = distance[part], strength[part]
         _sort_parts(distances, strengths)
         best_range, best_strength, best_power = 0.0, 0.0, 0.0
         p = 0
         while p < parts and distances[p] < np.inf:
             start = distances[p]
-            strength, power, moment = 0.0, 0.0, 0.0
+            total, power, moment = 0.0, 0.0, 0.0
             while p < parts and distances[p] - start <= pulse_length:
                 d, s = distances[p], strengths[p]
-                strength += s / parts
+                total += s / parts
                 power += s / (d * d + 1e-9)
                 moment += d * s / (d * d + 1e-9)
                 p += 1
             mean = moment / power
-            if not _detected(mean, strength, bits[i], anchors, quantiles):
+            if not _detected(mean, total, bits[i], anchors, quantiles):
                 continue
             if power > best_power:
-                best_range, best_strength, best_power = mean, strength, power
+                best_range, best_strength, best_power = mean, total, power
             if not strongest:
                 break
         ranges[i], intensity[i] = 0.0, 0

@@ -19,8 +19,8 @@ from touchdown.sim.dust import DustCloud
 from touchdown.sim.effects import Effects, Returns
 from touchdown.sim.faults.weather import Weather
 from touchdown.sim.frames import Pose
-from touchdown.sim.geometry.ray_target import Hits, rays_behind
-from touchdown.sim.lidar import beams, returns
+from touchdown.sim.geometry.ray_target import Hits
+from touchdown.sim.lidar import beam_edges, beams, returns
 from touchdown.sim.lidar.patterns.livox import PATTERNS, ScanPattern
 from touchdown.sim.lidar.range_errors import RangeErrors
 from touchdown.sim.lidar.raycast_scene import LidarScene
@@ -29,11 +29,10 @@ from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.lidar.sway import Sway
 from touchdown.sim.lidar.weather import Clutter, LidarWeather
 from touchdown.sim.moving import BodyTrack
-from touchdown.sim.typing import Array, Bytes, Float32, Indices
+from touchdown.sim.typing import Array, Bytes, Float32, Indices, Int32
 
 _MOST_PASSES = 5
 """Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
-_STEP_BEHIND_M = 1e-3
 _ON_AXIS: Array = np.zeros((1, 3))
 _CALM: Array = np.zeros(2)
 _NO_GAIN: Float32 = np.empty(0, dtype=np.float32)
@@ -49,8 +48,8 @@ class LidarSensor:
     """Simulates the LIDAR that ``params.preset`` names in ``scene``.
 
     ``scan`` is a pure function of its arguments, the scene and the seed: it may run in any thread
-    beside the physics. Without ``weather`` the air is clear; ``wind_mps``, (2,) the mean wind at
-    20 ft, moves crowns. ``dust`` is noted up to a scan's end before the scan.
+    beside the physics, one scan at a time. Without ``weather`` the air is clear; ``wind_mps``, (2,)
+    the mean wind at 20 ft, moves crowns. ``dust`` is noted up to a scan's end before the scan.
     """
 
     def __init__(
@@ -67,7 +66,6 @@ class LidarSensor:
         self._scene = LidarScene(scene)
         key = np.random.default_rng([seed, crc32(b"lidar")]).integers(2**64, dtype=np.uint64)
         self._key = np.uint64(key)
-        self._quantiles = beams.quantile_table()
         self._parts = beam_parts(self._pattern)
         outermost = self._pattern.directions(0, self._pattern.point_rate_hz)[:, 2].min()
         self._cone_rad = float(np.arccos(outermost)) + _CONE_MARGIN_RAD
@@ -81,12 +79,11 @@ class LidarSensor:
         self._sway = Sway.of(params, self._scene, wind_mps, seed)
         self._range_errors = RangeErrors.of(params, self._pattern, seed)
         self._weather, self._dust = None, dust
+        self._rays, self._hits = Rays.of(0), Hits.none(0)
         self.effects = Effects()
         """of rain, fog, dust and a moved mount on scans"""
         if dust is not None or (weather is not None and weather.ever):
-            self._weather = LidarWeather(
-                weather, self._pattern, params, self._budget, self._quantiles
-            )
+            self._weather = LidarWeather(weather, self._pattern, params, self._budget)
 
     @property
     def scene(self) -> LidarScene:
@@ -117,10 +114,12 @@ class LidarSensor:
         self._check_track(body.times_s, start_s, end_tick / tick_hz)
         nominal = self._pattern.directions(first, count)
         track = Track.of(body).mounted(body_from_lidar)
-        pulses = self._aim(first, nominal, np.arange(count), _ON_AXIS, track)
+        self._reserve(count)
+        pulses = self._rays.part(0, count)
+        self._aim(first, nominal, np.arange(count), _ON_AXIS, track, pulses)
         movers = self._in_view(track, self._movers(body.times_s, moving))
         air = self._air(end_tick)
-        ranges, intensity = self._measure(first, nominal, pulses, track, movers, air)
+        ranges, intensity = self._measure(first, nominal, track, movers, air)
         return LidarScan(
             start_tick=start_tick,
             end_tick=end_tick,
@@ -143,37 +142,27 @@ class LidarSensor:
 
     # ---------------------------------------------------------------------------- beams
 
+    def _reserve(self, pulses: int) -> None:
+        """Has memory for so many pulses and all parts of their beams."""
+        needed = pulses * (1 + len(self._parts))
+        if len(self._rays.rays) < needed:
+            self._rays, self._hits = Rays.of(needed), Hits.of(needed)
+
     def _aim(
-        self, first: int, nominal: Float32, chosen: Indices, offsets: Array, track: Track
-    ) -> Rays:
-        """The rays of the ``chosen`` pulses, one for each of the ``offsets`` (S, 3) from the axis;
-        those of one pulse follow one another."""
-        rate = self._pattern.point_rate_hz
-        count = len(chosen) * len(offsets)
-        times = (first + chosen) / rate
-        rays = Rays(
-            np.empty((count, 6), dtype=np.float32),
-            times if len(offsets) == 1 else np.repeat(times, len(offsets)),
-            np.empty(count, dtype=np.float32),
-            np.empty(count, dtype=np.uint32),
-        )
+        self,
+        first: int,
+        nominal: Float32,
+        chosen: Indices,
+        offsets: Array,
+        track: Track,
+        rays: Rays,
+    ) -> None:
+        """Fills ``rays``: those of the ``chosen`` pulses (K,) at the first of the ``offsets``
+        (S, 3) from the axis, then those at the second."""
         beams.aim(
-            first,
-            rate,
-            chosen,
-            offsets,
-            nominal,
-            self._key,
-            self._quantiles,
-            np.deg2rad(self._params.angle_sigma_deg),
-            track.times_s,
-            track.positions,
-            track.rotations,
-            rays.rays,
-            rays.range_noise,
-            rays.bits,
-        )
-        return rays
+            first, self._pattern.point_rate_hz, chosen, offsets, nominal, self._key,
+            self._budget.quantiles, np.deg2rad(self._params.angle_sigma_deg), track, rays,
+        )  # fmt: skip
 
     def _movers(self, times_s: Array, moving: Mapping[str, BodyTrack]) -> Movers:
         unknown = sorted(set(moving) - set(self._scene.moving))
@@ -192,73 +181,48 @@ class LidarSensor:
 
     def _in_view(self, track: Track, movers: Movers) -> Movers:
         """The moving bodies that may come into the field of view during a scan."""
-        middle = len(track.times_s) // 2
-        eye, boresight = track.positions[middle], track.rotations[middle][:, 2]
-        wander = float(np.abs(track.positions - eye).max())
-        rotated = float(np.abs(track.rotations[:, :, 2] - boresight).max())
-        seen = []
-        for target, motion in movers:
-            centers = motion.positions + motion.rotations @ target.center
-            apart = centers[len(centers) // 2] - eye
-            distance = float(np.linalg.norm(apart))
-            reach = target.radius + 2.0 * (wander + float(np.abs(centers - centers[0]).max()))
-            if reach < distance:
-                off_axis = np.arccos(np.clip(apart @ boresight / distance, -1.0, 1.0))
-                if off_axis - np.arcsin(reach / distance) - 2.0 * rotated > self._cone_rad:
-                    continue
-            seen.append((target, motion))
-        return seen
+        return [
+            (target, motion)
+            for target, motion in movers
+            if beams.in_view(track, motion, target.center, target.radius, self._cone_rad)
+        ]
 
     # ----------------------------------------------------------------------------- hits
 
     def _cast(
-        self, rays: Float32, times: Array, movers: Movers, *, open_ground: bool = False
-    ) -> tuple[Hits, Indices]:
-        """Nearest hits over the static scene and every moving body, and the indices (with repeats)
-        of the rays that came near more than open ground, which is looked for on request."""
-        static, others = self._scene.static, np.arange(len(rays))
+        self, rays: Rays, hits: Hits, movers: Movers, *, open_ground: bool = False
+    ) -> Indices:
+        """Fills ``hits`` (N,) with the nearest over the static scene and every moving body. Returns
+        the indices (with repeats) of the rays that came near more than open ground, which is looked
+        for on request."""
+        static = self._scene.static
         if static is None:
-            hits = Hits.none(len(rays))
-        elif open_ground:
-            hits, others = static.cast_apart(rays)
+            hits.clear()
+            near = np.arange(len(rays.rays))
         else:
-            hits = static.cast_all(rays)
-        for target, track in movers:
-            chosen, local = beams.rays_near(
-                rays,
-                times,
-                track.times_s,
-                track.positions,
-                track.rotations,
-                target.center,
-                target.radius,
-            )
-            if not chosen.size:
-                continue
-            found = target.cast(local)
-            nearer = found.distance < hits.distance[chosen]
-            hits.put(chosen[nearer], found.at(nearer))
-            others = np.concatenate([others, chosen])
-        return hits, others
+            near = (static.cast_apart if open_ground else static.fill)(rays.rays, hits)
+        if not movers:
+            return near
+        rows, travelled = np.arange(len(rays.rays)), np.zeros(len(rays.rays), np.float32)
+        met = _cast_at_movers(rays.rays, rays.times, rows, travelled, hits, movers)
+        return np.concatenate([near, *met])
 
     def _penetrate(self, pulses: Rays, hits: Hits, movers: Movers) -> None:
         """Replaces hits on porous surfaces by what lies behind, where the pulse passes."""
-        porosity = self._scene.optics.porosity
+        porosity, static = self._scene.optics.porosity, self._scene.static
         if not porosity.any():
             return
-        passing = returns.passing(hits.geom, hits.cosine, pulses.bits, porosity)
-        for _ in range(_MOST_PASSES):
-            if not passing.size:
+        rows, travelled = np.arange(len(pulses.rays)), np.empty(len(pulses.rays), np.float32)
+        onward = np.empty((len(rows), 6), np.float32)
+        for left in range(_MOST_PASSES, -1, -1):
+            count = returns.pass_on(rows, pulses, hits, porosity, onward, travelled)
+            if not count or not left:
                 return
-            onward, travelled = rays_behind(
-                pulses.rays[passing], hits.distance[passing] + np.float32(_STEP_BEHIND_M)
-            )
-            behind, _ = self._cast(onward, pulses.times[passing], movers)
-            behind.distance[:] += travelled
-            hits.put(passing, behind)
-            again = returns.passing(behind.geom, behind.cosine, pulses.bits[passing], porosity)
-            passing = passing[again]
-        hits.geom[passing] = -1
+            rows, travelled, onward = rows[:count], travelled[:count], onward[:count]
+            if static is not None:
+                static.cast_on(onward, rows, travelled, hits)
+            if movers:
+                _cast_at_movers(onward, pulses.times[rows], rows, travelled, hits, movers)
 
     # -------------------------------------------------------------------------- returns
 
@@ -266,21 +230,24 @@ class LidarSensor:
         self,
         first: int,
         nominal: Float32,
-        pulses: Rays,
         track: Track,
         movers: Movers,
         air: list[Clutter],
     ) -> tuple[Float32, Bytes]:
         """Ranges and intensities of all pulses."""
-        hits, others = self._cast(pulses.rays, pulses.times, movers, open_ground=True)
+        count = len(nominal)
+        hits = self._hits.part(0, count)
+        others = self._cast(self._rays.part(0, count), hits, movers, open_ground=True)
         split = np.empty(0, dtype=np.int64)
         if self._params.divergence:
-            split, parts, part_hits = self._split(first, nominal, hits, others, track, movers)
-            pulses, hits = Rays.joined(pulses, *parts), Hits.joined(hits, *part_hits)
+            split = self._split(first, nominal, others, track, movers)
+        rays = count + len(split) * len(self._parts)
+        pulses, hits = self._rays.part(0, rays), self._hits.part(0, rays)
         self._penetrate(pulses, hits, movers)
-        gain = self._refine(pulses, hits, movers)
-        strengths, ranges, intensity = self._receive(pulses, hits, gain)
-        count, weakened = len(nominal), []
+        cells = self._scene.optics.cells(pulses.rays, hits)
+        gain = self._refine(pulses, hits, cells, movers)
+        strengths, ranges, intensity = self._receive(pulses, hits, cells, gain)
+        weakened = []
         for clutter in air:
             seen = Returns(ranges[:count], intensity[:count])
             clear = seen.copy()
@@ -289,24 +256,13 @@ class LidarSensor:
         ranges, intensity = ranges[:count], intensity[:count]
         if split.size:
             returns.receive_split(
-                split,
-                _parts_of(split, count, hits.distance),
-                _parts_of(split, count, strengths),
-                pulses.bits,
-                pulses.range_noise,
-                self._params.pulse_length_m,
-                self._params.return_mode == "strongest",
-                self._budget.anchors,
-                self._quantiles,
-                self._params.range_sigma_m,
-                self._params.min_range_m,
-                ranges,
-                intensity,
-            )
+                split, pulses, hits.distance, strengths, self._params.pulse_length_m,
+                self._params.return_mode == "strongest", self._budget,
+                self._params.range_sigma_m, self._params.min_range_m, ranges, intensity,
+            )  # fmt: skip
         if self._range_errors is not None:
-            exact = ranges.copy()
-            self._range_errors.apply(pulses.range_noise, hits.cosine, ranges, intensity)
-            self.effects.note_lengths("ranging", exact, ranges)
+            changed = self._range_errors.apply(pulses.range_noise, hits.cosine, ranges, intensity)
+            self.effects.note_lengths("ranging", count, *changed)
         for clutter, lost in zip(air, weakened, strict=True):
             seen = Returns(ranges, intensity)
             clear = seen.copy()
@@ -314,89 +270,59 @@ class LidarSensor:
             self.effects.note(clutter.effects, min(lost + seen.changed_share(clear), 1.0))
         return ranges, intensity
 
-    def _refine(self, pulses: Rays, hits: Hits, movers: Movers) -> Float32:
+    def _refine(self, pulses: Rays, hits: Hits, cells: Int32, movers: Movers) -> Float32:
         """Moves ``hits`` by the sway of crowns and into plants; factors (N,) of the reflectivities
         there, or empty."""
+        count = max(len(pulses.rays), 1)
         if self._sway is not None:
-            at_rest = hits.distance.copy()
-            self._sway.move(pulses.rays, pulses.times, hits)
-            self.effects.note_lengths("sway", at_rest, hits.distance)
+            self.effects.note_lengths("sway", count, *self._sway.move(pulses, hits))
         if self._detail is None:
             return _NO_GAIN
-        gain = self._detail.gains(pulses, hits, movers)
+        places = self._detail.find(pulses, hits, cells)
+        gain = self._detail.gains(places, pulses, hits, movers)
         if self._detail.vegetation > 0.0:
-            ground = hits.distance.copy()
-            self._detail.enter_plants(pulses, hits)
-            self.effects.note_lengths("vegetation", ground, hits.distance)
+            changed = self._detail.enter_plants(places, pulses, hits)
+            self.effects.note_lengths("vegetation", count, *changed)
         return gain
 
     def _split(
-        self,
-        first: int,
-        nominal: Float32,
-        hits: Hits,
-        others: Indices,
-        track: Track,
-        movers: Movers,
-    ) -> tuple[Indices, list[Rays], list[Hits]]:
-        """The pulses that an edge divides, with rays and first hits of their parts off the axis,
-        part by part. Open ground divides no pulse. Where neighbours show a possible edge, two
-        probes at the ends of a beam decide if its other parts are cast."""
-        near = np.zeros(len(nominal), dtype=np.bool_)
+        self, first: int, nominal: Float32, others: Indices, track: Track, movers: Movers
+    ) -> Indices:
+        """The pulses that an edge divides; the parts of their beams off the axis, with first hits,
+        follow all axes, one part of all after another. Open ground divides no pulse. Where
+        neighbours show a possible edge, two probes at the ends of a beam decide if its other parts
+        are cast."""
+        count, parts = len(nominal), self._parts
+        rays, hits = self._rays, self._hits
+        near = np.zeros(count, dtype=np.bool_)
         near[others] = True
-        others = returns.near_edges(nominal, hits.distance, hits.cosine, np.flatnonzero(near))
-        angle_squared = float(np.sum(self._parts[0, :2] ** 2))
-        probes = [self._aim(first, nominal, others, end[None], track) for end in self._parts[:2]]
-        found = [self._cast(probe.rays, probe.times, movers)[0] for probe in probes]
-        kept = returns.probed_apart(
-            others,
-            hits.distance,
-            hits.cosine,
-            found[0].distance,
-            found[0].cosine,
-            found[1].distance,
-            found[1].cosine,
-            angle_squared,
-        )
+        others = beam_edges.near_edges(nominal, hits.distance, hits.cosine, np.flatnonzero(near))
+        angle_squared = float(np.sum(parts[0, :2] ** 2))
+        ends = count + 2 * len(others)
+        self._aim(first, nominal, others, parts[:2], track, rays.part(count, ends))
+        self._cast(rays.part(count, ends), hits.part(count, ends), movers)
+        kept = beam_edges.probed_apart(others, count, hits.distance, hits.cosine, angle_squared)
         split = others[kept]
-        parts = self._aim(first, nominal, split, self._parts[2:], track)
-        rest, _ = self._cast(parts.rays, parts.times, movers)
-        rows = np.arange(len(parts.rays)).reshape(len(split), len(self._parts) - 2).T.ravel()
-        return (
-            split,
-            [*(probe.at(kept) for probe in probes), parts.at(rows)],
-            [*(end_hits.at(kept) for end_hits in found), rest.at(rows)],
-        )
+        rows = count + np.concatenate([kept, len(others) + kept])
+        start, end = count + len(rows), count + len(split) * len(parts)
+        rays.move(rows, count)
+        hits.move(rows, count)
+        self._aim(first, nominal, split, parts[2:], track, rays.part(start, end))
+        self._cast(rays.part(start, end), hits.part(start, end), movers)
+        return split
 
-    def _receive(self, pulses: Rays, hits: Hits, gain: Float32) -> tuple[Float32, Float32, Bytes]:
+    def _receive(
+        self, pulses: Rays, hits: Hits, cells: Int32, gain: Float32
+    ) -> tuple[Float32, Float32, Bytes]:
         """Strengths, ranges and intensities of rays as pulses of their own."""
         optics = self._scene.optics
-        strengths = np.empty(len(pulses.rays), dtype=np.float32)
-        ranges = np.empty(len(pulses.rays), dtype=np.float32)
-        intensity = np.empty(len(pulses.rays), dtype=np.uint8)
+        strengths, ranges = np.empty((2, len(cells)), dtype=np.float32)
+        intensity = np.empty(len(cells), dtype=np.uint8)
         returns.receive(
-            pulses.rays,
-            hits.distance,
-            hits.geom,
-            hits.cosine,
-            pulses.range_noise,
-            pulses.bits,
-            optics.reflectivity,
-            optics.water,
-            optics.ground_geom,
-            optics.ground_frame,
-            optics.ground_reflectivity,
-            gain,
-            self._budget.anchors,
-            self._budget.sure,
-            self._quantiles,
-            self._params.range_sigma_m,
-            self._params.min_range_m,
-            self._max_range,
-            strengths,
-            ranges,
-            intensity,
-        )
+            pulses, hits, cells, optics.reflectivity, optics.water,
+            optics.ground_reflectivity.ravel(), gain, self._budget, self._params.range_sigma_m,
+            self._params.min_range_m, self._max_range, strengths, ranges, intensity,
+        )  # fmt: skip
         return strengths, ranges, intensity
 
     @staticmethod
@@ -408,11 +334,18 @@ class LidarSensor:
             )
 
 
-def _parts_of(split: Indices, count: int, values: Float32) -> Float32:
-    """(K, P) values of the parts of split pulses; the axes are in the first ``count``, after them
-    come the other parts, one after another."""
-    off_axis = values[count:].reshape(-1, len(split)).T
-    return np.ascontiguousarray(np.concatenate([values[split, None], off_axis], axis=1))
+def _cast_at_movers(
+    rays: Float32, times: Array, rows: Indices, travelled: Float32, hits: Hits, movers: Movers
+) -> list[Indices]:
+    """`RayTarget.cast_on` of rays fired at ``times`` (K,), for every moving body that they come
+    near, and the rows of these rays."""
+    met = []
+    for target, track in movers:
+        chosen, local = beams.rays_near(rays, times, track, target.center, target.radius)
+        if chosen.size:
+            target.cast_on(local, rows[chosen], travelled[chosen], hits)
+            met.append(rows[chosen])
+    return met
 
 
 def beam_parts(scan_pattern: ScanPattern) -> Array:

@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -47,6 +49,26 @@ _PLANT_SALT = 0x9E3779B9
 _LEAF_PROJECTION = 0.5
 
 
+class Found(NamedTuple):
+    """Rays (K,), the places in the world of their hits, and two properties of these."""
+
+    rows: Indices
+    x: Float32
+    y: Float32
+    z: Float32
+    one: Float32
+    other: Float32
+
+
+class Places(NamedTuple):
+    """Hits with texture, on the ground's plane and in space: distance and spread; and hits among
+    plants: mean height and leaf area index."""
+
+    flat: Found
+    solid: Found
+    plants: Found
+
+
 @dataclass(frozen=True)
 class SurfaceDetail:
     """Texture and plants of one scene. ``texture`` and ``vegetation`` scale the spreads and the
@@ -60,6 +82,14 @@ class SurfaceDetail:
     """full widths of the beam at half maximum"""
     moving: Bools
     """(G,) geoms that hang on a moving body"""
+
+    @cached_property
+    def _surfaces(self) -> Float32:
+        """(M + G, 3) of materials and geoms: spread, mean height, leaf area index"""
+        optics = self.optics
+        materials = [optics.material_spread, optics.material_canopy_m, optics.material_leaf_area]
+        geoms = [optics.spread, optics.canopy_m, optics.leaf_area]
+        return np.concatenate([np.column_stack(materials), np.column_stack(geoms)])
 
     @staticmethod
     def of(
@@ -82,101 +112,59 @@ class SurfaceDetail:
         optics, moving = optical_table(scene.model, scene), np.zeros(scene.model.ngeom, np.bool_)
         return SurfaceDetail.of(params, PATTERNS[params.preset], scene, optics, moving)
 
-    def gains(self, pulses: Rays, hits: Hits, movers: Movers) -> Float32:
+    def find(self, pulses: Rays, hits: Hits, cells: Int32) -> Places:
+        """What the rays meet: surfaces with texture, and plants. ``cells``: as from
+        `OpticalTable.cells`."""
+        optics, count = self.optics, len(pulses.rays)
+        rows, tables = np.empty((3, count), np.int64), np.empty((3, 5, count), np.float32)
+        flat, solid, plants = _find(
+            pulses.rays, hits, cells, self._surfaces, optics.ground_geom, optics.ground_material,
+            len(optics.material_spread), self.texture > 0.0, self.vegetation > 0.0, rows, tables,
+        )  # fmt: skip
+        found = enumerate((flat, solid, plants))
+        return Places(
+            *(Found(rows[k, :n], *(column[:n] for column in tables[k])) for k, n in found)
+        )
+
+    def gains(self, places: Places, pulses: Rays, hits: Hits, movers: Movers) -> Float32:
         """(N,) factors of the reflectivity where the rays hit; empty: 1 everywhere."""
         if self.texture <= 0.0:
             return np.empty(0, dtype=np.float32)
-        optics, count = self.optics, len(pulses.rays)
-        places = np.empty((3, count), dtype=np.float32)
-        spread = np.empty(count, dtype=np.float32)
-        _find_places(
-            pulses.rays,
-            hits.distance,
-            hits.geom,
-            optics.spread,
-            optics.ground_geom,
-            optics.ground_frame,
-            optics.ground_material,
-            optics.material_spread,
-            places,
-            spread,
-        )
-        gain = np.ones(count, dtype=np.float32)
-        varied = spread > 0.0
-        flat = varied & (hits.geom == optics.ground_geom)
-        for rows, axes in ((np.flatnonzero(flat), 2), (np.flatnonzero(varied & ~flat), 3)):
-            if not rows.size:
-                continue
-            there = np.take(places[:axes], rows, axis=1)
-            if axes == 3:
-                self._place_on_movers(pulses, hits.geom, movers, rows, there)
-            noise = self._octaves(there, hits.distance[rows])
-            size = np.float32(self.texture) * spread[rows]
-            gain[rows] = np.exp(size * (noise - np.float32(0.5) * size))
-        return gain
+        self._place_on_movers(places.solid, pulses, hits.geom, movers)
+        gain = np.zeros(len(pulses.rays), dtype=np.float32)
+        for found, plane in ((places.flat, True), (places.solid, False)):
+            _log_gains(*found, plane, self.salt, *self.width_rad, self.texture, gain)
+        return np.exp(gain, out=gain)
 
-    def _octaves(self, places: Float32, distance: Float32) -> Float32:
-        """Noise (K,) at ``places`` (2 or 3, K), contiguous, averaged by a beam at ``distance``
-        (K,)."""
-        widths = [_EXIT_M + np.float32(width) * distance for width in self.width_rad]
-        noise = np.zeros(len(distance), dtype=np.float32)
-        for octave, weight in enumerate(_WEIGHTS):
-            cell = FINEST_M * 4.0**octave
-            area = (np.float32(cell) + widths[0]) * (np.float32(cell) + widths[1])
-            left = np.float32(cell) * weight / np.sqrt(area)
-            salt = np.uint32((int(self.salt) + octave) % 2**32)
-            if len(places) == 2:
-                add_plane_noise(places[0], places[1], cell, salt, left, noise)
-            else:
-                add_space_noise(places[0], places[1], places[2], cell, salt, left, noise)
-        return noise
-
-    def _place_on_movers(
-        self, pulses: Rays, geom: Int32, movers: Movers, rows: Indices, places: Float32
-    ) -> None:
-        """Carries those of ``places`` (3, K), world frame, that lie on a moving body into its
-        frame, at the instants of the rays ``rows`` (K,)."""
-        if not self.moving[geom[rows]].any():
+    def _place_on_movers(self, found: Found, pulses: Rays, geom: Int32, movers: Movers) -> None:
+        """Carries those places of ``found``, world frame, that lie on a moving body into its frame,
+        at the instants of the rays."""
+        if not movers or not self.moving[geom[found.rows]].any():
             return
         for target, track in movers:
-            own = np.flatnonzero(np.isin(geom[rows], target.geoms))
+            own = np.flatnonzero(np.isin(geom[found.rows], target.geoms))
             if not own.size:
                 continue
-            times = pulses.times[rows[own]]
+            times = pulses.times[found.rows[own]]
             k = np.searchsorted(track.times_s, times).clip(0, len(track.times_s) - 1)
             center = np.column_stack(
                 [np.interp(times, track.times_s, axis) for axis in track.positions.T]
             )
-            offset = places[:, own].T.astype(np.float64) - center
-            places[:, own] = np.einsum("nji,nj->in", track.rotations[k], offset)
+            places = found[1:4]
+            offset = np.column_stack([axis[own] for axis in places]).astype(np.float64) - center
+            moved = np.einsum("nji,nj->in", track.rotations[k], offset)
+            for axis, values in zip(places, moved, strict=True):
+                axis[own] = values
 
-    def enter_plants(self, pulses: Rays, hits: Hits) -> None:
-        """Shortens the distances of ``hits`` where a plant is in the way of the ground."""
-        if self.vegetation <= 0.0:
-            return
-        optics, count = self.optics, len(pulses.rays)
-        rows = np.empty(count, dtype=np.int64)
-        table = np.empty((4, count), dtype=np.float32)
-        found = _find_plants(
-            pulses.rays,
-            hits.distance,
-            hits.geom,
-            hits.cosine,
-            optics.canopy_m,
-            optics.leaf_area,
-            optics.ground_geom,
-            optics.ground_frame,
-            optics.ground_material,
-            optics.material_canopy_m,
-            optics.material_leaf_area,
-            rows,
-            table,
-        )
-        if not found:
-            return
-        x, y, mean, leaf_area = np.ascontiguousarray(table[:, :found])
+    def enter_plants(self, places: Places, pulses: Rays, hits: Hits) -> tuple[int, float]:
+        """Shortens the distances of ``hits`` where a plant is in the way of the ground; the number
+        of these, and the sum of the changes in metres."""
+        rows, x, y, _, mean, leaf_area = places.plants
+        if not len(rows):
+            return 0, 0.0
         height = self.plant_height_m(x, y, mean)
-        _shorten(rows[:found], height, leaf_area, hits.cosine, pulses.bits, hits.distance)
+        passed = -np.log(_even(rows, pulses.bits))  # by the law of Beer and Lambert
+        return _shorten(rows, height, leaf_area, passed, hits.cosine, hits.distance)
 
     def visible_height_m(self, x: Array, y: Array, under_m: float = math.inf) -> Array:
         """Mean heights (N,) above the ground, at places (N,) in the world, from which pulses and
@@ -212,81 +200,94 @@ class SurfaceDetail:
         return scale * np.clip(factor, np.float32(0.5), np.float32(1.5))
 
 
-@njit(cache=True, forceinline=True)
-def _material(x: float, y: float, frame: Array, material: Bytes) -> int:
-    """Index of the ground's material at a place, -1 beyond the raster."""
-    col, row = math.floor((x - frame[0]) * frame[2]), math.floor((y - frame[1]) * frame[2])
-    if 0 <= row < material.shape[0] and 0 <= col < material.shape[1]:
-        return int(material[row, col])
-    return -1
-
-
 @njit(cache=True, nogil=True)
-def _find_places(
+def _find(
     rays: Float32,
-    distance: Float32,
-    geom: Int32,
-    spread: Float32,
+    hits: Hits,
+    cells: Int32,
+    surfaces: Float32,
     ground_geom: int,
-    ground_frame: Array,
     ground_material: Bytes,
-    material_spread: Float32,
-    places: Float32,
-    spreads: Float32,
-) -> None:
-    """Where the rays (N, 6) hit, ``places`` (3, N), and the ``spreads`` (N,) there; 0 where nothing
-    is hit."""
+    materials: int,
+    texture: bool,
+    plants: bool,
+    rows: Indices,
+    tables: Float32,
+) -> tuple[int, int, int]:
+    """Fills the ``rows`` (3, N) and ``tables`` (3, 5, N) of `Places` from the front, and returns
+    how many each has. ``surfaces`` (M + G, 3) of M ``materials`` and the geoms: spread, mean height
+    and leaf area index. Most hits are kept: all are written, which saves branches."""
+    distance, geom, cosine = hits
+    kinds = ground_material.ravel()
+    flat_x, flat_y, flat_d, flat_s = tables[0, 0], tables[0, 1], tables[0, 3], tables[0, 4]
+    x_in, y_in, mean_in, leaves_in = tables[2, 0], tables[2, 1], tables[2, 3], tables[2, 4]
+    flat_rows, plant_rows = rows[0], rows[2]
+    flat, solid, grown = 0, 0, 0
     for i in range(rays.shape[0]):
-        spreads[i] = 0.0
-        g = geom[i]
+        g, d = geom[i], distance[i]
         if g < 0:
             continue
-        for axis in range(3):
-            places[axis, i] = rays[i, axis] + distance[i] * rays[i, 3 + axis]
-        spreads[i] = spread[g]
-        if g == ground_geom:
-            kind = _material(places[0, i], places[1, i], ground_frame, ground_material)
-            if kind >= 0:
-                spreads[i] = material_spread[kind]
+        x, y = np.float32(rays[i, 0] + d * rays[i, 3]), np.float32(rays[i, 1] + d * rays[i, 4])
+        own = kinds[cells[i]] if cells[i] >= 0 and kinds.size else materials + g
+        spread, mean, leaves = surfaces[own, 0], surfaces[own, 1], surfaces[own, 2]
+        flat_rows[flat], flat_x[flat], flat_y[flat] = i, x, y
+        flat_d[flat], flat_s[flat] = d, spread
+        varied = texture & (spread > 0.0)
+        flat += varied & (g == ground_geom)
+        if varied & (g != ground_geom):
+            rows[1, solid], tables[1, 0, solid], tables[1, 1, solid] = i, x, y
+            tables[1, 2, solid] = rays[i, 2] + d * rays[i, 5]
+            tables[1, 3, solid], tables[1, 4, solid] = d, spread
+            solid += 1
+        plant_rows[grown], x_in[grown], y_in[grown] = i, x, y
+        mean_in[grown], leaves_in[grown] = mean, leaves
+        grown += plants & (cosine[i] > 0.0) & (mean > 0.0) & (leaves > 0.0)
+    return flat, solid, grown
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _log_gains(
+    rows: Indices,
+    x: Float32,
+    y: Float32,
+    z: Float32,
+    distance: Float32,
+    spread: Float32,
+    plane: bool,
+    salt: np.uint32,
+    width_x: float,
+    width_y: float,
+    texture: float,
+    gain: Float32,
+) -> None:
+    """Logarithms of the gains of ``rows`` (K,): noise, on the plane or in space, averaged by a beam
+    at its distance."""
+    count = rows.shape[0]
+    noise, left = np.zeros(count, np.float32), np.empty(count, np.float32)
+    wide_x, wide_y = np.float32(width_x), np.float32(width_y)
+    for octave in range(_WEIGHTS.shape[0]):
+        side = FINEST_M * 4.0**octave
+        cell, weight = np.float32(side), _WEIGHTS[octave]
+        for k in range(count):
+            area_x = cell + (_EXIT_M + wide_x * distance[k])
+            left[k] = cell * weight / np.sqrt(area_x * (cell + (_EXIT_M + wide_y * distance[k])))
+        own = np.uint32(salt + np.uint32(octave))
+        if plane:
+            add_plane_noise(x, y, side, own, left, noise)
+        else:
+            add_space_noise(x, y, z, side, own, left, noise)
+    for k in range(count):
+        size = np.float32(texture) * spread[k]
+        gain[rows[k]] = size * (noise[k] - np.float32(0.5) * size)
 
 
 @njit(cache=True, nogil=True)
-def _find_plants(
-    rays: Float32,
-    distance: Float32,
-    geom: Int32,
-    cosine: Float32,
-    canopy: Float32,
-    leaf_area: Float32,
-    ground_geom: int,
-    ground_frame: Array,
-    ground_material: Bytes,
-    material_canopy: Float32,
-    material_leaf_area: Float32,
-    rows: Indices,
-    table: Float32,
-) -> int:
-    """Rays that end where plants stand: their number K, ``rows`` (K, in front), and of each x, y,
-    mean height and leaf area index, ``table`` (4, K in front)."""
-    count = 0
-    for i in range(rays.shape[0]):
-        g = geom[i]
-        if g < 0 or cosine[i] <= 0.0:
-            continue
-        mean, leaves = canopy[g], leaf_area[g]
-        x = rays[i, 0] + distance[i] * rays[i, 3]
-        y = rays[i, 1] + distance[i] * rays[i, 4]
-        if g == ground_geom:
-            kind = _material(x, y, ground_frame, ground_material)
-            if kind >= 0:
-                mean, leaves = material_canopy[kind], material_leaf_area[kind]
-        if mean <= 0.0 or leaves <= 0.0:
-            continue
-        rows[count] = i
-        table[0, count], table[1, count] = x, y
-        table[2, count], table[3, count] = mean, leaves
-        count += 1
-    return count
+def _even(rows: Indices, bits: Uint32) -> Array:
+    """Numbers in (0, 1) of the rays ``rows`` (K,)."""
+    out = np.empty(rows.shape[0])
+    for k in range(rows.shape[0]):
+        out[k] = (float(hashed(bits[rows[k]], _LEAF_SALT)) + 0.5) / 4294967296.0
+    return out
 
 
 @njit(cache=True, nogil=True)
@@ -294,16 +295,19 @@ def _shorten(
     rows: Indices,
     height: Float32,
     leaf_area: Float32,
+    passed: Array,
     cosine: Float32,
-    bits: Uint32,
     distance: Float32,
-) -> None:
-    """Draws the path of each of the rays ``rows`` (K,) in the plants by the law of Beer and
-    Lambert, and ends it there unless the ground comes first."""
+) -> tuple[int, float]:
+    """Ends the rays ``rows`` (K,) in plants at the optical depths ``passed`` (K,) unless the ground
+    comes first. Returns how many it shortens, and by how many metres all of them."""
+    shortened, total = 0, 0.0
     for k in range(rows.shape[0]):
         i = rows[k]
         path = min(height[k] / max(cosine[i], _LEAST_COSINE), distance[i])
-        bit = (float(hashed(bits[i], _LEAF_SALT)) + 0.5) / 4294967296.0
-        depth = -math.log(bit) * height[k] / (_LEAF_PROJECTION * leaf_area[k])
-        if depth < path:
-            distance[i] = distance[i] - path + depth
+        depth = passed[k] * height[k] / (_LEAF_PROJECTION * leaf_area[k])
+        before = distance[i]
+        distance[i] = before - path + depth if depth < path else before
+        shortened += distance[i] != before
+        total += abs(distance[i] - before)
+    return shortened, total

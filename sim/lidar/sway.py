@@ -17,14 +17,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from zlib import crc32
 
 import numpy as np
+from numba import njit
 
 from touchdown.sim.api import AIR_DENSITY_KGPM3, LidarParams
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar.raycast_scene import LidarScene
-from touchdown.sim.typing import Array, Bools, Float32, Indices
+from touchdown.sim.lidar.rays import Rays
+from touchdown.sim.typing import Array, Bools, Indices
 
 TURBULENCE = 0.2
 """Standard deviation of the wind over its mean (MIL-F-8785C at tree height)"""
@@ -85,29 +88,65 @@ class Sway:
 
     def displacement_m(self, geoms: Indices, times_s: Array) -> Array:
         """(N, 2) displacements of crowns (N,) at instants (N,)."""
-        phase = 2.0 * np.pi * self.frequency_hz[geoms] * times_s
-        one, two, slow = self.phases[:, geoms]
-        size = self.amplitude_m[geoms] * (1.0 + _WAXING * np.sin(phase / _BEATS + slow))
-        along, across = size * np.sin(phase + one), _ACROSS * size * np.sin(phase + two)
-        left = np.array([-self.along[1], self.along[0]])
-        moved: Array = along[:, None] * self.along + across[:, None] * left
+        moved = np.empty((len(geoms), 2))
+        _displace(geoms, times_s, self.along, self._swing, moved)
         return moved
 
-    def move(self, rays: Float32, times_s: Array, hits: Hits) -> None:
-        """Changes the distances of ``hits`` on crowns of the (N, 6) ``rays``, fired at (N,)
-        ``times_s``."""
-        rows = np.flatnonzero((hits.geom >= 0) & self.porous[hits.geom])
-        if not rows.size:
-            return
-        geoms = hits.geom[rows].astype(np.int64)
-        chosen, distance = rays[rows], hits.distance[rows, None]
-        places = chosen[:, :3] + distance * chosen[:, 3:]
-        normals = (places - self.centers[geoms]) / self.squares[geoms]
-        lengths = np.sqrt(np.einsum("nc,nc->n", normals, normals)) + _TINY
-        across = np.einsum("nc,nc->n", normals[:, :2], self.displacement_m(geoms, times_s[rows]))
-        cosine = np.maximum(np.abs(hits.cosine[rows]), _LEAST_COSINE)
+    def move(self, pulses: Rays, hits: Hits) -> tuple[int, float]:
+        """Changes the distances of ``hits`` of ``pulses`` on crowns; the number of these, and the
+        sum of the changes in metres."""
+        return _move(pulses, hits, self.porous, self.along, self._swing, self.centers, self.squares)
+
+    @cached_property
+    def _swing(self) -> Array:
+        """(G, 5) amplitudes, angular frequencies and phases."""
+        return np.column_stack([self.amplitude_m, 2.0 * np.pi * self.frequency_hz, self.phases.T])
+
+
+@njit(cache=True, forceinline=True)
+def _displacement(time_s: float, along: Array, swing: Array) -> tuple[float, float]:
+    phase = swing[1] * time_s
+    size = swing[0] * (1.0 + _WAXING * math.sin(phase / _BEATS + swing[4]))
+    far, beside = size * math.sin(phase + swing[2]), _ACROSS * size * math.sin(phase + swing[3])
+    return far * along[0] - beside * along[1], far * along[1] + beside * along[0]
+
+
+@njit(cache=True, nogil=True)
+def _displace(geoms: Indices, times_s: Array, along: Array, swing: Array, moved: Array) -> None:
+    for k in range(geoms.shape[0]):
+        moved[k] = _displacement(times_s[k], along, swing[geoms[k]])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _move(
+    pulses: Rays,
+    hits: Hits,
+    porous: Bools,
+    along: Array,
+    swing: Array,
+    centers: Array,
+    squares: Array,
+) -> tuple[int, float]:
+    """As `Sway.move`; the arrays of (G,) geoms are those of `Sway`."""
+    rays, times_s, _, _ = pulses
+    distance, geom, cosine = hits
+    moved, total = 0, 0.0
+    for i in range(rays.shape[0]):
+        g = geom[i]
+        if g < 0 or not porous[g]:
+            continue
+        normal_x = (rays[i, 0] + distance[i] * rays[i, 3] - centers[g, 0]) / squares[g, 0]
+        normal_y = (rays[i, 1] + distance[i] * rays[i, 4] - centers[g, 1]) / squares[g, 1]
+        normal_z = (rays[i, 2] + distance[i] * rays[i, 5] - centers[g, 2]) / squares[g, 2]
+        length = math.sqrt(normal_x * normal_x + normal_y * normal_y + normal_z * normal_z) + _TINY
+        east, north = _displacement(times_s[i], along, swing[g])
+        across = (normal_x * east + normal_y * north) / length
         # a surface that moves along its normal, towards the LIDAR, comes nearer
-        hits.distance[rows] -= (across / lengths / cosine).astype(np.float32)
+        before = distance[i]
+        distance[i] -= np.float32(across / max(abs(cosine[i]), _LEAST_COSINE))
+        moved += distance[i] != before
+        total += abs(distance[i] - before)
+    return moved, total
 
 
 def sway_frequency_hz(height_m: Array) -> Array:

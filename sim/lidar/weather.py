@@ -52,7 +52,6 @@ class Beam:
     """``divergence_rad``: full widths at half maximum along x and y."""
 
     budget: returns.LinkBudget
-    quantiles: Array
     divergence_rad: tuple[float, float]
     pulse_length_m: float
     min_range_m: float
@@ -123,29 +122,15 @@ class Clutter:
     ) -> None:
         """Attenuates echoes in place, see `sim.lidar.returns.weaken`."""
         returns.weaken(
-            distance,
-            bits,
-            self.extinction,
-            self.beam.budget.anchors,
-            self.beam.quantiles,
-            strengths,
-            ranges,
-            intensity,
+            distance, bits, self.extinction, self.beam.budget, strengths, ranges, intensity
         )
 
     def scatter(self, bits: Uint32, ranges: Float32, intensity: Bytes) -> None:
         """Adds echoes of the air in place, see `sim.lidar.returns.clutter`."""
         returns.clutter(
-            bits,
-            self.expected,
-            self.threshold,
-            self.spread,
-            _STEP_M,
-            self.beam.min_range_m,
-            self.beam.strongest,
-            ranges,
-            intensity,
-        )
+            bits, self.expected, self.threshold, self.spread, _STEP_M, self.beam.min_range_m,
+            self.beam.strongest, ranges, intensity,
+        )  # fmt: skip
 
     def _both_ways(self) -> Array:
         return np.exp(-2.0 * self.extinction * grid_m())
@@ -185,13 +170,11 @@ class LidarWeather:
         pattern: ScanPattern,
         params: LidarParams,
         budget: returns.LinkBudget,
-        quantiles: Array,
     ) -> None:
         width_x, width_y = np.deg2rad(pattern.divergence_deg).tolist()
         self._weather = weather
         self._beam = Beam(
             budget=budget,
-            quantiles=quantiles,
             divergence_rad=(width_x, width_y),
             pulse_length_m=params.pulse_length_m,
             min_range_m=params.min_range_m,

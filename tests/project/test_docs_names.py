@@ -11,7 +11,7 @@ import pytest
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.io.results import columns
 
-from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of, rows_of
+from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -53,10 +53,3 @@ def _importable(dotted: str) -> bool:
                 found = getattr(found, part, None)
             return True
     return False
-
-
-def test_scenes_are_listed() -> None:
-    from touchdown.scenes.registry import scene_names
-
-    listed = [row[0].strip("`") for row in rows_of("docs/scenes.md", "scene")]
-    assert sorted(listed) == scene_names()

@@ -20,7 +20,6 @@ from touchdown.sim.airframe.deviations import (
     NOMINAL,
     Deviations,
     SpeedTelemetry,
-    _give_back,
     draw_deviations,
     true_model,
 )
@@ -33,8 +32,11 @@ from support.worlds import NO_NOISE, STILL_AIR
 
 Array = NDArray[np.float64]
 
-XML = """<mujoco><worldbody>
-  <geom name="lawn_floor" type="plane" size="60 60 0.1"/><site name="takeoff" pos="1 2 0"/>
+XML = """<mujoco><asset>
+  <texture name="checks" type="2d" builtin="checker" rgb1="1 1 1" width="256" height="256"/>
+  <material name="lawn" texture="checks" texrepeat="600 600"/></asset><worldbody>
+  <geom name="lawn_floor" type="plane" size="60 60 0.1" material="lawn"/>
+  <site name="takeoff" pos="1 2 0"/>
 </worldbody></mujoco>"""
 ALL = sim.VehicleErrorParams(
     mass_share=0.05, center_of_mass_m=0.01, thrust_share=0.05, torque_share=0.05, rotor_share=0.02
@@ -93,9 +95,20 @@ def test_true_model_is_a_copy_with_another_body(scene: Scene) -> None:
     assert true.body_subtreemass[body] == pytest.approx(1.1 * before[0])
     assert scene.model.body_mass[body] == before[0]
     assert true_model(scene.model, NOMINAL) is scene.model
-    levels = np.ones(40_000_000, np.uint8)
-    _give_back(levels)
-    assert levels.mean() < 0.01
+
+
+def test_cameras_keep_the_textures_that_the_scene_gives_back() -> None:
+    scene, images = scene_of(XML), []
+    for taken in (False, True):
+        world = make(scene, vehicle_error=ALL)
+        world.require(sim.SensorNeeds(camera_hz=10))
+        if taken:
+            world.take_textures()
+        arrived = (world.step(sim.Command(rotor_speed_radps=np.zeros(4))) for _ in range(200))
+        images.append(next(obs.images[0].rgb for obs in arrived if obs.images))
+        world.close()
+    np.testing.assert_array_equal(*images)
+    assert images[0].std() > 20.0 and scene.model.tex_data.mean() < 20.0
 
 
 def test_the_rig_has_the_nominal_vehicle_and_the_physics_the_true_one(scene: Scene) -> None:

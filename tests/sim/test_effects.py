@@ -28,8 +28,7 @@ def test_images_and_lengths_that_differ() -> None:
     after = before.copy()
     after[:, :16] = 108  # of the compared pixels one half
     effects.note_image(("lens_dirt",), before, after)
-    effects.note_lengths("sway", np.array([1, 2, 3, np.inf], np.float32),
-                         np.array([1, 2.5, 2.0, np.inf], np.float32))  # fmt: skip
+    effects.note_lengths("sway", 4, 2, 1.5)
     effects.end_message()
     effects.deliver(1)
     dirt, sway = effects.delivered["lens_dirt"], effects.delivered["sway"]

@@ -61,7 +61,7 @@ def test_the_flame_graph_is_of_the_same_flight(
         f"print('''{json.dumps(figures)}''')\n"
     )
     spy.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    monkeypatch.setattr("shutil.which", lambda *_name, **_path: str(spy))
     out = tmp_path / "out"
     code = cli.main(["bench", "profile", "lake", "--seed", "7", "--full", "--out", str(out)])
     assert code == 0

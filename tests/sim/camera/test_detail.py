@@ -94,7 +94,9 @@ def test_pyramid_halves_the_photographs() -> None:
     np.testing.assert_allclose((half & 255).reshape(side // 2, -1), red, atol=0.51)
 
 
-def multiplied(ratio: int, depth_m: float, height_m: float = 0.0, kind: int = 0) -> np.ndarray:
+def multiplied(
+    ratio: int, depth_m: float, height_m: float = 0.0, kind: int = 0, thing_m: float = 0.0
+) -> np.ndarray:
     """A grey image of 100 seen from 2 m straight above, with a grain of ``ratio`` / 128."""
     side = detail.SIDE_PX
     texels = np.full(sum((side >> k) ** 2 for k in range(6)), ratio * 0x010101, np.uint32)
@@ -102,10 +104,11 @@ def multiplied(ratio: int, depth_m: float, height_m: float = 0.0, kind: int = 0)
     image = np.full((4, 6, 3), 100, np.uint8)
     far, per_level = np.float32(1.0 / 600.0), np.float32(20.0)
     levels = np.full((4, 6), (1.0 / depth_m - float(far)) / float(per_level), np.float32)
+    levels[:, 2] = (1.0 / (depth_m - thing_m) - float(far)) / float(per_level)
     rays = np.array([[0.0, 0.0, -1.0], [0.01, 0.0, 0.0], [0.0, 0.01, 0.0]], np.float32)
     detail.multiply_grain(
         image, levels, far, per_level, np.array([2.0, 2.0, depth_m]), rays,
-        np.array([0.0, 0.0, 4.0, 10.0]), np.full((16, 16), height_m, np.float32),
+        np.array([0.0, 0.0, 4.0, 10.0, 9.0]), np.full((16, 16), height_m, np.float32),
         np.full((40, 40), kind, np.uint8), texels, starts, np.array([700.0], np.float32),
         detail.blend_noise(), np.float32(0.0016),
     )  # fmt: skip
@@ -117,9 +120,9 @@ def test_grain_multiplies_near_ground_alone() -> None:
     np.testing.assert_array_equal(multiplied(64, 2.0), 50)
     np.testing.assert_array_equal(multiplied(192, 8.0), 125)  # half way through the fade
     np.testing.assert_array_equal(multiplied(192, 10.5), 100)
-    np.testing.assert_array_equal(
-        multiplied(192, 2.0, height_m=0.3), 100
-    )  # something else is there
+    np.testing.assert_array_equal(multiplied(192, 2.0, height_m=0.3), 100)  # something else
+    beside = multiplied(192, 2.0, thing_m=0.3)[0, :, 0]  # within a run of pixels
+    assert beside.tolist() == [150, 150, 100, 150, 150, 150]
     np.testing.assert_array_equal(multiplied(192, 2.0, kind=NO_DETAIL_ID), 100)
 
 

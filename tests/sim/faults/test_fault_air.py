@@ -84,7 +84,7 @@ def test_range_is_lost_where_the_link_budget_ends(height: float) -> None:
 
 def clutter(air: Air) -> Clutter:
     x, y = np.deg2rad(HORIZON.divergence_deg)
-    return Clutter(air, Beam(BUDGET, np.zeros(0), (float(x), float(y)), 1.0, 0.5, False))
+    return Clutter(air, Beam(BUDGET, (float(x), float(y)), 1.0, 0.5, False))
 
 
 @pytest.mark.parametrize(("event", "faults", "air"), [
