@@ -28,14 +28,7 @@ def pytest_configure() -> None:
     the same kernels; with a lock around it, the later one finds what the first has stored."""
     from numba.core.compiler_lock import global_compiler_lock
     from numba.core.dispatcher import Dispatcher
-    from numba.extending import overload
-    from numba.np import arrayobj
 
-    def raise_other_shape(_source: Any, _target: Any) -> None: ...
-
-    # Numba compiles seconds of text for an error of slices, which it also raises without shapes.
-    overload(raise_other_shape)(arrayobj.ol_raise_with_shape_context_generic)
-    arrayobj.raise_with_shape_context = raise_other_shape
     compile_or_load = Dispatcher.compile
     folder = Path(tempfile.gettempdir()) / f"touchdown-kernels-{os.getuid()}"
     folder.mkdir(exist_ok=True)
