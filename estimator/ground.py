@@ -12,7 +12,7 @@ below.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numba
@@ -89,12 +89,22 @@ def ground_of(
         square = np.ones((2 * slope_reach + 1, 2 * slope_reach + 1), np.uint8)
         near: Bytes = cv2.dilate(wanted.astype(np.uint8), square).astype(np.uint8)
         own, ends = mean.copy(), np.empty((*mean.shape, 2), np.uint8)
-        _own_modes(histogram[around], base[around], spread, near, own, ends)
+        # Whole maps, windows and read-only views become one type, so that kernels compile once.
+        bins, lowest = _fixed(histogram[around]), _fixed(base[around])
+        count, spread = _fixed(count), _fixed(spread)
+        _own_modes(bins, lowest, spread, near, own, ends)
         _pooled_modes(
-            _Heights(histogram[around], base[around], ends), count, (wanted, several), own, cell_m,
+            _Heights(bins, lowest, ends), count, (wanted, several), own, cell_m,
             (slope_reach, reach), height, std,
         )  # fmt: skip
     return height[inner], std[inner]
+
+
+def _fixed(layer: Any) -> Any:
+    """A contiguous array that is not written."""
+    layer = np.ascontiguousarray(layer).view()
+    layer.flags.writeable = False
+    return layer
 
 
 @numba.njit(cache=True)

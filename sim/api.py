@@ -304,6 +304,16 @@ class ImuSample:
     """(3,) m/s^2; +g along the upward axis at rest."""
 
 
+def _seal(message: object, *names: str) -> None:
+    """Makes a message's arrays read-only: several read them, and kernels compile for one type."""
+    for name in names:
+        array = getattr(message, name)
+        if isinstance(array, np.ndarray) and array.flags.writeable:
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(message, name, view)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LidarScan:
     """All pulses fired in (``start_tick``, ``end_tick``], LIDAR frame, each cast from the pose of
@@ -321,6 +331,9 @@ class LidarScan:
     """(N,) seconds after ``start_time_s``, ascending."""
     intensity: Bytes
     """(N,) return strength 0..255, calibrated to reflectivity in percent below 150 (Livox)."""
+
+    def __post_init__(self) -> None:
+        _seal(self, "directions", "ranges", "time_offsets", "intensity")
 
     @property
     def points(self) -> Float32:
@@ -343,6 +356,9 @@ class CameraImage:
     """(H, W, 3)"""
     right_rgb: Bytes | None = None
     """(H, W, 3), only where stereo was asked for."""
+
+    def __post_init__(self) -> None:
+        _seal(self, "rgb", "right_rgb")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,7 +1,9 @@
 """Settings of the whole test suite, before anything is imported."""
 
 import fcntl
+import gc
 import os
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -12,8 +14,11 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 # Tests share the machine with each other's processes; libraries stay on one thread.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes would compile sources
+sys.dont_write_bytecode = False
 # Scenes of other revisions, or of the user, stay out of the tests.
 os.environ["TOUCHDOWN_SCENE_CACHE"] = f"{tempfile.gettempdir()}/touchdown-scenes-{os.getuid()}"
+gc.set_threshold(100_000, 20, 50)  # what collecting and compiling make lives on
 
 
 def pytest_configure() -> None:

@@ -41,7 +41,6 @@ from touchdown.experiments.external.processes import (
     memory_bytes,
     release_memory,
 )
-from touchdown.experiments.flight.run import fly_with_usage_errors
 from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.results import RunResult, load_result
 from touchdown.experiments.io.run_directory import foreign_entries, put_in_place
@@ -179,6 +178,9 @@ def _runner(task: Task) -> Callable[[Config, Path], RunResult]:
 
 def run_task(config: Config, out: Path) -> RunResult:
     """The runner of real campaigns: flies without progress reports."""
+    # Here, as the process that starts the workers flies nothing.
+    from touchdown.experiments.flight.run import fly_with_usage_errors
+
     return fly_with_usage_errors(config, out, lambda _time_s, _phase, _note: None)
 
 

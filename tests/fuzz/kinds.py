@@ -26,14 +26,14 @@ KINDS: Mapping[str, Kind] = {
     "mjcf": Kind(scene_kinds.mjcf_case, 14), "asset": Kind(scene_kinds.asset_case, 14),
     "toml": Kind(config_kinds.toml_case, 30), "campaign": Kind(config_kinds.campaign_case, 24),
     "argv": Kind(config_kinds.argv_case, 14), "json": Kind(run_kinds.json_case, 24),
-    "tum": Kind(data_kinds.tum_case, 14), "csv": Kind(learn_kinds.csv_case, 14),
-    "mcap": Kind(data_kinds.mcap_case, 14), "parquet": Kind(run_kinds.parquet_case, 14),
-    "baseline": Kind(run_kinds.baseline_case, 14), "sql": Kind(data_kinds.sql_case, 14),
-    "geotiff": Kind(scene_kinds.geotiff_case, 14), "image": Kind(learn_kinds.image_case, 14),
+    "tum": Kind(data_kinds.tum_case, 14), "mcap": Kind(data_kinds.mcap_case, 14),
+    "parquet": Kind(run_kinds.parquet_case, 14), "baseline": Kind(run_kinds.baseline_case, 14),
+    "sql": Kind(data_kinds.sql_case, 14), "geotiff": Kind(scene_kinds.geotiff_case, 14),
+    "image": Kind(learn_kinds.image_case, 14), "csv": Kind(learn_kinds.csv_case, 14),
     "onnx": Kind(learn_kinds.onnx_case, 14), "checkpoint": Kind(learn_kinds.checkpoint_case, 10),
 }  # fmt: skip
 LEARNING = ("onnx", "checkpoint", "csv")
-"""Kinds whose commands need torch."""
+"""Kinds whose commands need torch, which makes forks slower: they come last."""
 
 
 def make(kind: str, number: int, folder: Path, shared: Path) -> Case:

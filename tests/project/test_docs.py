@@ -116,12 +116,6 @@ def test_links_are_moved_with_their_pages(source: str, link: str, in_the_site: s
     assert _site_hooks().links_of_the_site(f"[a]({link})", source) == f"[a]({in_the_site})"
 
 
-def test_the_site_describes_every_command() -> None:
-    page = _site_hooks().help_of_commands()
-    described = re.findall(r"^## (.+)$", page, re.MULTILINE)
-    assert described == ["touchdown", *(f"touchdown {path}" for path in _leaves(cli.cli))]
-
-
 def _commands(text: str) -> Iterator[list[str]]:
     """Arguments of every ``touchdown`` command in shell text, or in the steps of a workflow.
     Variables of loops have their first value."""

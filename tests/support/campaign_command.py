@@ -25,8 +25,7 @@ def start(*arguments: str | Path, **more: Any) -> subprocess.Popen[str]:
 
 def environment(more: Mapping[str, str]) -> dict[str, str]:
     path = os.pathsep.join((str(ROOT / "src"), str(ROOT / "tests")))
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    return {**os.environ, **threads, "PYTHONPATH": path, **more}
+    return {**os.environ, "PYTHONPATH": path, **more}
 
 
 if __name__ == "__main__":

@@ -103,7 +103,7 @@ def test_derivatives_agree_with_differences(coordinate):
         seen = turned.T + LEVER + error[9:12]
         move = key.inverse() @ now
         return photometry(
-            Returns(seen, points - LEVER), reflectivity(places),
+            Returns(seen.copy(), points - LEVER), reflectivity(places),
             view_of(image, key.rotation, error[6:12]), Frame.of(move), LEVER, 0.3,
         )  # fmt: skip
 

@@ -194,13 +194,13 @@ def test_calibrated_reprojection_matches_finite_differences(late_s: float) -> No
 
 def test_an_uncertain_depth_gives_no_information_along_its_epipolar_line() -> None:
     """A landmark aside of the way up, its depth unknown: only the pixel across the line counts."""
-    pixels, here = np.array([[523.5, 239.5]]), Frame.of(Pose.identity())
+    pixels, here = np.array([[523.5, 239.5]]), Pose.identity()
     landmark = np.array([[2.0, 0.0, 10.0]])
     spread = 1e3 * landmark / np.linalg.norm(landmark)
     information, *_ = calibrated_information(
         LandmarkViews(pixels, np.zeros(1), landmark, np.zeros((1, 3, 0)), spread),
-        Frame(np.eye(3), np.array([0.0, 0.0, -2.0])), here, np.zeros((2, 6)), here,
-        Pinhole(600.0, 600.0, 423.5, 239.5), PixelNoise(1.0, 1e6),
+        Frame(np.eye(3), np.array([0.0, 0.0, -2.0])), Frame.of(here), np.zeros((2, 6)),
+        Frame.of(here.inverse()), Pinhole(600.0, 600.0, 423.5, 239.5), PixelNoise(1.0, 1e6),
     )  # fmt: skip
     assert information[3, 3] < 1e-3  # x of the position moves the pixel along the line
     assert information[4, 4] == pytest.approx((600.0 / 12.0) ** 2, rel=0.01)

@@ -65,7 +65,7 @@ def plane_in(world_from_camera: Pose) -> np.ndarray:
 
 
 def imu_pose(xyz: tuple[float, float, float], turn: tuple[float, float, float]) -> Pose:
-    return Pose(so3_exp(np.array(turn)), np.array(xyz))
+    return Pose(so3_exp(np.array(turn)), np.array(xyz, float))
 
 
 def test_patches_are_found_to_a_tenth_of_a_pixel_under_scale_and_turn() -> None:
