@@ -61,6 +61,7 @@ class ImagingSensors:
         self._image_period = 0
         self._shutter = ShutterClock(params.camera, self._sim, seed, self.camera.takes_time)
         self._drawn: tuple[int, Snapshot] | None = None
+        self._takes_textures = False
         self._poses: deque[tuple[int, Array, Array]] = deque(maxlen=self._shutter.span_ticks + 1)
         self.scans: DeliveryQueue[LidarScan] = DeliveryQueue(self._caster)
         self.images: DeliveryQueue[CameraImage] = DeliveryQueue(self._renderer)
@@ -130,11 +131,9 @@ class ImagingSensors:
         return images
 
     def take_textures(self) -> None:
-        """Uploads the textures of the scene's model and returns their memory to the system."""
-        for camera in (self.camera, self._right):
-            if camera is not None and self._image_period:
-                self._renderer.submit(camera.open).result()
-        give_back_textures(self._model)
+        """Returns the memory of the textures of the scene's model to the system after the first
+        image, when they are with the renderer."""
+        self._takes_textures = True
 
     def close(self) -> None:
         """Ends the worker threads and frees the cameras."""
@@ -235,6 +234,9 @@ class ImagingSensors:
             rgb=taken(self.camera),
             right_rgb=taken(self._right) if self._right else None,
         )
+        if self._takes_textures:
+            give_back_textures(self._model)
+            self._takes_textures = False
         self.camera.effects.note(("stamp_error_ms",), 1.0, 1e3 * abs(stamp.time_s - tick / hz))
         self.camera.effects.end_message()
         return image

@@ -300,8 +300,8 @@ class MujocoWorld:
         return WorldRecord(faults, {**sensors, "air": self._air_effects}, drawn)
 
     def take_textures(self) -> None:
-        """Uploads the textures to the cameras and frees the memory that the scene has for them, so
-        that nobody else can draw it: for the owner of a scene that flies once."""
+        """Frees the memory that the scene has for its textures once the cameras have them, so that
+        nobody else can draw it: for the owner of a scene that flies once."""
         self._imaging.take_textures()
 
     def close(self) -> None:

@@ -213,10 +213,6 @@ class CameraSensor:
         # remap knows no int32; 24 bits of an id fit a float32.
         return _frozen(self._bent(ids.astype(np.float32)).astype(np.int32))
 
-    def open(self) -> None:
-        """Makes the GL context with all textures, which the first image would do."""
-        self._own_stage()
-
     def close(self) -> None:
         """Frees the GL context; call it in the thread that rendered."""
         if self._stage is not None:
