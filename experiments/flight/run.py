@@ -61,15 +61,14 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     limit_threads()
     scene = build_scene(config)
     stack = build_flight_stack(config, scene)
+    stack.world.take_textures()
     release_memory()  # 200 MB that the network's loader and the renderer have freed
     _warn_of_inactive_faults(config, stack)
     if out_dir is None:
-        stack.world.take_textures()
         return fly_and_judge(config, stack, NullRecorder(), progress)
     with run_directory(out_dir) as partial:
         sensors = _sensor_log(partial, stack) if config.log.sensors else None
         recorder = RunRecorder(partial, scene, stack.world.rig, config, sensors)
-        stack.world.take_textures()
         result = fly_and_judge(config, stack, recorder, progress)
         (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
         (partial / "result.json").write_text(result.to_json(), encoding="utf-8")

@@ -29,7 +29,7 @@ from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, OTHER_CLAS
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.gl import InverseDepth, Snapshot
-from touchdown.sim.camera.grain import FAR_M, LEVELS, SIDE_PX, TOLERANCE_M, multiply_grain
+from touchdown.sim.camera.grain import FAR_M, LEVELS, SIDE_PX, TOLERANCE_M, TURN, multiply_grain
 from touchdown.sim.typing import Array, Bytes, Float32
 
 PHOTOGRAPHS = Path(__file__).parent / "photographs"
@@ -136,7 +136,7 @@ class GroundDetail:
         corner = ahead - k.cx * right + (last_row - 1 - k.cy) * down
         rays = np.stack([corner, right, -down]).astype(np.float32)
         # Texel numbers stay positive, so that cutting off decimals rounds down.
-        beyond = 0.6018 * 0.91 * heights.shape[1] * ground.height_cell_m + 1.0
+        beyond = TURN[1] * heights.shape[1] * ground.height_cell_m + 1.0
         cells_per_m = 1.0 / ground.height_cell_m, 1.0 / ground.kind_cell_m
         frame = np.array([*ground.origin_xy_m, *cells_per_m, beyond])
         multiply_grain(

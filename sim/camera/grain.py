@@ -19,6 +19,8 @@ TOLERANCE_M = 0.16
 middle on a slope of 32 degrees."""
 NOISE_CELL_M = 0.0625
 LEVELS = 6
+TURN = 0.7986 * 0.91, 0.6018 * 0.91
+"""cosine and sine of the second layer's turn, at its scale"""
 _RUN = 16
 """pixels"""
 _FLAT_M = 0.01
@@ -84,7 +86,7 @@ def multiply_grain(
                     )
                     b = a
                 layer, x, y, d, share = a
-                if layer == NO_DETAIL_ID or d >= far:
+                if layer == NO_DETAIL_ID:
                     continue
                 scale, level = texels_per_m[layer], 0
                 size = d * metres_per_pixel * scale
@@ -145,7 +147,7 @@ def _grain_run(
     """Writes one photograph's (N, 3) factors at ``place`` and on by ``step``, in texels of a level;
     shares: of the first layer, and its change."""
     zero, one = np.float32(0.0), np.float32(1.0)
-    turn_c, turn_s = np.float32(0.7986 * 0.91), np.float32(0.6018 * 0.91)
+    turn_c, turn_s = np.float32(TURN[0]), np.float32(TURN[1])
     part = strength / np.float32(128.0)
     base, ahead = one - strength, np.float32(beyond)
     for j in range(len(factors)):
