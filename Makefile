@@ -1,6 +1,11 @@
 # `make land` and `make test` each do all set-up from a bare clone.
 VENV := .venv
 BIN := $(VENV)/bin
+# Libraries leave out the byte code of the many modules that nothing imports.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile \
+    --constraint constraints.txt
+# What compiling kernels takes, the first to be installed: kernels are compiled beside the rest.
+FOR_KERNELS := annotated-types numba opencv-contrib-python-headless scipy zstandard
 READY := $(VENV)/.ready
 READY_TO_TEST := $(VENV)/.ready-to-test
 READY_FOR_DOCS := $(VENV)/.ready-for-docs
@@ -70,20 +75,18 @@ $(READY): pyproject.toml constraints.txt .ci/system-libraries
 	         "(Debian: apt-get install python3 python3-venv)" >&2; exit 1; }
 	@.ci/system-libraries $(PYTHON)
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
-	    --constraint constraints.txt --editable .
+	$(PIP) $(FOR_KERNELS)
+	PYTHONPATH=src $(BIN)/python -m touchdown.experiments.flight.kernels & \
+	    $(PIP) --editable .; installed=$$?; wait; exit $$installed
 	@touch $@
 
 # Tests need more than a flight does, torch above all.
 $(READY_TO_TEST): $(READY)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
-	    --constraint constraints.txt --editable ".[dev,rl]"
+	$(PIP) --editable ".[dev,rl]"
 	@touch $@
 
 $(READY_FOR_DOCS): $(READY)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check \
-	    --constraint constraints.txt --editable ".[docs]"
+	@$(PIP) --editable ".[docs]"
 	@touch $@
 
 clean:

@@ -1,1 +1,1 @@
-"""One flight: wiring, loop, referee, metrics, result; replay of a sensor log."""
+"""One flight: wiring, loop, referee, metrics, result; replay of a sensor log; compiled kernels."""

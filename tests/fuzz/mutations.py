@@ -28,7 +28,6 @@ TEXTS = (
     "~", ".", "..", "/", "//", "\udcff", "*", "?", "[a", "0-9", "9-0", "1/4", "12.5,-3", "nan,1",
     "lidar_dropout@20+1", *(text for text in MARKED if text != "\0"),
 )  # fmt: skip
-_HUGE_INTEGER = 10**5000
 
 
 def pick(rng: Rng, items: Iterable[Any]) -> Any:

@@ -42,12 +42,17 @@ _FOR: dict[str, tuple[Callable[[Path, Path], _Commands], ...]] = {
 }  # fmt: skip
 
 
+_RUN: set[Callable[[Path, Path], _Commands]] = set()
+
+
 def warm(kind: str, folder: Path, shared: Path) -> None:
     """Runs the commands of a kind in ``folder``, which is made anew and removed."""
     from touchdown.experiments.cli.main import main
 
     here = os.getcwd()
-    for number, make in enumerate(_FOR.get(kind, ())):
+    fresh = [make for make in _FOR.get(kind, ()) if make not in _RUN]
+    _RUN.update(fresh)
+    for number, make in enumerate(fresh):
         place = folder / f"warm-{kind}-{number}"
         place.mkdir(parents=True)
         os.chdir(place)

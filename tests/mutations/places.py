@@ -7,6 +7,7 @@ several that follow one another, or the header of a compound statement (``if``, 
 """
 
 import ast
+import functools
 import io
 import tokenize
 import tomllib
@@ -62,23 +63,32 @@ def load(folder: Path) -> list[Mutation]:
 
 def mutated(text: str, mutation: Mutation) -> str:
     """``text`` of the file with the one statement replaced. Raises ``PlaceError``."""
-    scope: ast.AST = ast.parse(text)
+    scope: ast.AST = _tree(text)
     for name in filter(None, mutation.qualified.split(".")):
         inner = [node for node in _definitions(scope) if node.name == name]
         if len(inner) != 1:
             raise PlaceError(f"{mutation.function}: {name} is defined {len(inner)} times")
         scope = inner[0]
     wanted, is_header = _parsed(mutation.statement)
+    meant = meaning(mutation.statement)
     found = [
         (block[i], block[i + len(wanted) - 1])
         for block in _blocks(scope)
         for i in range(len(block) - len(wanted) + 1)
-        if [_dump(node, is_header) for node in block[i : i + len(wanted)]]
-        == [_dump(node, is_header) for node in wanted]
+        if [_dump(node, is_header) for node in block[i : i + len(wanted)]] == meant
     ]
     if len(found) != 1:
         raise PlaceError(f"{mutation.function}: {len(found)} times `{mutation.statement.strip()}`")
     return _replaced(text, *found[0], mutation.becomes, is_header)
+
+
+def meaning(statement: str) -> list[str]:
+    """The syntax trees of a ``Mutation.statement``, as text."""
+    nodes, is_header = _parsed(statement)
+    return [_dump(node, is_header) for node in nodes]
+
+
+_tree = functools.lru_cache(maxsize=1)(ast.parse)  # mutations of one file follow one another
 
 
 def _definitions(scope: ast.AST) -> Iterator[Definition]:

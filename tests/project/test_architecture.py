@@ -119,13 +119,6 @@ def _sources_of(folder: str) -> list[Path]:
     return [path for path in SOURCES if path.relative_to(ROOT).parts[0] == folder]
 
 
-def test_no_bare_imports() -> None:
-    for path in SOURCES:
-        for line, module in _imports(path):
-            top = module.partition(".")[0]
-            assert top not in FOLDERS, f"{_id(path)}:{line} imports bare {module}"
-
-
 @pytest.mark.parametrize("own", FOLDERS[:-1])
 def test_library_folders_meet_only_at_their_apis(own: str) -> None:
     """``experiments`` is the composition root and may import any public module."""

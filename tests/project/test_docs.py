@@ -47,16 +47,11 @@ def _links(page: Path, mark: str) -> Iterator[tuple[Path, str]]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_and_pictures_lead_somewhere(page: Path) -> None:
+    assert [target.name for target, _ in _links(page, "!") if not target.is_file()] == []
     for target, anchor in _links(page, ""):
         assert target.exists(), f"{name_of(page)} links to {target.name}, which does not exist"
         assert not anchor or anchor in _anchors(target), f"{name_of(page)}: no heading #{anchor}"
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_pictures_exist(page: Path) -> None:
-    missing = [target.name for target, _ in _links(page, "!") if not target.is_file()]
-    assert missing == []
 
 
 def test_the_front_page_links_every_page() -> None:
@@ -180,13 +175,11 @@ def test_commands_in_prose_exist(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_python_blocks_compile(page: Path) -> None:
+def test_python_blocks_compile_and_toml_blocks_are_configurations(
+    page: Path, tmp_path: Path
+) -> None:
     for block in blocks_of(page, "python"):
         compile(block, name_of(page), "exec")
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_toml_blocks_are_configurations(page: Path, tmp_path: Path) -> None:
     for block in blocks_of(page, "toml"):
         file = tmp_path / "block.toml"
         file.write_text(block, encoding="utf-8")

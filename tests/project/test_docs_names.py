@@ -15,18 +15,13 @@ from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_files_that_are_named_exist(page: Path) -> None:
-    for code in inline_of(page):
-        if re.fullmatch(rf"({'|'.join(FOLDERS)}|tests)/[\w/.]*", code):
-            assert (ROOT / code).exists(), f"{name_of(page)}: {code}"
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_dotted_names_are_keys_or_can_be_imported(page: Path) -> None:
+def test_files_exist_and_dotted_names_are_keys_or_can_be_imported(page: Path) -> None:
     """Keys of the configuration, keys of a run's result, or names in the code."""
     keys = load_config(profile="ideal").model_dump()
     results = " ".join(f'"{part}"' for column in columns() for part in column.split("."))
     for code in inline_of(page):
+        if re.fullmatch(rf"({'|'.join(FOLDERS)}|tests)/[\w/.]*", code):
+            assert (ROOT / code).exists(), f"{name_of(page)}: {code}"
         if not re.fullmatch(r"[a-z_]+(\.\w+)+", code) or code.split(".")[-1] in ("py", "md"):
             continue
         if code.startswith("touchdown."):

@@ -24,24 +24,11 @@ print(json.dumps([blas, cv2.getNumThreads(), numba.get_num_threads()]))
 """
 
 
-def environment(**threads: str) -> dict[str, str]:
-    """The environment with these numbers of threads alone."""
-    other = {name: value for name, value in os.environ.items() if name not in NAMES}
-    return other | {"MUJOCO_GL": "egl"} | threads
-
-
-def run(*arguments: str, **threads: str) -> str:
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=ROOT, env=environment(**threads), capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 @pytest.mark.parametrize("first", ["", "import numpy, scipy.linalg, cv2", "import touchdown"])
 def test_libraries_stay_on_one_thread_whatever_the_environment_says(first: str) -> None:
-    four = dict.fromkeys(NAMES, "4")
-    blas, opencv, numba = json.loads(run("-c", first + PROBE, **four))
+    command = [sys.executable, "-c", first + PROBE]
+    four = {**os.environ, "MUJOCO_GL": "egl"} | dict.fromkeys(NAMES, "4")
+    done = subprocess.run(command, cwd=ROOT, env=four, stdout=subprocess.PIPE, check=True)
+    blas, opencv, numba = json.loads(done.stdout)
     assert len(blas) >= 2 and set(blas) == {1}
     assert (opencv, numba) == (1, 1)

@@ -1,0 +1,132 @@
+"""Kernels of a flight compiled ahead, side by side; in flight Numba compiles one after another.
+
+``kernels.txt`` lists those that Python calls, with the types of their arguments, as one flight
+compiles them. Whatever is missing there is compiled when it is first called. Needs nothing but what
+the kernels' own modules import.
+
+``python -m touchdown.experiments.flight.kernels`` compiles what the cache on the disk lacks, and
+with ``--write land crossroad``, or whatever the flight shall be, writes the list anew.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from numba import config, types
+from numba.core import event
+
+LIST = Path(__file__).with_suffix(".txt")
+_PACKAGE = "touchdown."
+
+
+def spelled(kind: Any) -> str:
+    """A type of Numba as text that `read_types` reads."""
+    if isinstance(kind, types.Array):
+        axes = [":"] * kind.ndim
+        if kind.layout in "CF":
+            axes[-1 if kind.layout == "C" else 0] = "::1"
+        text = f"{spelled(kind.dtype)}[{', '.join(axes)}]"
+        return text if kind.mutable else f"readonly({text})"
+    if isinstance(kind, types.BaseTuple):
+        inner: Any = kind
+        record = getattr(kind, "instance_class", tuple)
+        place = f"{record.__module__.removeprefix(_PACKAGE)}:{record.__name__}"
+        return f"{'tuple_of' if record is tuple else f'record({place!r})'}({_list(inner)})"
+    if isinstance(kind, types.Omitted):
+        return f"Omitted({kind.value!r})"
+    return {"bool": "boolean", "slice<a:b>": "slice2_type"}.get(str(kind), str(kind))
+
+
+def _list(kinds: Iterable[Any]) -> str:
+    return ", ".join(map(spelled, kinds))
+
+
+def read_types(text: str) -> tuple[Any, ...]:
+    """The types of arguments ``text``."""
+    known = dict(vars(types)) | {
+        "readonly": lambda array: array.copy(readonly=True),
+        "tuple_of": lambda *inner: types.BaseTuple.from_types(inner),
+        "record": lambda place: lambda *inner: types.BaseTuple.from_types(inner, _named(place)),
+    }
+    kinds: tuple[Any, ...] = eval(f"({text},)", known)
+    return kinds
+
+
+def _named(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(_PACKAGE + module), name)
+
+
+def read_line(line: str) -> tuple[Any, tuple[Any, ...]]:
+    """The kernel of a line of the list, and the types of its arguments."""
+    place, _, text = line.partition(" ")
+    return _named(place), read_types(text)
+
+
+def compile_lines(lines: Iterable[str]) -> None:
+    """Compiles the kernels of lines of the list, or loads them from the cache."""
+    for kernel, arguments in map(read_line, lines):
+        if kernel._can_compile:  # others have been compiled with their module
+            kernel.compile(arguments)
+
+
+def compile_listed() -> None:
+    """Compiles the listed kernels on all cores, a module at a time: its kernels share what they
+    call. Tells how many modules are done."""
+    modules: dict[str, list[str]] = {}
+    for line in LIST.read_text(encoding="utf-8").splitlines():
+        modules.setdefault(line.partition(":")[0], []).append(line)
+    with ProcessPoolExecutor() as pool:
+        for done, _ in enumerate(pool.map(compile_lines, modules.values()), 1):
+            print(f"\rcompiling kernels: {done}/{len(modules)}", end="", flush=True)
+    print()
+
+
+class _Recorder(event.Listener):
+    """What Python lets compile: lines of the list, and how long each took."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._local = threading.local()
+
+    def on_start(self, event: Any) -> None:
+        self._local.__dict__.setdefault("begun", []).append(time.perf_counter())
+
+    def on_end(self, event: Any) -> None:
+        seconds = time.perf_counter() - self._local.begun.pop()
+        kernel = event.data["dispatcher"]
+        module = kernel.py_func.__module__
+        if not self._local.begun and module.startswith(_PACKAGE) and kernel._can_compile:
+            place = f"{module.removeprefix(_PACKAGE)}:{kernel.py_func.__name__}"
+            self.seconds[f"{place} {_list(event.data['args'])}"] = seconds
+
+
+def write_list(arguments: list[str]) -> None:
+    """Writes the list of what ``touchdown`` with these arguments compiles with an empty cache, the
+    longest first."""
+    from touchdown.experiments.cli.main import main
+
+    recorder = _Recorder()
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["NUMBA_CACHE_DIR"] = folder
+        config.reload_config()
+        with event.install_listener("numba:compile", recorder):
+            main(arguments)
+    longest = sorted(recorder.seconds, key=lambda line: -recorder.seconds[line])
+    LIST.write_text("".join(f"{line}\n" for line in longest), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--write"]:
+        write_list(sys.argv[2:])
+    else:
+        compile_listed()

@@ -1,0 +1,17 @@
+"""The kernels that are compiled ahead."""
+
+import numpy as np
+
+from touchdown.experiments.flight.kernels import LIST, compile_lines, read_line, spelled
+
+
+def test_a_listed_kernel_is_not_compiled_again() -> None:
+    lines = LIST.read_text(encoding="utf-8").splitlines()
+    for line in lines:
+        assert ", ".join(map(spelled, read_line(line)[1])) == line.partition(" ")[2]
+    (line,) = (line for line in lines if line.startswith("controller.pid:_pid_output "))
+    compile_lines([line])
+    kernel = read_line(line)[0]
+    known = len(kernel.overloads)
+    kernel(*5 * (np.zeros(3),))
+    assert 0 < len(kernel.overloads) == known
