@@ -5,7 +5,7 @@ compiles them. Whatever is missing there is compiled when it is first called. Ne
 the kernels' own modules import.
 
 ``python -m touchdown.experiments.flight.kernels`` compiles what the cache on the disk lacks, and
-with ``--write land crossroad``, or whatever the flight shall be, writes the list anew.
+with ``--write SCENE`` writes the list anew by a short landing over the scene.
 """
 
 from __future__ import annotations
@@ -110,23 +110,24 @@ class _Recorder(event.Listener):
             self.seconds[f"{place} {_list(event.data['args'])}"] = seconds
 
 
-def write_list(arguments: list[str]) -> None:
-    """Writes the list of what ``touchdown`` with these arguments compiles with an empty cache, the
-    longest first."""
-    from touchdown.experiments.cli.main import main
+def write_list(scene: str) -> None:
+    """Writes the list of what a landing compiles with an empty cache, the longest first."""
+    from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.flight.run import fly
 
     recorder = _Recorder()
     with tempfile.TemporaryDirectory() as folder:
-        os.environ["NUMBA_CACHE_DIR"] = folder
+        os.environ["NUMBA_CACHE_DIR"] = os.environ["TOUCHDOWN_SCENE_CACHE"] = folder
         config.reload_config()
+        flight = load_config(scene=scene, estimator="livo", preset="short")
         with event.install_listener("numba:compile", recorder):
-            main(arguments)
+            fly(flight, Path(folder) / "run")
     longest = sorted(recorder.seconds, key=lambda line: -recorder.seconds[line])
     LIST.write_text("".join(f"{line}\n" for line in longest), encoding="utf-8")
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--write"]:
-        write_list(sys.argv[2:])
+        write_list(sys.argv[2])
     else:
         compile_listed()
