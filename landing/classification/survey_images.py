@@ -223,7 +223,7 @@ class SurveyImages:
 
 def is_dim(rgb: Image) -> bool:
     """True for an image (H, W, 3), or a sample of its pixels, taken in too little light."""
-    return np.count_nonzero(rgb >= _DIM) < 0.05 * rgb.size
+    return bool(np.count_nonzero(rgb >= _DIM) < 0.05 * rgb.size)
 
 
 def shows_structure(rgb: Image) -> bool:
