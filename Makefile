@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile \
     --constraint constraints.txt
 # What compiling kernels takes, the first to be installed: kernels are compiled beside the rest.
-FOR_KERNELS := annotated-types numba opencv-contrib-python-headless scipy zstandard
+FOR_KERNELS := annotated-types mujoco numba opencv-contrib-python-headless scipy zstandard
 READY := $(VENV)/.ready
 READY_TO_TEST := $(VENV)/.ready-to-test
 READY_FOR_DOCS := $(VENV)/.ready-for-docs

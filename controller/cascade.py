@@ -196,7 +196,7 @@ def _outer_errors(
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _forces(
     feedback: Array,
     feed_forward: Array,
@@ -223,7 +223,7 @@ def _forces(
     return force, limited
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _undelivered(
     force: Array, unlimited: Array, achieved: Array, wrench: Array, mass: float, inertia: Array
 ) -> tuple[Array, Array]:
@@ -232,7 +232,7 @@ def _undelivered(
     return (delivered - unlimited) / mass, (achieved[1:] - wrench[1:]) / inertia
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rate_setpoint(
     rotation: Array, force: Array, yaw: float, yaw_rate: float, gain: Array, limit: Array
 ) -> Array:
@@ -252,7 +252,7 @@ def _rate_setpoint(
     return np.minimum(np.maximum(wanted, -limit), limit)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _wrench(thrust: float, angular_acceleration: Array, rates: Array, inertia: Array) -> Array:
     """Euler's equation: torque = J alpha + rates x (J rates)."""
     spin = inertia * rates

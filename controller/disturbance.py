@@ -69,7 +69,7 @@ class DisturbanceObserver:
         return self.acceleration
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _update(
     estimate: Array,
     acceleration: Array,

@@ -65,7 +65,7 @@ class Mixer:
         return self.effectiveness @ (rotor_speed_radps * rotor_speed_radps)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _squared_speeds(
     inverse: Array, wrench: Array, low: float, high: float, thrust_limit: float
 ) -> Array:
@@ -91,7 +91,7 @@ def _squared_speeds(
     return np.minimum(np.maximum(squares + max(scale, 0.0) * yawing, low), high)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _tilting_scale(
     per_thrust: Array, tilting: Array, low: float, high: float, thrust_limit: float
 ) -> float:
@@ -149,7 +149,7 @@ def lead_coefficients(motor_s: float, response_s: float, step_s: float) -> tuple
     return (1.0 - wanted) / (1.0 - decay), decay
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _lead_step(
     modelled: Array, wanted: Array, gain: float, decay: float, low: float, high: float
 ) -> tuple[Array, Array]:

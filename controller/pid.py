@@ -63,12 +63,12 @@ class VectorPid:
         )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pid_output(error: Array, rate: Array, integral: Array, kp: Array, kd: Array) -> Array:
     return kp * error + integral - kd * rate
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pid_integral(
     integral: Array,
     error: Array,

@@ -107,7 +107,7 @@ def _fixed(layer: Any) -> Any:
     return layer
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _climb(weights: Array, low: int) -> tuple[float, float, float]:
     """Mean shift from bin ``low`` of ``weights`` (K,): the mode in metres above the first bin's
     lower side, the weight within the window and the standard deviation there."""
@@ -133,7 +133,7 @@ def _climb(weights: Array, low: int) -> tuple[float, float, float]:
     return x, inside, np.sqrt(second / inside) if inside > 0.0 else 0.0
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _start(weights: Array, first: int, share: float) -> int:
     """First bin from ``first`` on up to which more than a few returns lie; -1 if there is none."""
     total = 0.0
@@ -147,7 +147,7 @@ def _start(weights: Array, first: int, share: float) -> int:
     return -1
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _own_modes(
     histogram: Bytes, base: Float32, spread: Float32, near: Bytes, own: Float32, ends: Bytes
 ) -> None:
@@ -173,7 +173,7 @@ def _own_modes(
                 own[row, col] = base[row, col] + _climb(weights[: bins - 1], start)[0]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _slope_at(own: Float32, row: int, col: int, reach: int, slope: Array) -> None:
     """Writes the rise of ``own`` per column and per row, least squares over the window, into
     ``slope``; 0 where too few cells are known."""
@@ -198,7 +198,7 @@ def _slope_at(own: Float32, row: int, col: int, reach: int, slope: Array) -> Non
         slope[1] = (cyz * cxx - cxz * cxy) / determinant
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _stands_alone(own: Float32, row: int, col: int, reach: int, few: bool) -> bool:
     """True if a cell lies high above most of the known cells around it, or, with ``few`` returns in
     its histogram, far below them: an echo that came late."""
@@ -212,7 +212,7 @@ def _stands_alone(own: Float32, row: int, col: int, reach: int, few: bool) -> bo
     return 2 * below > known or (few and 2 * above > known)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _pool(
     heights: _Heights, at: tuple[int, int], reach: int, slope: tuple[float, float], lowest: float,
     weights: Array,
@@ -235,7 +235,7 @@ def _pool(
                 weights[k + offset] += weight * histogram[a, b, k]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _pooled_modes(
     heights: _Heights,
     count: Float32,

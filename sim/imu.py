@@ -114,7 +114,7 @@ def _stack(gyro: float, accel: float) -> Array:
     return np.array([gyro] * 3 + [accel] * 3)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _ideal(
     rotation_start: Array,
     rotation_end: Array,

@@ -97,7 +97,7 @@ class _Path:
         return BodyTrack(times_s=times_s, positions=positions, quats_wxyz=quats)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _locate(
     starts: Array, directions: Array, arc: Array, travelled: float, position: Array, quat: Array
 ) -> None:
@@ -109,7 +109,7 @@ def _locate(
     quat[0], quat[1], quat[2], quat[3] = np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _locate_each(
     starts: Array, directions: Array, arc: Array, travelled: Array, positions: Array, quats: Array
 ) -> None:

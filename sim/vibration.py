@@ -114,7 +114,7 @@ class PropellerVibration:
         return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def mount_gain(rate: float, share: float, corner: float) -> float:
     """Share of a vibration of ``rate`` rad/s that a damped mount passes: of second order, 1 below
     ``corner`` rad/s and ``share`` above it."""
@@ -124,7 +124,7 @@ def mount_gain(rate: float, share: float, corner: float) -> float:
     return float(np.sqrt(above / below))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sample(
     before: Array,
     speeds: Array,
@@ -151,7 +151,7 @@ def _sample(
     _broadband(state, advance, roots, normals, levels, scale, out)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _harmonics(
     before: Array,
     speeds: Array,
@@ -181,7 +181,7 @@ def _harmonics(
                 out[k] += size * lines[h, k] * (np.sin(a + span) - np.sin(a)) / span
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _broadband(
     state: Array,
     advance: Array,

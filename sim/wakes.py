@@ -158,7 +158,7 @@ def _table(found: Obstacles, direction: Array, ground_m: float) -> Array:
     return np.ascontiguousarray(table[tall])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def mean_in_wake(
     table: Array,
     along: float,
@@ -197,7 +197,7 @@ def mean_in_wake(
     return slowest, behind
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _add(
     table: Array,
     direction: Array,

@@ -125,7 +125,7 @@ class Wind:
         return self._rates
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def dryden_scales(height_ft: float, w20_mps: float) -> tuple[float, float, float, float]:
     """``sigma_uv`` and ``sigma_w`` in m/s, ``L_uv`` and ``L_w`` in metres."""
     height = min(max(height_ft, MIN_HEIGHT_FT), MAX_HEIGHT_FT)
@@ -154,7 +154,7 @@ def _stationary_state(noise: Array) -> Array:
     return state
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _advance(
     state: Array,
     noise: Array,
@@ -179,7 +179,7 @@ def _advance(
     velocity[2] = sigma_w * (_SQRT3 * state[3] + (1.0 - _SQRT3) * state[4])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rolling_gust_sigma(sigma_w: float, scale_w: float, span: float) -> float:
     """Standard deviation of p, rad/s: that of H_p driven by white noise of unit one-sided density.
     Independent of the airspeed, as turbulence is frozen."""
@@ -188,7 +188,7 @@ def rolling_gust_sigma(sigma_w: float, scale_w: float, span: float) -> float:
     return np.sqrt(density * corner * np.pi / 2.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _advance_rotation(
     state: Array,
     turbulence: Array,
@@ -220,7 +220,7 @@ def _advance_rotation(
     rates[2] = corner_r * (v - 0.5 * (lagged_v + state[2]))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _advance_pair(pair: Array, noise: Array, steps: float) -> None:
     """a = n / (1 + T s), b = a / (1 + T s) over ``steps = dt / T``; n is white of intensity T.
 
@@ -238,7 +238,7 @@ def _advance_pair(pair: Array, noise: Array, steps: float) -> None:
     pair[1] = decay * (steps * a + pair[1]) + add_b
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _moment(power: int, steps: float) -> float:
     """Integral of x^power exp(-2x) over [0, steps]; a series where the closed form cancels."""
     if steps < 0.1:

@@ -95,7 +95,7 @@ def place_scan(
     return PlacedScan(origins + beams, beams, pulses)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _lerp_pose(track: Track, index: int, time: float, pose: Frame) -> None:
     """Writes the pose at ``time`` between track entries ``index`` and ``index + 1``: straight line
     and normalised quaternion lerp."""
@@ -177,7 +177,7 @@ def deskew(
     return origins, beams
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _mount(body: Frame, mount: Frame, mounted: Frame) -> None:
     """Writes the pose of a sensor that is mounted on ``body``."""
     for k in range(3):
@@ -191,7 +191,7 @@ def _mount(body: Frame, mount: Frame, mounted: Frame) -> None:
             )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def moved(points: Array, chosen: Indices, frame: Frame) -> Array:
     """Returns the ``chosen`` (K,) of (N, 3) points, rotated and translated, (K, 3)."""
     out = np.empty((chosen.shape[0], 3))
@@ -203,7 +203,7 @@ def moved(points: Array, chosen: Indices, frame: Frame) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def thin_out(points: Array, cell: float, table_bits: int) -> NDArray[np.int64]:
     """Returns the indices of one point per occupied cube of side ``cell`` (the first), ascending.
 

@@ -86,7 +86,7 @@ class NoiseDensities(NamedTuple):
     accel_walk: float  # m/s^3/sqrt(Hz)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def exp_so3(vector: Array) -> Array:
     """Rodrigues for kernels: (3,) rad -> (3, 3)."""
     out = np.empty((3, 3))
@@ -94,7 +94,7 @@ def exp_so3(vector: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def exp_so3_into(vector: Array, out: Array) -> None:
     """Writes ``exp_so3`` of a vector into ``out``."""
     x, y, z = vector[0], vector[1], vector[2]
@@ -115,7 +115,7 @@ def exp_so3_into(vector: Array, out: Array) -> None:
     out[2, 1] = cosine * y * z + sine * x
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def exp_so3_each(vectors: Array) -> Array:
     """(N, 3) rad -> (N, 3, 3)."""
     out = np.empty((vectors.shape[0], 3, 3))
@@ -124,7 +124,7 @@ def exp_so3_each(vectors: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def integrate(
     rotation: Array,
     position: Array,
@@ -162,7 +162,7 @@ def integrate(
     return rotations, positions, velocities
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _corrected(
     gyro: Array, force: Array, gyro_bias: Array, accel_bias: Array, errors: Array
 ) -> tuple[Array, Array]:
@@ -183,7 +183,7 @@ def _corrected(
     return rates, forces
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def cross_into(a: Array, b: Array, out: Array, at: int) -> None:
     """Writes a x b into ``out`` from ``at`` on."""
     out[at] = a[1] * b[2] - a[2] * b[1]
@@ -191,7 +191,7 @@ def cross_into(a: Array, b: Array, out: Array, at: int) -> None:
     out[at + 2] = a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rotate_into(rotation: Array, vector: Array, out: Array) -> None:
     """Writes ``rotation @ vector`` into ``out``."""
     x, y, z = vector[0], vector[1], vector[2]
@@ -199,7 +199,7 @@ def rotate_into(rotation: Array, vector: Array, out: Array) -> None:
         out[a] = rotation[a, 0] * x + rotation[a, 1] * y + rotation[a, 2] * z
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rotate_back_into(rotation: Array, vector: Array, out: Array) -> None:
     """Writes ``rotation.T @ vector`` into ``out``."""
     x, y, z = vector[0], vector[1], vector[2]
@@ -207,7 +207,7 @@ def rotate_back_into(rotation: Array, vector: Array, out: Array) -> None:
         out[a] = rotation[0, a] * x + rotation[1, a] * y + rotation[2, a] * z
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def skew_of(v: Array) -> Array:
     out = np.zeros((3, 3))
     out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
@@ -215,7 +215,7 @@ def skew_of(v: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def transition(
     rotations: Array, gyro: Array, force: Array, step_s: float, densities: NoiseDensities
 ) -> tuple[Array, Array, Array]:

@@ -333,7 +333,7 @@ class _Motion(NamedTuple):
     """specific force of the IMU in its own frame; acceleration of the body"""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _motion_of_body(imu: _Motion, jump: Array, imu_from_body: Frame) -> _Motion:
     """The body's motion from that of the IMU with ``jump`` (15,) added."""
     turn, lever, rate = np.empty((3, 3)), np.empty(3), np.empty(3)
@@ -351,7 +351,7 @@ def _motion_of_body(imu: _Motion, jump: Array, imu_from_body: Frame) -> _Motion:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _turned(rotation: Array, covariance: Array) -> Array:
     """The covariance (3, 3) in the axes that ``rotation`` maps to."""
     out = np.zeros((3, 3))

@@ -143,7 +143,7 @@ def overlaps(
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _in_view(
     pixels: Array,
     planes: Array,

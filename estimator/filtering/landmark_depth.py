@@ -72,13 +72,13 @@ class _Cells(NamedTuple):
     side: float  # of a cell
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _shape(width: float, height: float, side: float) -> tuple[int, int]:
     """Rows and columns of cells."""
     return int(2.0 * height / side) + 1, int(2.0 * width / side) + 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sort_into_cells(
     rays: Array,
     returns: tuple[Float32, NDArray[np.int64], int],
@@ -162,7 +162,7 @@ def _locate(
             part[i] = row * per_row + column if inside else none
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _gather(ray: Array, cells: _Cells, radius: float, near: Array) -> int:
     """Writes the returns within ``radius`` of a ray (2,) into ``near`` (M, 3): offset in radii and
     inverse depth; returns their number, M at most."""
@@ -182,7 +182,7 @@ def _gather(ray: Array, cells: _Cells, radius: float, near: Array) -> int:
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _fit_planes(
     rays: Array, cells: _Cells, radius: float, min_points: int, depth_tolerance: float
 ) -> tuple[NDArray[np.bool_], Array]:
@@ -227,7 +227,7 @@ def _fit_planes(
     return valid, planes
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def sort_first(values: Array, count: int) -> None:
     """Sorts the first ``count`` of ``values`` in place (Shell 1959)."""
     gap = count // 2
@@ -241,7 +241,7 @@ def sort_first(values: Array, count: int) -> None:
         gap //= 2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rough_depths(
     rays: Array, cells: _Cells, radius: float, min_points: int, most_share: float
 ) -> tuple[NDArray[np.bool_], Array, Array]:

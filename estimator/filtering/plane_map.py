@@ -64,7 +64,7 @@ _NO_ANCHOR = -1
 _NO_TERMS = AnchorTerms(np.zeros((0, 3, 3)), *(np.zeros((0, 3)) for _ in range(3)))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pack(ix: int, iy: int, iz: int) -> np.int64:
     return (
         (np.int64(ix + _OFFSET) << np.int64(42))
@@ -73,7 +73,7 @@ def _pack(ix: int, iy: int, iz: int) -> np.int64:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _slot(keys: NDArray[np.int64], key: np.int64) -> int:
     """Slot that holds ``key``, or the empty slot where it belongs (linear probing)."""
     mask = keys.shape[0] - 1
@@ -84,7 +84,7 @@ def _slot(keys: NDArray[np.int64], key: np.int64) -> int:
     return slot
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _add_moved(total: Array, m: Array, x: float, y: float, z: float) -> None:
     """Adds the moments ``m`` of points moved by (x, y, z) to ``total``."""
     n = m[_COUNT]
@@ -100,7 +100,7 @@ def _add_moved(total: Array, m: Array, x: float, y: float, z: float) -> None:
     total[_ZZ] += m[_ZZ] + 2.0 * z * m[_Z] + n * z * z
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def insert_points(
     voxels: Voxels,
     used: int,
@@ -158,7 +158,7 @@ def insert_points(
     return used
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def reassign_voxels(voxels: Voxels, gone: int, successor: int, move: Frame, voxel: float) -> None:
     """Reassigns the voxels of anchor ``gone`` to ``successor``, moved by ``move``, millimetres, as
     their centroid moves. Indices of anchors behind ``gone`` decrease by one."""
@@ -189,7 +189,7 @@ def reassign_voxels(voxels: Voxels, gone: int, successor: int, move: Frame, voxe
         owners[slot] = k - 1 if k > gone else k
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def smallest_eigen(cov: Array) -> tuple[float, float, float, float, float, float]:
     """Eigenvalues (ascending) and the unit eigenvector of the smallest, of a symmetric 3x3.
 
@@ -228,13 +228,13 @@ def smallest_eigen(cov: Array) -> tuple[float, float, float, float, float, float
     return low, mid, high, nx * scale, ny * scale, nz * scale
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _side(at: float, face: float) -> int:
     """On which side of a voxel a coordinate about its centre lies beyond ``face``; 0: on none."""
     return int(at > face) - int(at < -face)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _gather(
     keys: NDArray[np.int64],
     moments: Array,
@@ -269,7 +269,7 @@ def _gather(
     return centre
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def match_planes(
     voxels: Voxels, points: Array, voxel: float, margin: float, min_count: int, max_thickness: float
 ) -> PlaneMatches:

@@ -71,7 +71,7 @@ def _table(whole: NDArray[np.int16], parts: NDArray[np.uint16]) -> _Table:
     return _Table(runs, right.astype(np.uint8), down.astype(np.uint8), width + 2)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _resample(padded: Image, table: _Table, out: Image) -> None:
     """Interpolates the pixels of ``padded``, flat, by the table into ``out`` (H W,)."""
     for k in range(table.runs.shape[0]):

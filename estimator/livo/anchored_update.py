@@ -138,7 +138,7 @@ def weak_directions(
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _weak_axes(information: Array, noise: Array, own: slice, other: slice, sigma: float) -> Array:
     """The degenerate directions of the three coordinates ``own``, the three others marginalised."""
     # the pseudo-inverse ignores unobserved directions of the other block
@@ -166,7 +166,7 @@ def _weak_axes(information: Array, noise: Array, own: slice, other: slice, sigma
     return weak[:, :count]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _carried(matrix: Array, columns: Array) -> Array:
     """``columns.T @ matrix @ columns`` of a symmetric (N, N) matrix and (N, 3) columns."""
     out, size = np.zeros((3, 3)), matrix.shape[0]

@@ -40,7 +40,7 @@ def brightness(intensity: NDArray[np.uint8]) -> Array:
     return _BRIGHTNESS[intensity]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def add_returns(
     sums: Float32, counts: Float32, points: Array, values: Array, axes: Array, centre: Array
 ) -> None:

@@ -87,7 +87,7 @@ class ImageView(NamedTuple):
     mount_shift: Array  # (3,) m
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def photometry(
     returns: Returns,
     values: Array,

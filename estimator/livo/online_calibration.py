@@ -129,7 +129,7 @@ def exposed(poses: list[Pose], twists: Array, delays_s: Array, calibration: Arra
     return Frames(rotations @ turns, translations + moves[:, POSITION]).poses()
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def landmark_jacobians(
     rays: Array, planes: Array, sensor: Array, imu_from_camera: Frame, twist: Array, lens: Pinhole
 ) -> Array:
@@ -188,7 +188,7 @@ def landmark_jacobians(
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _meet(
     move: Array, plane: Array, far: Array, rotation: Array, jacobian: Array, column: int
 ) -> None:

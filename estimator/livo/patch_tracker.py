@@ -56,7 +56,7 @@ class _Patch(NamedTuple):
     seen: Float32  # interpolated
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _empty_patch() -> _Patch:
     most = (_WIDE + 1) * _ROW
     return _Patch(
@@ -195,7 +195,7 @@ def _align(
     return True, u, v, _correlation(patch, power)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def track(
     source: tuple[Grey, Grey, Grey],
     target: tuple[Grey, Grey, Grey],

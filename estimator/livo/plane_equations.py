@@ -60,7 +60,7 @@ class PlaneEquations(NamedTuple):
     """(6, 6) part of the pose's information that comes from the noise of the normals alone"""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _moved(frame: Frame, point: Array, shift: float, out: Array) -> None:
     """Writes ``rotation @ point + shift * translation`` into ``out``."""
     for a in range(3):
@@ -69,7 +69,7 @@ def _moved(frame: Frame, point: Array, shift: float, out: Array) -> None:
             out[a] += frame.rotation[a, b] * point[b]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def plane_equations(
     scan: Returns,
     pose: Frame,
@@ -190,7 +190,7 @@ def plane_equations(
     return PlaneEquations(information, vector, used, rms, seeming)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _all_directions(weight: float, first: Array, second: Array, rotation: Array) -> Array:
     """Sum over the points and the three axes u of ``h_u^T h_u``, ``h_u = (p x R^T u, u)``, (6, 6):
     from the weighted number of points and their moments."""
@@ -208,7 +208,7 @@ def _all_directions(weight: float, first: Array, second: Array, rotation: Array)
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _assembled(
     blocks: Array, gradients: Array, slots: NDArray[np.int64], touched: int, shared: int
 ) -> tuple[Array, Array]:

@@ -197,7 +197,7 @@ def accumulate_heights(
         histogram[row, col, k] += np.uint8(1)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _raise_by(counts: NDArray[np.uint8], up: int) -> None:
     """Moves the returns of a histogram (bins,) up by ``up`` bins, except those of the first one,
     which are forgotten; the last bin keeps all that is higher."""
@@ -211,7 +211,7 @@ def _raise_by(counts: NDArray[np.uint8], up: int) -> None:
     counts[0] = 0
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _cell_at(x: float, y: float, grid: Grid, shape: tuple[int, int]) -> tuple[int, int]:
     """Row and column of the cell at (x, y); a row of -1 beside the grid and for NaN."""
     col, row = np.floor((x - grid.x) / grid.cell), np.floor((y - grid.y) / grid.cell)
@@ -220,7 +220,7 @@ def _cell_at(x: float, y: float, grid: Grid, shape: tuple[int, int]) -> tuple[in
     return int(row), int(col)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def update_ground_level(pulses: Pulses, blocks: Grid, level: Float32) -> None:
     """Updates the lowest return of every block of the scene, (rows, cols), NaN where nothing was
     seen: the level at which pulses without return are expected to have met the ground."""
@@ -236,7 +236,7 @@ def update_ground_level(pulses: Pulses, blocks: Grid, level: Float32) -> None:
             level[row, col] = z
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _expected_level(x: float, y: float, fallback: float, blocks: Grid, level: Float32) -> float:
     """Level of the block at (x, y), else the lowest of its eight neighbours, else the fallback."""
     rows, cols = level.shape
@@ -253,7 +253,7 @@ def _expected_level(x: float, y: float, fallback: float, blocks: Grid, level: Fl
     return best if best < np.inf else fallback
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def locate_missing(
     pulses: Pulses,
     min_reach: float,
@@ -284,7 +284,7 @@ def locate_missing(
     return found
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def accumulate_missing(
     spots: Float32, grid: Grid, count_cap: float, count: Float32, missing: Float32
 ) -> None:

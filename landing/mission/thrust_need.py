@@ -63,7 +63,7 @@ def need(vehicle: VehicleModel, through_air: Array, acceleration: Array) -> Need
     return Need(float(share), float(tilt))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rotor_need(through_air: Array, acceleration: Array, coefficients: Array) -> tuple[float, float]:
     """Speed share and tilt (rad), as `Need`, by a relaxed fixed point."""
     mass, thrust = coefficients[MASS], coefficients[THRUST]

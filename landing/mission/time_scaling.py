@@ -141,7 +141,7 @@ def scaled(sample: Sample, rate: float, change: float) -> Sample:
     return position, rate * velocity, rate**2 * acceleration + change * velocity
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def next_rate(rate: float, change: float, target: float, step_s: float) -> tuple[float, float]:
     """The rate and its derivative one step later, on the way to ``target``; reached exactly
     where it is 0 or 1."""
@@ -162,13 +162,13 @@ def next_rate(rate: float, change: float, target: float, step_s: float) -> tuple
     return moved, following
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _load(velocity: Array, acceleration: Array, coefficients: Array, limits: Array) -> float:
     share, tilt = rotor_need(velocity, acceleration, coefficients)
     return max(share / limits[0], np.tan(min(tilt, 1.5)) / limits[1])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def allowed_rate(
     starts: Array,
     quintics: Array,

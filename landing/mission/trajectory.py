@@ -94,7 +94,7 @@ class PiecewiseTrajectory:
         )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def sample_quintics(starts: Array, coefficients: Array, t: float) -> Sample:
     """`PiecewiseTrajectory.sample` for compiled callers."""
     position, velocity, acceleration = np.zeros(3), np.zeros(3), np.zeros(3)

@@ -102,7 +102,7 @@ class FeltWind:
             self._wind += min(step / _FELT_TIME_CONSTANT_S, 1.0) * (wind - self._wind)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _felt_wind(
     rotation: Array,
     velocity: Array,

@@ -268,7 +268,7 @@ def shade_ground(
     return image
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _hash(a: int, b: int, salt: int) -> float:
     """Uniform in [0, 1) from two integers."""
     value = (a * 73856093) ^ (b * 19349663) ^ (salt * 83492791)
@@ -279,7 +279,7 @@ def _hash(a: int, b: int, salt: int) -> float:
     return value / 4294967296.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _bilinear(field_: Float32, row: float, col: float) -> float:
     i, j = int(row), int(col)
     i, j = min(i, field_.shape[0] - 2), min(j, field_.shape[1] - 2)
@@ -289,7 +289,7 @@ def _bilinear(field_: Float32, row: float, col: float) -> float:
     return top * (1.0 - v) + low * v
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _slab(u: float, v: float, length: float, width: float, joint: float, salt: int) -> float:
     """Relative tone of slabs in running bond with dark joints."""
     course = np.floor(v / width)
@@ -300,7 +300,7 @@ def _slab(u: float, v: float, length: float, width: float, joint: float, salt: i
     return 0.13 * (_hash(int(course), int(number), salt) - 0.5)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _clump(row: int, col: int, material: int, salt: int) -> float:
     """Relative tone of tufts, clods and stones: in some cells of 7 texels lies one with a sharp
     outline, so that there are corners to track at the scale of a camera's pixel."""
@@ -317,7 +317,7 @@ def _clump(row: int, col: int, material: int, salt: int) -> float:
     return -0.27 if place < 0.60 else 0.25
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pattern(material: int, u: float, v: float, salt: int) -> float:
     """Relative tone of a material's regular pattern at (u, v) metres in its own frame."""
     if material == 3 or material == 4:
@@ -345,7 +345,7 @@ def _pattern(material: int, u: float, v: float, salt: int) -> float:
     return 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _shade(
     image: Bytes,
     material: Bytes,

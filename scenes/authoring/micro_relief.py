@@ -109,7 +109,7 @@ class MicroRelief:
         return tone
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _shade_slopes(
     tone: Bytes,
     drifts: Float32,

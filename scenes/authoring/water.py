@@ -110,7 +110,7 @@ def lay_water(
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sample(field_: Float32, row: float, col: float) -> float:
     i = min(max(int(row), 0), field_.shape[0] - 2)
     j = min(max(int(col), 0), field_.shape[1] - 2)
@@ -120,7 +120,7 @@ def _sample(field_: Float32, row: float, col: float) -> float:
     return top * (1.0 - v) + low * v
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _lay(
     image: Bytes,
     depth: Float32,

@@ -185,7 +185,7 @@ def _disc(radius_m: float, cell_m: float) -> NDArray[np.int64]:
     return np.argwhere(mask) - mask.shape[0] // 2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _gradient(
     heights: Array, row: int, col: int, disc: NDArray[np.int64], cell_m: float
 ) -> tuple[float, float]:
@@ -200,7 +200,7 @@ def _gradient(
     return sum_x / (norm * cell_m), sum_y / (norm * cell_m)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _slope_map(heights: Array, disc: NDArray[np.int64], cell_m: float) -> Array:
     rows, cols = heights.shape
     reach = disc[:, 0].max()
@@ -212,7 +212,7 @@ def _slope_map(heights: Array, disc: NDArray[np.int64], cell_m: float) -> Array:
     return slope
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _clear_cells(
     heights: Array,
     candidate: NDArray[np.bool_],

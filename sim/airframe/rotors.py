@@ -121,7 +121,7 @@ class Rotors:
         return self._coefficients.item(_KQ) * cubes
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def ground_effect(height_m: float, radius_m: float) -> float:
     """Thrust at ``height_m`` of the rotor plane over the ground / thrust far from it."""
     height = max(height_m, GROUND_EFFECT_MIN_HEIGHT_RADII * radius_m)
@@ -129,7 +129,7 @@ def ground_effect(height_m: float, radius_m: float) -> float:
     return 1.0 / (1.0 - ratio * ratio)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _step(
     speeds: Array,
     demand: Array,
@@ -177,7 +177,7 @@ def _step(
         wrench[a], wrench[3 + a] = force[a], torque[a]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rotation(quat_wxyz: Array) -> Array:
     """``sim.frames.matrix_from_quat_wxyz`` for compiled callers."""
     w, x, y, z = quat_wxyz[0], quat_wxyz[1], quat_wxyz[2], quat_wxyz[3]

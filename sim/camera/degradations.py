@@ -209,7 +209,7 @@ def glare_table(light: float) -> Bytes:
     return table
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _veil(
     drawn: Bytes,
     depth: Float32,

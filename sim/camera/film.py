@@ -177,14 +177,14 @@ def quiet_tone(light: Exposed) -> Tone:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _light_up(drawn: Bytes, light: Float32, lit: Float32) -> None:
     source, target = drawn.reshape(drawn.size), lit.reshape(lit.size)
     for j in range(len(source)):
         target[j] = light[source[j]]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _show(
     drawn: Bytes, depth: Float32, far: float, per_level: float, shifts: Array,
     x: Float32, y: Float32, bent: bool,
@@ -216,7 +216,7 @@ def _show(
             target[j] = np.uint8(np.int32(min(max(value + half, zero), top)))
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _expose(
     lit: Float32, depth: Float32, far: float, per_level: float, shifts: Array,
     x: Float32, y: Float32, bent: bool,
@@ -264,7 +264,7 @@ def _expose(
             target[j] = display[np.uintp(np.sqrt(value) * top + half)]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _meter(
     drawn: Bytes, depth: Float32, far: float, per_level: float, light: Float32, ambient: float,
     lit: bool, beam: Float32, fx: float, fy: float, cx: float, cy: float,

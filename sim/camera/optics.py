@@ -231,7 +231,7 @@ def develop(
     _add_noise(raw.reshape(lines), noise, row, 3 * col, sign, flip, image.reshape(lines))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_noise(
     raw: Bytes, noise: NDArray[np.int8], row: int, first: int, sign: int, flip: bool, out: Bytes
 ) -> None:

@@ -103,7 +103,7 @@ def identity_shifts(rows: int) -> Array:
     return np.tile(identity, (rows, 1, 1))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _row_shifts(
     at: Array,
     nodes: Array,
@@ -143,7 +143,7 @@ def _row_shifts(
         out[n, 9], out[n, 10], out[n, 11] = fx * p[0] + cx * p[2], fy * p[1] + cy * p[2], p[2]
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True, error_model="numpy")
 def trace_row(
     c: Array,
     xs: Float32,
@@ -204,7 +204,7 @@ def _rotated(c: Float32, x: np.float32, y: np.float32) -> tuple[np.float32, np.f
     return (c[0] * x + c[1] * y + c[2]) * w - x, (c[3] * x + c[4] * y + c[5]) * w - y
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True, error_model="numpy")
 def sample_row(raw: NDArray[Any], sx: Float32, sy: Float32, levels: Float32) -> None:
     """Writes (3 W) ``levels`` of (h, w, 3) ``raw``, bottom row first, interpolated at the places
     (sx, sy)."""

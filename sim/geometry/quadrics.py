@@ -61,7 +61,7 @@ class ShapeTable(NamedTuple):
         self.size[geom_id] = size[0] if kind == mujoco.mjtGeom.mjGEOM_SPHERE else size
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def settle(
     rays: Float32,
     rows: Indices,
@@ -114,7 +114,7 @@ def settle(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def rays_behind(
     rays: Float32, chosen: Indices, distance: Float32, onward: Float32, travelled: Float32
 ) -> None:
@@ -127,7 +127,7 @@ def rays_behind(
             onward[k, 3 + c] = rays[chosen[k], 3 + c]
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _meet(kind: int, ray: Array, size: Array) -> tuple[float, float]:
     """Distance at which a ray (6,) in the shape's frame meets it first (-1: never), and the cosine
     between the outward normal there and the way back."""
@@ -167,7 +167,7 @@ def _meet(kind: int, ray: Array, size: Array) -> tuple[float, float]:
     return best, facing
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _meet_ellipsoid(
     ray: Array, z: float, semi_axes: Array, half: float = 0.0
 ) -> tuple[float, float]:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import os
-from typing import NamedTuple
-
-# Open3D would otherwise probe for a display when it is first imported.
-os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-import open3d as o3d
 
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.quadrics import ShapeTable, rays_behind, settle
@@ -85,10 +81,14 @@ class RayTarget:
         self.center = 0.5 * (points.min(axis=0) + points.max(axis=0)).astype(np.float64)
         self.radius = float(np.linalg.norm(points - self.center, axis=1).max())
         self.triangle_count = len(self._geom_of_triangle)
+        # It would otherwise probe for a display when it is first imported.
+        os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
+        import open3d as o3d
+
+        self._tensor = o3d.core.Tensor.from_numpy
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(
-            o3d.core.Tensor.from_numpy(points),
-            o3d.core.Tensor.from_numpy(np.concatenate(indices).astype(np.uint32)),
+            self._tensor(points), self._tensor(np.concatenate(indices).astype(np.uint32))
         )
         # Embree builds its hierarchy at the first ray: now, rather than in the middle of a flight.
         self.cast(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]], dtype=np.float32))
@@ -136,11 +136,9 @@ class RayTarget:
             rays_behind(rays, again, wrapped[again] + _LAYER_STEP_M, onward, travelled)
             rays = onward
 
-    def embree(self, rays: Float32) -> dict[str, o3d.core.Tensor]:
-        """The bare cast against the triangles, as Open3D answers it."""
-        answer: dict[str, o3d.core.Tensor] = self._scene.cast_rays(
-            o3d.core.Tensor.from_numpy(rays), nthreads=1
-        )
+    def embree(self, rays: Float32) -> dict[str, Any]:
+        """The bare cast against the triangles, as Open3D answers it in tensors."""
+        answer: dict[str, Any] = self._scene.cast_rays(self._tensor(rays), nthreads=1)
         return answer
 
 

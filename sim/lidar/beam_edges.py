@@ -40,7 +40,7 @@ def _view_map(nominal: Float32, chosen: Indices) -> tuple[Int32, Int32, int]:
     return grid, cells, width
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def near_edges(
     nominal: Float32, distance: Float32, cosine: Float32, candidates: Indices
 ) -> Indices:
@@ -76,13 +76,13 @@ def near_edges(
     return chosen[:count].copy()
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _square(cosine: np.float32) -> np.float32:
     """Square of a cosine, which counts as 0.05 at least."""
     return max(cosine * cosine, _LEAST_SQUARE)
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _apart(
     distance: np.float32,
     other: np.float32,
@@ -100,7 +100,7 @@ def _apart(
     return bool((gap > 0.0) & wide)  # not where neither hits anything
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def probed_apart(
     pulses: Indices,
     count: int,

@@ -36,7 +36,7 @@ _Y, _Z, _U, _V, _W = (np.uint64(_BLOCK * k) for k in range(1, 6))
 """where the lanes of a block begin, behind the first"""
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _mix(state: np.uint64) -> np.uint64:
     """SplitMix64's output function."""
     z = np.uint64(state)
@@ -45,7 +45,7 @@ def _mix(state: np.uint64) -> np.uint64:
     return np.uint64(z ^ (z >> np.uint64(31)))
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _tail(bits: int) -> float:
     """Normal quantile in the outermost cells: Abramowitz and Stegun, 26.2.23."""
     p = (bits + 0.5) / 4294967296.0
@@ -56,14 +56,14 @@ def _tail(bits: int) -> float:
     return z if p > 0.5 else -z
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def normal_cell(bits: int) -> tuple[int, float]:
     """Cell of `quantile_table` that 32 random bits fall in, and the fraction of it."""
     rest = 32 - _QUANTILE_BITS
     return bits >> rest, (bits & ((1 << rest) - 1)) * (1.0 / (1 << rest))
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def normal_in(bits: int, low: float, high: float) -> float:
     """Standard normal deviate of 32 random bits whose cell has quantiles ``low`` and ``high``."""
     cell, part = normal_cell(bits)
@@ -77,7 +77,7 @@ def quantile_table() -> Array:
     return _QUANTILES
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def hashed(bits: np.uint32, salt: int) -> np.uint32:
     """Other random bits from a pulse's own (MurmurHash3's finaliser)."""
     h = np.uint32(bits ^ np.uint32(np.uint32(salt) * np.uint32(0x9E3779B9)))
@@ -88,7 +88,7 @@ def hashed(bits: np.uint32, salt: int) -> np.uint32:
     return np.uint32(h ^ (h >> np.uint32(16)))
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _fraction(start: float, end: float, time: float) -> float:
     """Fraction of the interval between two samples of a track at ``time``, clamped to [0, 1]."""
     return min(max((time - start) / (end - start), 0.0), 1.0) if end > start else 0.0
@@ -238,7 +238,7 @@ def _turn(
         lanes[_U + n], lanes[_V + n], lanes[_W + n] = dx * scale, dy * scale, dz * scale
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def in_view(lidar: Track, body: Track, center: Array, radius: float, cone_rad: float) -> bool:
     """True if a moving body (``center`` (3,) in its own frame) may come into a cone about the
     LIDAR's z axis."""
@@ -269,7 +269,7 @@ def in_view(lidar: Track, body: Track, center: Array, radius: float, cone_rad: f
     return off_axis - math.asin(reach / distance) - 2.0 * rotated <= cone_rad
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def rays_near(
     rays: Float32, times: Array, track: Track, center: Array, radius: float
 ) -> tuple[Indices, Float32]:

@@ -85,7 +85,7 @@ def _halved(heights: Float32) -> Float32:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _close(closed: Array, ground: Array, origin: Array, cell: Array, clutter: Array) -> None:
     """Raises ``closed`` to other surfaces, triangles (T, 3, 3), with room around them for the width
     of a beam; what lies below ``ground`` closes nothing."""
@@ -102,7 +102,7 @@ def _close(closed: Array, ground: Array, origin: Array, cell: Array, clutter: Ar
                 _close_piece(closed, ground, origin, cell, corner, across, along, i, j, pieces)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _close_piece(
     closed: Array,
     ground: Array,
@@ -136,7 +136,7 @@ def _close_piece(
                 closed[row, col] = max(closed[row, col], high[2])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _map_horizon(lids: Array, low: Array, slope: Array, side: float, free: Bytes) -> None:
     """Fills one quadrant of `GroundGrid.free`, turned so that the rays come from smaller rows and
     columns, from the highest and lowest points of all cells and the slopes of the ground."""

@@ -21,7 +21,7 @@ _SCALE = np.float32(math.sqrt(3.0) / 2147483648.0)
 _ONE, _TWO, _THREE = np.float32(1.0), np.float32(2.0), np.float32(3.0)
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _node(place: np.uint32, salt: np.uint32) -> np.float32:
     """Hashed value of a node (finaliser "lowbias32" of Wellons, 2018)."""
     h = np.uint32(place ^ salt)

@@ -62,7 +62,7 @@ class Rays(NamedTuple):
             values[start : start + len(rows)] = values[rows]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def rotations_of(quats_wxyz: Array) -> Array:
     """(M, 4) unit quaternions -> (M, 3, 3)."""
     out = np.empty((quats_wxyz.shape[0], 3, 3))
@@ -84,7 +84,7 @@ Movers = list[tuple[RayTarget, Track]]
 """Moving bodies with their tracks over a scan"""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def ground_cells(
     rays: Float32, hits: Hits, ground_geom: int, frame: Array, rows: int, cols: int
 ) -> Int32:

@@ -84,7 +84,7 @@ class LinkBudget(NamedTuple):
         return float(_limit(strength, self.anchors))
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _limit(strength: float, anchors: Array) -> float:
     if strength <= 0.0:
         return 0.0
@@ -94,13 +94,13 @@ def _limit(strength: float, anchors: Array) -> float:
     return anchors[k, 0] * (strength / anchors[k, 1]) ** anchors[k, 2]
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _uniform(bits: np.uint32, salt: int) -> float:
     """A number in (0, 1) from a pulse's random bits and a salt."""
     return (float(hashed(bits, salt)) + 0.5) / 4294967296.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def pass_on(
     rows: Indices, pulses: Rays, hits: Hits, porosity: Float32, onward: Float32, travelled: Float32
 ) -> int:
@@ -126,7 +126,7 @@ def pass_on(
     return count
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _strength(reflectivity: float, wet: bool, cosine: float, bits: np.uint32) -> float:
     """Strength that a surface returns: reflectivity times cosine, or a glint of water."""
     c = abs(cosine)
@@ -139,7 +139,7 @@ def _strength(reflectivity: float, wet: bool, cosine: float, bits: np.uint32) ->
     return mean * -math.log(_uniform(bits, _WATER_SALT))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _detected(
     distance: float, strength: float, bits: np.uint32, anchors: Array, quantiles: Array
 ) -> bool:
@@ -149,12 +149,12 @@ def _detected(
     return distance <= _limit(strength, anchors) * (1.0 + _LIMIT_SPREAD * deviate)
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _level(strength: float) -> np.uint8:
     return np.uint8(min(max(_INTENSITY_PER_REFLECTIVITY * strength + 0.5, 1.0), 255.0))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def receive(
     pulses: Rays,
     hits: Hits,
@@ -198,7 +198,7 @@ def receive(
             intensity[i] = _level(strength)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def weaken(
     distance: Float32,
     bits: Uint32,
@@ -224,7 +224,7 @@ def weaken(
                 ranges[i], intensity[i] = 0.0, 0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def clutter(
     bits: Uint32,
     expected: Array,
@@ -260,7 +260,7 @@ def clutter(
         ranges[i], intensity[i] = r, _level(strength)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def receive_split(
     pulses: Indices,
     rays: Rays,
@@ -314,7 +314,7 @@ def receive_split(
             intensity[i] = _level(best_strength)
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _sort_parts(distance: Float32, strength: Float32) -> None:
     """By distance, a few of them, in place; parts without strength go last."""
     for a in range(distance.shape[0]):

@@ -200,7 +200,7 @@ class SurfaceDetail:
         return scale * np.clip(factor, np.float32(0.5), np.float32(1.5))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _find(
     rays: Float32,
     hits: Hits,
@@ -281,7 +281,7 @@ def _log_gains(
         gain[rows[k]] = size * (noise[k] - np.float32(0.5) * size)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _even(rows: Indices, bits: Uint32) -> Array:
     """Numbers in (0, 1) of the rays ``rows`` (K,)."""
     out = np.empty(rows.shape[0])
@@ -290,7 +290,7 @@ def _even(rows: Indices, bits: Uint32) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _shorten(
     rows: Indices,
     height: Float32,

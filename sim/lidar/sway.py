@@ -103,7 +103,7 @@ class Sway:
         return np.column_stack([self.amplitude_m, 2.0 * np.pi * self.frequency_hz, self.phases.T])
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _displacement(time_s: float, along: Array, swing: Array) -> tuple[float, float]:
     phase = swing[1] * time_s
     size = swing[0] * (1.0 + _WAXING * math.sin(phase / _BEATS + swing[4]))
@@ -111,7 +111,7 @@ def _displacement(time_s: float, along: Array, swing: Array) -> tuple[float, flo
     return far * along[0] - beside * along[1], far * along[1] + beside * along[0]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _displace(geoms: Indices, times_s: Array, along: Array, swing: Array, moved: Array) -> None:
     for k in range(geoms.shape[0]):
         moved[k] = _displacement(times_s[k], along, swing[geoms[k]])

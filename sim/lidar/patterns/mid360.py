@@ -44,7 +44,7 @@ def directions(start_index: int, count: int) -> Float32:
     return beams
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _trace(start_index: int, beams: Float32) -> None:
     for k in range(beams.shape[0]):
         index = start_index + k
