@@ -28,8 +28,8 @@ _OBLIQUE = 0.7
 """Texels along the sides of the texture a pixel, at least, over those in its own direction"""
 _WHOLE_SIDE = 1024
 """Textures up to this size are left whole."""
-_MOST_TEXELS = 6 << 20
-"""held for tiles out of view"""
+_MOST_TEXELS = 3 << 20
+"""held with those of tiles out of view"""
 
 
 class _Part(NamedTuple):
