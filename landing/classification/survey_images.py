@@ -68,7 +68,11 @@ class _KeptImage:
 
     def pixels(self) -> Image:
         """(H, W, 3)"""
-        return self.rgb if self.rgb.ndim == 3 else np.asarray(cv2.imdecode(self.rgb, cv2.IMREAD_COLOR), np.uint8)
+        return (
+            self.rgb
+            if self.rgb.ndim == 3
+            else np.asarray(cv2.imdecode(self.rgb, cv2.IMREAD_COLOR), np.uint8)
+        )
 
 
 class SurveyImages:
