@@ -63,7 +63,7 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     scene = build_scene(config)
     stack = build_flight_stack(config, scene)
     stack.world.take_textures()
-    release_memory()  # 200 MB that the network's loader and the renderer have freed
+    release_memory()  # what the loaders of scene and network have freed
     _warn_of_inactive_faults(config, stack)
     if out_dir is None:
         return fly_and_judge(config, stack, NullRecorder(), progress)

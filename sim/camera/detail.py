@@ -304,7 +304,7 @@ def _levels(image: Bytes) -> Iterator[NDArray[np.uint32]]:
     """Packed texels of ``image`` and of its smaller levels."""
     for step in range(LEVELS):
         wide = image.astype(np.uint32)
-        yield (wide[..., 0] | wide[..., 1] << 8 | wide[..., 2] << 16).ravel()
+        yield (wide[..., 0] | wide[..., 1] << 8 | wide[..., 2] << 16).ravel().astype(np.uint32)
         half = (SIDE_PX >> step + 1,) * 2
         image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
 
