@@ -88,8 +88,9 @@ class ImagingSensors:
             air = Weather(self._params.faults, self._sim.tick_hz)
             wind = self._params.wind
             speed = wind.mean_kmh / 3.6 * Wind(wind, self._seed).mean_direction[:2]
+            optics = None if self.plants is None else self.plants.optics
             self._lidar = LidarSensor(
-                self._scene, self._params.lidar, self._seed, air, speed, self._dust
+                self._scene, self._params.lidar, self._seed, air, speed, self._dust, optics
             )
         if needs.stereo and self._right is None:
             self._right = self._make_camera(RIGHT_CAMERA)

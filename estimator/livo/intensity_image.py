@@ -19,6 +19,7 @@ from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
 
 SIDE = 384
 """cells of a row"""
@@ -27,7 +28,7 @@ _CELL_SHARE = 0.006
 _LEAST_CELL_M = 0.02
 _FAINTEST = 4.0
 """weaker intensities count as this: the logarithm of single digits is mostly rounding"""
-_MOST_RETURNS = 8.0
+_MOST_RETURNS = 8
 """a cell takes no further ones: the oldest carry the least drift"""
 _BRIGHTNESS = np.log(np.maximum(np.arange(256.0), _FAINTEST))
 _WEIGHTS = np.array([0.25, 0.5, 0.25])
@@ -42,7 +43,7 @@ def brightness(intensity: NDArray[np.uint8]) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def add_returns(
-    sums: Float32, counts: Float32, points: Array, values: Array, axes: Array, centre: Array
+    sums: Float32, counts: Bytes, points: Array, values: Array, axes: Array, centre: Array
 ) -> None:
     """Adds returns to an image (rows, columns): ``points`` (N, 3), ``axes`` (2, 3) of the image in
     their frame, a cell long, and its ``centre`` (2,) in cells from their origin. Returns beside the
@@ -55,7 +56,7 @@ def add_returns(
         column, row = int(np.floor(u)) + columns // 2, int(np.floor(v)) + rows // 2
         if 0 <= row < rows and 0 <= column < columns and counts[row, column] < _MOST_RETURNS:
             sums[row, column] += values[i]
-            counts[row, column] += 1.0
+            counts[row, column] += 1
 
 
 @dataclass(eq=False)
@@ -68,14 +69,14 @@ class IntensityImage:
     calibration: Array
     """(C,) shared calibration that its returns were placed with"""
     sums: Float32
-    counts: Float32
+    counts: Bytes
     _smoothed: tuple[Float32, Float32] | None = None
 
     @staticmethod
     def of(rotation: Array, height_m: float, calibration: Array) -> IntensityImage:
         """An empty image of a clone, with ``rotation`` odom_from_imu, ``height_m`` above the
         ground."""
-        sums, counts = np.zeros((2, SIDE, SIDE), dtype=np.float32)
+        sums, counts = (np.zeros((SIDE, SIDE), dtype) for dtype in (np.float32, np.uint8))
         cell = max(_CELL_SHARE * height_m, _LEAST_CELL_M)
         return IntensityImage(rotation[:2].copy(), cell, calibration.copy(), sums, counts)
 
@@ -95,7 +96,7 @@ class IntensityImage:
         along either axis; mean 0 where there is none."""
         if self._smoothed is None:
             sums, weights = (
-                np.asarray(cv2.sepFilter2D(layer, -1, _WEIGHTS, _WEIGHTS), np.float32)
+                np.asarray(cv2.sepFilter2D(layer, cv2.CV_32F, _WEIGHTS, _WEIGHTS), np.float32)
                 for layer in (self.sums, self.counts)
             )
             means = np.divide(sums, weights, out=np.zeros_like(sums), where=weights > 0.0)

@@ -8,6 +8,8 @@ import re
 import traceback
 
 BLAS_THREADS = "OPENBLAS_NUM_THREADS"
+_M_MMAP_THRESHOLD = -3
+"""parameter of glibc's mallopt"""
 
 
 def has_display() -> bool:
@@ -55,3 +57,11 @@ def limit_threads() -> None:
     numba.set_num_threads(1)
     threadpool_limits(1, user_api="blas")
     os.environ[BLAS_THREADS] = "1"  # for copies that are loaded later, here or in a child
+
+
+def map_large_blocks() -> None:
+    """Gives each block of memory above 1 MB a mapping of its own, which goes back to the system
+    when it is freed. glibc would keep blocks of up to 32 MB, and holes between them stay."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries lack it
+    if mallopt is not None:
+        mallopt(_M_MMAP_THRESHOLD, 1 << 20)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.classification import scores, trial
+from touchdown.landing.classification.mapped_weights import float16_weights
 from touchdown.landing.classification.weights import INPUT, NetworkFacts, facts_of, read_network
 
 Float32 = NDArray[np.float32]
@@ -48,11 +49,16 @@ class OnnxClassifier:
             reason = trial.reason_against(path.resolve(), hashlib.sha256(content).hexdigest())
             if reason:
                 raise ValueError(f"'{path}' {reason}")
+        options = trial.session_options(threads)
+        self._weights = []  # the session does not keep them alive
+        for name, values in float16_weights(path).items() if own else ():
+            self._weights.append(onnxruntime.OrtValue.ortvalue_from_numpy(values))
+            options.add_initializer(name, self._weights[-1])
         try:
             # A session keeps the bytes that it is given, 50 MB, and no file.
             self._session = onnxruntime.InferenceSession(
                 str(path) if own else content,
-                trial.session_options(threads),
+                options,
                 providers=["CPUExecutionProvider"],
             )
         except Exception as error:  # onnxruntime's errors share no base class

@@ -45,6 +45,8 @@ _DAYLIGHT = (110.0 / 255.0) ** 2.2
 """mean linear light of a patch by day"""
 _SMOOTHING_PX = 1.0
 """of a dim patch"""
+_JPEG = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111)
+"""of kept images: half the memory, with an error of half a level"""
 _HEIGHT_WEIGHT = 0.01
 """weight of a metre of height relative to the tangent of the viewing angle"""
 
@@ -54,6 +56,7 @@ class _KeptImage:
     """An image with its pose at exposure."""
 
     rgb: Image
+    """pixels, or the bytes of a JPEG file of one dimension"""
     time_s: float
     odom_from_camera: Pose
     height_m: float
@@ -62,6 +65,14 @@ class _KeptImage:
     """taken in too little light for the camera"""
     darkest: float = 0.0
     """``landing.classification.haze.darkest_light``; 0 for images that are not kept"""
+
+    def pixels(self) -> Image:
+        """(H, W, 3)"""
+        return (
+            self.rgb
+            if self.rgb.ndim == 3
+            else np.asarray(cv2.imdecode(self.rgb, cv2.IMREAD_COLOR), np.uint8)
+        )
 
 
 class SurveyImages:
@@ -142,10 +153,11 @@ class SurveyImages:
         return float(np.linalg.norm(away)) >= self._spacing * image.height_m
 
     def _keep(self, image: _KeptImage) -> None:
-        """Keeps a copy, since the caller owns the image; above the limit the spacing grows."""
+        """Keeps a compressed copy; above the limit the spacing grows."""
+        coded = np.asarray(cv2.imencode(".jpg", image.rgb, _JPEG)[1], np.uint8)
         self._kept.append(
             _KeptImage(
-                image.rgb.copy(), image.time_s, image.odom_from_camera, image.height_m, image.dim,
+                coded, image.time_s, image.odom_from_camera, image.height_m, image.dim,
                 darkest_light(image.rgb),
             )
         )  # fmt: skip
@@ -212,7 +224,7 @@ class SurveyImages:
         points = _ground_points(kept.odom_from_camera, site, side_m, steps)
         where, _ = project(self._rig.camera, kept.odom_from_camera.inverse().apply(points))
         x, y = (np.ascontiguousarray(where[..., axis], np.float32) for axis in (0, 1))
-        found = cv2.remap(kept.rgb, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        found = cv2.remap(kept.pixels(), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         if self.haze.extinction > 0.0:
             away = np.linalg.norm(points - kept.odom_from_camera.translation, axis=-1)
             found = self.haze.removed(np.asarray(found, np.uint8), away)

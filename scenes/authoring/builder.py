@@ -89,10 +89,11 @@ class SceneBuilder:
 
     def is_free(self, xy_m: Array, radius_m: float) -> bool:
         """True if a disc overlaps no reserved one."""
-        return all(
-            float(np.hypot(*(xy_m - centre))) > radius + radius_m
-            for centre, radius in self.occupied
-        )
+        if not self.occupied:
+            return True
+        centres, radii = (np.array(column) for column in zip(*self.occupied, strict=True))
+        away = np.hypot(*(xy_m - centres).T)
+        return bool((away > radii + radius_m).all())
 
 
 def add_texture(spec: Any, name: str, image: NDArray[np.uint8]) -> None:

@@ -318,6 +318,12 @@ def _clump(row: int, col: int, material: int, salt: int) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def _first_half(turns: float) -> bool:
+    """Where the sine of a turn is positive."""
+    return turns - np.floor(turns) < 0.5
+
+
+@njit(cache=True, error_model="numpy")
 def _pattern(material: int, u: float, v: float, salt: int) -> float:
     """Relative tone of a material's regular pattern at (u, v) metres in its own frame."""
     if material == 3 or material == 4:
@@ -325,9 +331,9 @@ def _pattern(material: int, u: float, v: float, salt: int) -> float:
     if material == 8:
         return _slab(u, v, 0.4, 0.2, 0.026, salt)
     if material == 0:
-        return 0.055 if np.sin(2.0 * np.pi * v / 2.6) > 0.0 else -0.055
+        return 0.055 if _first_half(v / 2.6) else -0.055
     if material == 15:
-        return 0.075 if np.sin(np.pi * v / 5.5) > 0.0 else -0.075
+        return 0.075 if _first_half(v / 11.0) else -0.075
     if material == 16:
         return 0.035 if np.sin(np.pi * u / 1.5) * np.sin(np.pi * v / 1.5) > 0.0 else -0.035
     if material == 14:
@@ -339,7 +345,7 @@ def _pattern(material: int, u: float, v: float, salt: int) -> float:
     if material == 20:
         return _slab(u, v, 2.4, 0.15, 0.02, salt)
     if material == 21:
-        return 0.07 if np.sin(np.pi * u / 4.0) > 0.0 else -0.07
+        return 0.07 if _first_half(u / 8.0) else -0.07
     if material == 24:
         return 1.3 * _slab(u, v, 0.17, 0.13, 0.022, salt)
     return 0.0

@@ -52,20 +52,21 @@ def polygon(corners: Array, uv: Array) -> MeshData:
 
 def box(half: Array, centre: Array, metres_per_uv: float = 1.0) -> MeshData:
     """An axis-aligned box; every face is mapped in metres divided by ``metres_per_uv``."""
-    parts = []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            first, second = (axis + 1) % 3, (axis + 2) % 3
-            corners = np.zeros((4, 3))
-            square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
-            if sign < 0:
-                square = square[::-1]
-            corners[:, axis] = sign * half[axis]
-            corners[:, first] = square[:, 0] * half[first]
-            corners[:, second] = square[:, 1] * half[second]
-            uv = np.stack([corners[:, first], -corners[:, second]], axis=-1) / metres_per_uv
-            parts.append(polygon(corners + centre, uv))
-    return MeshData.join(parts)
+    corners = np.empty((6, 4, 3))
+    uv = np.empty((6, 4, 2))
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
+    for face in range(6):
+        axis, sign = face // 2, 2 * (face % 2) - 1
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        corners[face, :, axis] = sign * half[axis]
+        corners[face][:, [first, second]] = square[::sign] * [half[first], half[second]]
+        uv[face] = corners[face][:, [first, second]] * [1.0, -1.0] / metres_per_uv
+    fans = 4 * np.arange(6)[:, None, None] + [[0, 1, 2], [0, 2, 3]]
+    return MeshData(
+        vertices=(corners + centre).reshape(24, 3),
+        faces=fans.reshape(12, 3).astype(np.int32),
+        uv=uv.reshape(24, 2),
+    )
 
 
 def cylinder_y(radius: float, half_width: float, centre: Array, uv: Array, sides: int) -> MeshData:

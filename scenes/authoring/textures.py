@@ -33,14 +33,14 @@ def foliage(rng: np.random.Generator, base: Colour, leaf_px: tuple[int, int]) ->
         angles = rng.uniform(0.0, 180.0, per_layer)
         axes = rng.integers(leaf_px[0], leaf_px[1] + 1, (per_layer, 2))
         tints = rng.normal(0.0, 0.09, (per_layer, 3)) + rng.normal(0.0, 0.10, (per_layer, 1))
-        for centre, angle, half, tint in zip(centres, angles, axes, tints, strict=True):
-            local = light * (1.0 + 0.16 * tone[centre[1], centre[0]])
-            colour = np.array(base) * local * (1.0 + tint) + [7.0 * layer, 5.0 * layer, 0.0]
-            for dx in (-size, 0, size) if min(centre[0], size - centre[0]) < 20 else (0,):
-                for dy in (-size, 0, size) if min(centre[1], size - centre[1]) < 20 else (0,):
-                    where = (int(centre[0] + dx), int(centre[1] + dy))
-                    shape = (int(half[0]), max(2, int(half[1] * 0.55)))
-                    cv2.ellipse(image, where, shape, float(angle), 0, 360, colour.tolist(), -1)
+        local = light * (1.0 + 0.16 * tone[centres[:, 1], centres[:, 0], None])
+        colours = np.array(base) * local * (1.0 + tints) + [7.0 * layer, 5.0 * layer, 0.0]
+        leaves = zip(*(v.tolist() for v in (centres, angles, axes, colours)), strict=True)
+        for (x, y), angle, half, colour in leaves:
+            shape = (half[0], max(2, int(half[1] * 0.55)))
+            for dx in (-size, 0, size) if min(x, size - x) < 20 else (0,):
+                for dy in (-size, 0, size) if min(y, size - y) < 20 else (0,):
+                    cv2.ellipse(image, (x + dx, y + dy), shape, angle, 0, 360, colour, -1)
     return to_texture(image)
 
 

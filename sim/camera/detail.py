@@ -13,6 +13,7 @@ as large as itself (a mip level), blended between neighbours where the texel is 
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -90,9 +91,9 @@ class Pyramid(NamedTuple):
     """Grains at several sizes, each half as wide as the one before."""
 
     texels: NDArray[np.uint32]
-    """red | green << 8 | blue << 16; level by level, photograph by photograph, row by row"""
+    """red | green << 8 | blue << 16; photograph by photograph, level by level, row by row"""
     starts: NDArray[np.int64]
-    """of the levels"""
+    """(photographs, LEVELS)"""
 
 
 class GroundDetail:
@@ -258,10 +259,8 @@ def _kinds(
     return np.where(below == scene.model.geom(ground.geom_name).id, raster, kinds)
 
 
-@functools.cache  # the same for every world
 def grain(name: str) -> Bytes:
-    """The photograph ``name`` over its local mean, (1024, 1024, 3) RGB: 128 where it is 1; for
-    reading only."""
+    """The photograph ``name`` over its local mean, (1024, 1024, 3) RGB: 128 where it is 1."""
     look = LOOKS[name]
     image = cv2.imread(str(PHOTOGRAPHS / f"{name}.jpg"), cv2.IMREAD_COLOR)
     if image is None:
@@ -275,25 +274,39 @@ def grain(name: str) -> Bytes:
     tone = ratio.mean(axis=2, keepdims=True)
     ratio = tone + look.colour * (ratio - tone)
     ratio = 1.0 + look.gain * (ratio - ratio.mean(axis=(0, 1)))
-    found = np.clip(np.rint(128.0 * ratio), 0, 255).astype(np.uint8)
-    found.setflags(write=False)
-    return found
+    return np.clip(np.rint(128.0 * ratio), 0, 255).astype(np.uint8)
 
 
 def pyramid(names: tuple[str, ...]) -> Pyramid:
     """Mip levels of the grains of ``names``."""
-    level = [grain(name) for name in names]
-    texels, starts, start = [], [], 0
+    held = _held()
+    for name in names:
+        if name not in held.names:
+            held.texels = np.concatenate([held.texels, *_levels(grain(name))])
+            held.names.append(name)
+    sizes = [(SIDE_PX >> step) ** 2 for step in range(LEVELS)]
+    first = np.array([held.names.index(name) for name in names], np.int64) * sum(sizes)
+    return Pyramid(held.texels, first[:, None] + np.cumsum([0, *sizes[:-1]]))
+
+
+@dataclass
+class _Held:
+    names: list[str]
+    texels: NDArray[np.uint32]
+
+
+@functools.cache  # the same for every world
+def _held() -> _Held:
+    return _Held([], np.zeros(0, np.uint32))
+
+
+def _levels(image: Bytes) -> Iterator[NDArray[np.uint32]]:
+    """Packed texels of ``image`` and of its smaller levels."""
     for step in range(LEVELS):
-        starts.append(start)
-        for image in level:
-            wide = image.astype(np.uint32)
-            texels.append((wide[..., 0] | wide[..., 1] << 8 | wide[..., 2] << 16).ravel())
-        start += len(level) * (SIDE_PX >> step) ** 2
+        wide = image.astype(np.uint32)
+        yield (wide[..., 0] | wide[..., 1] << 8 | wide[..., 2] << 16).ravel().astype(np.uint32)
         half = (SIDE_PX >> step + 1,) * 2
-        level = [np.asarray(cv2.resize(i, half, interpolation=cv2.INTER_AREA)) for i in level]
-    joined = np.concatenate(texels) if texels else np.zeros(0, np.uint32)
-    return Pyramid(joined, np.array(starts, np.int64))
+        image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def blend_noise() -> Float32:

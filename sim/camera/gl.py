@@ -17,6 +17,7 @@ import numpy as np
 
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.cover import Cover
+from touchdown.sim.camera.ground_picture import GroundPicture
 from touchdown.sim.camera.visible import Frustum, Terrain, TerrainTiles, VisibleGeoms
 from touchdown.sim.typing import Array, Bytes, Float32, Int32
 
@@ -84,7 +85,11 @@ class Stage:
         self._samples = samples
         self._gl = gl_context(pinhole.width, pinhole.height)
         self._gl.make_current()
-        self._context = _mujoco_context(model, pinhole, samples)
+        self._pictures = {
+            field: GroundPicture.of(model, terrain.geom, terrain.half_m, 1.0 / pinhole.fx)
+            for field, terrain in self._terrains.items()
+        }
+        self._context = self._new_context(samples)
         self._plain = self._context  # without multisampling, which would blend ids
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
@@ -156,6 +161,12 @@ class Stage:
         self._context.free()
         self._gl.free()
 
+    def _new_context(self, samples: int) -> mujoco.MjrContext:
+        with contextlib.ExitStack() as stack:
+            for picture in filter(None, self._pictures.values()):
+                stack.enter_context(picture.small(self._model))
+            return _mujoco_context(self._model, self._pinhole, samples)
+
     def _look(self, snapshot: Snapshot, camera_id: int, first: int, last: int) -> Any:
         """Sets the MuJoCo scene up for a band of rows; returns its viewport."""
         for name in SNAPSHOT_FIELDS:
@@ -189,7 +200,7 @@ class Stage:
             covered = cover is not None and cover.field == field and not cover.hides(frustum.eye)
             if (field, covered) not in self._tiles:
                 model = cover.model if cover is not None and covered else self._model
-                self._tiles[field, covered] = TerrainTiles(terrain, model)
+                self._tiles[field, covered] = TerrainTiles(terrain, model, self._pictures[field])
             self._tiles[field, covered].show(context, frustum)
 
     def _frustum(self, snapshot: Snapshot, camera_id: int, first: int, last: int) -> Frustum:
@@ -210,7 +221,7 @@ class Stage:
         """Draws every geom in the colour of its number; flat colours write exact depths too."""
         viewport = self._look(snapshot, camera_id, 0, self._pinhole.height)
         if self._samples and self._plain is self._context:
-            self._plain = _mujoco_context(self._model, self._pinhole, 0)
+            self._plain = self._new_context(0)
         _select(self._plain)
         frustum = self._frustum(snapshot, camera_id, 0, self._pinhole.height)
         self._lay_ground(self._plain, frustum)

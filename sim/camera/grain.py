@@ -93,7 +93,7 @@ def multiply_grain(
                 while size > coarse and level < LEVELS - 1:
                     size, scale, level = size * half, scale * half, level + 1
                 shift = SIDE_BITS - level
-                layers = texels[starts[level] + (np.int64(layer) << 2 * shift) :]
+                layers = texels[starts[layer, level] :]
                 strength = min(one, (far - d) / (far - near))
                 step = (b[1] - x) * part * scale, (b[2] - y) * part * scale
                 shares = share, (b[4] - share) * part

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.camera.ground_picture import GroundPicture
 from touchdown.sim.typing import Array, Bools, Float32, Indices
 
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
@@ -152,12 +153,14 @@ class Terrain:
 class TerrainTiles:
     """Display lists of the tiles of a ``terrain`` with heights of ``model``, in place of the one
     list that MuJoCo draws, which has walls around the field as well. Make and use them in the
-    thread of the GL context."""
+    thread of the GL context. ``picture``: their texture, part by part."""
 
-    def __init__(self, terrain: Terrain, model: mujoco.MjModel) -> None:
+    def __init__(
+        self, terrain: Terrain, model: mujoco.MjModel, picture: GroundPicture | None = None
+    ) -> None:
         from OpenGL import GL
 
-        self._gl, self._terrain = GL, terrain
+        self._gl, self._terrain, self._picture = GL, terrain, picture
         size = model.hfield_size[terrain.field]
         vertices = _vertices(size[2] * heights_of(model, terrain.field), size)
         tiles = _tiles(*vertices.shape[:2])
@@ -165,7 +168,7 @@ class TerrainTiles:
         nodes = np.concatenate(_triangles(*vertices.shape[:2]))
         normals = _normals(points, nodes)
         self._lists = GL.glGenLists(len(tiles))
-        centers, radii = np.empty((len(tiles), 3)), np.empty(len(tiles))
+        self._boxes, radii = np.empty((len(tiles), 2, 3)), np.empty(len(tiles))
         GL.glPushClientAttrib(GL.GL_CLIENT_VERTEX_ARRAY_BIT)
         GL.glEnableClientState(GL.GL_VERTEX_ARRAY)
         GL.glEnableClientState(GL.GL_NORMAL_ARRAY)
@@ -179,19 +182,25 @@ class TerrainTiles:
             order = order.ravel().astype(np.uint32)
             GL.glDrawElements(GL.GL_TRIANGLES, len(order), GL.GL_UNSIGNED_INT, order)
             GL.glEndList()
-            centers[k] = 0.5 * (own.min(axis=0) + own.max(axis=0))
-            radii[k] = np.linalg.norm(own - centers[k], axis=1).max() + _MARGIN_M
+            self._boxes[k] = own.min(axis=0), own.max(axis=0)
+            center = self._boxes[k].mean(axis=0)
+            radii[k] = np.linalg.norm(own - center, axis=1).max() + _MARGIN_M
         GL.glPopClientAttrib()
-        self._centers, self._radii = centers + terrain.origin_m, radii
+        self._centers, self._radii = self._boxes.mean(axis=1) + terrain.origin_m, radii
 
     def show(self, context: mujoco.MjrContext, frustum: Frustum) -> None:
         """Makes the tiles in view what ``context`` draws for the height field."""
         GL = self._gl
         seen = np.flatnonzero(frustum.holds(self._centers, self._radii))
+        lists = seen + self._lists
+        if self._picture is not None:
+            boxes, ahead = self._boxes[seen], -frustum.axes[:, 2]
+            depths = (self._centers[seen] - frustum.eye) @ ahead
+            depths -= 0.5 * (boxes[:, 1] - boxes[:, 0]) @ np.abs(ahead)
+            lists = self._picture.on(lists, boxes[..., :2], depths)
         GL.glNewList(context.baseHField + self._terrain.field, GL.GL_COMPILE)
         if seen.size:
-            lists = (seen + self._lists).astype(np.uint32)
-            GL.glCallLists(len(lists), GL.GL_UNSIGNED_INT, lists)
+            GL.glCallLists(len(lists), GL.GL_UNSIGNED_INT, lists.astype(np.uint32))
         GL.glEndList()
 
 

@@ -108,9 +108,9 @@ class LidarScene:
     """All surfaces of ``scene`` that a LIDAR can hit. It uses no MjData, so any thread may cast
     rays."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, optics: OpticalTable | None = None) -> None:
         model = scene.model
-        self.optics = optical_table(model, scene)
+        self.optics = optics or optical_table(model, scene)
         rest = mujoco.MjData(model)
         mujoco.mj_kinematics(model, rest)
         middle = np.array([*scene.bounds_xy_m.mean(axis=0), 0.0])

@@ -23,7 +23,7 @@ from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar import beam_edges, beams, returns
 from touchdown.sim.lidar.patterns.livox import PATTERNS, ScanPattern
 from touchdown.sim.lidar.range_errors import RangeErrors
-from touchdown.sim.lidar.raycast_scene import LidarScene
+from touchdown.sim.lidar.raycast_scene import LidarScene, OpticalTable
 from touchdown.sim.lidar.rays import Movers, Rays, Track
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.lidar.sway import Sway
@@ -50,6 +50,7 @@ class LidarSensor:
     ``scan`` is a pure function of its arguments, the scene and the seed: it may run in any thread
     beside the physics, one scan at a time. Without ``weather`` the air is clear; ``wind_mps``, (2,)
     the mean wind at 20 ft, moves crowns. ``dust`` is noted up to a scan's end before the scan.
+    ``optics``: of ``scene``, where they are known.
     """
 
     def __init__(
@@ -60,10 +61,11 @@ class LidarSensor:
         weather: Weather | None = None,
         wind_mps: Array = _CALM,
         dust: DustCloud | None = None,
+        optics: OpticalTable | None = None,
     ) -> None:
         self._pattern = PATTERNS[params.preset]
         self._params = params
-        self._scene = LidarScene(scene)
+        self._scene = LidarScene(scene, optics)
         key = np.random.default_rng([seed, crc32(b"lidar")]).integers(2**64, dtype=np.uint64)
         self._key = np.uint64(key)
         self._parts = beam_parts(self._pattern)

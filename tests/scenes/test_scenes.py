@@ -90,8 +90,14 @@ def test_physics_options_and_collision_pairs(crossroad: Scene) -> None:
     assert (model.geom_contype[~own] & 1).all()
 
 
-def test_same_seed_same_bytes() -> None:
-    check_seeds("crossroad")
+@pytest.mark.parametrize(("name", "seed", "other"), [
+    ("crossroad", 0, None), ("forest", 1, None), ("pools", 0, None), ("dunes", 0, None),
+    ("lake", 0, 1), *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        ("snow", 0, None), ("open_water", 0, 5), ("flat", 0, 1),
+    )),
+])  # fmt: skip
+def test_same_seed_same_bytes(name: str, seed: int, other: int | None) -> None:
+    check_seeds(name, seed, other)
 
 
 def test_terrain_heights_equal_mujoco_s(crossroad: Scene) -> None:

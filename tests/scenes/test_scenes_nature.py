@@ -16,7 +16,7 @@ from touchdown.scenes.places.turf.generate import level_pools
 from touchdown.scenes.props.tree_shapes import canopy_mesh, conifer_mesh, lathe
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 
-from support.places import cached_scene, check_seeds, check_surfaces, check_survey
+from support.places import cached_scene, check_surfaces, check_survey
 
 SURVEY_M = (50.0, 40.0)
 CELL_M = 0.25
@@ -141,7 +141,3 @@ def test_meshes_are_wound_outwards() -> None:
     spruce = conifer_mesh(rng, 10.0, 2.4)
     assert spruce.vertices[:, 2].max() == pytest.approx(10.0)
     assert np.hypot(*spruce.vertices[:, :2].T).max() < 1.15 * 2.4
-
-
-def test_same_seed_same_bytes() -> None:
-    check_seeds("forest", 1)

@@ -8,7 +8,7 @@ from touchdown.scenes.authoring.water import WaterLook, lay_water, upsample
 from touchdown.scenes.truth.maps import truth_maps
 from touchdown.scenes.truth.raycast import cast_down, class_ids
 
-from support.places import cached_scene, check_seeds, check_takeoff
+from support.places import cached_scene, check_takeoff
 
 NAMES = ("lake", "open_water", "flat")
 WATER = LAND_CLASSES.index("water")
@@ -32,13 +32,6 @@ def below(scene: Scene, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
     shape = tuple(np.round((high - low)[::-1] / cell_m).astype(int))
     heights, geoms = cast_down(scene, low, cell_m, (shape[0], shape[1]))
     return heights, geoms, class_ids(scene, low, cell_m, geoms)
-
-
-@pytest.mark.parametrize(
-    "name", ["lake", *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])]
-)
-def test_same_seed_same_bytes_other_seed_another_scene(name: str) -> None:
-    check_seeds(name, other=SEEDS[name][1])
 
 
 @pytest.mark.parametrize(("name", "seed"), PLACES)

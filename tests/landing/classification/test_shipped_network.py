@@ -14,6 +14,7 @@ from touchdown.experiments.classification.patches import scene_patches
 from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_layout
 from touchdown.experiments.cli import main as cli
 from touchdown.landing.classification import onboard
+from touchdown.landing.classification.mapped_weights import float16_weights
 from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES
 
 SEED = 900_004
@@ -24,6 +25,15 @@ PICTURES = 24
 @pytest.fixture(scope="module")
 def classifier() -> onboard.OnnxGroundClassifier:
     return onboard.load_onboard_classifier(onboard.SHIPPED)
+
+
+def test_most_weights_are_mapped_from_the_file() -> None:
+    onnx = pytest.importorskip("onnx")
+    found = float16_weights(onboard.SHIPPED)
+    for one in onnx.load(str(onboard.SHIPPED)).graph.initializer:
+        stored = onnx.numpy_helper.to_array(one)
+        np.testing.assert_array_equal(found.get(one.name, stored), stored)
+    assert sum(one.nbytes for one in found.values()) > 0.6 * onboard.SHIPPED.stat().st_size
 
 
 @pytest.mark.parametrize("scene", [
