@@ -9,14 +9,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.landing.api import LandingParams
+
 Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
-
-
-_BANDWIDTHS = 1.5
-"""kernel bandwidth of the density, in footprint radii: about the area of a landing"""
-_SEARCH_RADII = 4.0
-"""Quick Shift looks for a higher density within this many bandwidths"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -31,11 +27,11 @@ class Clusters:
     density: Float32
 
 
-def bandwidths(footprint_cells: float) -> tuple[float, float]:
+def bandwidths(footprint_cells: float, params: LandingParams) -> tuple[float, float]:
     """Returns the bandwidth of the density and the search radius, in cells, for a vehicle whose
     footprint has the radius ``footprint_cells``."""
-    bandwidth = _BANDWIDTHS * footprint_cells
-    return bandwidth, _SEARCH_RADII * bandwidth
+    bandwidth = params.cluster_bandwidth * footprint_cells
+    return bandwidth, params.cluster_search * bandwidth
 
 
 def kernel_density(values: Float32, bandwidth_cells: float) -> Float32:
