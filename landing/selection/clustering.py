@@ -45,7 +45,7 @@ def kernel_density(values: Float32, bandwidth_cells: float) -> Float32:
         np.where(known, values, np.float32(0.0)), (0, 0), bandwidth_cells,
         borderType=cv2.BORDER_CONSTANT,
     )  # fmt: skip
-    return np.where(known, total / np.maximum(weight, 1e-9), np.nan).astype(np.float32)
+    return np.where(known, total / np.maximum(weight, np.float32(1e-9)), np.float32(np.nan))
 
 
 def _search_offsets(radius_cells: float) -> Int32:
@@ -89,21 +89,22 @@ def _nearest_higher(density: Float32, offsets: Int32) -> Int32:
 
 
 @numba.njit(cache=True)
-def _follow(parent: Int32) -> Int32:
-    """Returns the root of every cell, with path compression."""
-    root = parent.copy()
-    for index in range(parent.shape[0]):
-        if parent[index] < 0:
-            continue
+def _labels(parent: Int32) -> Int32:
+    """Returns the number of every cell's root, in the order of the roots, -1 outside."""
+    label, count = np.full_like(parent, -1), 0
+    for index in range(parent.size):
+        if parent[index] == index:
+            label[index] = count
+            count += 1
+    for index in range(parent.size):
         top = index
-        while root[top] != top:
-            top = root[top]
+        while parent[top] >= 0 and label[top] < 0:
+            top = parent[top]
         walk = index
-        while root[walk] != top:
-            following = root[walk]
-            root[walk] = top
-            walk = following
-    return root
+        while parent[walk] >= 0 and label[walk] < 0:
+            label[walk] = label[top]
+            walk = parent[walk]
+    return label
 
 
 def quick_shift(values: Float32, *, bandwidth_cells: float, radius_cells: float) -> Clusters:
@@ -113,12 +114,7 @@ def quick_shift(values: Float32, *, bandwidth_cells: float, radius_cells: float)
     the candidate landing sites.
     """
     density = kernel_density(values, bandwidth_cells)
-    root = _follow(_nearest_higher(density, _search_offsets(radius_cells)))
-    inside = root >= 0
-    mode_index = np.flatnonzero(root == np.arange(root.size))
-    number = np.full(root.size, -1, np.int32)
-    number[mode_index] = np.arange(mode_index.size)
-    label = np.where(inside, number[root], np.int32(-1))
-    cols = values.shape[1]
+    parent = _nearest_higher(density, _search_offsets(radius_cells))
+    mode_index, cols = np.flatnonzero(parent == np.arange(parent.size)), values.shape[1]
     modes = np.column_stack([mode_index // cols, mode_index % cols]).astype(np.int32)
-    return Clusters(label=label.reshape(values.shape), modes=modes, density=density)
+    return Clusters(label=_labels(parent).reshape(values.shape), modes=modes, density=density)

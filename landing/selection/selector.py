@@ -233,7 +233,6 @@ def _assess(
 def _shown(found: Assessed) -> CostmapView:
     """Returns the costmap with what ranks the sites."""
     site = found.site
-    coloured = np.isfinite(site.raster.rgb[..., :1])
     return CostmapView(
         origin_xy_m=site.raster.origin_xy_m,
         cell_m=site.raster.cell_m,
@@ -241,7 +240,7 @@ def _shown(found: Assessed) -> CostmapView:
         flatness=site.flatness,
         smoothness=site.smoothness,
         distance=site.distance,
-        rgb=np.where(coloured, site.raster.rgb, np.float32(0.0)).astype(np.uint8),
+        rgb=np.nan_to_num(site.raster.rgb).astype(np.uint8),
         value=found.score,
         allowed=found.allowed,
         terms=found.layers,

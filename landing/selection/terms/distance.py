@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,22 +19,43 @@ Float32 = NDArray[np.float32]
 def term(site: Inputs) -> TermLayer:
     """Returns the reward of near sites, or the penalty of far ones, by ``distance_zero``."""
     x, y = site.raster.offsets_from(site.vehicle_odom)
-    away = np.hypot(x[None, :], y[:, None]).astype(np.float32)
     weight, near = np.float32(site.selector.weight_distance), site.distance
     value = weight * near if site.selector.distance_zero == "farthest" else -(weight * (1.0 - near))
-    return TermLayer(name="distance", value=value, quantity=away, unit="m")
+    return TermLayer(name="distance", value=value, quantity=_horizontal(x, y), unit="m")
 
 
 def distance(raster: ElevationRaster, position_odom: Array, reach_m: float) -> Float32:
     """Eq. 18: straight-line distance from the vehicle as a proxy for energy, 1 at the nearest cell
     and 0 at the farthest; NaN beyond ``reach_m``, the range of the remaining energy."""
     x, y = (axis.astype(np.float32) for axis in raster.offsets_from(position_odom[:2]))
-    z = raster.height - np.float32(position_odom[2])
-    horizontal = (x**2)[None, :] + (y**2)[:, None]
-    metres = np.sqrt(horizontal + z**2)
-    allowed = np.isfinite(metres) & (horizontal <= np.float32(min(reach_m, 1e9)) ** 2)
-    if not allowed.any():
-        return np.full(raster.shape, np.nan, np.float32)
-    near, far = float(metres[allowed].min()), float(metres[allowed].max())
-    cost = 1.0 - (metres - near) / max(far - near, 1e-6)
-    return np.where(allowed, cost, np.nan).astype(np.float32)
+    reach = np.float32(min(reach_m, 1e9))
+    return _closeness(x**2, y**2, raster.height, np.float32(position_odom[2]), reach * reach)
+
+
+@numba.njit(cache=True)
+def _horizontal(x: Array, y: Array) -> Float32:
+    away = np.empty((y.size, x.size), np.float32)
+    for row in range(y.size):
+        for col in range(x.size):
+            away[row, col] = np.sqrt(x[col] * x[col] + y[row] * y[row])
+    return away
+
+
+@numba.njit(cache=True)
+def _closeness(xx: Float32, yy: Float32, height: Float32, z: Any, limit: Any) -> Float32:
+    """Eq. 18 of cells within the square root of ``limit``, from squares of offsets."""
+    metres = np.full(height.shape, np.nan, np.float32)
+    near: Any = np.float32(np.inf)
+    far: Any = -near
+    for row in range(yy.size):
+        for col in range(xx.size):
+            horizontal, up = xx[col] + yy[row], height[row, col] - z
+            if horizontal <= limit and up == up:
+                away = np.sqrt(horizontal + up * up)
+                metres[row, col] = away
+                near, far = min(near, away), max(far, away)
+    extent = np.float32(max(far - near, 1e-6))
+    for row in range(yy.size):
+        for col in range(xx.size):
+            metres[row, col] = np.float32(1.0) - (metres[row, col] - near) / extent
+    return metres

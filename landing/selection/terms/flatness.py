@@ -6,12 +6,16 @@ level ground and takes the mean per cell."""
 
 from __future__ import annotations
 
-import cv2
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams, TermLayer
-from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, PlaneField
+from touchdown.landing.selection.ground.elevation_raster import (
+    ElevationRaster,
+    PlaneField,
+    disc_widths,
+)
 from touchdown.landing.selection.terms.inputs import Inputs
 
 Float32 = NDArray[np.float32]
@@ -59,14 +63,36 @@ def flatness(
     ``literal``: sum over all returns of the disc, divided by the largest sum; ``corrected``: mean
     over the cells of the disc, unknown ones as 0. NaN where the cell is unknown.
     """
-    reach = int(radius_m / cell_m)
-    offset = np.arange(-reach, reach + 1)
-    disc = (offset[:, None] ** 2 + offset[None, :] ** 2 <= (radius_m / cell_m) ** 2).astype(float)
-    values = np.where(np.isfinite(kernel), kernel, np.float32(0.0))
+    widths = disc_widths(radius_m / cell_m)
+    known = np.isfinite(kernel)
+    values = np.where(known, kernel, np.float32(0.0))
     if form == "literal":
         values = values * count
-    total = cv2.filter2D(values.astype(np.float32), cv2.CV_32F, disc.astype(np.float32),
-                         borderType=cv2.BORDER_CONSTANT)  # fmt: skip
-    scale = float(total.max()) if form == "literal" else float(disc.sum())
-    cost = np.clip(total / max(scale, 1e-9), 0.0, 1.0)
-    return np.where(np.isfinite(kernel), cost, np.nan).astype(np.float32)
+    total = _disc_sums(values, widths)
+    scale = float(total.max()) if form == "literal" else float((2 * widths + 1).sum())
+    cost = np.clip(total / np.float32(max(scale, 1e-9)), np.float32(0.0), np.float32(1.0))
+    return np.where(known, cost, np.float32(np.nan))
+
+
+@numba.njit(cache=True)
+def _disc_sums(values: Float32, widths: NDArray[np.int64]) -> Float32:
+    """Returns the sums over the disc whose rows reach ``widths`` to each side: of the columns that
+    lie ``wide`` from the middle, as high as the rows that are at least as wide."""
+    rows, cols = values.shape
+    reach = widths.size // 2
+    sums = np.zeros((rows, cols), np.float32)
+    column = np.empty(cols + 2 * reach, np.float32)
+    for row in range(rows):
+        column[:] = 0.0
+        middle, out = column[reach:], sums[row]
+        for wide in range(reach, -1, -1):
+            for k in range(widths.size):
+                if widths[k] == wide and 0 <= row + k - reach < rows:
+                    source = values[row + k - reach]
+                    for col in range(cols):
+                        middle[col] += source[col]
+            left, right = column[reach - wide :], column[reach + wide :]
+            share = np.float32(1.0 if wide else 0.0)
+            for col in range(cols):
+                out[col] += left[col] + share * right[col]
+    return sums

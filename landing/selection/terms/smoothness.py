@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import cv2
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams, TermLayer
-from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, distance_to
+from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, distance_up_to
 from touchdown.landing.selection.terms.inputs import Inputs
 
 Float32 = NDArray[np.float32]
@@ -50,19 +51,42 @@ def colour_edges(
     smooth = cv2.GaussianBlur(grey, (0, 0), blur_cells)
     image = cv2.divide(smooth, np.maximum(weight, 1e-3), dtype=cv2.CV_8U)
     edges = (cv2.Canny(image, low, high, L2gradient=True) > 0).astype(np.uint8)
-    number, labels, stats, _ = cv2.connectedComponentsWithStats(
-        (~coloured).astype(np.uint8), connectivity=4
-    )
-    large = stats[:, cv2.CC_STAT_AREA] > hole_cells
-    large[0] = False
-    holes = large[labels] if number > 1 else np.zeros_like(coloured)
-    edges[holes] = 1
+    edges[_in_large_holes(coloured, hole_cells)] = 1
     return edges, coloured
 
 
 def smoothness(edges: NDArray[np.uint8], coloured: Mask, cell_m: float, full_m: float) -> Float32:
     """Eq. 14: radius of the largest circle around a cell without an edge, by the exact Euclidean
     distance transform; 1 from ``full_m`` on. NaN where uncoloured."""
-    radius = distance_to(edges > 0, cell_m)
-    cost = np.minimum(radius / np.float32(full_m), 1.0)
-    return np.where(coloured, cost, np.nan).astype(np.float32)
+    radius = distance_up_to(edges > 0, cell_m, full_m)
+    cost = np.minimum(radius / np.float32(full_m), np.float32(1.0))
+    return np.where(coloured, cost, np.float32(np.nan))
+
+
+@numba.njit(cache=True)
+def _in_large_holes(coloured: Mask, most: int) -> Mask:
+    """Returns the uncoloured cells that are connected to more than ``most`` - 1 others."""
+    rows, cols = coloured.shape
+    large = np.zeros((rows, cols), np.bool_)
+    found = np.empty((most + 1, 2), np.int64)
+    for row in range(rows):
+        for col in range(cols):
+            if coloured[row, col]:
+                continue
+            if (row and large[row - 1, col]) or (col and large[row, col - 1]):
+                large[row, col] = True
+                continue
+            found[0, 0], found[0, 1] = row, col
+            count, at = 1, 0
+            while at < count <= most:
+                for step in ((-1, 0), (0, -1), (0, 1), (1, 0)):
+                    r, c = found[at, 0] + step[0], found[at, 1] + step[1]
+                    new = 0 <= r < rows and 0 <= c < cols and not coloured[r, c]
+                    for k in range(count):
+                        new = new and (found[k, 0] != r or found[k, 1] != c)
+                    if new and count <= most:
+                        found[count, 0], found[count, 1] = r, c
+                        count += 1
+                at += 1
+            large[row, col] = count > most
+    return large

@@ -125,10 +125,10 @@ def test_zou2024_is_c_sum_and_its_candidates_are_the_modes() -> None:
 
 def test_a_selector_without_gates_takes_any_ground() -> None:
     """The geometric gate, the gate of the probability and the reach, each switched off."""
-    steep, away = make_grid(_ground(7.0)), SelectionLimits(reach_m=0.0)
-    shown = {}
+    steep, away, shown = make_grid(_ground(7.0)), SelectionLimits(reach_m=0.0), {}
     for gates in ((), ("geometry",), ("probability",), ("reach",)):
-        sites = _sites(steep, away, risk=SelectorParams(gates=gates))
+        params = SelectorParams(gates=gates, terms=("probability", "level"))
+        sites = _sites(steep, away, risk=params)
         shown[gates] = {site.rule for site in sites}
     assert shown[()] <= {"highest_value", "lower_value"}
     assert shown["geometry",] == shown["probability",] == {"steep"}
