@@ -112,10 +112,10 @@ class GroundParams:
     __pydantic_config__ = FORBID_EXTRA
 
     footprint_m: Positive = 1.0
-    """radius around the touchdown point that must be free of defects: legs and the rotors' tips
-    within 0.45 m, and as much again for the last drift"""
+    """radius around the touchdown point that must be free of defects: that of the vehicle, 0.53 m,
+    and the drift of the last metres"""
     tall_m: Positive = 0.25
-    """greatest height within ``clear_radius_m``: that of the rotors over the ground"""
+    """greatest height within ``clear_radius_m``: below the rotors of a vehicle on its legs"""
     step_half_width_m: Positive = 0.2
     """half the window that a step is looked for in: a cell to each side"""
     peak_allowance_m: NotNegative = 0.05

@@ -88,7 +88,8 @@ def _kind_texts(kind: Any) -> Iterator[str]:
     elif typing.get_origin(kind) is tuple:
         inner = typing.get_args(kind)
         (first, *_) = _kind_texts(inner[0])
-        yield f"list of {first}s" if inner[-1] is Ellipsis else f"{len(inner)} {first}s"
+        many = f"names from {first}" if first.startswith("`") else f"{first}s"
+        yield f"list of {many}" if inner[-1] is Ellipsis else f"{len(inner)} {many}"
     else:
         yield _KINDS.get(kind, "any")
 

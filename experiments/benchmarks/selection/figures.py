@@ -161,8 +161,8 @@ def _paint(figure: Figure, panels: NDArray[Any], selection: Selection, view: Cos
 
 def _over_its_range(name: str, layer: Layer) -> tuple[str, Layer]:
     """Returns a panel of ``layer`` from its least to its highest value, which its title names."""
-    known = np.isfinite(layer)
-    low, high = (float(layer[known].min()), float(layer[known].max())) if known.any() else (0, 0)
+    seen = layer[np.isfinite(layer)]
+    low, high = (float(seen.min()) + 0.0, float(seen.max()) + 0.0) if seen.size else (0.0, 0.0)
     return f"{name}, {low:.2f} to {high:.2f}", (layer - low) / max(high - low, 1e-6)
 
 
