@@ -218,7 +218,8 @@ def _forces(
     horizontal = np.sqrt(force[0] ** 2 + force[1] ** 2)
     reach = min(max_slope * limited[2], np.sqrt(max(most * most - limited[2] * limited[2], 0.0)))
     if horizontal > reach:
-        limited[:2] *= reach / horizontal
+        limited[0] *= reach / horizontal
+        limited[1] *= reach / horizontal
     return force, limited
 
 

@@ -204,7 +204,8 @@ def _broadband(
                 for column in range(states + 1):
                     total += roots[m, row, column] * normals[m, k, column]
                 following[row] = total
-            state[m, k] = following[:states]
+            for row in range(states):
+                state[m, k, row] = following[row]
             out[k] += scale * levels[m, k] * following[states]
 
 

@@ -84,8 +84,11 @@ def place_scan(
     end = rotations[-1].T
     quats = np.array([quat_wxyz_from_matrix(rotation) for rotation in end @ rotations])
     times = step_s * np.arange(float(len(quats)))
+    aims, offsets = scan.directions[pulses], scan.time_offsets[pulses]
+    for part in (aims, offsets):  # as those of messages are, for which `deskew` is compiled
+        part.setflags(write=False)
     origins, directions = deskew(
-        scan.directions[pulses], scan.time_offsets[pulses], 0.0,
+        aims, offsets, 0.0,
         Track(times, (positions - positions[-1]) @ end.T, quats), Frame.of(imu_from_lidar),
     )  # fmt: skip
     beams = (scan.ranges[pulses, None] * directions).astype(np.float64)
@@ -149,7 +152,10 @@ def deskew(
                 index += 1
             _lerp_pose(track, index, time, pose)
             _mount(pose, mount, second)
-        first.rotation[:], first.translation[:] = second.rotation, second.translation
+        for k in range(3):
+            first.translation[k] = second.translation[k]
+            for j in range(3):
+                first.rotation[k, j] = second.rotation[k, j]
         time = start_time + time_offsets[end]
         while index < last and track.times[index + 1] < time:
             index += 1

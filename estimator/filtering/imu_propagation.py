@@ -120,7 +120,7 @@ def exp_so3_each(vectors: Array) -> Array:
     """(N, 3) rad -> (N, 3, 3)."""
     out = np.empty((vectors.shape[0], 3, 3))
     for i in range(vectors.shape[0]):
-        out[i] = exp_so3(vectors[i])
+        exp_so3_into(vectors[i], out[i])
     return out
 
 
@@ -143,16 +143,22 @@ def integrate(
     rotations = np.empty((count + 1, 3, 3))
     positions = np.empty((count + 1, 3))
     velocities = np.empty((count + 1, 3))
-    rotations[0], positions[0], velocities[0] = rotation, position, velocity
+    # Elements one by one: assigning a slice makes Numba compile the text of its error.
+    for a in range(3):
+        positions[0, a], velocities[0, a] = position[a], velocity[a]
+        for b in range(3):
+            rotations[0, a, b] = rotation[a, b]
     for i in range(count):
         middle = rotations[i] @ exp_so3(0.5 * step_s * gyro[i])
         acceleration = middle @ force[i]
         acceleration[2] -= gravity
-        rotations[i + 1] = rotations[i] @ exp_so3(step_s * gyro[i])
-        positions[i + 1] = (
-            positions[i] + step_s * velocities[i] + 0.5 * step_s * step_s * acceleration
-        )
-        velocities[i + 1] = velocities[i] + step_s * acceleration
+        turned = rotations[i] @ exp_so3(step_s * gyro[i])
+        for a in range(3):
+            positions[i + 1, a] = positions[i, a] + step_s * velocities[i, a]
+            positions[i + 1, a] += 0.5 * step_s * step_s * acceleration[a]
+            velocities[i + 1, a] = velocities[i, a] + step_s * acceleration[a]
+            for b in range(3):
+                rotations[i + 1, a, b] = turned[a, b]
     return rotations, positions, velocities
 
 
@@ -225,15 +231,16 @@ def transition(
     r, p, v = ROTATION.start, POSITION.start, VELOCITY.start
     for i in range(gyro.shape[0]):
         middle = rotations[i] @ exp_so3(0.5 * step_s * gyro[i])
-        lever = -step_s * (middle @ skew_of(force[i]))
-        step[ROTATION, ROTATION] = exp_so3(-step_s * gyro[i])
-        step[VELOCITY, ROTATION] = lever
-        step[POSITION, ROTATION] = 0.5 * step_s * lever
+        lever = middle @ skew_of(force[i])
+        exp_so3_into(-step_s * gyro[i], step[ROTATION, ROTATION])
         for k in range(3):
             step[p + k, v + k] = step_s
             step[r + k, GYRO_BIAS.start + k] = -step_s
-        step[VELOCITY, ACCEL_BIAS] = -step_s * middle
-        step[POSITION, ACCEL_BIAS] = -0.5 * step_s * step_s * middle
+            for a in range(3):
+                step[v + a, r + k] = -step_s * lever[a, k]
+                step[p + a, r + k] = 0.5 * step_s * step[v + a, r + k]
+                step[v + a, ACCEL_BIAS.start + k] = -step_s * middle[a, k]
+                step[p + a, ACCEL_BIAS.start + k] = -0.5 * step_s * step_s * middle[a, k]
         total = step @ total
         noise = step @ noise @ step.T
         by_errors = step @ by_errors

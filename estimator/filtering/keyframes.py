@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame, Pinhole
 from touchdown.estimator.filtering.imu_propagation import rotate_into
-from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes
+from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes, sort_first
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
@@ -170,7 +170,8 @@ def _in_view(
         if margin < u < size[0] - margin and margin < v < size[1] - margin:
             depths[count] = seen[2]
             count += 1
-    return count, np.median(depths[:count]) if count > 0 else 0.0
+    sort_first(depths, count)
+    return count, 0.5 * (depths[(count - 1) // 2] + depths[count // 2]) if count > 0 else 0.0
 
 
 def choose(candidates: list[Overlap], variances: Array, most: int, min_share: float) -> list[int]:

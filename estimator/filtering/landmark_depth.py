@@ -91,11 +91,12 @@ def _sort_into_cells(
     the cells around any of (N, 2) rays."""
     points, counts, per_scan = returns
     rows, cols = _shape(width, height, cell)
-    wanted = np.zeros((rows, cols), np.bool_)
+    near = np.zeros(rows * cols + 1, np.bool_)  # the last: out of view
     for k in range(rays.shape[0]):
         row, col = int((rays[k, 1] + height) / cell), int((rays[k, 0] + width) / cell)
-        wanted[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2] = True
-    near = np.append(wanted, False)  # the last: out of view
+        for a in range(max(0, row - 1), min(rows, row + 2)):
+            for b in range(max(0, col - 1), min(cols, col + 2)):
+                near[a * cols + b] = True
     starts, kept = np.zeros(rows * cols + 1, dtype=np.int64), 0
     where = np.empty(counts.shape[0] * per_scan, np.int32)
     chosen = np.empty(counts.shape[0] * per_scan, np.int32)
@@ -109,10 +110,12 @@ def _sort_into_cells(
             chosen[kept] = i
             kept += near[where[i]]
             starts[where[i] + 1] += near[where[i]]
-    starts = np.cumsum(starts)
+    for k in range(rows * cols):
+        starts[k + 1] += starts[k]
     cursor, ordered = starts.copy(), np.empty((starts[-1], 3), np.float32)
     r, t = camera_from_odom
-    for i in chosen[:kept]:
+    for k in range(kept):
+        i = chosen[k]
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         inverse = 1.0 / (r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + t[2])
         at = cursor[where[i]]
@@ -225,22 +228,43 @@ def _fit_planes(
 
 
 @njit(cache=True)
+def sort_first(values: Array, count: int) -> None:
+    """Sorts the first ``count`` of ``values`` in place (Shell 1959)."""
+    gap = count // 2
+    while gap > 0:
+        for i in range(gap, count):
+            value, k = values[i], i
+            while k >= gap and values[k - gap] > value:
+                values[k] = values[k - gap]
+                k -= gap
+            values[k] = value
+        gap //= 2
+
+
+@njit(cache=True)
 def _rough_depths(
     rays: Array, cells: _Cells, radius: float, min_points: int, most_share: float
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Depth of the foremost returns within ``radius`` of (N, 2) rays, and their scatter."""
     valid = np.zeros(rays.shape[0], dtype=np.bool_)
     depths, sigmas = np.zeros(rays.shape[0]), np.zeros(rays.shape[0])
-    near = np.empty((256, 3))
+    near, front = np.empty((256, 3)), np.empty(256)
     for k in range(rays.shape[0]):
         count = _gather(rays[k], cells, radius, near)
         if count < min_points:
             continue
+        for i in range(count):
+            front[i] = 1.0 / near[i, 2]
+        sort_first(front, count)
         # the camera sees what is in front; returns from elsewhere looked past it
         two_thirds = (2 * count + 2) // 3
-        front = np.sort(1.0 / near[:count, 2])[:two_thirds]
-        depth = front[len(front) // 2]
-        sigma = np.std(front)
+        mean, square = 0.0, 0.0
+        for i in range(two_thirds):
+            mean += front[i]
+        mean /= two_thirds
+        for i in range(two_thirds):
+            square += (front[i] - mean) ** 2
+        depth, sigma = front[two_thirds // 2], np.sqrt(square / two_thirds)
         if sigma > most_share * depth:
             continue
         valid[k], depths[k], sigmas[k] = True, depth, sigma
@@ -266,6 +290,7 @@ def feature_planes(
     foremost returns close by, as a plane that faces the camera, and a sigma from their scatter.
     """
     width, height = half_view[0] * 1.02, half_view[1] * 1.02
+    rays = np.ascontiguousarray(rays)
     cells = _sort_into_cells(rays, recent.view(), Frame.of(camera_from_odom), width, height, radius)
     valid, planes = _fit_planes(rays, cells, radius, min_points, depth_tolerance_m)
     sigmas = np.zeros(len(rays))

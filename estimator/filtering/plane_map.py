@@ -134,12 +134,14 @@ def insert_points(
                 continue
             keys[slot] = key
             owners[slot] = owner
-            seen_from[slot] = sensor
+            for a in range(3):
+                seen_from[slot, a] = sensor[a]
             used += 1
         m = moments[slot]
         if m[_COUNT] >= max_count:
             continue
-        p[:] = points[i]
+        for a in range(3):
+            p[a] = points[i, a]
         k = owners[slot]
         if k >= 0:
             w, shift, r = terms.turns[k], terms.shifts[k], terms.rotations[k]
@@ -171,17 +173,18 @@ def reassign_voxels(voxels: Voxels, gone: int, successor: int, move: Frame, voxe
             m = moments[slot]
             n = m[_COUNT]
             key = keys[slot]
-            index = ((key >> 42) & mask, (key >> 21) & mask, key & mask)
             at = np.empty(3)
             for a in range(3):
-                at[a] = (index[a] - _OFFSET + 0.5) * voxel + (m[_X + a] / n if n > 0 else 0.0)
+                index = (key >> (42 - 21 * a)) & mask
+                at[a] = (index - _OFFSET + 0.5) * voxel + (m[_X + a] / n if n > 0 else 0.0)
             for a in range(3):
                 d[a] = move.translation[a] - at[a]
                 for b in range(3):
                     d[a] += move.rotation[a, b] * at[b]
             moved[:] = 0.0
             _add_moved(moved, m, d[0], d[1], d[2])
-            m[:] = moved
+            for a in range(_MOMENTS):
+                m[a] = moved[a]
             k = successor
         owners[slot] = k - 1 if k > gone else k
 
@@ -315,7 +318,8 @@ def match_planes(
         variances[i, 1] = low / n * (1.0 + reach2 / mid)
         variances[i, 2] = low / (n * mid)
         slot = int(total[_MOMENTS])
-        sensors[i] = seen_from[slot]
+        for a in range(3):
+            sensors[i, a] = seen_from[slot, a]
         anchors[i] = owners[slot]
     return PlaneMatches(found, normals, centres, variances, sensors, anchors)
 

@@ -143,17 +143,40 @@ def _weak_axes(information: Array, noise: Array, own: slice, other: slice, sigma
     """The degenerate directions of the three coordinates ``own``, the three others marginalised."""
     # the pseudo-inverse ignores unobserved directions of the other block
     known, axes = np.linalg.eigh(information[other, other].copy())
-    rest = np.zeros((3, 3))
-    for k in range(3):
-        if known[k] > 1e-9 * known[2]:
-            rest += np.outer(axes[:, k], axes[:, k]) / known[k]
     following = np.zeros((POSE_DIM, 3))
-    following[own] = np.eye(3)
-    following[other] = -rest @ information[other, own].copy()
-    schur = following.T @ information @ following
-    values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
-    noise_information = np.sum(vectors * ((following.T @ noise @ following) @ vectors), axis=0)
-    return vectors[:, values - 2.0 * noise_information < 1.0 / sigma**2]
+    for k in range(3):
+        following[own.start + k, k] = 1.0
+        if known[k] <= 1e-9 * known[2]:
+            continue
+        for b in range(3):
+            share = 0.0
+            for a in range(3):
+                share += axes[a, k] * information[other.start + a, own.start + b] / known[k]
+            for a in range(3):
+                following[other.start + a, b] -= axes[a, k] * share
+    values, vectors = np.linalg.eigh(_carried(information, following))
+    noisy = _carried(_carried(noise, following), vectors)
+    weak = np.empty((3, 3))
+    count = 0
+    for k in range(3):
+        if values[k] - 2.0 * noisy[k, k] < 1.0 / sigma**2:
+            for a in range(3):
+                weak[a, count] = vectors[a, k]
+            count += 1
+    return weak[:, :count]
+
+
+@njit(cache=True)
+def _carried(matrix: Array, columns: Array) -> Array:
+    """``columns.T @ matrix @ columns`` of a symmetric (N, N) matrix and (N, 3) columns."""
+    out, size = np.zeros((3, 3)), matrix.shape[0]
+    for a in range(3):
+        for b in range(a + 1):
+            for i in range(size):
+                for j in range(size):
+                    out[a, b] += columns[i, a] * matrix[i, j] * columns[j, b]
+            out[b, a] = out[a, b]
+    return out
 
 
 def without_directions(information: Array, vector: Array, weak: Array) -> tuple[Array, Array]:

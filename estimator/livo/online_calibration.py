@@ -182,7 +182,8 @@ def landmark_jacobians(
         for axis in range(3):
             cross_into(rotation[axis], reach, move, 0)
             _meet(move, plane, far, rotation, jacobian, CAMERA_ROTATION.start + axis)
-            move[:] = rotation[axis]
+            for a in range(3):
+                move[a] = rotation[axis, a]
             _meet(move, plane, far, rotation, jacobian, CAMERA_TRANSLATION.start + axis)
     return out
 

@@ -106,7 +106,8 @@ def plane_equations(
         if not planes.found[i]:
             continue
         p, beam, k = scan.points[i], scan.beams[i], planes.anchors[i]
-        n[:], c[:], sensor[:] = planes.normals[i], planes.centres[i], planes.sensors[i]
+        for a in range(3):
+            n[a], c[a], sensor[a] = planes.normals[i, a], planes.centres[i, a], planes.sensors[i, a]
         own = pose
         if k >= 0:
             move = Frame(anchors.moves.rotations[k], anchors.moves.translations[k])
@@ -142,7 +143,8 @@ def plane_equations(
             continue
         weight = 1.0 / ((1.0 + 4.0 * scaled2 / (noise.gate * noise.gate)) * variance)
         cross_into(p, in_imu, row, ROTATION.start)
-        row[POSITION] = n
+        for a in range(3):
+            row[POSITION.start + a] = n[a]
         if shared > 0:
             cross_into(beam, in_imu, row, _MOUNT)
             cross_into(arm, in_clone, reach, 0)

@@ -231,7 +231,7 @@ def update_ground_level(pulses: Pulses, blocks: Grid, level: Float32) -> None:
             continue
         x, y = origins[i, 0] + r * beams[i, 0], origins[i, 1] + r * beams[i, 1]
         z = origins[i, 2] + r * beams[i, 2]
-        row, col = _cell_at(x, y, blocks, level.shape)
+        row, col = _cell_at(float(x), float(y), blocks, level.shape)
         if row >= 0 and np.isfinite(z) and not z >= level[row, col]:
             level[row, col] = z
 
@@ -271,7 +271,7 @@ def locate_missing(
     for i in range(ranges.shape[0]):
         if not ranges[i] <= 0.0 or not beams[i, 2] < -0.05:
             continue
-        x, y, distance = origins[i, 0], origins[i, 1], 0.0
+        x, y, distance = float(origins[i, 0]), float(origins[i, 1]), 0.0
         for _ in range(3):
             ground = _expected_level(x, y, fallback, blocks, level)
             distance = (ground - origins[i, 2]) / beams[i, 2]
@@ -291,7 +291,7 @@ def accumulate_missing(
     """Counts pulses without return, (K, 2) x, y, in their cells. With many of them the count of
     returns fades, so that the ratio of both follows the recent past."""
     for i in range(spots.shape[0]):
-        row, col = _cell_at(spots[i, 0], spots[i, 1], grid, count.shape)
+        row, col = _cell_at(float(spots[i, 0]), float(spots[i, 1]), grid, count.shape)
         if row >= 0:
             if missing[row, col] + 1.0 > count_cap:
                 missing[row, col] = count_cap

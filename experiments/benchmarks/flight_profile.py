@@ -186,8 +186,9 @@ def profile_with_flames(arguments: list[str], svg: Path) -> dict[str, Any] | Non
         "--", sys.executable, "-m", "touchdown", "bench", "profile", *arguments, "--json",
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    try:
-        figures: dict[str, Any] = json.loads(done.stdout[done.stdout.index("{") :])
+    try:  # py-spy prints lines of its own before and behind
+        start = done.stdout.index("\n{") + 1 if done.stdout[:1] != "{" else 0
+        figures: dict[str, Any] = json.JSONDecoder().raw_decode(done.stdout, start)[0]
     except ValueError:
         raise RuntimeError(f"py-spy: {done.stderr.strip()[-500:] or 'no figures'}") from None
     return figures

@@ -93,22 +93,21 @@ class SurveyImages:
         self._track.append((estimate.time_s, estimate.odom_from_body))
         if not estimate.healthy:
             return
-        for image in self._usable(obs.images):
+        for image, dim in self._usable(obs.images):
             pose = self._pose_at(image.time_s)
             if pose is None:
                 continue
             camera = pose @ self._rig.body_from_camera
             height = float(estimate.world_from_odom.apply(camera.translation)[2])
-            dim = is_dim(some_pixels(image.rgb))
             kept = _KeptImage(image.rgb, image.time_s, camera, height - self._ground_world, dim)
             self._newest = kept
             low = kept.height_m < _LOWEST_M
             if not low and (not self._kept or self._far_enough(self._kept[-1], kept)):
                 self._keep(kept)
 
-    def _usable(self, images: tuple[CameraImage, ...]) -> list[CameraImage]:
-        """Returns the images without a defect, none where they are out of order: dark and frozen
-        images show no ground, and the pose of swapped ones is unknown."""
+    def _usable(self, images: tuple[CameraImage, ...]) -> list[tuple[CameraImage, bool]]:
+        """Returns the images without a defect and whether they are dim, none where they are out of
+        order: dark and frozen images show no ground, and the pose of swapped ones is unknown."""
         times = [image.time_s for image in images]
         if times != sorted(times):
             return []
@@ -118,9 +117,10 @@ class SurveyImages:
             if image.time_s <= self._newest_s or image_defect(pixels, self._pixels):
                 continue
             self._newest_s, self._pixels = image.time_s, pixels
-            self.dark = is_dim(pixels) and not shows_structure(image.rgb)
+            dim = is_dim(pixels)
+            self.dark = dim and not shows_structure(image.rgb)
             if not self.dark:
-                found.append(image)
+                found.append((image, dim))
         return found
 
     def _pose_at(self, time_s: float) -> Pose | None:
@@ -223,7 +223,7 @@ class SurveyImages:
 
 def is_dim(rgb: Image) -> bool:
     """True for an image (H, W, 3), or a sample of its pixels, taken in too little light."""
-    return bool(np.quantile(rgb, 0.95) < _DIM)
+    return bool(np.count_nonzero(rgb >= _DIM) < 0.05 * rgb.size)
 
 
 def shows_structure(rgb: Image) -> bool:

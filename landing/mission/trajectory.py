@@ -101,7 +101,8 @@ def sample_quintics(starts: Array, coefficients: Array, t: float) -> Sample:
     last = starts.size - 2
     index = min(max(int(np.searchsorted(starts, t, side="right")) - 1, 0), last)
     if t < 0.0:
-        position[:] = coefficients[0, 0]
+        for axis in range(3):
+            position[axis] = coefficients[0, 0, axis]
         return position, velocity, acceleration
     beyond = max(t - starts[last + 1], 0.0)
     local = min(t, starts[last + 1]) - starts[index]

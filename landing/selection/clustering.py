@@ -59,33 +59,39 @@ def _search_offsets(radius_cells: float) -> Int32:
     return np.column_stack([dr[keep], dc[keep]])[order].astype(np.int32)
 
 
-@numba.njit(cache=True)
 def _nearest_higher(density: Float32, offsets: Int32) -> Int32:
     """Returns the flat index of the nearest cell of higher density, the cell itself where there is
     none within reach, -1 outside. Equal densities are ordered by index: a plateau has one mode."""
-    rows, cols = density.shape
     # A border of NaN, which is never higher, makes every offset one step in a flat array.
-    reach = np.abs(offsets).max() if offsets.size else 0
+    reach = int(np.abs(offsets).max(initial=0))
+    padded = np.pad(density, reach, constant_values=np.nan)
+    parent = np.full(density.shape, -1, np.int32)
+    _look_around(padded, offsets, reach, parent)
+    return parent.ravel()
+
+
+@numba.njit(cache=True)
+def _look_around(padded: Float32, offsets: Int32, reach: int, parent: Int32) -> None:
+    """Fills in ``parent`` of `_nearest_higher` from the densities with ``reach`` more cells on each
+    side."""
+    rows, cols = parent.shape
     wide = cols + 2 * reach
-    padded = np.full((rows + 2 * reach, wide), np.nan, np.float32)
-    padded[reach : reach + rows, reach : reach + cols] = density
-    flat, steps = padded.ravel(), offsets[:, 0] * wide + offsets[:, 1]
-    parent = np.full(rows * cols, -1, np.int32)
+    flat, steps = padded.reshape(padded.size), np.empty(offsets.shape[0], np.int64)
+    for k in range(steps.shape[0]):
+        steps[k] = offsets[k, 0] * wide + offsets[k, 1]
     for row in range(rows):
         start = (row + reach) * wide + reach
         for col in range(cols):
-            at = start + col
-            own = flat[at]
+            own = flat[start + col]
             if np.isnan(own):
                 continue
             index = row * cols + col
-            parent[index] = index
+            parent[row, col] = index
             for k in range(steps.shape[0]):
-                other = flat[at + steps[k]]
+                other = flat[start + col + steps[k]]
                 if other > own or (other == own and steps[k] < 0):
-                    parent[index] = index + offsets[k, 0] * cols + offsets[k, 1]
+                    parent[row, col] = index + offsets[k, 0] * cols + offsets[k, 1]
                     break
-    return parent
 
 
 @numba.njit(cache=True)

@@ -149,8 +149,7 @@ def _step(
 ) -> None:
     rotation = _rotation(quat_wxyz)
     air = rotation.T @ (velocity_world - wind_world)
-    force = np.zeros(3)
-    torque = np.zeros(3)
+    force, torque = np.zeros(3), np.zeros(3)
     for i in range(4):
         speeds[i] += lag * (demand[i] - speeds[i])
         w = speeds[i]
@@ -173,16 +172,17 @@ def _step(
         torque[0] += b * fz - c * fy
         torque[1] += c * fx - a * fz
         torque[2] += a * fy - b * fx + spin[i] * (coefficients[_KQ] * torque_share[i]) * w * w
-    wrench[:3] = rotation @ force
-    wrench[3:] = rotation @ torque
+    force, torque = rotation @ force, rotation @ torque
+    for a in range(3):
+        wrench[a], wrench[3 + a] = force[a], torque[a]
 
 
 @njit(cache=True)
 def _rotation(quat_wxyz: Array) -> Array:
     """``sim.frames.matrix_from_quat_wxyz`` for compiled callers."""
     w, x, y, z = quat_wxyz[0], quat_wxyz[1], quat_wxyz[2], quat_wxyz[3]
-    rotation = np.empty((3, 3))
-    rotation[0] = (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y))
-    rotation[1] = (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x))
-    rotation[2] = (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
-    return rotation
+    r = np.empty((3, 3))
+    r[0, 0], r[0, 1], r[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    r[1, 0], r[1, 1], r[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    r[2, 0], r[2, 1], r[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    return r

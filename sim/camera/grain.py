@@ -110,7 +110,7 @@ def multiply_grain(
                 pixels[j] = np.uint8(np.int32(min(value, full)))
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
 def _place(
     j: int, i: int, depth: Float32, inverse_far: np.float32, per_level: np.float32, eye: Array,
     rays: Float32, frame: Array, height: Float32, kind: Bytes, noise: Float32,
@@ -168,12 +168,12 @@ def _grain_run(
         factors[j, 0], factors[j, 1], factors[j, 2] = red, green, blue
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
 def _channel(packed: np.uint32, bit: int) -> np.float32:
     return np.float32(np.uint8(packed >> bit))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
 def _texel(
     texels: NDArray[np.uint32],
     shift: int,

@@ -62,9 +62,10 @@ class GroundGrid:
         free = np.zeros((4, *low.shape), dtype=np.uint8)
         for quadrant in range(4):
             turned = np.s_[:: 2 * (quadrant // 2) - 1, :: 2 * (quadrant % 2) - 1]
-            _map_horizon(
-                lids[turned], low[turned], slope[turned], min(cell), free[quadrant][turned]
-            )
+            part = np.zeros(low.shape, dtype=np.uint8)
+            lid, floor, steep = (np.ascontiguousarray(one[turned]) for one in (lids, low, slope))
+            _map_horizon(lid, floor, steep, min(cell), part)
+            free[quadrant][turned] = part
         return GroundGrid(geom, np.asarray(origin, dtype=np.float64), cell, nodes, free)
 
     def land(self, rays: Float32, hits: Hits) -> Indices:

@@ -181,7 +181,7 @@ def receive(
     varied = gain.shape[0] > 0
     for i in range(distance.shape[0]):
         strengths[i], ranges[i], intensity[i] = 0.0, 0.0, 0
-        d, g = distance[i], geom[i]
+        d, g = float(distance[i]), geom[i]
         if g < 0 or d < min_range or d > max_range:
             continue
         rho, wet = reflectivity[g], water[g]
@@ -217,7 +217,8 @@ def weaken(
             continue
         strengths[i] *= math.exp(-2.0 * extinction * distance[i])
         if ranges[i] > 0.0:
-            if _detected(distance[i], strengths[i], bits[i], anchors, quantiles):
+            distance_m, strength = float(distance[i]), float(strengths[i])
+            if _detected(distance_m, strength, bits[i], anchors, quantiles):
                 intensity[i] = _level(strengths[i])
             else:
                 ranges[i], intensity[i] = 0.0, 0

@@ -58,7 +58,7 @@ def test_the_flame_graph_is_of_the_same_flight(
     spy.write_text(
         f"#!{sys.executable}\nimport sys\n"
         "open(sys.argv[sys.argv.index('--output') + 1], 'w').write(' '.join(sys.argv))\n"
-        f"print('''{json.dumps(figures)}''')\n"
+        f"print('''py-spy> Sampling {{}}\n{json.dumps(figures, indent=1)}\npy-spy> Wrote {{}}''')\n"
     )
     spy.chmod(0o755)
     monkeypatch.setattr("shutil.which", lambda *_name, **_path: str(spy))
