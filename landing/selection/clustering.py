@@ -95,13 +95,8 @@ def _look_around(padded: Float32, offsets: Int32, reach: int, parent: Int32) -> 
 
 
 @numba.njit(cache=True)
-def _labels(parent: Int32) -> Int32:
-    """Returns the number of every cell's root, in the order of the roots, -1 outside."""
-    label, count = np.full_like(parent, -1), 0
-    for index in range(parent.size):
-        if parent[index] == index:
-            label[index] = count
-            count += 1
+def _follow(parent: Int32, label: Int32) -> None:
+    """Gives every cell the ``label`` of its root, which has one; the others have -1."""
     for index in range(parent.size):
         top = index
         while parent[top] >= 0 and label[top] < 0:
@@ -110,7 +105,6 @@ def _labels(parent: Int32) -> Int32:
         while parent[walk] >= 0 and label[walk] < 0:
             label[walk] = label[top]
             walk = parent[walk]
-    return label
 
 
 def quick_shift(values: Float32, *, bandwidth_cells: float, radius_cells: float) -> Clusters:
@@ -123,4 +117,7 @@ def quick_shift(values: Float32, *, bandwidth_cells: float, radius_cells: float)
     parent = _nearest_higher(density, _search_offsets(radius_cells))
     mode_index, cols = np.flatnonzero(parent == np.arange(parent.size)), values.shape[1]
     modes = np.column_stack([mode_index // cols, mode_index % cols]).astype(np.int32)
-    return Clusters(label=_labels(parent).reshape(values.shape), modes=modes, density=density)
+    label = np.full(parent.size, -1, np.int32)
+    label[mode_index] = np.arange(mode_index.size)
+    _follow(parent, label)
+    return Clusters(label=label.reshape(values.shape), modes=modes, density=density)

@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import cv2
 import numba
@@ -21,6 +20,7 @@ from touchdown.estimator.api import GridMap, Ground
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Int32 = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 _Sums = tuple[float, float, float, float, float, float, float, float, float]
 
@@ -315,15 +315,22 @@ def distance_to(mask: Mask, cell_m: float) -> Float32:
     return (pixels * np.float32(cell_m)).astype(np.float32)
 
 
-@numba.njit(cache=True)
 def distance_up_to(mask: Mask, cell_m: float, most_m: float) -> Float32:
     """Returns the distance of `distance_to`, exact where it is below ``most_m``, larger elsewhere.
 
     The distance along the column, then the least over the row: so few cells are looked at."""
+    most = int(most_m / cell_m) + 2
+    squares = np.full(mask.shape, most, np.int32)
+    _square_distances(mask, squares, np.full(mask.shape[1] + 2 * most, most * most, np.int32))
+    return np.sqrt(squares.astype(np.float32)) * np.float32(cell_m)
+
+
+@numba.njit(cache=True)
+def _square_distances(mask: Mask, along: Int32, line: Int32) -> None:
+    """Turns ``along``, filled with the longest distance, into squares of distances, in cells;
+    ``line``, of the squares of the longest, is longer by that on both sides."""
     rows, cols = mask.shape
-    one, most = np.int32(1), np.int32(most_m / cell_m + 2.0)
-    along = np.full((rows, cols), most, np.int32)
-    metres = np.empty((rows, cols), np.float32)
+    one, most = np.int32(1), np.int32((line.size - cols) // 2)
     for row in range(rows):
         seen, above, own = mask[row], along[max(row - 1, 0)], along[row]
         for col in range(cols):
@@ -332,9 +339,8 @@ def distance_up_to(mask: Mask, cell_m: float, most_m: float) -> Float32:
         below, own = along[row + 1], along[row]
         for col in range(cols):
             own[col] = min(own[col], below[col] + one)
-    line = np.full(cols + 2 * most, most * most, np.int32)
     for row in range(rows):
-        own, out = along[row], metres[row]
+        own = along[row]
         for col in range(cols):
             line[most + col] = own[col] * own[col]
         for col in range(cols):
@@ -345,9 +351,6 @@ def distance_up_to(mask: Mask, cell_m: float, most_m: float) -> Float32:
                 step += one
                 square = step * step
             own[col] = best
-        for col in range(cols):
-            out[col] = np.sqrt(np.float32(own[col])) * np.float32(cell_m)
-    return metres
 
 
 def disc_widths(radius_cells: float) -> NDArray[np.int64]:
@@ -359,9 +362,11 @@ def disc_widths(radius_cells: float) -> NDArray[np.int64]:
 def disc_maximum(layer: Float32, radius_cells: float) -> Float32:
     """Returns the maximum over the disc of ``radius_cells`` around each cell. NaN cells are left
     out; -inf where the disc has no other."""
-    lowest = np.float32(-np.inf)
-    filled = np.where(np.isfinite(layer), layer, lowest)
-    return _disc_maximum(filled, disc_widths(radius_cells), lowest)
+    widths = disc_widths(radius_cells)
+    best = np.full(layer.shape, -np.inf, np.float32)
+    column = np.empty(layer.shape[1] + widths.size - 1, np.float32)
+    _disc_maximum(np.where(np.isfinite(layer), layer, best), widths, column, best)
+    return best
 
 
 def dilated(mask: Mask, radius_cells: float) -> Mask:
@@ -369,20 +374,20 @@ def dilated(mask: Mask, radius_cells: float) -> Mask:
     cell."""
     if not mask.any():
         return np.zeros(mask.shape, np.bool_)
-    cells = np.ascontiguousarray(mask).view(np.uint8)
-    return _disc_maximum(cells, disc_widths(radius_cells), np.uint8(0)).view(np.bool_)
+    return disc_maximum(mask.astype(np.float32), radius_cells) > 0.0
 
 
 @numba.njit(cache=True)
-def _disc_maximum(values: Any, widths: NDArray[np.int64], lowest: Any) -> Any:
+def _disc_maximum(
+    values: Float32, widths: NDArray[np.int64], column: Float32, best: Float32
+) -> None:
     """The greatest of the columns that lie ``wide`` from the middle, as high as the rows that are
     at least as wide; the loops over columns fill the processor's lanes."""
     rows, cols = values.shape
     reach = widths.size // 2
-    best = np.full_like(values, lowest)
-    column = np.empty(cols + 2 * reach, values.dtype)
     for row in range(rows):
-        column[:] = lowest
+        for col in range(column.size):
+            column[col] = -np.inf
         middle, out = column[reach:], best[row]
         for wide in range(reach, -1, -1):
             for k in range(widths.size):
@@ -393,4 +398,3 @@ def _disc_maximum(values: Any, widths: NDArray[np.int64], lowest: Any) -> Any:
             left, right = column[reach - wide :], column[reach + wide :]
             for col in range(cols):
                 out[col] = max(out[col], max(left[col], right[col]))
-    return best

@@ -21,7 +21,8 @@ def term(site: Inputs) -> TermLayer:
     x, y = site.raster.offsets_from(site.vehicle_odom)
     weight, near = np.float32(site.selector.weight_distance), site.distance
     value = weight * near if site.selector.distance_zero == "farthest" else -(weight * (1.0 - near))
-    return TermLayer(name="distance", value=value, quantity=_horizontal(x, y), unit="m")
+    away = np.sqrt((x**2)[None, :] + (y**2)[:, None]).astype(np.float32)
+    return TermLayer(name="distance", value=value, quantity=away, unit="m")
 
 
 def distance(raster: ElevationRaster, position_odom: Array, reach_m: float) -> Float32:
@@ -29,33 +30,26 @@ def distance(raster: ElevationRaster, position_odom: Array, reach_m: float) -> F
     and 0 at the farthest; NaN beyond ``reach_m``, the range of the remaining energy."""
     x, y = (axis.astype(np.float32) for axis in raster.offsets_from(position_odom[:2]))
     reach = np.float32(min(reach_m, 1e9))
-    return _closeness(x**2, y**2, raster.height, np.float32(position_odom[2]), reach * reach)
+    metres = np.full(raster.shape, np.nan, np.float32)
+    up = raster.height - np.float32(position_odom[2])
+    _closeness(x**2, y**2, up, reach * reach, metres)
+    return metres
 
 
 @numba.njit(cache=True)
-def _horizontal(x: Array, y: Array) -> Float32:
-    away = np.empty((y.size, x.size), np.float32)
-    for row in range(y.size):
-        for col in range(x.size):
-            away[row, col] = np.sqrt(x[col] * x[col] + y[row] * y[row])
-    return away
-
-
-@numba.njit(cache=True)
-def _closeness(xx: Float32, yy: Float32, height: Float32, z: Any, limit: Any) -> Float32:
-    """Eq. 18 of cells within the square root of ``limit``, from squares of offsets."""
-    metres = np.full(height.shape, np.nan, np.float32)
+def _closeness(xx: Float32, yy: Float32, up: Float32, limit: Any, metres: Float32) -> None:
+    """Eq. 18 into ``metres`` of cells within the square root of ``limit``, from squares of
+    offsets and heights over the vehicle."""
     near: Any = np.float32(np.inf)
     far: Any = -near
     for row in range(yy.size):
         for col in range(xx.size):
-            horizontal, up = xx[col] + yy[row], height[row, col] - z
-            if horizontal <= limit and up == up:
-                away = np.sqrt(horizontal + up * up)
+            horizontal, high = xx[col] + yy[row], up[row, col]
+            if horizontal <= limit and high == high:
+                away = np.sqrt(horizontal + high * high)
                 metres[row, col] = away
                 near, far = min(near, away), max(far, away)
     extent = np.float32(max(far - near, 1e-6))
     for row in range(yy.size):
         for col in range(xx.size):
             metres[row, col] = np.float32(1.0) - (metres[row, col] - near) / extent
-    return metres

@@ -68,22 +68,22 @@ def flatness(
     values = np.where(known, kernel, np.float32(0.0))
     if form == "literal":
         values = values * count
-    total = _disc_sums(values, widths)
+    total, column = np.zeros_like(values), np.empty(values.shape[1] + widths.size - 1, np.float32)
+    _disc_sums(values, widths, column, total)
     scale = float(total.max()) if form == "literal" else float((2 * widths + 1).sum())
     cost = np.clip(total / np.float32(max(scale, 1e-9)), np.float32(0.0), np.float32(1.0))
     return np.where(known, cost, np.float32(np.nan))
 
 
 @numba.njit(cache=True)
-def _disc_sums(values: Float32, widths: NDArray[np.int64]) -> Float32:
-    """Returns the sums over the disc whose rows reach ``widths`` to each side: of the columns that
-    lie ``wide`` from the middle, as high as the rows that are at least as wide."""
+def _disc_sums(values: Float32, widths: NDArray[np.int64], column: Float32, sums: Float32) -> None:
+    """Adds the values in the disc whose rows reach ``widths`` to each side: of the columns that lie
+    ``wide`` from the middle, as high as the rows that are at least as wide."""
     rows, cols = values.shape
     reach = widths.size // 2
-    sums = np.zeros((rows, cols), np.float32)
-    column = np.empty(cols + 2 * reach, np.float32)
     for row in range(rows):
-        column[:] = 0.0
+        for col in range(column.size):
+            column[col] = 0.0
         middle, out = column[reach:], sums[row]
         for wide in range(reach, -1, -1):
             for k in range(widths.size):
@@ -95,4 +95,3 @@ def _disc_sums(values: Float32, widths: NDArray[np.int64]) -> Float32:
             share = np.float32(1.0 if wide else 0.0)
             for col in range(cols):
                 out[col] += left[col] + share * right[col]
-    return sums

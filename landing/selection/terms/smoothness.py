@@ -51,7 +51,9 @@ def colour_edges(
     smooth = cv2.GaussianBlur(grey, (0, 0), blur_cells)
     image = cv2.divide(smooth, np.maximum(weight, 1e-3), dtype=cv2.CV_8U)
     edges = (cv2.Canny(image, low, high, L2gradient=True) > 0).astype(np.uint8)
-    edges[_in_large_holes(coloured, hole_cells)] = 1
+    large = np.zeros(coloured.shape, np.bool_)
+    _find_large_holes(coloured, np.empty((hole_cells + 1, 2), np.int64), large)
+    edges[large] = 1
     return edges, coloured
 
 
@@ -64,11 +66,9 @@ def smoothness(edges: NDArray[np.uint8], coloured: Mask, cell_m: float, full_m: 
 
 
 @numba.njit(cache=True)
-def _in_large_holes(coloured: Mask, most: int) -> Mask:
-    """Returns the uncoloured cells that are connected to more than ``most`` - 1 others."""
+def _find_large_holes(coloured: Mask, found: NDArray[np.int64], large: Mask) -> None:
+    """Marks the uncoloured cells that are connected to as many others as ``found`` has rows."""
     rows, cols = coloured.shape
-    large = np.zeros((rows, cols), np.bool_)
-    found = np.empty((most + 1, 2), np.int64)
     for row in range(rows):
         for col in range(cols):
             if coloured[row, col]:
@@ -78,15 +78,15 @@ def _in_large_holes(coloured: Mask, most: int) -> Mask:
                 continue
             found[0, 0], found[0, 1] = row, col
             count, at = 1, 0
-            while at < count <= most:
-                for step in ((-1, 0), (0, -1), (0, 1), (1, 0)):
-                    r, c = found[at, 0] + step[0], found[at, 1] + step[1]
+            while at < count < found.shape[0]:
+                for side in range(4):
+                    r = found[at, 0] + (side == 0) - (side == 1)
+                    c = found[at, 1] + (side == 2) - (side == 3)
                     new = 0 <= r < rows and 0 <= c < cols and not coloured[r, c]
                     for k in range(count):
                         new = new and (found[k, 0] != r or found[k, 1] != c)
-                    if new and count <= most:
+                    if new and count < found.shape[0]:
                         found[count, 0], found[count, 1] = r, c
                         count += 1
                 at += 1
-            large[row, col] = count > most
-    return large
+            large[row, col] = count == found.shape[0]
