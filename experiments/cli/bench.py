@@ -194,7 +194,7 @@ def bench_landing(
 @bench.command("selector")
 @click.argument("scenes", nargs=-1)
 @click.option("--seeds", default="0-24", show_default=True, help="Such as 0-24 or 100,101.")
-@click.option("--scorer", type=click.Choice(["risk", "paper"]), default=None, help="  [risk]")
+@click.option("--selector", type=click.Choice(["risk", "zou2024"]), default=None, help="  [risk]")
 @click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
 @click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these maps.")
 @click.option("--pictures", type=click.Path(path_type=Path), default=None, metavar="DIR",
@@ -204,7 +204,7 @@ def bench_landing(
 def bench_selector(
     scenes: tuple[str, ...],
     seeds: str,
-    scorer: str | None,
+    selector: str | None,
     jobs: int,
     fit_model: bool,
     pictures: Path | None,
@@ -223,7 +223,7 @@ def bench_selector(
         lambda: selector_check.run(
             scenes or selector_check.SCENES,
             seeds=seeds,
-            scorer=scorer,
+            selector=selector,
             jobs=jobs,
             fit_model=fit_model,
             overrides=overrides,

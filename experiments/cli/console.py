@@ -86,7 +86,7 @@ def _print_choice(result: RunResult, console: Console) -> None:
     choice = result.choice
     if choice is None:
         return
-    table = Table(title=f"candidate sites, scorer {choice.scorer}", title_justify="left")
+    table = Table(title=f"candidate sites, selector {choice.selector}", title_justify="left")
     for title in ("", "x, y (m)", "score", "slope", "clearance", "ground", "rule"):
         table.add_column(title, justify="left" if title in ("ground", "rule") else "right")
     for site in choice.candidates[:_FIRST_SITES]:

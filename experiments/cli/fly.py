@@ -127,11 +127,21 @@ def _flight_options(command: _Command) -> _Command:
 @_flight_options
 @click.option("--site", type=SiteType(), help="Land here (metres, world frame).")
 @click.option(
+    "--selector",
+    type=click.Choice(["risk", "zou2024"]),
+    help="What chooses the site: risk, or the method of Zou, Sun and Kong (2024).  [risk]",
+)
+@click.option(
     "--emergency",
     type=click.Choice(["battery"]),
     help="Land within landing.emergency_s of the survey's end, on the safest site in reach.",
 )
-def land(site: tuple[float, float] | None, emergency: str | None, **options: Any) -> int:
+def land(
+    site: tuple[float, float] | None,
+    selector: str | None,
+    emergency: str | None,
+    **options: Any,
+) -> int:
     """Take off, survey, map, choose a landing site and land on it.
 
     SCENE is a name (see `touchdown scenes list`) or the path of an MJCF file. Exit code 0 means
@@ -139,7 +149,7 @@ def land(site: tuple[float, float] | None, emergency: str | None, **options: Any
 
     Example: touchdown land crossroad --seed 3 --wind-kmh 20 --set landing.second_look=false
     """
-    return _run_flight(options, site=site, emergency=emergency)
+    return _run_flight(options, site=site, selector=selector, emergency=emergency)
 
 
 @click.command()

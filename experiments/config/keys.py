@@ -13,6 +13,15 @@ RENAMED: Mapping[str, str] = {
     "livo.mount_shift_sigma_m": "livo.mount_translation_sigma_m",
     "livo.camera_turn_sigma_deg": "livo.camera_rotation_sigma_deg",
     "livo.camera_shift_sigma_m": "livo.camera_translation_sigma_m",
+    "landing.scorer": "landing.selector",
+    "landing.weight_flatness": "landing.zou2024.weight_flatness",
+    "landing.weight_smoothness": "landing.zou2024.weight_smoothness",
+    "landing.weight_distance": "landing.zou2024.weight_distance",
+    "landing.energy_weight": "landing.risk.weight_distance",
+    "landing.level_weight": "landing.risk.weight_level",
+    "landing.clearance_weight": "landing.risk.weight_room",
+    "landing.traffic_penalty": "landing.risk.weight_traffic",
+    "landing.plants_penalty": "landing.risk.weight_plants",
 }
 """Keys of earlier versions and their names now."""
 

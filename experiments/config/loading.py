@@ -67,6 +67,7 @@ OPTION_KEYS: Mapping[str, str] = {
     "wind_kmh": "wind.mean_kmh",
     "site": "landing.site_xy_m",
     "emergency": "landing.emergency",
+    "selector": "landing.selector",
     "survey_only": "landing.survey_only",
     "fault": "faults.events",
 }
@@ -271,8 +272,10 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     where = sources.get(key, "the configuration")
     if first["type"] in _OUT_OF_RANGE:
         return _outside(key, value, where)
+    if (names := choices_of(types_of_keys().get(key))) and isinstance(value, list):
+        value = next((name for name in value if name not in names), value)
     given = f"{value:g}" if isinstance(value, float) else json.dumps(value, default=str)
-    if names := choices_of(types_of_keys().get(key)):
+    if names:
         hint, known = nearest(str(value), names), ", ".join(name or "''" for name in names)
         return f"{key} = {given[:60]} in {where} is unknown{hint}; known: {known}"
     return f"{key} = {given} in {where} is wrong: {message}"

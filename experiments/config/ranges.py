@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 import operator
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from annotated_types import BaseMetadata, GroupedMetadata
@@ -70,14 +70,17 @@ SMALLEST = 1e-6
 @functools.cache
 def types_of_keys() -> dict[str, Any]:
     """The type of every key of the schema, by dotted key, with its metadata."""
-    types: dict[str, Any] = {}
-    for name, kind in typing.get_type_hints(Config, include_extras=True).items():
-        if hasattr(kind, "__dataclass_fields__"):
-            hints = typing.get_type_hints(kind, include_extras=True)
-            types |= {f"{name}.{field}": hints[field] for field in kind.__dataclass_fields__}
-        elif name in Config.model_fields:
-            types[name] = kind
-    return types
+    return dict(_types_in(Config, Config.model_fields))
+
+
+def _types_in(group: Any, names: Iterable[str], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    hints = typing.get_type_hints(group, include_extras=True)
+    for name in names:
+        inner = getattr(hints[name], "__dataclass_fields__", None)
+        if inner is None:
+            yield f"{prefix}{name}", hints[name]
+        else:
+            yield from _types_in(hints[name], inner, f"{prefix}{name}.")
 
 
 def bounds_of(kind: Any) -> dict[str, float]:
@@ -93,7 +96,10 @@ def bounds_of(kind: Any) -> dict[str, float]:
 
 
 def choices_of(kind: Any) -> tuple[str, ...]:
-    """The names that a key of a closed set may take; none for other types."""
+    """The names that a key of a closed set, or of a list from one, may take; none for other
+    types."""
+    if typing.get_origin(kind) is tuple:
+        return choices_of(typing.get_args(kind)[0])
     return typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
 
 

@@ -62,10 +62,8 @@ def meanings(kind: Any) -> dict[str, str]:
 
 def meaning_of(key: str) -> str:
     """The docstring of a key; "" if there is none."""
-    group, _, name = key.partition(".")
-    if not name:
-        return meanings(Config).get(group, "")
-    kind: Any = type(getattr(Config(), group))
+    group, _, name = key.rpartition(".")
+    kind: Any = type(functools.reduce(getattr, group.split("."), Config())) if group else Config
     return meanings(kind).get(name, "")
 
 
@@ -90,7 +88,8 @@ def _kind_texts(kind: Any) -> Iterator[str]:
     elif typing.get_origin(kind) is tuple:
         inner = typing.get_args(kind)
         (first, *_) = _kind_texts(inner[0])
-        yield f"list of {first}s" if inner[-1] is Ellipsis else f"{len(inner)} {first}s"
+        many = f"names from {first}" if first.startswith("`") else f"{first}s"
+        yield f"list of {many}" if inner[-1] is Ellipsis else f"{len(inner)} {many}"
     else:
         yield _KINDS.get(kind, "any")
 
@@ -99,9 +98,7 @@ def default_of(key: str) -> str:
     """The default as TOML, or ``none``."""
     if key == KEY:
         return f"`{json.dumps(DEFAULT)}`"
-    group, _, name = key.partition(".")
-    value = getattr(Config(), group)
-    value = getattr(value, name) if name else value
+    value = functools.reduce(getattr, key.split("."), Config())
     if value is None:
         return "none"
     return f"`{json.dumps(value, default=str)}`"
@@ -109,13 +106,16 @@ def default_of(key: str) -> str:
 
 def groups() -> Iterator[tuple[str, str, list[str]]]:
     """(group, its description, its keys); the keys without a group come first, as ``""``."""
-    keys = list(types_of_keys())
-    yield "", "", [key for key in keys if "." not in key]
-    for name in Config.model_fields:
-        inner = [key for key in keys if key.startswith(f"{name}.")]
-        if inner:
-            kind = type(getattr(Config(), name))
-            yield name, inspect.cleandoc(kind.__doc__ or ""), inner
+    found: dict[str, list[str]] = {"": []}
+    for key in types_of_keys():
+        found.setdefault(key.rpartition(".")[0], []).append(key)
+    for group, keys in found.items():
+        if group:
+            kind = type(functools.reduce(getattr, group.split("."), Config()))
+            text = inspect.cleandoc(kind.__doc__ or "")
+            yield group, "" if text.startswith(f"{kind.__name__}(") else text, keys
+        else:
+            yield "", "", keys
 
 
 def reference_page() -> str:
@@ -123,7 +123,7 @@ def reference_page() -> str:
     parts = [INTRODUCTION]
     for name, text, keys in groups():
         parts.append(f"## {f'`{name}`' if name else 'Without a group'}\n")
-        if text and not text.startswith(f"{type(getattr(Config(), name)).__name__}("):
+        if text:
             parts.append(f"{_markdown(text)}\n")
         parts.append("| key | default | unit | values | meaning |\n|---|---|---|---|---|")
         for key in keys:

@@ -19,7 +19,7 @@ def choice_of(decisions: tuple[Decision, ...]) -> Choice | None:
     *earlier, last = decisions
     return Choice(
         time_s=last.time_s,
-        scorer=last.scorer,
+        selector=last.selector,
         why=last.why,
         given_up=last.given_up,
         candidates=[

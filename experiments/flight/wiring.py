@@ -119,12 +119,12 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
 
 
 def classifier_file(config: Config) -> Path | None:
-    """The network file of the ground classifier. None for ``off``, for a survey alone, and for
-    ``auto`` without a shipped network."""
+    """The network file of the ground classifier. None for ``off``, for a survey alone, for a
+    selector without the gate ``class``, and for ``auto`` without a shipped network."""
     from touchdown.landing.classification.onboard import SHIPPED
 
-    wanted = config.landing.classifier
-    if wanted == "off" or config.landing.survey_only:
+    wanted, gates = config.landing.classifier, config.landing.chosen_selector.gates
+    if wanted == "off" or config.landing.survey_only or "class" not in gates:
         return None
     if wanted != "auto":
         return Path(wanted)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.errors import UsageError, input_message, plain_fault, reason_of
 from touchdown.experiments.io.foreign import read_object
@@ -150,7 +150,8 @@ class Choice(_Part):
     """The last decision of a flight, and those before it."""
 
     time_s: float
-    scorer: str
+    selector: str = Field(validation_alias=AliasChoices("selector", "scorer"))
+    """``scorer`` in results of earlier versions"""
     why: str
     """why the first candidate won, or why there was none"""
     given_up: str = ""

@@ -199,8 +199,8 @@ def _fill_world(section: Section, figures: Figures, folder: Path) -> None:
 def _fill_sites(section: Section, figures: Figures, folder: Path) -> None:
     section.tables.append(site_table(figures))
     section.words.append(
-        f"Posed survey: the sensors take the planned poses without a flight; the scorer is "
-        f"`{figures['scorer']}`."
+        f"Posed survey: the sensors take the planned poses without a flight; the selector is "
+        f"`{figures['selector']}`."
     )
     section.pictures.extend(
         raster(f"fig11_{check['scene']}", f"Fig. 11: {check['scene']}",

@@ -145,7 +145,7 @@ def _sites(job: Job) -> Done:
         found = selector_check.run(
             tuple(SITES),
             seeds="0",
-            scorer=None,
+            selector=None,
             jobs=min(job.jobs, len(SITES)),
             fit_model=False,
             overrides=(),
@@ -156,7 +156,7 @@ def _sites(job: Job) -> Done:
     places = [{key: place[key] for key in kept} for place in found["places"]]
     unsafe = [place["scene"] for place in places if place["chosen_safe"] is False]
     why = f"the site chosen on {', '.join(unsafe)} is unsafe by the true map" if unsafe else ""
-    return Done({"scorer": found["scorer"], "places": places}, why)
+    return Done({"selector": found["selector"], "places": places}, why)
 
 
 # ---------------------------------------------------------------------------------------- flights

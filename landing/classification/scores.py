@@ -53,7 +53,9 @@ def log_loss(scores: Float32, labels: Labels) -> float:
 def calibration_error(scores: Float32, labels: Labels) -> float:
     """Returns the expected calibration error of the probability of the best class, in 15
     bins of equal width (Guo et al., ICML 2017)."""
-    from touchdown.landing.selection.risk import calibration  # numba is not loaded for a softmax
+    from touchdown.landing.selection.terms.probability import (
+        calibration,
+    )  # numba is not loaded for a softmax
 
     chance = probabilities(scores)
     correct = chance.argmax(axis=1) == labels

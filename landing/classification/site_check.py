@@ -20,7 +20,7 @@ from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import Candidate, GroundClassifier, LandingParams, Selection
 from touchdown.landing.classification.snow import as_snow, is_snow
 from touchdown.landing.classification.survey_images import SurveyImages
-from touchdown.landing.selection.landable import Refusal
+from touchdown.landing.selection.ground.landable import Refusal
 from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES
 from touchdown.sim.api import Observation, SensorRig
 

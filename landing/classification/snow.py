@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapView
-from touchdown.landing.selection.elevation_raster import ElevationRaster, observed_raster
+from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, observed_raster
 from touchdown.scenes.api import LAND_CLASSES
 
 Array = NDArray[np.float64]

@@ -65,7 +65,7 @@ def decided(mission: Mission, candidates: tuple[Candidate, ...]) -> Decision:
     positions = [mission.world(site.position_odom) for site in candidates]
     return Decision(
         time_s=mission.obs.time_s,
-        scorer=mission.params.scorer,
+        selector=mission.params.selector,
         candidates=candidates,
         positions_world=np.array(positions, np.float64).reshape(-1, 3),
         why=why_chosen(candidates),

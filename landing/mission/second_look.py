@@ -9,20 +9,19 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapView
 from touchdown.landing.api import LandingParams
-from touchdown.landing.selection.elevation_raster import (
+from touchdown.landing.selection.ground.elevation_raster import (
     ElevationRaster,
     distance_to,
     observed_raster,
     pooled,
 )
-from touchdown.landing.selection.landable import (
-    FOOTPRINT_M,
+from touchdown.landing.selection.ground.landable import (
     assess,
     explain,
     fit_footprint,
     ground_planes,
 )
-from touchdown.landing.selection.plants import standing_plants, without_plants
+from touchdown.landing.selection.ground.plants import standing_plants, without_plants
 
 Array = NDArray[np.float64]
 
@@ -103,16 +102,17 @@ def _fine_window(
 ) -> ElevationRaster | None:
     if map_view.fine is None:
         return None
-    half = max_shift_m + params.clear_radius_m + FOOTPRINT_M
+    half = max_shift_m + params.clear_radius_m + params.ground.footprint_m
     window = observed_raster(map_view.fine, site, half)
     if window is None or min(window.shape) < 4 * _POOL:
         return None
     seen = pooled(window, _POOL)
-    return without_plants(seen, standing_plants(seen, fill_gaps=True))
+    plants = standing_plants(seen, params.ground, fill_gaps=True)
+    return without_plants(seen, plants, params.ground)
 
 
 def _checked_plane(raster: ElevationRaster, xy: Array, params: LandingParams, how: str) -> Look:
-    plane = fit_footprint(raster, xy)
+    plane = fit_footprint(raster, xy, params.ground.footprint_m)
     if plane is None:
         return Look(position_odom=None, reason="the ground under the site is unknown")
     if plane.slope_deg > params.max_slope_deg:

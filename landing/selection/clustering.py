@@ -9,14 +9,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.landing.api import LandingParams
+
 Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
-
-
-_BANDWIDTHS = 1.5
-"""kernel bandwidth of the density, in footprint radii: about the area of a landing"""
-_SEARCH_RADII = 4.0
-"""Quick Shift looks for a higher density within this many bandwidths"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -31,11 +27,11 @@ class Clusters:
     density: Float32
 
 
-def bandwidths(footprint_cells: float) -> tuple[float, float]:
+def bandwidths(footprint_cells: float, params: LandingParams) -> tuple[float, float]:
     """Returns the bandwidth of the density and the search radius, in cells, for a vehicle whose
     footprint has the radius ``footprint_cells``."""
-    bandwidth = _BANDWIDTHS * footprint_cells
-    return bandwidth, _SEARCH_RADII * bandwidth
+    bandwidth = params.cluster_bandwidth * footprint_cells
+    return bandwidth, params.cluster_search * bandwidth
 
 
 def kernel_density(values: Float32, bandwidth_cells: float) -> Float32:
@@ -49,7 +45,7 @@ def kernel_density(values: Float32, bandwidth_cells: float) -> Float32:
         np.where(known, values, np.float32(0.0)), (0, 0), bandwidth_cells,
         borderType=cv2.BORDER_CONSTANT,
     )  # fmt: skip
-    return np.where(known, total / np.maximum(weight, 1e-9), np.nan).astype(np.float32)
+    return np.where(known, total / np.maximum(weight, np.float32(1e-9)), np.float32(np.nan))
 
 
 def _search_offsets(radius_cells: float) -> Int32:
@@ -99,21 +95,16 @@ def _look_around(padded: Float32, offsets: Int32, reach: int, parent: Int32) -> 
 
 
 @numba.njit(cache=True)
-def _follow(parent: Int32) -> Int32:
-    """Returns the root of every cell, with path compression."""
-    root = parent.copy()
-    for index in range(parent.shape[0]):
-        if parent[index] < 0:
-            continue
+def _follow(parent: Int32, label: Int32) -> None:
+    """Gives every cell the ``label`` of its root, which has one; the others have -1."""
+    for index in range(parent.size):
         top = index
-        while root[top] != top:
-            top = root[top]
+        while parent[top] >= 0 and label[top] < 0:
+            top = parent[top]
         walk = index
-        while root[walk] != top:
-            following = root[walk]
-            root[walk] = top
-            walk = following
-    return root
+        while parent[walk] >= 0 and label[walk] < 0:
+            label[walk] = label[top]
+            walk = parent[walk]
 
 
 def quick_shift(values: Float32, *, bandwidth_cells: float, radius_cells: float) -> Clusters:
@@ -123,12 +114,10 @@ def quick_shift(values: Float32, *, bandwidth_cells: float, radius_cells: float)
     the candidate landing sites.
     """
     density = kernel_density(values, bandwidth_cells)
-    root = _follow(_nearest_higher(density, _search_offsets(radius_cells)))
-    inside = root >= 0
-    mode_index = np.flatnonzero(root == np.arange(root.size))
-    number = np.full(root.size, -1, np.int32)
-    number[mode_index] = np.arange(mode_index.size)
-    label = np.where(inside, number[root], np.int32(-1))
-    cols = values.shape[1]
+    parent = _nearest_higher(density, _search_offsets(radius_cells))
+    mode_index, cols = np.flatnonzero(parent == np.arange(parent.size)), values.shape[1]
     modes = np.column_stack([mode_index // cols, mode_index % cols]).astype(np.int32)
+    label = np.full(parent.size, -1, np.int32)
+    label[mode_index] = np.arange(mode_index.size)
+    _follow(parent, label)
     return Clusters(label=label.reshape(values.shape), modes=modes, density=density)

@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from touchdown.landing.api import Candidate, ScoreTerm, TermName
 
 _BETTER: dict[TermName, str] = {
-    "safe_probability": "higher probability of a safe touchdown",
-    "energy": "nearer",
-    "clearance": "more clearance",
-    "level": "more level",
-    "smoothness": "more uniform",
+    "probability": "higher probability of a safe touchdown",
     "flatness": "flatter",
+    "smoothness": "more uniform",
     "distance": "nearer",
+    "room": "more clearance",
+    "level": "more level",
     "traffic": "not near traffic",
     "plants": "not among plants",
 }

@@ -10,27 +10,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.landing.api import Candidate, CostmapView, LandingParams, Selection, SiteRule
-from touchdown.landing.selection.clustering import Clusters, bandwidths, quick_shift
-from touchdown.landing.selection.costmap import compute_costmap
-from touchdown.landing.selection.elevation_raster import (
-    ElevationRaster,
-    distance_to,
-    observed_raster,
+from touchdown.landing.api import (
+    Candidate,
+    CostmapView,
+    LandingParams,
+    Selection,
+    SiteRule,
+    TermLayer,
 )
-from touchdown.landing.selection.landable import (
-    FOOTPRINT_M,
+from touchdown.landing.selection.clustering import Clusters, bandwidths, quick_shift
+from touchdown.landing.selection.gates import checks_ground, passing, predicts, refusal_of
+from touchdown.landing.selection.ground.elevation_raster import distance_to, observed_raster
+from touchdown.landing.selection.ground.landable import (
     Refusal,
     assess,
-    explain,
     fit_footprint,
     ground_planes,
 )
-from touchdown.landing.selection.plants import standing_plants, without_plants
+from touchdown.landing.selection.ground.plants import standing_plants, without_plants
 from touchdown.landing.selection.ranking import ranked
-from touchdown.landing.selection.risk import safe_probability
-from touchdown.landing.selection.score import Assessed, Score, score_sites
-from touchdown.landing.selection.traffic import surfaces_of_sites, traffic_zone
+from touchdown.landing.selection.score import c_sum, layers_of, score_of, terms_at
+from touchdown.landing.selection.terms.distance import distance
+from touchdown.landing.selection.terms.flatness import flatness_of
+from touchdown.landing.selection.terms.inputs import Inputs
+from touchdown.landing.selection.terms.probability import safe_probability
+from touchdown.landing.selection.terms.room import cluster_bonus
+from touchdown.landing.selection.terms.smoothness import smoothness_of
+from touchdown.landing.selection.terms.traffic import surfaces_of_sites, traffic_zone
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -65,6 +71,23 @@ class SelectionLimits:
 NO_LIMITS = SelectionLimits()
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Assessed:
+    """One map and what a selector makes of it, (rows, cols)."""
+
+    site: Inputs
+    c_sum: Float32
+    allowed: Mask
+    """cells that pass the gates"""
+    avoided: Mask
+    """cells near a site that was refused already"""
+    zone: Mask
+    """cells near traffic"""
+    margin_m: float
+    layers: tuple[TermLayer, ...]
+    score: Float32
+
+
 def select_sites(
     map_view: MapView,
     estimate: Estimate,
@@ -73,59 +96,37 @@ def select_sites(
     footprint_radius_m: float,
     limits: SelectionLimits = NO_LIMITS,
 ) -> Selection:
-    """Returns the candidate sites of the observed map: accepted ones first, then by the value of
-    `landing.selection.score`.
-
-    Raises ValueError for an unknown scorer.
-    """
-    mapped = observed_raster(map_view.coarse)
-    if mapped is None:
+    """Returns the candidate sites of the observed map by ``params.selector``: accepted ones first,
+    then by their score."""
+    found = _assess(map_view, estimate, params, params.map_margin_m, limits)
+    if found is None:
         return NOTHING_MAPPED
-    plants = standing_plants(mapped)
-    raster = without_plants(mapped, plants)
-    assessed = _assess(raster, estimate, params, params.map_margin_m, limits)
-    zone = traffic_zone(raster, assessed.landable)
-    close = zone
-    if limits.unsafe_ground_odom:
-        close = zone | surfaces_of_sites(raster, limits.unsafe_ground_odom)
-    score = score_sites(assessed, close, plants, params)
-    if limits.least_bad and not assessed.allowed.any() and np.isfinite(score.value).any():
-        assessed.allowed.flat[int(np.nanargmax(score.value))] = True
-    bandwidth, radius = bandwidths(footprint_radius_m / raster.cell_m)
+    site, score = found.site, found.score
+    if limits.least_bad and not found.allowed.any() and np.isfinite(score).any():
+        found.allowed.flat[int(np.nanargmax(score))] = True
+    by_score = site.selector.clusters == "score"
+    bandwidth, radius = bandwidths(footprint_radius_m / site.raster.cell_m, params)
     clusters = quick_shift(
-        _cluster_map(assessed, params), bandwidth_cells=bandwidth, radius_cells=radius
+        score if by_score else site.probability, bandwidth_cells=bandwidth, radius_cells=radius
     )
-    bonus = _cluster_bonus(assessed, params)
-    spots = _best_spots(clusters, score.value + bonus, assessed)
+    bonus = cluster_bonus(site)
+    spots = _best_spots(clusters, clusters.density if by_score else score + bonus, found.allowed)
     candidates = [
         dataclasses.replace(
-            _candidate(
-                assessed, score, spot, raster.centre_of(*spot), params, certain=not limits.least_bad
-            ),
+            _candidate(found, spot, site.raster.centre_of(*spot), certain=not limits.least_bad),
             cluster_bonus=float(bonus[spot]),
         )
-        for spot in _shortlist(spots, score.value, assessed, params)
+        for spot in _shortlist(spots, score, found.allowed, site.raster.cell_m, params)
     ]
     return Selection(
         candidates=ranked(candidates),
-        costmap=_shown(assessed, score),
-        allowed=assessed.allowed,
-        probability=assessed.probability,
+        costmap=_shown(found),
+        allowed=found.allowed,
+        probability=site.probability,
         cluster=clusters.label,
         modes=clusters.modes,
-        traffic_zone=zone,
+        traffic_zone=found.zone,
     )
-
-
-def _cluster_map(assessed: Assessed, params: LandingParams) -> Float32:
-    """Returns the density values for Quick Shift: C_sum, or the probability for the scorer
-    ``risk``."""
-    return assessed.costmap.total if params.scorer == "paper" else assessed.probability
-
-
-def _shown(assessed: Assessed, score: Score) -> CostmapView:
-    """Returns the costmap with what ranks the sites."""
-    return dataclasses.replace(assessed.costmap, value=score.value, allowed=assessed.allowed)
 
 
 def check_site(
@@ -136,22 +137,18 @@ def check_site(
 
     Its margin is smaller than that of selected sites, since an operator chose it.
     """
-    mapped = observed_raster(map_view.coarse)
-    if mapped is None:
+    found = _assess(map_view, estimate, params, params.low_margin_m, NO_LIMITS)
+    if found is None:
         return _unmapped(xy_odom), None
-    plants = standing_plants(mapped)
-    raster = without_plants(mapped, plants)
-    assessed = _assess(raster, estimate, params, params.low_margin_m, NO_LIMITS)
-    zone = traffic_zone(raster, assessed.landable)
-    score = score_sites(assessed, zone, plants, params)
-    spot = raster.cell_of(xy_odom)
-    if not raster.contains(*spot):
-        return _unmapped(xy_odom), _shown(assessed, score)
-    assessed.allowed[spot] = assessed.landable.mask[spot]
-    candidate = _candidate(assessed, score, spot, xy_odom, params)
+    spot = found.site.raster.cell_of(xy_odom)
+    if not found.site.raster.contains(*spot):
+        return _unmapped(xy_odom), _shown(found)
+    if checks_ground(found.site.selector):
+        found.allowed[spot] = found.site.landable.mask[spot]
+    candidate = _candidate(found, spot, xy_odom)
     if candidate.accepted:
         candidate = dataclasses.replace(candidate, rule="commanded")
-    return candidate, _shown(assessed, score)
+    return candidate, _shown(found)
 
 
 _OUTSIDE = Refusal("not_seen", "outside what was mapped")
@@ -172,54 +169,89 @@ def _unmapped(xy: Array, refusal: Refusal = _OUTSIDE) -> Candidate:
 
 
 def _assess(
-    raster: ElevationRaster,
+    map_view: MapView,
     estimate: Estimate,
     params: LandingParams,
     margin_m: float,
     limits: SelectionLimits,
-) -> Assessed:
+) -> Assessed | None:
+    """Returns the terms, gates and score of the observed map; None where nothing was mapped."""
+    mapped = observed_raster(map_view.coarse)
+    if mapped is None:
+        return None
+    selector = params.chosen_selector
+    plants = standing_plants(mapped, params.ground)
+    raster = without_plants(mapped, plants, params.ground)
     planes = ground_planes(raster, params)
     position = estimate.odom_from_body.translation
-    costmap = compute_costmap(raster, planes, position, limits.reach_m, params)
     landable = assess(raster, planes, params, margin_m=margin_m, min_returns=params.min_returns)
-    if params.scorer == "paper":
-        allowed = landable.mask & np.isfinite(costmap.total)
-        predicted = allowed.astype(np.float32)
-    elif params.scorer == "risk":
+    zone = traffic_zone(raster, landable, params)
+    reach_m = limits.reach_m if "reach" in selector.gates else np.inf
+    nothing = np.zeros(raster.shape, np.float32)
+    predicted = nothing
+    if predicts(selector):
         drift_m = params.gust_drift_s * limits.wind_mps
         now_s = estimate.time_s
         predicted = safe_probability(raster, landable, params, now_s=now_s, drift_m=drift_m)
-        allowed = (predicted >= params.min_safe_probability) & np.isfinite(costmap.distance)
-    else:
-        raise ValueError(f"landing.scorer is {params.scorer!r}: use 'risk' or 'paper'")
+    site = Inputs(
+        params=params,
+        selector=selector,
+        raster=raster,
+        landable=landable,
+        vehicle_odom=position,
+        smoothness=smoothness_of(raster, params),
+        flatness=flatness_of(raster, planes, params),
+        distance=distance(raster, position, reach_m),
+        probability=predicted,
+        traffic=zone | surfaces_of_sites(raster, limits.unsafe_ground_odom, params),
+        plants=plants,
+        clearance_m=nothing,
+    )
+    allowed = passing(site)
+    site = dataclasses.replace(
+        site,
+        clearance_m=distance_to(~allowed, raster.cell_m),
+        probability=predicted if predicts(selector) else allowed.astype(np.float32),
+    )
     avoided = np.zeros(raster.shape, np.bool_)
     for avoid in limits.avoid_odom:
         x, y = raster.offsets_from(avoid)
         avoided |= np.hypot(x[None, :], y[:, None]) <= params.refused_radius_m
+    layers = layers_of(site)
     return Assessed(
-        raster=raster,
-        costmap=costmap,
-        landable=landable,
+        site=site,
+        c_sum=c_sum(site.smoothness, site.flatness, site.distance, params),
         allowed=allowed & ~avoided,
         avoided=avoided,
-        probability=predicted,
-        clearance_m=distance_to(~allowed, raster.cell_m),
+        zone=zone,
         margin_m=margin_m,
-        vehicle_odom=position,
+        layers=layers,
+        score=score_of(layers, raster.shape),
     )
 
 
-def _cluster_bonus(assessed: Assessed, params: LandingParams) -> Float32:
-    """Returns what is added to the value of every cell where cells of one cluster are compared."""
-    share = np.minimum(assessed.clearance_m, params.clearance_enough_m) / params.clearance_enough_m
-    return (params.clearance_weight * share).astype(np.float32)
+def _shown(found: Assessed) -> CostmapView:
+    """Returns the costmap with what ranks the sites."""
+    site = found.site
+    return CostmapView(
+        origin_xy_m=site.raster.origin_xy_m,
+        cell_m=site.raster.cell_m,
+        total=found.c_sum,
+        flatness=site.flatness,
+        smoothness=site.smoothness,
+        distance=site.distance,
+        rgb=np.nan_to_num(site.raster.rgb).astype(np.uint8),
+        value=found.score,
+        allowed=found.allowed,
+        terms=found.layers,
+    )
 
 
-def _best_spots(clusters: Clusters, merit: Float32, assessed: Assessed) -> list[tuple[int, int]]:
+def _best_spots(clusters: Clusters, merit: Float32, allowed: Mask) -> list[tuple[int, int]]:
     """Returns one cell for each cluster: the allowed one of highest ``merit`` (rows, cols); the
     mode itself where no cell of the cluster is allowed."""
     spots = clusters.modes.copy()
-    cells = np.flatnonzero(assessed.allowed & (clusters.label >= 0))
+    cells = np.flatnonzero(allowed & (clusters.label >= 0))
     merits = merit.ravel()[cells]
     label = clusters.label.ravel()[cells]
     best = np.full(spots.shape[0], -np.inf, np.float32)
@@ -231,13 +263,17 @@ def _best_spots(clusters: Clusters, merit: Float32, assessed: Assessed) -> list[
 
 
 def _shortlist(
-    spots: list[tuple[int, int]], value: Float32, assessed: Assessed, params: LandingParams
+    spots: list[tuple[int, int]],
+    value: Float32,
+    allowed: Mask,
+    cell_m: float,
+    params: LandingParams,
 ) -> list[tuple[int, int]]:
     """Returns the spots of highest value, at most ``max_candidates`` with ``candidate_spacing_m``
     between any two. Two thirds are reserved for allowed ones, so that refused ones of high value
     are listed too."""
     limit = params.max_candidates
-    apart = params.candidate_spacing_m / assessed.raster.cell_m
+    apart = params.candidate_spacing_m / cell_m
     filled = np.nan_to_num(value, nan=-np.inf)
     by_value = sorted(spots, key=lambda spot: (-float(filled[spot]), spot))
     chosen: list[tuple[int, int]] = []
@@ -245,7 +281,7 @@ def _shortlist(
         for spot in by_value:
             if len(chosen) >= most:
                 break
-            if bool(assessed.allowed[spot]) is wanted and all(
+            if bool(allowed[spot]) is wanted and all(
                 np.hypot(spot[0] - other[0], spot[1] - other[1]) >= apart for other in chosen
             ):
                 chosen.append(spot)
@@ -253,44 +289,40 @@ def _shortlist(
 
 
 def _candidate(
-    assessed: Assessed,
-    score: Score,
-    spot: tuple[int, int],
-    xy: Array,
-    params: LandingParams,
-    *,
-    certain: bool = True,
+    found: Assessed, spot: tuple[int, int], xy: Array, *, certain: bool = True
 ) -> Candidate:
     """Returns the site at ``xy`` (2,) in the cell ``spot``. Where it must be ``certain``, the plane
     through the whole footprint is checked too."""
+    site, params = found.site, found.site.params
     xy = np.asarray(xy, dtype=np.float64)
-    plane = fit_footprint(assessed.raster, xy)
+    plane = fit_footprint(site.raster, xy, params.ground.footprint_m)
     if plane is None:
-        return _unmapped(xy, _refusal(assessed, spot, params))
-    predicted = float(assessed.probability[spot])
+        return _unmapped(xy, _refusal(found, spot))
+    predicted = float(site.probability[spot])
+    strict = certain and checks_ground(site.selector)
     refusal = None
-    if not assessed.allowed[spot]:
-        refusal = _refusal(assessed, spot, params)
-    elif certain and plane.slope_deg > params.max_slope_deg - params.slope_margin_deg:
+    if not found.allowed[spot]:
+        refusal = _refusal(found, spot)
+    elif strict and plane.slope_deg > params.max_slope_deg - params.slope_margin_deg:
         text = f"slope {plane.slope_deg:.1f} deg over the footprint"
         refusal = Refusal("footprint_slope", text)
-    elif certain and plane.roughness_m > params.max_step_m - params.step_margin_m:
+    elif strict and plane.roughness_m > params.max_step_m - params.step_margin_m:
         refusal = Refusal("footprint_roughness", f"{plane.roughness_m:.2f} m off its plane")
-    clearance, value = float(assessed.clearance_m[spot]), float(score.value[spot])
+    clearance, value = float(site.clearance_m[spot]), float(found.score[spot])
     figures = (
         f"score {value:.3f}, slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m, "
         f"clearance {clearance:.1f} m"
     )
-    if params.scorer == "risk":
+    if predicts(site.selector):
         figures += f", safe with probability {predicted:.3f}"
     good = certain or predicted >= params.min_safe_probability
     verdict = "landable" if good else "the least bad"
     preferred: SiteRule = "lower_value" if good else "least_bad"  # `ranked` names the highest
-    c_sum = float(assessed.costmap.total[spot])
+    total = float(found.c_sum[spot])
     return Candidate(
         position_odom=plane.position,
         normal_odom=plane.normal,
-        c_sum=c_sum if np.isfinite(c_sum) else 0.0,
+        c_sum=total if np.isfinite(total) else 0.0,
         slope_deg=plane.slope_deg,
         roughness_m=plane.roughness_m,
         clearance_m=clearance,
@@ -298,35 +330,26 @@ def _candidate(
         reason=f"{verdict}: {figures}" if refusal is None else f"refused: {refusal.text}",
         rule=preferred if refusal is None else refusal.rule,
         value=value,
-        terms=score.terms_at(spot),
-        step_m=_highest_step(assessed, spot),
-        safe_probability=predicted if params.scorer == "risk" else float("nan"),
+        terms=terms_at(found.layers, spot),
+        step_m=_highest_step(site, spot),
+        safe_probability=predicted if predicts(site.selector) else float("nan"),
     )
 
 
-def _highest_step(assessed: Assessed, spot: tuple[int, int]) -> float:
+def _refusal(found: Assessed, spot: tuple[int, int]) -> Refusal:
+    """Returns why the cell ``spot`` is not allowed."""
+    if found.avoided[spot]:
+        radius_m = found.site.params.refused_radius_m
+        return Refusal("near_refused_site", f"within {radius_m:g} m of a site that was refused")
+    return refusal_of(found.site, spot, found.margin_m)
+
+
+def _highest_step(site: Inputs, spot: tuple[int, int]) -> float:
     """Returns the highest step around the known cells of the footprint of ``spot``."""
-    reach = int(FOOTPRINT_M / assessed.raster.cell_m)
+    reach = int(site.params.ground.footprint_m / site.raster.cell_m)
     rows, cols = (slice(max(at - reach, 0), at + reach + 1) for at in spot)
-    step = assessed.landable.step_m[rows, cols]
+    step = site.landable.step_m[rows, cols]
     r, c = np.indices(step.shape)
     away = np.hypot(r + rows.start - spot[0], c + cols.start - spot[1])
-    inside = assessed.raster.known[rows, cols] & (away <= reach)
+    inside = site.raster.known[rows, cols] & (away <= reach)
     return float(step[inside].max()) if inside.any() else float("nan")
-
-
-def _refusal(assessed: Assessed, spot: tuple[int, int], params: LandingParams) -> Refusal:
-    """Returns why the cell ``spot`` is not allowed: what the map shows there, for the scorer
-    ``risk`` with the probability that follows from it."""
-    landable, predicted = assessed.landable, float(assessed.probability[spot])
-    if assessed.avoided[spot]:
-        text = f"within {params.refused_radius_m:g} m of a site that was refused"
-        return Refusal("near_refused_site", text)
-    unlikely = params.scorer == "risk" and predicted < params.min_safe_probability
-    chance = f"safe with probability {predicted:.2f} (at least {params.min_safe_probability:.2f})"
-    if not landable.mask[spot]:
-        found = explain(assessed.raster, landable, *spot, params, assessed.margin_m)
-        return found._replace(text=f"{found.text}; {chance}") if unlikely else found
-    if unlikely:
-        return Refusal("low_probability", chance)
-    return Refusal("out_of_reach", "out of reach of the remaining energy")

@@ -127,7 +127,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     def _(scenes: tuple[str, ...], pictures: Path, **options: Any) -> dict[str, Any]:
         draw(*(pictures / f"site_{scene}.jpg" for scene in scenes))
         check = {"seed": 0, "chosen_safe": True, "accepted": 9, "accepted_safe": 8}
-        return {"scorer": "risk", "places": [{"scene": scene, **check} for scene in scenes]}
+        return {"selector": "risk", "places": [{"scene": scene, **check} for scene in scenes]}
 
     @replaced("benchmarks.selection.timing.bench_landing", "speed")
     def _(rounds: int, threads: int, reference: bool) -> dict[str, Any]:

@@ -51,14 +51,12 @@ _STYLE: Any = {
 }
 
 
-def steps_figure(selection: Selection, title: str, scorer: str) -> Colours:
-    """Returns a figure (H, W, 3) RGB of two rows of four panels, north up, metres of the odom
-    frame.
+def steps_figure(selection: Selection, title: str) -> Colours:
+    """Returns a figure (H, W, 3) RGB of two rows of panels, north up, metres of the odom frame.
 
-    Panels: the coloured map, smoothness, flatness, distance; their weighted sum, the probability or
-    check of the scorer, clusters, and the candidates (blue, open where refused) with the site
-    (red). ``scorer``: `landing.api.LandingParams.scorer`. Raises ValueError where nothing was
-    mapped."""
+    Panels: the coloured map, every term of the selector and the score over the range in its title,
+    what passes the gates, clusters, and the candidates (blue, open where refused) with the site
+    (red). Raises ValueError where nothing was mapped."""
     view = selection.costmap
     if view is None:
         raise ValueError("nothing was mapped: there are no steps to draw")
@@ -66,14 +64,15 @@ def steps_figure(selection: Selection, title: str, scorer: str) -> Colours:
         rows, cols = seen_box(view)
         shape = (cols.stop - cols.start) / (rows.stop - rows.start)
         width = _PANEL_IN * min(max(shape, _LEAST_SHAPE), _MOST_SHAPE)
+        count = (len(view.terms) + 6) // 2
         figure = Figure(
-            figsize=(4.0 * (width + 0.15) + 1.3, 2.0 * (_PANEL_IN + 0.3) + 0.8),
+            figsize=(count * (width + 0.15) + 1.3, 2.0 * (_PANEL_IN + 0.3) + 0.8),
             dpi=_DPI,
             layout="constrained",
             facecolor="white",
         )
-        panels = figure.subplots(2, 4, sharex=True, sharey=True)
-        _paint(figure, panels, selection, view, scorer)
+        panels = figure.subplots(2, count, sharex=True, sharey=True)
+        _paint(figure, panels, selection, view)
         figure.suptitle(title, x=0.012, ha="left", fontsize=10, color=_INK)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
@@ -90,7 +89,7 @@ def write_steps(path: Path, config: Config, selection: Selection) -> None:
         east, north = site.position_odom[:2]
         verdict = f"site at ({east:.1f}, {north:.1f}) m, {site.reason}"
     title = f"{config.scene}, seed {config.seed}\n{verdict}"
-    path.write_bytes(jpeg(steps_figure(selection, title, config.landing.scorer)))
+    path.write_bytes(jpeg(steps_figure(selection, title)))
 
 
 def figure_files(configs: Sequence[Config], folder: Path) -> list[Path]:
@@ -125,42 +124,46 @@ def jpeg(image: Colours, most_bytes: int = MOST_BYTES) -> bytes:
     return content
 
 
-def _paint(
-    figure: Figure, panels: NDArray[Any], selection: Selection, view: CostmapView, scorer: str
-) -> None:
+def _paint(figure: Figure, panels: NDArray[Any], selection: Selection, view: CostmapView) -> None:
     photo = _photo(view)
-    risk = scorer == "risk"
     known = np.isfinite(view.flatness)
-    predicted = np.where(known, selection.probability, np.nan)
+    passed = np.where(known, selection.allowed.astype(np.float32), np.float32(np.nan))
     clusters = cluster_colours(np.where(known, selection.cluster, np.int32(-1)))
     layers: list[tuple[str, Layer]] = [
         ("map, from above", photo),
-        ("smoothness (Eq. 14)", view.smoothness),
-        ("flatness (Eqs. 15–17)", view.flatness),
-        ("distance (Eq. 18)", view.distance),
-        ("weighted sum (Eq. 13)", view.total),
-        ("probability of a safe touchdown" if risk else "check of the ground", predicted),
+        *(_over_its_range(term.name, np.where(known, term.value, np.nan)) for term in view.terms),
+        _over_its_range("score", view.value),
+        ("gates", passed),
         (f"{len(selection.modes)} clusters, Quick Shift (Eq. 19)", clusters),
         ("candidates (blue), site (red)", photo),
     ]
     shown: Any = None
-    for number, (axes, (name, layer)) in enumerate(zip(panels.ravel(), layers, strict=True)):
+    for axes in panels.ravel()[len(layers) :]:
+        axes.set_visible(False)
+    for number, (axes, (name, layer)) in enumerate(zip(panels.ravel(), layers, strict=False)):
         image = _show(axes, view, layer)
         shown = image if layer.ndim == 2 else shown
-        axes.set_title(f"({'abcdefgh'[number]}) {name}", color=_INK)
+        axes.set_title(f"({chr(ord('a') + number)}) {name}", color=_INK)
         axes.tick_params(labelsize=7, length=2)
     bar = figure.colorbar(shown, ax=panels, shrink=0.55, aspect=32, pad=0.008)
     bar.set_label("higher is better", fontsize=8, color=_INK)
     bar.ax.tick_params(labelsize=7)
     bar.outline.set_visible(False)
-    _paint_modes(panels.ravel()[6], view, selection)
-    _paint_candidates(panels.ravel()[7], view, photo, selection.candidates)
+    _paint_modes(panels.ravel()[len(layers) - 2], view, selection)
+    _paint_candidates(panels.ravel()[len(layers) - 1], view, photo, selection.candidates)
     rows, cols = seen_box(view)
     low, high = _corner(view, rows.start, cols.start), _corner(view, rows.stop, cols.stop)
     panels[0, 0].set_xlim(low[0], high[0])
     panels[0, 0].set_ylim(low[1], high[1])
     figure.supxlabel("east (m)", fontsize=8, color=_FAINT)
     figure.supylabel("north (m)", fontsize=8, color=_FAINT)
+
+
+def _over_its_range(name: str, layer: Layer) -> tuple[str, Layer]:
+    """Returns a panel of ``layer`` from its least to its highest value, which its title names."""
+    seen = layer[np.isfinite(layer)]
+    low, high = (float(seen.min()) + 0.0, float(seen.max()) + 0.0) if seen.size else (0.0, 0.0)
+    return f"{name}, {low:.2f} to {high:.2f}", (layer - low) / max(high - low, 1e-6)
 
 
 def cluster_colours(label: NDArray[np.int32]) -> Colours:

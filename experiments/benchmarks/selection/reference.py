@@ -39,9 +39,10 @@ def reference_selection(
     timer.lap("smoothness")
     near = _distance(np.asarray(cloud.points), position_odom, cells, shape)
     timer.lap("distance")
-    total = params.weight_smoothness * smooth + params.weight_flatness * flat
-    total += params.weight_distance * near
-    modes = _modes(total, footprint_radius_m / cell)
+    weights = params.zou2024
+    total = weights.weight_smoothness * smooth + weights.weight_flatness * flat
+    total += weights.weight_distance * near
+    modes = _modes(total, *bandwidths(footprint_radius_m / cell, params))
     timer.lap("clustering")
     return Staged(
         origin_xy_m=origin,
@@ -147,11 +148,10 @@ def _distance(
     return near
 
 
-def _modes(total: Array, footprint_cells: float) -> NDArray[np.int32]:
+def _modes(total: Array, bandwidth: float, radius: float) -> NDArray[np.int32]:
     """Eq. 19 by scikit-image: the cell of highest cost in each of its segments. Its density is
     that of the costs themselves, so its segments are not those of
     ``landing.selection.clustering``."""
-    bandwidth, radius = bandwidths(footprint_cells)
     picture = np.nan_to_num(total)[..., None].repeat(3, axis=2)
     labels = quickshift(picture, kernel_size=bandwidth, max_dist=radius, convert2lab=False, rng=0)
     inside = np.isfinite(total)

@@ -22,7 +22,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.flight.wiring import check_scene_name
 from touchdown.landing.api import CostmapView
-from touchdown.landing.selection import risk
+from touchdown.landing.selection.terms import probability as risk
 from touchdown.scenes.api import TruthMaps
 from touchdown.scenes.truth.maps import truth_maps
 
@@ -105,7 +105,8 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
     ``precision``: share of chosen sites that are safe; ``precision_sites``: of all accepted ones;
     ``precision_cells`` and ``recall_cells`` of the cells; ``found``: share of scenes with safe
     ground where a site was accepted; ``regret_m``: mean loss of clearance relative to the best safe
-    site; ``calibration_error`` and ``reliability``: see `landing.selection.risk.calibration`."""
+    site; ``calibration_error`` and ``reliability``: see
+    `landing.selection.terms.probability.calibration`."""
     chosen = [place["chosen_safe"] for place in places if place["chosen_safe"] is not None]
     offered = [place for place in places if place["best_clearance_m"] > 0.0]
     cells = {key: sum(place["cells"][key] for place in places) for key in _CELL_KEYS}
@@ -221,21 +222,21 @@ def run(
     scenes: Sequence[str],
     *,
     seeds: str,
-    scorer: str | None,
+    selector: str | None,
     jobs: int,
     fit_model: bool,
     overrides: Sequence[str],
     report: Callable[[dict[str, Any]], None],
     pictures: Path | None = None,
 ) -> dict[str, Any]:
-    """Checks every scene with every seed. Returns ``{"scorer", "places": [...], "summary",
+    """Checks every scene with every seed. Returns ``{"selector", "places": [...], "summary",
     "fit"}``, the last one with ``fit_model`` only.
 
     ``pictures``: folder for a figure of each scene. Raises UsageError for invalid seeds or a folder
     that cannot be created, and as `load_config`."""
     for name in scenes:
         check_scene_name(name)
-    given = ["sim.threads=1", *overrides, *([f"landing.scorer={scorer}"] if scorer else [])]
+    given = ["sim.threads=1", *overrides, *([f"landing.selector={selector}"] if selector else [])]
     configs = [
         load_config(
             None,
@@ -255,7 +256,7 @@ def run(
 
         files = figure_files(configs, pictures)
     places = check_scenes(configs, jobs, report, files)
-    figures: dict[str, Any] = {"scorer": configs[0].landing.scorer, "summary": summary(places)}
+    figures: dict[str, Any] = {"selector": configs[0].landing.selector, "summary": summary(places)}
     if fit_model:
         figures["fit"] = fit(places)
     figures["places"] = [
@@ -284,7 +285,7 @@ def text(figures: dict[str, Any]) -> str:
     """Returns the summary as text."""
     total = figures["summary"]
     lines = [
-        f"{figures['scorer']} scorer, {total['places']} scenes: precision of the chosen site "
+        f"selector {figures['selector']}, {total['places']} scenes: precision of the chosen site "
         f"{_percent(total['precision'])}, of all sites {_percent(total['precision_sites'])}, "
         f"of cells {_percent(total['precision_cells'])}; recall of cells "
         f"{_percent(total['recall_cells'])}; a site found in {_percent(total['found'])}",

@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import LandingParams
-from touchdown.landing.selection import costmap
 from touchdown.landing.selection.clustering import bandwidths, quick_shift
-from touchdown.landing.selection.elevation_raster import observed_raster
-from touchdown.landing.selection.landable import ground_planes
+from touchdown.landing.selection.ground.elevation_raster import observed_raster
+from touchdown.landing.selection.ground.landable import ground_planes
+from touchdown.landing.selection.score import c_sum
+from touchdown.landing.selection.terms.distance import distance
+from touchdown.landing.selection.terms.flatness import flatness_of
+from touchdown.landing.selection.terms.smoothness import smoothness_of
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -61,14 +64,14 @@ def staged_selection(
         raise ValueError("the map is empty: there is nothing to select from")
     timer.lap("down_sampling")
     planes = ground_planes(raster, params)
-    flat = costmap.flatness_term(raster, planes, params)
+    flat = flatness_of(raster, planes, params)
     timer.lap("flatness")
-    smooth, _ = costmap.smoothness_term(raster, params)
+    smooth = smoothness_of(raster, params)
     timer.lap("smoothness")
-    near = costmap.distance(raster, position_odom, np.inf)
+    near = distance(raster, position_odom, np.inf)
     timer.lap("distance")
-    total = costmap.weighted_sum(smooth, flat, near, params)
-    bandwidth, radius = bandwidths(footprint_radius_m / raster.cell_m)
+    total = c_sum(smooth, flat, near, params)
+    bandwidth, radius = bandwidths(footprint_radius_m / raster.cell_m, params)
     clusters = quick_shift(total, bandwidth_cells=bandwidth, radius_cells=radius)
     timer.lap("clustering")
     return Staged(

@@ -183,7 +183,7 @@ def test_the_first_three_candidates_and_the_reason_are_printed(
         for rank in (1, 2, 3, 4)
     ]  # fmt: skip
     earlier = {"time_s": 61.2, "candidates": 3, "why": "Site 1 won", "given_up": "a wire"}
-    choice = {"time_s": 80.0, "scorer": "risk",
+    choice = {"time_s": 80.0, "selector": "risk",
               "why": "Site 1 won: more clearance (3.0 against 1.2 m)",
               "candidates": sites, "earlier": [earlier]}  # fmt: skip
     print_result(_changed(_result("LANDED"), choice=choice), None)

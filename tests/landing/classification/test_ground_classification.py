@@ -366,7 +366,7 @@ def test_classifier_off_and_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     write_colour_network(shipped)
     found = build_classifier(load_config())
     assert found is not None and found.description()["network"] == "by colour"
-    for override in ("landing.classifier=off", "landing.survey_only=true"):
+    for override in ("landing.classifier=off", "landing.survey_only=true", "landing.risk.gates=[]"):
         assert build_classifier(load_config(None, [override])) is None
     for override in ("landing.classifier_patch_m=0.0", "landing.classifier_min_probability=1.5"):
         with pytest.raises(ValueError, match=override.partition("=")[0]):

@@ -1,16 +1,14 @@
 """The probability of a safe touchdown, the stages beside their library version, Quick Shift beside
 scikit-image's."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from touchdown.experiments.benchmarks.selection.stages import STAGES, staged_selection
 from touchdown.landing.api import LandingParams
-from touchdown.landing.selection import risk
-from touchdown.landing.selection.risk_features import NAMES, RiskFeatures
 from touchdown.landing.selection.selector import SelectionLimits, select_sites
+from touchdown.landing.selection.terms import probability as risk
+from touchdown.landing.selection.terms.risk_features import NAMES, RiskFeatures
 from touchdown.sim.frames import Pose
 
 from support.landing_support import make_estimate, make_grid, view_of
@@ -82,15 +80,18 @@ def test_calibration_error_by_hand() -> None:
     assert [(share, number) for _, share, number in rows] == [(0.5, 2), (1.0, 2)]
 
 
-def test_both_scorers_land_on_the_good_half_and_an_emergency_takes_the_least_bad() -> None:
+def test_all_selectors_land_on_the_good_half_and_an_emergency_takes_the_least_bad() -> None:
     rng = np.random.default_rng(2)
     half = np.zeros((80, 80))
     half[:, :40] += rng.uniform(0.0, 0.6, (80, 40))
-    for scorer in ("risk", "paper"):
-        params = dataclasses.replace(PARAMS, scorer=scorer)
+    for params in (
+        PARAMS, LandingParams(selector="zou2024"),
+        LandingParams(selector="zou2024", flatness_form="literal"),
+    ):  # fmt: skip
         view = view_of(make_grid(half))
-        site = select_sites(view, ABOVE, params, footprint_radius_m=0.5).candidates[0]
-        assert site.accepted
+        site, *others = select_sites(view, ABOVE, params, footprint_radius_m=0.5).candidates
+        assert site.accepted and site.reason.startswith("landable")
+        assert all(o.accepted or o.reason.startswith("refused") for o in others)
         assert site.position_odom[0] > 9.0
     _, x = np.mgrid[0:80, 0:80] * 0.2
     steep = view_of(make_grid(np.tan(np.deg2rad(7.0)) * x))
@@ -101,9 +102,6 @@ def test_both_scorers_land_on_the_good_half_and_an_emergency_takes_the_least_bad
     )
     assert forced.candidates[0].accepted
     assert "the least bad" in forced.candidates[0].reason
-    odd = dataclasses.replace(PARAMS, scorer="luck")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"landing\.scorer is 'luck'"):
-        select_sites(steep, ABOVE, odd, footprint_radius_m=0.5)
 
 
 def test_stages_agree_with_open3d_scipy_and_scikit_image() -> None:

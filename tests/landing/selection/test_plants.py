@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import LandingParams
 from touchdown.landing.mission.second_look import ground_under, look_again
-from touchdown.landing.selection.elevation_raster import observed_raster
-from touchdown.landing.selection.plants import standing_plants, without_plants
+from touchdown.landing.selection.ground.elevation_raster import observed_raster
+from touchdown.landing.selection.ground.plants import standing_plants, without_plants
 from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.frames import Pose
 
@@ -19,6 +19,7 @@ from support.landing_support import grid_of_returns, make_estimate, make_grid, v
 Array = NDArray[np.float64]
 
 PARAMS = LandingParams()
+GROUND = PARAMS.ground
 ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
 RETURNS = 40
 
@@ -51,7 +52,7 @@ def test_meadow_is_landed_in_and_its_ground_is_known_to_two_centimetres() -> Non
     raster = observed_raster(grid)
     assert raster is not None
     assert np.median(grid.height_m - slope) > 0.05
-    bare = without_plants(raster, standing_plants(raster))
+    bare = without_plants(raster, standing_plants(raster, GROUND), GROUND)
     error = bare.height - slope
     assert abs(np.median(error)) < 0.02
     assert (np.abs(error) < 0.03).mean() > 0.98
@@ -61,7 +62,7 @@ def test_meadow_is_landed_in_and_its_ground_is_known_to_two_centimetres() -> Non
 def test_bare_ground_stays_to_the_bit() -> None:
     raster = observed_raster(make_grid(_flat()))
     assert raster is not None
-    assert without_plants(raster, standing_plants(raster)) is raster
+    assert without_plants(raster, standing_plants(raster, GROUND), GROUND) is raster
 
 
 @pytest.mark.parametrize(
@@ -105,7 +106,7 @@ def test_low_wall_is_no_clump_although_its_edges_spread() -> None:
     raster = observed_raster(_map(ground, cover))
     assert raster is not None
     for fill in (False, True):
-        assert not standing_plants(raster, fill_gaps=fill)[:, 41].any()
+        assert not standing_plants(raster, GROUND, fill_gaps=fill)[:, 41].any()
 
 
 def test_bare_ground_comes_first() -> None:
@@ -152,12 +153,12 @@ def test_post_in_a_meadow_stays_an_object() -> None:
 def test_plants_without_sure_ground_stay_objects() -> None:
     raster = observed_raster(_map(_flat(), _flat(0.25)))
     assert raster is not None
-    plants = standing_plants(raster)
-    assert without_plants(raster, plants).high[40, 40] < 0.1 < raster.high[40, 40]
+    plants = standing_plants(raster, GROUND)
+    assert without_plants(raster, plants, GROUND).high[40, 40] < 0.1 < raster.high[40, 40]
     unsure = dataclasses.replace(
         raster, ground=lambda where: raster.ground(where)._replace(std_m=np.full(where.shape, 0.04))
     )
-    np.testing.assert_array_equal(without_plants(unsure, plants).high, raster.high)
+    np.testing.assert_array_equal(without_plants(unsure, plants, GROUND).high, raster.high)
 
 
 def test_height_to_descend_to_is_that_of_the_ground_at_the_edge_of_a_meadow() -> None:

@@ -1,7 +1,6 @@
 """Every limit, margin and feature of the selection, each by itself on otherwise perfect ground."""
 
 import dataclasses
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,13 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import Candidate, LandingParams, Selection
 from touchdown.landing.mission.second_look import look_again
-from touchdown.landing.selection import costmap
 from touchdown.landing.selection.clustering import Clusters
-from touchdown.landing.selection.elevation_raster import ElevationRaster, observed_raster, pooled
-from touchdown.landing.selection.landable import Defect, LandableMap, assess, ground_planes
-from touchdown.landing.selection.risk_features import NAMES, RiskFeatures, risk_features
+from touchdown.landing.selection.ground.elevation_raster import (
+    ElevationRaster,
+    observed_raster,
+    pooled,
+)
+from touchdown.landing.selection.ground.landable import Defect, LandableMap, assess, ground_planes
 from touchdown.landing.selection.selector import (
     SelectionLimits,
     _best_spots,
@@ -23,7 +24,10 @@ from touchdown.landing.selection.selector import (
     check_site,
     select_sites,
 )
-from touchdown.landing.selection.traffic import surface_of
+from touchdown.landing.selection.terms.flatness import flatness_of
+from touchdown.landing.selection.terms.risk_features import NAMES, RiskFeatures, risk_features
+from touchdown.landing.selection.terms.smoothness import colour_edges
+from touchdown.landing.selection.terms.traffic import surface_of
 from touchdown.sim.frames import Pose
 
 from support.landing_support import make_estimate, make_grid, view_of
@@ -114,9 +118,9 @@ def test_a_commanded_site_has_the_smaller_margin() -> None:
     """A post 1.2 m away: within the footprint and 0.35 m, outside of it and 0.15 m."""
     view = view_of(changed("max_height_m", 0.2, (40, 46)))
     middle = np.array([8.1, 8.1])
-    assert check_site(view, ABOVE, LandingParams(scorer="paper"), middle)[0].accepted
+    assert check_site(view, ABOVE, LandingParams(selector="zou2024"), middle)[0].accepted
     assert not select_sites(
-        view, ABOVE, LandingParams(scorer="paper"), footprint_radius_m=0.5
+        view, ABOVE, LandingParams(selector="zou2024"), footprint_radius_m=0.5
     ).allowed[SPOT]
 
 
@@ -209,6 +213,14 @@ def test_wind_lowers_the_probability_beside_an_obstacle() -> None:
     assert windy[40, 65] == pytest.approx(calm[40, 65], abs=1e-6)
 
 
+def test_ground_without_colour_has_no_smoothness() -> None:
+    grid = level()
+    grid.rgb[:, :40] = np.nan
+    allowed = selected(grid, selector="zou2024").allowed
+    assert not allowed[:, :40].any() and allowed[20:60, 45:60].all()
+    assert selected(grid).allowed[20:60, 20:35].all()
+
+
 def test_refused_sites_are_avoided_within_their_radius_alone() -> None:
     there = SelectionLimits(avoid_odom=[np.array([8.1, 8.1, 0.0])])
     for radius_m, cells in ((1.05, 5), (3.05, 15)):
@@ -223,13 +235,13 @@ def test_traffic_stays_on_the_surface_that_it_was_seen_on() -> None:
     grid.intensity[:] = np.where(np.abs(np.arange(80) - 40) < 10, 46.0, 14.0)
     moved = np.zeros((80, 80), bool)
     moved[40, 5] = True
-    surface = surface_of(raster_of(grid), moved)
+    surface = surface_of(raster_of(grid), moved, PARAMS)
     assert surface[:, :26].all() and not surface[:, 34:].any()
 
 
 def test_clearance_is_the_distance_to_what_is_not_allowed() -> None:
     grid = changed("max_height_m", 1.0, (slice(None), slice(0, 20)))
-    chosen = selected(grid, scorer="paper")
+    chosen = selected(grid, selector="zou2024")
     row, col = raster_of(grid).cell_of(chosen.candidates[0].position_odom)
     rows, cols = np.nonzero(~chosen.allowed)
     nearest = 0.2 * np.hypot(rows - row, cols - col).min()
@@ -242,8 +254,7 @@ def test_each_cluster_offers_its_best_allowed_cell_else_its_mode() -> None:
     allowed = np.array([[1, 1, 0], [1, 1, 0], [1, 0, 0]], bool)
     modes = np.array([[2, 0], [2, 1], [1, 2]])
     clusters = Clusters(label=label.astype(np.int32), modes=modes, density=merit)
-    assessed: Any = SimpleNamespace(allowed=allowed)
-    assert _best_spots(clusters, merit, assessed) == [(1, 0), (0, 1), (1, 2)]
+    assert _best_spots(clusters, merit, allowed) == [(1, 0), (0, 1), (1, 2)]
 
 
 def test_a_third_of_the_list_is_left_to_refused_sites_and_all_keep_their_distance() -> None:
@@ -252,19 +263,18 @@ def test_a_third_of_the_list_is_left_to_refused_sites_and_all_keep_their_distanc
     value[0, [0, 4, 6, 20, 40, 60, 80]] = [9, 8, 7, 6, 5, np.nan, 4]
     allowed = np.zeros((1, 81), bool)
     allowed[0, [0, 4, 6, 20, 80]] = True
-    assessed: Any = SimpleNamespace(allowed=allowed, raster=SimpleNamespace(cell_m=0.2))
     for most, wanted in ((3, [0, 6, 40]), (4, [0, 6, 20, 40]), (6, [0, 6, 20, 80, 40, 60])):
         params = LandingParams(max_candidates=most, candidate_spacing_m=1.0)
-        assert _shortlist(spots, value, assessed, params) == [(0, col) for col in wanted]
+        assert _shortlist(spots, value, allowed, 0.2, params) == [(0, col) for col in wanted]
 
 
 def test_small_holes_in_the_colour_are_no_edges() -> None:
     rgb = np.full((40, 40, 3), 200.0, np.float32)
     rgb[10, 10] = rgb[20:22, 20:22] = np.nan
-    edges, coloured = costmap.colour_edges(rgb, blur_cells=1.5, low=40.0, high=100.0)
+    edges, coloured = colour_edges(rgb, blur_cells=1.5, low=40.0, high=100.0, hole_cells=4)
     assert edges.sum() == 0 and coloured.sum() == 1600 - 5
     rgb[30, 28:33] = np.nan
-    edges, _ = costmap.colour_edges(rgb, blur_cells=1.5, low=40.0, high=100.0)
+    edges, _ = colour_edges(rgb, blur_cells=1.5, low=40.0, high=100.0, hole_cells=4)
     assert edges[30, 28:33].all()
 
 
@@ -272,7 +282,7 @@ def test_flatness_of_ground_reaches_as_far_as_the_clear_radius() -> None:
     grid = level()
     grid.height_m[:, 50:] += 2.0
     raster = raster_of(grid)
-    flat = costmap.flatness_term(raster, ground_planes(raster, PARAMS), PARAMS)
+    flat = flatness_of(raster, ground_planes(raster, PARAMS), PARAMS)
     angle = np.rad2deg(ground_planes(raster, PARAMS).angle_rad[40])
     bent = int(np.flatnonzero(angle > 1.0)[0])
     reach = int(PARAMS.clear_radius_m / 0.2)

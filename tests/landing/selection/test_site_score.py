@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.landing.api import Candidate, LandingParams, ScoreTerm, SiteRule, TermName
+from touchdown.landing.api import (
+    Candidate,
+    LandingParams,
+    ScoreTerm,
+    SelectorParams,
+    SiteRule,
+    TermName,
+    Zou2024SelectorParams,
+)
+from touchdown.landing.selection.clustering import kernel_density
 from touchdown.landing.selection.ranking import ranked, why_chosen
 from touchdown.landing.selection.selector import SelectionLimits, check_site, select_sites
 from touchdown.sim.frames import Pose
@@ -49,11 +58,11 @@ def _by_name(site: Candidate) -> dict[str, ScoreTerm]:
     return {term.name: term for term in site.terms}
 
 
-@pytest.mark.parametrize("scorer", ["risk", "paper"])
-def test_terms_add_up_to_the_value_and_the_value_ranks(scorer: str) -> None:
+@pytest.mark.parametrize("selector", ["risk", "zou2024"])
+def test_terms_add_up_to_the_value_and_the_value_ranks(selector: str) -> None:
     half = _ground()
     half[:, :80] += np.random.default_rng(2).uniform(0.0, 0.6, (SIDE, 80))
-    sites = _sites(make_grid(half), scorer=scorer)
+    sites = _sites(make_grid(half), selector=selector)
     known = [site for site in sites if np.isfinite(site.value)]
     assert len(known) > 3
     for site in known:
@@ -70,41 +79,60 @@ def test_terms_of_risk_by_hand() -> None:
     view, params = view_of(make_grid(_ground(2.0), sigma=0.0)), LandingParams()
     site = select_sites(view, FAR, params, footprint_radius_m=0.5).candidates[0]
     terms = _by_name(site)
-    assert list(terms) == ["safe_probability", "energy", "clearance", "level", "traffic", "plants"]
-    assert terms["safe_probability"].value == pytest.approx(site.safe_probability, abs=1e-7)
+    assert list(terms) == ["probability", "distance", "room", "level", "traffic", "plants"]
+    assert terms["probability"].value == pytest.approx(site.safe_probability, abs=1e-7)
     assert terms["level"].value == pytest.approx(-0.2 * 2.0 / 5.0, abs=1e-3)
     assert (terms["level"].quantity, terms["level"].unit) == (pytest.approx(2.0, abs=0.02), "deg")
-    clearance = terms["clearance"]
+    clearance = terms["room"]
     assert clearance.quantity == pytest.approx(site.clearance_m) and clearance.unit == "m"
     assert clearance.value == pytest.approx(0.1 * min(site.clearance_m, 3.0) / 3.0, abs=1e-6)
     away = np.linalg.norm(site.position_odom[:2] - [-30.0, 8.0])
-    assert terms["energy"].quantity == pytest.approx(away, abs=1e-4)
+    assert terms["distance"].quantity == pytest.approx(away, abs=1e-4)
     along = (np.arange(SIDE) + 0.5) * 0.2
     horizontal = np.hypot(along + 30.0, (along - 8.0)[:, None])
     metres = np.hypot(horizontal, _ground(2.0) - 30.0)
     here = np.linalg.norm(site.position_odom - [-30.0, 8.0, 30.0])
     share = (here - metres.min()) / (metres.max() - metres.min())
-    assert terms["energy"].value == pytest.approx(-0.05 * share, abs=1e-3)
+    assert terms["distance"].value == pytest.approx(-0.05 * share, abs=1e-3)
     assert terms["traffic"].value == terms["plants"].value == 0.0
     assert site.step_m == pytest.approx(np.tan(np.deg2rad(2.0)) * 0.4, abs=2e-3)
 
 
-def test_weights_that_are_zero_leave_the_probability_alone() -> None:
-    for site in _sites(make_grid(_ground(2.0)), energy_weight=0.0, clearance_weight=0.0,
-                       level_weight=0.0):  # fmt: skip
-        assert site.value == pytest.approx(site.safe_probability, abs=1e-7)
-        assert site.cluster_bonus == 0.0
+def test_zou2024_is_c_sum_and_its_candidates_are_the_modes() -> None:
+    """Eqs. 13 to 19: traffic, plants and room change nothing."""
+    grid = _traffic()
+    grid.max_height_m[:] = np.maximum(grid.max_height_m, grid.min_height_m + 0.25)
+    for gates in (("geometry", "reach", "class"), ("reach", "class")):
+        params = LandingParams(selector="zou2024", zou2024=Zou2024SelectorParams(gates=gates))
+        chosen = select_sites(view_of(grid), FAR, params, footprint_radius_m=0.5)
+        view = chosen.costmap
+        assert view is not None
+        np.testing.assert_array_equal(view.value, view.total)
+        assert [layer.name for layer in view.terms] == ["smoothness", "flatness", "distance"]
+        layers = (view.smoothness, view.flatness, view.distance)
+        for layer, weight, share in zip(view.terms, (0.3, 0.5, 0.2), layers, strict=True):
+            np.testing.assert_allclose(layer.value, weight * share, atol=1e-6)
+        sites = [site for site in chosen.candidates if site.accepted]
+        assert sites
+        density = kernel_density(view.value, 1.5 * 0.5 / 0.2)
+        for site in sites:
+            col, row = np.floor(site.position_odom[:2] / 0.2).astype(int)
+            rivals = chosen.allowed & (chosen.cluster == chosen.cluster[row, col])
+            assert density[row, col] == density[rivals].max()
+            assert "geometry" in gates or [row, col] in chosen.modes.tolist()
+        assert {site.cluster_bonus for site in sites} == {0.0}
 
 
-def test_terms_of_the_paper_are_those_of_c_sum() -> None:
-    site = _sites(make_grid(_ground()), scorer="paper")[0]
-    terms = _by_name(site)
-    assert list(terms) == ["smoothness", "flatness", "distance", "traffic", "plants"]
-    for name, weight in (("smoothness", 0.3), ("flatness", 0.5), ("distance", 0.2)):
-        assert terms[name].value == pytest.approx(weight * terms[name].quantity, abs=1e-6)
-    assert site.value == pytest.approx(site.c_sum, abs=1e-6)
-    clearance = min(site.clearance_m, 1.0)
-    assert site.cluster_bonus == pytest.approx(0.1 * clearance, abs=1e-6)
+def test_a_selector_without_gates_takes_any_ground() -> None:
+    """The geometric gate, the gate of the probability and the reach, each switched off."""
+    steep, away, shown = make_grid(_ground(7.0)), SelectionLimits(reach_m=0.0), {}
+    for gates in ((), ("geometry",), ("probability",), ("reach",)):
+        params = SelectorParams(gates=gates, terms=("probability", "level"))
+        sites = _sites(steep, away, risk=params)
+        shown[gates] = {site.rule for site in sites}
+    assert shown[()] <= {"highest_value", "lower_value"}
+    assert shown["geometry",] == shown["probability",] == {"steep"}
+    assert shown["reach",] == {"out_of_reach"}
 
 
 def test_traffic_and_plants_are_terms() -> None:
@@ -112,7 +140,7 @@ def test_traffic_and_plants_are_terms() -> None:
     assert near and all(_by_name(site)["traffic"].value == pytest.approx(-0.3) for site in near)
     grid = make_grid(_ground())
     grid.max_height_m[:] = grid.min_height_m + 0.25
-    among = _sites(grid, plants_penalty=0.4)
+    among = _sites(grid, risk=SelectorParams(weight_plants=0.4))
     assert among
     for site in among:
         assert _by_name(site)["plants"].value == pytest.approx(-0.4)
@@ -139,15 +167,18 @@ def test_rules_name_what_refused_a_site() -> None:
 
 
 def test_bonus_for_clearance_chooses_the_cell_and_ranks_none() -> None:
-    """A strip 8 m wide between rough ground, ranked by distance alone: its near edge is nearest."""
+    """A strip 8 m wide between rough ground, nearest at its western edge. A metre costs 0.013; room
+    is worth 0.007 a metre, with the bonus 0.027 for the first."""
     strip = _ground()
     rough = np.random.default_rng(2).uniform(0.0, 0.6, (SIDE, SIDE))
     strip[:, :60], strip[:, 100:] = rough[:, :60], rough[:, 100:]
     clearances = []
-    for weight in (0.0, 5.0):
-        site = _sites(make_grid(strip), scorer="paper", clearance_weight=weight,
-                      weight_flatness=0.0, weight_smoothness=0.0)[0]  # fmt: skip
-        assert site.accepted and site.value == pytest.approx(site.c_sum, abs=1e-6)
+    for weight in (0.0, 0.02):
+        by_distance = SelectorParams(
+            terms=("distance", "room"), gates=("geometry",), weight_distance=1.0, weight_room=weight
+        )
+        site = _sites(make_grid(strip), risk=by_distance)[0]
+        assert site.value == pytest.approx(sum(term.value for term in site.terms), abs=1e-6)
         assert site.cluster_bonus == pytest.approx(weight * min(site.clearance_m, 1.0), abs=1e-5)
         clearances.append(site.clearance_m)
     assert clearances[0] < 0.5 and clearances[1] >= 1.0
@@ -174,11 +205,11 @@ def _site(
 
 
 _FIRST = _site(
-    1.05, "lower_value", ("safe_probability", 0.97, 0.97, ""), ("clearance", 0.10, 3.0, "m"),
+    1.05, "lower_value", ("probability", 0.97, 0.97, ""), ("room", 0.10, 3.0, "m"),
     ("level", -0.02, 0.5, "deg"), ("traffic", 0.0, 0.0, ""),
 )  # fmt: skip
 _SECOND = _site(
-    0.63, "lower_value", ("safe_probability", 0.91, 0.91, ""), ("clearance", 0.05, 1.2, "m"),
+    0.63, "lower_value", ("probability", 0.91, 0.91, ""), ("room", 0.05, 1.2, "m"),
     ("level", -0.02, 0.5, "deg"), ("traffic", -0.3, 1.0, ""),
 )  # fmt: skip
 

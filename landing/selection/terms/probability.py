@@ -1,6 +1,6 @@
-"""Probability of a safe touchdown: a scorer beside that of the paper.
+"""The term probability: that of a safe touchdown.
 
-A logistic model of ``landing.selection.risk_features``, fitted to ground-truth maps by
+A logistic model of ``landing.selection.terms.risk_features``, fitted to ground-truth maps by
 ``touchdown bench selector --fit``. Every coefficient except the constant is negative: a higher
 feature never raises the probability.
 """
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.landing.api import LandingParams
-from touchdown.landing.selection.elevation_raster import ElevationRaster, observed_raster
-from touchdown.landing.selection.landable import LandableMap, assess, ground_planes
-from touchdown.landing.selection.plants import standing_plants, without_plants
-from touchdown.landing.selection.risk_features import NAMES, RiskFeatures, risk_features
+from touchdown.landing.api import LandingParams, TermLayer
+from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, observed_raster
+from touchdown.landing.selection.ground.landable import LandableMap, assess, ground_planes
+from touchdown.landing.selection.ground.plants import standing_plants, without_plants
+from touchdown.landing.selection.terms.inputs import Inputs
+from touchdown.landing.selection.terms.risk_features import NAMES, RiskFeatures, risk_features
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -34,7 +35,14 @@ are static, so that the effect of an old map cannot be fitted."""
 _RIDGE = 1e-4
 
 
-def terms(values: Float32) -> Float32:
+def term(site: Inputs) -> TermLayer:
+    """Returns the probability of a safe touchdown."""
+    chance = site.probability
+    value = np.float32(site.selector.weight_probability) * chance
+    return TermLayer(name="probability", value=value, quantity=chance)
+
+
+def model_terms(values: Float32) -> Float32:
     """Returns the model's terms (..., 10) without the constant, from features (..., 8): the
     features, the worst of slope, step and neighbour, and its excess over 0.8 of the limit."""
     worst = values[..., [_SLOPE, _STEP, _NEIGHBOUR]].max(axis=-1)
@@ -103,7 +111,8 @@ def features_of(map_view: MapView, estimate: Estimate, params: LandingParams) ->
     mapped = observed_raster(map_view.coarse)
     if mapped is None:
         raise ValueError("the map is empty: it has no features")
-    raster = without_plants(mapped, standing_plants(mapped))
+    limits = params.ground
+    raster = without_plants(mapped, standing_plants(mapped, limits), limits)
     planes = ground_planes(raster, params)
     landable = assess(
         raster, planes, params, margin_m=params.map_margin_m, min_returns=params.min_returns
@@ -114,7 +123,7 @@ def features_of(map_view: MapView, estimate: Estimate, params: LandingParams) ->
 def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:
     """Returns the weights (11,) of maximum likelihood for ``safe`` (N,) given features (N, 8), with
     a slight ridge penalty, each coefficient at most -0.2."""
-    design = np.column_stack([np.ones(len(values)), terms(values)]).astype(np.float64)
+    design = np.column_stack([np.ones(len(values)), model_terms(values)]).astype(np.float64)
     truth = safe.astype(np.float64)
 
     def loss(weights: Array) -> tuple[float, Array]:

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import LandingParams, SiteRule
-from touchdown.landing.selection.elevation_raster import (
+from touchdown.landing.api import GroundParams, LandingParams, SiteRule
+from touchdown.landing.selection.ground.elevation_raster import (
     ElevationRaster,
     PlaneField,
     dilated,
@@ -28,21 +28,7 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-FOOTPRINT_M = 1.0
-"""radius around the touchdown point that must be free of defects"""
-_TALL_M = 0.25
 _NEVER_HIGHEST = np.float32(-1e6)
-_STEP_HALF_WIDTH_M = 0.2
-_PEAK_ALLOWANCE_M = 0.05
-"""allowance for LIDAR noise in the highest return of flat ground"""
-_ROUGH_STD_M = 0.05
-"""limit of the spread of returns in a cell, above LIDAR noise (2 cm) and the slope in the cell"""
-_MOVING_STD_M = 0.15
-_MOVING_SHARE = 0.4
-_MOVING_WIDTH_M = 1.0
-_MOVING_MARGIN_M = 3.0
-_WATER_WINDOW_M = 1.0
-_WATER_MIN_MISSING = 3.0
 
 
 class Defect(IntEnum):
@@ -106,18 +92,20 @@ class Footprint:
     """largest |residual| of a cell's mean height"""
 
 
-def water_cells(raster: ElevationRaster, max_ratio: float) -> Mask:
-    """Returns the mask of cells around which more than ``max_ratio`` of the pulses are missing."""
-    size = 2 * round(0.5 * _WATER_WINDOW_M / raster.cell_m) + 1
+def water_cells(raster: ElevationRaster, params: LandingParams) -> Mask:
+    """Returns the mask of cells around which more than ``max_missing_ratio`` of the pulses are
+    missing."""
+    size = 2 * round(0.5 * params.ground.water_window_m / raster.cell_m) + 1
     window = (size, size)
     missing = cv2.boxFilter(raster.missing, -1, window, normalize=False,
                             borderType=cv2.BORDER_CONSTANT)  # fmt: skip
     hits = cv2.boxFilter(raster.count, -1, window, normalize=False,
                          borderType=cv2.BORDER_CONSTANT)  # fmt: skip
-    return (missing >= _WATER_MIN_MISSING) & (missing > max_ratio * (missing + hits))
+    many = missing >= params.ground.water_min_missing
+    return many & (missing > params.max_missing_ratio * (missing + hits))
 
 
-def moving_cells(raster: ElevationRaster) -> Mask:
+def moving_cells(raster: ElevationRaster, limits: GroundParams) -> Mask:
     """Returns the mask of cells that a moving object passed, widened by the clearance of traffic.
 
     A cell that a vehicle drove over has mostly returns of the ground and a few of its roof: a wide
@@ -126,9 +114,11 @@ def moving_cells(raster: ElevationRaster) -> Mask:
     opening.
     """
     with np.errstate(invalid="ignore"):
-        mostly_ground = raster.height - raster.low < _MOVING_SHARE * (raster.high - raster.low)
-        spread = mostly_ground & (raster.std > _MOVING_STD_M)
-    width = 2 * round(0.5 * _MOVING_WIDTH_M / raster.cell_m) + 1
+        mostly_ground = raster.height - raster.low < limits.moving_share * (
+            raster.high - raster.low
+        )
+        spread = mostly_ground & (raster.std > limits.moving_std_m)
+    width = 2 * round(0.5 * limits.moving_width_m / raster.cell_m) + 1
     blobs = cv2.morphologyEx(
         spread.astype(np.uint8),
         cv2.MORPH_OPEN,
@@ -136,7 +126,7 @@ def moving_cells(raster: ElevationRaster) -> Mask:
         borderType=cv2.BORDER_CONSTANT,
         borderValue=0,
     )
-    return dilated(blobs > 0, _MOVING_MARGIN_M / raster.cell_m)
+    return dilated(blobs > 0, limits.moving_margin_m / raster.cell_m)
 
 
 def ground_planes(raster: ElevationRaster, params: LandingParams) -> PlaneField:
@@ -157,9 +147,10 @@ def assess(
     ``planes``: of ``ground_planes``; ``margin_m``: error of map and position, by which footprint
     and clear radius are widened; ``min_returns``: a cell with fewer counts as sparse.
     """
-    cell, known = raster.cell_m, raster.known
+    cell, known, limits = raster.cell_m, raster.known, params.ground
+    footprint_cells = (limits.footprint_m + margin_m) / cell
     slope = np.rad2deg(planes.angle_rad)
-    reach = max(round(_STEP_HALF_WIDTH_M / cell), 1)
+    reach = max(round(limits.step_half_width_m / cell), 1)
     square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     top = cv2.dilate(np.where(known, raster.height, _NEVER_HIGHEST), square)
     bottom = cv2.erode(np.where(known, raster.height, -_NEVER_HIGHEST), square)
@@ -170,19 +161,19 @@ def assess(
         rules: tuple[tuple[Defect, Mask], ...] = (
             (Defect.SPARSE, raster.count < min_returns),
             (Defect.UNKNOWN, ~known | ~np.isfinite(slope)),
-            (Defect.ROUGH, raster.std > _ROUGH_STD_M),
+            (Defect.ROUGH, raster.std > limits.rough_std_m),
             (Defect.STEEP, slope > params.max_slope_deg - params.slope_margin_deg),
             (Defect.STEP, known & (step > params.max_step_m - params.step_margin_m)),
-            (Defect.OBSTACLE, peak > params.max_step_m + _PEAK_ALLOWANCE_M),
-            (Defect.MOVING, moving_cells(raster)),
-            (Defect.WATER, water_cells(raster, params.max_missing_ratio)),
+            (Defect.OBSTACLE, peak > params.max_step_m + limits.peak_allowance_m),
+            (Defect.MOVING, moving_cells(raster, limits)),
+            (Defect.WATER, water_cells(raster, params)),
         )
         for found, where in rules:
             defect[where] = found
         clear_cells = (params.clear_radius_m + margin_m) / cell
         tall = disc_maximum(raster.high, clear_cells) - raster.height
-        mask = ~dilated(defect > 0, (FOOTPRINT_M + margin_m) / cell) & (tall <= _TALL_M)
-    mask &= _inside(raster.shape, (FOOTPRINT_M + margin_m) / cell)
+        mask = ~dilated(defect > 0, footprint_cells) & (tall <= limits.tall_m)
+    mask &= _inside(raster.shape, footprint_cells)
     return LandableMap(
         mask=mask,
         defect=defect,
@@ -201,9 +192,7 @@ def _inside(shape: tuple[int, int], border_cells: float) -> Mask:
     return inside
 
 
-def fit_footprint(
-    raster: ElevationRaster, xy: Array, radius_m: float = FOOTPRINT_M
-) -> Footprint | None:
+def fit_footprint(raster: ElevationRaster, xy: Array, radius_m: float) -> Footprint | None:
     """Returns the plane through the known cells within ``radius_m`` of ``xy``; None if fewer than
     half of the cells are known."""
     local = raster.window(xy, radius_m)
@@ -231,7 +220,7 @@ def explain(
     margin_m: float,
 ) -> Refusal:  # fmt: skip
     """Returns why the cell (row, col) is not landable, the text with figures."""
-    radius = (FOOTPRINT_M + margin_m) / raster.cell_m
+    radius, tallest = (params.ground.footprint_m + margin_m) / raster.cell_m, params.ground.tall_m
     reach = int(np.ceil(radius))
     top, left = max(row - reach, 0), max(col - reach, 0)
     defect = landable.defect[top : row + reach + 1, left : col + reach + 1]
@@ -240,9 +229,9 @@ def explain(
     defective = (defect > 0) & (away <= radius)
     if not defective.any():
         tall = float(landable.tall_m[row, col])
-        if tall > _TALL_M:
+        if tall > tallest:
             around = params.clear_radius_m + margin_m
-            text = f"something {tall:.2f} m high within {around:.1f} m (limit {_TALL_M:.2f} m)"
+            text = f"something {tall:.2f} m high within {around:.1f} m (limit {tallest:.2f} m)"
             return Refusal("tall_neighbour", text)
         return Refusal("map_edge", "the footprint reaches beyond the map")
     nearest = np.where(defective, away, np.inf)

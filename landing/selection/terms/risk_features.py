@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams
-from touchdown.landing.selection.elevation_raster import (
+from touchdown.landing.selection.ground.elevation_raster import (
     ElevationRaster,
     dilated,
     disc_maximum,
     distance_to,
 )
-from touchdown.landing.selection.landable import FOOTPRINT_M, Defect, LandableMap
+from touchdown.landing.selection.ground.landable import Defect, LandableMap
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -63,7 +63,8 @@ def risk_features(
     subtracted from the clearance around the footprint.
     """
     cell = raster.cell_m
-    pad = FOOTPRINT_M / cell
+    footprint = params.ground.footprint_m
+    pad = footprint / cell
     hard = _IS_HARD[landable.defect]
     border = int(np.ceil(pad))
     inside = np.zeros(raster.shape, np.bool_)
@@ -80,7 +81,7 @@ def risk_features(
         _scaled(disc_maximum(layer, pad), 0.0, 1.0 / params.max_step_m, values[..., index])
     _scaled(disc_maximum(raster.std, pad), 0.0, 1.0 / _SPREAD_LIMIT_M, values[..., 3])
     _scaled(landable.tall_m, 0.0, 1.0 / _NEIGHBOUR_LIMIT_M, values[..., 4])
-    _scaled(clearance, _CLEARANCE_M + FOOTPRINT_M + drift_m, -1.0 / _CLEARANCE_M, values[..., 5])
+    _scaled(clearance, _CLEARANCE_M + footprint + drift_m, -1.0 / _CLEARANCE_M, values[..., 5])
     _scaled(thin, 0.0, 1.0, values[..., 6])
     _scaled(raster.last_seen, now_s, -1.0 / _AGE_S, values[..., 7])
     return RiskFeatures(values=values, open=inside & ~dilated(hard, pad))

@@ -20,7 +20,9 @@ from touchdown.estimator.api import GridMap, Ground
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Int32 = NDArray[np.int32]
 Mask = NDArray[np.bool_]
+_Sums = tuple[float, float, float, float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -215,7 +217,7 @@ def fit_planes(
     its cells known, or whose known cells lie on a line, gives NaN."""
     reach = max(round(half_width_m / cell_m), 1)
     enough = min_share * (2 * reach + 1) ** 2
-    rise, level = (np.full(height.shape, np.nan, np.float32) for _ in range(2))
+    rise, level = (np.empty(height.shape, np.float32) for _ in range(2))
     _sliding_planes(height, reach, enough, rise, level)
     return PlaneField(angle_rad=np.arctan(np.sqrt(rise) / np.float32(cell_m)), level=level)
 
@@ -236,19 +238,15 @@ def _add_row(height: Float32, row: int, sign: float, base: float, sums: Array) -
 
 
 @numba.njit(cache=True)
-def _add_column(sums: Array, col: int, sign: float, w: Array) -> None:
+def _with_column(w: _Sums, sums: Array, col: int, sign: float) -> _Sums:
     """Adds or subtracts one column to the window sums n, x, y, z, xx, xy, yy, xz, yz."""
     x = float(col)
-    n, y, z = sums[col, 0], sums[col, 1], sums[col, 2]
-    w[0] += sign * n
-    w[1] += sign * x * n
-    w[2] += sign * y
-    w[3] += sign * z
-    w[4] += sign * x * x * n
-    w[5] += sign * x * y
-    w[6] += sign * sums[col, 3]
-    w[7] += sign * x * z
-    w[8] += sign * sums[col, 4]
+    n, y, z, yy, yz = sums[col, 0], sums[col, 1], sums[col, 2], sums[col, 3], sums[col, 4]
+    return (
+        w[0] + sign * n, w[1] + sign * x * n, w[2] + sign * y, w[3] + sign * z,
+        w[4] + sign * x * x * n, w[5] + sign * x * y, w[6] + sign * yy,
+        w[7] + sign * x * z, w[8] + sign * yz,
+    )  # fmt: skip
 
 
 @numba.njit(cache=True)
@@ -267,7 +265,7 @@ def _sliding_planes(
         if not np.isnan(value):
             base = float(value)
             break
-    sums = np.zeros((cols, 5))
+    sums, windows = np.zeros((cols, 5)), np.empty((9, cols))
     for row in range(min(reach, rows)):
         _add_row(height, row, 1.0, base, sums)
     for row in range(rows):
@@ -275,27 +273,36 @@ def _sliding_planes(
             _add_row(height, row + reach, 1.0, base, sums)
         if row - reach - 1 >= 0:
             _add_row(height, row - reach - 1, -1.0, base, sums)
-        w = np.zeros(9)
+        w = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for col in range(min(reach, cols)):
-            _add_column(sums, col, 1.0, w)
+            w = _with_column(w, sums, col, 1.0)
         for col in range(cols):
             if col + reach < cols:
-                _add_column(sums, col + reach, 1.0, w)
+                w = _with_column(w, sums, col + reach, 1.0)
             if col - reach - 1 >= 0:
-                _add_column(sums, col - reach - 1, -1.0, w)
-            n = w[0]
-            if n < enough or n < 3.0:
-                continue
-            mx, my, mz = w[1] / n, w[2] / n, w[3] / n
-            cxx, cxy, cyy = w[4] / n - mx * mx, w[5] / n - mx * my, w[6] / n - my * my
-            cxz, cyz = w[7] / n - mx * mz, w[8] / n - my * mz
-            determinant = cxx * cyy - cxy * cxy
-            if determinant < 1e-2:
-                continue
-            gx = (cxz * cyy - cyz * cxy) / determinant
-            gy = (cyz * cxx - cxz * cxy) / determinant
-            rise[row, col] = gx * gx + gy * gy
-            level[row, col] = base + mz + gx * (col - mx) + gy * (row - my)
+                w = _with_column(w, sums, col - reach - 1, -1.0)
+            for k in range(len(w)):
+                windows[k, col] = w[k]
+        _planes_of_row(windows, (row, base), enough, rise[row], level[row])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _planes_of_row(
+    w: Array, at: tuple[int, float], enough: float, rise: Float32, level: Float32
+) -> None:
+    """Planes from the sums of each window, without a branch: divisions fill the lanes."""
+    row, base = at
+    for col in range(w.shape[1]):
+        n = w[0, col]
+        mx, my, mz = w[1, col] / n, w[2, col] / n, w[3, col] / n
+        cxx, cxy, cyy = w[4, col] / n - mx * mx, w[5, col] / n - mx * my, w[6, col] / n - my * my
+        cxz, cyz = w[7, col] / n - mx * mz, w[8, col] / n - my * mz
+        determinant = cxx * cyy - cxy * cxy
+        gx = (cxz * cyy - cyz * cxy) / determinant
+        gy = (cyz * cxx - cxz * cxy) / determinant
+        good = (n >= enough) & (n >= 3.0) & (determinant >= 1e-2)
+        rise[col] = gx * gx + gy * gy if good else np.nan
+        level[col] = base + mz + gx * (col - mx) + gy * (row - my) if good else np.nan
 
 
 def distance_to(mask: Mask, cell_m: float) -> Float32:
@@ -308,24 +315,57 @@ def distance_to(mask: Mask, cell_m: float) -> Float32:
     return (pixels * np.float32(cell_m)).astype(np.float32)
 
 
+def distance_up_to(mask: Mask, cell_m: float, most_m: float) -> Float32:
+    """Returns the distance of `distance_to`, exact where it is below ``most_m``, larger elsewhere.
+
+    The distance along the column, then the least over the row: so few cells are looked at."""
+    most = int(most_m / cell_m) + 2
+    squares = np.full(mask.shape, most, np.int32)
+    _square_distances(mask, squares, np.full(mask.shape[1] + 2 * most, most * most, np.int32))
+    return np.sqrt(squares.astype(np.float32)) * np.float32(cell_m)
+
+
+@numba.njit(cache=True)
+def _square_distances(mask: Mask, along: Int32, line: Int32) -> None:
+    """Turns ``along``, filled with the longest distance, into squares of distances, in cells;
+    ``line``, of the squares of the longest, is longer by that on both sides."""
+    rows, cols = mask.shape
+    one, most = np.int32(1), np.int32((line.size - cols) // 2)
+    for row in range(rows):
+        seen, above, own = mask[row], along[max(row - 1, 0)], along[row]
+        for col in range(cols):
+            own[col] = 0 if seen[col] else min(above[col] + one, most)
+    for row in range(rows - 2, -1, -1):
+        below, own = along[row + 1], along[row]
+        for col in range(cols):
+            own[col] = min(own[col], below[col] + one)
+    for row in range(rows):
+        own = along[row]
+        for col in range(cols):
+            line[most + col] = own[col] * own[col]
+        for col in range(cols):
+            best, step, square = line[most + col], one, one
+            while square < best:
+                near = min(line[most + col - step], line[most + col + step])
+                best = min(best, near + square)
+                step += one
+                square = step * step
+            own[col] = best
+
+
+def disc_widths(radius_cells: float) -> NDArray[np.int64]:
+    """Returns how far each row of the disc reaches to each side, in cells."""
+    rows = np.arange(-int(radius_cells), int(radius_cells) + 1)
+    return np.sqrt(radius_cells**2 - rows**2).astype(np.int64)
+
+
 def disc_maximum(layer: Float32, radius_cells: float) -> Float32:
     """Returns the maximum over the disc of ``radius_cells`` around each cell. NaN cells are left
     out; -inf where the disc has no other."""
-    rows = layer.shape[0]
-    best = np.where(np.isfinite(layer), layer, np.float32(-np.inf))
-    filled = best.copy()
-    by_width: dict[int, list[int]] = {}
-    for dy in range(int(radius_cells) + 1):
-        by_width.setdefault(int(np.sqrt(radius_cells**2 - dy * dy)), []).append(dy)
-    for half, shifts in by_width.items():
-        kernel = np.ones((1, 2 * half + 1), np.uint8)
-        wide = cv2.dilate(filled, kernel, borderType=cv2.BORDER_REPLICATE)
-        for dy in sorted({sign * shift for shift in shifts for sign in (-1, 1)}):
-            if abs(dy) >= rows:
-                continue
-            source = wide[max(dy, 0) : rows + min(dy, 0)]
-            target = best[max(-dy, 0) : rows + min(-dy, 0)]
-            np.maximum(target, source, out=target)
+    widths = disc_widths(radius_cells)
+    best = np.full(layer.shape, -np.inf, np.float32)
+    column = np.empty(layer.shape[1] + widths.size - 1, np.float32)
+    _disc_maximum(np.where(np.isfinite(layer), layer, best), widths, column, best)
     return best
 
 
@@ -334,9 +374,27 @@ def dilated(mask: Mask, radius_cells: float) -> Mask:
     cell."""
     if not mask.any():
         return np.zeros(mask.shape, np.bool_)
-    reach = int(radius_cells)
-    offset = np.arange(-reach, reach + 1)
-    disc = (offset[:, None] ** 2 + offset[None, :] ** 2 <= radius_cells**2).astype(np.uint8)
-    return (
-        cv2.dilate(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-    )
+    return disc_maximum(mask.astype(np.float32), radius_cells) > 0.0
+
+
+@numba.njit(cache=True)
+def _disc_maximum(
+    values: Float32, widths: NDArray[np.int64], column: Float32, best: Float32
+) -> None:
+    """The greatest of the columns that lie ``wide`` from the middle, as high as the rows that are
+    at least as wide; the loops over columns fill the processor's lanes."""
+    rows, cols = values.shape
+    reach = widths.size // 2
+    for row in range(rows):
+        for col in range(column.size):
+            column[col] = -np.inf
+        middle, out = column[reach:], best[row]
+        for wide in range(reach, -1, -1):
+            for k in range(widths.size):
+                if widths[k] == wide and 0 <= row + k - reach < rows:
+                    source = values[row + k - reach]
+                    for col in range(cols):
+                        middle[col] = max(middle[col], source[col])
+            left, right = column[reach - wide :], column[reach + wide :]
+            for col in range(cols):
+                out[col] = max(out[col], max(left[col], right[col]))

@@ -16,28 +16,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.selection.elevation_raster import ElevationRaster
+from touchdown.landing.api import GroundParams
+from touchdown.landing.selection.ground.elevation_raster import ElevationRaster
 
 Mask = NDArray[np.bool_]
 
-_SPREAD_M = 0.14
-"""between the lowest and the highest return, from which a cell is taken to hold more than noise"""
-_CLUMPS = ((0.3, 0.33, 0.12), (1.0, 0.42, 0.19))
-"""of clumps and of wide stands: side of the least square that plants fill; greatest spread, that is
-noise of 0.1 m and a height of 0.23 or 0.32 m; greatest height of the mean over the lowest return,
-noise of 0.05 m included: most pulses reach the ground"""
-_LEVEL_M = 0.06
-"""between the lowest returns of a gap in a clump and of the cells around it: bare ground, no solid
-top"""
-_RAGGED_CELLS = 2
-"""width of the ragged edge of a clump"""
-_GROUND_STD_M = 0.03
-"""limit of the uncertainty of the ground's height, a third of the largest step"""
 _NOISE_M = np.float32(0.05)
 """of the highest of many returns of bare ground"""
 
 
-def standing_plants(raster: ElevationRaster, *, fill_gaps: bool = False) -> Mask:
+def standing_plants(
+    raster: ElevationRaster, limits: GroundParams, *, fill_gaps: bool = False
+) -> Mask:
     """Returns the mask of cells (rows, cols) in clumps and stands of low plants.
 
     ``fill_gaps``: a clump may have cells of bare ground in it. Seen from near, where clumps have
@@ -46,23 +36,23 @@ def standing_plants(raster: ElevationRaster, *, fill_gaps: bool = False) -> Mask
     around = np.ones((3, 3), np.uint8)
     with np.errstate(invalid="ignore"):
         lowest = cv2.erode(np.where(raster.known, raster.low, np.float32(1e6)), around)
-        level = raster.low - lowest <= _LEVEL_M
+        level = raster.low - lowest <= limits.plants_level_m
         spread = raster.high - raster.low
-        for side_m, most_m, mean_m in _CLUMPS:
+        for side_m, most_m, mean_m in (limits.plants_clump, limits.plants_stand):
             low = (spread <= most_m) & (raster.height - raster.low <= mean_m)
-            some = (low & (spread > _SPREAD_M)).astype(np.uint8)
+            some = (low & (spread > limits.plants_spread_m)).astype(np.uint8)
             filled = some
             if fill_gaps:
                 closed = cv2.morphologyEx(some, cv2.MORPH_CLOSE, around) > 0
                 filled = some | (closed & low & level)
             cells = max(round(side_m / raster.cell_m), 3) | 1  # an even kernel moves what it opens
             core = cv2.morphologyEx(filled, cv2.MORPH_OPEN, np.ones((cells, cells), np.uint8))
-            edge = cv2.dilate(core, np.ones((2 * _RAGGED_CELLS + 1,) * 2, np.uint8))
+            edge = cv2.dilate(core, np.ones((2 * limits.plants_edge_cells + 1,) * 2, np.uint8))
             found |= (core > 0) | ((edge > 0) & (some > 0))
     return found & raster.known
 
 
-def without_plants(raster: ElevationRaster, plants: Mask) -> ElevationRaster:
+def without_plants(raster: ElevationRaster, plants: Mask, limits: GroundParams) -> ElevationRaster:
     """Returns the raster with the ground under ``plants`` (rows, cols) in their place: spread and
     highest returns become those of bare ground. Where no pulse showed the ground well enough, they
     stay. Without plants the raster itself is returned."""
@@ -70,7 +60,7 @@ def without_plants(raster: ElevationRaster, plants: Mask) -> ElevationRaster:
         return raster
     ground = raster.ground(plants)
     with np.errstate(invalid="ignore"):
-        sure = plants & (ground.std_m <= _GROUND_STD_M)
+        sure = plants & (ground.std_m <= limits.plants_ground_std_m)
     return dataclasses.replace(
         raster,
         height=np.where(sure, ground.height_m, raster.height),

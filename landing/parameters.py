@@ -1,0 +1,319 @@
+"""Parameters of landing; part of `landing.api`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from annotated_types import Interval
+
+from touchdown.sim.api import (
+    FORBID_EXTRA,
+    Count,
+    CountOrZero,
+    Fraction,
+    NotNegative,
+    Positive,
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SurveyParams:
+    """The circuitous scan of the paper's Fig. 9a: legs joined by minimum-jerk turns."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    height_m: Positive = 30.0
+    """above the take-off ground"""
+    legs: Count = 3
+    """number of parallel legs"""
+    leg_length_m: Positive = 50.0
+    """length of a leg"""
+    leg_spacing_m: Positive = 20.0
+    """distance between neighbouring legs"""
+    duration_s: Positive = 36.0
+    """time from the start of the first leg to the end of the last, where the wind lets the vehicle
+    keep it"""
+    climb_turn_deg: Annotated[float, Interval(ge=-360.0, le=360.0)] = 0.0
+    """turn of the heading during the climb, which the survey keeps; 180 separates the
+    accelerometer's bias from errors of roll and pitch"""
+    min_height_m: Positive = 20.0
+    """lowest height of the survey where the wind at ``height_m`` is too strong; above all
+    obstacles"""
+
+
+TermName = Literal[
+    "probability", "flatness", "smoothness", "distance", "room", "level", "traffic", "plants"
+]
+"""Terms of the score of a site, a module each in `landing.selection.terms`."""
+
+GateName = Literal["geometry", "probability", "reach", "class"]
+"""What a site must pass: the limits of ``landing.ground``, ``landing.min_safe_probability``, the
+range of the remaining energy (Eq. 18), ground classification."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SelectorParams:
+    """A selector: the terms that add up to the score of a site, and the gates that it must pass.
+    What a list does not name is off. The defaults are those of ``landing.risk``."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    terms: tuple[TermName, ...] = (
+        "probability", "distance", "room", "level", "traffic", "plants",
+    )  # fmt: skip
+    """terms that are added"""
+    gates: tuple[GateName, ...] = ("probability", "reach", "class")
+    """gates that are checked"""
+    clusters: Literal["probability", "score"] = "probability"
+    """what Quick Shift clusters (Eq. 19): ``score``, where the candidate of a cluster is its mode,
+    of the cells that pass the gates the densest; or the probability, where it is the cell of
+    highest score, room included"""
+    distance_zero: Literal["nearest", "farthest"] = "nearest"
+    """site for which the term distance is 0: the farthest one within reach, to which the nearest is
+    preferred by the weight (Eq. 13), or the nearest, from which it takes away"""
+    weight_probability: NotNegative = 1.0
+    """of the probability of a safe touchdown"""
+    weight_flatness: NotNegative = 0.5
+    """of flatness, 0 to 1 (Eqs. 15 to 17); the largest of the paper (section 4.1)"""
+    weight_smoothness: NotNegative = 0.3
+    """of smoothness, 0 to 1 (Eq. 14; section 4.1)"""
+    weight_distance: NotNegative = 0.05
+    """of distance, 0 to 1 (Eq. 18): less than any difference in safety"""
+    weight_room: NotNegative = 0.1
+    """of a clearance of ``clearance_full_m`` over none; among the cells of one cluster, of
+    ``clearance_enough_m``"""
+    weight_level: NotNegative = 0.2
+    """taken away on ground at ``max_slope_deg``, nothing on level ground"""
+    weight_traffic: NotNegative = 0.3
+    """taken away near a surface on which motion was observed or whose class was refused"""
+    weight_plants: NotNegative = 0.15
+    """taken away among low plants, whose ground is inferred from few returns: more than the
+    difference between two good sites on bare ground, less than ``weight_traffic``"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Zou2024SelectorParams(SelectorParams):
+    """The selector of Zou, Sun and Kong (2024): Eqs. 13 to 19 and place recognition, nothing else
+    but the gate ``geometry``, which the paper has not."""
+
+    terms: tuple[TermName, ...] = ("smoothness", "flatness", "distance")
+    gates: tuple[GateName, ...] = ("geometry", "reach", "class")
+    clusters: Literal["probability", "score"] = "score"
+    distance_zero: Literal["nearest", "farthest"] = "farthest"
+    weight_distance: NotNegative = 0.2
+    """of distance, 0 to 1 (Eq. 18; section 4.1)"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroundParams:
+    """Limits of the geometric check and of what is taken for low plants."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    footprint_m: Positive = 1.0
+    """radius around the touchdown point that must be free of defects: that of the vehicle, 0.53 m,
+    and the drift of the last metres"""
+    tall_m: Positive = 0.25
+    """greatest height within ``clear_radius_m``: below the rotors of a vehicle on its legs"""
+    step_half_width_m: Positive = 0.2
+    """half the window that a step is looked for in: a cell to each side"""
+    peak_allowance_m: NotNegative = 0.05
+    """added to ``max_step_m`` for the highest of many returns: 2.5 deviations of the LIDAR's
+    noise"""
+    rough_std_m: Positive = 0.05
+    """largest standard deviation of the returns of a cell: above the LIDAR's noise of 2 cm and the
+    slope within a cell"""
+    moving_std_m: Positive = 0.15
+    """standard deviation of the returns of a cell from which motion is looked for: a vehicle's
+    roof over the road"""
+    moving_share: Fraction = 0.4
+    """largest height of the mean above the lowest return, as a share of the spread, of a cell that
+    something drove over: most returns come from the ground, other than in a tree's crown"""
+    moving_width_m: Positive = 1.0
+    """least width of a region with motion; the edges of static objects are narrower"""
+    moving_margin_m: NotNegative = 3.0
+    """distance kept from where motion was observed: the width of a lane"""
+    water_window_m: Positive = 1.0
+    """side of the window that missing pulses are counted in"""
+    water_min_missing: NotNegative = 3.0
+    """fewer missing pulses in the window are chance"""
+    plants_spread_m: Positive = 0.14
+    """between the lowest and the highest return of a cell, from which it holds more than noise"""
+    plants_clump: tuple[Positive, Positive, Positive] = (0.3, 0.33, 0.12)
+    """a clump of plants, m: side of the least square that they fill; greatest spread of a cell, its
+    height of 0.23 and noise of 0.1; greatest height of the mean over the lowest return, noise of
+    0.05 included: most pulses reach the ground"""
+    plants_stand: tuple[Positive, Positive, Positive] = (1.0, 0.42, 0.19)
+    """the same of a wide stand, 0.32 m high"""
+    plants_level_m: NotNegative = 0.06
+    """between the lowest returns of a gap in a clump and of the cells around it: bare ground, no
+    solid top"""
+    plants_edge_cells: CountOrZero = 2
+    """width of the ragged edge of a clump"""
+    plants_ground_std_m: Positive = 0.03
+    """largest deviation of the ground's height under plants, a third of ``max_step_m``"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LandingParams:
+    __pydantic_config__ = FORBID_EXTRA
+
+    selector: Literal["risk", "zou2024"] = "risk"
+    """what chooses the site: ``landing.risk`` or ``landing.zou2024``"""
+    risk: SelectorParams = field(default_factory=SelectorParams)
+    zou2024: Zou2024SelectorParams = field(default_factory=Zou2024SelectorParams)
+    ground: GroundParams = field(default_factory=GroundParams)
+    min_safe_probability: Fraction = 0.95
+    """a site with a lower probability of a safe touchdown does not pass the gate probability"""
+    gust_drift_s: NotNegative = 0.02
+    """metres by which each m/s of wind reduces the clearance in the probability"""
+    clearance_full_m: Positive = 3.0
+    """distance to ground that is not allowed from which the value no longer rises: twice
+    ``clear_radius_m``"""
+    clearance_enough_m: Positive = 1.0
+    """the same within a cluster: the radius of a footprint"""
+    refused_radius_m: NotNegative = 3.0
+    """radius around a refused site in which no site is accepted again: twice ``clear_radius_m``, so
+    that the two do not overlap"""
+    candidate_spacing_m: NotNegative = 3.0
+    """least distance between the candidates of a selection: twice ``clear_radius_m``"""
+    risk_weights: tuple[
+        float, float, float, float, float, float, float, float, float, float, float
+    ] = (
+        11.87, -1.83, -1.21, -0.2, -0.2, -0.2, -5.49, -0.2, -0.2, -1.06, -1.30,
+    )  # fmt: skip
+    """log-odds of a safe touchdown: constant; slope, step, object, spread, neighbour, confinement,
+    sparsity and age (``landing.selection.terms.risk_features``); the worst of slope, step and
+    neighbour, and its excess over 0.8. Fitted by ``touchdown bench selector --fit``"""
+    emergency: Literal["", "battery"] = ""
+    """``battery``: land within ``emergency_s`` on the least bad site; empty: no emergency"""
+    emergency_s: Positive = 45.0
+    """from the end of the survey to the ground in an emergency"""
+    site_xy_m: tuple[float, float] | None = None
+    """a commanded site (world frame) instead of a chosen one"""
+    check_site: bool = True
+    """refuse a commanded site that is unsuitable by the map; off, it is accepted unchecked, for
+    methods whose maps are no better than their positions"""
+    survey_only: bool = False
+    """stop after the survey (the positioning experiment)"""
+    return_home: bool = False
+    """after the survey back to the take-off spot, and down there, without choosing a site"""
+    second_look: bool = True
+    """look at the site again from ``look_height_m`` before landing on it"""
+    decision_latency_s: NotNegative = 0.3
+    """simulated time that a site selection takes"""
+    max_slope_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 5.0
+    """steepest ground that is landed on"""
+    max_step_m: Positive = 0.10
+    """highest step or object under the footprint"""
+    clear_radius_m: Positive = 1.5
+    """radius around the site that must be free of taller objects"""
+    flatness_form: Literal["corrected", "literal"] = "corrected"
+    """``corrected``, or Eqs. 16 and 17 to the letter"""
+    flatness_sigma_deg: Positive = 5.0
+    """sigma of Eq. 16 in the corrected form"""
+    normal_half_width_m: Positive = 0.5
+    """half the window that normals are fitted in"""
+    edge_blur_m: NotNegative = 0.3
+    """sigma of the blur before Canny"""
+    edge_low: Annotated[float, Interval(ge=0.0, le=255.0)] = 40.0
+    """lower hysteresis threshold of Canny on the 8-bit colour map"""
+    edge_high: Annotated[float, Interval(ge=0.0, le=255.0)] = 100.0
+    """hysteresis thresholds of Canny on the 8-bit colour map"""
+    edge_hole_cells: CountOrZero = 4
+    """largest hole in the colour map that counts as chance and not as an edge"""
+    smoothness_full_m: Positive = 8.0
+    """distance to an edge from which the smoothness term is 1"""
+    slope_margin_deg: NotNegative = 0.5
+    """taken off ``max_slope_deg`` for the error of the map"""
+    step_margin_m: NotNegative = 0.02
+    """taken off ``max_step_m`` for the error of the map"""
+    map_margin_m: NotNegative = 0.35
+    """margin around the footprint for the error of map and position at survey height"""
+    low_margin_m: NotNegative = 0.15
+    """the same margin at 10 m and below"""
+    min_returns: NotNegative = 4.0
+    """a cell with fewer is refused"""
+    max_missing_ratio: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.2
+    """share of pulses without a return above which the ground counts as water"""
+    traffic_smoothing_m: Positive = 1.0
+    """side of the window that intensity is averaged in"""
+    traffic_same_intensity: Fraction = 0.35
+    """relative difference of the mean intensity up to which cells count as one surface: intensity
+    falls with the cosine of the incidence angle, to 0.75 at the edge of the field of view"""
+    traffic_near_m: NotNegative = 2.0
+    """distance to a surface with traffic up to which a site counts as near it"""
+    cluster_bandwidth: Positive = 1.5
+    """of the density in Eq. 19, in radii of the vehicle's footprint: about the area of a landing"""
+    cluster_search: Positive = 4.0
+    """Quick Shift looks for a higher density within this many bandwidths"""
+    max_candidates: Count = 12
+    """candidates examined in one selection"""
+    search_legs: CountOrZero = 1
+    """additional survey legs where no site was found"""
+    go_arounds: CountOrZero = 2
+    """landings that may be broken off for another site"""
+    unhealthy_hold_s: NotNegative = 1.0
+    """duration of an unhealthy estimate after which the vehicle holds its position"""
+    unhealthy_abort_s: NotNegative = 8.0
+    """duration of an unhealthy estimate after which the vehicle descends where it is"""
+    slow_in_wind: bool = False
+    """slow the reference down where its motion through the felt wind would need more than the next
+    three keys allow, and fly the survey lower where the wind leaves a hover no margin; where it
+    does not, the reference keeps its time, to the bit"""
+    wind_thrust_share: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.94
+    """largest mean rotor speed, over the fastest one, that the reference may need"""
+    wind_tilt_deg: Annotated[float, Interval(gt=0.0, lt=60.0)] = 31.0
+    """largest tilt that the reference may need, below control.max_tilt_deg"""
+    wind_gust_share: NotNegative = 0.1
+    """gusts that the reference leaves room for, over the felt wind"""
+    climb_speed_mps: Positive = 3.0
+    """vertical speed of the climb"""
+    cruise_speed_mps: Positive = 7.0
+    """horizontal speed between survey and site"""
+    accel_mps2: Positive = 1.5
+    """acceleration of straight ways: to the site, its correction and the sweep"""
+    descent_speed_mps: Positive = 2.5
+    """vertical speed of the descent"""
+    obstacle_margin_m: NotNegative = 6.0
+    """vertical clearance above the map on the way to the site"""
+    look_height_m: Positive = 10.0
+    """height above the site of the second look"""
+    look_s: NotNegative = 1.0
+    """hover before each look"""
+    commit_height_m: Positive = 4.0
+    """height above the site at which the site becomes final"""
+    sweep_m: NotNegative = 1.0
+    """half the width of the sweep at ``commit_height_m``"""
+    final_speed_mps: Positive = 0.6
+    """vertical speed below ``commit_height_m``"""
+    final_accel_mps2: Positive = 0.5
+    """vertical acceleration below ``commit_height_m``"""
+    touchdown_speed_mps: Positive = 0.09
+    """vertical speed at the first contact"""
+    classifier: str = "auto"
+    """``auto``: the network that is shipped with the project, if there is one; ``off``: sites are
+    checked by geometry alone; else the path of a network's file"""
+    classifier_min_probability: Fraction = 0.0
+    """probability of a safe class below which a site is refused; 0: the limit in the network's
+    file"""
+    classifier_batch: Count = 3
+    """sites that are classified in one batch; the batch with the first safe one is the last"""
+    classifier_rounds: Count = 4
+    """selections in all where no site is of a safe class"""
+    classifier_patch_m: Positive = 6.4
+    """side of the ground patch around a site that is classified"""
+    classifier_images: Count = 64
+    """largest number of survey images that are kept for classification"""
+    classifier_batch_latency_s: NotNegative = 0.1
+    """simulated compute time of each batch"""
+    classifier_threads: Count = 1
+    """of the processor, for classification"""
+    allow_risky: bool = False
+    """accept roads and roofs too; such a landing is judged by geometry"""
+
+    @property
+    def chosen_selector(self) -> SelectorParams:
+        """That of ``selector``."""
+        return self.zou2024 if self.selector == "zou2024" else self.risk
