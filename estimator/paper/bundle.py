@@ -24,7 +24,11 @@ from touchdown.estimator.filtering.error_state import (
     error_between,
     moved_by,
 )
-from touchdown.estimator.filtering.imu_propagation import cross_into
+from touchdown.estimator.filtering.imu_propagation import (
+    cross_into,
+    rotate_back_into,
+    rotate_into,
+)
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
@@ -56,6 +60,27 @@ class BundleProblem:
 
 
 @njit(cache=True)
+def _eliminate(
+    information: Array, vector: Array, coupling: Array, curvature: Array, slope: Array
+) -> None:
+    """Takes the depths out of the normal equations of the poses. A landmark couples the few poses
+    that see it."""
+    touched = np.empty(vector.shape[0], np.int64)
+    for m in range(coupling.shape[0]):
+        row, count = coupling[m], 0
+        for a in range(row.shape[0]):
+            if row[a] != 0.0:
+                touched[count] = a
+                count += 1
+        for i in range(count):
+            a = touched[i]
+            share = row[a] / curvature[m]
+            vector[a] -= share * slope[m]
+            for n in range(count):
+                information[a, touched[n]] -= share * row[touched[n]]
+
+
+@njit(cache=True)
 def _reduced_system(
     poses: Frames,
     depths: Array,
@@ -82,63 +107,56 @@ def _reduced_system(
     for m in range(count):
         curvature[m] = 1.0 / depth_sigma**2
         slope[m] = (prior_depths[m] - depths[m]) / depth_sigma**2
-    back = np.ascontiguousarray(camera_rotation.T)
-    projection = np.zeros((2, 3))
-    j_observer, j_host = np.zeros((2, 6)), np.zeros((2, 6))
+    ends, j = np.empty(2, np.int64), np.zeros((2, 2 * POSE_DIM))
+    direction, in_host, world, ray = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    in_observer, c, j_depth = np.empty(3), np.empty(3), np.empty(2)
+    of_pixel, in_imu = np.zeros((2, 3)), np.empty((2, 3))
+    in_world, through_host = np.empty((2, 3)), np.empty((2, 3))
     cost = 0.0
     for o in range(landmarks.shape[0]):
         m, k, h = landmarks[o], observers[o], hosts[landmarks[o]]
-        direction = camera_rotation @ rays[m]
-        in_host = direction * depths[m] + camera_position
-        world = rotations[h] @ in_host + positions[h]
-        to_observer = np.ascontiguousarray(rotations[k].T)
-        in_observer = to_observer @ (world - positions[k])
-        c = back @ (in_observer - camera_position)
+        rotate_into(camera_rotation, rays[m], direction)
+        for a in range(3):
+            in_host[a] = direction[a] * depths[m] + camera_position[a]
+        rotate_into(rotations[h], in_host, world)
+        for a in range(3):
+            world[a] += positions[h, a] - positions[k, a]
+        rotate_back_into(rotations[k], world, in_observer)
+        for a in range(3):
+            ray[a] = in_observer[a] - camera_position[a]
+        rotate_back_into(camera_rotation, ray, c)
         if c[2] < 0.05:
             continue
         ru = pixels[o, 0] - (fx * c[0] / c[2] + cx)
         rv = pixels[o, 1] - (fy * c[1] / c[2] + cy)
-        projection[0, 0], projection[0, 2] = fx / c[2], -fx * c[0] / (c[2] * c[2])
-        projection[1, 1], projection[1, 2] = fy / c[2], -fy * c[1] / (c[2] * c[2])
+        of_pixel[0, 0], of_pixel[0, 2] = fx / c[2], -fx * c[0] / (c[2] * c[2])
+        of_pixel[1, 1], of_pixel[1, 2] = fy / c[2], -fy * c[1] / (c[2] * c[2])
         error2 = (ru * ru + rv * rv) / sigmas[o] ** 2
         weight = 1.0 / ((1.0 + error2 / scale**2) * sigmas[o] ** 2)
         cost += scale**2 * np.log(1.0 + error2 / scale**2)
-        in_imu = projection @ back
-        in_world = in_imu @ to_observer
-        through_host = in_world @ rotations[h]
         for a in range(2):
-            cross_into(in_imu[a], in_observer, j_observer[a], ROTATION.start)
-            cross_into(in_host, through_host[a], j_host[a], ROTATION.start)
-        j_observer[:, POSITION], j_host[:, POSITION] = -in_world, in_world
-        j_depth = through_host @ direction
-        at, to = POSE_DIM * k, POSE_DIM * h
-        for a in range(POSE_DIM):
-            ra = j_observer[0, a] * ru + j_observer[1, a] * rv
-            rh = j_host[0, a] * ru + j_host[1, a] * rv
-            vector[at + a] += weight * ra
-            vector[to + a] += weight * rh
-            da = j_observer[0, a] * j_depth[0] + j_observer[1, a] * j_depth[1]
-            dh = j_host[0, a] * j_depth[0] + j_host[1, a] * j_depth[1]
-            coupling[m, at + a] += weight * da
-            coupling[m, to + a] += weight * dh
-            for b in range(POSE_DIM):
-                kk = j_observer[0, a] * j_observer[0, b] + j_observer[1, a] * j_observer[1, b]
-                hh = j_host[0, a] * j_host[0, b] + j_host[1, a] * j_host[1, b]
-                kh = j_observer[0, a] * j_host[0, b] + j_observer[1, a] * j_host[1, b]
-                information[at + a, at + b] += weight * kk
-                information[to + a, to + b] += weight * hh
-                information[at + a, to + b] += weight * kh
-                information[to + b, at + a] += weight * kh
+            rotate_into(camera_rotation, of_pixel[a], in_imu[a])
+            rotate_into(rotations[k], in_imu[a], in_world[a])
+            rotate_back_into(rotations[h], in_world[a], through_host[a])
+            cross_into(in_imu[a], in_observer, j[a], ROTATION.start)
+            cross_into(in_host, through_host[a], j[a], POSE_DIM + ROTATION.start)
+            j_depth[a] = 0.0
+            for b in range(3):
+                j[a, POSITION.start + b] = -in_world[a, b]
+                j[a, POSE_DIM + POSITION.start + b] = in_world[a, b]
+                j_depth[a] += through_host[a, b] * direction[b]
+        ends[0], ends[1] = POSE_DIM * k, POSE_DIM * h
+        for a in range(2 * POSE_DIM):
+            row = ends[a // POSE_DIM] + a % POSE_DIM
+            wu, wv = weight * j[0, a], weight * j[1, a]
+            vector[row] += wu * ru + wv * rv
+            coupling[m, row] += wu * j_depth[0] + wv * j_depth[1]
+            for b in range(2 * POSE_DIM):
+                column = ends[b // POSE_DIM] + b % POSE_DIM
+                information[row, column] += wu * j[0, b] + wv * j[1, b]
         curvature[m] += weight * (j_depth[0] ** 2 + j_depth[1] ** 2)
         slope[m] += weight * (j_depth[0] * ru + j_depth[1] * rv)
-    for m in range(count):
-        row = coupling[m]
-        for a in range(size):
-            if row[a] == 0.0:
-                continue
-            vector[a] -= row[a] * slope[m] / curvature[m]
-            for b in range(size):
-                information[a, b] -= row[a] * row[b] / curvature[m]
+    _eliminate(information, vector, coupling, curvature, slope)
     return information, vector, coupling, curvature, slope, cost
 
 

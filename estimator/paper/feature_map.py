@@ -50,23 +50,33 @@ def _nearest(
     count = points.shape[0]
     found = np.zeros(count, dtype=np.bool_)
     near = np.zeros((count, NEIGHBOURS, 3))
-    distance = np.empty(NEIGHBOURS)
+    distance, gap = np.empty(NEIGHBOURS), np.empty((3, 2 * reach + 1))
     for i in range(count):
-        ix = int(np.floor(points[i, 0] / voxel))
-        iy = int(np.floor(points[i, 1] / voxel))
-        iz = int(np.floor(points[i, 2] / voxel))
-        have = 0
-        for dz in range(-reach, reach + 1):
-            for dy in range(-reach, reach + 1):
-                for dx in range(-reach, reach + 1):
-                    slot = _slot(keys, _pack(ix + dx, iy + dy, iz + dz))
+        first = np.floor(points[i] / voxel) - reach
+        for a in range(3):
+            # least squared distance of the point from each layer of voxels
+            for k in range(2 * reach + 1):
+                face = first[a] + k + (k < reach)
+                gap[a, k] = 0.0 if k == reach else (points[i, a] - face * voxel) ** 2
+        have, worst = 0, np.inf
+        for turn in range(2 * reach + 1):
+            # the layers of the point's own height first
+            kz = reach + (turn + 1) // 2 * (1 if turn % 2 else -1)
+            for ky in range(2 * reach + 1):
+                if gap[2, kz] + gap[1, ky] >= worst:
+                    continue
+                for kx in range(2 * reach + 1):
+                    if gap[2, kz] + gap[1, ky] + gap[0, kx] >= worst:
+                        continue
+                    key = _pack(int(first[0]) + kx, int(first[1]) + ky, int(first[2]) + kz)
+                    slot = _slot(keys, key)
                     if keys[slot] == _EMPTY:
                         continue
                     n = sums[slot, _COUNT]
                     x, y, z = sums[slot, _X] / n, sums[slot, _Y] / n, sums[slot, _Z] / n
                     d2 = (x - points[i, 0]) ** 2
                     d2 += (y - points[i, 1]) ** 2 + (z - points[i, 2]) ** 2
-                    if have == NEIGHBOURS and d2 >= distance[NEIGHBOURS - 1]:
+                    if d2 >= worst:
                         continue
                     at = min(have, NEIGHBOURS - 1)
                     while at > 0 and distance[at - 1] > d2:
@@ -76,6 +86,8 @@ def _nearest(
                     distance[at] = d2
                     near[i, at, 0], near[i, at, 1], near[i, at, 2] = x, y, z
                     have = min(have + 1, NEIGHBOURS)
+                    if have == NEIGHBOURS:
+                        worst = distance[NEIGHBOURS - 1]
         found[i] = have == NEIGHBOURS
     return found, near
 

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import POSITION, ROTATION, error_between, moved_by
-from touchdown.estimator.filtering.imu_propagation import cross_into
+from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into
 from touchdown.estimator.filtering.plane_map import smallest_eigen
 from touchdown.estimator.paper.feature_map import FeatureMap
 from touchdown.sim.frames import Pose
@@ -68,15 +68,27 @@ class ScanPose:
 @njit(cache=True)
 def edge_distance(point: Array, first: Array, last: Array) -> float:
     """Eq. 10, d_eps: distance of ``point`` from the line through p_1 and p_k, each (3,)."""
-    cross = np.cross(point - first, point - last)
-    return np.sqrt(np.sum(cross**2)) / np.sqrt(np.sum((first - last) ** 2))
+    square, length2 = 0.0, 0.0
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        cross = (point[b] - first[b]) * (point[c] - last[c])
+        cross -= (point[c] - first[c]) * (point[b] - last[b])
+        square += cross * cross
+        length2 += (first[a] - last[a]) ** 2
+    return np.sqrt(square / length2)
 
 
 @njit(cache=True)
 def plane_distance(point: Array, first: Array, middle: Array, last: Array) -> float:
     """Eq. 10, d_H: signed distance of ``point`` from the plane of p_1, p_k/2 and p_k, each (3,)."""
-    normal = np.cross(middle - last, middle - first)
-    return np.sum((point - first) * normal) / np.sqrt(np.sum(normal**2))
+    total, length2 = 0.0, 0.0
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        normal = (middle[b] - last[b]) * (middle[c] - first[c])
+        normal -= (middle[c] - last[c]) * (middle[b] - first[b])
+        total += (point[a] - first[a]) * normal
+        length2 += normal * normal
+    return total / np.sqrt(length2)
 
 
 @njit(cache=True)
@@ -84,23 +96,22 @@ def neighbourhood_shapes(near: Array, found: Mask) -> tuple[Mask, Mask]:
     """Masks (N,) of the neighbourhoods (N, 5, 3) that are lines (largest eigenvalue of the
     covariance three times the second) and that are planes (smallest three times below the
     second)."""
-    count = near.shape[0]
+    count, k = near.shape[0], near.shape[1]
     lines = np.zeros(count, dtype=np.bool_)
     planes = np.zeros(count, dtype=np.bool_)
-    cov = np.empty((3, 3))
+    cov, mean = np.empty((3, 3)), np.empty(3)
     for i in range(count):
         if not found[i]:
             continue
-        k = near.shape[1]
-        mean = np.zeros(3)
-        for j in range(k):
-            mean += near[i, j] / k
-        cov[:] = 0.0
-        for j in range(k):
-            d = near[i, j] - mean
-            for a in range(3):
-                for b in range(3):
-                    cov[a, b] += d[a] * d[b] / k
+        for a in range(3):
+            mean[a] = 0.0
+            for j in range(k):
+                mean[a] += near[i, j, a] / k
+        for a in range(3):
+            for b in range(3):
+                cov[a, b] = 0.0
+                for j in range(k):
+                    cov[a, b] += (near[i, j, a] - mean[a]) * (near[i, j, b] - mean[b]) / k
         low, mid, high, _, _, _ = smallest_eigen(cov)
         lines[i] = high > EIGENVALUE_RATIO * mid
         planes[i] = mid > EIGENVALUE_RATIO * max(low, 1e-9)
@@ -124,14 +135,17 @@ def _distances(points: Array, near: Array, is_edge: Mask) -> Array:
 @njit(cache=True)
 def _axes(near: Array, is_edge: Mask) -> Array:
     """(N, 3) unit directions of the lines and normals of the planes."""
-    out = np.empty((near.shape[0], 3))
+    out, a, b = np.empty((near.shape[0], 3)), np.empty(3), np.empty(3)
     last = near.shape[1] - 1
     middle = near.shape[1] // 2
     for i in range(near.shape[0]):
-        axis = near[i, last] - near[i, 0]
+        for c in range(3):
+            out[i, c] = near[i, last, c] - near[i, 0, c]
+            a[c] = near[i, middle, c] - near[i, last, c]
+            b[c] = near[i, middle, c] - near[i, 0, c]
         if not is_edge[i]:
-            axis = np.cross(near[i, middle] - near[i, last], near[i, middle] - near[i, 0])
-        out[i] = axis / np.sqrt(np.sum(axis**2))
+            cross_into(a, b, out[i], 0)
+        out[i] /= np.sqrt(out[i, 0] ** 2 + out[i, 1] ** 2 + out[i, 2] ** 2)
     return out
 
 
@@ -151,7 +165,7 @@ def _normal_equations(
     across it, which, unlike the distance, has a derivative on the line.
     """
     information, vector = np.zeros((6, 6)), np.zeros(6)
-    row, offset, direction = np.zeros(6), np.zeros(3), np.zeros(3)
+    row, offset, direction, turned = np.zeros(6), np.zeros(3), np.zeros(3), np.zeros(3)
     for i in range(local.shape[0]):
         q, axis = local[i], axes[i]
         along, square = 0.0, 0.0
@@ -173,11 +187,13 @@ def _normal_equations(
                 residual = offset[c] - along * axis[c]
             for k in range(3):
                 row[POSITION.start + k] = direction[k]
-            cross_into(q, np.ascontiguousarray(rotation.T) @ direction, row, ROTATION.start)
+            rotate_back_into(rotation, direction, turned)
+            cross_into(q, turned, row, ROTATION.start)
             for a in range(6):
-                vector[a] -= weight * row[a] * residual
+                scaled = weight * row[a]
+                vector[a] -= scaled * residual
                 for b in range(6):
-                    information[a, b] += weight * row[a] * row[b]
+                    information[a, b] += scaled * row[b]
     return information, vector
 
 
@@ -186,11 +202,16 @@ def _flat_triangles(near: Array) -> Mask:
     """Mask (N,) of the neighbourhoods (N, 5, 3) whose p_1, p_k/2 and p_k span a plane."""
     out = np.zeros(near.shape[0], dtype=np.bool_)
     last, middle = near.shape[1] - 1, near.shape[1] // 2
+    a, b, cross = np.empty(3), np.empty(3), np.empty(3)
     for i in range(near.shape[0]):
-        a = near[i, middle] - near[i, last]
-        b = near[i, middle] - near[i, 0]
-        cross2 = np.sum(np.cross(a, b) ** 2)
-        out[i] = cross2 > _LEAST_SINE**2 * np.sum(a * a) * np.sum(b * b) and cross2 > 1e-12
+        cross2, a2, b2 = 0.0, 0.0, 0.0
+        for c in range(3):
+            a[c] = near[i, middle, c] - near[i, last, c]
+            b[c] = near[i, middle, c] - near[i, 0, c]
+        cross_into(a, b, cross, 0)
+        for c in range(3):
+            cross2, a2, b2 = cross2 + cross[c] ** 2, a2 + a[c] ** 2, b2 + b[c] ** 2
+        out[i] = cross2 > _LEAST_SINE**2 * a2 * b2 and cross2 > 1e-12
     return out
 
 

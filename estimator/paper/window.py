@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,21 +10,13 @@ from numpy.typing import NDArray
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.paper.bundle import BundleProblem, Observations, adjust
-from touchdown.estimator.paper.visual_map import MapKeyframe, Sightings
+from touchdown.estimator.paper.visual_map import MapKeyframe, Sightings, by_host, joined
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
 _PRIOR_SIGMAS = np.array([1e-3, 1e-3, 5e-3, 0.3, 0.3, 0.02])
 """rad and m: tilt and height as LIDAR and gravity have them, the rest nearly free"""
-
-
-class LandmarkKey(NamedTuple):
-    """Identifies a landmark of the visual map."""
-
-    host: int
-    kind: int
-    landmark: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,60 +34,50 @@ def build_problem(
     camera: MountedCamera,
     sigmas_px: Array,
     first_free: int,
-) -> tuple[BundleProblem, list[LandmarkKey]] | None:
-    """Returns the problem of ``window`` (oldest first) and the newest image, and the keys of its
-    landmarks; None if nothing ties the poses.
+) -> tuple[BundleProblem, Sightings] | None:
+    """Returns the problem of ``window`` (oldest first) and the newest image, and its landmarks, one
+    sighting of each; None if nothing ties the poses.
 
     Hosts outside the window join it with fixed poses. ``sigmas_px`` (2,) by kind. Keyframes with an
     index below ``first_free`` in the window are fixed.
     """
-    inside = {keyframe.number for keyframe in window}
-    views = [(k.number, k.sightings) for k in window] + [(-1, newest.sightings)]
-    rows = [
-        (LandmarkKey(int(h), int(kind), int(i)), observer, n)
-        for observer, (_, seen) in enumerate(views)
-        for n, (h, kind, i) in enumerate(zip(seen.hosts, seen.kinds, seen.indices, strict=True))
-        if int(h) in known
-    ]
-    if len(rows) < 20:
+    views = [*(keyframe.sightings for keyframe in window), newest.sightings]
+    seen, view = joined(views), np.repeat(np.arange(len(views)), [len(one) for one in views])
+    usable = np.isin(seen.hosts, list(known))
+    seen, view = seen.select(usable), view[usable]
+    if len(seen) < 20:
         return None
-    outside = sorted({key.host for key, _, _ in rows} - inside)
+    order = np.lexsort((view, seen.indices, seen.kinds, seen.hosts))
+    seen, view = seen.select(order), view[order]
+    labels = np.column_stack([seen.hosts, seen.kinds, seen.indices])
+    first = np.concatenate([[True], (labels[1:] != labels[:-1]).any(axis=1)])
+    inside = [keyframe.number for keyframe in window]
+    outside = np.setdiff1d(seen.hosts, inside).tolist()
     fixed = [known[number] for number in outside] + window[:first_free]
     free = window[first_free:]
-    numbers = [k.number for k in fixed + free] + [-1]
-    place = {number: at for at, number in enumerate(numbers)}
-    rows.sort()
-    keys: list[LandmarkKey] = []
-    landmarks, observers, pixels, sigmas = [], [], [], []
-    for key, observer, n in rows:
-        if not keys or keys[-1] != key:
-            keys.append(key)
-        number, seen = views[observer]
-        landmarks.append(len(keys) - 1)
-        observers.append(place[number])
-        pixels.append(seen.pixels[n])
-        sigmas.append(sigmas_px[key.kind])
-    camera_from_imu = camera.imu_from_camera.inverse()
-    sets = [known[host].landmarks[kind] for host, kind, _ in keys]
-    points = np.array([s.points[key.landmark] for s, key in zip(sets, keys, strict=True)])
-    depths = camera_from_imu.apply(points)[:, 2]
-    first_pixels = np.array([s.pixels[key.landmark] for s, key in zip(sets, keys, strict=True)])
-    priors = np.array([s.depths[key.landmark] for s, key in zip(sets, keys, strict=True)])
+    places = {keyframe.number: at for at, keyframe in enumerate(fixed + free)}
+    landmarks = seen.select(first)
+    points, pixels = np.empty((len(landmarks), 3)), np.empty((len(landmarks), 2))
+    priors = np.empty(len(landmarks))
+    for mine, source in by_host(landmarks, known):
+        at = landmarks.indices[mine]
+        points[mine], pixels[mine] = source.points[at], source.pixels[at]
+        priors[mine] = source.depths[at]
     problem = BundleProblem(
         poses=[k.odom_from_imu for k in fixed + free] + [newest.pose],
         fixed=len(fixed),
-        depths=depths,
+        depths=camera.imu_from_camera.inverse().apply(points)[:, 2],
         seen=Observations(
-            hosts=np.array([place[host] for host, _, _ in keys]),
-            rays=bearing_rays(first_pixels, camera.intrinsics),
+            hosts=np.array([places[host] for host in landmarks.hosts.tolist()]),
+            rays=bearing_rays(pixels, camera.intrinsics),
             prior_depths=priors,
-            landmarks=np.array(landmarks),
-            observers=np.array(observers),
-            pixels=np.array(pixels),
-            sigmas_px=np.array(sigmas),
+            landmarks=np.cumsum(first) - 1,
+            observers=np.array([*(places[n] for n in inside), len(places)])[view],
+            pixels=seen.pixels,
+            sigmas_px=sigmas_px[seen.kinds],
         ),
     )
-    return problem, keys
+    return problem, landmarks
 
 
 def adjust_window(
@@ -113,7 +94,7 @@ def adjust_window(
     built = build_problem(window, newest, known, camera, sigmas_px, first_free)
     if built is None or len(window) <= first_free:
         return newest.pose
-    problem, keys = built
+    problem, landmarks = built
     poses, depths = adjust(
         problem, camera.imu_from_camera, camera.intrinsics, depth_sigma_m=depth_sigma_m,
         prior_sigmas=_PRIOR_SIGMAS,
@@ -122,6 +103,7 @@ def adjust_window(
         moved = keyframe.odom_from_imu.inverse() @ pose
         keyframe.map_from_imu = keyframe.map_from_imu @ moved
         keyframe.odom_from_imu = pose
-    for (host, kind, index), ray, depth in zip(keys, problem.seen.rays, depths, strict=True):
-        known[host].landmarks[kind].points[index] = camera.imu_from_camera.apply(ray * depth)
+    points = camera.imu_from_camera.apply(problem.seen.rays * depths[:, None])
+    for mine, source in by_host(landmarks, known):
+        source.points[landmarks.indices[mine]] = points[mine]
     return poses[-1]
