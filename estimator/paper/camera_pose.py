@@ -43,6 +43,8 @@ _LEAST_CLOSURE = 25
 _LEAST_AGREEMENT = 0.5
 """of the landmarks found, for a closure"""
 _MOST_CANDIDATES = 2
+_QUERY_PERIOD_S = 1.0
+"""between keyframes that the dictionary holds and is asked about: the rate of RTAB-Map"""
 _CLOSURE_RADIUS_PX = 40.0
 _LEAST_SCALE = 0.7
 _CLOSURE_GUESS_SIGMAS = np.array([0.003, 0.003, 0.05, 2.0, 2.0, 0.2])
@@ -78,7 +80,7 @@ class CameraPositioning:
         self._map = VisualMap(rig.camera, inertial.imu_from_camera)
         rate = float(np.radians(params.closure_rate_deg_s))
         self._closures = Closures(params.closure_speed_mps, rate)
-        self._last_tick = -(10**9)
+        self._last_tick = self._asked_tick = -(10**9)
         self._last_position = inertial.eskf.state.position
         self._next_number = 0
         self.failed = 0
@@ -255,7 +257,10 @@ class CameraPositioning:
     ) -> None:
         """Queries the dictionary with the new keyframe and adds closures to old ones that PnP
         confirms."""
-        words = self._closures.words(features)
+        words = np.zeros(0, dtype=np.int64)
+        if self._last_tick - self._asked_tick >= _QUERY_PERIOD_S * self._rig.tick_hz:
+            self._asked_tick = self._last_tick
+            words = self._closures.words(features)
         recent = self._map.keyframes[-self._params.recent_keyframes - 1 :]
         young = {k.number for k in recent}
         # a large change of scale magnifies the depth errors of landmarks

@@ -71,7 +71,10 @@ class PaperEstimator:
     def _take(self, message: LidarScan | CameraImage) -> None:
         if isinstance(message, LidarScan):
             tick = message.end_tick
-            image = nearest_image(list(self._images), tick, self._rig.lidar_scan_ticks)
+            apart = self._rig.lidar_scan_ticks
+            # edge energy is the largest cost: one serves two scans
+            known = [image for image in self._images if image.tick == self._energy[0]]
+            image = nearest_image(known, tick, apart) or nearest_image(self._images, tick, apart)
             energy = None
             if image is not None and self._params.use_colour_smoothness:
                 energy = self._energy_of(image)

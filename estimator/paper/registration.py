@@ -20,6 +20,8 @@ Mask = NDArray[np.bool_]
 EIGENVALUE_RATIO = 3.0
 _FIRST_STEPS = 2
 _KEPT_SHARE = 0.8
+_SAME_NEIGHBOURS_M = 0.02
+"""displacement of the scan's outermost points up to which their neighbours are not sought again"""
 _LEAST_SINE = 0.25
 """of the angle between two sides of the three plane points, below which they are one line"""
 
@@ -265,6 +267,8 @@ def register_scan(
     converged = False
     local, near, is_edge = np.empty((0, 3)), np.empty((0, 5, 3)), np.empty(0, dtype=np.bool_)
     axes = np.empty((0, 3))
+    every = np.concatenate([features.edges, features.planes, np.zeros((1, 3))])
+    extent = np.array([every.min(axis=0), every.max(axis=0)])
 
     def step(pose: Pose) -> tuple[Pose, float]:
         information, vector = _normal_equations(
@@ -289,7 +293,8 @@ def register_scan(
             pose, size = step(pose)
             if size < 1e-5:
                 break
-        converged = float(np.abs(error_between(start, pose)).max()) < 5e-4
+        moved = np.abs(pose.apply(extent) - start.apply(extent)).max()
+        converged = bool(moved < _SAME_NEIGHBOURS_M)
         if converged:
             break
     information, vector = _normal_equations(

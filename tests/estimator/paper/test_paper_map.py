@@ -137,7 +137,7 @@ def test_a_revisit_closes_the_loop() -> None:
     places = ((0.0, 0.0), (0.0, 9.0), (7.0, 9.0), (0.0, 0.0))
     for number, xy in enumerate(places):
         body = Pose(np.eye(3), np.array([*xy, START_Z]))
-        image = image_from(body, 60 * number)
+        image = image_from(body, 600 * number)
         odom = body.translation + RIG.body_from_imu.translation + [0.02 * (number == 3), 0.0, 0.0]
         eskf.state = dataclasses.replace(eskf.state, position=odom)
         camera.take(image, NO_EDGES)
@@ -161,7 +161,7 @@ def test_a_new_keyframe_continues_the_closed_map() -> None:
     offset = Pose(so3_exp(np.array([0.0, 0.0, 0.1])), np.array([0.5, -0.2, 0.0]))
     for number, x in enumerate((0.0, 3.0)):
         body = Pose(np.eye(3), np.array([x, 0.0, START_Z]))
-        image = image_from(body, 60 * number)
+        image = image_from(body, 600 * number)
         eskf.state = dataclasses.replace(
             eskf.state, position=body.apply(RIG.body_from_imu.translation)
         )
