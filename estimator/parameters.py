@@ -195,7 +195,7 @@ class PaperParams(EstimatorParams):
     """standard deviation of a point-to-line distance"""
     plane_sigma_m: NotNegative = 0.04
     """standard deviation of a point-to-plane distance"""
-    keyframe_distance_m: NotNegative = 2.0
+    keyframe_distance_m: NotNegative = 3.0
     """distance after which an image is matched with the map"""
     keyframe_period_s: Positive = 0.5
     """images further apart than either are matched to the map"""

@@ -124,7 +124,9 @@ class Closures:
         length = float(np.sqrt(gap @ gap))
         here = here + gap * min(1.0, self._speed * seconds / max(length, 1e-12))
         arrived = length <= self._speed * seconds and abs(yaw_error) <= limit
-        self.world_from_odom = target if arrived else Pose(rotation, here - rotation @ position_odom)
+        self.world_from_odom = (
+            target if arrived else Pose(rotation, here - rotation @ position_odom)
+        )
         return self.world_from_odom
 
 

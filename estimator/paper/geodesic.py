@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
+Real = float | np.float32
 
 STEP_ENERGY = np.float32(0.02)
 """energy of a pixel without any edge: keeps paths short where the energy is zero, so that the
@@ -27,7 +28,7 @@ _LEAST_WEIGHT = 0.4
 
 
 @njit(cache=True)
-def path_energy(energy_a: float, energy_b: float, step: float) -> float:
+def path_energy(energy_a: Real, energy_b: Real, step: Real) -> Real:
     """The integral of Eq. 8 along one step between neighbouring pixels (trapezium rule)."""
     return step * (np.float32(0.5) * (energy_a + energy_b) + STEP_ENERGY)
 
@@ -75,7 +76,10 @@ def _through(
     step = np.float32(1.0) if shift == 0 else np.float32(_DIAGONAL)
     first, end = max(0, -shift), energy.shape[1] - max(0, shift)
     here, there = energy[row, first:end], energy[passed, first + shift : end + shift]
-    before, source = distance[passed, first + shift : end + shift], label[passed, first + shift : end + shift]
+    before, source = (
+        distance[passed, first + shift : end + shift],
+        label[passed, first + shift : end + shift],
+    )
     own, mark = distance[row, first:end], label[row, first:end]
     for c in range(end - first):
         length = before[c] + path_energy(here[c], there[c], step)
