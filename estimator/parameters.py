@@ -69,9 +69,53 @@ class EstimatorParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LivoParams(FlownImuParams):
+class CalibratedParams(EstimatorParams):
+    """Online calibration. Errors of the given calibration are part of the filter's state."""
+
+    use_calibration: bool = True
+    """the LIDAR's mount, the lens and the camera's clock are estimated online"""
+    calibrate_above_m: NotNegative = 15.0
+    """height above ground from which mount and lens are estimated; lower, the range noise is a
+    large share of a depth, and its effect on a keyframe would be attributed to the calibration"""
+    scan_calibration_gain: Fraction = 1.0
+    """share of its correction that a scan applies to mounts and lens (partial-update Schmidt-Kalman
+    filter, Brink 2017); 0: they only widen the covariance"""
+    image_calibration_gain: Fraction = 0.0
+    """the same of an image"""
+    mount_rotation_sigma_deg: NotNegative = 0.03
+    """prior of the calibration errors: LIDAR relative to camera and IMU"""
+    mount_translation_sigma_m: NotNegative = 0.003
+    """the same of the translation"""
+    focal_sigma: NotNegative = 5e-4
+    """the same of the focal length, relative"""
+    center_sigma_px: NotNegative = 0.1
+    """the same of the principal point"""
+    camera_clock_sigma_s: NotNegative = 0.005
+    """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
+    camera_rotation_sigma_deg: NotNegative = 0.0
+    """prior of the calibration errors: camera relative to the IMU"""
+    camera_translation_sigma_m: NotNegative = 0.0
+    """the same of the translation"""
+    imu_scale_sigma: NotNegative = 0.0
+    """prior of the relative scale errors of gyroscope and accelerometer"""
+    gyro_misalignment_sigma_deg: NotNegative = 0.0
+    """prior of the misalignment of each axis of the gyroscope towards each of the two others"""
+    gyro_g_sigma: NotNegative = 0.0
+    """prior of the gyroscope's response to specific force, rad/s per m/s^2"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LivoParams(CalibratedParams):
     """LIDAR-inertial-visual odometry (``estimator/livo/estimator.py``)."""
 
+    gyro_density: NotNegative = 0.0
+    """as in ``FlownImuParams``"""
+    accel_density: NotNegative = 0.0
+    """as in ``FlownImuParams``"""
+    gyro_bias_walk: NotNegative = 0.0
+    """as in ``FlownImuParams``"""
+    accel_bias_walk: NotNegative = 0.0
+    """as in ``FlownImuParams``"""
     camera_hz: Count = 10
     """image rate; a divisor of the camera's clock"""
     voxel_m: Positive = 1.0
@@ -108,36 +152,6 @@ class LivoParams(FlownImuParams):
     loose: bool = False
     """loose coupling: each sensor measures the pose against a map without errors; if false, pose
     and map are estimated jointly"""
-    use_calibration: bool = True
-    """the LIDAR's mount, the lens and the camera's clock are estimated online"""
-    calibrate_above_m: NotNegative = 15.0
-    """height above ground from which mount and lens are estimated; lower, the range noise is a
-    large share of a depth, and its effect on a keyframe would be attributed to the calibration"""
-    scan_calibration_gain: Fraction = 1.0
-    """share of its correction that a scan applies to mounts and lens (partial-update Schmidt-Kalman
-    filter, Brink 2017); 0: they only widen the covariance"""
-    image_calibration_gain: Fraction = 0.0
-    """the same of an image"""
-    mount_rotation_sigma_deg: NotNegative = 0.03
-    """prior of the calibration errors: LIDAR relative to camera and IMU"""
-    mount_translation_sigma_m: NotNegative = 0.003
-    """the same of the translation"""
-    focal_sigma: NotNegative = 5e-4
-    """the same of the focal length, relative"""
-    center_sigma_px: NotNegative = 0.1
-    """the same of the principal point"""
-    camera_clock_sigma_s: NotNegative = 0.005
-    """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
-    camera_rotation_sigma_deg: NotNegative = 0.0
-    """prior of the calibration errors: camera relative to the IMU"""
-    camera_translation_sigma_m: NotNegative = 0.0
-    """the same of the translation"""
-    imu_scale_sigma: NotNegative = 0.0
-    """prior of the relative scale errors of gyroscope and accelerometer"""
-    gyro_misalignment_sigma_deg: NotNegative = 0.0
-    """prior of the misalignment of each axis of the gyroscope towards each of the two others"""
-    gyro_g_sigma: NotNegative = 0.0
-    """prior of the gyroscope's response to specific force, rad/s per m/s^2"""
     use_degeneracy: bool = True
     """scans do not correct degenerate directions, such as lateral motion over level ground"""
     weak_sigma_m: NotNegative = 0.1
@@ -154,12 +168,10 @@ class LivoParams(FlownImuParams):
     """corners of a keyframe"""
     pixel_sigma: NotNegative = 0.3
     """standard deviation of a tracked corner, its landmark's error included"""
-    correction_time_s: NotNegative = 0.15
-    """a correction of the filter reaches control over this time"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PaperParams(EstimatorParams):
+class PaperParams(CalibratedParams):
     """LIDAR-camera positioning of Zou, Sun and Kong 2024 (``estimator/paper``)."""
 
     camera_hz: Count = 10

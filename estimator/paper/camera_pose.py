@@ -19,6 +19,8 @@ from touchdown.estimator.paper.closures import Closures
 from touchdown.estimator.paper.depth_field import DepthField
 from touchdown.estimator.paper.landmarks import Features, LandmarkDetector
 from touchdown.estimator.paper.pnp import CameraPose, solve_pnp
+from touchdown.estimator.paper.registration import FeatureMaps
+from touchdown.estimator.paper.relative_pose import ImageModel, update_with_image
 from touchdown.estimator.paper.visual_map import (
     LandmarkSet,
     MapKeyframe,
@@ -68,8 +70,9 @@ class CameraPositioning:
     """Visual map and the correction of the filter by the images of keyframes."""
 
     def __init__(
-        self, rig: SensorRig, params: PaperParams, inertial: InertialFilter, recent: RecentReturns
-    ) -> None:
+        self, rig: SensorRig, params: PaperParams, inertial: InertialFilter, recent: RecentReturns,
+        maps: FeatureMaps | None = None,
+    ) -> None:  # fmt: skip
         self._rig = rig
         self._params = params
         self._filter = inertial
@@ -79,6 +82,12 @@ class CameraPositioning:
         self._shutter = ShutterModel(rig)
         self._map = VisualMap(rig.camera, inertial.imu_from_camera)
         rate = float(np.radians(params.closure_rate_deg_s))
+        self._maps = maps
+        self._model = ImageModel(
+            MountedCamera(rig.camera, inertial.imu_from_camera),
+            (rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
+            self._sigmas(np.arange(2)), params.depth_sigma_m,
+        )  # fmt: skip
         self._closures = Closures(params.closure_speed_mps, rate)
         self._last_tick = self._asked_tick = -(10**9)
         self._last_position = inertial.eskf.state.position
@@ -102,17 +111,18 @@ class CameraPositioning:
         found = self._detector(grey)
         twist = self._filter.camera_twist(image)
         features = self._at_one_instant(found[0], twist), self._at_one_instant(found[1], twist)
+        self._follow_clones()
         sightings, behind, solved = self._localise(features)
         corrected = False
         if solved is not None:
             sightings = sightings.select(solved.inliers)
-            pose = self._adjust(solved.pose, sightings)
             if self._params.use_camera_pose:
-                seen = self._map.positions(
-                    sightings, self._odom_frames(sightings), self._map.by_number()
-                )
-                information = with_common_errors(solved.information, pose, seen.mean(axis=0))
-                self._filter.correct(pose, information, np.zeros(6))
+                eskf, height = self._filter.eskf, self._map.keyframes[-1].depth_m
+                share = self._params.image_calibration_gain
+                share *= height >= self._params.calibrate_above_m
+                update_with_image(eskf, self._model, self._cloned(), sightings, share)
+                self._filter.trail.follow(eskf.state)
+                self._follow_clones()
                 corrected = True
         else:
             self.failed += bool(self._map.keyframes)
@@ -152,6 +162,29 @@ class CameraPositioning:
             self._map.by_number(), MountedCamera(self._rig.camera, self._imu_from_camera),
             np.sqrt(2.0) * self._sigmas(np.arange(2)), self._params.depth_sigma_m,
         )  # fmt: skip
+
+    def _cloned(self) -> list[MapKeyframe]:
+        """The newest keyframes, which are the filter's clones."""
+        keyframes = self._map.keyframes
+        return keyframes[len(keyframes) - len(self._filter.eskf.clones) :]
+
+    def _follow_clones(self) -> None:
+        """Moves the newest keyframes to the filter's estimate of them."""
+        for keyframe, pose in zip(self._cloned(), self._filter.eskf.clones, strict=True):
+            moved = keyframe.odom_from_imu.inverse() @ pose
+            keyframe.map_from_imu = keyframe.map_from_imu @ moved
+            keyframe.odom_from_imu = pose
+
+    def _clone(self, keyframe: MapKeyframe) -> None:
+        """Makes a new keyframe a clone of the filter; the oldest clone ends."""
+        eskf = self._filter.eskf
+        if len(eskf.clones) >= self._params.recent_keyframes:
+            if self._maps is not None:
+                self._maps.hand_over(0, eskf)
+            eskf.remove_clone(0)
+        eskf.add_clone(self._model.own_covariance(eskf, keyframe))
+        if self._maps is not None:
+            self._maps.anchors.add(keyframe.odom_from_imu, eskf.state.calibration)
 
     def _odom_frames(self, sightings: Sightings) -> dict[int, Pose]:
         known = self._map.by_number()
@@ -225,10 +258,12 @@ class CameraPositioning:
         if newest is not None:
             in_map = newest.map_from_imu @ newest.odom_from_imu.inverse() @ pose
         keyframe = MapKeyframe(
-            self._next_number, pose, in_map, depth_m, (sets[0], sets[1]), sightings
-        )
+            self._next_number, pose, in_map, depth_m, (sets[0], sets[1]), sightings,
+            self._filter.eskf.twist, self._filter.eskf.state.calibration,
+        )  # fmt: skip
         self._next_number += 1
         self._map.keyframes.append(keyframe)
+        self._clone(keyframe)
         if self._params.use_closures:
             self._close_loops(keyframe, features, newest)
         self._forget()

@@ -13,6 +13,7 @@ from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.intake import Intake
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.undistortion import Undistorter
+from touchdown.estimator.livo.online_calibration import prior_sigmas
 from touchdown.estimator.paper.camera_pose import CameraPositioning
 from touchdown.estimator.paper.depth_field import half_size_energy
 from touchdown.estimator.paper.lidar_pose import LidarPositioning
@@ -30,11 +31,15 @@ class PaperEstimator:
         self._rig = rig
         self._params = params = params or PaperParams()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, lidar=True)
-        self._filter = InertialFilter(rig, params.correction_time_s)
+        self._filter = InertialFilter(
+            rig, params.correction_time_s, calibration_sigmas=prior_sigmas(params)
+        )
         self._edges = edge_detector(params.edge_model)
         self._recent = RecentReturns(scans=15, per_scan=8000)
         self._lidar = LidarPositioning(rig, params, self._filter, self._recent)
-        self._camera = CameraPositioning(rig, params, self._filter, self._recent)
+        self._camera = CameraPositioning(
+            rig, params, self._filter, self._recent, self._lidar.maps
+        )
         self._undistort = Undistorter(rig)
         self._images: deque[CameraImage] = deque(maxlen=3)
         self._energy: tuple[int, NDArray[np.float32]] = (-1, np.zeros((0, 0), np.float32))

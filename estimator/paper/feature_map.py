@@ -2,25 +2,64 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import Frame, Frames
+from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.plane_map import _EMPTY, _pack, _slot
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
 NEIGHBOURS = 5
 """k of Algorithm 1"""
 
-_COUNT, _X, _Y, _Z = range(4)
-"""of a voxel: number of points and sums of their coordinates"""
+_COUNT, _X, _Y, _Z, _SENSOR = range(5)
+_COLUMNS = 7
+"""of a voxel: number of points, sums of their coordinates, and the position (3,) that it was first
+seen from"""
+
+
+_NO_OWNER = -1
+
+
+class Voxels(NamedTuple):
+    """The S slots of the hash table, as kernels take them."""
+
+    keys: NDArray[np.int64]  # (S,)
+    sums: Array  # (S, 7)
+    owners: NDArray[np.int64]  # (S,) clone of the filter that a voxel belongs to; -1: none
+
+
+class Seen(NamedTuple):
+    """Circumstances of new points."""
+
+    sensor: Array  # (3,) m, odom frame
+    owner: int  # of new voxels
+    moves: Frames  # that move points to where the owners' voxels are kept
+
+
+class Nearest(NamedTuple):
+    """The five nearest centroids of N points, nearest first."""
+
+    found: NDArray[np.bool_]  # (N,)
+    near: Array  # (N, 5, 3)
+    owners: NDArray[np.int64]  # (N,) of the nearest
+    sensors: Array  # (N, 3) m, where the nearest was first seen from
+
+
+_NOWHERE = Seen(np.zeros(3), _NO_OWNER, Frames.of([]))
 
 
 @njit(cache=True)
 def _insert(
-    keys: NDArray[np.int64], sums: Array, used: int, points: Array, voxel: float, max_count: int
+    voxels: Voxels, used: int, points: Array, seen: Seen, voxel: float, max_count: int
 ) -> int:
+    keys, sums, owners = voxels
     limit = int(0.7 * keys.shape[0])
     for i in range(points.shape[0]):
         key = _pack(
@@ -32,24 +71,52 @@ def _insert(
         if keys[slot] == _EMPTY:
             if used >= limit:
                 continue
-            keys[slot] = key
+            keys[slot], owners[slot] = key, seen.owner
+            sums[slot, _SENSOR:] = seen.sensor
             used += 1
         if sums[slot, _COUNT] >= max_count:
             continue
         sums[slot, _COUNT] += 1.0
+        k = owners[slot]
         for c in range(3):
-            sums[slot, _X + c] += points[i, c]
+            if k < 0:
+                sums[slot, _X + c] += points[i, c]
+                continue
+            sums[slot, _X + c] += seen.moves.translations[k, c]
+            for a in range(3):
+                sums[slot, _X + c] += seen.moves.rotations[k, c, a] * points[i, a]
     return used
 
 
 @njit(cache=True)
-def _nearest(
-    keys: NDArray[np.int64], sums: Array, points: Array, voxel: float, reach: int
-) -> tuple[NDArray[np.bool_], Array]:
+def _reassign(voxels: Voxels, gone: int, successor: int, move: Frame) -> None:
+    """Gives the voxels of owner ``gone`` to ``successor``, moved by ``move``. Owners behind
+    ``gone`` count one less."""
+    keys, sums, owners = voxels
+    centre, sensor = np.empty(3), np.empty(3)
+    for slot in range(keys.shape[0]):
+        k = owners[slot]
+        if keys[slot] == _EMPTY or k < gone:
+            continue
+        if k == gone:
+            row = sums[slot]
+            rotate_into(move.rotation, row[_X : _X + 3], centre)
+            rotate_into(move.rotation, row[_SENSOR : _SENSOR + 3], sensor)
+            for a in range(3):
+                row[_X + a] = centre[a] + row[_COUNT] * move.translation[a]
+                row[_SENSOR + a] = sensor[a] + move.translation[a]
+            k = successor
+        owners[slot] = k - 1 if k > gone else k
+
+
+@njit(cache=True)
+def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int) -> Nearest:
     """The five nearest centroids of each point among the voxels around its own."""
+    keys, sums, owners = voxels
     count = points.shape[0]
     found = np.zeros(count, dtype=np.bool_)
     near = np.zeros((count, NEIGHBOURS, 3))
+    whose, sensors = np.full(count, _NO_OWNER, np.int64), np.zeros((count, 3))
     distance, gap = np.empty(NEIGHBOURS), np.empty((3, 2 * reach + 1))
     for i in range(count):
         first = np.floor(points[i] / voxel) - reach
@@ -85,11 +152,13 @@ def _nearest(
                         at -= 1
                     distance[at] = d2
                     near[i, at, 0], near[i, at, 1], near[i, at, 2] = x, y, z
+                    if at == 0:
+                        whose[i], sensors[i] = owners[slot], sums[slot, _SENSOR:]
                     have = min(have + 1, NEIGHBOURS)
                     if have == NEIGHBOURS:
                         worst = distance[NEIGHBOURS - 1]
         found[i] = have == NEIGHBOURS
-    return found, near
+    return Nearest(found, near, whose, sensors)
 
 
 class FeatureMap:
@@ -108,16 +177,22 @@ class FeatureMap:
         self.max_points = max_points
         self.reach = reach
         self.used = 0
-        self._keys = np.full(capacity, _EMPTY, dtype=np.int64)
-        self._sums = np.zeros((capacity, 4))
+        self._voxels = Voxels(
+            np.full(capacity, _EMPTY, dtype=np.int64), np.zeros((capacity, _COLUMNS)),
+            np.full(capacity, _NO_OWNER, dtype=np.int64),
+        )  # fmt: skip
 
-    def insert(self, points_odom: Array) -> None:
+    def insert(self, points_odom: Array, seen: Seen = _NOWHERE) -> None:
         """Adds (N, 3) points."""
         self.used = _insert(
-            self._keys, self._sums, self.used, points_odom, self.voxel_m, self.max_points
+            self._voxels, self.used, points_odom, seen, self.voxel_m, self.max_points
         )
 
-    def nearest(self, points_odom: Array) -> tuple[NDArray[np.bool_], Array]:
-        """Five nearest centroids of (N, 3) points, nearest first: found (N,) and (N, 5, 3). The
-        search covers the voxel of the point and ``reach`` more on every side."""
-        return _nearest(self._keys, self._sums, points_odom, self.voxel_m, self.reach)
+    def reassign(self, gone: int, successor: int, move: Pose) -> None:
+        """Gives the voxels of owner ``gone`` to ``successor``, moved by ``move``."""
+        _reassign(self._voxels, gone, successor, Frame.of(move))
+
+    def nearest(self, points_odom: Array) -> Nearest:
+        """Five nearest centroids of (N, 3) points. The search covers the voxel of the point and
+        ``reach`` more on every side."""
+        return _nearest(self._voxels, points_odom, self.voxel_m, self.reach)

@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import PaperParams
 from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.livo.online_calibration import corrected_mount
 from touchdown.estimator.paper.depth_field import scan_colour_smoothness
 from touchdown.estimator.paper.feature_map import FeatureMap
 from touchdown.estimator.paper.registration import (
@@ -19,6 +21,7 @@ from touchdown.estimator.paper.registration import (
     ScanPose,
     register_scan,
 )
+from touchdown.estimator.paper.relative_pose import update_with_scan
 from touchdown.estimator.paper.smoothness import (
     FeaturePoints,
     fused_smoothness,
@@ -78,11 +81,10 @@ class LidarPositioning:
         self._params = params
         self._filter = inertial
         self._recent = recent
-        self._maps = FeatureMaps(
+        self.maps = FeatureMaps(
             edges=FeatureMap(params.edge_voxel_m, params.map_voxels, reach=2),
             planes=FeatureMap(params.planar_voxel_m, params.map_voxels),
         )
-        self._imu_from_lidar = inertial.imu_from_lidar
         self._camera_from_imu = inertial.imu_from_camera.inverse()
         self.diagnostics: dict[str, float] = {}
 
@@ -90,19 +92,23 @@ class LidarPositioning:
         """Registers a scan that ends at the filter's time; ``energy``: of the image nearest in time
         or None; ``seen_from``: odom_from_imu of that image, None for that of the scan. False if the
         scan could not be used."""
-        placed = self._filter.place_scan(scan)
+        eskf = self._filter.eskf
+        mount = corrected_mount(self._filter.imu_from_lidar, eskf.state.calibration)
+        placed = self._filter.place_scan(scan, mount)
         if placed is None:
             return False
         points = placed.points
         self.diagnostics = {"scan_returns": float(len(points))}
         if len(points) >= _LEAST_RETURNS:
             chosen = self._features(placed, energy, seen_from)
+            features = ScanFeatures(
+                points[chosen.edges], points[chosen.planes], mount.translation
+            )
             if self._params.use_lidar_pose:
-                self._correct(ScanFeatures(points[chosen.edges], points[chosen.planes]))
-            pose = self._filter.eskf.state.pose
-            self._maps.edges.insert(pose.apply(points[chosen.edges]))
-            self._maps.planes.insert(pose.apply(points[chosen.planes]))
-        self._recent.add(self._filter.eskf.state.pose.apply(points))
+                height = float(np.median(scan.ranges[placed.pulses]))
+                self._correct(features, height)
+            self.maps.insert(features, eskf)
+        self._recent.add(points, Frame.of(eskf.state.pose))
         return True
 
     def _features(
@@ -113,21 +119,26 @@ class LidarPositioning:
             pose = self._filter.eskf.state.pose
             camera_from_imu = camera_from_imu @ seen_from.inverse() @ pose
         in_camera = camera_from_imu.apply(scan.points)
-        in_lidar = scan.beams @ self._imu_from_lidar.rotation
+        in_lidar = scan.beams @ self._filter.imu_from_lidar.rotation
         return scan_features(
             scan.beams, in_lidar, in_camera, scan.pulses, energy, self._rig.camera, self._params
         )[0]
 
-    def _correct(self, features: ScanFeatures) -> None:
+    def _correct(self, features: ScanFeatures, height_m: float) -> None:
         params = self._params
         result = register_scan(
-            features, self._maps,
+            features, self.maps,
             PosePrior(self._filter.eskf.state.pose, self._filter.pose_information()),
             edge_sigma_m=params.edge_sigma_m, plane_sigma_m=params.plane_sigma_m,
         )  # fmt: skip
         if result is None:
             return
-        self._filter.correct(result.pose, result.information, result.vector, _FLOOR_SIGMAS)
+        share = params.scan_calibration_gain * (height_m >= params.calibrate_above_m)
+        update_with_scan(
+            self._filter.eskf, result.matches, features.lever, result.pose, self.maps.anchors,
+            np.array([params.edge_sigma_m, params.plane_sigma_m]), _FLOOR_SIGMAS, share,
+        )  # fmt: skip
+        self._filter.trail.follow(self._filter.eskf.state)
         self._report(result)
 
     def _report(self, result: ScanPose) -> None:
@@ -138,6 +149,6 @@ class LidarPositioning:
             "lidar_rms_m": result.rms_m,
             "lidar_converged": float(result.converged),
             "lidar_lateral_weakest": float(strength[0]),
-            "map_edges": float(self._maps.edges.used),
-            "map_planes": float(self._maps.planes.used),
+            "map_edges": float(self.maps.edges.used),
+            "map_planes": float(self.maps.planes.used),
         }

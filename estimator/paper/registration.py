@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.error_state import POSITION, ROTATION, error_between, moved_by
+from touchdown.estimator.filtering.error_state import (
+    POSITION,
+    ROTATION,
+    Frame,
+    Frames,
+    error_between,
+    moved_by,
+)
+from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into
 from touchdown.estimator.filtering.plane_map import smallest_eigen
-from touchdown.estimator.paper.feature_map import FeatureMap
+from touchdown.estimator.livo.anchors import Anchors
+from touchdown.estimator.paper.feature_map import FeatureMap, Seen
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -34,14 +44,48 @@ class ScanFeatures:
     """(E, 3)"""
     planes: Array
     """(P, 3)"""
+    lever: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) the LIDAR"""
 
 
 @dataclass(frozen=True, slots=True)
 class FeatureMaps:
-    """The global maps of both kinds of feature points."""
+    """The global maps of both kinds of feature points. Their parts belong to clones of the
+    filter."""
 
     edges: FeatureMap
     planes: FeatureMap
+    anchors: Anchors = field(default_factory=Anchors)
+
+    def insert(self, features: ScanFeatures, eskf: Eskf) -> None:
+        """Adds a scan's points at the present pose, to the part of the newest clone."""
+        pose = eskf.state.pose
+        terms = self.anchors.kept_from_now(eskf.clones, eskf.state.calibration, pose.rotation)
+        moves = Frames(terms.rotations, terms.translations)
+        seen = Seen(pose.apply(features.lever), len(self.anchors) - 1, moves)
+        self.edges.insert(pose.apply(features.edges), seen)
+        self.planes.insert(pose.apply(features.planes), seen)
+
+    def hand_over(self, k: int, eskf: Eskf) -> None:
+        """Gives the part of clone ``k``, which is about to go, to the clone nearest to it."""
+        successor, move = self.anchors.reassignment(k, eskf.clones)
+        for kind in (self.edges, self.planes):
+            kind.reassign(k, successor, move)
+        self.anchors.remove(k)
+
+
+class Matches(NamedTuple):
+    """Feature points with a line or plane nearby."""
+
+    points: Array  # (M, 3) IMU frame
+    near: Array  # (M, 5, 3) odom frame
+    is_edge: Mask  # (M,)
+    owners: NDArray[np.int64]  # (M,) clone that p_1 belongs to; -1: none
+    sensors: Array  # (M, 3) where p_1 was seen from, odom frame
+
+    def select(self, keep: Mask) -> Matches:
+        """The subset picked by a mask (M,)."""
+        return Matches(*(part[keep] for part in self))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +105,7 @@ class ScanPose:
     pose: Pose
     information: Array
     vector: Array
+    matches: Matches
     edges: int
     planes: int
     rms_m: float
@@ -135,7 +180,7 @@ def _distances(points: Array, near: Array, is_edge: Mask) -> Array:
 
 
 @njit(cache=True)
-def _axes(near: Array, is_edge: Mask) -> Array:
+def line_and_plane_axes(near: Array, is_edge: Mask) -> Array:
     """(N, 3) unit directions of the lines and normals of the planes."""
     out, a, b = np.empty((near.shape[0], 3)), np.empty(3), np.empty(3)
     last = near.shape[1] - 1
@@ -217,19 +262,23 @@ def _flat_triangles(near: Array) -> Mask:
     return out
 
 
-def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose) -> tuple[Array, Array, Mask]:
-    """Steps 3 to 9, points placed by Eq. 9: those (M, 3) with a line or plane nearby, their
-    neighbourhoods (M, 5, 3), and the mask (M,) of edge points."""
-    edges, planes = features.edges, features.planes
-    edge_found, edge_near = maps.edges.nearest(pose.apply(edges))
-    lines, _ = neighbourhood_shapes(edge_near, edge_found)
-    plane_found, plane_near = maps.planes.nearest(pose.apply(planes))
-    _, flats = neighbourhood_shapes(plane_near, plane_found)
-    flats &= _flat_triangles(plane_near)
-    local = np.concatenate([edges[lines], planes[flats]])
-    near = np.concatenate([edge_near[lines], plane_near[flats]])
-    is_edge = np.arange(len(local)) < int(lines.sum())
-    return local, near, is_edge
+def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose) -> Matches:
+    """Steps 3 to 9: the points placed by Eq. 9, those with a line or plane nearby."""
+    edges = maps.edges.nearest(pose.apply(features.edges))
+    lines, _ = neighbourhood_shapes(edges.near, edges.found)
+    planes = maps.planes.nearest(pose.apply(features.planes))
+    _, flats = neighbourhood_shapes(planes.near, planes.found)
+    flats &= _flat_triangles(planes.near)
+
+    def of_both(edge_part: Array, plane_part: Array) -> Array:
+        return np.concatenate([edge_part[lines], plane_part[flats]])
+
+    return Matches(
+        of_both(features.edges, features.planes), of_both(edges.near, planes.near),
+        np.arange(lines.sum() + flats.sum()) < lines.sum(),
+        np.concatenate([edges.owners[lines], planes.owners[flats]]),
+        of_both(edges.sensors, planes.sensors),
+    )  # fmt: skip
 
 
 def _keep_best(distances: Array, is_edge: Mask) -> Mask:
@@ -265,32 +314,31 @@ def register_scan(
     pose = guess
     sigmas = np.array([edge_sigma_m, plane_sigma_m])
     converged = False
-    local, near, is_edge = np.empty((0, 3)), np.empty((0, 5, 3)), np.empty(0, dtype=np.bool_)
-    axes = np.empty((0, 3))
     every = np.concatenate([features.edges, features.planes, np.zeros((1, 3))])
     extent = np.array([every.min(axis=0), every.max(axis=0)])
-
-    def step(pose: Pose) -> tuple[Pose, float]:
-        information, vector = _normal_equations(
-            local, near[:, 0], axes, is_edge, pose.rotation, pose.translation, sigmas
-        )
-        vector = vector - guess_information @ error_between(guess, pose)
-        delta = np.linalg.solve(information + guess_information, vector)
-        return moved_by(pose, np.asarray(delta, dtype=np.float64)), float(np.abs(delta).max())
-
     for _ in range(rounds):
         start = pose
-        local, near, is_edge = _associate(features, maps, pose)
-        if len(local) < min_matches:
+        matches = _associate(features, maps, pose)
+        if len(matches.points) < min_matches:
             return None
-        axes = _axes(near, is_edge)
+
+        def step(pose: Pose, found: Matches, axes: Array) -> tuple[Pose, float]:
+            information, vector = _normal_equations(
+                found.points, found.near[:, 0], axes, found.is_edge, *Frame.of(pose), sigmas
+            )
+            vector = vector - guess_information @ error_between(guess, pose)
+            delta = np.linalg.solve(information + guess_information, vector)
+            return moved_by(pose, np.asarray(delta, dtype=np.float64)), float(np.abs(delta).max())
+
+        axes = line_and_plane_axes(matches.near, matches.is_edge)
         for _ in range(_FIRST_STEPS):
-            pose, _ = step(pose)
-        keep = _keep_best(_distances(pose.apply(local), near, is_edge), is_edge)
-        local, near = local[keep], near[keep]
-        is_edge, axes = is_edge[keep], axes[keep]
+            pose, _ = step(pose, matches, axes)
+        keep = _keep_best(
+            _distances(pose.apply(matches.points), matches.near, matches.is_edge), matches.is_edge
+        )
+        matches, axes = matches.select(keep), axes[keep]
         for _ in range(steps):
-            pose, size = step(pose)
+            pose, size = step(pose, matches, axes)
             if size < 1e-5:
                 break
         moved = np.abs(pose.apply(extent) - start.apply(extent)).max()
@@ -298,11 +346,12 @@ def register_scan(
         if converged:
             break
     information, vector = _normal_equations(
-        local, near[:, 0], axes, is_edge, pose.rotation, pose.translation, sigmas
+        matches.points, matches.near[:, 0], axes, matches.is_edge, *Frame.of(pose), sigmas
     )
-    distances = _distances(pose.apply(local), near, is_edge)
+    distances = _distances(pose.apply(matches.points), matches.near, matches.is_edge)
+    edges = int(matches.is_edge.sum())
     return ScanPose(
-        pose=pose, information=information, vector=vector, edges=int(is_edge.sum()),
-        planes=int((~is_edge).sum()), rms_m=float(np.sqrt(np.mean(distances**2))),
+        pose=pose, information=information, vector=vector, matches=matches, edges=edges,
+        planes=len(distances) - edges, rms_m=float(np.sqrt(np.mean(distances**2))),
         converged=converged,
     )  # fmt: skip

@@ -80,6 +80,10 @@ class MapKeyframe:
     depth_m: float
     landmarks: tuple[LandmarkSet, LandmarkSet]
     sightings: Sightings = field(default_factory=no_sightings)
+    twist: Array = field(default_factory=lambda: np.zeros(6))
+    """of the IMU: angular rate in its frame, velocity in the odometry frame"""
+    calibration: Array = field(default_factory=lambda: np.zeros(0))
+    """of the filter when the depths were measured"""
 
 
 def by_host(
