@@ -70,7 +70,7 @@ class EstimatorParams:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibratedParams(EstimatorParams):
-    """Online calibration. Errors of the given calibration are part of the filter's state."""
+    """Errors of scans and of the given calibration, which are part of the filter's state."""
 
     use_calibration: bool = True
     """the LIDAR's mount, the lens and the camera's clock are estimated online"""
@@ -82,6 +82,12 @@ class CalibratedParams(EstimatorParams):
     filter, Brink 2017); 0: they only widen the covariance"""
     image_calibration_gain: Fraction = 0.0
     """the same of an image"""
+    ground_sigma_m: NotNegative = 0.0
+    """error that all ranges to the ground share, by plants and range bias, in the reported height:
+    no measurement shows it"""
+    scan_height_sigma_m: NotNegative = 0.01
+    """information floor: height error of a scan, beside those of its points and of the keyframes
+    that the map is anchored to"""
     mount_rotation_sigma_deg: NotNegative = 0.03
     """prior of the calibration errors: LIDAR relative to camera and IMU"""
     mount_translation_sigma_m: NotNegative = 0.003
@@ -129,17 +135,12 @@ class LivoParams(CalibratedParams):
     scan_tilt_sigma_deg: NotNegative = 1.0
     """information floor: errors of a scan as a whole, beside those of its points and of the
     keyframes that the map is anchored to"""
-    scan_height_sigma_m: NotNegative = 0.01
-    """the same of its height"""
     scan_lateral_sigma_m: NotNegative = 0.3
     """the same of its horizontal position"""
     scan_yaw_sigma_deg: NotNegative = 0.5
     """the same of its heading"""
     anchor_height_m: NotNegative = 0.004
     """height error shared by all planes and landmarks of a keyframe"""
-    ground_sigma_m: NotNegative = 0.0
-    """error that all ranges to the ground share, by plants and range bias, in the reported height:
-    no measurement shows it"""
     depth_sigma_m: NotNegative = 0.02
     """of a landmark along its ray"""
     use_lidar: bool = True

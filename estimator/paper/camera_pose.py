@@ -15,6 +15,7 @@ from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist, ShutterModel, ground_depths
+from touchdown.estimator.paper.bundle import LocalisedImage, adjust_window
 from touchdown.estimator.paper.closures import Closures
 from touchdown.estimator.paper.depth_field import DepthField
 from touchdown.estimator.paper.landmarks import Features, LandmarkDetector
@@ -28,18 +29,13 @@ from touchdown.estimator.paper.visual_map import (
     VisualMap,
     no_sightings,
 )
-from touchdown.estimator.paper.window import LocalisedImage, adjust_window
 from touchdown.sim.api import CameraImage, SensorRig
-from touchdown.sim.frames import Pose, skew
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-_FLOOR_SIGMAS = np.array([1e-4, 1e-4, np.radians(0.02), 0.008, 0.008, 0.02])
-"""rad and m: information floor, errors that all landmarks of an image share"""
-_GROUND_TILT_SIGMA = np.radians(0.5)
-"""of all landmarks together: the map grows outward from the take-off spot and may be tilted"""
 _LEAST_LANDMARKS = 30
 _LEAST_CLOSURE = 25
 _LEAST_AGREEMENT = 0.5
@@ -54,24 +50,12 @@ _CLOSURE_FLOOR_SIGMAS = np.array([1e-3, 1e-3, 5e-4, 0.015, 0.015, 0.1])
 """rad and m: information floor for landmarks of an earlier pass"""
 
 
-def with_common_errors(information: Array, pose: Pose, centre: Array) -> Array:
-    """Information (6, 6) of a pose from landmarks around ``centre`` (3,) whose map may be shifted
-    and tilted as a whole. A tilted map tilts the pose and swings it about the
-    centre, so that the position given the tilt stays as accurate as before; gravity determines the
-    tilt better."""
-    swing = np.zeros((6, 2))
-    swing[:3] = pose.rotation.T[:, :2]
-    swing[3:] = -skew(pose.translation - centre)[:, :2]
-    common = np.diag(_FLOOR_SIGMAS**2) + _GROUND_TILT_SIGMA**2 * swing @ swing.T
-    return limit_information(information, common)
-
-
 class CameraPositioning:
     """Visual map and the correction of the filter by the images of keyframes."""
 
     def __init__(
         self, rig: SensorRig, params: PaperParams, inertial: InertialFilter, recent: RecentReturns,
-        maps: FeatureMaps | None = None,
+        maps: FeatureMaps,
     ) -> None:  # fmt: skip
         self._rig = rig
         self._params = params
@@ -124,6 +108,8 @@ class CameraPositioning:
                 self._filter.trail.follow(eskf.state)
                 self._follow_clones()
                 corrected = True
+            if self._params.use_bundle:
+                self._refine(sightings)
         else:
             self.failed += bool(self._map.keyframes)
             sightings = no_sightings()
@@ -154,12 +140,12 @@ class CameraPositioning:
         moved = float(np.linalg.norm(position - newest.odom_from_imu.translation))
         return moved > 0.03 * newest.depth_m
 
-    def _adjust(self, pose: Pose, sightings: Sightings) -> Pose:
-        if not self._params.use_bundle:
-            return pose
-        return adjust_window(
-            self._map.keyframes[-self._params.bundle_keyframes :], LocalisedImage(pose, sightings),
-            self._map.by_number(), MountedCamera(self._rig.camera, self._imu_from_camera),
+    def _refine(self, sightings: Sightings) -> None:
+        """Bundle adjustment of the newest keyframes and the present image."""
+        adjust_window(
+            self._map.keyframes[-self._params.bundle_keyframes :],
+            LocalisedImage(self._filter.eskf.state.pose, sightings), self._map.by_number(),
+            MountedCamera(self._rig.camera, self._imu_from_camera),
             np.sqrt(2.0) * self._sigmas(np.arange(2)), self._params.depth_sigma_m,
         )  # fmt: skip
 
@@ -179,16 +165,10 @@ class CameraPositioning:
         """Makes a new keyframe a clone of the filter; the oldest clone ends."""
         eskf = self._filter.eskf
         if len(eskf.clones) >= self._params.recent_keyframes:
-            if self._maps is not None:
-                self._maps.hand_over(0, eskf)
+            self._maps.hand_over(0, eskf)
             eskf.remove_clone(0)
         eskf.add_clone(self._model.own_covariance(eskf, keyframe))
-        if self._maps is not None:
-            self._maps.anchors.add(keyframe.odom_from_imu, eskf.state.calibration)
-
-    def _odom_frames(self, sightings: Sightings) -> dict[int, Pose]:
-        known = self._map.by_number()
-        return {int(h): known[int(h)].odom_from_imu for h in np.unique(sightings.hosts)}
+        self._maps.anchors.add(keyframe.odom_from_imu, eskf.state.calibration)
 
     def _sigmas(self, kinds: Indices) -> Array:
         return np.array([self._params.sift_sigma_px, self._params.brisk_sigma_px])[kinds]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, PaperParams, PoseTrack
+from touchdown.estimator.filtering.error_state import POSITION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.intake import Intake
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
@@ -37,9 +38,7 @@ class PaperEstimator:
         self._edges = edge_detector(params.edge_model)
         self._recent = RecentReturns(scans=15, per_scan=8000)
         self._lidar = LidarPositioning(rig, params, self._filter, self._recent)
-        self._camera = CameraPositioning(
-            rig, params, self._filter, self._recent, self._lidar.maps
-        )
+        self._camera = CameraPositioning(rig, params, self._filter, self._recent, self._lidar.maps)
         self._undistort = Undistorter(rig)
         self._images: deque[CameraImage] = deque(maxlen=3)
         self._energy: tuple[int, NDArray[np.float32]] = (-1, np.zeros((0, 0), np.float32))
@@ -60,13 +59,17 @@ class PaperEstimator:
                 self._take(message)
         self._intake.finish(obs)
         seconds = self._filter.step_s
-        world_from_odom, drift = self._camera.world_from_odom(seconds)
+        world_from_odom, spread = self._camera.world_from_odom(seconds)
+        # the reported pose differs from the best estimate by the decaying jump
+        jump = self._filter.jump[POSITION]
+        spread = spread + jump * jump[:, None]
+        spread[2, 2] += self._params.ground_sigma_m**2
         skipped = self._skipped + self._intake.skipped + self._camera.failed
         diagnostics = self._lidar.diagnostics | self._camera.diagnostics
         diagnostics |= {"skipped": float(skipped)}
         events = tuple(self._intake.events)
         return self._filter.estimate(
-            obs, world_from_odom, drift, self._scan_track, diagnostics, events
+            obs, world_from_odom, spread, self._scan_track, diagnostics, events
         )
 
     def _flat(self, image: CameraImage) -> CameraImage:

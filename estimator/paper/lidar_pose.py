@@ -37,10 +37,11 @@ Float32 = NDArray[np.float32]
 _LASERS = 6
 """of the Horizon, firing in turn"""
 _LONGEST_GAP = 8
-_FLOOR_SIGMAS = np.array([np.radians(0.5), np.radians(0.5), np.radians(0.5), 0.3, 0.3, 0.01])
-"""rad and m: information floor. Errors of the map repeat from scan to scan, because the map was
-made with this filter's own poses, and do not average out over the points of a scan"""
+_TURN_SIGMA, _LATERAL_SIGMA_M = np.radians(0.5), 0.3
+"""information floor of a scan, and of each clone's part of the map: errors of their points that do
+not average out"""
 _LEAST_RETURNS = 200
+_NONE = np.zeros(0, dtype=np.int64)
 
 
 def scan_features(
@@ -101,9 +102,7 @@ class LidarPositioning:
         self.diagnostics = {"scan_returns": float(len(points))}
         if len(points) >= _LEAST_RETURNS:
             chosen = self._features(placed, energy, seen_from)
-            features = ScanFeatures(
-                points[chosen.edges], points[chosen.planes], mount.translation
-            )
+            features = ScanFeatures(points[chosen.edges], points[chosen.planes], mount.translation)
             if self._params.use_lidar_pose:
                 height = float(np.median(scan.ranges[placed.pulses]))
                 self._correct(features, height)
@@ -125,18 +124,21 @@ class LidarPositioning:
         )[0]
 
     def _correct(self, features: ScanFeatures, height_m: float) -> None:
-        params = self._params
+        params, eskf = self._params, self._filter.eskf
         result = register_scan(
             features, self.maps,
             PosePrior(self._filter.eskf.state.pose, self._filter.pose_information()),
             edge_sigma_m=params.edge_sigma_m, plane_sigma_m=params.plane_sigma_m,
+            anchors=self.maps.anchors.frames(eskf.clones, eskf.state.calibration, _NONE),
         )  # fmt: skip
         if result is None:
             return
+        floor = np.repeat([_TURN_SIGMA, _LATERAL_SIGMA_M], 3)
+        floor[5] = params.scan_height_sigma_m
         share = params.scan_calibration_gain * (height_m >= params.calibrate_above_m)
         update_with_scan(
             self._filter.eskf, result.matches, features.lever, result.pose, self.maps.anchors,
-            np.array([params.edge_sigma_m, params.plane_sigma_m]), _FLOOR_SIGMAS, share,
+            np.array([params.edge_sigma_m, params.plane_sigma_m]), floor, share,
         )  # fmt: skip
         self._filter.trail.follow(self._filter.eskf.state)
         self._report(result)

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
-    POSITION,
-    ROTATION,
     Frame,
     Frames,
     error_between,
     moved_by,
 )
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into
+from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.estimator.filtering.plane_map import smallest_eigen
-from touchdown.estimator.livo.anchors import Anchors
+from touchdown.estimator.livo.anchors import AnchorFrames, Anchors
 from touchdown.estimator.paper.feature_map import FeatureMap, Seen
+from touchdown.estimator.paper.residuals import (
+    NO_ANCHORS,
+    Matches,
+    distances,
+    line_and_plane_axes,
+    relative_equations,
+)
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -29,6 +33,7 @@ Mask = NDArray[np.bool_]
 
 EIGENVALUE_RATIO = 3.0
 _FIRST_STEPS = 2
+_MOST_STEPS = 6
 _KEPT_SHARE = 0.8
 _SAME_NEIGHBOURS_M = 0.02
 """displacement of the scan's outermost points up to which their neighbours are not sought again"""
@@ -74,20 +79,6 @@ class FeatureMaps:
         self.anchors.remove(k)
 
 
-class Matches(NamedTuple):
-    """Feature points with a line or plane nearby."""
-
-    points: Array  # (M, 3) IMU frame
-    near: Array  # (M, 5, 3) odom frame
-    is_edge: Mask  # (M,)
-    owners: NDArray[np.int64]  # (M,) clone that p_1 belongs to; -1: none
-    sensors: Array  # (M, 3) where p_1 was seen from, odom frame
-
-    def select(self, keep: Mask) -> Matches:
-        """The subset picked by a mask (M,)."""
-        return Matches(*(part[keep] for part in self))
-
-
 @dataclass(frozen=True, slots=True)
 class PosePrior:
     """odom_from_imu before the measurement."""
@@ -110,32 +101,6 @@ class ScanPose:
     planes: int
     rms_m: float
     converged: bool
-
-
-@njit(cache=True)
-def edge_distance(point: Array, first: Array, last: Array) -> float:
-    """Eq. 10, d_eps: distance of ``point`` from the line through p_1 and p_k, each (3,)."""
-    square, length2 = 0.0, 0.0
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        cross = (point[b] - first[b]) * (point[c] - last[c])
-        cross -= (point[c] - first[c]) * (point[b] - last[b])
-        square += cross * cross
-        length2 += (first[a] - last[a]) ** 2
-    return np.sqrt(square / length2)
-
-
-@njit(cache=True)
-def plane_distance(point: Array, first: Array, middle: Array, last: Array) -> float:
-    """Eq. 10, d_H: signed distance of ``point`` from the plane of p_1, p_k/2 and p_k, each (3,)."""
-    total, length2 = 0.0, 0.0
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        normal = (middle[b] - last[b]) * (middle[c] - first[c])
-        normal -= (middle[c] - last[c]) * (middle[b] - first[b])
-        total += (point[a] - first[a]) * normal
-        length2 += normal * normal
-    return total / np.sqrt(length2)
 
 
 @njit(cache=True)
@@ -166,85 +131,6 @@ def neighbourhood_shapes(near: Array, found: Mask) -> tuple[Mask, Mask]:
 
 
 @njit(cache=True)
-def _distances(points: Array, near: Array, is_edge: Mask) -> Array:
-    """Eq. 10 for (N, 3) global points and their neighbourhoods."""
-    out = np.empty(points.shape[0])
-    last = near.shape[1] - 1
-    middle = near.shape[1] // 2
-    for i in range(points.shape[0]):
-        if is_edge[i]:
-            out[i] = edge_distance(points[i], near[i, 0], near[i, last])
-        else:
-            out[i] = abs(plane_distance(points[i], near[i, 0], near[i, middle], near[i, last]))
-    return out
-
-
-@njit(cache=True)
-def line_and_plane_axes(near: Array, is_edge: Mask) -> Array:
-    """(N, 3) unit directions of the lines and normals of the planes."""
-    out, a, b = np.empty((near.shape[0], 3)), np.empty(3), np.empty(3)
-    last = near.shape[1] - 1
-    middle = near.shape[1] // 2
-    for i in range(near.shape[0]):
-        for c in range(3):
-            out[i, c] = near[i, last, c] - near[i, 0, c]
-            a[c] = near[i, middle, c] - near[i, last, c]
-            b[c] = near[i, middle, c] - near[i, 0, c]
-        if not is_edge[i]:
-            cross_into(a, b, out[i], 0)
-        out[i] /= np.sqrt(out[i, 0] ** 2 + out[i, 1] ** 2 + out[i, 2] ** 2)
-    return out
-
-
-@njit(cache=True)
-def _normal_equations(
-    local: Array,
-    anchors: Array,
-    axes: Array,
-    is_edge: Mask,
-    rotation: Array,
-    position: Array,
-    sigmas: Array,
-) -> tuple[Array, Array]:
-    """Information and vector of the residuals of Eq. 10, Cauchy weighted (scale 3 sigma).
-
-    ``anchors`` (N, 3): p_1. The squared distance from a line is that of the part of ``p - p_1``
-    across it, which, unlike the distance, has a derivative on the line.
-    """
-    information, vector = np.zeros((6, 6)), np.zeros(6)
-    row, offset, direction, turned = np.zeros(6), np.zeros(3), np.zeros(3), np.zeros(3)
-    for i in range(local.shape[0]):
-        q, axis = local[i], axes[i]
-        along, square = 0.0, 0.0
-        for c in range(3):
-            offset[c] = position[c] - anchors[i, c]
-            for k in range(3):
-                offset[c] += rotation[c, k] * q[k]
-            along += offset[c] * axis[c]
-            square += offset[c] * offset[c]
-        square = square - along * along if is_edge[i] else along * along
-        sigma2 = (sigmas[0] if is_edge[i] else sigmas[1]) ** 2
-        weight = 1.0 / (sigma2 + square / 9.0)
-        for c in range(3 if is_edge[i] else 1):
-            for k in range(3):
-                direction[k] = -axis[c] * axis[k] if is_edge[i] else axis[k]
-            residual = along
-            if is_edge[i]:
-                direction[c] += 1.0
-                residual = offset[c] - along * axis[c]
-            for k in range(3):
-                row[POSITION.start + k] = direction[k]
-            rotate_back_into(rotation, direction, turned)
-            cross_into(q, turned, row, ROTATION.start)
-            for a in range(6):
-                scaled = weight * row[a]
-                vector[a] -= scaled * residual
-                for b in range(6):
-                    information[a, b] += scaled * row[b]
-    return information, vector
-
-
-@njit(cache=True)
 def _flat_triangles(near: Array) -> Mask:
     """Mask (N,) of the neighbourhoods (N, 5, 3) whose p_1, p_k/2 and p_k span a plane."""
     out = np.zeros(near.shape[0], dtype=np.bool_)
@@ -270,14 +156,13 @@ def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose) -> Matches
     _, flats = neighbourhood_shapes(planes.near, planes.found)
     flats &= _flat_triangles(planes.near)
 
-    def of_both(edge_part: Array, plane_part: Array) -> Array:
-        return np.concatenate([edge_part[lines], plane_part[flats]])
-
+    near = np.concatenate([edges.near[lines], planes.near[flats]])
+    is_edge = np.arange(len(near)) < lines.sum()
     return Matches(
-        of_both(features.edges, features.planes), of_both(edges.near, planes.near),
-        np.arange(lines.sum() + flats.sum()) < lines.sum(),
+        np.concatenate([features.edges[lines], features.planes[flats]]), near,
+        line_and_plane_axes(near, is_edge), is_edge,
         np.concatenate([edges.owners[lines], planes.owners[flats]]),
-        of_both(edges.sensors, planes.sensors),
+        np.concatenate([edges.sensors[lines], planes.sensors[flats]]),
     )  # fmt: skip
 
 
@@ -299,8 +184,8 @@ def register_scan(
     *,
     edge_sigma_m: float,
     plane_sigma_m: float,
+    anchors: AnchorFrames = NO_ANCHORS,
     rounds: int = 3,
-    steps: int = 6,
     min_matches: int = 30,
 ) -> ScanPose | None:
     """Algorithm 1: returns odom_from_imu of a scan, or None with fewer than ``min_matches`` matched
@@ -308,50 +193,41 @@ def register_scan(
 
     ``prior``: the pose of the last scan propagated by the IMU (the paper starts from the last pose
     itself). Over a plane a scan leaves x, y and yaw open, and the solution stays at the prior
-    there. The returned information is that of the scan alone.
+    there. ``anchors``: the clones that parts of the map belong to, at their present estimate. The
+    returned information is that of the scan alone, about the pose alone.
     """
-    guess, guess_information = prior.pose, prior.information
-    pose = guess
-    sigmas = np.array([edge_sigma_m, plane_sigma_m])
-    converged = False
+    pose, sigmas = prior.pose, np.array([edge_sigma_m, plane_sigma_m])
     every = np.concatenate([features.edges, features.planes, np.zeros((1, 3))])
     extent = np.array([every.min(axis=0), every.max(axis=0)])
+
+    def equations(pose: Pose, found: Matches) -> tuple[Array, Array]:
+        return relative_equations(found, features.lever, Frame.of(pose), anchors, 0, 0, sigmas)
+
+    def step(pose: Pose, found: Matches) -> tuple[Pose, float]:
+        information, vector = equations(pose, found)
+        vector = vector - prior.information @ error_between(prior.pose, pose)
+        delta = np.linalg.solve(information + prior.information, vector)
+        return moved_by(pose, np.asarray(delta, dtype=np.float64)), float(np.abs(delta).max())
+
     for _ in range(rounds):
-        start = pose
-        matches = _associate(features, maps, pose)
-        if len(matches.points) < min_matches:
+        start, found = pose, _associate(features, maps, pose)
+        if len(found.points) < min_matches:
             return None
-
-        def step(pose: Pose, found: Matches, axes: Array) -> tuple[Pose, float]:
-            information, vector = _normal_equations(
-                found.points, found.near[:, 0], axes, found.is_edge, *Frame.of(pose), sigmas
-            )
-            vector = vector - guess_information @ error_between(guess, pose)
-            delta = np.linalg.solve(information + guess_information, vector)
-            return moved_by(pose, np.asarray(delta, dtype=np.float64)), float(np.abs(delta).max())
-
-        axes = line_and_plane_axes(matches.near, matches.is_edge)
         for _ in range(_FIRST_STEPS):
-            pose, _ = step(pose, matches, axes)
-        keep = _keep_best(
-            _distances(pose.apply(matches.points), matches.near, matches.is_edge), matches.is_edge
-        )
-        matches, axes = matches.select(keep), axes[keep]
-        for _ in range(steps):
-            pose, size = step(pose, matches, axes)
+            pose, _ = step(pose, found)
+        lengths = distances(pose.apply(found.points), found.near, found.is_edge)
+        found = found.select(_keep_best(lengths, found.is_edge))
+        for _ in range(_MOST_STEPS):
+            pose, size = step(pose, found)
             if size < 1e-5:
                 break
         moved = np.abs(pose.apply(extent) - start.apply(extent)).max()
         converged = bool(moved < _SAME_NEIGHBOURS_M)
         if converged:
             break
-    information, vector = _normal_equations(
-        matches.points, matches.near[:, 0], axes, matches.is_edge, *Frame.of(pose), sigmas
-    )
-    distances = _distances(pose.apply(matches.points), matches.near, matches.is_edge)
-    edges = int(matches.is_edge.sum())
+    information, vector = equations(pose, found)
+    lengths, edges = distances(pose.apply(found.points), found.near, found.is_edge), found.is_edge
     return ScanPose(
-        pose=pose, information=information, vector=vector, matches=matches, edges=edges,
-        planes=len(distances) - edges, rms_m=float(np.sqrt(np.mean(distances**2))),
-        converged=converged,
+        pose=pose, information=information, vector=vector, matches=found, edges=int(edges.sum()),
+        planes=int((~edges).sum()), rms_m=float(np.sqrt(np.mean(lengths**2))), converged=converged,
     )  # fmt: skip

@@ -12,44 +12,40 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     MOUNT_DIM,
-    MOUNT_ROTATION,
-    MOUNT_TRANSLATION,
     POSE,
     POSE_DIM,
     POSITION,
-    ROTATION,
     Frame,
     Pinhole,
     error_between,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
-from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into
 from touchdown.estimator.filtering.reprojection import (
     LandmarkViews,
     MountedCamera,
     PixelNoise,
     calibrated_information,
 )
-from touchdown.estimator.livo.anchors import AnchorFrames, Anchors
+from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.online_calibration import (
     corrected_camera,
     corrected_lens,
     exposed,
     landmark_jacobians,
 )
-from touchdown.estimator.paper.registration import Matches, line_and_plane_axes
+from touchdown.estimator.paper.residuals import Matches, relative_equations
 from touchdown.estimator.paper.visual_map import LandmarkSet, MapKeyframe, Sightings, by_host
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
 _GATES_PX = (12.0, 6.0, 6.0)
-_OWN_TILT = np.radians(0.03)
+_UNSEEN_SIGMAS = np.repeat([0.01, 0.1], 3)
+"""rad and m, of a keyframe whose own landmarks leave its pose open"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +80,13 @@ class ImageModel:
             Frame.of(mount), twist, Pinhole.of(self.camera.intrinsics),
         )  # fmt: skip
         change = eskf.state.calibration[: eskf.shared].copy()
-        change[: MOUNT_DIM] -= host.calibration[: MOUNT_DIM]
+        change[:MOUNT_DIM] -= host.calibration[:MOUNT_DIM]
         return LandmarkViews(pixels, rows, points + jacobians @ change, jacobians, spreads)
 
     def own_covariance(self, eskf: Eskf, host: MapKeyframe) -> Array:
         """(6, 6) of the pose of a new keyframe as its own landmarks show it: the noise of their
         pixels and depths there is the same in all images that see them."""
-        information = np.diag(np.repeat([1e4, 1e2], 3))
+        information = np.diag(_UNSEEN_SIGMAS**-2.0)
         pose = Frame.of(host.odom_from_imu)
         for kind, landmarks in enumerate(host.landmarks):
             at = np.arange(len(landmarks.points))
@@ -146,105 +142,6 @@ def update_with_image(
     update.finish()
 
 
-@njit(cache=True)
-def relative_equations(
-    found: Matches, axes: Array, lever: Array, pose: Frame, anchors: AnchorFrames, touched: int, shared: int, sigmas: Array
-) -> tuple[Array, Array]:
-    """Normal equations of the residuals of Eq. 10 over pose, shared calibration and the touched
-    clones, Cauchy weighted (scale 3 sigma). ``sigmas`` (2,): of edges and of planes."""
-    head = POSE_DIM + shared
-    size = head + POSE_DIM * touched
-    information, vector = np.zeros((size, size)), np.zeros(size)
-    row, columns = np.zeros(3 * POSE_DIM), np.empty(3 * POSE_DIM, np.int64)
-    offset, direction, beam = np.zeros(3), np.zeros(3), np.zeros(3)
-    now, then, arm, reach = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    for i in range(found.points.shape[0]):
-        p, axis, k, edge = found.points[i], axes[i], found.owners[i], found.is_edge[i]
-        own = pose.rotation
-        for c in range(3):
-            beam[c] = p[c] - lever[c]
-        along, square = 0.0, 0.0
-        for c in range(3):
-            x, m = pose.translation[c], found.near[i, 0, c]
-            if k >= 0:
-                m = anchors.moves.translations[k, c]
-                for a in range(3):
-                    m += anchors.moves.rotations[k, c, a] * found.near[i, 0, a]
-            for a in range(3):
-                x += pose.rotation[c, a] * p[a]
-            offset[c] = x - m
-            arm[c] = m - found.sensors[i, c]
-            along += offset[c] * axis[c]
-            square += offset[c] * offset[c]
-        slot = -1
-        if k >= 0:
-            own, slot = anchors.clones.rotations[k], anchors.slots[k]
-            for c in range(3):
-                reach[c] = offset[c] + found.sensors[i, c] + arm[c] - anchors.clones.translations[k, c]
-        square = square - along * along if edge else along * along
-        sigma2 = (sigmas[0] if edge else sigmas[1]) ** 2
-        weight = 1.0 / (sigma2 + square / 9.0)
-        for b in range(POSE_DIM):
-            columns[b] = b
-            columns[POSE_DIM + b] = POSE_DIM + b if shared > 0 else -1
-            columns[2 * POSE_DIM + b] = head + POSE_DIM * slot + b if slot >= 0 else -1
-        for c in range(3 if edge else 1):
-            for a in range(3):
-                direction[a] = -axis[c] * axis[a] if edge else axis[a]
-            residual = along
-            if edge:
-                direction[c] += 1.0
-                residual = offset[c] - along * axis[c]
-            rotate_back_into(pose.rotation, direction, now)
-            rotate_back_into(own, direction, then)
-            cross_into(p, now, row, ROTATION.start)
-            cross_into(beam, now, row, POSE_DIM)
-            _turned_arm(own, arm, then, row, POSE_DIM, -1.0)
-            _turned_arm(own, reach, then, row, 2 * POSE_DIM, -1.0)
-            for a in range(3):
-                row[POSITION.start + a] = direction[a]
-                row[POSE_DIM + 3 + a] = now[a] - then[a]
-                row[2 * POSE_DIM + 3 + a] = -direction[a]
-            if k >= 0 and shared > 0:
-                residual += _by_mount(own, arm, then, anchors.mount_changes[k])
-            for a in range(3 * POSE_DIM):
-                u = columns[a]
-                if u < 0:
-                    continue
-                scaled = weight * row[a]
-                vector[u] -= scaled * residual
-                for b in range(3 * POSE_DIM):
-                    if columns[b] >= 0:
-                        information[u, columns[b]] += scaled * row[b]
-    return information, vector
-
-
-@njit(cache=True)
-def _turned_arm(
-    rotation: Array, arm: Array, then: Array, row: Array, at: int, sign: float
-) -> None:
-    """Adds, or writes for a clone, ``sign`` times ``R^T arm x then`` at ``at`` of a row."""
-    inside, cross = np.empty(3), np.empty(3)
-    rotate_back_into(rotation, arm, inside)
-    cross_into(inside, then, cross, 0)
-    for a in range(3):
-        before = row[at + a] if at == POSE_DIM else 0.0
-        row[at + a] = before + sign * cross[a]
-
-
-@njit(cache=True)
-def _by_mount(rotation: Array, arm: Array, then: Array, change: Array) -> float:
-    """What the mount's ``change`` (6,) since the clone was made moves its map point against a
-    residual."""
-    inside, cross, total = np.empty(3), np.empty(3), 0.0
-    rotate_back_into(rotation, arm, inside)
-    cross_into(inside, then, cross, 0)
-    for a in range(3):
-        total -= cross[a] * change[MOUNT_ROTATION.start + a]
-        total -= then[a] * change[MOUNT_TRANSLATION.start + a]
-    return total
-
-
 def update_with_scan(
     eskf: Eskf, found: Matches, lever: Array, pose: Pose, anchors: Anchors, sigmas: Array,
     floor: Array, share: float,
@@ -256,9 +153,8 @@ def update_with_scan(
     frames = anchors.frames(eskf.clones, eskf.state.calibration, keys)
     update = IteratedUpdate(eskf, share)
     floors = np.concatenate([floor, np.zeros(eskf.shared), np.tile(floor, len(keys))])
-    axes = line_and_plane_axes(found.near, found.is_edge)
     information, vector = relative_equations(
-        found, axes, lever, Frame.of(pose), frames, len(keys), eskf.shared, sigmas
+        found, lever, Frame.of(pose), frames, len(keys), eskf.shared, sigmas
     )
     vector = vector + information[:, POSE] @ error_between(eskf.state.pose, pose)
     update.step(keys.tolist(), information, vector, floors)

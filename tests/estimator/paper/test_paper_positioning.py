@@ -101,12 +101,12 @@ def test_feature_map_returns_the_five_nearest_in_order_and_keeps_its_size() -> N
     grid = FeatureMap(1.0, 1 << 4)
     line = np.column_stack([np.arange(9) + 0.5, np.full(9, 0.5), np.full(9, 0.5)])
     grid.insert(line[:5])
-    found, near = grid.nearest(np.array([[2.4, 0.5, 0.5], [20.0, 0.0, 0.0]]))
+    found, *_ = grid.nearest(np.array([[2.4, 0.5, 0.5], [20.0, 0.0, 0.0]]))
     # the voxels around reach three of the five
     assert found.tolist() == [False, False]
     for dy in (0.0, 1.0):
         grid.insert(line[:5] + [0.0, dy, 0.0])
-    found, near = grid.nearest(np.array([[2.4, 0.5, 0.5]]))
+    found, near, *_ = grid.nearest(np.array([[2.4, 0.5, 0.5]]))
     assert found[0]
     distances = np.linalg.norm(near[0] - [2.4, 0.5, 0.5], axis=1)
     np.testing.assert_allclose(distances[:2], [0.1, 0.9])
