@@ -44,7 +44,10 @@ class Matches(NamedTuple):
 
     def select(self, keep: Mask) -> Matches:
         """The subset picked by a mask (M,)."""
-        return Matches(*(part[keep] for part in self))
+        return Matches(
+            self.points[keep], self.near[keep], self.axes[keep], self.is_edge[keep],
+            self.owners[keep], self.sensors[keep],
+        )  # fmt: skip
 
 
 NO_ANCHORS = Anchors().frames([], np.zeros(0), np.zeros(0, np.int64))
