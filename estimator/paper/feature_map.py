@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 NEIGHBOURS = 5
 """k of Algorithm 1"""
 
-_COUNT, _X, _Y, _Z, _SENSOR = range(5)
+_COUNT, _X, _Y, _Z = range(4)
+_CENTRE, _SENSOR = slice(1, 4), slice(4, 7)
 _COLUMNS = 7
 """of a voxel: number of points, sums of their coordinates, and the position (3,) that it was first
 seen from"""
@@ -72,7 +73,7 @@ def _insert(
             if used >= limit:
                 continue
             keys[slot], owners[slot] = key, seen.owner
-            sums[slot, _SENSOR:] = seen.sensor
+            sums[slot, _SENSOR] = seen.sensor
             used += 1
         if sums[slot, _COUNT] >= max_count:
             continue
@@ -100,11 +101,11 @@ def _reassign(voxels: Voxels, gone: int, successor: int, move: Frame) -> None:
             continue
         if k == gone:
             row = sums[slot]
-            rotate_into(move.rotation, row[_X : _X + 3], centre)
-            rotate_into(move.rotation, row[_SENSOR : _SENSOR + 3], sensor)
+            rotate_into(move.rotation, row[_CENTRE], centre)
+            rotate_into(move.rotation, row[_SENSOR], sensor)
             for a in range(3):
-                row[_X + a] = centre[a] + row[_COUNT] * move.translation[a]
-                row[_SENSOR + a] = sensor[a] + move.translation[a]
+                row[_CENTRE.start + a] = centre[a] + row[_COUNT] * move.translation[a]
+                row[_SENSOR.start + a] = sensor[a] + move.translation[a]
             k = successor
         owners[slot] = k - 1 if k > gone else k
 
@@ -153,7 +154,7 @@ def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int) -> Nearest
                     distance[at] = d2
                     near[i, at, 0], near[i, at, 1], near[i, at, 2] = x, y, z
                     if at == 0:
-                        whose[i], sensors[i] = owners[slot], sums[slot, _SENSOR:]
+                        whose[i], sensors[i] = owners[slot], sums[slot, _SENSOR]
                     have = min(have + 1, NEIGHBOURS)
                     if have == NEIGHBOURS:
                         worst = distance[NEIGHBOURS - 1]

@@ -235,16 +235,19 @@ def test_a_keyframe_errs_by_what_its_own_landmarks_share() -> None:
     lens = RIG.camera
     rays = np.column_stack([0.3 * np.cos(way), 0.3 * np.sin(way), np.ones(200)])
     pixels = rays[:, :2] * [lens.fx, lens.fy] + [lens.cx, lens.cy]
-    points = IMU_FROM_CAMERA.apply(12.0 * rays)
-    found = LandmarkSet(points, pixels, np.zeros((200, 128), np.uint8), np.full(200, 12.0))
+    found = LandmarkSet(
+        IMU_FROM_CAMERA.apply(12.0 * rays),
+        pixels,
+        np.zeros((200, 128), np.uint8),
+        np.full(200, 12.0),
+    )
     host = keyframe(0, camera._filter.eskf.state.pose, Pose.identity())
     host.landmarks = (found, none_of(1))
     own = camera._model.own_covariance(camera._filter.eskf, host)
-    # about the optical axis, 0.3 f pixels away from it, and down by as much
     heading = 1.0 / (0.3 * 310.0) ** 2 / 200.0
     assert own[2, 2] == pytest.approx(heading, rel=0.02)
     assert own[5, 5] == pytest.approx(12.0**2 * heading, rel=0.05)
-    # a tilt looks like a step aside: both are known less well than either alone, and together
+    # a tilt looks like a step aside
     assert own[0, 0] > 20.0 * heading and own[4, 4] > 0.8 * 12.0**2 * own[0, 0]
     assert abs(own[0, 4]) > 0.99 * np.sqrt(own[0, 0] * own[4, 4])
 
@@ -256,8 +259,8 @@ def test_landmarks_spread_along_their_rays_and_follow_the_mount() -> None:
     eskf = Eskf(state, np.ones(53))
     ray = np.array([0.3, -0.2, 1.0])
     points = IMU_FROM_CAMERA.apply(12.0 * ray[None])
-    pixel = np.zeros((1, 2))
-    found = LandmarkSet(points, pixel, np.zeros((1, 128), np.uint8), np.full(1, 12.0))
+    pixel, descriptor = np.zeros((1, 2)), np.zeros((1, 128), np.uint8)
+    found = LandmarkSet(points, pixel, descriptor, np.full(1, 12.0))
     host = keyframe(0, eskf.state.pose, Pose.identity())
     host.calibration = np.zeros(38)
     eskf.state.calibration[5] = 0.1
@@ -266,9 +269,6 @@ def test_landmarks_spread_along_their_rays_and_follow_the_mount() -> None:
     np.testing.assert_allclose(views.spreads[0], 0.05 * along / np.linalg.norm(along), atol=1e-9)
     # level ground rises by as much, and the landmark along its ray
     np.testing.assert_allclose(views.landmarks[0] - points[0], -0.1 * along, atol=1e-9)
-    host.calibration = eskf.state.calibration
-    again = camera._model.views(eskf, host, found, np.array([0]), pixel)
-    np.testing.assert_allclose(again.landmarks, points, atol=1e-12)
 
 
 def test_clones_are_the_newest_keyframes_and_the_oldest_hands_its_map_over() -> None:
@@ -285,17 +285,14 @@ def test_clones_are_the_newest_keyframes_and_the_oldest_hands_its_map_over() -> 
             maps.planes.insert(np.repeat(point, 5, axis=0), seen)
         if number == 2:
             # the filter learns that both stood elsewhere
-            shifts = ([0.3, 0.0, 0.0], [0.1, 0.0, 0.0])
-            eskf.clones = [
-                Pose(c.rotation, c.translation + s)
-                for c, s in zip(eskf.clones, shifts, strict=True)
-            ]
+            for k, metres in enumerate((0.3, 0.1)):
+                clone = eskf.clones[k]
+                eskf.clones[k] = Pose(clone.rotation, clone.translation + [metres, 0.0, 0.0])
         camera.take(image_from(body, 600 * number), NO_EDGES)
     assert [k.number for k in camera._cloned()] == [1, 2] and len(maps.anchors) == 2
-    owners, sums = maps.planes._voxels.owners, maps.planes._voxels.sums
+    _, sums, owners = maps.planes._voxels
     slot = int(np.flatnonzero(sums[:, 0])[0])
     assert owners[slot] == 0
-    # kept as if seen when keyframe 1 stood 0.1 m back
     np.testing.assert_allclose(sums[slot, 1:4] / 5.0, point[0] + [0.2, 0.0, 0.0], atol=1e-9)
 
 

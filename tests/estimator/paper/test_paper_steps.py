@@ -117,15 +117,15 @@ def test_relative_equations_are_derivatives_by_pose_mount_and_clone() -> None:
         for p, m, axis, edge, k, sensor in zip(
             seen, near, axes, is_edge, owners, sensors, strict=True
         ):
-            home, change = (then, mount + calibration[:6]) if k == 0 else (pose, mount)
-            here = m if k < 0 else (clone @ kept.inverse()).apply(m[None])[0]
-            arm = (here - sensor) @ (clone if k == 0 else pose).rotation
-            # as the clone sees it, along its own beam
-            place = (home if k == 0 else pose).apply(
-                ((clone if k == 0 else pose).inverse().apply(here[None]))
-                + np.cross(change[:3], arm) + change[3:]
-            )[0]  # fmt: skip
-            offset = now.apply(p[None])[0] - place
+            home, base, change = (then, clone, mount + calibration[:6]) if k == 0 else (
+                pose, pose, mount
+            )  # fmt: skip
+            here = m if k < 0 else (clone @ kept.inverse()).apply(m)
+            # as its home sees it, along its own beam
+            arm = (here - sensor) @ base.rotation
+            turned = base.inverse().apply(here) + np.cross(change[:3], arm) + change[3:]
+            place = home.apply(turned)
+            offset = now.apply(p) - place
             along = offset @ (then.rotation @ clone.rotation.T @ axis if k == 0 else axis)
             square = offset @ offset - along**2 if edge else along**2
             total += 4.5 * np.log1p(square / (9.0 * sigmas[int(not edge)] ** 2))
