@@ -257,9 +257,6 @@ def test_depth_of_a_pixel_is_that_of_the_nearest_return_there() -> None:
     assert (spread < 0.1).all()
 
 
-# ------------------------------------------------------------------------------- priors
-
-
 def test_algorithm_1_weighs_its_prior() -> None:
     """As much information in both: half way between them."""
     rng = np.random.default_rng(2)
@@ -384,9 +381,6 @@ def test_equations_of_the_pose_graph_are_derivatives_of_its_cost() -> None:
 
     slope = [(cost(e) - cost(-e)) / 2e-6 for e in 1e-6 * np.eye(12)]
     np.testing.assert_allclose(graph._system()[1], -np.array(slope), rtol=5e-3, atol=5e-3)
-
-
-# ------------------------------------------------------------------------------- small steps
 
 
 def test_flat_triangles_are_no_lines() -> None:
