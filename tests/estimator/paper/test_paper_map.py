@@ -187,10 +187,10 @@ def test_a_new_keyframe_continues_the_closed_map() -> None:
 
 
 def test_a_keyframe_keeps_inliers_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    camera = positioning(use_closures=False, use_camera_pose=False, use_bundle=False)
+    camera = positioning(use_closures=False, use_camera_pose=False)
     eskf = camera._filter.eskf
     localise = camera._localise
-    kept = 0
+    kept, refined = 0, []
 
     def every_other(features: Any) -> Any:
         nonlocal kept
@@ -202,12 +202,13 @@ def test_a_keyframe_keeps_inliers_alone(monkeypatch: pytest.MonkeyPatch) -> None
         return sightings, behind, solved
 
     monkeypatch.setattr(camera, "_localise", every_other)
+    monkeypatch.setattr(camera, "_refine", lambda seen: refined.append(len(seen)))
     for number, x in enumerate((0.0, 3.0)):
         body = Pose(np.eye(3), np.array([x, 0.0, START_Z]))
         position = body.apply(RIG.body_from_imu.translation)
         eskf.state = dataclasses.replace(eskf.state, position=position)
         camera.take(image_from(body, 60 * number), NO_EDGES)
-    assert len(camera._map.keyframes[-1].sightings) == kept > 10
+    assert len(camera._map.keyframes[-1].sightings) == kept == refined[0] > 10
 
 
 def test_keyframes_are_bounded_and_the_newest_stay() -> None:
@@ -290,6 +291,9 @@ def test_clones_are_the_newest_keyframes_and_the_oldest_hands_its_map_over() -> 
                 eskf.clones[k] = Pose(clone.rotation, clone.translation + [metres, 0.0, 0.0])
         camera.take(image_from(body, 600 * number), NO_EDGES)
     assert [k.number for k in camera._cloned()] == [1, 2] and len(maps.anchors) == 2
+    assert camera._cloned()[0].odom_from_imu is eskf.clones[0]
+    variances = np.diag(eskf.covariance)
+    assert (variances[-6:] > variances[:6]).all()  # its own landmarks err, too
     _, sums, owners = maps.planes._voxels
     slot = int(np.flatnonzero(sums[:, 0])[0])
     assert owners[slot] == 0

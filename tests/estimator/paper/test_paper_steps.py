@@ -164,9 +164,6 @@ def test_the_worst_fifth_does_not_enter_the_pose() -> None:
     assert result.pose.translation[2] == pytest.approx(10.0, abs=1e-6)
 
 
-# ------------------------------------------------------------------------------- Eqs. 7, 8 and 12
-
-
 def test_colour_smoothness_finds_a_painted_edge_on_plain_ground() -> None:
     """Flat ground is white from x = 2 m on: the strongest edges lie on that line."""
     scan = scan_ending_at(60)
@@ -302,9 +299,6 @@ def test_pnp_weighs_its_prior() -> None:
     half = found(free.information)
     np.testing.assert_allclose(half.pose.translation, truth.translation + 0.5 * shift, atol=5e-4)
     assert so3_log(half.pose.rotation)[2] == pytest.approx(5e-4, abs=5e-5)
-
-
-# ------------------------------------------------------------------------------- derivatives
 
 
 def test_equations_of_the_bundle_are_derivatives_of_its_cost() -> None:
