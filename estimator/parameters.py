@@ -69,45 +69,9 @@ class EstimatorParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LivoParams(FlownImuParams):
-    """LIDAR-inertial-visual odometry (``estimator/livo/estimator.py``)."""
+class CalibratedParams(EstimatorParams):
+    """Errors of scans and of the given calibration, which are part of the filter's state."""
 
-    camera_hz: Count = 10
-    """image rate; a divisor of the camera's clock"""
-    voxel_m: Positive = 1.0
-    """side of the plane map's voxels"""
-    map_voxels: Count = 131072
-    """capacity of the plane map, a power of two; it never grows"""
-    voxel_points: Count = 150
-    """a voxel ignores further returns after so many: the oldest carry the least drift"""
-    scan_points: Count = 2000
-    """returns of a scan that are matched, spread evenly"""
-    scan_tilt_sigma_deg: NotNegative = 1.0
-    """information floor: errors of a scan as a whole, beside those of its points and of the
-    keyframes that the map is anchored to"""
-    scan_height_sigma_m: NotNegative = 0.01
-    """the same of its height"""
-    scan_lateral_sigma_m: NotNegative = 0.3
-    """the same of its horizontal position"""
-    scan_yaw_sigma_deg: NotNegative = 0.5
-    """the same of its heading"""
-    anchor_height_m: NotNegative = 0.004
-    """height error shared by all planes and landmarks of a keyframe"""
-    ground_sigma_m: NotNegative = 0.0
-    """error that all ranges to the ground share, by plants and range bias, in the reported height:
-    no measurement shows it"""
-    depth_sigma_m: NotNegative = 0.02
-    """of a landmark along its ray"""
-    use_lidar: bool = True
-    """scans correct the pose; if false, they still give depth to features"""
-    use_vision: bool = True
-    """images correct the pose"""
-    use_closures: bool = True
-    """images are tracked from keyframes older than the last few: those of neighbouring strips and
-    of revisited ground"""
-    loose: bool = False
-    """loose coupling: each sensor measures the pose against a map without errors; if false, pose
-    and map are estimated jointly"""
     use_calibration: bool = True
     """the LIDAR's mount, the lens and the camera's clock are estimated online"""
     calibrate_above_m: NotNegative = 15.0
@@ -118,6 +82,12 @@ class LivoParams(FlownImuParams):
     filter, Brink 2017); 0: they only widen the covariance"""
     image_calibration_gain: Fraction = 0.0
     """the same of an image"""
+    ground_sigma_m: NotNegative = 0.0
+    """error that all ranges to the ground share, by plants and range bias, in the reported height:
+    no measurement shows it"""
+    scan_height_sigma_m: NotNegative = 0.01
+    """information floor: height error of a scan, beside those of its points and of the keyframes
+    that the map is anchored to"""
     mount_rotation_sigma_deg: NotNegative = 0.03
     """prior of the calibration errors: LIDAR relative to camera and IMU"""
     mount_translation_sigma_m: NotNegative = 0.003
@@ -138,6 +108,51 @@ class LivoParams(FlownImuParams):
     """prior of the misalignment of each axis of the gyroscope towards each of the two others"""
     gyro_g_sigma: NotNegative = 0.0
     """prior of the gyroscope's response to specific force, rad/s per m/s^2"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LivoParams(CalibratedParams):
+    """LIDAR-inertial-visual odometry (``estimator/livo/estimator.py``)."""
+
+    gyro_density: NotNegative = 0.0
+    """as in ``FlownImuParams``"""
+    accel_density: NotNegative = 0.0
+    """as in ``FlownImuParams``"""
+    gyro_bias_walk: NotNegative = 0.0
+    """as in ``FlownImuParams``"""
+    accel_bias_walk: NotNegative = 0.0
+    """as in ``FlownImuParams``"""
+    camera_hz: Count = 10
+    """image rate; a divisor of the camera's clock"""
+    voxel_m: Positive = 1.0
+    """side of the plane map's voxels"""
+    map_voxels: Count = 131072
+    """capacity of the plane map, a power of two; it never grows"""
+    voxel_points: Count = 150
+    """a voxel ignores further returns after so many: the oldest carry the least drift"""
+    scan_points: Count = 2000
+    """returns of a scan that are matched, spread evenly"""
+    scan_tilt_sigma_deg: NotNegative = 1.0
+    """information floor: errors of a scan as a whole, beside those of its points and of the
+    keyframes that the map is anchored to"""
+    scan_lateral_sigma_m: NotNegative = 0.3
+    """the same of its horizontal position"""
+    scan_yaw_sigma_deg: NotNegative = 0.5
+    """the same of its heading"""
+    anchor_height_m: NotNegative = 0.004
+    """height error shared by all planes and landmarks of a keyframe"""
+    depth_sigma_m: NotNegative = 0.02
+    """of a landmark along its ray"""
+    use_lidar: bool = True
+    """scans correct the pose; if false, they still give depth to features"""
+    use_vision: bool = True
+    """images correct the pose"""
+    use_closures: bool = True
+    """images are tracked from keyframes older than the last few: those of neighbouring strips and
+    of revisited ground"""
+    loose: bool = False
+    """loose coupling: each sensor measures the pose against a map without errors; if false, pose
+    and map are estimated jointly"""
     use_degeneracy: bool = True
     """scans do not correct degenerate directions, such as lateral motion over level ground"""
     weak_sigma_m: NotNegative = 0.1
@@ -154,12 +169,10 @@ class LivoParams(FlownImuParams):
     """corners of a keyframe"""
     pixel_sigma: NotNegative = 0.3
     """standard deviation of a tracked corner, its landmark's error included"""
-    correction_time_s: NotNegative = 0.15
-    """a correction of the filter reaches control over this time"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PaperParams(EstimatorParams):
+class PaperParams(CalibratedParams):
     """LIDAR-camera positioning of Zou, Sun and Kong 2024 (``estimator/paper``)."""
 
     camera_hz: Count = 10
@@ -195,7 +208,7 @@ class PaperParams(EstimatorParams):
     """standard deviation of a point-to-line distance"""
     plane_sigma_m: NotNegative = 0.04
     """standard deviation of a point-to-plane distance"""
-    keyframe_distance_m: NotNegative = 2.0
+    keyframe_distance_m: NotNegative = 3.0
     """distance after which an image is matched with the map"""
     keyframe_period_s: Positive = 0.5
     """images further apart than either are matched to the map"""

@@ -141,8 +141,8 @@ class Eskf:
     def add_clone(self, own_variances: Array | None = None) -> None:
         """Clones the present pose, fully correlated with the state.
 
-        ``own_variances`` (6,), rad^2 and m^2: independent errors shared by all that is stored with
-        this clone.
+        ``own_variances`` (6,) or their covariance (6, 6), rad^2 and m^2: independent errors shared
+        by all that is stored with this clone.
         """
         size = len(self.covariance)
         grown = np.empty((size + CLONE_DIM, size + CLONE_DIM))
@@ -151,8 +151,8 @@ class Eskf:
         grown[:size, size:] = self.covariance[:, POSE]
         grown[size:, size:] = self.covariance[POSE, POSE]
         if own_variances is not None:
-            own = np.arange(size, size + CLONE_DIM)
-            grown[own, own] += own_variances
+            spread = np.diag(own_variances) if own_variances.ndim == 1 else own_variances
+            grown[size:, size:] += spread
         self.covariance = grown
         self.clones.append(self.state.pose)
 

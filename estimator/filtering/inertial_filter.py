@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, FlownImuParams, PoseTrack
+from touchdown.estimator.api import Estimate, FlownImuParams, LivoParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan
 from touchdown.estimator.filtering.error_state import (
     NAVIGATION,
@@ -70,7 +70,7 @@ _IDLE_MARGIN = 1.2
 """of the idle speed: below it the rotors give no lift"""
 
 
-def with_flown_noise(rig: SensorRig, params: FlownImuParams) -> SensorRig:
+def with_flown_noise(rig: SensorRig, params: FlownImuParams | LivoParams) -> SensorRig:
     """The rig with the IMU's noise as it is on the flying vehicle, whose rotors shake it: the
     larger of that of the data sheet and ``params``."""
     larger = {

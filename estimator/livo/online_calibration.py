@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import LivoParams
+from touchdown.estimator.api import CalibratedParams
 from touchdown.estimator.filtering.error_state import (
     ACCEL_SCALE,
     CALIBRATION_DIM,
@@ -57,7 +57,7 @@ from touchdown.sim.frames import Pose, so3_exp
 Array = NDArray[np.float64]
 
 
-def prior_sigmas(params: LivoParams) -> Array:
+def prior_sigmas(params: CalibratedParams) -> Array:
     """Standard deviations (38,), or (0,) without online calibration; rad, m, 1, pixels, s, 1,
     rad, rad/s per m/s^2."""
     if not params.use_calibration:

@@ -24,12 +24,22 @@ from touchdown.estimator.filtering.error_state import (
     error_between,
     moved_by,
 )
-from touchdown.estimator.filtering.imu_propagation import cross_into
+from touchdown.estimator.filtering.imu_propagation import (
+    cross_into,
+    rotate_back_into,
+    rotate_into,
+)
+from touchdown.estimator.filtering.keyframes import bearing_rays
+from touchdown.estimator.filtering.reprojection import MountedCamera
+from touchdown.estimator.paper.visual_map import MapKeyframe, Sightings, by_host, joined
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+_PRIOR_SIGMAS = np.array([1e-3, 1e-3, 5e-3, 0.3, 0.3, 0.02])
+"""rad and m: tilt and height as LIDAR and gravity have them, the rest nearly free"""
 
 
 class Observations(NamedTuple):
@@ -53,6 +63,27 @@ class BundleProblem:
     fixed: int
     depths: Array
     seen: Observations
+
+
+@njit(cache=True)
+def _eliminate(
+    information: Array, vector: Array, coupling: Array, curvature: Array, slope: Array
+) -> None:
+    """Takes the depths out of the normal equations of the poses. A landmark couples the few poses
+    that see it."""
+    touched = np.empty(vector.shape[0], np.int64)
+    for m in range(coupling.shape[0]):
+        row, count = coupling[m], 0
+        for a in range(row.shape[0]):
+            if row[a] != 0.0:
+                touched[count] = a
+                count += 1
+        for i in range(count):
+            a = touched[i]
+            share = row[a] / curvature[m]
+            vector[a] -= share * slope[m]
+            for n in range(count):
+                information[a, touched[n]] -= share * row[touched[n]]
 
 
 @njit(cache=True)
@@ -82,63 +113,56 @@ def _reduced_system(
     for m in range(count):
         curvature[m] = 1.0 / depth_sigma**2
         slope[m] = (prior_depths[m] - depths[m]) / depth_sigma**2
-    back = np.ascontiguousarray(camera_rotation.T)
-    projection = np.zeros((2, 3))
-    j_observer, j_host = np.zeros((2, 6)), np.zeros((2, 6))
+    ends, j = np.empty(2, np.int64), np.zeros((2, 2 * POSE_DIM))
+    direction, in_host, world, ray = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    in_observer, c, j_depth = np.empty(3), np.empty(3), np.empty(2)
+    of_pixel, in_imu = np.zeros((2, 3)), np.empty((2, 3))
+    in_world, through_host = np.empty((2, 3)), np.empty((2, 3))
     cost = 0.0
     for o in range(landmarks.shape[0]):
         m, k, h = landmarks[o], observers[o], hosts[landmarks[o]]
-        direction = camera_rotation @ rays[m]
-        in_host = direction * depths[m] + camera_position
-        world = rotations[h] @ in_host + positions[h]
-        to_observer = np.ascontiguousarray(rotations[k].T)
-        in_observer = to_observer @ (world - positions[k])
-        c = back @ (in_observer - camera_position)
+        rotate_into(camera_rotation, rays[m], direction)
+        for a in range(3):
+            in_host[a] = direction[a] * depths[m] + camera_position[a]
+        rotate_into(rotations[h], in_host, world)
+        for a in range(3):
+            world[a] += positions[h, a] - positions[k, a]
+        rotate_back_into(rotations[k], world, in_observer)
+        for a in range(3):
+            ray[a] = in_observer[a] - camera_position[a]
+        rotate_back_into(camera_rotation, ray, c)
         if c[2] < 0.05:
             continue
         ru = pixels[o, 0] - (fx * c[0] / c[2] + cx)
         rv = pixels[o, 1] - (fy * c[1] / c[2] + cy)
-        projection[0, 0], projection[0, 2] = fx / c[2], -fx * c[0] / (c[2] * c[2])
-        projection[1, 1], projection[1, 2] = fy / c[2], -fy * c[1] / (c[2] * c[2])
+        of_pixel[0, 0], of_pixel[0, 2] = fx / c[2], -fx * c[0] / (c[2] * c[2])
+        of_pixel[1, 1], of_pixel[1, 2] = fy / c[2], -fy * c[1] / (c[2] * c[2])
         error2 = (ru * ru + rv * rv) / sigmas[o] ** 2
         weight = 1.0 / ((1.0 + error2 / scale**2) * sigmas[o] ** 2)
         cost += scale**2 * np.log(1.0 + error2 / scale**2)
-        in_imu = projection @ back
-        in_world = in_imu @ to_observer
-        through_host = in_world @ rotations[h]
         for a in range(2):
-            cross_into(in_imu[a], in_observer, j_observer[a], ROTATION.start)
-            cross_into(in_host, through_host[a], j_host[a], ROTATION.start)
-        j_observer[:, POSITION], j_host[:, POSITION] = -in_world, in_world
-        j_depth = through_host @ direction
-        at, to = POSE_DIM * k, POSE_DIM * h
-        for a in range(POSE_DIM):
-            ra = j_observer[0, a] * ru + j_observer[1, a] * rv
-            rh = j_host[0, a] * ru + j_host[1, a] * rv
-            vector[at + a] += weight * ra
-            vector[to + a] += weight * rh
-            da = j_observer[0, a] * j_depth[0] + j_observer[1, a] * j_depth[1]
-            dh = j_host[0, a] * j_depth[0] + j_host[1, a] * j_depth[1]
-            coupling[m, at + a] += weight * da
-            coupling[m, to + a] += weight * dh
-            for b in range(POSE_DIM):
-                kk = j_observer[0, a] * j_observer[0, b] + j_observer[1, a] * j_observer[1, b]
-                hh = j_host[0, a] * j_host[0, b] + j_host[1, a] * j_host[1, b]
-                kh = j_observer[0, a] * j_host[0, b] + j_observer[1, a] * j_host[1, b]
-                information[at + a, at + b] += weight * kk
-                information[to + a, to + b] += weight * hh
-                information[at + a, to + b] += weight * kh
-                information[to + b, at + a] += weight * kh
+            rotate_into(camera_rotation, of_pixel[a], in_imu[a])
+            rotate_into(rotations[k], in_imu[a], in_world[a])
+            rotate_back_into(rotations[h], in_world[a], through_host[a])
+            cross_into(in_imu[a], in_observer, j[a], ROTATION.start)
+            cross_into(in_host, through_host[a], j[a], POSE_DIM + ROTATION.start)
+            j_depth[a] = 0.0
+            for b in range(3):
+                j[a, POSITION.start + b] = -in_world[a, b]
+                j[a, POSE_DIM + POSITION.start + b] = in_world[a, b]
+                j_depth[a] += through_host[a, b] * direction[b]
+        ends[0], ends[1] = POSE_DIM * k, POSE_DIM * h
+        for a in range(2 * POSE_DIM):
+            row = ends[a // POSE_DIM] + a % POSE_DIM
+            wu, wv = weight * j[0, a], weight * j[1, a]
+            vector[row] += wu * ru + wv * rv
+            coupling[m, row] += wu * j_depth[0] + wv * j_depth[1]
+            for b in range(2 * POSE_DIM):
+                column = ends[b // POSE_DIM] + b % POSE_DIM
+                information[row, column] += wu * j[0, b] + wv * j[1, b]
         curvature[m] += weight * (j_depth[0] ** 2 + j_depth[1] ** 2)
         slope[m] += weight * (j_depth[0] * ru + j_depth[1] * rv)
-    for m in range(count):
-        row = coupling[m]
-        for a in range(size):
-            if row[a] == 0.0:
-                continue
-            vector[a] -= row[a] * slope[m] / curvature[m]
-            for b in range(size):
-                information[a, b] -= row[a] * row[b] / curvature[m]
+    _eliminate(information, vector, coupling, curvature, slope)
     return information, vector, coupling, curvature, slope, cost
 
 
@@ -178,3 +202,89 @@ def adjust(
         if float(np.abs(delta).max()) < 1e-5:
             break
     return poses, depths
+
+
+@dataclass(frozen=True, slots=True)
+class LocalisedImage:
+    """The newest image: its odom_from_imu and the landmarks seen in it."""
+
+    pose: Pose
+    sightings: Sightings
+
+
+def build_problem(
+    window: list[MapKeyframe],
+    newest: LocalisedImage,
+    known: dict[int, MapKeyframe],
+    camera: MountedCamera,
+    sigmas_px: Array,
+    first_free: int,
+) -> tuple[BundleProblem, Sightings] | None:
+    """Returns the problem of ``window`` (oldest first) and the newest image, and its landmarks, one
+    sighting of each; None if nothing ties the poses.
+
+    Hosts outside the window join it with fixed poses. ``sigmas_px`` (2,) by kind. Keyframes with an
+    index below ``first_free`` in the window are fixed.
+    """
+    views = [*(keyframe.sightings for keyframe in window), newest.sightings]
+    seen, view = joined(views), np.repeat(np.arange(len(views)), [len(one) for one in views])
+    usable = np.isin(seen.hosts, list(known))
+    seen, view = seen.select(usable), view[usable]
+    if len(seen) < 20:
+        return None
+    order = np.lexsort((view, seen.indices, seen.kinds, seen.hosts))
+    seen, view = seen.select(order), view[order]
+    labels = np.column_stack([seen.hosts, seen.kinds, seen.indices])
+    first = np.concatenate([[True], (labels[1:] != labels[:-1]).any(axis=1)])
+    inside = [keyframe.number for keyframe in window]
+    outside = np.setdiff1d(seen.hosts, inside).tolist()
+    fixed = [known[number] for number in outside] + window[:first_free]
+    free = window[first_free:]
+    places = {keyframe.number: at for at, keyframe in enumerate(fixed + free)}
+    landmarks = seen.select(first)
+    points, pixels = np.empty((len(landmarks), 3)), np.empty((len(landmarks), 2))
+    priors = np.empty(len(landmarks))
+    for mine, source in by_host(landmarks, known):
+        at = landmarks.indices[mine]
+        points[mine], pixels[mine] = source.points[at], source.pixels[at]
+        priors[mine] = source.depths[at]
+    problem = BundleProblem(
+        poses=[k.odom_from_imu for k in fixed + free] + [newest.pose],
+        fixed=len(fixed),
+        depths=camera.imu_from_camera.inverse().apply(points)[:, 2],
+        seen=Observations(
+            hosts=np.array([places[host] for host in landmarks.hosts.tolist()]),
+            rays=bearing_rays(pixels, camera.intrinsics),
+            prior_depths=priors,
+            landmarks=np.cumsum(first) - 1,
+            observers=np.array([*(places[n] for n in inside), len(places)])[view],
+            pixels=seen.pixels,
+            sigmas_px=sigmas_px[seen.kinds],
+        ),
+    )
+    return problem, landmarks
+
+
+def adjust_window(
+    window: list[MapKeyframe],
+    newest: LocalisedImage,
+    known: dict[int, MapKeyframe],
+    camera: MountedCamera,
+    sigmas_px: Array,
+    depth_sigma_m: float,
+    first_free: int = 2,
+) -> None:
+    """Bundle adjustment: refines the landmarks of the window in place. Their keyframes move with
+    them in the solution, but not in the map: these poses are the filter's, which has had the same
+    pixels. Parameters as in ``build_problem``."""
+    built = build_problem(window, newest, known, camera, sigmas_px, first_free)
+    if built is None or len(window) <= first_free:
+        return
+    problem, landmarks = built
+    _, depths = adjust(
+        problem, camera.imu_from_camera, camera.intrinsics, depth_sigma_m=depth_sigma_m,
+        prior_sigmas=_PRIOR_SIGMAS,
+    )  # fmt: skip
+    points = camera.imu_from_camera.apply(problem.seen.rays * depths[:, None])
+    for mine, source in by_host(landmarks, known):
+        source.points[landmarks.indices[mine]] = points[mine]

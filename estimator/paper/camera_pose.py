@@ -15,10 +15,13 @@ from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist, ShutterModel, ground_depths
+from touchdown.estimator.paper.bundle import LocalisedImage, adjust_window
 from touchdown.estimator.paper.closures import Closures
 from touchdown.estimator.paper.depth_field import DepthField
 from touchdown.estimator.paper.landmarks import Features, LandmarkDetector
 from touchdown.estimator.paper.pnp import CameraPose, solve_pnp
+from touchdown.estimator.paper.registration import FeatureMaps
+from touchdown.estimator.paper.relative_pose import ImageModel, update_with_image
 from touchdown.estimator.paper.visual_map import (
     LandmarkSet,
     MapKeyframe,
@@ -26,23 +29,20 @@ from touchdown.estimator.paper.visual_map import (
     VisualMap,
     no_sightings,
 )
-from touchdown.estimator.paper.window import LocalisedImage, adjust_window
 from touchdown.sim.api import CameraImage, SensorRig
-from touchdown.sim.frames import Pose, skew
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-_FLOOR_SIGMAS = np.array([1e-4, 1e-4, np.radians(0.02), 0.008, 0.008, 0.02])
-"""rad and m: information floor, errors that all landmarks of an image share"""
-_GROUND_TILT_SIGMA = np.radians(0.5)
-"""of all landmarks together: the map grows outward from the take-off spot and may be tilted"""
 _LEAST_LANDMARKS = 30
 _LEAST_CLOSURE = 25
 _LEAST_AGREEMENT = 0.5
 """of the landmarks found, for a closure"""
 _MOST_CANDIDATES = 2
+_QUERY_PERIOD_S = 1.0
+"""between keyframes that the dictionary holds and is asked about: the rate of RTAB-Map"""
 _CLOSURE_RADIUS_PX = 40.0
 _LEAST_SCALE = 0.7
 _CLOSURE_GUESS_SIGMAS = np.array([0.003, 0.003, 0.05, 2.0, 2.0, 0.2])
@@ -50,24 +50,13 @@ _CLOSURE_FLOOR_SIGMAS = np.array([1e-3, 1e-3, 5e-4, 0.015, 0.015, 0.1])
 """rad and m: information floor for landmarks of an earlier pass"""
 
 
-def with_common_errors(information: Array, pose: Pose, centre: Array) -> Array:
-    """Information (6, 6) of a pose from landmarks around ``centre`` (3,) whose map may be shifted
-    and tilted as a whole. A tilted map tilts the pose and swings it about the
-    centre, so that the position given the tilt stays as accurate as before; gravity determines the
-    tilt better."""
-    swing = np.zeros((6, 2))
-    swing[:3] = pose.rotation.T[:, :2]
-    swing[3:] = -skew(pose.translation - centre)[:, :2]
-    common = np.diag(_FLOOR_SIGMAS**2) + _GROUND_TILT_SIGMA**2 * swing @ swing.T
-    return limit_information(information, common)
-
-
 class CameraPositioning:
     """Visual map and the correction of the filter by the images of keyframes."""
 
     def __init__(
-        self, rig: SensorRig, params: PaperParams, inertial: InertialFilter, recent: RecentReturns
-    ) -> None:
+        self, rig: SensorRig, params: PaperParams, inertial: InertialFilter, recent: RecentReturns,
+        maps: FeatureMaps,
+    ) -> None:  # fmt: skip
         self._rig = rig
         self._params = params
         self._filter = inertial
@@ -77,8 +66,14 @@ class CameraPositioning:
         self._shutter = ShutterModel(rig)
         self._map = VisualMap(rig.camera, inertial.imu_from_camera)
         rate = float(np.radians(params.closure_rate_deg_s))
+        self._maps = maps
+        self._model = ImageModel(
+            MountedCamera(rig.camera, inertial.imu_from_camera),
+            (rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
+            self._sigmas(np.arange(2)), params.depth_sigma_m,
+        )  # fmt: skip
         self._closures = Closures(params.closure_speed_mps, rate)
-        self._last_tick = -(10**9)
+        self._last_tick = self._asked_tick = -(10**9)
         self._last_position = inertial.eskf.state.position
         self._next_number = 0
         self.failed = 0
@@ -100,18 +95,21 @@ class CameraPositioning:
         found = self._detector(grey)
         twist = self._filter.camera_twist(image)
         features = self._at_one_instant(found[0], twist), self._at_one_instant(found[1], twist)
+        self._follow_clones()
         sightings, behind, solved = self._localise(features)
         corrected = False
         if solved is not None:
             sightings = sightings.select(solved.inliers)
-            pose = self._adjust(solved.pose, sightings)
             if self._params.use_camera_pose:
-                seen = self._map.positions(
-                    sightings, self._odom_frames(sightings), self._map.by_number()
-                )
-                information = with_common_errors(solved.information, pose, seen.mean(axis=0))
-                self._filter.correct(pose, information, np.zeros(6))
+                eskf, height = self._filter.eskf, self._map.keyframes[-1].depth_m
+                share = self._params.image_calibration_gain
+                share *= height >= self._params.calibrate_above_m
+                update_with_image(eskf, self._model, self._cloned(), sightings, share)
+                self._filter.trail.follow(eskf.state)
+                self._follow_clones()
                 corrected = True
+            if self._params.use_bundle:
+                self._refine(sightings)
         else:
             self.failed += bool(self._map.keyframes)
             sightings = no_sightings()
@@ -142,18 +140,35 @@ class CameraPositioning:
         moved = float(np.linalg.norm(position - newest.odom_from_imu.translation))
         return moved > 0.03 * newest.depth_m
 
-    def _adjust(self, pose: Pose, sightings: Sightings) -> Pose:
-        if not self._params.use_bundle:
-            return pose
-        return adjust_window(
-            self._map.keyframes[-self._params.bundle_keyframes :], LocalisedImage(pose, sightings),
-            self._map.by_number(), MountedCamera(self._rig.camera, self._imu_from_camera),
+    def _refine(self, sightings: Sightings) -> None:
+        """Bundle adjustment of the newest keyframes and the present image."""
+        adjust_window(
+            self._map.keyframes[-self._params.bundle_keyframes :],
+            LocalisedImage(self._filter.eskf.state.pose, sightings), self._map.by_number(),
+            MountedCamera(self._rig.camera, self._imu_from_camera),
             np.sqrt(2.0) * self._sigmas(np.arange(2)), self._params.depth_sigma_m,
         )  # fmt: skip
 
-    def _odom_frames(self, sightings: Sightings) -> dict[int, Pose]:
-        known = self._map.by_number()
-        return {int(h): known[int(h)].odom_from_imu for h in np.unique(sightings.hosts)}
+    def _cloned(self) -> list[MapKeyframe]:
+        """The newest keyframes, which are the filter's clones."""
+        keyframes = self._map.keyframes
+        return keyframes[len(keyframes) - len(self._filter.eskf.clones) :]
+
+    def _follow_clones(self) -> None:
+        """Moves the newest keyframes to the filter's estimate of them."""
+        for keyframe, pose in zip(self._cloned(), self._filter.eskf.clones, strict=True):
+            moved = keyframe.odom_from_imu.inverse() @ pose
+            keyframe.map_from_imu = keyframe.map_from_imu @ moved
+            keyframe.odom_from_imu = pose
+
+    def _clone(self, keyframe: MapKeyframe) -> None:
+        """Makes a new keyframe a clone of the filter; the oldest clone ends."""
+        eskf = self._filter.eskf
+        if len(eskf.clones) >= self._params.recent_keyframes:
+            self._maps.hand_over(0, eskf)
+            eskf.remove_clone(0)
+        eskf.add_clone(self._model.own_covariance(eskf, keyframe))
+        self._maps.anchors.add(keyframe.odom_from_imu, eskf.state.calibration)
 
     def _sigmas(self, kinds: Indices) -> Array:
         return np.array([self._params.sift_sigma_px, self._params.brisk_sigma_px])[kinds]
@@ -223,10 +238,12 @@ class CameraPositioning:
         if newest is not None:
             in_map = newest.map_from_imu @ newest.odom_from_imu.inverse() @ pose
         keyframe = MapKeyframe(
-            self._next_number, pose, in_map, depth_m, (sets[0], sets[1]), sightings
-        )
+            self._next_number, pose, in_map, depth_m, (sets[0], sets[1]), sightings,
+            self._filter.eskf.twist, self._filter.eskf.state.calibration,
+        )  # fmt: skip
         self._next_number += 1
         self._map.keyframes.append(keyframe)
+        self._clone(keyframe)
         if self._params.use_closures:
             self._close_loops(keyframe, features, newest)
         self._forget()
@@ -255,7 +272,10 @@ class CameraPositioning:
     ) -> None:
         """Queries the dictionary with the new keyframe and adds closures to old ones that PnP
         confirms."""
-        words = self._closures.words(features)
+        words = np.zeros(0, dtype=np.int64)
+        if self._last_tick - self._asked_tick >= _QUERY_PERIOD_S * self._rig.tick_hz:
+            self._asked_tick = self._last_tick
+            words = self._closures.words(features)
         recent = self._map.keyframes[-self._params.recent_keyframes - 1 :]
         young = {k.number for k in recent}
         # a large change of scale magnifies the depth errors of landmarks

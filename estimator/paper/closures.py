@@ -31,8 +31,7 @@ class Closures:
         self._vocabularies = (Vocabulary(SIFT, _WORDS), Vocabulary(BRISK, _WORDS))
         self._index = InvertedIndex()
         self._graph = PoseGraph(_ANCHOR_SIGMAS, _LEVEL_SIGMAS)
-        self._target = Pose.identity()
-        self.world_from_odom = Pose.identity()
+        self._target = self.world_from_odom = Pose.identity()
         self.drift_covariance: Array = np.zeros((3, 3))
         self.closed = 0
 
@@ -114,6 +113,8 @@ class Closures:
         """Moves the odometry frame towards its target at a bounded speed at the vehicle, and
         returns its pose."""
         now, target = self.world_from_odom, self._target
+        if now is target:
+            return now
         yaw_error = float(so3_log(now.rotation.T @ target.rotation)[2])
         limit = self._rate * seconds
         yaw = float(np.arctan2(now.rotation[1, 0], now.rotation[0, 0]))
@@ -122,7 +123,10 @@ class Closures:
         gap = target.apply(position_odom) - here
         length = float(np.sqrt(gap @ gap))
         here = here + gap * min(1.0, self._speed * seconds / max(length, 1e-12))
-        self.world_from_odom = Pose(rotation, here - rotation @ position_odom)
+        arrived = length <= self._speed * seconds and abs(yaw_error) <= limit
+        self.world_from_odom = (
+            target if arrived else Pose(rotation, here - rotation @ position_odom)
+        )
         return self.world_from_odom
 
 

@@ -28,7 +28,6 @@ class Vocabulary:
     def __init__(self, kind: int, capacity: int) -> None:
         self.kind = kind
         self._words = np.zeros((capacity, SIFT_BYTES if kind == SIFT else BRISK_BYTES), np.uint8)
-        self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
         self._limit = _SIFT_NEW_WORD if kind == SIFT else _BRISK_NEW_WORD
         self.count = 0
 
@@ -42,11 +41,10 @@ class Vocabulary:
             best = np.argmin(square, axis=1)
             distance = np.sqrt(np.maximum(square[np.arange(len(best)), best], 0.0))
             return best.astype(np.int64), distance.astype(np.float64)
-        found = self._matcher.match(descriptors, words)
-        return (
-            np.array([match.trainIdx for match in found], dtype=np.int64),
-            np.array([match.distance for match in found], dtype=np.float64),
+        distance, best = cv2.batchDistance(
+            descriptors, words, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=1
         )
+        return best[:, 0].astype(np.int64), distance[:, 0].astype(np.float64)
 
     def assign(self, descriptors: Bytes) -> Indices:
         """The words (N,) of (N, D) descriptors; makes new ones while there is room."""

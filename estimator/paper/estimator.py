@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, PaperParams, PoseTrack
+from touchdown.estimator.filtering.error_state import POSITION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.intake import Intake
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.undistortion import Undistorter
+from touchdown.estimator.livo.online_calibration import prior_sigmas
 from touchdown.estimator.paper.camera_pose import CameraPositioning
 from touchdown.estimator.paper.depth_field import half_size_energy
 from touchdown.estimator.paper.lidar_pose import LidarPositioning
@@ -30,11 +32,13 @@ class PaperEstimator:
         self._rig = rig
         self._params = params = params or PaperParams()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, lidar=True)
-        self._filter = InertialFilter(rig, params.correction_time_s)
+        self._filter = InertialFilter(
+            rig, params.correction_time_s, calibration_sigmas=prior_sigmas(params)
+        )
         self._edges = edge_detector(params.edge_model)
         self._recent = RecentReturns(scans=15, per_scan=8000)
         self._lidar = LidarPositioning(rig, params, self._filter, self._recent)
-        self._camera = CameraPositioning(rig, params, self._filter, self._recent)
+        self._camera = CameraPositioning(rig, params, self._filter, self._recent, self._lidar.maps)
         self._undistort = Undistorter(rig)
         self._images: deque[CameraImage] = deque(maxlen=3)
         self._energy: tuple[int, NDArray[np.float32]] = (-1, np.zeros((0, 0), np.float32))
@@ -55,13 +59,17 @@ class PaperEstimator:
                 self._take(message)
         self._intake.finish(obs)
         seconds = self._filter.step_s
-        world_from_odom, drift = self._camera.world_from_odom(seconds)
+        world_from_odom, spread = self._camera.world_from_odom(seconds)
+        # the reported pose differs from the best estimate by the decaying jump
+        jump = self._filter.jump[POSITION]
+        spread = spread + jump * jump[:, None]
+        spread[2, 2] += self._params.ground_sigma_m**2
         skipped = self._skipped + self._intake.skipped + self._camera.failed
         diagnostics = self._lidar.diagnostics | self._camera.diagnostics
         diagnostics |= {"skipped": float(skipped)}
         events = tuple(self._intake.events)
         return self._filter.estimate(
-            obs, world_from_odom, drift, self._scan_track, diagnostics, events
+            obs, world_from_odom, spread, self._scan_track, diagnostics, events
         )
 
     def _flat(self, image: CameraImage) -> CameraImage:
@@ -71,7 +79,10 @@ class PaperEstimator:
     def _take(self, message: LidarScan | CameraImage) -> None:
         if isinstance(message, LidarScan):
             tick = message.end_tick
-            image = nearest_image(list(self._images), tick, self._rig.lidar_scan_ticks)
+            apart = self._rig.lidar_scan_ticks
+            # edge energy is the largest cost: one serves two scans
+            known = [image for image in self._images if image.tick == self._energy[0]]
+            image = nearest_image(known, tick, apart) or nearest_image(self._images, tick, apart)
             energy = None
             if image is not None and self._params.use_colour_smoothness:
                 energy = self._energy_of(image)

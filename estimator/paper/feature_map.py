@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import Frame, Frames
+from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.plane_map import _EMPTY, _pack, _slot
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
@@ -14,13 +19,48 @@ NEIGHBOURS = 5
 """k of Algorithm 1"""
 
 _COUNT, _X, _Y, _Z = range(4)
-"""of a voxel: number of points and sums of their coordinates"""
+_CENTRE, _SENSOR = slice(1, 4), slice(4, 7)
+_COLUMNS = 7
+"""of a voxel: number of points, sums of their coordinates, and the position (3,) that it was first
+seen from"""
+
+
+_NO_OWNER = -1
+
+
+class Voxels(NamedTuple):
+    """The S slots of the hash table, as kernels take them."""
+
+    keys: NDArray[np.int64]  # (S,)
+    sums: Array  # (S, 7)
+    owners: NDArray[np.int64]  # (S,) clone of the filter that a voxel belongs to; -1: none
+
+
+class Seen(NamedTuple):
+    """Circumstances of new points."""
+
+    sensor: Array  # (3,) m, odom frame
+    owner: int  # of new voxels
+    moves: Frames  # that move points to where the owners' voxels are kept
+
+
+class Nearest(NamedTuple):
+    """The five nearest centroids of N points, nearest first."""
+
+    found: NDArray[np.bool_]  # (N,)
+    near: Array  # (N, 5, 3)
+    owners: NDArray[np.int64]  # (N,) of the nearest
+    sensors: Array  # (N, 3) m, where the nearest was first seen from
+
+
+_NOWHERE = Seen(np.zeros(3), _NO_OWNER, Frames.of([]))
 
 
 @njit(cache=True)
 def _insert(
-    keys: NDArray[np.int64], sums: Array, used: int, points: Array, voxel: float, max_count: int
+    voxels: Voxels, used: int, points: Array, seen: Seen, voxel: float, max_count: int
 ) -> int:
+    keys, sums, owners = voxels
     limit = int(0.7 * keys.shape[0])
     for i in range(points.shape[0]):
         key = _pack(
@@ -32,41 +72,79 @@ def _insert(
         if keys[slot] == _EMPTY:
             if used >= limit:
                 continue
-            keys[slot] = key
+            keys[slot], owners[slot] = key, seen.owner
+            sums[slot, _SENSOR] = seen.sensor
             used += 1
         if sums[slot, _COUNT] >= max_count:
             continue
         sums[slot, _COUNT] += 1.0
+        k = owners[slot]
         for c in range(3):
-            sums[slot, _X + c] += points[i, c]
+            if k < 0:
+                sums[slot, _X + c] += points[i, c]
+                continue
+            sums[slot, _X + c] += seen.moves.translations[k, c]
+            for a in range(3):
+                sums[slot, _X + c] += seen.moves.rotations[k, c, a] * points[i, a]
     return used
 
 
 @njit(cache=True)
-def _nearest(
-    keys: NDArray[np.int64], sums: Array, points: Array, voxel: float, reach: int
-) -> tuple[NDArray[np.bool_], Array]:
+def _reassign(voxels: Voxels, gone: int, successor: int, move: Frame) -> None:
+    """Gives the voxels of owner ``gone`` to ``successor``, moved by ``move``. Owners behind
+    ``gone`` count one less."""
+    keys, sums, owners = voxels
+    centre, sensor = np.empty(3), np.empty(3)
+    for slot in range(keys.shape[0]):
+        k = owners[slot]
+        if keys[slot] == _EMPTY or k < gone:
+            continue
+        if k == gone:
+            row = sums[slot]
+            rotate_into(move.rotation, row[_CENTRE], centre)
+            rotate_into(move.rotation, row[_SENSOR], sensor)
+            for a in range(3):
+                row[_CENTRE.start + a] = centre[a] + row[_COUNT] * move.translation[a]
+                row[_SENSOR.start + a] = sensor[a] + move.translation[a]
+            k = successor
+        owners[slot] = k - 1 if k > gone else k
+
+
+@njit(cache=True)
+def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int) -> Nearest:
     """The five nearest centroids of each point among the voxels around its own."""
+    keys, sums, owners = voxels
     count = points.shape[0]
     found = np.zeros(count, dtype=np.bool_)
     near = np.zeros((count, NEIGHBOURS, 3))
-    distance = np.empty(NEIGHBOURS)
+    whose, sensors = np.full(count, _NO_OWNER, np.int64), np.zeros((count, 3))
+    distance, gap = np.empty(NEIGHBOURS), np.empty((3, 2 * reach + 1))
     for i in range(count):
-        ix = int(np.floor(points[i, 0] / voxel))
-        iy = int(np.floor(points[i, 1] / voxel))
-        iz = int(np.floor(points[i, 2] / voxel))
-        have = 0
-        for dz in range(-reach, reach + 1):
-            for dy in range(-reach, reach + 1):
-                for dx in range(-reach, reach + 1):
-                    slot = _slot(keys, _pack(ix + dx, iy + dy, iz + dz))
+        first = np.floor(points[i] / voxel) - reach
+        for a in range(3):
+            # least squared distance of the point from each layer of voxels
+            for k in range(2 * reach + 1):
+                face = first[a] + k + (k < reach)
+                gap[a, k] = 0.0 if k == reach else (points[i, a] - face * voxel) ** 2
+        have, worst = 0, np.inf
+        for turn in range(2 * reach + 1):
+            # the layers of the point's own height first
+            kz = reach + (turn + 1) // 2 * (1 if turn % 2 else -1)
+            for ky in range(2 * reach + 1):
+                if gap[2, kz] + gap[1, ky] >= worst:
+                    continue
+                for kx in range(2 * reach + 1):
+                    if gap[2, kz] + gap[1, ky] + gap[0, kx] >= worst:
+                        continue
+                    key = _pack(int(first[0]) + kx, int(first[1]) + ky, int(first[2]) + kz)
+                    slot = _slot(keys, key)
                     if keys[slot] == _EMPTY:
                         continue
                     n = sums[slot, _COUNT]
                     x, y, z = sums[slot, _X] / n, sums[slot, _Y] / n, sums[slot, _Z] / n
                     d2 = (x - points[i, 0]) ** 2
                     d2 += (y - points[i, 1]) ** 2 + (z - points[i, 2]) ** 2
-                    if have == NEIGHBOURS and d2 >= distance[NEIGHBOURS - 1]:
+                    if d2 >= worst:
                         continue
                     at = min(have, NEIGHBOURS - 1)
                     while at > 0 and distance[at - 1] > d2:
@@ -75,9 +153,13 @@ def _nearest(
                         at -= 1
                     distance[at] = d2
                     near[i, at, 0], near[i, at, 1], near[i, at, 2] = x, y, z
+                    if at == 0:
+                        whose[i], sensors[i] = owners[slot], sums[slot, _SENSOR]
                     have = min(have + 1, NEIGHBOURS)
+                    if have == NEIGHBOURS:
+                        worst = distance[NEIGHBOURS - 1]
         found[i] = have == NEIGHBOURS
-    return found, near
+    return Nearest(found, near, whose, sensors)
 
 
 class FeatureMap:
@@ -96,16 +178,22 @@ class FeatureMap:
         self.max_points = max_points
         self.reach = reach
         self.used = 0
-        self._keys = np.full(capacity, _EMPTY, dtype=np.int64)
-        self._sums = np.zeros((capacity, 4))
+        self._voxels = Voxels(
+            np.full(capacity, _EMPTY, dtype=np.int64), np.zeros((capacity, _COLUMNS)),
+            np.full(capacity, _NO_OWNER, dtype=np.int64),
+        )  # fmt: skip
 
-    def insert(self, points_odom: Array) -> None:
+    def insert(self, points_odom: Array, seen: Seen = _NOWHERE) -> None:
         """Adds (N, 3) points."""
         self.used = _insert(
-            self._keys, self._sums, self.used, points_odom, self.voxel_m, self.max_points
+            self._voxels, self.used, points_odom, seen, self.voxel_m, self.max_points
         )
 
-    def nearest(self, points_odom: Array) -> tuple[NDArray[np.bool_], Array]:
-        """Five nearest centroids of (N, 3) points, nearest first: found (N,) and (N, 5, 3). The
-        search covers the voxel of the point and ``reach`` more on every side."""
-        return _nearest(self._keys, self._sums, points_odom, self.voxel_m, self.reach)
+    def reassign(self, gone: int, successor: int, move: Pose) -> None:
+        """Gives the voxels of owner ``gone`` to ``successor``, moved by ``move``."""
+        _reassign(self._voxels, gone, successor, Frame.of(move))
+
+    def nearest(self, points_odom: Array) -> Nearest:
+        """Five nearest centroids of (N, 3) points. The search covers the voxel of the point and
+        ``reach`` more on every side."""
+        return _nearest(self._voxels, points_odom, self.voxel_m, self.reach)

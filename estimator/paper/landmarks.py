@@ -58,7 +58,7 @@ class LandmarkDetector:
     def __init__(self, sift: int, brisk: int, border_px: float = 10.0) -> None:
         self._counts = (sift, brisk)
         self._border = border_px
-        self._sift: cv2.Feature2D = cv2.SIFT.create(nfeatures=4 * sift, contrastThreshold=0.02)
+        self._sift: cv2.Feature2D = cv2.SIFT.create(nfeatures=2 * sift, contrastThreshold=0.02)
         self._brisk_threshold = 50
         self._brisk = cv2.xfeatures2d.BRISK.create(self._brisk_threshold, 2)
 
@@ -74,9 +74,11 @@ class LandmarkDetector:
         self, kind: int, detector: cv2.Feature2D, image: Grey, scale: float, cell_px: int
     ) -> Features:
         most = self._counts[kind]
-        keypoints = detector.detect(image, None) if most > 0 else []
+        keypoints, descriptors = detector.detectAndCompute(image, None) if most > 0 else ((), None)
         if kind == BRISK:
             self._adapt_threshold(len(keypoints))
+        if descriptors is None:
+            descriptors = np.zeros((0, SIFT_BYTES if kind == SIFT else BRISK_BYTES))
         pixels = np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2)
         # the centre of a half-size pixel lies between those of its four
         pixels = scale * pixels + 0.5 * (scale - 1.0)
@@ -84,17 +86,9 @@ class LandmarkDetector:
         inside = (pixels >= self._border).all(axis=1)
         inside &= (pixels <= np.array([width, height]) - 1 - self._border).all(axis=1)
         usable = np.flatnonzero(inside)
-        responses = np.array([keypoints[int(i)].response for i in usable])
+        responses = np.array([keypoints[i].response for i in usable.tolist()])
         chosen = usable[spread(pixels[usable], responses, (width, height), cell_px, most)]
-        # the size marks which of the asked keypoints come back: BRISK drops those near the border
-        asked = [keypoints[int(i)] for i in chosen]
-        for number, keypoint in enumerate(asked):
-            keypoint.class_id = number
-        described, descriptors = detector.compute(image, asked) if asked else ((), None)
-        kept = np.array([k.class_id for k in described], dtype=np.int64)
-        if len(kept) == 0:
-            descriptors = np.zeros((0, SIFT_BYTES if kind == SIFT else BRISK_BYTES))
-        return Features(kind, pixels[chosen[kept]], np.asarray(descriptors).astype(np.uint8))
+        return Features(kind, pixels[chosen], np.asarray(descriptors)[chosen].astype(np.uint8))
 
     def _adapt_threshold(self, found: int) -> None:
         """Aims at two to five times the features wanted."""

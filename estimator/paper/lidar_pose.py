@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import PaperParams
-from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.deskew import PlacedScan, screen_scan
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.paper.depth_field import scan_colour_smoothness
+from touchdown.estimator.livo.online_calibration import corrected_mount
+from touchdown.estimator.paper.depth_field import half_size_energy, scan_colour_smoothness
 from touchdown.estimator.paper.feature_map import FeatureMap
+from touchdown.estimator.paper.projection import inside_image, project
 from touchdown.estimator.paper.registration import (
     FeatureMaps,
     PosePrior,
@@ -19,12 +24,14 @@ from touchdown.estimator.paper.registration import (
     ScanPose,
     register_scan,
 )
+from touchdown.estimator.paper.relative_pose import update_with_scan
 from touchdown.estimator.paper.smoothness import (
     FeaturePoints,
     fused_smoothness,
     lidar_smoothness,
     sort_out_features,
 )
+from touchdown.estimator.paper.structured_edges.detector import edge_detector
 from touchdown.sim.api import CameraIntrinsics, LidarScan, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -34,10 +41,11 @@ Float32 = NDArray[np.float32]
 _LASERS = 6
 """of the Horizon, firing in turn"""
 _LONGEST_GAP = 8
-_FLOOR_SIGMAS = np.array([np.radians(0.5), np.radians(0.5), np.radians(0.5), 0.3, 0.3, 0.01])
-"""rad and m: information floor. Errors of the map repeat from scan to scan, because the map was
-made with this filter's own poses, and do not average out over the points of a scan"""
+_TURN_SIGMA, _LATERAL_SIGMA_M = np.radians(0.5), 0.3
+"""information floor of a scan, and of each clone's part of the map: errors of their points that do
+not average out"""
 _LEAST_RETURNS = 200
+_NONE = np.zeros(0, dtype=np.int64)
 
 
 def scan_features(
@@ -78,11 +86,10 @@ class LidarPositioning:
         self._params = params
         self._filter = inertial
         self._recent = recent
-        self._maps = FeatureMaps(
+        self.maps = FeatureMaps(
             edges=FeatureMap(params.edge_voxel_m, params.map_voxels, reach=2),
             planes=FeatureMap(params.planar_voxel_m, params.map_voxels),
         )
-        self._imu_from_lidar = inertial.imu_from_lidar
         self._camera_from_imu = inertial.imu_from_camera.inverse()
         self.diagnostics: dict[str, float] = {}
 
@@ -90,19 +97,21 @@ class LidarPositioning:
         """Registers a scan that ends at the filter's time; ``energy``: of the image nearest in time
         or None; ``seen_from``: odom_from_imu of that image, None for that of the scan. False if the
         scan could not be used."""
-        placed = self._filter.place_scan(scan)
+        eskf = self._filter.eskf
+        mount = corrected_mount(self._filter.imu_from_lidar, eskf.state.calibration)
+        placed = self._filter.place_scan(scan, mount, check_blind_zone=True)
         if placed is None:
             return False
         points = placed.points
         self.diagnostics = {"scan_returns": float(len(points))}
         if len(points) >= _LEAST_RETURNS:
             chosen = self._features(placed, energy, seen_from)
+            features = ScanFeatures(points[chosen.edges], points[chosen.planes], mount.translation)
             if self._params.use_lidar_pose:
-                self._correct(ScanFeatures(points[chosen.edges], points[chosen.planes]))
-            pose = self._filter.eskf.state.pose
-            self._maps.edges.insert(pose.apply(points[chosen.edges]))
-            self._maps.planes.insert(pose.apply(points[chosen.planes]))
-        self._recent.add(self._filter.eskf.state.pose.apply(points))
+                height = float(np.median(scan.ranges[placed.pulses]))
+                self._correct(features, height)
+            self.maps.insert(features, eskf)
+        self._recent.add(points, Frame.of(eskf.state.pose))
         return True
 
     def _features(
@@ -113,21 +122,29 @@ class LidarPositioning:
             pose = self._filter.eskf.state.pose
             camera_from_imu = camera_from_imu @ seen_from.inverse() @ pose
         in_camera = camera_from_imu.apply(scan.points)
-        in_lidar = scan.beams @ self._imu_from_lidar.rotation
+        in_lidar = scan.beams @ self._filter.imu_from_lidar.rotation
         return scan_features(
             scan.beams, in_lidar, in_camera, scan.pulses, energy, self._rig.camera, self._params
         )[0]
 
-    def _correct(self, features: ScanFeatures) -> None:
-        params = self._params
+    def _correct(self, features: ScanFeatures, height_m: float) -> None:
+        params, eskf = self._params, self._filter.eskf
         result = register_scan(
-            features, self._maps,
+            features, self.maps,
             PosePrior(self._filter.eskf.state.pose, self._filter.pose_information()),
             edge_sigma_m=params.edge_sigma_m, plane_sigma_m=params.plane_sigma_m,
+            anchors=self.maps.anchors.frames(eskf.clones, eskf.state.calibration, _NONE),
         )  # fmt: skip
         if result is None:
             return
-        self._filter.correct(result.pose, result.information, result.vector, _FLOOR_SIGMAS)
+        floor = np.repeat([_TURN_SIGMA, _LATERAL_SIGMA_M], 3)
+        floor[5] = params.scan_height_sigma_m
+        share = params.scan_calibration_gain * (height_m >= params.calibrate_above_m)
+        update_with_scan(
+            self._filter.eskf, result.matches, features.lever, result.pose, self.maps.anchors,
+            np.array([params.edge_sigma_m, params.plane_sigma_m]), floor, share,
+        )  # fmt: skip
+        self._filter.trail.follow(self._filter.eskf.state)
         self._report(result)
 
     def _report(self, result: ScanPose) -> None:
@@ -138,6 +155,43 @@ class LidarPositioning:
             "lidar_rms_m": result.rms_m,
             "lidar_converged": float(result.converged),
             "lidar_lateral_weakest": float(strength[0]),
-            "map_edges": float(self._maps.edges.used),
-            "map_planes": float(self._maps.planes.used),
+            "map_edges": float(self.maps.edges.used),
+            "map_planes": float(self.maps.planes.used),
         }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StationaryFeatures:
+    """Features of the N returns inside the image."""
+
+    energy: NDArray[np.float32]
+    """(H/2, W/2) edge energy of the image"""
+    pixels: Array
+    """(N, 2) in the image"""
+    f_c: Array
+    """(N,) colour smoothness, Eq. 8"""
+    edge: NDArray[np.bool_]
+    """(N,) chosen as edge points"""
+    planar: NDArray[np.bool_]
+    """(N,) chosen as planar points"""
+
+
+def features_of_stationary_scan(
+    scan: LidarScan, rgb: NDArray[np.uint8], rig: SensorRig, params: PaperParams
+) -> StationaryFeatures:
+    """Returns the features of ``scan`` and ``rgb`` (H, W, 3), both taken from the same pose by a
+    camera without distortion."""
+    pulses = screen_scan(scan, rig.lidar)
+    points = scan.points[pulses].astype(np.float64)
+    in_camera = (rig.body_from_camera.inverse() @ rig.body_from_lidar).apply(points)
+    energy = half_size_energy(rgb, edge_detector(params.edge_model))
+    chosen, f_c = scan_features(points, points, in_camera, pulses, energy, rig.camera, params)
+    pixels, front = project(in_camera, rig.camera.matrix())
+    seen = inside_image(pixels, front, (rig.camera.width, rig.camera.height))
+    picked = np.zeros((2, len(points)), bool)
+    picked[0, chosen.edges] = True
+    picked[1, chosen.planes] = True
+    return StationaryFeatures(
+        energy=energy, pixels=pixels[seen], f_c=f_c[seen], edge=picked[0, seen],
+        planar=picked[1, seen],
+    )  # fmt: skip

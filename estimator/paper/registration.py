@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.error_state import POSITION, ROTATION, error_between, moved_by
+from touchdown.estimator.filtering.error_state import (
+    Frame,
+    Frames,
+    error_between,
+    moved_by,
+)
+from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.estimator.filtering.plane_map import smallest_eigen
-from touchdown.estimator.paper.feature_map import FeatureMap
+from touchdown.estimator.livo.anchors import AnchorFrames, Anchors
+from touchdown.estimator.paper.feature_map import FeatureMap, Seen
+from touchdown.estimator.paper.residuals import (
+    NO_ANCHORS,
+    Matches,
+    distances,
+    line_and_plane_axes,
+    relative_equations,
+)
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -19,7 +33,10 @@ Mask = NDArray[np.bool_]
 
 EIGENVALUE_RATIO = 3.0
 _FIRST_STEPS = 2
+_MOST_STEPS = 6
 _KEPT_SHARE = 0.8
+_SAME_NEIGHBOURS_M = 0.02
+"""displacement of the scan's outermost points up to which their neighbours are not sought again"""
 _LEAST_SINE = 0.25
 """of the angle between two sides of the three plane points, below which they are one line"""
 
@@ -32,14 +49,34 @@ class ScanFeatures:
     """(E, 3)"""
     planes: Array
     """(P, 3)"""
+    lever: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) the LIDAR"""
 
 
 @dataclass(frozen=True, slots=True)
 class FeatureMaps:
-    """The global maps of both kinds of feature points."""
+    """The global maps of both kinds of feature points. Their parts belong to clones of the
+    filter."""
 
     edges: FeatureMap
     planes: FeatureMap
+    anchors: Anchors = field(default_factory=Anchors)
+
+    def insert(self, features: ScanFeatures, eskf: Eskf) -> None:
+        """Adds a scan's points at the present pose, to the part of the newest clone."""
+        pose = eskf.state.pose
+        terms = self.anchors.kept_from_now(eskf.clones, eskf.state.calibration, pose.rotation)
+        moves = Frames(terms.rotations, terms.translations)
+        seen = Seen(pose.apply(features.lever), len(self.anchors) - 1, moves)
+        self.edges.insert(pose.apply(features.edges), seen)
+        self.planes.insert(pose.apply(features.planes), seen)
+
+    def hand_over(self, k: int, eskf: Eskf) -> None:
+        """Gives the part of clone ``k``, which is about to go, to the clone nearest to it."""
+        successor, move = self.anchors.reassignment(k, eskf.clones)
+        for kind in (self.edges, self.planes):
+            kind.reassign(k, successor, move)
+        self.anchors.remove(k)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +96,7 @@ class ScanPose:
     pose: Pose
     information: Array
     vector: Array
+    matches: Matches
     edges: int
     planes: int
     rms_m: float
@@ -66,41 +104,26 @@ class ScanPose:
 
 
 @njit(cache=True)
-def edge_distance(point: Array, first: Array, last: Array) -> float:
-    """Eq. 10, d_eps: distance of ``point`` from the line through p_1 and p_k, each (3,)."""
-    cross = np.cross(point - first, point - last)
-    return np.sqrt(np.sum(cross**2)) / np.sqrt(np.sum((first - last) ** 2))
-
-
-@njit(cache=True)
-def plane_distance(point: Array, first: Array, middle: Array, last: Array) -> float:
-    """Eq. 10, d_H: signed distance of ``point`` from the plane of p_1, p_k/2 and p_k, each (3,)."""
-    normal = np.cross(middle - last, middle - first)
-    return np.sum((point - first) * normal) / np.sqrt(np.sum(normal**2))
-
-
-@njit(cache=True)
 def neighbourhood_shapes(near: Array, found: Mask) -> tuple[Mask, Mask]:
     """Masks (N,) of the neighbourhoods (N, 5, 3) that are lines (largest eigenvalue of the
     covariance three times the second) and that are planes (smallest three times below the
     second)."""
-    count = near.shape[0]
+    count, k = near.shape[0], near.shape[1]
     lines = np.zeros(count, dtype=np.bool_)
     planes = np.zeros(count, dtype=np.bool_)
-    cov = np.empty((3, 3))
+    cov, mean = np.empty((3, 3)), np.empty(3)
     for i in range(count):
         if not found[i]:
             continue
-        k = near.shape[1]
-        mean = np.zeros(3)
-        for j in range(k):
-            mean += near[i, j] / k
-        cov[:] = 0.0
-        for j in range(k):
-            d = near[i, j] - mean
-            for a in range(3):
-                for b in range(3):
-                    cov[a, b] += d[a] * d[b] / k
+        for a in range(3):
+            mean[a] = 0.0
+            for j in range(k):
+                mean[a] += near[i, j, a] / k
+        for a in range(3):
+            for b in range(3):
+                cov[a, b] = 0.0
+                for j in range(k):
+                    cov[a, b] += (near[i, j, a] - mean[a]) * (near[i, j, b] - mean[b]) / k
         low, mid, high, _, _, _ = smallest_eigen(cov)
         lines[i] = high > EIGENVALUE_RATIO * mid
         planes[i] = mid > EIGENVALUE_RATIO * max(low, 1e-9)
@@ -108,105 +131,39 @@ def neighbourhood_shapes(near: Array, found: Mask) -> tuple[Mask, Mask]:
 
 
 @njit(cache=True)
-def _distances(points: Array, near: Array, is_edge: Mask) -> Array:
-    """Eq. 10 for (N, 3) global points and their neighbourhoods."""
-    out = np.empty(points.shape[0])
-    last = near.shape[1] - 1
-    middle = near.shape[1] // 2
-    for i in range(points.shape[0]):
-        if is_edge[i]:
-            out[i] = edge_distance(points[i], near[i, 0], near[i, last])
-        else:
-            out[i] = abs(plane_distance(points[i], near[i, 0], near[i, middle], near[i, last]))
-    return out
-
-
-@njit(cache=True)
-def _axes(near: Array, is_edge: Mask) -> Array:
-    """(N, 3) unit directions of the lines and normals of the planes."""
-    out = np.empty((near.shape[0], 3))
-    last = near.shape[1] - 1
-    middle = near.shape[1] // 2
-    for i in range(near.shape[0]):
-        axis = near[i, last] - near[i, 0]
-        if not is_edge[i]:
-            axis = np.cross(near[i, middle] - near[i, last], near[i, middle] - near[i, 0])
-        out[i] = axis / np.sqrt(np.sum(axis**2))
-    return out
-
-
-@njit(cache=True)
-def _normal_equations(
-    local: Array,
-    anchors: Array,
-    axes: Array,
-    is_edge: Mask,
-    rotation: Array,
-    position: Array,
-    sigmas: Array,
-) -> tuple[Array, Array]:
-    """Information and vector of the residuals of Eq. 10, Cauchy weighted (scale 3 sigma).
-
-    ``anchors`` (N, 3): p_1. The squared distance from a line is that of the part of ``p - p_1``
-    across it, which, unlike the distance, has a derivative on the line.
-    """
-    information, vector = np.zeros((6, 6)), np.zeros(6)
-    row, offset, direction = np.zeros(6), np.zeros(3), np.zeros(3)
-    for i in range(local.shape[0]):
-        q, axis = local[i], axes[i]
-        along, square = 0.0, 0.0
-        for c in range(3):
-            offset[c] = position[c] - anchors[i, c]
-            for k in range(3):
-                offset[c] += rotation[c, k] * q[k]
-            along += offset[c] * axis[c]
-            square += offset[c] * offset[c]
-        square = square - along * along if is_edge[i] else along * along
-        sigma2 = (sigmas[0] if is_edge[i] else sigmas[1]) ** 2
-        weight = 1.0 / (sigma2 + square / 9.0)
-        for c in range(3 if is_edge[i] else 1):
-            for k in range(3):
-                direction[k] = -axis[c] * axis[k] if is_edge[i] else axis[k]
-            residual = along
-            if is_edge[i]:
-                direction[c] += 1.0
-                residual = offset[c] - along * axis[c]
-            for k in range(3):
-                row[POSITION.start + k] = direction[k]
-            cross_into(q, np.ascontiguousarray(rotation.T) @ direction, row, ROTATION.start)
-            for a in range(6):
-                vector[a] -= weight * row[a] * residual
-                for b in range(6):
-                    information[a, b] += weight * row[a] * row[b]
-    return information, vector
-
-
-@njit(cache=True)
 def _flat_triangles(near: Array) -> Mask:
     """Mask (N,) of the neighbourhoods (N, 5, 3) whose p_1, p_k/2 and p_k span a plane."""
     out = np.zeros(near.shape[0], dtype=np.bool_)
     last, middle = near.shape[1] - 1, near.shape[1] // 2
+    a, b, cross = np.empty(3), np.empty(3), np.empty(3)
     for i in range(near.shape[0]):
-        a = near[i, middle] - near[i, last]
-        b = near[i, middle] - near[i, 0]
-        cross2 = np.sum(np.cross(a, b) ** 2)
-        out[i] = cross2 > _LEAST_SINE**2 * np.sum(a * a) * np.sum(b * b) and cross2 > 1e-12
+        cross2, a2, b2 = 0.0, 0.0, 0.0
+        for c in range(3):
+            a[c] = near[i, middle, c] - near[i, last, c]
+            b[c] = near[i, middle, c] - near[i, 0, c]
+        cross_into(a, b, cross, 0)
+        for c in range(3):
+            cross2, a2, b2 = cross2 + cross[c] ** 2, a2 + a[c] ** 2, b2 + b[c] ** 2
+        out[i] = cross2 > _LEAST_SINE**2 * a2 * b2 and cross2 > 1e-12
     return out
 
 
-def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose) -> tuple[Array, Array, Mask]:
-    """Steps 3 to 9, points placed by Eq. 9: those (M, 3) with a line or plane nearby, their
-    neighbourhoods (M, 5, 3), and the mask (M,) of edge points."""
-    edges, planes = features.edges, features.planes
-    edge_found, edge_near = maps.edges.nearest(pose.apply(edges))
-    lines, _ = neighbourhood_shapes(edge_near, edge_found)
-    plane_found, plane_near = maps.planes.nearest(pose.apply(planes))
-    _, flats = neighbourhood_shapes(plane_near, plane_found)
-    flats &= _flat_triangles(plane_near)
-    local = np.concatenate([edges[lines], planes[flats]])
-    near = np.concatenate([edge_near[lines], plane_near[flats]])
-    is_edge = np.arange(len(local)) < int(lines.sum())
-    return local, near, is_edge
+def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose) -> Matches:
+    """Steps 3 to 9: the points placed by Eq. 9, those with a line or plane nearby."""
+    edges = maps.edges.nearest(pose.apply(features.edges))
+    lines, _ = neighbourhood_shapes(edges.near, edges.found)
+    planes = maps.planes.nearest(pose.apply(features.planes))
+    _, flats = neighbourhood_shapes(planes.near, planes.found)
+    flats &= _flat_triangles(planes.near)
+
+    near = np.concatenate([edges.near[lines], planes.near[flats]])
+    is_edge = np.arange(len(near)) < lines.sum()
+    return Matches(
+        np.concatenate([features.edges[lines], features.planes[flats]]), near,
+        line_and_plane_axes(near, is_edge), is_edge,
+        np.concatenate([edges.owners[lines], planes.owners[flats]]),
+        np.concatenate([edges.sensors[lines], planes.sensors[flats]]),
+    )  # fmt: skip
 
 
 def _keep_best(distances: Array, is_edge: Mask) -> Mask:
@@ -227,8 +184,8 @@ def register_scan(
     *,
     edge_sigma_m: float,
     plane_sigma_m: float,
+    anchors: AnchorFrames = NO_ANCHORS,
     rounds: int = 3,
-    steps: int = 6,
     min_matches: int = 30,
 ) -> ScanPose | None:
     """Algorithm 1: returns odom_from_imu of a scan, or None with fewer than ``min_matches`` matched
@@ -236,47 +193,41 @@ def register_scan(
 
     ``prior``: the pose of the last scan propagated by the IMU (the paper starts from the last pose
     itself). Over a plane a scan leaves x, y and yaw open, and the solution stays at the prior
-    there. The returned information is that of the scan alone.
+    there. ``anchors``: the clones that parts of the map belong to, at their present estimate. The
+    returned information is that of the scan alone, about the pose alone.
     """
-    guess, guess_information = prior.pose, prior.information
-    pose = guess
-    sigmas = np.array([edge_sigma_m, plane_sigma_m])
-    converged = False
-    local, near, is_edge = np.empty((0, 3)), np.empty((0, 5, 3)), np.empty(0, dtype=np.bool_)
-    axes = np.empty((0, 3))
+    pose, sigmas = prior.pose, np.array([edge_sigma_m, plane_sigma_m])
+    every = np.concatenate([features.edges, features.planes, np.zeros((1, 3))])
+    extent = np.array([every.min(axis=0), every.max(axis=0)])
 
-    def step(pose: Pose) -> tuple[Pose, float]:
-        information, vector = _normal_equations(
-            local, near[:, 0], axes, is_edge, pose.rotation, pose.translation, sigmas
-        )
-        vector = vector - guess_information @ error_between(guess, pose)
-        delta = np.linalg.solve(information + guess_information, vector)
+    def equations(pose: Pose, found: Matches) -> tuple[Array, Array]:
+        return relative_equations(found, features.lever, Frame.of(pose), anchors, 0, 0, sigmas)
+
+    def step(pose: Pose, found: Matches) -> tuple[Pose, float]:
+        information, vector = equations(pose, found)
+        vector = vector - prior.information @ error_between(prior.pose, pose)
+        delta = np.linalg.solve(information + prior.information, vector)
         return moved_by(pose, np.asarray(delta, dtype=np.float64)), float(np.abs(delta).max())
 
     for _ in range(rounds):
-        start = pose
-        local, near, is_edge = _associate(features, maps, pose)
-        if len(local) < min_matches:
+        start, found = pose, _associate(features, maps, pose)
+        if len(found.points) < min_matches:
             return None
-        axes = _axes(near, is_edge)
         for _ in range(_FIRST_STEPS):
-            pose, _ = step(pose)
-        keep = _keep_best(_distances(pose.apply(local), near, is_edge), is_edge)
-        local, near = local[keep], near[keep]
-        is_edge, axes = is_edge[keep], axes[keep]
-        for _ in range(steps):
-            pose, size = step(pose)
+            pose, _ = step(pose, found)
+        lengths = distances(pose.apply(found.points), found.near, found.is_edge)
+        found = found.select(_keep_best(lengths, found.is_edge))
+        for _ in range(_MOST_STEPS):
+            pose, size = step(pose, found)
             if size < 1e-5:
                 break
-        converged = float(np.abs(error_between(start, pose)).max()) < 5e-4
+        moved = np.abs(pose.apply(extent) - start.apply(extent)).max()
+        converged = bool(moved < _SAME_NEIGHBOURS_M)
         if converged:
             break
-    information, vector = _normal_equations(
-        local, near[:, 0], axes, is_edge, pose.rotation, pose.translation, sigmas
-    )
-    distances = _distances(pose.apply(local), near, is_edge)
+    information, vector = equations(pose, found)
+    lengths, edges = distances(pose.apply(found.points), found.near, found.is_edge), found.is_edge
     return ScanPose(
-        pose=pose, information=information, vector=vector, edges=int(is_edge.sum()),
-        planes=int((~is_edge).sum()), rms_m=float(np.sqrt(np.mean(distances**2))),
-        converged=converged,
+        pose=pose, information=information, vector=vector, matches=found, edges=int(edges.sum()),
+        planes=int((~edges).sum()), rms_m=float(np.sqrt(np.mean(lengths**2))), converged=converged,
     )  # fmt: skip

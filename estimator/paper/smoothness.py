@@ -30,36 +30,40 @@ def lidar_smoothness(
     Also returns which points border on something nearer: an outline that moves with the viewpoint,
     no edge of the surface it lies on (N,).
     """
-    count = points.shape[0]
+    count, reach = points.shape[0], max_gap * lasers
     scores = np.full(count, np.nan)
     shadowed = np.zeros(count, dtype=np.bool_)
-    order = np.argsort(pulses % lasers, kind="mergesort")
-    for at in range(count):
-        i = order[at]
-        own = np.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2 + points[i, 2] ** 2)
-        total = np.zeros(3)
-        used = 0
-        for side in (-1, 1):
-            for step in range(1, _REACH + 1):
-                other = at + side * step
-                if other < 0 or other >= count:
-                    break
-                j = order[other]
-                if pulses[j] % lasers != pulses[i] % lasers:
-                    break
-                if abs(pulses[j] - pulses[i]) > max_gap * lasers:
-                    break
-                for c in range(3):
-                    total[c] += points[i, c] - points[j, c]
+    order, starts = _by_laser(pulses, lasers)
+    x, y, z = points[:, 0][order], points[:, 1][order], points[:, 2][order]
+    number, ranges = pulses[order], np.sqrt(x * x + y * y + z * z)
+    for laser in range(lasers):
+        first, end = starts[laser], starts[laser + 1]
+        for at in range(first, end):
+            tx, ty, tz, used, own = 0.0, 0.0, 0.0, 0, ranges[at]
+            for j in range(max(at - _REACH, first), min(at + _REACH + 1, end)):
+                if j == at or abs(number[j] - number[at]) > reach:
+                    continue
+                tx, ty, tz = tx + x[at] - x[j], ty + y[at] - y[j], tz + z[at] - z[j]
                 used += 1
-                if step == 1:
-                    near = np.sqrt(points[j, 0] ** 2 + points[j, 1] ** 2 + points[j, 2] ** 2)
-                    if near < 0.97 * own - 0.15:
-                        shadowed[i] = True
-        if used >= 6:
-            norm = np.sqrt(total[0] ** 2 + total[1] ** 2 + total[2] ** 2)
-            scores[i] = norm / (used * own)
+                if abs(j - at) == 1 and ranges[j] < 0.97 * own - 0.15:
+                    shadowed[order[at]] = True
+            if used >= 6:
+                scores[order[at]] = np.sqrt(tx * tx + ty * ty + tz * tz) / (used * own)
     return scores, shadowed
+
+
+@njit(cache=True)
+def _by_laser(pulses: Indices, lasers: int) -> tuple[Indices, Indices]:
+    """Indices (N,) of the returns, those of one laser after another, and where each one's start."""
+    starts = np.zeros(lasers + 1, np.int64)
+    for pulse in pulses:
+        starts[pulse % lasers + 1] += 1
+    starts = np.cumsum(starts)
+    cursor, order = starts.copy(), np.empty(pulses.shape[0], np.int64)
+    for i in range(pulses.shape[0]):
+        order[cursor[pulses[i] % lasers]] = i
+        cursor[pulses[i] % lasers] += 1
+    return order, starts
 
 
 def fused_smoothness(f_l: Array, f_c: Array, weight: float) -> Array:
@@ -95,18 +99,31 @@ def sort_out_features(
     usable = np.flatnonzero(np.isfinite(scores) & ~shadowed)
     if len(usable) == 0:
         return FeaturePoints(usable, usable)
-    where = directions[usable]
-    low, high = where.min(axis=0), where.max(axis=0)
-    grid = np.array(cells)
-    cell = ((where - low) / np.maximum(high - low, 1e-9) * grid).astype(np.int64)
-    cell = np.minimum(cell, grid - 1)
-    sector = cell[:, 1] * grid[0] + cell[:, 0]
-    order = np.lexsort((scores[usable], sector))
-    ends = np.flatnonzero(np.diff(sector[order], append=-1))
-    starts = np.concatenate([[0], ends[:-1] + 1])
-    planes = usable[order[starts]]
+    planes, candidates = _extremes(scores, usable, directions, cells)
     planes = planes[scores[planes] <= edge_threshold]
-    candidates = usable[order[ends]]
     candidates = candidates[scores[candidates] > edge_threshold]
     strongest = np.argsort(-scores[candidates], kind="stable")[:edges]
     return FeaturePoints(np.sort(candidates[strongest]), np.sort(planes))
+
+
+@njit(cache=True)
+def _extremes(
+    scores: Array, usable: Indices, directions: Array, cells: tuple[int, int]
+) -> tuple[Indices, Indices]:
+    """Of the ``usable`` returns, those with the smallest and the largest score of each sector."""
+    low, high = directions[usable[0]].copy(), directions[usable[0]].copy()
+    for i in usable:
+        for a in range(2):
+            low[a], high[a] = min(low[a], directions[i, a]), max(high[a], directions[i, a])
+    columns, rows = cells
+    scale_x, scale_y = columns / max(high[0] - low[0], 1e-9), rows / max(high[1] - low[1], 1e-9)
+    least = np.full(columns * rows, -1, np.int64)
+    most = least.copy()
+    for i in usable:
+        column = min(int((directions[i, 0] - low[0]) * scale_x), columns - 1)
+        sector = min(int((directions[i, 1] - low[1]) * scale_y), rows - 1) * columns + column
+        if least[sector] < 0 or scores[i] < scores[least[sector]]:
+            least[sector] = i
+        if most[sector] < 0 or scores[i] >= scores[most[sector]]:
+            most[sector] = i
+    return least[least >= 0], most[most >= 0]

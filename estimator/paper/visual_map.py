@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -59,6 +60,14 @@ def no_sightings() -> Sightings:
     return Sightings(empty, empty, empty, np.zeros((0, 2)))
 
 
+def joined(parts: list[Sightings]) -> Sightings:
+    """Returns the sightings of all parts, in order."""
+    return Sightings(
+        np.concatenate([p.hosts for p in parts]), np.concatenate([p.kinds for p in parts]),
+        np.concatenate([p.indices for p in parts]), np.concatenate([p.pixels for p in parts]),
+    )  # fmt: skip
+
+
 @dataclass(slots=True)
 class MapKeyframe:
     """A keyframe of the map; poses are of the IMU."""
@@ -71,6 +80,21 @@ class MapKeyframe:
     depth_m: float
     landmarks: tuple[LandmarkSet, LandmarkSet]
     sightings: Sightings = field(default_factory=no_sightings)
+    twist: Array = field(default_factory=lambda: np.zeros(6))
+    """of the IMU: angular rate in its frame, velocity in the odometry frame"""
+    calibration: Array = field(default_factory=lambda: np.zeros(0))
+    """of the filter when the depths were measured"""
+
+
+def by_host(
+    sightings: Sightings, known: dict[int, MapKeyframe]
+) -> Iterator[tuple[Indices, LandmarkSet]]:
+    """Yields the sightings (N,) of each host and kind, and the landmarks that they index."""
+    for host in np.unique(sightings.hosts).tolist():
+        for kind, landmarks in enumerate(known[host].landmarks):
+            mine = np.flatnonzero((sightings.hosts == host) & (sightings.kinds == kind))
+            if len(mine):
+                yield mine, landmarks
 
 
 class VisualMap:
@@ -93,11 +117,9 @@ class VisualMap:
         """(N, 3) landmark positions in the frame of ``frames``: poses frame_from_imu by keyframe
         number."""
         out = np.zeros((len(sightings), 3))
-        for host in np.unique(sightings.hosts):
-            for kind in (0, 1):
-                mine = (sightings.hosts == host) & (sightings.kinds == kind)
-                points = sets[int(host)].landmarks[kind].points[sightings.indices[mine]]
-                out[mine] = frames[int(host)].apply(points)
+        for mine, landmarks in by_host(sightings, sets):
+            frame = frames[int(sightings.hosts[mine[0]])]
+            out[mine] = frame.apply(landmarks.points[sightings.indices[mine]])
         return out
 
     def expected_pixels(
@@ -154,8 +176,4 @@ class VisualMap:
                 )
             )
             behind.append(good)
-        joined = Sightings(
-            np.concatenate([p.hosts for p in parts]), np.concatenate([p.kinds for p in parts]),
-            np.concatenate([p.indices for p in parts]), np.concatenate([p.pixels for p in parts]),
-        )  # fmt: skip
-        return joined, (behind[0], behind[1])
+        return joined(parts), (behind[0], behind[1])

@@ -23,7 +23,7 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.frames import Pose
 
 if TYPE_CHECKING:
-    from touchdown.estimator.paper.stationary_scan import StationaryFeatures
+    from touchdown.estimator.paper.lidar_pose import StationaryFeatures
     from touchdown.sim.posed_sensors import PosedView
 
 Array = NDArray[np.float64]
@@ -207,7 +207,7 @@ def still_features(
     config: Config, scene: Scene, world_from_body: Pose, time_s: float
 ) -> tuple[PosedView, StationaryFeatures]:
     """The view from a pose, and the features that `paper` finds in one scan from there."""
-    from touchdown.estimator.paper.stationary_scan import features_of_stationary_scan
+    from touchdown.estimator.paper.lidar_pose import features_of_stationary_scan
     from touchdown.sim.moving import BodyTrack
 
     world = make_world(config, scene)

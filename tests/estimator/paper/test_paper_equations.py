@@ -16,11 +16,8 @@ from touchdown.estimator.paper.projection import (
     nearest_image,
     project,
 )
-from touchdown.estimator.paper.registration import (
-    edge_distance,
-    neighbourhood_shapes,
-    plane_distance,
-)
+from touchdown.estimator.paper.registration import neighbourhood_shapes
+from touchdown.estimator.paper.residuals import edge_distance, plane_distance
 from touchdown.estimator.paper.smoothness import (
     fused_smoothness,
     lidar_smoothness,

@@ -11,6 +11,7 @@ from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.error_state import Frame, Frames, Pinhole, moved_by
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.paper import lidar_pose, registration
 from touchdown.estimator.paper.bundle import Observations, _reduced_system
 from touchdown.estimator.paper.depth_field import DepthField, half_size_energy
@@ -18,6 +19,7 @@ from touchdown.estimator.paper.estimator import PaperEstimator
 from touchdown.estimator.paper.lidar_pose import scan_features
 from touchdown.estimator.paper.pnp import CameraPose, reprojection_errors, solve_pnp
 from touchdown.estimator.paper.pose_graph import Edge, PoseGraph, edge_residual
+from touchdown.estimator.paper.residuals import Matches, relative_equations
 from touchdown.estimator.paper.structured_edges.detector import GradientEdges
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
@@ -92,30 +94,53 @@ def test_the_fifth_that_fits_worst_is_left_out_of_each_kind() -> None:
     assert np.flatnonzero(~kept).tolist() == [0, 8]
 
 
-def test_normal_equations_are_derivatives_of_the_robust_cost() -> None:
-    """Of lines and of planes: the vector is minus the gradient of sum 9/2 log(1 + d^2 / 9 s^2)."""
+def test_relative_equations_are_derivatives_by_pose_mount_and_clone() -> None:
+    """Of lines and of planes: minus the gradient of sum 9/2 log(1 + d^2 / 9 s^2). Half of the map
+    belongs to a clone that has moved since; the mount turns beams of the scan and of the map."""
     rng = np.random.default_rng(0)
-    local, anchors, axes = rng.normal(0.0, 2.0, (3, 12, 3))
+    points, near, axes, sensors = rng.normal(0.0, 2.0, (4, 12, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    is_edge, sigmas = np.arange(12) % 2 == 0, np.array([0.4, 0.7])
-    pose = Pose(so3_exp(np.array([0.3, -0.2, 0.5])), np.array([0.5, -1.0, 0.2]))
+    is_edge, sigmas, lever = np.arange(12) % 2 == 0, np.array([0.4, 0.7]), np.array([0.1, 0.2, 0.3])
+    owners = np.where(np.arange(12) % 4 < 2, 0, -1)
+    pose, kept, clone = (
+        Pose(so3_exp(turn), shift) for turn, shift in rng.normal(0.0, 0.5, (3, 2, 3))
+    )
+    anchors, calibration = Anchors(), np.zeros(38)
+    anchors.add(kept, calibration)
+    calibration[:6] = 1e-3 * rng.normal(0.0, 1.0, 6)
+    frames = anchors.frames([clone], calibration, np.array([0]))
 
     def cost(delta: np.ndarray) -> float:
-        moved = moved_by(pose, delta)
-        offset = moved.apply(local) - anchors
-        along = (offset * axes).sum(axis=1)
-        square = np.where(is_edge, (offset**2).sum(axis=1) - along**2, along**2)
-        sigma2 = np.where(is_edge, *sigmas) ** 2
-        return float(4.5 * np.log1p(square / (9.0 * sigma2)).sum())
+        now, mount, then = moved_by(pose, delta[:6]), delta[6:12], moved_by(clone, delta[23:])
+        seen = points + np.cross(mount[:3], points - lever) + mount[3:]
+        total = 0.0
+        for p, m, axis, edge, k, sensor in zip(
+            seen, near, axes, is_edge, owners, sensors, strict=True
+        ):
+            home, base, change = (then, clone, mount + calibration[:6]) if k == 0 else (
+                pose, pose, mount
+            )  # fmt: skip
+            here = m if k < 0 else (clone @ kept.inverse()).apply(m)
+            # as its home sees it, along its own beam
+            arm = (here - sensor) @ base.rotation
+            turned = base.inverse().apply(here) + np.cross(change[:3], arm) + change[3:]
+            place = home.apply(turned)
+            offset = now.apply(p) - place
+            along = offset @ (then.rotation @ clone.rotation.T @ axis if k == 0 else axis)
+            square = offset @ offset - along**2 if edge else along**2
+            total += 4.5 * np.log1p(square / (9.0 * sigmas[int(not edge)] ** 2))
+        return float(total)
 
-    information, vector = registration._normal_equations(
-        local, anchors, axes, is_edge, pose.rotation, pose.translation, sigmas
-    )
-    step = 1e-6 * np.eye(6)
-    slope = [(cost(e) - cost(-e)) / 2e-6 for e in step]
-    np.testing.assert_allclose(vector, -np.array(slope), rtol=1e-5, atol=1e-6)
-    assert np.linalg.eigvalsh(information)[0] > 0.0
+    near_five = np.repeat(near[:, None], 5, axis=1)
+    found = Matches(points, near_five, axes, is_edge, owners, sensors)
+    information, vector = relative_equations(found, lever, Frame.of(pose), frames, 1, 17, sigmas)
+    slope = np.array([(cost(e) - cost(-e)) / 2e-6 for e in 1e-6 * np.eye(29)])
+    np.testing.assert_allclose(vector, -slope, rtol=5e-3, atol=0.02)
     np.testing.assert_allclose(information, information.T)
+    frames = anchors.frames([clone], calibration, np.zeros(0, np.int64))
+    alone, _ = relative_equations(found, lever, Frame.of(pose), frames, 0, 0, sigmas)
+    assert np.linalg.eigvalsh(alone)[0] > 0.0
+    np.testing.assert_allclose(alone, information[:6, :6])
 
 
 def test_the_worst_fifth_does_not_enter_the_pose() -> None:
@@ -137,9 +162,6 @@ def test_the_worst_fifth_does_not_enter_the_pose() -> None:
     assert result.planes > 200 and result.edges == 0
     assert result.rms_m < 1e-6
     assert result.pose.translation[2] == pytest.approx(10.0, abs=1e-6)
-
-
-# ------------------------------------------------------------------------------- Eqs. 7, 8 and 12
 
 
 def test_colour_smoothness_finds_a_painted_edge_on_plain_ground() -> None:
@@ -232,9 +254,6 @@ def test_depth_of_a_pixel_is_that_of_the_nearest_return_there() -> None:
     assert (spread < 0.1).all()
 
 
-# ------------------------------------------------------------------------------- priors
-
-
 def test_algorithm_1_weighs_its_prior() -> None:
     """As much information in both: half way between them."""
     rng = np.random.default_rng(2)
@@ -280,9 +299,6 @@ def test_pnp_weighs_its_prior() -> None:
     half = found(free.information)
     np.testing.assert_allclose(half.pose.translation, truth.translation + 0.5 * shift, atol=5e-4)
     assert so3_log(half.pose.rotation)[2] == pytest.approx(5e-4, abs=5e-5)
-
-
-# ------------------------------------------------------------------------------- derivatives
 
 
 def test_equations_of_the_bundle_are_derivatives_of_its_cost() -> None:
@@ -359,9 +375,6 @@ def test_equations_of_the_pose_graph_are_derivatives_of_its_cost() -> None:
 
     slope = [(cost(e) - cost(-e)) / 2e-6 for e in 1e-6 * np.eye(12)]
     np.testing.assert_allclose(graph._system()[1], -np.array(slope), rtol=5e-3, atol=5e-3)
-
-
-# ------------------------------------------------------------------------------- small steps
 
 
 def test_flat_triangles_are_no_lines() -> None:
