@@ -113,6 +113,9 @@ class _Recorder(event.Listener):
 def write_list(scene: str) -> None:
     """Writes the list of what a landing compiles with an empty cache, the longest first."""
     from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.flight.platform import rendering_backend
+
+    os.environ.setdefault("MUJOCO_GL", rendering_backend())
     from touchdown.experiments.flight.run import fly
 
     recorder = _Recorder()
