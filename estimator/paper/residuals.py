@@ -124,6 +124,7 @@ def relative_equations(
     """
     head = POSE_DIM + shared
     size = head + POSE_DIM * touched
+    width = POSE_DIM if size == POSE_DIM else _WIDTH
     information, vector = np.zeros((size, size)), np.zeros(size)
     row, columns = np.zeros(_WIDTH), np.empty(_WIDTH, np.int64)
     x, m, offset, beam, arm = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
@@ -176,12 +177,12 @@ def relative_equations(
                     residual -= then[a] * change[MOUNT_TRANSLATION.start + a]
                 row[_MOUNT + MOUNT_ROTATION.start + a] -= moment[a]
                 row[_MOUNT + MOUNT_TRANSLATION.start + a] = now[a] - then[a]
-            for a in range(_WIDTH):
+            for a in range(width):
                 if columns[a] < 0:
                     continue
                 scaled = weight * row[a]
                 vector[columns[a]] -= scaled * residual
-                for b in range(_WIDTH):
+                for b in range(width):
                     if columns[b] >= 0:
                         information[columns[a], columns[b]] += scaled * row[b]
     return information, vector
