@@ -1,8 +1,8 @@
 """Two landings in one process on one thread, as a worker of a campaign flies them: prints what the
 second costs as one JSON object. Runs as a file on any checkout that has these classes.
 
-All times are processor times; those of picture, scan and estimator are of the calls of their
-classes' methods.
+All times are processor times of all threads, those of a renderer in software too; those of picture,
+scan and estimator are of the calls of their classes' methods.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ class Clock:
 
     def _timed(self, method: Any) -> Any:
         def call(*arguments: Any, **named: Any) -> Any:
-            start = time.thread_time()
+            start = time.process_time()
             try:
                 return method(*arguments, **named)
             finally:
                 self.calls += 1
-                self.seconds += time.thread_time() - start
+                self.seconds += time.process_time() - start
 
         return call
 
