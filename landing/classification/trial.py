@@ -45,8 +45,6 @@ def session_options(threads: int) -> Any:
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
     options.enable_cpu_mem_arena = False  # which would keep 90 MB between decisions
-    # Weights stay float16: folded into float32 they take 50 MB more, and as long to classify by.
-    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.add_session_config_entry(
         "session.model_external_initializers_file_folder_path", NOWHERE
     )

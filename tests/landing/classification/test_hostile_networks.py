@@ -83,6 +83,8 @@ def test_metadata_have_limits(tmp_path: Path, change: dict[str, str], message: s
 
 def test_a_sound_network_of_this_kind_is_loaded(tmp_path: Path) -> None:
     classifier = OnnxClassifier(network(tmp_path / "n.onnx", *_mean(3, 7)))
+    options = classifier._session.get_session_options()
+    assert options.graph_optimization_level.name == "ORT_ENABLE_ALL"  # int8 is slow without
     assert classifier.scores(np.zeros((2, SIZE, SIZE, 3), np.uint8)).shape == (2, 7)
 
 
