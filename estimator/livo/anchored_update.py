@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.anchors import Anchors
+from touchdown.estimator.filtering.degeneracy import (
+    rotations_among,
+    weak_columns,
+    without_directions,
+)
 from touchdown.estimator.filtering.deskew import PlacedScan
-from touchdown.estimator.filtering.error_state import POSE, POSE_DIM, POSITION, ROTATION, Frame
+from touchdown.estimator.filtering.error_state import POSE, POSE_DIM, Frame
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.plane_map import PlaneMap
@@ -52,7 +56,7 @@ class ScanErrors:
     that do not average out (``limit_information``)"""
     weak_sigmas: tuple[float, float] | None = None
     """rad and m: directions known less well than these are left out of the update
-    (``weak_directions``); None: none are"""
+    (``weak_columns``); None: none are"""
 
 
 def update_with_scan(
@@ -74,7 +78,7 @@ def update_with_scan(
     """
     update = IteratedUpdate(eskf, share)
     returns, shared = Returns(scan.points, scan.beams), eskf.shared
-    weak, raw = (np.zeros((3, 0)), np.zeros((3, 0))), np.zeros((6, 6))
+    weak, raw = np.zeros((POSE_DIM, 0)), np.zeros((POSE_DIM, POSE_DIM))
     matched, keys, used, rms = None, np.zeros(0, np.int64), 0, 0.0
     looked_up = np.full_like(scan.points, np.inf)
     for iteration in range(iterations):
@@ -99,11 +103,8 @@ def update_with_scan(
             return LidarReport(matched=used, rms_m=rms)
         raw = found.information[POSE, POSE].copy()
         if errors.weak_sigmas is not None and fresh:
-            weak = weak_directions(raw, found.noise_information, *errors.weak_sigmas)
-        columns = np.zeros((len(found.vector), weak[0].shape[1] + weak[1].shape[1]))
-        columns[ROTATION, : weak[0].shape[1]] = weak[0]
-        columns[POSITION, weak[0].shape[1] :] = weak[1]
-        information, vector = without_directions(found.information, found.vector, columns)
+            weak = weak_columns(raw, found.noise_information, errors.weak_sigmas)
+        information, vector = without_directions(found.information, found.vector, weak)
         # each clone's part of the map has a floor of its own: otherwise the number of points
         # would tie the clones to each other too firmly
         floor = errors.floor_sigmas
@@ -115,80 +116,9 @@ def update_with_scan(
         matched=used,
         rms_m=rms,
         lateral_strength=lateral_strength(raw),
-        weak_rotation=weak[0].shape[1],
-        weak_translation=weak[1].shape[1],
+        weak_rotation=rotations_among(weak),
+        weak_translation=weak.shape[1] - rotations_among(weak),
     )
-
-
-def weak_directions(
-    information: Array, noise: Array, sigma_rad: float, sigma_m: float
-) -> tuple[Array, Array]:
-    """Returns the degenerate axes of rotation (3, r) and directions of translation (3, t) as unit
-    columns: those whose standard deviation under ``information`` (6, 6), less twice its share of
-    ``noise`` (6, 6), exceeds the limits.
-
-    Rotation and translation are treated separately, each after marginalisation of the other (Schur
-    complement), so that metres are never weighed against radians. Leaving out such directions
-    follows Zhang, Kaess and Singh 2016 ("On degeneracy of optimization-based state estimation
-    problems"), here with thresholds in the units of the state.
-    """
-    return (
-        _weak_axes(information, noise, ROTATION, POSITION, sigma_rad),
-        _weak_axes(information, noise, POSITION, ROTATION, sigma_m),
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def _weak_axes(information: Array, noise: Array, own: slice, other: slice, sigma: float) -> Array:
-    """The degenerate directions of the three coordinates ``own``, the three others marginalised."""
-    # the pseudo-inverse ignores unobserved directions of the other block
-    known, axes = np.linalg.eigh(information[other, other].copy())
-    following = np.zeros((POSE_DIM, 3))
-    for k in range(3):
-        following[own.start + k, k] = 1.0
-        if known[k] <= 1e-9 * known[2]:
-            continue
-        for b in range(3):
-            share = 0.0
-            for a in range(3):
-                share += axes[a, k] * information[other.start + a, own.start + b] / known[k]
-            for a in range(3):
-                following[other.start + a, b] -= axes[a, k] * share
-    values, vectors = np.linalg.eigh(_carried(information, following))
-    noisy = _carried(_carried(noise, following), vectors)
-    weak = np.empty((3, 3))
-    count = 0
-    for k in range(3):
-        if values[k] - 2.0 * noisy[k, k] < 1.0 / sigma**2:
-            for a in range(3):
-                weak[a, count] = vectors[a, k]
-            count += 1
-    return weak[:, :count]
-
-
-@njit(cache=True, error_model="numpy")
-def _carried(matrix: Array, columns: Array) -> Array:
-    """``columns.T @ matrix @ columns`` of a symmetric (N, N) matrix and (N, 3) columns."""
-    out, size = np.zeros((3, 3)), matrix.shape[0]
-    for a in range(3):
-        for b in range(a + 1):
-            for i in range(size):
-                for j in range(size):
-                    out[a, b] += columns[i, a] * matrix[i, j] * columns[j, b]
-            out[b, a] = out[a, b]
-    return out
-
-
-def without_directions(information: Array, vector: Array, weak: Array) -> tuple[Array, Array]:
-    """Returns the measurement with the orthonormal columns ``weak`` (6, k) marginalised as unknown,
-    so that the remaining information holds for any value of them."""
-    if weak.shape[1] == 0:
-        return information, vector
-    across = information @ weak
-    explained = across @ np.linalg.pinv(weak.T @ across, rcond=1e-9, hermitian=True)
-    keep = np.eye(len(vector)) - weak @ weak.T
-    left = keep @ (information - explained @ across.T) @ keep
-    return 0.5 * (left + left.T), keep @ (vector - explained @ (weak.T @ vector))
 
 
 class DegeneracyWatch:

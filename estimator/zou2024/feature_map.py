@@ -48,7 +48,7 @@ class Nearest(NamedTuple):
     """The five nearest centroids of N points, nearest first."""
 
     found: NDArray[np.bool_]  # (N,)
-    near: Array  # (N, 5, 3)
+    near: Array  # (N, 5, 3) where their owners put them now
     owners: NDArray[np.int64]  # (N,) of the nearest
     sensors: Array  # (N, 3) m, where the nearest was first seen from
 
@@ -56,7 +56,7 @@ class Nearest(NamedTuple):
 _NOWHERE = Seen(np.zeros(3), _NO_OWNER, Frames.of([]))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _insert(
     voxels: Voxels, used: int, points: Array, seen: Seen, voxel: float, max_count: int
 ) -> int:
@@ -89,7 +89,7 @@ def _insert(
     return used
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _reassign(voxels: Voxels, gone: int, successor: int, move: Frame) -> None:
     """Gives the voxels of owner ``gone`` to ``successor``, moved by ``move``. Owners behind
     ``gone`` count one less."""
@@ -110,15 +110,18 @@ def _reassign(voxels: Voxels, gone: int, successor: int, move: Frame) -> None:
         owners[slot] = k - 1 if k > gone else k
 
 
-@njit(cache=True)
-def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int) -> Nearest:
-    """The five nearest centroids of each point among the voxels around its own."""
+@njit(cache=True, error_model="numpy")
+def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int, moves: Frames) -> Nearest:
+    """The five nearest centroids of each point among the voxels around its own. ``moves``: of the
+    owners since their voxels were made, before distances are taken: a neighbour found where it was
+    would lie beside the point by what its owner has been corrected, and pull the pose along."""
     keys, sums, owners = voxels
     count = points.shape[0]
     found = np.zeros(count, dtype=np.bool_)
     near = np.zeros((count, NEIGHBOURS, 3))
     whose, sensors = np.full(count, _NO_OWNER, np.int64), np.zeros((count, 3))
     distance, gap = np.empty(NEIGHBOURS), np.empty((3, 2 * reach + 1))
+    kept, moved, owned = np.empty(3), np.empty(3), moves.translations.shape[0] > 0
     for i in range(count):
         first = np.floor(points[i] / voxel) - reach
         for a in range(3):
@@ -142,6 +145,13 @@ def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int) -> Nearest
                         continue
                     n = sums[slot, _COUNT]
                     x, y, z = sums[slot, _X] / n, sums[slot, _Y] / n, sums[slot, _Z] / n
+                    k = owners[slot]
+                    if owned and k >= 0:
+                        kept[0], kept[1], kept[2] = x, y, z
+                        rotate_into(moves.rotations[k], kept, moved)
+                        x = moved[0] + moves.translations[k, 0]
+                        y = moved[1] + moves.translations[k, 1]
+                        z = moved[2] + moves.translations[k, 2]
                     d2 = (x - points[i, 0]) ** 2
                     d2 += (y - points[i, 1]) ** 2 + (z - points[i, 2]) ** 2
                     if d2 >= worst:
@@ -154,7 +164,7 @@ def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int) -> Nearest
                     distance[at] = d2
                     near[i, at, 0], near[i, at, 1], near[i, at, 2] = x, y, z
                     if at == 0:
-                        whose[i], sensors[i] = owners[slot], sums[slot, _SENSOR]
+                        whose[i], sensors[i] = k, sums[slot, _SENSOR]
                     have = min(have + 1, NEIGHBOURS)
                     if have == NEIGHBOURS:
                         worst = distance[NEIGHBOURS - 1]
@@ -193,7 +203,7 @@ class FeatureMap:
         """Gives the voxels of owner ``gone`` to ``successor``, moved by ``move``."""
         _reassign(self._voxels, gone, successor, Frame.of(move))
 
-    def nearest(self, points_odom: Array) -> Nearest:
+    def nearest(self, points_odom: Array, moves: Frames = _NOWHERE.moves) -> Nearest:
         """Five nearest centroids of (N, 3) points. The search covers the voxel of the point and
-        ``reach`` more on every side."""
-        return _nearest(self._voxels, points_odom, self.voxel_m, self.reach)
+        ``reach`` more on every side. ``moves``: of the owners since their voxels were made."""
+        return _nearest(self._voxels, points_odom, self.voxel_m, self.reach, moves)

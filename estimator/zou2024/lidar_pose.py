@@ -141,7 +141,7 @@ class LidarPositioning:
         floor[5] = params.scan_height_sigma_m
         share = params.scan_calibration_gain * (height_m >= params.calibrate_above_m)
         update_with_scan(
-            self._filter.eskf, result.matches, features.lever, result.pose, self.maps.anchors,
+            self._filter.eskf, result, features.lever, self.maps.anchors,
             np.array([params.edge_sigma_m, params.plane_sigma_m]), floor, share,
         )  # fmt: skip
         self._filter.trail.follow(self._filter.eskf.state)
@@ -155,6 +155,7 @@ class LidarPositioning:
             "lidar_rms_m": result.rms_m,
             "lidar_converged": float(result.converged),
             "lidar_lateral_weakest": float(strength[0]),
+            "lidar_weak_directions": float(result.weak.shape[1]),
             "map_edges": float(self.maps.edges.used),
             "map_planes": float(self.maps.planes.used),
         }

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
+from touchdown.estimator.filtering.degeneracy import weak_columns, without_directions
 from touchdown.estimator.filtering.error_state import (
     Frame,
     Frames,
@@ -22,6 +24,7 @@ from touchdown.estimator.zou2024.feature_map import FeatureMap, Seen
 from touchdown.estimator.zou2024.residuals import (
     NO_ANCHORS,
     Matches,
+    ScanEquations,
     distances,
     line_and_plane_axes,
     relative_equations,
@@ -32,11 +35,17 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 EIGENVALUE_RATIO = 3.0
+WEAK_SIGMAS = float(np.radians(0.3)), 0.1
+"""rad and m: of a scan, directions known less well than these are degenerate"""
+_ROUNDS = 3
 _FIRST_STEPS = 2
 _MOST_STEPS = 6
 _KEPT_SHARE = 0.8
 _SAME_NEIGHBOURS_M = 0.02
 """displacement of the scan's outermost points up to which their neighbours are not sought again"""
+_SCATTER_OF_FIVE = 5.0 / 2.0
+"""ratio of the variance of points about a plane to the smallest eigenvalue of five: three of their
+degrees of freedom place the plane"""
 _LEAST_SINE = 0.25
 """of the angle between two sides of the three plane points, below which they are one line"""
 
@@ -96,6 +105,8 @@ class ScanPose:
     pose: Pose
     information: Array
     vector: Array
+    weak: Array
+    """(6, k) degenerate directions, orthonormal"""
     matches: Matches
     edges: int
     planes: int
@@ -103,14 +114,21 @@ class ScanPose:
     converged: bool
 
 
-@njit(cache=True)
-def neighbourhood_shapes(near: Array, found: Mask) -> tuple[Mask, Mask]:
-    """Masks (N,) of the neighbourhoods (N, 5, 3) that are lines (largest eigenvalue of the
-    covariance three times the second) and that are planes (smallest three times below the
-    second)."""
+class Shapes(NamedTuple):
+    """What N neighbourhoods are."""
+
+    lines: Mask  # (N,) largest eigenvalue of the covariance three times the second
+    planes: Mask  # (N,) smallest three times below the second
+    values: Array  # (N, 3) m^2, the eigenvalues, ascending
+
+
+@njit(cache=True, error_model="numpy")
+def neighbourhood_shapes(near: Array, found: Mask) -> Shapes:
+    """The shapes of neighbourhoods (N, 5, 3)."""
     count, k = near.shape[0], near.shape[1]
     lines = np.zeros(count, dtype=np.bool_)
     planes = np.zeros(count, dtype=np.bool_)
+    values = np.zeros((count, 3))
     cov, mean = np.empty((3, 3)), np.empty(3)
     for i in range(count):
         if not found[i]:
@@ -127,10 +145,20 @@ def neighbourhood_shapes(near: Array, found: Mask) -> tuple[Mask, Mask]:
         low, mid, high, _, _, _ = smallest_eigen(cov)
         lines[i] = high > EIGENVALUE_RATIO * mid
         planes[i] = mid > EIGENVALUE_RATIO * max(low, 1e-9)
-    return lines, planes
+        values[i, 0], values[i, 1], values[i, 2] = max(low, 0.0), mid, high
+    return Shapes(lines, planes, values)
 
 
-@njit(cache=True)
+def line_weights(values: Array) -> Array:
+    """Weights (N,) of lines by the eigenvalues (N, 3) of their neighbourhoods: from 0, where the
+    largest is three times the second, to 1 for a thin line. Of points scattered over a plane many
+    five happen to lie so. They are always those around the point that is placed, wherever it is
+    placed, and say nothing of where it belongs."""
+    weights: Array = 1.0 - EIGENVALUE_RATIO * values[:, 1] / values[:, 2]
+    return weights
+
+
+@njit(cache=True, error_model="numpy")
 def _flat_triangles(near: Array) -> Mask:
     """Mask (N,) of the neighbourhoods (N, 5, 3) whose p_1, p_k/2 and p_k span a plane."""
     out = np.zeros(near.shape[0], dtype=np.bool_)
@@ -148,21 +176,26 @@ def _flat_triangles(near: Array) -> Mask:
     return out
 
 
-def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose) -> Matches:
+def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose, moves: Frames) -> Matches:
     """Steps 3 to 9: the points placed by Eq. 9, those with a line or plane nearby."""
-    edges = maps.edges.nearest(pose.apply(features.edges))
-    lines, _ = neighbourhood_shapes(edges.near, edges.found)
-    planes = maps.planes.nearest(pose.apply(features.planes))
-    _, flats = neighbourhood_shapes(planes.near, planes.found)
-    flats &= _flat_triangles(planes.near)
+    edges = maps.edges.nearest(pose.apply(features.edges), moves)
+    shape_of_edges = neighbourhood_shapes(edges.near, edges.found)
+    lines = shape_of_edges.lines
+    planes = maps.planes.nearest(pose.apply(features.planes), moves)
+    shapes = neighbourhood_shapes(planes.near, planes.found)
+    flats = shapes.planes & _flat_triangles(planes.near)
 
     near = np.concatenate([edges.near[lines], planes.near[flats]])
-    is_edge = np.arange(len(near)) < lines.sum()
+    count = int(lines.sum())
+    is_edge = np.arange(len(near)) < count
+    weights, scatter = np.ones(len(near)), np.zeros(len(near))
+    weights[:count] = line_weights(shape_of_edges.values[lines])
+    scatter[count:] = _SCATTER_OF_FIVE * shapes.values[flats, 0]
     return Matches(
         np.concatenate([features.edges[lines], features.planes[flats]]), near,
         line_and_plane_axes(near, is_edge), is_edge,
         np.concatenate([edges.owners[lines], planes.owners[flats]]),
-        np.concatenate([edges.sensors[lines], planes.sensors[flats]]),
+        np.concatenate([edges.sensors[lines], planes.sensors[flats]]), weights, scatter,
     )  # fmt: skip
 
 
@@ -185,7 +218,7 @@ def register_scan(
     edge_sigma_m: float,
     plane_sigma_m: float,
     anchors: AnchorFrames = NO_ANCHORS,
-    rounds: int = 3,
+    weak_sigmas: tuple[float, float] = WEAK_SIGMAS,
     min_matches: int = 30,
 ) -> ScanPose | None:
     """Algorithm 1: returns odom_from_imu of a scan, or None with fewer than ``min_matches`` matched
@@ -193,41 +226,45 @@ def register_scan(
 
     ``prior``: the pose of the last scan propagated by the IMU (the paper starts from the last pose
     itself). Over a plane a scan leaves x, y and yaw open, and the solution stays at the prior
-    there. ``anchors``: the clones that parts of the map belong to, at their present estimate. The
-    returned information is that of the scan alone, about the pose alone.
+    there (``weak_columns``). ``anchors``: the clones that parts of the map belong to, at their
+    present estimate. The returned information is that of the scan alone, about the pose alone.
     """
     pose, sigmas = prior.pose, np.array([edge_sigma_m, plane_sigma_m])
     every = np.concatenate([features.edges, features.planes, np.zeros((1, 3))])
     extent = np.array([every.min(axis=0), every.max(axis=0)])
 
-    def equations(pose: Pose, found: Matches) -> tuple[Array, Array]:
+    def equations(pose: Pose, found: Matches) -> ScanEquations:
         return relative_equations(found, features.lever, Frame.of(pose), anchors, 0, 0, sigmas)
 
-    def step(pose: Pose, found: Matches) -> tuple[Pose, float]:
-        information, vector = equations(pose, found)
+    def step(pose: Pose, found: Matches, weak: Array) -> tuple[Pose, float]:
+        information, vector, _ = equations(pose, found)
+        information, vector = without_directions(information, vector, weak)
         vector = vector - prior.information @ error_between(prior.pose, pose)
         delta = np.linalg.solve(information + prior.information, vector)
         return moved_by(pose, np.asarray(delta, dtype=np.float64)), float(np.abs(delta).max())
 
-    for _ in range(rounds):
-        start, found = pose, _associate(features, maps, pose)
+    for _ in range(_ROUNDS):
+        start, found = pose, _associate(features, maps, pose, anchors.moves)
         if len(found.points) < min_matches:
             return None
+        seen = equations(pose, found)
+        weak = weak_columns(seen.information, seen.noise_information, weak_sigmas)
         for _ in range(_FIRST_STEPS):
-            pose, _ = step(pose, found)
+            pose, _ = step(pose, found, weak)
         lengths = distances(pose.apply(found.points), found.near, found.is_edge)
         found = found.select(_keep_best(lengths, found.is_edge))
         for _ in range(_MOST_STEPS):
-            pose, size = step(pose, found)
+            pose, size = step(pose, found, weak)
             if size < 1e-5:
                 break
         moved = np.abs(pose.apply(extent) - start.apply(extent)).max()
         converged = bool(moved < _SAME_NEIGHBOURS_M)
         if converged:
             break
-    information, vector = equations(pose, found)
+    information, vector, _ = equations(pose, found)
     lengths, edges = distances(pose.apply(found.points), found.near, found.is_edge), found.is_edge
     return ScanPose(
-        pose=pose, information=information, vector=vector, matches=found, edges=int(edges.sum()),
+        pose=pose, information=information, vector=vector, weak=weak, matches=found,
+        edges=int(edges.sum()),
         planes=int((~edges).sum()), rms_m=float(np.sqrt(np.mean(lengths**2))), converged=converged,
     )  # fmt: skip

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.anchors import Anchors
+from touchdown.estimator.filtering.degeneracy import without_directions
 from touchdown.estimator.filtering.error_state import (
     MOUNT_DIM,
     POSE,
@@ -37,9 +38,9 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
-from touchdown.estimator.zou2024.residuals import Matches, relative_equations
+from touchdown.estimator.zou2024.registration import ScanPose
+from touchdown.estimator.zou2024.residuals import relative_equations
 from touchdown.estimator.zou2024.visual_map import LandmarkSet, MapKeyframe, Sightings, by_host
-from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
@@ -143,19 +144,21 @@ def update_with_image(
 
 
 def update_with_scan(
-    eskf: Eskf, found: Matches, lever: Array, pose: Pose, anchors: Anchors, sigmas: Array,
-    floor: Array, share: float,
+    eskf: Eskf, result: ScanPose, lever: Array, anchors: Anchors, sigmas: Array, floor: Array,
+    share: float,
 ) -> None:  # fmt: skip
-    """Update by the residuals of Algorithm 1, linearised at its ``pose``. ``floor`` (6,): standard
-    deviations of errors that do not average out, of the scan and of each clone's part of the
-    map."""
+    """Update by the residuals of Algorithm 1, linearised at its pose; degenerate directions are
+    left out. ``sigmas`` (2,): of edges and of planes; ``floor`` (6,): standard deviations of errors
+    that do not average out, of the scan and of each clone's part of the map."""
+    found, pose = result.matches, result.pose
     keys = np.unique(found.owners[found.owners >= 0])
     frames = anchors.frames(eskf.clones, eskf.state.calibration, keys)
     update = IteratedUpdate(eskf, share)
     floors = np.concatenate([floor, np.zeros(eskf.shared), np.tile(floor, len(keys))])
-    information, vector = relative_equations(
+    information, vector, _ = relative_equations(
         found, lever, Frame.of(pose), frames, len(keys), eskf.shared, sigmas
     )
     vector = vector + information[:, POSE] @ error_between(eskf.state.pose, pose)
+    information, vector = without_directions(information, vector, result.weak)
     update.step(keys.tolist(), information, vector, floors)
     update.finish()

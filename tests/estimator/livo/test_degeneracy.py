@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.filtering.anchors import Anchors
+from touchdown.estimator.filtering.degeneracy import weak_directions, without_directions
 from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.plane_map import PlaneMap
@@ -12,8 +13,6 @@ from touchdown.estimator.livo.anchored_update import (
     LidarReport,
     ScanErrors,
     update_with_scan,
-    weak_directions,
-    without_directions,
 )
 from touchdown.estimator.livo.plane_extension import common_plane
 from touchdown.sim.frames import so3_exp

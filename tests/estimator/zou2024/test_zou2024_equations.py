@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.zou2024.geodesic import (
     STEP_ENERGY,
     colour_smoothness,
@@ -12,8 +13,16 @@ from touchdown.estimator.zou2024.geodesic import (
     path_energy,
 )
 from touchdown.estimator.zou2024.projection import inside_image, nearest_image, project
-from touchdown.estimator.zou2024.registration import neighbourhood_shapes
-from touchdown.estimator.zou2024.residuals import edge_distance, plane_distance
+from touchdown.estimator.zou2024.registration import line_weights, neighbourhood_shapes
+from touchdown.estimator.zou2024.residuals import (
+    NO_ANCHORS,
+    Matches,
+    ScanEquations,
+    edge_distance,
+    line_and_plane_axes,
+    plane_distance,
+    relative_equations,
+)
 from touchdown.estimator.zou2024.smoothness import (
     fused_smoothness,
     lidar_smoothness,
@@ -21,6 +30,7 @@ from touchdown.estimator.zou2024.smoothness import (
 )
 from touchdown.estimator.zou2024.structured_edges.detector import GradientEdges
 from touchdown.sim.api import CameraImage
+from touchdown.sim.frames import Pose
 
 
 def test_eq_2_with_skew() -> None:
@@ -164,9 +174,40 @@ def test_lines_and_planes_by_their_eigenvalues() -> None:
     blob = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1], [0, 0, 0]], dtype=float)
     near = np.stack([line + [0.0, 0.1, 0.0], square, blob, square])
     found = np.array([True, True, True, False])
-    lines, planes = neighbourhood_shapes(near, found)
+    lines, planes, values = neighbourhood_shapes(near, found)
     assert lines.tolist() == [True, False, False, False]
     assert planes[1] and not planes[2] and not planes[3]
+    # means of (i - 2)^2 and of 4 (1/2)^2
+    np.testing.assert_allclose(values[:2], [[0.0, 0.0, 2.0], [0.0, 0.2, 0.2]], atol=1e-6)
+    # barely a line, three times as thin, thin
+    weights = line_weights(np.array([[0.0, 1.0, 3.0], [0.0, 1.0, 9.0], [0.0, 0.0, 1.0]]))
+    np.testing.assert_allclose(weights, [0.0, 2.0 / 3.0, 1.0])
+
+
+def test_noise_of_the_map_neither_pulls_nor_counts() -> None:
+    """Corners of triangles on level ground err by 1 cm in height; the point lies beside them, where
+    its coordinates are 2, -1/2 and -1/2."""
+    rng, count, sigma = np.random.default_rng(2), 6000, 0.01
+    near = np.tile([[0.0, 0, 0], [0, 0, 0], [0.6, 0, 0], [0, 0, 0], [0, 0.6, 0]], (count, 1, 1))
+    near[..., 2] += rng.normal(0.0, sigma, (count, 5))
+    axes = line_and_plane_axes(near, np.zeros(count, np.bool_))
+    axes *= np.sign(axes[:, 2:])
+    points, none = np.tile([-0.3, -0.3, 0.0], (count, 1)), np.full(count, -1)
+
+    def equations(scatter: float) -> ScanEquations:
+        found = Matches(
+            points, near, axes, none == 0, none, points, np.ones(count), np.full(count, scatter)
+        )
+        still = Frame.of(Pose.identity())
+        return relative_equations(found, np.zeros(3), still, NO_ANCHORS, 0, 0, np.ones(2))
+
+    # 2 / 0.6 + 2 (1/2) / 0.6 towards the middle, about one in count
+    pull = count * sigma**2 * 2.5 / 0.6
+    np.testing.assert_allclose(equations(0.0).vector[3:5], pull, rtol=0.1)
+    np.testing.assert_allclose(equations(sigma**2).vector[3:5], 0.0, atol=0.1 * pull)
+    information, _, noise = equations(sigma**2)
+    np.testing.assert_allclose(np.diag(noise)[3:5], 2 * count * (sigma / 0.6) ** 2, rtol=0.01)
+    np.testing.assert_allclose(np.diag(information)[3:5], np.diag(noise)[3:5], rtol=0.06)
 
 
 def test_eq_12_prefers_the_depth_on_the_same_side_of_a_boundary() -> None:

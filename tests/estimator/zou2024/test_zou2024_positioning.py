@@ -5,9 +5,10 @@ import cv2
 import numpy as np
 import pytest
 
+from touchdown.estimator.filtering.error_state import Frames
 from touchdown.estimator.zou2024.closures import Closures, level_transform
 from touchdown.estimator.zou2024.dictionary import InvertedIndex, Vocabulary
-from touchdown.estimator.zou2024.feature_map import FeatureMap
+from touchdown.estimator.zou2024.feature_map import FeatureMap, Seen
 from touchdown.estimator.zou2024.landmarks import BRISK, SIFT, LandmarkDetector, spread
 from touchdown.estimator.zou2024.matching import match_near
 from touchdown.estimator.zou2024.pnp import reprojection_errors, solve_pnp
@@ -23,6 +24,7 @@ from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log
 
 CAMERA = CameraIntrinsics(width=640, height=480, fx=500.0, fy=520.0, cx=320.0, cy=240.0)
 DOWN = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.05, 0.0, -0.1]))
+STILL = Frames.of([Pose.identity()])
 LOOSE = np.diag([1e2, 1e2, 1e2, 1e-2, 1e-2, 1e-2])
 
 
@@ -91,6 +93,12 @@ def test_feature_map_returns_the_five_nearest_in_order_and_keeps_its_size() -> N
     distances = np.linalg.norm(near[0] - [2.4, 0.5, 0.5], axis=1)
     np.testing.assert_allclose(distances[:2], [0.1, 0.9])
     assert (np.diff(distances) >= 0).all()
+    # the owner of them all has been moved by 0.3 m since
+    grid, aside = FeatureMap(1.0, 1 << 4), Pose(np.eye(3), np.array([0.3, 0.0, 0.0]))
+    grid.insert(np.repeat(line[:3], 2, axis=0) * [1.0, 1.0, 1.0], Seen(np.zeros(3), 0, STILL))
+    grid.insert(line[:3] + [0.0, 1.0, 0.0], Seen(np.zeros(3), 0, STILL))
+    _, near, *_ = grid.nearest(np.array([[1.4, 0.5, 0.5]]), Frames.of([aside]))
+    np.testing.assert_allclose(near[0, :2], [[1.8, 0.5, 0.5], [0.8, 0.5, 0.5]])
     grid.insert(np.random.default_rng(0).uniform(0, 100, (500, 3)))
     assert grid.used <= 0.7 * 16 + 1
     with pytest.raises(ValueError, match="power of two"):
