@@ -21,8 +21,8 @@ from touchdown.estimator.parameters import HybridFlowParams as HybridFlowParams
 from touchdown.estimator.parameters import LivoParams as LivoParams
 from touchdown.estimator.parameters import MapperParams as MapperParams
 from touchdown.estimator.parameters import OpticalFlowParams as OpticalFlowParams
-from touchdown.estimator.parameters import PaperParams as PaperParams
 from touchdown.estimator.parameters import StereoParams as StereoParams
+from touchdown.estimator.parameters import Zou2024Params as Zou2024Params
 from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 

@@ -43,8 +43,8 @@ class MapperParams:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FlownImuParams:
-    """Noise of the IMU on the flying vehicle, where above that of the data sheet: what `paper` and
-    the baselines assume. ``livo`` has its own."""
+    """Noise of the IMU on the flying vehicle, where above that of the data sheet: what `zou2024`
+    and the baselines assume. ``livo`` has its own."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -172,8 +172,8 @@ class LivoParams(CalibratedParams):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PaperParams(CalibratedParams):
-    """LIDAR-camera positioning of Zou, Sun and Kong 2024 (``estimator/paper``)."""
+class Zou2024Params(CalibratedParams):
+    """LIDAR-camera positioning of Zou, Sun and Kong 2024 (``estimator/zou2024``)."""
 
     camera_hz: Count = 10
     """image rate; a divisor of the camera's clock"""

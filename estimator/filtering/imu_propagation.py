@@ -59,7 +59,7 @@ class NavState:
     """(3,) m/s^2"""
     calibration: Array = field(default_factory=lambda: np.zeros(0))
     """estimated errors of the given calibration, if any
-    (``estimator/livo/online_calibration.py``); the last 21 are ``imu_errors``"""
+    (``estimator/filtering/online_calibration.py``); the last 21 are ``imu_errors``"""
 
     @property
     def pose(self) -> Pose:

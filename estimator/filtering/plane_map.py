@@ -4,7 +4,7 @@ Voxel planes with a covariance follow VoxelMap (Yuan et al. 2022). This map stor
 numbers a voxel), so that voxels can be merged exactly where a surface lies close to a voxel's face
 and each side would hold only one half of its noise. A voxel also stores the position that it was
 first seen from (later returns are registered to the first ones) and its anchor
-(``estimator/livo/anchors.py``).
+(``estimator/filtering/anchors.py``).
 """
 
 from __future__ import annotations

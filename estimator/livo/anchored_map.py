@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import LivoParams
+from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.deskew import PlacedScan, moved, thin_out
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.intensity_update import PhotometricUpdate
 
 Array = NDArray[np.float64]

@@ -8,12 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.error_state import POSE, POSE_DIM, POSITION, ROTATION, Frame
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_equations
 
 Array = NDArray[np.float64]

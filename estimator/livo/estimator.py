@@ -22,6 +22,11 @@ from touchdown.estimator.filtering.error_state import POSITION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter, with_flown_noise
 from touchdown.estimator.filtering.intake import Intake
 from touchdown.estimator.filtering.keyframes import Keyframe
+from touchdown.estimator.filtering.online_calibration import (
+    calibration_diagnostics,
+    corrected_mount,
+    prior_sigmas,
+)
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.livo.anchored_map import AnchoredMap
@@ -30,11 +35,6 @@ from touchdown.estimator.livo.error_model import (
     scan_diagnostics,
     scan_errors,
     visual_diagnostics,
-)
-from touchdown.estimator.livo.online_calibration import (
-    calibration_diagnostics,
-    corrected_mount,
-    prior_sigmas,
 )
 from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.shutter import Shutter

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.anchors import AnchorFrames
 from touchdown.estimator.filtering.error_state import (
     MOUNT_DIM,
     MOUNT_ROTATION,
@@ -24,7 +25,6 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into
 from touchdown.estimator.filtering.plane_map import PlaneMatches
-from touchdown.estimator.livo.anchors import AnchorFrames
 
 Array = NDArray[np.float64]
 

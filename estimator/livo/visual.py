@@ -31,17 +31,17 @@ from touchdown.estimator.filtering.keyframes import (
     overlaps,
 )
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.online_calibration import (
+    corrected_camera,
+    corrected_lens,
+    exposed,
+    landmark_jacobians,
+)
 from touchdown.estimator.filtering.reprojection import (
     LandmarkViews,
     MountedCamera,
     PixelNoise,
     calibrated_information,
-)
-from touchdown.estimator.livo.online_calibration import (
-    corrected_camera,
-    corrected_lens,
-    exposed,
-    landmark_jacobians,
 )
 from touchdown.estimator.livo.patch_tracker import Grey, track
 from touchdown.estimator.livo.plane_extension import extend_plane

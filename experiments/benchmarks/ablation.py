@@ -18,12 +18,12 @@ VARIANTS: dict[str, tuple[str, dict[str, bool]]] = {
     "livo: loose": ("livo", {"loose": True}),
     "livo: no degeneracy handling": ("livo", {"use_degeneracy": False}),
     "livo: no closures": ("livo", {"use_closures": False}),
-    "paper: all on": ("paper", {}),
-    "paper: LIDAR only": ("paper", {"use_camera_pose": False}),
-    "paper: camera only": ("paper", {"use_lidar_pose": False}),
-    "paper: no f_c": ("paper", {"use_colour_smoothness": False}),
-    "paper: no bundle": ("paper", {"use_bundle": False}),
-    "paper: no closures": ("paper", {"use_closures": False}),
+    "zou2024: all on": ("zou2024", {}),
+    "zou2024: LIDAR only": ("zou2024", {"use_camera_pose": False}),
+    "zou2024: camera only": ("zou2024", {"use_lidar_pose": False}),
+    "zou2024: no f_c": ("zou2024", {"use_colour_smoothness": False}),
+    "zou2024: no bundle": ("zou2024", {"use_bundle": False}),
+    "zou2024: no closures": ("zou2024", {"use_closures": False}),
 }
 """Estimator and changed parameters by name of the variant."""
 

@@ -1,4 +1,4 @@
-"""Positioning error on equal scans: ``livo`` and ``paper``, KISS-ICP and small_gicp.
+"""Positioning error on equal scans: ``livo`` and ``zou2024``, KISS-ICP and small_gicp.
 
 One survey per scene is flown with ``livo`` in the loop and its sensors are logged. The estimators
 replay that log as in a flight, causally and from lift-off to the end of the survey; the reference
@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 Report = Callable[[str], None]
 
 SCENES = ("crossroad", "lake", "houses", "forest")
-ESTIMATORS = ("livo", "paper")
+ESTIMATORS = ("livo", "zou2024")
 _SURVEY_BELOW_M = 0.5
 """The survey begins where the vehicle first is this near to its greatest height."""
 

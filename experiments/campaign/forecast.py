@@ -23,12 +23,12 @@ CORE_SECONDS: Mapping[tuple[str, str], float] = {
     ("fly", "optical_flow"): 15.0,
     ("fly", "hybrid_flow"): 15.0,
     ("fly", "stereo"): 25.0,
-    ("fly", "paper"): 66.0,
+    ("fly", "zou2024"): 66.0,
     ("fly", "livo"): 42.0,
     ("land", "gps"): 44.0,
     ("land", "optical_flow"): 44.0,
     ("land", "hybrid_flow"): 55.0,
-    ("land", "paper"): 104.0,
+    ("land", "zou2024"): 104.0,
     ("land", "livo"): 70.0,
 }
 """CPU time of one flight in profile `ideal` on one core of the reference machine, by mode and

@@ -45,9 +45,9 @@ def bench_estimator(
     """Compare positioning error and cost with KISS-ICP and small_gicp on equal scans.
 
     One survey per scene (crossroad, lake, houses and forest unless named) is flown with livo. Its
-    log is replayed through livo, paper and the reference implementations, these with the best of a
-    grid of settings. With --ablate the log is replayed through livo and paper with one part after
-    the other left out. All of it is open loop.
+    log is replayed through livo, zou2024 and the reference implementations, these with the best of
+    a grid of settings. With --ablate the log is replayed through livo and zou2024 with one part
+    after the other left out. All of it is open loop.
 
     Example: touchdown bench estimator crossroad --seconds 20 --runs runs/logged
     """

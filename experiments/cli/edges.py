@@ -1,4 +1,4 @@
-"""``touchdown edges``: the structured edge detector of the estimator `paper`."""
+"""``touchdown edges``: the structured edge detector of the estimator `zou2024`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from touchdown.experiments.terminal import make_notes, say
 
 @click.group(cls=CommandGroup)
 def edges() -> None:
-    """Train the edge detector of the estimator `paper`, score it, and draw its output.
+    """Train the edge detector of the estimator `zou2024`, score it, and draw its output.
 
     Example: touchdown edges evaluate
     """
@@ -25,7 +25,7 @@ def edges() -> None:
 @edges.command("train")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("edges.yml.gz"),
               show_default=True, help="The model, *.yml.gz; flights take it by "
-              "--set paper.edge_model=FILE.")  # fmt: skip
+              "--set zou2024.edge_model=FILE.")  # fmt: skip
 @click.option("--seed", type=SEED, default=0, show_default=True,
               help="Varies the scenes, the poses and the forest.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")

@@ -43,7 +43,7 @@ _FLIGHT_OPTIONS = (
     click.option(
         "--estimator",
         metavar="NAME",
-        help="livo, paper, gps, optical_flow, hybrid_flow, stereo, oracle, or MODULE:FUNCTION.",
+        help="livo, zou2024, gps, optical_flow, hybrid_flow, stereo, oracle, or MODULE:FUNCTION.",
     ),
     click.option("--seed", type=int, help="Varies the scene, the wind and all noise.  [0]"),
     click.option(

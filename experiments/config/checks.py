@@ -34,7 +34,7 @@ def check_rates(config: Config) -> None:
             f"sim.control_ticks = {control_hz}"
         )
     camera_clock_hz = sim.tick_hz // sim.camera_ticks
-    for group in ("livo", "paper", "optical_flow", "hybrid_flow", "stereo_vo"):
+    for group in ("livo", "zou2024", "optical_flow", "hybrid_flow", "stereo_vo"):
         camera_hz = getattr(config, group).camera_hz
         if camera_clock_hz % camera_hz:
             raise UsageError(

@@ -25,10 +25,37 @@ RENAMED: Mapping[str, str] = {
 }
 """Keys of earlier versions and their names now."""
 
+RENAMED_GROUPS: Mapping[str, str] = {"paper": "zou2024"}
+"""Groups of keys of earlier versions and their names now."""
+
+RENAMED_VALUES: Mapping[tuple[str, str], str] = {
+    ("estimator", "paper"): "zou2024",
+    ("gps.preset", "paper"): "zou2024",
+}
+"""Values of earlier versions, by key, and their names now."""
+
+
+def present_name(key: str) -> str:
+    """The name now of a key of an earlier version; ``key`` itself where it was not renamed."""
+    group, dot, rest = key.partition(".")
+    return RENAMED.get(key) or f"{RENAMED_GROUPS.get(group, group)}{dot}{rest}"
+
+
+def present_value(key: str, value: Any) -> Any:
+    """The name now of a value of an earlier version; ``value`` itself where it was not renamed."""
+    return RENAMED_VALUES.get((key, value), value) if isinstance(value, str) else value
+
 
 def hint_for(key: str, known: Iterable[str]) -> str:
     """The hint with the present name of a renamed key, else with the nearest known one."""
-    return f" (it is '{RENAMED[key]}' now)" if key in RENAMED else nearest(key, known)
+    now, known = present_name(key), tuple(known)
+    return f" (it is '{now}' now)" if now != key and now in known else nearest(now, known)
+
+
+def hint_for_value(key: str, value: str, known: Iterable[str]) -> str:
+    """The hint with the present name of a renamed value, else with the nearest known one."""
+    now = present_value(key, value)
+    return f" (it is '{now}' now)" if now != value else nearest(value, known)
 
 
 def is_external_key(key: str) -> bool:

@@ -34,7 +34,14 @@ from touchdown.experiments.config.files import (
     wrong_value,
 )
 from touchdown.experiments.config.files import read_tree as read_tree
-from touchdown.experiments.config.keys import RENAMED, flatten, hint_for, is_external_key
+from touchdown.experiments.config.keys import (
+    flatten,
+    hint_for,
+    hint_for_value,
+    is_external_key,
+    present_name,
+    present_value,
+)
 from touchdown.experiments.config.profiles import (
     BEFORE_PROFILES,
     DEFAULT,
@@ -52,7 +59,7 @@ from touchdown.experiments.config.ranges import (
     types_of_keys,
 )
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError, nearest, plain_fault
+from touchdown.experiments.errors import UsageError, plain_fault
 
 OPTION_KEYS: Mapping[str, str] = {
     "scene": "scene",
@@ -121,12 +128,13 @@ def load_config(
 
 def read_values(file: Path) -> dict[str, Any]:
     """The values by dotted key of a configuration file. A JSON file is the ``config.json`` of a
-    run: without a profile it is of a version that had none, and its keys may be of a version that
-    named them otherwise. Raises ``UsageError``."""
+    run: without a profile it is of a version that had none, and its keys and values may be of a
+    version that named them otherwise. Raises ``UsageError``."""
     values = dict(flatten(read_tree(file)))
     if file.suffix != ".json":
         return values
-    return {KEY: BEFORE_PROFILES} | {RENAMED.get(key, key): value for key, value in values.items()}
+    now = {present_name(key): present_value(key, value) for key, value in values.items()}
+    return {KEY: BEFORE_PROFILES} | now
 
 
 def under_base(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
@@ -276,7 +284,8 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
         value = next((name for name in value if name not in names), value)
     given = f"{value:g}" if isinstance(value, float) else json.dumps(value, default=str)
     if names:
-        hint, known = nearest(str(value), names), ", ".join(name or "''" for name in names)
+        hint = hint_for_value(key, str(value), names)
+        known = ", ".join(name or "''" for name in names)
         return f"{key} = {given[:60]} in {where} is unknown{hint}; known: {known}"
     return f"{key} = {given} in {where} is wrong: {message}"
 

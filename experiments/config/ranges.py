@@ -30,7 +30,7 @@ LARGEST_OF_KEY: Mapping[str, float] = {
     "lamp.flux_lm": 1e7,
     # Tables of maps: some hundred bytes for each voxel and each of its points.
     "livo.map_voxels": 2_000_000,
-    "paper.map_voxels": 2_000_000,
+    "zou2024.map_voxels": 2_000_000,
     "livo.scan_points": 100_000,
     "log.scan_points": 1_000_000,
     "sim.battery_capacity_j": 1e9,

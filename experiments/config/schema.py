@@ -22,8 +22,8 @@ from touchdown.estimator.api import (
     LivoParams,
     MapperParams,
     OpticalFlowParams,
-    PaperParams,
     StereoParams,
+    Zou2024Params,
 )
 from touchdown.experiments.api import (
     BiasParams,
@@ -127,7 +127,7 @@ class Config(BaseModel):
     mapper: MapperParams = Field(default_factory=MapperParams)
     livo: LivoParams = Field(default_factory=LivoParams)
     flown_imu: FlownImuParams = Field(default_factory=FlownImuParams)
-    paper: PaperParams = Field(default_factory=PaperParams)
+    zou2024: Zou2024Params = Field(default_factory=Zou2024Params)
     gps_estimator: GpsEstimatorParams = Field(default_factory=GpsEstimatorParams)
     optical_flow: OpticalFlowParams = Field(default_factory=OpticalFlowParams)
     hybrid_flow: HybridFlowParams = Field(default_factory=HybridFlowParams)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from touchdown.estimator.paper.structured_edges.forest import segment_edges
+from touchdown.estimator.zou2024.structured_edges.forest import segment_edges
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import build_scene

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.paper.structured_edges.detector import edge_detector
+from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.edges.dataset import EdgeView, boundaries, edge_views
@@ -23,7 +23,7 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.frames import Pose
 
 if TYPE_CHECKING:
-    from touchdown.estimator.paper.lidar_pose import StationaryFeatures
+    from touchdown.estimator.zou2024.lidar_pose import StationaryFeatures
     from touchdown.sim.posed_sensors import PosedView
 
 Array = NDArray[np.float64]
@@ -88,7 +88,7 @@ def comparison_image(detector: Callable[[Image], Float32], views: Sequence[EdgeV
 def smoothness_image(shown: EdgeView, model: str) -> Image:
     """Image, energy, f_c of the returns of one scan, and the points chosen by it."""
     config = load_config(
-        None, (f"paper.edge_model={model}",),
+        None, (f"zou2024.edge_model={model}",),
         scene=shown.scene, seed=shown.seed, profile_default="ideal",
     )  # fmt: skip
     scene = build_scene(config)
@@ -206,8 +206,8 @@ def _write(path: Path, image: Image) -> None:
 def still_features(
     config: Config, scene: Scene, world_from_body: Pose, time_s: float
 ) -> tuple[PosedView, StationaryFeatures]:
-    """The view from a pose, and the features that `paper` finds in one scan from there."""
-    from touchdown.estimator.paper.lidar_pose import features_of_stationary_scan
+    """The view from a pose, and the features that `zou2024` finds in one scan from there."""
+    from touchdown.estimator.zou2024.lidar_pose import features_of_stationary_scan
     from touchdown.sim.moving import BodyTrack
 
     world = make_world(config, scene)
@@ -221,7 +221,7 @@ def still_features(
     start = round(time_s * config.sim.tick_hz)
     both_ends_s = sensors.scan_times(start)[[0, -1]]
     scan = sensors.scan(BodyTrack.at_rest(world_from_body, both_ends_s), start)
-    return view, features_of_stationary_scan(scan, view.rgb, rig, config.paper)
+    return view, features_of_stationary_scan(scan, view.rgb, rig, config.zou2024)
 
 
 def _canny_words() -> str:

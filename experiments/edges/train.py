@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.paper.structured_edges.detector import edge_detector
-from touchdown.estimator.paper.structured_edges.model import check_target as check_edge_target
+from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
+from touchdown.estimator.zou2024.structured_edges.model import check_target as check_edge_target
 from touchdown.experiments.edges.dataset import EdgeView, boundaries, edge_views
 from touchdown.experiments.edges.score import (
     Counts,
@@ -165,12 +165,12 @@ def train_edges(
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
     """Grows a structured forest from (image, segments), writes it and returns its size."""
-    from touchdown.estimator.paper.structured_edges.forest import (
+    from touchdown.estimator.zou2024.structured_edges.forest import (
         ForestParams,
         TrainingImages,
         grow_forest,
     )
-    from touchdown.estimator.paper.structured_edges.model import write_model
+    from touchdown.estimator.zou2024.structured_edges.model import write_model
 
     params = ForestParams()
     trees = grow_forest(TrainingImages.of(*zip(*images, strict=True)), params, seed, progress)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, Estimator, ImageThinning
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.keys import is_external_key
-from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_tree
+from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_values
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import flown_code
@@ -120,7 +120,7 @@ def replay_config(
         if key.partition(".")[0] in _FLOWN:
             raise UsageError(f"--set {key}: the flight is over; a replay changes estimators only")
     gone: list[str] = []
-    same = estimator in (None, read_tree(run / "config.json").get("estimator"))
+    same = estimator in (None, read_values(run / "config.json").get("estimator"))
 
     def take(key: str) -> bool:
         if key.partition(".")[0] in _FLOWN or key == "estimator":

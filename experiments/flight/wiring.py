@@ -15,6 +15,7 @@ from touchdown.estimator.api import (
     Estimator,
     Mapper,
 )
+from touchdown.experiments.config.keys import hint_for_value
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.loading import check_external, is_external
@@ -218,10 +219,10 @@ def _as_flown(rig: SensorRig, config: Config) -> SensorRig:
     return with_flown_noise(rig, config.flown_imu)
 
 
-def _paper(config: Config) -> _EstimatorFactory:
-    from touchdown.estimator.paper.estimator import PaperEstimator
+def _zou2024(config: Config) -> _EstimatorFactory:
+    from touchdown.estimator.zou2024.estimator import Zou2024Estimator
 
-    return lambda rig, _truth: PaperEstimator(_as_flown(rig, config), config.paper)
+    return lambda rig, _truth: Zou2024Estimator(_as_flown(rig, config), config.zou2024)
 
 
 def _gps(config: Config) -> _EstimatorFactory:
@@ -256,7 +257,7 @@ def _oracle(config: Config) -> _EstimatorFactory:
 
 ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {
     "livo": _livo,
-    "paper": _paper,
+    "zou2024": _zou2024,
     "gps": _gps,
     "optical_flow": _optical_flow,
     "hybrid_flow": _hybrid_flow,
@@ -271,7 +272,7 @@ def check_estimator_name(name: str) -> None:
     if name not in ESTIMATORS and not is_external(name):
         known = ", ".join(ESTIMATORS)
         raise UsageError(
-            f"unknown estimator '{name}'{nearest(name, ESTIMATORS)}; "
+            f"unknown estimator '{name}'{hint_for_value('estimator', name, ESTIMATORS)}; "
             f"known: {known}, or MODULE:FUNCTION of your own"
         )
 

@@ -45,7 +45,7 @@ INK, FAINT, GRID, PAPER = "#1b1f27", "#6a7280", "#d9dde3", "#fefefe"
 PAGE_COLOURS = {INK: "var(--ink)", FAINT: "var(--faint)", GRID: "var(--line)", PAPER: "none"}
 METHOD_COLOURS = {
     "livo": "#2f7fd6",
-    "paper": "#e0752d",
+    "zou2024": "#e0752d",
     "stereo": "#b8912a",
     "hybrid_flow": "#2b9c74",
     "gps": "#8b6fd6",
@@ -196,7 +196,7 @@ def survey_and_landing(rows: Sequence[Row]) -> list[Picture]:
 def _shown_method(rows: Sequence[Row]) -> str:
     """The paper's method, which its Fig. 9 shows, otherwise the first one."""
     methods = methods_of(rows)
-    return "paper" if "paper" in methods else (methods or [""])[0]
+    return "zou2024" if "zou2024" in methods else (methods or [""])[0]
 
 
 def _paint_path(axes: Any, paths: _Paths) -> None:

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Row = Mapping[str, Any]
 
 SCENE_ORDER = ("crossroad", "lake", "houses", "forest")
-METHOD_ORDER = ("livo", "paper", "stereo", "hybrid_flow", "gps", "optical_flow", "oracle")
+METHOD_ORDER = ("livo", "zou2024", "stereo", "hybrid_flow", "gps", "optical_flow", "oracle")
 LIFT_OFF_M = 0.1
 
 

@@ -348,8 +348,8 @@ def _comparison_sentences(method: str, means: Mapping[str, Estimate | None]) -> 
 def _beside_the_paper(
     name: str, unit: str, measured: Estimate, printed: dict[str, published.Published], method: str
 ) -> str:
-    theirs = printed.get(method) or printed["paper"]
-    whose = published.METHOD_NAMES.get(method, published.METHOD_NAMES["paper"])
+    theirs = printed.get(method) or printed["zou2024"]
+    whose = published.METHOD_NAMES.get(method, published.METHOD_NAMES["zou2024"])
     text = f"{name} {digits(measured.value)} {unit} {interval_text(measured)}".rstrip()
     return f'{text}, {theirs.value:g} printed for "{whose}"'
 

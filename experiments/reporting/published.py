@@ -18,7 +18,7 @@ METHOD_NAMES: Mapping[str, str] = {
     "gps": "GPS",
     "optical_flow": "Optical Flow",
     "hybrid_flow": "Hybrid Optical Flow",
-    "paper": "Ours",
+    "zou2024": "Ours",
 }
 """Estimators of this project and the name that the paper's tables give to the same method."""
 
@@ -36,12 +36,12 @@ def _table(where: str, **values: float) -> Mapping[str, Published]:
 
 
 TRAJECTORY_ERROR_M = _table(
-    "Table 2", gps=1.0112, optical_flow=2.0538, hybrid_flow=0.5193, paper=0.3671
+    "Table 2", gps=1.0112, optical_flow=2.0538, hybrid_flow=0.5193, zou2024=0.3671
 )
 """E_tra: mean deviation of the flown path from the expected one."""
 
 TRAJECTORY_VARIANCE_M2 = _table(
-    "Table 2", gps=0.5083, optical_flow=1.5819, hybrid_flow=0.1828, paper=0.1568
+    "Table 2", gps=0.5083, optical_flow=1.5819, hybrid_flow=0.1828, zou2024=0.1568
 )
 
 SCAN_TIME_AND_DENSITY = "36.11111"
@@ -54,10 +54,10 @@ LEVELNESS_DEG: tuple[float, ...] = (1.19, 0.89, 0.96, 1.19)
 LEVELNESS_BOUND_DEG = 1.5
 """section 5.1: the bound that the paper states over all its scenes"""
 
-LANDING_OFFSET_M = _table("Table 5", gps=1.41, optical_flow=1.31, hybrid_flow=0.54, paper=0.41)
-LANDING_SPEED_MPS = _table("Table 5", gps=0.32, optical_flow=0.29, hybrid_flow=0.17, paper=0.10)
-LANDING_ACCEL_MPS2 = _table("Table 5", gps=0.21, optical_flow=0.18, hybrid_flow=0.15, paper=0.04)
-LANDING_SLOPE_DEG = _table("Table 5", gps=3.11, optical_flow=2.36, hybrid_flow=1.83, paper=1.99)
+LANDING_OFFSET_M = _table("Table 5", gps=1.41, optical_flow=1.31, hybrid_flow=0.54, zou2024=0.41)
+LANDING_SPEED_MPS = _table("Table 5", gps=0.32, optical_flow=0.29, hybrid_flow=0.17, zou2024=0.10)
+LANDING_ACCEL_MPS2 = _table("Table 5", gps=0.21, optical_flow=0.18, hybrid_flow=0.15, zou2024=0.04)
+LANDING_SLOPE_DEG = _table("Table 5", gps=3.11, optical_flow=2.36, hybrid_flow=1.83, zou2024=1.99)
 
 
 @dataclass(frozen=True, slots=True)

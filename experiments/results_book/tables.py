@@ -161,7 +161,7 @@ def _positioned(surveys: Sequence[Row], landed: Sequence[Row]) -> list[Row]:
 
 def levelness(surveys: Sequence[Row], landed: Sequence[Row]) -> list[str]:
     """A line for each scene and kind of flight that made a map: Δα, mean and largest."""
-    kinds = [(f"survey, `{m}`", cell(surveys, None, m)) for m in ("oracle", "paper")]
+    kinds = [(f"survey, `{m}`", cell(surveys, None, m)) for m in ("oracle", "zou2024")]
     kinds.append(("landing, `livo`", list(landed)))
     groups = [
         ([_scene(scene), kind], own)
@@ -230,7 +230,7 @@ def _landing_summary(rows: Sequence[Row]) -> list[str]:
 
 
 def _paper(printed: Mapping[str, published.Published]) -> str:
-    return f"{printed['paper'].value:g}"
+    return f"{printed['zou2024'].value:g}"
 
 
 _MEASURES = (

@@ -33,7 +33,7 @@ class GpsModel:
 
 PRESETS: Mapping[GpsPreset, GpsModel] = {
     # The mean 3-D error of a flight is 1.01 m, the GPS row of Table 2 of Zou, Sun, Kong (2024).
-    "paper": GpsModel(
+    "zou2024": GpsModel(
         sigma_xy_m=0.536, sigma_z_m=1.5 * 0.536, white_m=0.0, velocity_sigma_mps=0.05
     ),
     # u-blox NEO-M8 data sheet: horizontal accuracy 2.5 m CEP, velocity accuracy 0.05 m/s.

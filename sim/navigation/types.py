@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 # ------------------------------------------------------------------------------- parameters
 
 
-GpsPreset = Literal["paper", "ublox-m8", "rtk", "denied"]
+GpsPreset = Literal["zou2024", "ublox-m8", "rtk", "denied"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -26,7 +26,7 @@ class GpsParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    preset: GpsPreset = "paper"
+    preset: GpsPreset = "zou2024"
     """receiver model"""
     period_ticks: Count = 120
     """ticks between two fixes (5 Hz)"""

@@ -12,10 +12,10 @@ from touchdown.estimator.filtering.message_order import stamp_of
 from touchdown.sim.api import FaultParams, LidarScan, Observation
 from touchdown.sim.faults.injector import FaultInjector
 
-from support import livo_flight, paper_flight
+from support import livo_flight, zou2024_flight
 from support.livo_flight import error
 
-BOTH = pytest.mark.parametrize("module", [livo_flight, paper_flight], ids=["livo", "paper"])
+BOTH = pytest.mark.parametrize("module", [livo_flight, zou2024_flight], ids=["livo", "zou2024"])
 FAULTS = {
     "lidar_nan": "not a number", "lidar_empty": "no pulses", "lidar_blind": "no returns",
     "camera_black": "no contrast", "timestamp_repeat": "repeats its time stamp",

@@ -19,7 +19,7 @@ from touchdown.estimator.baselines.stereo import StereoEstimator
 from touchdown.estimator.filtering.inertial_filter import InertialFilter, bias_sigmas
 from touchdown.estimator.livo.estimator import Livo
 from touchdown.estimator.oracle import Oracle
-from touchdown.estimator.paper.estimator import PaperEstimator
+from touchdown.estimator.zou2024.estimator import Zou2024Estimator
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import (
     BarometerParams,
@@ -62,7 +62,7 @@ REST, FLIGHT = 100, 140
 
 Make = Callable[[SensorRig, Callable[[], Truth]], Any]
 ESTIMATORS: dict[str, Make] = {
-    "livo": lambda rig, _: Livo(rig), "paper": lambda rig, _: PaperEstimator(rig),
+    "livo": lambda rig, _: Livo(rig), "zou2024": lambda rig, _: Zou2024Estimator(rig),
     "optical_flow": lambda rig, _: OpticalFlowEstimator(rig),
     "stereo": lambda rig, _: StereoEstimator(rig), "gps": lambda rig, _: GpsEstimator(rig),
     "hybrid_flow": lambda rig, _: HybridFlowEstimator(rig),
@@ -128,7 +128,7 @@ def test_pose_and_velocity_are_those_of_the_body_origin(name: str, log: Log) -> 
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in ESTIMATORS if name in ("paper", "optical_flow", "stereo")]
+    "name", [name for name in ESTIMATORS if name in ("zou2024", "optical_flow", "stereo")]
 )
 def test_roll_and_pitch_are_found_at_rest(name: str, log: Log) -> None:
     """The rig states heading and position only; the pad slopes by 4 degrees."""

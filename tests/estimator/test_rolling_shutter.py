@@ -21,7 +21,7 @@ from touchdown.estimator.filtering.rolling_shutter import (
 from touchdown.sim.api import CameraImage, ImuSample, Observation
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
-from support.paper_flight import make_rig
+from support.zou2024_flight import make_rig
 
 READOUT_S = 0.015
 RIG = replace(make_rig(), camera_readout_s=READOUT_S)

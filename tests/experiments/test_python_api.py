@@ -92,12 +92,12 @@ def test_flights_are_configured_by_their_arguments(monkeypatch: pytest.MonkeyPat
     base = touchdown.load_config(scene="lake", seed=5, overrides={"survey.height_m": 20.0})
     assert touchdown.fly(base, seed=6, out="x").is_success
     touchdown.land(base)
-    touchdown.land("forest", estimator="paper", overrides={"wind.mean_kmh": 0})
+    touchdown.land("forest", estimator="zou2024", overrides={"wind.mean_kmh": 0})
     (first, out), (second, none), (third, _) = flown
     assert (first.scene, first.seed, first.survey.height_m) == ("lake", 6, 20.0)
     assert first.landing.survey_only and out == Path("x")
     assert second == base and none is None
-    assert (third.scene, third.estimator, third.wind.mean_kmh) == ("forest", "paper", 0.0)
+    assert (third.scene, third.estimator, third.wind.mean_kmh) == ("forest", "zou2024", 0.0)
 
 
 def test_folders_that_vanish_or_are_closed_hold_no_results(

@@ -315,16 +315,16 @@ _CALIBRATION: dict[str, Any] = {
 
 
 def calibration_case(rng: Rng, folder: Path, _shared: Path) -> Case:
-    """``--calibration FILE``, and ``--set paper.edge_model=FILE``."""
+    """``--calibration FILE``, and ``--set zou2024.edge_model=FILE``."""
     (folder / "floor.xml").write_text(FLOOR)
     start = ("fly", "floor.xml", "--quiet", "--no-record", "--estimator")
     if chance(rng, 0.15):
         from fuzz.kinds import ROOT
 
-        shipped = next((ROOT / "estimator" / "paper").rglob("*.yml.gz")).read_bytes()
+        shipped = next((ROOT / "estimator" / "zou2024").rglob("*.yml.gz")).read_bytes()
         name = pick(rng, ("edges.yml.gz", "edges.yml", "edges"))
         put(rng, folder / name, pick(rng, (shipped, b"%YAML:1.0\n---\nntrees: 1\n")), 0.8)
-        return Case(arguments=(*start, "paper", "--set", f"paper.edge_model={name}"))
+        return Case(arguments=(*start, "zou2024", "--set", f"zou2024.edge_model={name}"))
     tree = _copy(_CALIBRATION)
     for _ in range(int(pick(rng, (0, 1, 1, 2)))):
         mutate_tree(rng, tree)

@@ -22,7 +22,7 @@ _Commands = tuple[tuple[str, ...], ...]
 def _flight(folder: Path, _shared: Path) -> _Commands:
     (folder / "floor.xml").write_text(FLOOR)
     start = ("fly", "floor.xml", "--quiet", "--no-record", "--estimator")
-    return ((*start, "gps"), (*start, "paper"), ("scenes", "check", "floor.xml"))
+    return ((*start, "gps"), (*start, "zou2024"), ("scenes", "check", "floor.xml"))
 
 
 def _report(folder: Path, _shared: Path) -> _Commands:

@@ -61,7 +61,7 @@ def test_the_receiver_wanders_like_the_process() -> None:
     np.testing.assert_allclose(np.std(first, axis=0), sigma, rtol=0.1)
 
 
-def test_paper_preset_gives_the_published_mean_error() -> None:
+def test_zou2024_preset_gives_the_published_mean_error() -> None:
     """36 s surveys: mean 3-D error 1.01 m with a standard deviation of 0.37 m between flights
     (the closed form of the mean of the norm of these three normals is 1.012 m)."""
     means = [

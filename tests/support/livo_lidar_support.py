@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.filtering.plane_map import PlaneMatches
-from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.plane_equations import (
     PlaneEquations,
     Returns,

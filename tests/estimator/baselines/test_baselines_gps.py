@@ -23,7 +23,7 @@ from support.baselines_support import HZ, make_rig
 
 def _observations(seconds: float, seed: int) -> tuple[SensorRig, list[Observation], np.ndarray]:
     """A vehicle that stands, level and facing east: noisy IMU and field, fixes with the wandering
-    error of the preset ``paper``. Also that error at the fixes (N, 3)."""
+    error of the preset ``zou2024``. Also that error at the fixes (N, 3)."""
     rig = make_rig()
     rng = np.random.default_rng(seed)
     sigma = np.array([0.536, 0.536, 0.804])

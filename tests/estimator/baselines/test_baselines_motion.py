@@ -36,7 +36,7 @@ from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log
 from touchdown.sim.navigation.magnetometer import earth_field_world
 
 from support.livo_flight import HZ, IMU_TICKS, LATENCY, START_Z
-from support.paper_flight import image_from, make_rig
+from support.zou2024_flight import image_from, make_rig
 
 REST, LAST = 240, 1080
 START = Pose(rotation_from_yaw(0.5), np.array([0.0, 0.0, START_Z]))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.plane_map import PlaneMap
@@ -14,7 +15,6 @@ from touchdown.estimator.livo.anchored_update import (
     weak_directions,
     without_directions,
 )
-from touchdown.estimator.livo.anchors import Anchors
 from touchdown.estimator.livo.plane_extension import common_plane
 from touchdown.sim.frames import so3_exp
 

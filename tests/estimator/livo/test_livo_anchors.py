@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import LivoParams
+from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
 from touchdown.estimator.filtering.error_state import (
     CALIBRATION_DIM,
     CAMERA_ROTATION,
@@ -23,16 +24,7 @@ from touchdown.estimator.filtering.error_state import (
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.filtering.keyframes import bearing_rays
-from touchdown.estimator.filtering.plane_map import PlaneMap, PlaneMatches
-from touchdown.estimator.filtering.reprojection import (
-    LandmarkViews,
-    PixelNoise,
-    calibrated_information,
-)
-from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
-from touchdown.estimator.livo.anchors import AnchorFrames, Anchors
-from touchdown.estimator.livo.error_model import scan_errors
-from touchdown.estimator.livo.online_calibration import (
+from touchdown.estimator.filtering.online_calibration import (
     corrected_camera,
     corrected_lens,
     corrected_mount,
@@ -40,6 +32,14 @@ from touchdown.estimator.livo.online_calibration import (
     landmark_jacobians,
     prior_sigmas,
 )
+from touchdown.estimator.filtering.plane_map import PlaneMap, PlaneMatches
+from touchdown.estimator.filtering.reprojection import (
+    LandmarkViews,
+    PixelNoise,
+    calibrated_information,
+)
+from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
+from touchdown.estimator.livo.error_model import scan_errors
 from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_equations
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log

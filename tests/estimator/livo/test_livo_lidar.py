@@ -5,6 +5,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.deskew import place_scan, screen_scan, thin_out
 from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
@@ -12,7 +13,6 @@ from touchdown.estimator.filtering.information import lateral_strength, limit_in
 from touchdown.estimator.filtering.plane_map import PlaneMap, smallest_eigen
 from touchdown.estimator.livo import anchored_update
 from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
-from touchdown.estimator.livo.anchors import Anchors
 from touchdown.sim.api import LidarParams
 from touchdown.sim.frames import Pose, so3_exp
 

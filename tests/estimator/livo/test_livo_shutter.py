@@ -10,13 +10,13 @@ from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.online_calibration import exposed
 from touchdown.estimator.filtering.reprojection import (
     LandmarkViews,
     MountedCamera,
     PixelNoise,
     calibrated_information,
 )
-from touchdown.estimator.livo.online_calibration import exposed
 from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
 from touchdown.estimator.livo.visual import VisualFrontEnd

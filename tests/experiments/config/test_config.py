@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import pytest
@@ -48,10 +49,11 @@ def test_values_of_set_are_toml_or_bare_words() -> None:
     ("landing.site_xy_m=[1]", ["landing.site_xy_m"]),
     ("wind.mean_kmh=2020-01-01", ["wind.mean_kmh"]), ("wind.mean_kmh=nan", ["finite"]),
     ("bias.xy_m=[0.0, inf]", ["finite"]),
+    ("gps.preset=paper", ['gps.preset = "paper" in', "is unknown (it is 'zou2024' now)"]),
     ("wind.mean_kmh=-1", ["wind.mean_kmh = -1 in", "must be within 0 to 450"]),
     ("survey.height_m=-3", ["height_m = -3 in --set survey.height_m=-3 must be within"]),
     ("landing.max_slope_deg=90", ["must be above 0 and below 90"]),
-    ("paper.planar_cells=[56, 0]", ["paper.planar_cells = [56, 0]", "within 1 to 10000"]),
+    ("zou2024.planar_cells=[56, 0]", ["zou2024.planar_cells = [56, 0]", "within 1 to 10000"]),
     ("sim.threads=3", ["must be within 1 to 2"]),
     ("bias.xy_m=[0.0, -1e300]", ["bias.xy_m = [0.0, -1e+300]", "within -10000 to 10000"]),
     ("mapper.cell_m=0.01", ["mapper.extent_m = 160 over", "more than 2048 cells along"]),
@@ -105,7 +107,7 @@ def test_one_fault_needs_no_brackets(tmp_path: Path) -> None:
 
 OPEN_NAMES = {
     "scene", "estimator", "external", "calibration", "harsh_effects", "faults.events",
-    "paper.edge_model", "landing.classifier",
+    "zou2024.edge_model", "landing.classifier",
 }  # fmt: skip
 """Names beside paths, modules and forms with numbers: checked by what reads them."""
 
@@ -126,9 +128,12 @@ def test_closed_sets_of_names_refuse_others_when_they_are_read() -> None:
 
 def test_a_renamed_key_is_refused_but_in_the_configuration_of_a_run(tmp_path: Path) -> None:
     file = tmp_path / "config.json"
-    file.write_text('{"livo": {"mount_turn_sigma_deg": 0.7}}')
-    assert load_config(file).livo.mount_rotation_sigma_deg == 0.7
-    for old, new in RENAMED.items():
+    old = {"livo.mount_turn_sigma_deg": 0.7, "paper.use_bundle": False}
+    file.write_text(json.dumps({**old, "estimator": "paper", "gps.preset": "paper"}))
+    config = load_config(file)
+    assert config.livo.mount_rotation_sigma_deg == 0.7 and not config.zou2024.use_bundle
+    assert (config.estimator, config.gps.preset) == ("zou2024", "zou2024")
+    for old, new in {**RENAMED, "paper.use_bundle": "zou2024.use_bundle"}.items():
         assert old not in known_keys() and new in known_keys()
         with pytest.raises(UsageError) as caught:
             load_config(None, [f"{old}=0.1"])

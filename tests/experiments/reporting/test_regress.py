@@ -22,7 +22,7 @@ from touchdown.experiments.reporting.regression.compare import Comparison, compa
 from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_sentences
 
 SCENES = ("crossroad", "lake", "houses", "forest")
-METHODS = ("gps", "optical_flow", "hybrid_flow", "stereo", "paper", "livo")
+METHODS = ("gps", "optical_flow", "hybrid_flow", "stereo", "zou2024", "livo")
 Row = dict[str, Any]
 
 

@@ -61,7 +61,7 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two scenes, three methods, three seeds; one lost flight, three landings."""
     directory = tmp_path_factory.mktemp("made_up")
-    levels = {"livo": 0.05, "paper": 0.10, "gps": 1.0}
+    levels = {"livo": 0.05, "zou2024": 0.10, "gps": 1.0}
     for scene, scale in (("crossroad", 1.0), ("lake", 2.0)):
         for method, level in levels.items():
             for seed in range(3):
@@ -106,7 +106,7 @@ def test_table_2_has_the_published_figures_beside_crossroad(report: document.Rep
     found = table(report, "table2_error")
     assert found.header == ["method", "crossroad", "paper prints", "lake", "all scenes"]
     lines = {line[0].text: line for line in found.rows}
-    assert [cell.text for cell in lines["`paper`"]][1:4] == ["0.110", "0.3671", "0.220"]
+    assert [cell.text for cell in lines["`zou2024`"]][1:4] == ["0.110", "0.3671", "0.220"]
     gps = [cell.text for cell in lines["`gps`"]]
     assert (gps[1], gps[2], gps[4]) == ("1.10 (set)", "–", "1.65 (set)"), "set, so not compared"
     assert found.notes == [
@@ -124,7 +124,9 @@ def test_words_follow_the_data(report: document.Report) -> None:
     words = "\n".join(line for section in report.sections for line in section.words)
     assert "21 flights: 3 methods over 2 scenes, 6 seeds." in words
     assert "2 were not successful (`livo` 1, `gps` 1)" in words
-    assert "crossroad: `livo` is ahead by E_tra with 0.055 m [0.050, 0.060], then `paper`" in words
+    assert (
+        "crossroad: `livo` is ahead by E_tra with 0.055 m [0.050, 0.060], then `zou2024`" in words
+    )
     # All differences are ln 2; the level is 0.05 over two scenes: 2 / 2^n <= 0.025 from n = 7 on.
     assert (
         "With 3 equal seeds a difference of 0.055 m may be due to chance (adjusted p = 0.5); "
@@ -141,11 +143,11 @@ def test_a_method_that_never_took_off_does_not_compete(rows: list[dict[str, Any]
     grounded = [row | nothing if row["estimator"] == "livo" else row for row in rows]
     flow = [r | {"estimator": "optical_flow"} if r["estimator"] == "gps" else r for r in grounded]
     words = leading_sentences(flow)
-    assert words[0].startswith("crossroad: `paper` is ahead by E_tra")
+    assert words[0].startswith("crossroad: `zou2024` is ahead by E_tra")
     assert "crossroad: no flight with a figure to compare of `livo`." in words
     best = table(document.make_report(grounded, title="x"), "table2_error").rows
     assert {line[0].text: line[1].kind for line in best} == {
-        "`livo`": "", "`paper`": "best", "`gps`": "",
+        "`livo`": "", "`zou2024`": "best", "`gps`": "",
     }  # fmt: skip
 
 
@@ -168,7 +170,7 @@ def test_lost_flights_are_counted_and_named(report: document.Report) -> None:
 
 def test_shares_of_stages_by_hand(report: document.Report) -> None:
     """30 ms of each 0.1 s over 20 s are 6 s of the 10 s; 15 ms are 3 s."""
-    shares = table(report, "time").numbers["paper"]["shares"]
+    shares = table(report, "time").numbers["zou2024"]["shares"]
     assert shares == pytest.approx({"world": 0.6, "estimator": 0.3, "other": 0.1})
 
 
@@ -213,7 +215,7 @@ def test_command_writes_everything(
     out = tmp_path / "deep" / "report"
     assert cli.main(["report", str(campaign), "--out", str(out), "--json"]) == 0
     tree = json.loads(capsys.readouterr().out)
-    assert tree["tables"]["table2_error"]["paper"]["lake"]["value"] == pytest.approx(0.22)
+    assert tree["tables"]["table2_error"]["zou2024"]["lake"]["value"] == pytest.approx(0.22)
     assert sorted(tree["files"]) == ["html", "json", "markdown"]
     text = (out / "report.md").read_text()
     for target in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text):

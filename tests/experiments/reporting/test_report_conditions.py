@@ -74,7 +74,7 @@ def flown(directory: Path, profile: str, seed: int, error: float, **config: Any)
         "duration_s": 18.0, "density_per_m2": 900.0,
         "levelness_error_deg": {"mean": 10.0 * error, "max": 20.0 * error, "places": 10},
     }}  # fmt: skip
-    run = write_run(directory, "crossroad", "paper", seed, profile=profile, **changes)
+    run = write_run(directory, "crossroad", "zou2024", seed, profile=profile, **changes)
     if config:
         (run / "config.json").write_text(json.dumps({"profile": profile, "seed": seed} | config))
 
@@ -91,19 +91,19 @@ def test_no_figure_is_over_two_profiles(tmp_path: Path) -> None:
     for name, error in (("ideal", "0.060"), ("field", "0.240")):
         found = tables[f"table2_error@{name}"]
         assert found.rows[0][1].text == error and found.title.endswith(f", `{name}`")
-        assert f"`{name}`: E_tra of `paper` on crossroad: {error} m" in text
+        assert f"`{name}`: E_tra of `zou2024` on crossroad: {error} m" in text
         assert f"`{name}`: 3 flights: 1 method" in text
     assert (
         "`ideal`: Levelness of the map in the worst scene of each method, beside the paper's "
-        "bound of 1.5°: `paper` 0.600° (crossroad, within)." in text
+        "bound of 1.5°: `zou2024` 0.600° (crossroad, within)." in text
     )
-    assert "`paper` 2.40° (crossroad, beyond)" in text
+    assert "`zou2024` 2.40° (crossroad, beyond)" in text
     assert "2 conditions: `ideal`, `field`. No figure is over flights of several" in text
     pictures = {picture.name: picture.title for s in report.sections for picture in s.pictures}
     assert {"fig10b_ideal", "fig10b_field"} <= set(pictures)
     assert all(title.endswith(("`ideal`", "`field`")) for title in pictures.values())
     numbers = as_json(report, load_flights(tmp_path))["tables"]
-    assert numbers["table2_error@field"]["paper"]["crossroad"]["value"] == pytest.approx(0.24)
+    assert numbers["table2_error@field"]["zou2024"]["crossroad"]["value"] == pytest.approx(0.24)
     assert ("conditions", "2") in report.tiles
     assert not any(name == "successful" for name, _ in report.tiles)
 
@@ -132,5 +132,5 @@ def test_means_of_a_plain_directory_are_by_method_and_condition(tmp_path: Path) 
     flown(tmp_path / "b", "field", 0, 0.24)
     means = summary(load_runs(tmp_path), tmp_path)["means"]
     assert {name: found["trajectory_error_m"] for name, found in means.items()} == {
-        "paper, ideal": 0.06, "paper, field": 0.24,
+        "zou2024, ideal": 0.06, "zou2024, field": 0.24,
     }  # fmt: skip

@@ -73,8 +73,8 @@ def test_table_5_has_every_method_of_the_paper(rows: list[dict[str, Any]]) -> No
     assert found["`gps`", "crossroad"][:4] == ["3", "100 %", "100 %", "1.00"]
     assert found["`livo`", "crossroad"][:4] == ["4", "75 %", "50 %", "0.050"]
     # Not flown, but printed: to be compared with.
-    assert found["`paper`", "paper prints"][3:7] == ["0.41", "–", "0.04", "1.99"]
-    assert ("`paper`", "crossroad") not in found
+    assert found["`zou2024`", "paper prints"][3:7] == ["0.41", "–", "0.04", "1.99"]
+    assert ("`zou2024`", "crossroad") not in found
 
 
 def test_numbers_of_table_5_have_intervals(rows: list[dict[str, Any]]) -> None:

@@ -93,7 +93,7 @@ def test_landings_by_scene() -> None:
 
 
 def surveys() -> list[dict[str, Any]]:
-    levels = {"paper": 0.1, "gps": 1.0, "oracle": 0.0}
+    levels = {"zou2024": 0.1, "gps": 1.0, "oracle": 0.0}
     return [
         row(scene, seed, method, outcome="COMPLETED", **{
             "position_error_m.mean": level * seed, "trajectory_error_m": 2.0 * level * seed,
@@ -109,7 +109,7 @@ def test_positioning_by_method_and_scene() -> None:
     assert not any("oracle" in line for line in lines)
     begun = cells(lines, "`livo`", "`lake`")  # the surveys that its landings begin with
     assert begun["outcomes"] == "LANDED 2" and begun["mean error (m)"].startswith("0.300 [0.200")
-    found = cells(lines, "`paper`", "`lake`")
+    found = cells(lines, "`zou2024`", "`lake`")
     assert found["outcomes"] == "COMPLETED 2" and found["worst flight (m)"] == "0.300"
     assert found["mean error (m)"].startswith("0.200 [0.100") and "(set)" not in found["E_tra (m)"]
     assert found["NEES below 14.2 (%)"] == "90.0 [90.0, 90.0]"
@@ -149,7 +149,7 @@ def test_the_summary_compares_no_figure_that_is_set() -> None:
     )
     start = next(n for n, line in enumerate(lines) if line.startswith("| surveys"))
     assert cells(lines[start:], "`gps`")["E_tra, paper (m)"] == "–"
-    assert cells(lines[start:], "`paper`")["E_tra, paper (m)"] == "0.3671"
+    assert cells(lines[start:], "`zou2024`")["E_tra, paper (m)"] == "0.3671"
     assert cells(lines[start:], "`livo`")["completed"] == "3 of 4"
     assert cells(lines[start:], "`gps`")["completed"] == "4 of 4"
 

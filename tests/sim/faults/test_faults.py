@@ -202,7 +202,7 @@ ALL_AT_DIFFERENT_TIMES = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("estimator", ["livo", "paper"])
+@pytest.mark.parametrize("estimator", ["livo", "zou2024"])
 def test_a_survey_with_all_of_them(estimator: str) -> None:
     """`pytest -m slow -s tests/sim/faults/test_faults.py` prints the figures of docs/faults.md."""
     config = load_config(

@@ -8,29 +8,29 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, PaperParams, PoseTrack
+from touchdown.estimator.api import Estimate, PoseTrack, Zou2024Params
 from touchdown.estimator.filtering.error_state import POSITION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.intake import Intake
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.online_calibration import prior_sigmas
 from touchdown.estimator.filtering.undistortion import Undistorter
-from touchdown.estimator.livo.online_calibration import prior_sigmas
-from touchdown.estimator.paper.camera_pose import CameraPositioning
-from touchdown.estimator.paper.depth_field import half_size_energy
-from touchdown.estimator.paper.lidar_pose import LidarPositioning
-from touchdown.estimator.paper.projection import nearest_image
-from touchdown.estimator.paper.structured_edges.detector import edge_detector
+from touchdown.estimator.zou2024.camera_pose import CameraPositioning
+from touchdown.estimator.zou2024.depth_field import half_size_energy
+from touchdown.estimator.zou2024.lidar_pose import LidarPositioning
+from touchdown.estimator.zou2024.projection import nearest_image
+from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
 Array = NDArray[np.float64]
 
 
-class PaperEstimator:
+class Zou2024Estimator:
     """The paper's estimator. Deterministic; nothing is drawn at random."""
 
-    def __init__(self, rig: SensorRig, params: PaperParams | None = None) -> None:
+    def __init__(self, rig: SensorRig, params: Zou2024Params | None = None) -> None:
         self._rig = rig
-        self._params = params = params or PaperParams()
+        self._params = params = params or Zou2024Params()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, lidar=True)
         self._filter = InertialFilter(
             rig, params.correction_time_s, calibration_sigmas=prior_sigmas(params)

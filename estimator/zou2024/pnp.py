@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import error_between, moved_by
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
-from touchdown.estimator.paper.projection import project
+from touchdown.estimator.zou2024.projection import project
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 

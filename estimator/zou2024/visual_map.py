@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.paper.landmarks import Features
-from touchdown.estimator.paper.matching import match_near
-from touchdown.estimator.paper.projection import inside_image, project
+from touchdown.estimator.zou2024.landmarks import Features
+from touchdown.estimator.zou2024.matching import match_near
+from touchdown.estimator.zou2024.projection import inside_image, project
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 

@@ -8,21 +8,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import PaperParams
+from touchdown.estimator.api import Zou2024Params
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist, ShutterModel, ground_depths
-from touchdown.estimator.paper.bundle import LocalisedImage, adjust_window
-from touchdown.estimator.paper.closures import Closures
-from touchdown.estimator.paper.depth_field import DepthField
-from touchdown.estimator.paper.landmarks import Features, LandmarkDetector
-from touchdown.estimator.paper.pnp import CameraPose, solve_pnp
-from touchdown.estimator.paper.registration import FeatureMaps
-from touchdown.estimator.paper.relative_pose import ImageModel, update_with_image
-from touchdown.estimator.paper.visual_map import (
+from touchdown.estimator.zou2024.bundle import LocalisedImage, adjust_window
+from touchdown.estimator.zou2024.closures import Closures
+from touchdown.estimator.zou2024.depth_field import DepthField
+from touchdown.estimator.zou2024.landmarks import Features, LandmarkDetector
+from touchdown.estimator.zou2024.pnp import CameraPose, solve_pnp
+from touchdown.estimator.zou2024.registration import FeatureMaps
+from touchdown.estimator.zou2024.relative_pose import ImageModel, update_with_image
+from touchdown.estimator.zou2024.visual_map import (
     LandmarkSet,
     MapKeyframe,
     Sightings,
@@ -54,8 +54,8 @@ class CameraPositioning:
     """Visual map and the correction of the filter by the images of keyframes."""
 
     def __init__(
-        self, rig: SensorRig, params: PaperParams, inertial: InertialFilter, recent: RecentReturns,
-        maps: FeatureMaps,
+        self, rig: SensorRig, params: Zou2024Params, inertial: InertialFilter,
+        recent: RecentReturns, maps: FeatureMaps,
     ) -> None:  # fmt: skip
         self._rig = rig
         self._params = params

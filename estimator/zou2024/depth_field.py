@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.paper.geodesic import (
+from touchdown.estimator.zou2024.geodesic import (
     colour_smoothness,
     geodesic_depth,
     geodesic_lengths,
     geodesic_transform,
 )
-from touchdown.estimator.paper.projection import inside_image, project
-from touchdown.estimator.paper.structured_edges.detector import EdgeDetector
+from touchdown.estimator.zou2024.projection import inside_image, project
+from touchdown.estimator.zou2024.structured_edges.detector import EdgeDetector
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 

@@ -5,14 +5,14 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.estimator.paper.closures import Closures, level_transform
-from touchdown.estimator.paper.dictionary import InvertedIndex, Vocabulary
-from touchdown.estimator.paper.feature_map import FeatureMap
-from touchdown.estimator.paper.landmarks import BRISK, SIFT, LandmarkDetector, spread
-from touchdown.estimator.paper.matching import match_near
-from touchdown.estimator.paper.pnp import reprojection_errors, solve_pnp
-from touchdown.estimator.paper.pose_graph import Edge, PoseGraph
-from touchdown.estimator.paper.registration import (
+from touchdown.estimator.zou2024.closures import Closures, level_transform
+from touchdown.estimator.zou2024.dictionary import InvertedIndex, Vocabulary
+from touchdown.estimator.zou2024.feature_map import FeatureMap
+from touchdown.estimator.zou2024.landmarks import BRISK, SIFT, LandmarkDetector, spread
+from touchdown.estimator.zou2024.matching import match_near
+from touchdown.estimator.zou2024.pnp import reprojection_errors, solve_pnp
+from touchdown.estimator.zou2024.pose_graph import Edge, PoseGraph
+from touchdown.estimator.zou2024.registration import (
     FeatureMaps,
     PosePrior,
     ScanFeatures,

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from touchdown.estimator.paper.structured_edges import forest
-from touchdown.estimator.paper.structured_edges.detector import (
+from touchdown.estimator.zou2024.structured_edges import forest, model
+from touchdown.estimator.zou2024.structured_edges.detector import (
     GradientEdges,
     StructuredEdges,
     edge_detector,
 )
-from touchdown.estimator.paper.structured_edges.model import SHIPPED_MODEL, check_model, write_model
 from touchdown.experiments.cli.main import cli
 from touchdown.experiments.edges.dataset import boundaries, connected, without_specks
 from touchdown.experiments.edges.score import (
@@ -62,8 +61,8 @@ def test_opencv_reads_a_forest_as_it_was_written(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     trees = [_random_tree(rng, paired=number % 2 == 1) for number in range(4)]
     path = tmp_path / "small.yml.gz"
-    write_model(path, trees, forest.ForestParams(trees=4, trees_evaluated=2, stride=2))
-    check_model(path)
+    model.write_model(path, trees, forest.ForestParams(trees=4, trees_evaluated=2, stride=2))
+    model.check_model(path)
     rgb = cv2.GaussianBlur(rng.integers(0, 256, (48, 64, 3)).astype(np.uint8), (0, 0), 1.5)
     regular, paired = forest.channel_features(rgb)
     votes = np.zeros(rgb.shape[:2], np.float32)
@@ -130,7 +129,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("edges")
     paths = folder / "one.yml.gz", folder / "two.yml.gz"
     for path in paths:
-        write_model(path, forest.grow_forest(images, SMALL, seed=5), SMALL)
+        model.write_model(path, forest.grow_forest(images, SMALL, seed=5), SMALL)
     return paths
 
 
@@ -164,15 +163,15 @@ def test_a_damaged_model_is_named_in_one_line(trained: tuple[Path, Path], tmp_pa
         other = tmp_path / "other.yml.gz"
         other.write_bytes(gzip.compress(changed.encode()))
         with pytest.raises(ValueError, match=name):
-            check_model(other)
+            model.check_model(other)
     with pytest.raises(FileNotFoundError, match="does not exist"):
         edge_detector(str(tmp_path / "nowhere.yml.gz"))
 
 
 def test_the_shipped_model_is_whole_and_small() -> None:
-    check_model(SHIPPED_MODEL)
-    assert SHIPPED_MODEL.stat().st_size < 6_000_000
-    head = gzip.decompress(SHIPPED_MODEL.read_bytes())[:600].decode()
+    model.check_model(model.SHIPPED_MODEL)
+    assert model.SHIPPED_MODEL.stat().st_size < 6_000_000
+    head = gzip.decompress(model.SHIPPED_MODEL.read_bytes())[:600].decode()
     assert "# scenes: " + " ".join(TRAIN_SCENES) in head
     assert not set(TEST_SCENES) & set(TRAIN_SCENES) and min(TRAIN_SEEDS) >= 100
     assert isinstance(edge_detector("shipped"), StructuredEdges)

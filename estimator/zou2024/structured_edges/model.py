@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.paper.structured_edges import forest
+from touchdown.estimator.zou2024.structured_edges import forest
 from touchdown.sim.files.inflating import gunzipped
 from touchdown.sim.files.opening import no_file
 

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
 from touchdown.estimator.filtering.error_state import (
     Frame,
     Frames,
@@ -17,9 +18,8 @@ from touchdown.estimator.filtering.error_state import (
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.estimator.filtering.plane_map import smallest_eigen
-from touchdown.estimator.livo.anchors import AnchorFrames, Anchors
-from touchdown.estimator.paper.feature_map import FeatureMap, Seen
-from touchdown.estimator.paper.residuals import (
+from touchdown.estimator.zou2024.feature_map import FeatureMap, Seen
+from touchdown.estimator.zou2024.residuals import (
     NO_ANCHORS,
     Matches,
     distances,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.paper.structured_edges.model import SHIPPED_MODEL, check_model
+from touchdown.estimator.zou2024.structured_edges.model import SHIPPED_MODEL, check_model
 
 Rgb = NDArray[np.uint8]
 Float32 = NDArray[np.float32]

@@ -6,25 +6,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.estimator.api import PaperParams
+from touchdown.estimator.api import Zou2024Params
+from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.error_state import Frame, Frames, Pinhole, moved_by
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.livo.anchors import Anchors
-from touchdown.estimator.paper import lidar_pose, registration
-from touchdown.estimator.paper.bundle import Observations, _reduced_system
-from touchdown.estimator.paper.depth_field import DepthField, half_size_energy
-from touchdown.estimator.paper.estimator import PaperEstimator
-from touchdown.estimator.paper.lidar_pose import scan_features
-from touchdown.estimator.paper.pnp import CameraPose, reprojection_errors, solve_pnp
-from touchdown.estimator.paper.pose_graph import Edge, PoseGraph, edge_residual
-from touchdown.estimator.paper.residuals import Matches, relative_equations
-from touchdown.estimator.paper.structured_edges.detector import GradientEdges
+from touchdown.estimator.zou2024 import lidar_pose, registration
+from touchdown.estimator.zou2024.bundle import Observations, _reduced_system
+from touchdown.estimator.zou2024.depth_field import DepthField, half_size_energy
+from touchdown.estimator.zou2024.estimator import Zou2024Estimator
+from touchdown.estimator.zou2024.lidar_pose import scan_features
+from touchdown.estimator.zou2024.pnp import CameraPose, reprojection_errors, solve_pnp
+from touchdown.estimator.zou2024.pose_graph import Edge, PoseGraph, edge_residual
+from touchdown.estimator.zou2024.residuals import Matches, relative_equations
+from touchdown.estimator.zou2024.structured_edges.detector import GradientEdges
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 from support.livo_flight import HZ, START_Z, error, position_at
-from support.paper_flight import (
+from support.zou2024_flight import (
     FLIGHT,
     PLAIN,
     RIG,
@@ -39,7 +39,7 @@ IMU_FROM_CAMERA = RIG.body_from_imu.inverse() @ RIG.body_from_camera
 NOTHING = np.zeros((0, 3))
 
 
-def params(**changes: Any) -> PaperParams:
+def params(**changes: Any) -> Zou2024Params:
     return dataclasses.replace(PLAIN, edge_model="gradient", **changes)
 
 
@@ -58,7 +58,7 @@ def params(**changes: Any) -> PaperParams:
 def test_a_displaced_pose_is_pulled_back(sensor: str, shift: Any, turn: Any) -> None:
     """Algorithm 1 knows height and tilt over level ground, PnP position and heading."""
     alone = {f"use_{name}_pose": name == sensor for name in ("lidar", "camera")}
-    estimator = PaperEstimator(RIG, params(keyframe_period_s=0.1, **alone))
+    estimator = Zou2024Estimator(RIG, params(keyframe_period_s=0.1, **alone))
     inertial = estimator._filter
     for obs in FLIGHT:
         if obs.tick == 393:  # the scan and the image of 360 come next
@@ -211,7 +211,7 @@ def test_the_estimator_knows_where_an_earlier_image_was_taken(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Images 20 ticks before the ends of the scans."""
-    estimator = PaperEstimator(RIG, params())
+    estimator = Zou2024Estimator(RIG, params())
     places: list[Any] = []
     monkeypatch.setattr(
         estimator._lidar, "take", lambda scan, energy, seen_from: places.append(seen_from) or True
@@ -228,7 +228,7 @@ def test_the_estimator_knows_where_an_earlier_image_was_taken(
 def test_the_estimator_uses_colour_where_the_ground_is_flat() -> None:
     edges = {}
     for use in (True, False):
-        estimator = PaperEstimator(RIG, params(use_colour_smoothness=use))
+        estimator = Zou2024Estimator(RIG, params(use_colour_smoothness=use))
         last = [estimator.update(obs) for obs in FLIGHT if obs.tick <= 219][-1]
         edges[use] = last.diagnostics.get("map_edges", 0.0)
     assert edges[True] > 10.0 * edges[False] + 100.0
@@ -389,7 +389,7 @@ def test_flat_triangles_are_no_lines() -> None:
 
 def test_the_estimator_takes_the_lens_out_of_an_image() -> None:
     image = image_from(Pose(np.eye(3), np.array([0.0, 0.0, START_Z])), 60)
-    assert PaperEstimator(RIG, params())._flat(image).rgb is image.rgb
-    bent = PaperEstimator(make_rig(-0.2), params())._flat(image)
+    assert Zou2024Estimator(RIG, params())._flat(image).rgb is image.rgb
+    bent = Zou2024Estimator(make_rig(-0.2), params())._flat(image)
     assert (bent.rgb[120, 212] == image.rgb[120, 212]).all()
     assert np.abs(bent.rgb[:40].astype(float) - image.rgb[:40]).mean() > 2.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from touchdown.estimator.paper.geodesic import (
+from touchdown.estimator.zou2024.geodesic import (
     STEP_ENERGY,
     colour_smoothness,
     geodesic_depth,
@@ -11,19 +11,15 @@ from touchdown.estimator.paper.geodesic import (
     geodesic_transform,
     path_energy,
 )
-from touchdown.estimator.paper.projection import (
-    inside_image,
-    nearest_image,
-    project,
-)
-from touchdown.estimator.paper.registration import neighbourhood_shapes
-from touchdown.estimator.paper.residuals import edge_distance, plane_distance
-from touchdown.estimator.paper.smoothness import (
+from touchdown.estimator.zou2024.projection import inside_image, nearest_image, project
+from touchdown.estimator.zou2024.registration import neighbourhood_shapes
+from touchdown.estimator.zou2024.residuals import edge_distance, plane_distance
+from touchdown.estimator.zou2024.smoothness import (
     fused_smoothness,
     lidar_smoothness,
     sort_out_features,
 )
-from touchdown.estimator.paper.structured_edges.detector import GradientEdges
+from touchdown.estimator.zou2024.structured_edges.detector import GradientEdges
 from touchdown.sim.api import CameraImage
 
 

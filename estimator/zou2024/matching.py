@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from touchdown.estimator.paper.landmarks import SIFT
+from touchdown.estimator.zou2024.landmarks import SIFT
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

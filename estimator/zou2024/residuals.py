@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
 from touchdown.estimator.filtering.error_state import (
     MOUNT_DIM,
     MOUNT_ROTATION,
@@ -22,7 +23,6 @@ from touchdown.estimator.filtering.imu_propagation import (
     rotate_back_into,
     rotate_into,
 )
-from touchdown.estimator.livo.anchors import AnchorFrames, Anchors
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

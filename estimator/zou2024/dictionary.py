@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.paper.landmarks import BRISK_BYTES, SIFT, SIFT_BYTES
+from touchdown.estimator.zou2024.landmarks import BRISK_BYTES, SIFT, SIFT_BYTES
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.error_state import (
     MOUNT_DIM,
     POSE,
@@ -24,21 +25,20 @@ from touchdown.estimator.filtering.error_state import (
     error_between,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
+from touchdown.estimator.filtering.online_calibration import (
+    corrected_camera,
+    corrected_lens,
+    exposed,
+    landmark_jacobians,
+)
 from touchdown.estimator.filtering.reprojection import (
     LandmarkViews,
     MountedCamera,
     PixelNoise,
     calibrated_information,
 )
-from touchdown.estimator.livo.anchors import Anchors
-from touchdown.estimator.livo.online_calibration import (
-    corrected_camera,
-    corrected_lens,
-    exposed,
-    landmark_jacobians,
-)
-from touchdown.estimator.paper.residuals import Matches, relative_equations
-from touchdown.estimator.paper.visual_map import LandmarkSet, MapKeyframe, Sightings, by_host
+from touchdown.estimator.zou2024.residuals import Matches, relative_equations
+from touchdown.estimator.zou2024.visual_map import LandmarkSet, MapKeyframe, Sightings, by_host
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""The visual map of `paper`: its keyframes, their bundle adjustment and loop closures."""
+"""The visual map of `zou2024`: its keyframes, their bundle adjustment and loop closures."""
 
 import dataclasses
 from typing import Any
@@ -6,29 +6,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.estimator.api import PaperParams
+from touchdown.estimator.api import Zou2024Params
 from touchdown.estimator.filtering.error_state import Frames
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.paper.camera_pose import CameraPositioning
-from touchdown.estimator.paper.closures import Closures
-from touchdown.estimator.paper.feature_map import FeatureMap, Seen
-from touchdown.estimator.paper.landmarks import Features
-from touchdown.estimator.paper.pnp import reprojection_errors
-from touchdown.estimator.paper.registration import FeatureMaps
-from touchdown.estimator.paper.visual_map import LandmarkSet, MapKeyframe, Sightings
+from touchdown.estimator.zou2024.camera_pose import CameraPositioning
+from touchdown.estimator.zou2024.closures import Closures
+from touchdown.estimator.zou2024.feature_map import FeatureMap, Seen
+from touchdown.estimator.zou2024.landmarks import Features
+from touchdown.estimator.zou2024.pnp import reprojection_errors
+from touchdown.estimator.zou2024.registration import FeatureMaps
+from touchdown.estimator.zou2024.visual_map import LandmarkSet, MapKeyframe, Sightings
 from touchdown.sim.frames import Pose, so3_exp
 
 from support.livo_flight import START_Z
-from support.paper_flight import PLAIN, RIG, image_from
+from support.zou2024_flight import PLAIN, RIG, image_from
 
 IMU_FROM_CAMERA = RIG.body_from_imu.inverse() @ RIG.body_from_camera
 NOTHING = np.zeros((0, 3))
 NO_EDGES = np.zeros((120, 212), np.float32)
 
 
-def params(**changes: Any) -> PaperParams:
+def params(**changes: Any) -> Zou2024Params:
     return dataclasses.replace(PLAIN, edge_model="gradient", **changes)
 
 

@@ -31,7 +31,7 @@ from touchdown.estimator.filtering.imu_propagation import (
 )
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.filtering.reprojection import MountedCamera
-from touchdown.estimator.paper.visual_map import MapKeyframe, Sightings, by_host, joined
+from touchdown.estimator.zou2024.visual_map import MapKeyframe, Sightings, by_host, joined
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 

@@ -6,18 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.estimator.api import PaperParams
-from touchdown.estimator.paper.estimator import PaperEstimator
-from touchdown.sim.api import (
-    GRAVITY_MPS2,
-    CameraImage,
-    ImuSample,
-    LidarScan,
-    Observation,
-)
+from touchdown.estimator.api import Zou2024Params
+from touchdown.estimator.zou2024.estimator import Zou2024Estimator
+from touchdown.sim.api import GRAVITY_MPS2, CameraImage, ImuSample, LidarScan, Observation
 
 from support.livo_flight import HZ, IMU_TICKS, LATENCY, SCAN_TICKS, START_Z, error
-from support.paper_flight import FLIGHT, PLAIN, RIG, clean, fly, image_at, scan_ending_at
+from support.zou2024_flight import FLIGHT, PLAIN, RIG, clean, fly, image_at, scan_ending_at
 
 
 def test_a_clean_flight_is_followed() -> None:
@@ -37,7 +31,7 @@ def test_every_part_can_be_left_out(part: str) -> None:
     assert max(map(error, estimates)) < 0.06
 
 
-def left_out(part: str) -> PaperParams:
+def left_out(part: str) -> Zou2024Params:
     switches: dict[str, Any] = {f"use_{part}": False}
     return dataclasses.replace(PLAIN, **switches)
 
@@ -49,7 +43,7 @@ def test_standing_without_returns_it_does_not_drift() -> None:
     bias = np.array([0.05, 0.0, 0.0])
     force = np.array([0.0, 0.0, GRAVITY_MPS2]) + bias
     image = image_at(0)
-    estimator = PaperEstimator(RIG, PLAIN)
+    estimator = Zou2024Estimator(RIG, PLAIN)
     worst = 0.0
     for tick in range(IMU_TICKS, 3 * HZ + 1, IMU_TICKS):
         imu = ImuSample(

@@ -1,4 +1,4 @@
-"""A short synthetic flight for `paper`: that for `livo` with finer images and a regular LIDAR."""
+"""A short synthetic flight for `zou2024`: that for `livo` with finer images and a regular LIDAR."""
 
 import dataclasses
 import functools
@@ -6,8 +6,8 @@ import functools
 import cv2
 import numpy as np
 
-from touchdown.estimator.api import Estimate, PaperParams
-from touchdown.estimator.paper.estimator import PaperEstimator
+from touchdown.estimator.api import Estimate, Zou2024Params
+from touchdown.estimator.zou2024.estimator import Zou2024Estimator
 from touchdown.sim.api import CameraImage, CameraIntrinsics, LidarScan, Observation, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -16,7 +16,7 @@ from support.livo_flight import HZ, SCAN_TICKS, START_Z, position_at
 
 LAST = 960
 TEXEL_M = 0.05
-PLAIN = PaperParams(sift_features=150, brisk_features=150)
+PLAIN = Zou2024Params(sift_features=150, brisk_features=150)
 
 
 def make_rig(distortion: float = 0.0) -> SensorRig:
@@ -94,7 +94,7 @@ def clean() -> list[Estimate]:
 
 
 def fly(
-    flight: list[Observation], params: PaperParams = PLAIN, rig: SensorRig = RIG
+    flight: list[Observation], params: Zou2024Params = PLAIN, rig: SensorRig = RIG
 ) -> list[Estimate]:
-    estimator = PaperEstimator(rig, params)
+    estimator = Zou2024Estimator(rig, params)
     return [estimator.update(obs) for obs in flight]

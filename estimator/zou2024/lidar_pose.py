@@ -7,31 +7,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import PaperParams
+from touchdown.estimator.api import Zou2024Params
 from touchdown.estimator.filtering.deskew import PlacedScan, screen_scan
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
-from touchdown.estimator.livo.online_calibration import corrected_mount
-from touchdown.estimator.paper.depth_field import half_size_energy, scan_colour_smoothness
-from touchdown.estimator.paper.feature_map import FeatureMap
-from touchdown.estimator.paper.projection import inside_image, project
-from touchdown.estimator.paper.registration import (
+from touchdown.estimator.filtering.online_calibration import corrected_mount
+from touchdown.estimator.zou2024.depth_field import half_size_energy, scan_colour_smoothness
+from touchdown.estimator.zou2024.feature_map import FeatureMap
+from touchdown.estimator.zou2024.projection import inside_image, project
+from touchdown.estimator.zou2024.registration import (
     FeatureMaps,
     PosePrior,
     ScanFeatures,
     ScanPose,
     register_scan,
 )
-from touchdown.estimator.paper.relative_pose import update_with_scan
-from touchdown.estimator.paper.smoothness import (
+from touchdown.estimator.zou2024.relative_pose import update_with_scan
+from touchdown.estimator.zou2024.smoothness import (
     FeaturePoints,
     fused_smoothness,
     lidar_smoothness,
     sort_out_features,
 )
-from touchdown.estimator.paper.structured_edges.detector import edge_detector
+from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
 from touchdown.sim.api import CameraIntrinsics, LidarScan, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -55,7 +55,7 @@ def scan_features(
     pulses: NDArray[np.int64],
     energy: Float32 | None,
     camera: CameraIntrinsics,
-    params: PaperParams,
+    params: Zou2024Params,
 ) -> tuple[FeaturePoints, Array]:
     """Edge and planar points of a scan by Eqs. 6 to 8, and f_c (N,) of every return, NaN where no
     image covers it.
@@ -80,7 +80,7 @@ class LidarPositioning:
     """Edge and planar maps, and the correction of the filter by each scan."""
 
     def __init__(
-        self, rig: SensorRig, params: PaperParams, inertial: InertialFilter, recent: RecentReturns
+        self, rig: SensorRig, params: Zou2024Params, inertial: InertialFilter, recent: RecentReturns
     ) -> None:
         self._rig = rig
         self._params = params
@@ -177,7 +177,7 @@ class StationaryFeatures:
 
 
 def features_of_stationary_scan(
-    scan: LidarScan, rgb: NDArray[np.uint8], rig: SensorRig, params: PaperParams
+    scan: LidarScan, rgb: NDArray[np.uint8], rig: SensorRig, params: Zou2024Params
 ) -> StationaryFeatures:
     """Returns the features of ``scan`` and ``rgb`` (H, W, 3), both taken from the same pose by a
     camera without distortion."""

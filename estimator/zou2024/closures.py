@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.paper.dictionary import InvertedIndex, Vocabulary
-from touchdown.estimator.paper.landmarks import BRISK, SIFT, Features
-from touchdown.estimator.paper.pose_graph import Edge, PoseGraph
-from touchdown.estimator.paper.visual_map import MapKeyframe
+from touchdown.estimator.zou2024.dictionary import InvertedIndex, Vocabulary
+from touchdown.estimator.zou2024.landmarks import BRISK, SIFT, Features
+from touchdown.estimator.zou2024.pose_graph import Edge, PoseGraph
+from touchdown.estimator.zou2024.visual_map import MapKeyframe
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_log
 
 Array = NDArray[np.float64]
