@@ -23,7 +23,7 @@ from touchdown.sim.typing import Array, Bytes, Indices
 _ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 _LEVELS = 4
 """of a part whose depths differ: from its nearest point to its farthest"""
-_ALIKE = 1.5
+_ALIKE = 1.3
 """Greatest over least depth of a tile that has one level"""
 _EDGE = 1 << _LEVELS - 1
 """Texels around a part, so that a texel is left at its last level; parts begin at their
