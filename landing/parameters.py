@@ -47,6 +47,9 @@ TermName = Literal[
 ]
 """Terms of the score of a site, a module each in `landing.selection.terms`."""
 
+LandClass = Literal["lawn", "field", "path", "road", "building"]
+"""Classes of solid ground, of `scenes.api.LAND_CLASSES`."""
+
 GateName = Literal["geometry", "probability", "reach", "class"]
 """What a site must pass: the limits of ``landing.ground``, ``landing.min_safe_probability``, the
 range of the remaining energy (Eq. 18), ground classification."""
@@ -310,6 +313,8 @@ class LandingParams:
     """simulated compute time of each batch"""
     classifier_threads: Count = 1
     """of the processor, for classification"""
+    allowed_classes: tuple[LandClass, ...] = ("lawn", "field", "path")
+    """classes of ground that the gate ``class`` lets pass"""
     allow_risky: bool = False
     """accept roads and roofs too; such a landing is judged by geometry"""
 
