@@ -122,7 +122,7 @@ _QUICK_RUNS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
         run["scene"] == ANALYSED_SCENE and run["landing.flatness_form"] == "corrected"
     ),
     "real_sites": lambda run: run["scene"] == "footbridge",
-    "commanded_site": lambda run: True,
+    "commanded_site": lambda run: run["scene"] == ANALYSED_SCENE,
 }
 """Selects the runs of the quick edition among those of the first seed of each campaign."""
 
