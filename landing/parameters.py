@@ -7,14 +7,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from touchdown.sim.api import (
-    FORBID_EXTRA,
-    Count,
-    CountOrZero,
-    Fraction,
-    NotNegative,
-    Positive,
-)
+from touchdown.sim.api import FORBID_EXTRA, Count, CountOrZero, Fraction, NotNegative, Positive
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -60,9 +60,7 @@ class OnnxClassifier:
         try:
             # Weights apart are mapped from their files, and not held twice.
             self._session = onnxruntime.InferenceSession(
-                str(path) if own else content,
-                options,
-                providers=["CPUExecutionProvider"],
+                str(path) if own else content, options, providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # onnxruntime's errors share no base class
             text = trial.plain_reason(error)
