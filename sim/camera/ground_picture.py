@@ -121,10 +121,7 @@ class GroundPicture:
         GL.glBindTexture(GL.GL_TEXTURE_2D, texture)
         used = self._levels[first : first + count]
         for name, value in (
-            (
-                GL.GL_TEXTURE_MIN_FILTER,
-                GL.GL_LINEAR if count == 1 else GL.GL_LINEAR_MIPMAP_NEAREST,
-            ),
+            (GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR if count == 1 else GL.GL_LINEAR_MIPMAP_NEAREST),
             (GL.GL_TEXTURE_WRAP_S, GL.GL_CLAMP_TO_EDGE),
             (GL.GL_TEXTURE_WRAP_T, GL.GL_CLAMP_TO_EDGE),
             (GL.GL_TEXTURE_MAX_LEVEL, len(used) - 1),

@@ -9,11 +9,7 @@ import pytest
 from touchdown.estimator.api import StereoParams
 from touchdown.estimator.baselines.aiding import BaroHeight, update, update_heading
 from touchdown.estimator.baselines.alignment import field_azimuth, level_attitude
-from touchdown.estimator.baselines.disparity import (
-    GroundHeight,
-    disparities,
-    inverse_depths,
-)
+from touchdown.estimator.baselines.disparity import GroundHeight, disparities, inverse_depths
 from touchdown.estimator.baselines.epochs import EpochQueue
 from touchdown.estimator.baselines.ground_below import GroundBelow
 from touchdown.estimator.baselines.navigator import Navigator

@@ -12,12 +12,7 @@ import pytest
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.replay import (
-    open_run,
-    replay,
-    replay_config,
-    seen_by,
-)
+from touchdown.experiments.flight.replay import open_run, replay, replay_config, seen_by
 from touchdown.experiments.io.sensor_log import FILE_NAME
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import read_tum

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from support.reproduce_world import World
 
 pytest_plugins = ("support.reproduce_world",)
-CAMPAIGNS = ("positioning", "commanded_site", "real_sites", "landing")
+CAMPAIGNS = tuple(part.name for part in PARTS if part.flies)
 
 
 def run_quick(out: Path, **options: Any) -> reproduce.Reproduction:
@@ -58,7 +58,7 @@ def test_one_command_gives_every_table_and_figure(
     page = Path(tree["files"]["html"]).read_text(encoding="utf-8")
     assert not re.search(r"""(src|href)\s*=\s*["'](?!#|data:)""", page)
     numbers = json.loads(Path(tree["files"]["json"]).read_text(encoding="utf-8"))
-    assert numbers["flights"] == 14
+    assert numbers["flights"] == 17
     assert "positioning_table2_error" in numbers["tables"] and "table4" in numbers["tables"]
 
 
@@ -116,7 +116,7 @@ def test_a_part_that_fails_its_purpose_is_reported(
     assert re.search(r"calibration +quick .* FAILED: its errors exceed", output.out)
     text = (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
     assert "`calibration` (Fig. 2) failed its purpose" in text
-    assert "`landing` (Fig. 9 b) is left out, by `--skip`" in text
+    assert "`zou2024` (Fig. 9 b) is left out, by `--skip`" in text
     assert cli.main(arguments) == 1 and world.count("calibration") == 1
 
 

@@ -166,6 +166,9 @@ def test_roads_are_accepted_only_where_they_are_allowed() -> None:
     for allowed in (False, True):
         (site,) = _check(ByColour(), plain("road")).judge(_sites((9, 0)), FLAT, allow_risky=allowed)
         assert site.accepted is allowed and site.class_predicted == "road"
+    for name in ("road", "lawn"):
+        policy = _check(ByColour(), plain(name), allowed_classes=("road", "field"))
+        assert policy.judge(_sites((9, 0)), FLAT)[0].accepted is (name == "road")
 
 
 def test_second_look_has_the_weight_of_the_first() -> None:
@@ -378,6 +381,7 @@ def test_landings_judged_by_class() -> None:
     assert class_counts(LandingParams()) and class_counts(LandingParams(site_xy_m=(1.0, 2.0)))
     for changes in (
         {"allow_risky": True},
+        {"allowed_classes": ("lawn", "road")},
         {"emergency": "battery"},
         {"site_xy_m": (1.0, 2.0), "check_site": False},
     ):
