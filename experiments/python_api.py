@@ -140,10 +140,7 @@ def load_runs(directory: str | Path) -> list[RunResult]:
 
 
 def check_estimator(
-    estimator: str | Build,
-    *,
-    overrides: Overrides | None = None,
-    seconds: float = 3.0,
+    estimator: str | Build, *, overrides: Overrides | None = None, seconds: float = 3.0
 ) -> list[Violation]:
     """Checks an estimator against the contract of a flight, on synthetic sensor messages.
 
@@ -181,10 +178,7 @@ def _built(config: Config, _params: dict[str, Any], rig: SensorRig) -> Estimator
 
 
 def _changed(
-    values: dict[str, Any],
-    sources: dict[str, str],
-    overrides: Overrides | None,
-    **arguments: Any,
+    values: dict[str, Any], sources: dict[str, str], overrides: Overrides | None, **arguments: Any
 ) -> Config:
     """The configuration of ``values`` with overrides and then arguments put in."""
     for key, value in (overrides or {}).items():

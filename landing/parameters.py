@@ -7,14 +7,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from touchdown.sim.api import (
-    FORBID_EXTRA,
-    Count,
-    CountOrZero,
-    Fraction,
-    NotNegative,
-    Positive,
-)
+from touchdown.sim.api import FORBID_EXTRA, Count, CountOrZero, Fraction, NotNegative, Positive
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,6 +39,9 @@ TermName = Literal[
     "probability", "flatness", "smoothness", "distance", "room", "level", "traffic", "plants"
 ]
 """Terms of the score of a site, a module each in `landing.selection.terms`."""
+
+LandClass = Literal["lawn", "field", "path", "road", "building"]
+"""Classes of solid ground, of `scenes.api.LAND_CLASSES`."""
 
 GateName = Literal["geometry", "probability", "reach", "class"]
 """What a site must pass: the limits of ``landing.ground``, ``landing.min_safe_probability``, the
@@ -310,6 +306,8 @@ class LandingParams:
     """simulated compute time of each batch"""
     classifier_threads: Count = 1
     """of the processor, for classification"""
+    allowed_classes: tuple[LandClass, ...] = ("lawn", "field", "path")
+    """classes of ground that the gate ``class`` lets pass"""
     allow_risky: bool = False
     """accept roads and roofs too; such a landing is judged by geometry"""
 

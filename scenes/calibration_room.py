@@ -98,11 +98,7 @@ def _add_crates(
 
 
 def _add_board(
-    spec: mujoco.MjSpec,
-    image: Image,
-    width_m: float,
-    height_m: float,
-    surfaces: dict[str, Surface],
+    spec: mujoco.MjSpec, image: Image, width_m: float, height_m: float, surfaces: dict[str, Surface]
 ) -> None:
     _add_material(spec, "board_image", image)
     mesh = spec.add_mesh(name="board_face")

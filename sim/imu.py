@@ -32,12 +32,7 @@ class ImuSensor:
     """
 
     def __init__(
-        self,
-        params: ImuParams,
-        tick_hz: int,
-        imu_ticks: int,
-        seed: int,
-        hover_radps: float = 0.0,
+        self, params: ImuParams, tick_hz: int, imu_ticks: int, seed: int, hover_radps: float = 0.0
     ) -> None:
         """``hover_radps``: rotor speed that the levels of the vibration belong to. ValueError:
         there is vibration and it is not positive."""

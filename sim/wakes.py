@@ -160,12 +160,7 @@ def _table(found: Obstacles, direction: Array, ground_m: float) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def mean_in_wake(
-    table: Array,
-    along: float,
-    left: float,
-    height: float,
-    friction: float,
-    roughness: float,
+    table: Array, along: float, left: float, height: float, friction: float, roughness: float
 ) -> tuple[float, float]:
     """Mean speed along the wind at a point in the wind's axes, and the height of the obstacle that
     slows it (0: none)."""

@@ -15,11 +15,7 @@ from touchdown.sim.airframe.deviations import SpeedTelemetry, draw_deviations, t
 from touchdown.sim.airframe.ground_probe import GroundProbe
 from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
 from touchdown.sim.airframe.rotors import Rotors
-from touchdown.sim.airframe.vehicle import (
-    rotor_geometry,
-    vehicle_body_id,
-    vehicle_model,
-)
+from touchdown.sim.airframe.vehicle import rotor_geometry, vehicle_body_id, vehicle_model
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     Command,
@@ -65,11 +61,7 @@ class MujocoWorld:
     rig: SensorRig
 
     def __init__(
-        self,
-        scene: Scene,
-        params: WorldParams,
-        seed: int,
-        needs: SensorNeeds = _NOTHING,
+        self, scene: Scene, params: WorldParams, seed: int, needs: SensorNeeds = _NOTHING
     ) -> None:
         check_rates(params.sim, needs)
         self._vehicle = vehicle_model(scene.model)

@@ -33,12 +33,7 @@ class BareWorld:
     The scene's model must have been prepared by a world (time step, air).
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        params: WorldParams,
-        seed: int,
-    ) -> None:
+    def __init__(self, scene: Scene, params: WorldParams, seed: int) -> None:
         self._model, self._sim = scene.model, params.sim
         self._data = mujoco.MjData(scene.model)
         self._moving = MovingBodies(scene)

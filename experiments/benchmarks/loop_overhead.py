@@ -28,13 +28,7 @@ from touchdown.experiments.flight.run import make_referee, timed_parts
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.wiring import build_flight_stack, build_scene, world_params
 from touchdown.experiments.recording.run_recorder import RunRecorder
-from touchdown.sim.api import (
-    Command,
-    LidarScan,
-    Observation,
-    SimParams,
-    Truth,
-)
+from touchdown.sim.api import Command, LidarScan, Observation, SimParams, Truth
 
 WARM_UP_S = 2.0
 SENSOR_EVERY = 4
@@ -146,11 +140,7 @@ def measure_overhead(config: Config, out_dir: Path) -> dict[str, Any]:
     loop = dict(stages)
     loop["recorder_threads"] = 1e3 * max(process_s - thread_s, 0.0) / scans
     loop["rest"] = 1e3 * (thread_s - world.beside_s) / scans - sum(stages.values())
-    return {
-        "outcome": str(outcome.outcome),
-        "sim_s": sim_s,
-        **_compare(loop, world.sums),
-    }
+    return {"outcome": str(outcome.outcome), "sim_s": sim_s, **_compare(loop, world.sums)}
 
 
 def measure_on_one_core(config: Config, out_dir: Path) -> dict[str, Any]:

@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from touchdown.estimator.api import (
-    Estimate,
-    Mapper,
-    MapView,
-    PoseTrack,
-)
+from touchdown.estimator.api import Estimate, Mapper, MapView, PoseTrack
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import build_scene, make_world, world_params
 from touchdown.landing.api import Selection
@@ -62,9 +57,7 @@ def build_posed_survey(config: Config, scene: Scene) -> PosedSurvey:
         path=survey_trajectory(above, yaw, config.survey),
         yaw=yaw,
         select=partial(
-            select_sites,
-            params=config.landing,
-            footprint_radius_m=rig.vehicle.footprint_radius_m,
+            select_sites, params=config.landing, footprint_radius_m=rig.vehicle.footprint_radius_m
         ),
     )
 
@@ -110,12 +103,7 @@ def posed_survey(
 
 
 def observe(
-    survey: PosedSurvey,
-    path: Any,
-    *,
-    start_s: float,
-    period_s: float,
-    watch: Watch | None = None,
+    survey: PosedSurvey, path: Any, *, start_s: float, period_s: float, watch: Watch | None = None
 ) -> Iterator[tuple[Estimate, MapView]]:
     """Moves the sensors along ``path`` from ``start_s`` on and yields after every scan. The camera
     is free again at the end."""
@@ -139,9 +127,7 @@ def observe(
                 battery_fraction=1.0,
             )
             track = PoseTrack(
-                times_s=body.times_s,
-                positions_odom=body.positions,
-                quats_wxyz=body.quats_wxyz,
+                times_s=body.times_s, positions_odom=body.positions, quats_wxyz=body.quats_wxyz
             )
             estimate = _true_estimate(obs, body.last_pose, track)
             if watch is not None:

@@ -15,10 +15,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from touchdown.experiments.external.processes import (
-    adopt_orphans,
-    end_descendants,
-)
+from touchdown.experiments.external.processes import adopt_orphans, end_descendants
 from touchdown.sim.files.child import die_with_parent
 
 SUPERVISOR = "TOUCHDOWN_SUPERVISOR"

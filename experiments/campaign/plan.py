@@ -18,11 +18,7 @@ from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.run_names import AXES, run_name
 from touchdown.experiments.config.files import check_named_code, read_tree
 from touchdown.experiments.config.keys import flatten, hint_for
-from touchdown.experiments.config.loading import (
-    config_of,
-    is_key,
-    known_keys,
-)
+from touchdown.experiments.config.loading import config_of, is_key, known_keys
 from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT, PRESET_KEY
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds

@@ -27,7 +27,7 @@ from touchdown.landing.classification import onboard
 from touchdown.landing.classification.decision import decision_summary
 from touchdown.landing.classification.engine import Classifier
 from touchdown.landing.classification.scores import summary
-from touchdown.landing.classification.weights import NetworkFacts
+from touchdown.landing.classification.weights import NetworkFacts, weights_apart
 
 Progress = Callable[[int, int, str], None]
 _BATCH = 32
@@ -43,13 +43,14 @@ def load_classifier(network: Path, engine: str, threads: int) -> Classifier:
         return footprint.load_classifier(network, engine, threads)
 
 
-def shipped_network() -> Path:
-    """Returns the network that is shipped with the project. Raises UsageError without one."""
+def shipped_network(onboard_one: bool = True) -> Path:
+    """Returns the network that is shipped with the project, the one that flies or the one that was
+    trained. Raises UsageError without one."""
     if not onboard.SHIPPED.is_file():
         raise UsageError(
             "no network is shipped with touchdown: give --network, a file of `touchdown train`"
         )
-    return onboard.SHIPPED
+    return onboard.SHIPPED if onboard_one else onboard.TRAINED
 
 
 def evaluate_network(
@@ -82,7 +83,7 @@ def evaluate_network(
         "image_size": facts.image_size,
         "classes": list(facts.classes),
         "miss_costs": dict(facts.miss_costs),
-        "rom_mb": network.stat().st_size / 1e6,
+        "rom_mb": sum(file.stat().st_size for file in (network, *weights_apart(network))) / 1e6,
         **_summary(scores, images.labels, facts),
         "by_source": {
             name: _summary(scores[of], images.labels[of], facts)

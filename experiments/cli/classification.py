@@ -249,7 +249,11 @@ def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -
 
     with progress_bar(quiet) as progress:
         report = usage_errors(
-            lambda: evaluate_network(network or shipped_network(), progress=progress, **options)
+            lambda: evaluate_network(
+                network or shipped_network(options["engine"] == "onnx"),
+                progress=progress,
+                **options,
+            )
         )
     if as_json:
         click.echo(json.dumps(report, indent=2))
@@ -286,7 +290,7 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
     with progress_bar(quiet) as progress:
         report = usage_errors(
             lambda: quantize_network(
-                network or shipped_network(), out, progress=progress, **options
+                network or shipped_network(False), out, progress=progress, **options
             )
         )
     if as_json:
@@ -335,7 +339,9 @@ def classify(
     rows = usage_errors(
         lambda: classify_images(
             images,
-            classifier=load_classifier(network or shipped_network(), engine, threads),
+            classifier=load_classifier(
+                network or shipped_network(engine == "onnx"), engine, threads
+            ),
             notes=make_notes(quiet),
             **options,
         )

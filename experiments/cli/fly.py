@@ -10,10 +10,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import (
-    EXIT_DONE,
-    EXIT_FAILED,
-)
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
 from touchdown.experiments.cli.console import print_result
 from touchdown.experiments.cli.replay import run_replay
 from touchdown.experiments.terminal import end_progress, make_progress
@@ -92,9 +89,7 @@ _FLIGHT_OPTIONS = (
         help="A fault at START seconds, such as lidar_dropout@20+1 or fog@0. May be repeated.",
     ),
     click.option(
-        "--out",
-        type=click.Path(path_type=Path),
-        help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]",
+        "--out", type=click.Path(path_type=Path), help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]"
     ),
     click.option("--force", is_flag=True, help="Replace a run whose sensors.mcap would be lost."),
     click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
@@ -137,10 +132,7 @@ def _flight_options(command: _Command) -> _Command:
     help="Land within landing.emergency_s of the survey's end, on the safest site in reach.",
 )
 def land(
-    site: tuple[float, float] | None,
-    selector: str | None,
-    emergency: str | None,
-    **options: Any,
+    site: tuple[float, float] | None, selector: str | None, emergency: str | None, **options: Any
 ) -> int:
     """Take off, survey, map, choose a landing site and land on it.
 

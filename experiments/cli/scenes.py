@@ -17,17 +17,7 @@ from touchdown.experiments.terminal import make_notes, say
 if TYPE_CHECKING:
     from touchdown.scenes.api import Light
 
-VIEW_NAMES = (
-    "above",
-    "oblique",
-    "camera",
-    "depth",
-    "lidar",
-    "height",
-    "slope",
-    "class",
-    "safe",
-)
+VIEW_NAMES = ("above", "oblique", "camera", "depth", "lidar", "height", "slope", "class", "safe")
 """Keys of `experiments.scene_tools.views.VIEWS`, repeated so that help is instant."""
 LIGHTS = ("day", "overcast", "dusk", "night")
 """Names of `scenes.api.Light`, likewise."""

@@ -20,12 +20,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from touchdown.experiments.config.checks import (
-    check_faults,
-    check_map,
-    check_rates,
-    check_survey,
-)
+from touchdown.experiments.config.checks import check_faults, check_map, check_rates, check_survey
 from touchdown.experiments.config.external_table import wrong_external_key
 from touchdown.experiments.config.files import (
     LARGEST,
@@ -52,12 +47,7 @@ from touchdown.experiments.config.profiles import (
     name_in,
     preset_in,
 )
-from touchdown.experiments.config.ranges import (
-    choices_of,
-    out_of_range,
-    rule_of,
-    types_of_keys,
-)
+from touchdown.experiments.config.ranges import choices_of, out_of_range, rule_of, types_of_keys
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, plain_fault
 

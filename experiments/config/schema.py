@@ -25,12 +25,7 @@ from touchdown.estimator.api import (
     StereoParams,
     Zou2024Params,
 )
-from touchdown.experiments.api import (
-    BiasParams,
-    CalibrationErrorParams,
-    RefereeParams,
-    StartParams,
-)
+from touchdown.experiments.api import BiasParams, CalibrationErrorParams, RefereeParams, StartParams
 from touchdown.landing.api import LandingParams, SurveyParams
 from touchdown.scenes.api import Light
 from touchdown.sim.api import (

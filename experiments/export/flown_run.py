@@ -104,10 +104,7 @@ class FlownRun:
         """Begin and end of the evaluated span, s: (inf, inf) for a flight that never took off,
         (-inf, inf) for runs of earlier versions, which do not record it."""
         first, last = self.result.get("span_s") or (-np.inf, None)
-        return (
-            np.inf if first is None else float(first),
-            np.inf if last is None else float(last),
-        )
+        return (np.inf if first is None else float(first), np.inf if last is None else float(last))
 
     def wanted_s(self, judged: bool) -> tuple[float, float]:
         """Span to export: all, or ``judged`` alone. Raises UsageError if it is empty."""

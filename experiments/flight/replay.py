@@ -291,10 +291,7 @@ def _replay(
 
 
 def _estimates(
-    estimator: Estimator,
-    observations: Iterable[Observation],
-    clock: CpuClock,
-    logged: LoggedRun,
+    estimator: Estimator, observations: Iterable[Observation], clock: CpuClock, logged: LoggedRun
 ) -> Iterator[tuple[Observation, Estimate]]:
     """As `run_estimator`. Raises UsageError where an estimator cannot take what was logged: a log
     comes from elsewhere, and each of its values may be possible but not all together."""

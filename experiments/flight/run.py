@@ -32,7 +32,7 @@ from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import check_out_dir, run_directory
 from touchdown.experiments.recording.run_recorder import NullRecorder, Recorder, RunRecorder
 from touchdown.landing.api import LandingParams
-from touchdown.scenes.api import Scene
+from touchdown.scenes.api import SAFE_CLASSES, Scene
 
 if TYPE_CHECKING:
     from touchdown.experiments.io.sensor_log import SensorLog
@@ -133,7 +133,8 @@ def class_counts(params: LandingParams) -> bool:
     """True if a touchdown must be on ground of a safe class where the ground is classified; False
     for flights that land whatever the class."""
     unchecked_site = params.site_xy_m is not None and not params.check_site
-    return not (params.allow_risky or params.emergency or unchecked_site)
+    risky = params.allow_risky or not SAFE_CLASSES.issuperset(params.allowed_classes)
+    return not (risky or params.emergency or unchecked_site)
 
 
 def make_referee(

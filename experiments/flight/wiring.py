@@ -11,10 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.controller.api import Controller
-from touchdown.estimator.api import (
-    Estimator,
-    Mapper,
-)
+from touchdown.estimator.api import Estimator, Mapper
 from touchdown.experiments.config.keys import hint_for_value
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, nearest

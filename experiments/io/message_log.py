@@ -25,10 +25,7 @@ class MessageLog:
         self._file: BinaryIO = path.open("wb")
         # Checksums are left to the file system: they cost more than packing.
         self._writer = Writer(
-            self._file,
-            chunk_size=_CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_crcs=False,
+            self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_crcs=False
         )
         self._writer.start(profile="ros2", library="touchdown")
         self._schemas: dict[str, int] = {}

@@ -31,16 +31,10 @@ class MapTiles:
         cells = _tile_sums(grid.count > 0, side)
         for row, col in np.argwhere(cells >= _MIN_CELLS):
             had_returns, had_coloured = self._recorded.get((row, col), (0.0, 0))
-            now_returns, now_coloured = (
-                float(returns[row, col]),
-                int(coloured[row, col]),
-            )
+            now_returns, now_coloured = (float(returns[row, col]), int(coloured[row, col]))
             if now_returns > growth * had_returns or now_coloured > growth * had_coloured:
                 self._recorded[(row, col)] = (now_returns, now_coloured)
-                yield (
-                    slice(row * side, (row + 1) * side),
-                    slice(col * side, (col + 1) * side),
-                )
+                yield (slice(row * side, (row + 1) * side), slice(col * side, (col + 1) * side))
 
 
 def _tile_sums(cells: NDArray[np.generic], side: int) -> NDArray[np.float64]:

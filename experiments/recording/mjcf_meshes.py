@@ -120,8 +120,7 @@ def terrain(
     col = np.unique(np.linspace(0, cols - 1, min(cols, max_side)).round().astype(int))
     u, v = np.meshgrid(col / (cols - 1), row / (rows - 1))
     local = np.stack(
-        [(2 * u - 1) * half_x, (2 * v - 1) * half_y, heights[np.ix_(row, col)] * scale],
-        axis=-1,
+        [(2 * u - 1) * half_x, (2 * v - 1) * half_y, heights[np.ix_(row, col)] * scale], axis=-1
     ).reshape(-1, 3)
     return Terrain(
         vertices=local @ world_from_geom[:3, :3].T + world_from_geom[:3, 3],
@@ -166,10 +165,7 @@ def _texture(model: Any, geom: int, max_pixels: int) -> Colours | None:
         return None
     pixels = _texture_pixels(model, texture)
     shrink = min(1.0, max_pixels / max(pixels.shape[:2]))
-    size = (
-        max(1, round(pixels.shape[1] * shrink)),
-        max(1, round(pixels.shape[0] * shrink)),
-    )
+    size = (max(1, round(pixels.shape[1] * shrink)), max(1, round(pixels.shape[0] * shrink)))
     resized = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
     return np.ascontiguousarray(resized, dtype=np.uint8)
 
@@ -210,14 +206,7 @@ def _geom_triangles(model: Any, geom: int) -> tuple[Array, Faces] | None:
 
 def _box(half: Array) -> tuple[Array, Faces]:
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-    quads = [
-        (0, 1, 3, 2),
-        (4, 6, 7, 5),
-        (0, 4, 5, 1),
-        (2, 3, 7, 6),
-        (0, 2, 6, 4),
-        (1, 5, 7, 3),
-    ]
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [(a, b, c) for a, b, c, _ in quads] + [(a, c, d) for a, _, c, d in quads]
     return corners * half, np.array(faces, dtype=np.int32)
 

@@ -42,9 +42,7 @@ class ScalarBatch:
     def send(self, stream: rr.RecordingStream) -> None:
         for path, (times, numbers) in self._rows.items():
             stream.send_columns(
-                path,
-                [rr.TimeColumn(TIMELINE, duration=times)],
-                rr.Scalars.columns(scalars=numbers),
+                path, [rr.TimeColumn(TIMELINE, duration=times)], rr.Scalars.columns(scalars=numbers)
             )
         self._rows.clear()
 
@@ -69,8 +67,7 @@ class PoseBatch:
             "world/vehicle",
             [rr.TimeColumn(TIMELINE, duration=self._times)],
             rr.Transform3D.columns(
-                translation=np.array(self._positions),
-                quaternion=np.array(self._quats_xyzw),
+                translation=np.array(self._positions), quaternion=np.array(self._quats_xyzw)
             ),
         )
         self.__init__()  # type: ignore[misc]
@@ -117,8 +114,4 @@ def log_styles(stream: rr.RecordingStream) -> None:
     series |= {f"plots/motion/{name}": (name, rgb) for name, rgb in _MOTION_STYLE.items()}
     series |= {f"plots/rotors/{i}": (f"rotor {i}", rgb) for i, rgb in enumerate(_ROTOR_STYLE)}
     for path, (name, colour) in series.items():
-        stream.log(
-            path,
-            rr.SeriesLines(colors=[colour], names=[name], widths=[1.5]),
-            static=True,
-        )
+        stream.log(path, rr.SeriesLines(colors=[colour], names=[name], widths=[1.5]), static=True)

@@ -7,11 +7,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 TIMELINE = "sim_time"
-PATHS = {
-    "true": (70, 220, 110),
-    "estimated": (255, 170, 40),
-    "reference": (90, 160, 255),
-}
+PATHS = {"true": (70, 220, 110), "estimated": (255, 170, 40), "reference": (90, 160, 255)}
 """Recorded paths and their colours."""
 AXES = {"x": (235, 80, 80), "y": (80, 200, 90), "z": (90, 140, 255)}
 
@@ -43,8 +39,7 @@ def flight_blueprint(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Blu
             origin="log",
             name="Phases, estimator, faults",
             columns=rrb.TextLogColumns(
-                timeline_columns=[TIMELINE],
-                text_log_columns=[rrb.encodings.TextLogColumn("Body")],
+                timeline_columns=[TIMELINE], text_log_columns=[rrb.encodings.TextLogColumn("Body")]
             ),
         ),
         column_shares=[3, 3, 3],
@@ -92,8 +87,5 @@ def _world_view(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Spatial3
             look_target=[x, y, 5.0],
             eye_up=[0.0, 0.0, 1.0],
         ),
-        overrides={
-            **{f"world/path/{name}": everything for name in PATHS},
-            "world/scan": recent,
-        },
+        overrides={**{f"world/path/{name}": everything for name in PATHS}, "world/scan": recent},
     )

@@ -142,10 +142,7 @@ class RerunLog:
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         log_scene(stream, self._scene, self._params.texture_pixels)
         log_vehicle(stream, self._scene)
-        for name, pose in (
-            ("camera", rig.body_from_camera),
-            ("lidar", rig.body_from_lidar),
-        ):
+        for name, pose in (("camera", rig.body_from_camera), ("lidar", rig.body_from_lidar)):
             stream.log(f"world/vehicle/{name}", _transform(pose), static=True)
         camera = rig.camera
         stream.log(
@@ -159,9 +156,7 @@ class RerunLog:
             static=True,
         )
         marker = rr.Points3D(
-            [[0.0, 0.0, 0.0]],
-            radii=rr.Radius.ui_points([5.0]),
-            colors=[(255, 240, 120)],
+            [[0.0, 0.0, 0.0]], radii=rr.Radius.ui_points([5.0]), colors=[(255, 240, 120)]
         )
         stream.log("world/vehicle/marker", marker, static=True)
         log_styles(stream)
@@ -169,11 +164,7 @@ class RerunLog:
     # -------------------------------------------------------------------------------- channels
 
     def _add_scalars(
-        self,
-        truth: Truth,
-        estimate: Estimate,
-        lander_view: LanderView,
-        command: Command,
+        self, truth: Truth, estimate: Estimate, lander_view: LanderView, command: Command
     ) -> None:
         position = truth.world_from_body.translation
         error = estimate.world_from_body.translation - position
@@ -222,19 +213,12 @@ class RerunLog:
         self._stream.log(
             "world/scan",
             rr.Points3D(
-                points.astype(np.float32),
-                colors=height_colours(points[:, 2]),
-                radii=[0.08],
+                points.astype(np.float32), colors=height_colours(points[:, 2]), radii=[0.08]
             ),
         )
 
     def _log_map(
-        self,
-        time_s: float,
-        estimate: Estimate,
-        map_view: MapView,
-        *,
-        everything: bool = False,
+        self, time_s: float, estimate: Estimate, map_view: MapView, *, everything: bool = False
     ) -> None:
         self._stream.set_time(TIMELINE, duration=time_s)
         log_moving(self._stream, self._scene, time_s)
@@ -286,8 +270,7 @@ class RerunLog:
         if done:
             self._stream.set_time(TIMELINE, duration=time_s)
             self._stream.log(
-                "costmap/total",
-                rr.EncodedImage(contents=data.tobytes(), media_type="image/png"),
+                "costmap/total", rr.EncodedImage(contents=data.tobytes(), media_type="image/png")
             )
 
     def _flush(self) -> None:
@@ -308,10 +291,7 @@ def _fault_times(config: Config) -> list[tuple[float, str]]:
 def _survey_middle(scene: Scene, config: Config) -> Array:
     """(2,) from the take-off point to the middle of the surveyed area, world axes."""
     half = 0.5 * np.array(
-        [
-            config.survey.leg_length_m,
-            config.survey.leg_spacing_m * (config.survey.legs - 1),
-        ]
+        [config.survey.leg_length_m, config.survey.leg_spacing_m * (config.survey.legs - 1)]
     )
     cos, sin = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
     return np.array([cos * half[0] - sin * half[1], sin * half[0] + cos * half[1]])

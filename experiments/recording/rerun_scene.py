@@ -46,17 +46,9 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, texture_pixels: int) -> 
             carried[root].append(geom)
         elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD:
             ground = terrain(
-                model,
-                geom,
-                poses[geom],
-                max_side=_TERRAIN_SIDE,
-                texture_pixels=texture_pixels,
+                model, geom, poses[geom], max_side=_TERRAIN_SIDE, texture_pixels=texture_pixels
             )
-            stream.log(
-                f"world/scene/{model.geom(geom).name}",
-                _ground_mesh(ground),
-                static=True,
-            )
+            stream.log(f"world/scene/{model.geom(geom).name}", _ground_mesh(ground), static=True)
         else:
             static.append(geom)
     _log_mesh(stream, "world/scene/objects", merged_mesh(model, static, poses))
@@ -149,9 +141,7 @@ def _log_mesh(stream: rr.RecordingStream, path: str, mesh: Mesh | None) -> None:
     stream.log(
         path,
         rr.Mesh3D(
-            vertex_positions=mesh.vertices,
-            triangle_indices=mesh.faces,
-            vertex_colors=mesh.colours,
+            vertex_positions=mesh.vertices, triangle_indices=mesh.faces, vertex_colors=mesh.colours
         ),
         static=True,
     )

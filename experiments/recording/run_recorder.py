@@ -121,9 +121,7 @@ class RunRecorder:
         estimate, map_view = self._last
         points, colours = map_points(map_view.coarse)
         write_ply(
-            self._out_dir / "map.ply",
-            transform_points(estimate.world_from_odom, points),
-            colours,
+            self._out_dir / "map.ply", transform_points(estimate.world_from_odom, points), colours
         )
 
     def _write_costmap(self) -> None:

@@ -175,11 +175,7 @@ def _tables_6(landings: Sequence[Row]) -> list[Table]:
     return [_table_6(found, method) for method in methods_of(own)]
 
 
-_SITE_COLUMNS = (
-    "landing.obstacle_distance_m",
-    "landing.slope_deg",
-    "landing.vertical_speed_mps",
-)
+_SITE_COLUMNS = ("landing.obstacle_distance_m", "landing.slope_deg", "landing.vertical_speed_mps")
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +261,7 @@ def _safety_table(landings: Sequence[Row]) -> Table:
     table.notes = [
         "Unsafe touchdowns are counted whatever the outcome; the extremes are over the flights "
         "that landed. Bounce: how far the vehicle rose again after its first contact. "
-        "Deceleration: its largest acceleration in any tick from the first contact on.",
+        "Deceleration: its largest acceleration in any tick from the first contact on."
     ]
     return table
 

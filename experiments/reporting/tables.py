@@ -259,7 +259,7 @@ def trajectory_tables(rows: Sequence[Row]) -> list[Table]:
     )
     variance.notes += [
         "Variance of all samples of all flights thrown together, every flight weighing the same: "
-        "the mean of the variances within flights plus the variance between their means.",
+        "the mean of the variances within flights plus the variance between their means."
     ]
     position = method_scene_table(
         rows,

@@ -17,7 +17,6 @@ from touchdown.experiments.reporting.published_networks import NETWORK_NAMES
 
 PLANS = Path(__file__).parent / "plans"
 PAPER_SCENES = ("crossroad", "lake", "houses", "forest")
-_QUICK_SITES = ("rooftop_parking", "footbridge")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +117,12 @@ def _gpu() -> bool:
 _QUICK_RUNS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
     "positioning": lambda run: run["scene"] == ANALYSED_SCENE,
     "landing": lambda run: run["scene"] == ANALYSED_SCENE,
-    "real_sites": lambda run: run["scene"] in _QUICK_SITES,
-    "commanded_site": lambda run: True,
+    "zou2024_sites": lambda run: run["scene"] == "rooftop_parking",
+    "zou2024": lambda run: (
+        run["scene"] == ANALYSED_SCENE and run["landing.flatness_form"] == "corrected"
+    ),
+    "real_sites": lambda run: run["scene"] == "footbridge",
+    "commanded_site": lambda run: run["scene"] == ANALYSED_SCENE,
 }
 """Selects the runs of the quick edition among those of the first seed of each campaign."""
 

@@ -42,8 +42,10 @@ _SECTIONS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("fig9a", "fig10a", "fig10b", "fig10_estimate"),
     ),
     "commanded_site": (("summary", "landings", "outcomes"), ("fig12",)),
+    "zou2024_sites": (("summary", "landings", "outcomes"), ()),
+    "zou2024": (("summary", "accuracy", "paths", "landings", "outcomes"), ("fig9b",)),
     "real_sites": (("summary", "landings", "outcomes"), ()),
-    "landing": (("summary", "paths", "landings", "outcomes"), ("fig9b",)),
+    "landing": (("summary", "landings", "outcomes"), ()),
 }
 """Sections and figures that are copied from the report of each campaign."""
 
@@ -93,7 +95,8 @@ def _summary_text(done: Reproduction) -> list[str]:
         )
     for part in PARTS:
         state = done.states.get(part.name)
-        content = f"`{part.name}` ({', '.join(part.shows)})"
+        shows = ", ".join(part.shows)
+        content = f"`{part.name}` ({shows})" if shows else f"`{part.name}`"
         if state is None:
             why = "by `--skip`" if part.name in done.skipped else "not done yet"
             lines.append(f"{content} is left out, {why}.")
@@ -112,10 +115,8 @@ def _section(
 ) -> Section:  # fmt: skip
     """Section of a part; the flights of its campaign are added to ``rows``."""
     revision = f"at revision `{state.git_revision}`" if state.git_revision else "of no revision"
-    text = [
-        f"For {', '.join(part.shows)}, by the part `{part.name}`, {state.edition} edition, ended "
-        f"{revision}."
-    ]
+    purpose = f"For {', '.join(part.shows)}" if part.shows else "Beside the paper's own system"
+    text = [f"{purpose}, by the part `{part.name}`, {state.edition} edition, ended {revision}."]
     if state.why or state.error:
         text.append(f"Not successful: {state.error or state.why}.")
     section = Section(part.name, part.title, text, [], [])
@@ -151,7 +152,8 @@ def _add_campaign(section: Section, flights: Path, rows: list[dict[str, Any]]) -
         section.tables.extend(
             replace(table, key=f"{section.key}_{table.key}") for table in found.tables
         )
-        section.pictures.extend(p for p in found.pictures if p.name in pictures)
+        # of several conditions, each has its name after that of the figure
+        section.pictures.extend(p for p in found.pictures if p.name.startswith(pictures))
 
 
 def _fill_calibration(section: Section, figures: Figures, folder: Path) -> None:

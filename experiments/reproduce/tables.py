@@ -120,7 +120,7 @@ def speed_table(figures: Figures) -> Table:
     notes = [
         f"Milliseconds, medians on the map of a whole survey of {figures['scene']}, "
         f"{figures['cells'][0]} x {figures['cells'][1]} cells, one thread; {other}. The paper's "
-        "times are of an NVIDIA NX.",
+        "times are of an NVIDIA NX."
     ]
     if classifier:
         notes.append(
@@ -195,7 +195,7 @@ def _table_4(networks: Sequence[Figures]) -> Table:
     notes = [
         "Time and memory here: one thread of a processor, ONNX Runtime, float16 weights; the "
         "paper's are of an NVIDIA NX. The paper prints ROM and RAM without a gap; RAM is read with "
-        "three digits before the point.",
+        "three digits before the point."
     ]
     if missing:
         notes.append(f"Not trained here: {', '.join(missing)}.")

@@ -9,12 +9,7 @@ from typing import Any
 
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.conditions import condition_of
-from touchdown.experiments.reporting.flights import (
-    cell,
-    methods_of,
-    scenes_of,
-    values,
-)
+from touchdown.experiments.reporting.flights import cell, methods_of, scenes_of, values
 from touchdown.experiments.reporting.measures import (
     SET_MARK,
     is_marked,
@@ -23,12 +18,7 @@ from touchdown.experiments.reporting.measures import (
     titled,
 )
 from touchdown.experiments.reporting.statistics import mean_interval, share_interval
-from touchdown.experiments.reporting.tables import (
-    ALL_SCENES,
-    MISSING,
-    digits,
-    interval_text,
-)
+from touchdown.experiments.reporting.tables import ALL_SCENES, MISSING, digits, interval_text
 
 Row = Mapping[str, Any]
 _ERROR, _PATH, _NEES = "position_error_m.mean", "trajectory_error_m", "nees.below_14_2"

@@ -10,8 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.classification import scores, trial
-from touchdown.landing.classification.mapped_weights import float16_weights
-from touchdown.landing.classification.weights import INPUT, NetworkFacts, facts_of, read_network
+from touchdown.landing.classification.weights import (
+    INPUT,
+    NetworkFacts,
+    facts_of,
+    read_network,
+    weights_apart,
+)
 
 Float32 = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -49,21 +54,13 @@ class OnnxClassifier:
             reason = trial.reason_against(path.resolve(), hashlib.sha256(content).hexdigest())
             if reason:
                 raise ValueError(f"'{path}' {reason}")
-        options = trial.session_options(threads)
-        self._weights = []  # the session does not keep them alive
         if own:
-            # Folded into float32, weights would take 50 MB more; a patch takes a sixth longer so.
-            level = onnxruntime.GraphOptimizationLevel
-            options.graph_optimization_level = level.ORT_DISABLE_ALL
-        for name, values in float16_weights(path).items() if own else ():
-            self._weights.append(onnxruntime.OrtValue.ortvalue_from_numpy(values))
-            options.add_initializer(name, self._weights[-1])
+            weights_apart(path)
+        options = trial.session_options(threads, apart=own)
         try:
-            # A session keeps the bytes that it is given, 50 MB, and no file.
+            # Weights apart are mapped from their files, and not held twice.
             self._session = onnxruntime.InferenceSession(
-                str(path) if own else content,
-                options,
-                providers=["CPUExecutionProvider"],
+                str(path) if own else content, options, providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # onnxruntime's errors share no base class
             text = trial.plain_reason(error)

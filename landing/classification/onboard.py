@@ -15,8 +15,10 @@ from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.scores import probabilities
 from touchdown.landing.classification.weights import checksum_file
 
-SHIPPED = Path(__file__).with_name("trained") / "network.onnx"
-"""the network that is shipped with the project"""
+TRAINED = Path(__file__).with_name("trained") / "network.onnx"
+"""the network that is shipped with the project, as `touchdown train` wrote it"""
+SHIPPED = TRAINED.with_name("onboard.onnx")
+"""the same in int8, for flights; its weights lie in files beside it"""
 _LABELS = "d_land"
 
 

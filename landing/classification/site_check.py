@@ -129,7 +129,7 @@ class SiteClassCheck:
         if not site_class.in_distribution:
             text = f"it looks like no known ground, most like {what}"
             return Refusal("unfamiliar_ground", text)
-        allowed = SAFE_CLASSES | RISKY_CLASSES if allow_risky else SAFE_CLASSES
+        allowed = {*self._params.allowed_classes, *(RISKY_CLASSES if allow_risky else ())}
         if site_class.name not in allowed:
             return Refusal("unsafe_ground", f"it looks like {what}")
         sure = sum(

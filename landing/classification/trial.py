@@ -36,8 +36,8 @@ def fault_of_file(path: str) -> str:
     return fault_of(session)
 
 
-def session_options(threads: int) -> Any:
-    """Returns the options of a session; weights outside of the file are not read."""
+def session_options(threads: int, apart: bool = False) -> Any:
+    """Returns the options of a session; weights outside of the file are read if ``apart``."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -45,9 +45,10 @@ def session_options(threads: int) -> Any:
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
     options.enable_cpu_mem_arena = False  # which would keep 90 MB between decisions
-    options.add_session_config_entry(
-        "session.model_external_initializers_file_folder_path", NOWHERE
-    )
+    if not apart:
+        options.add_session_config_entry(
+            "session.model_external_initializers_file_folder_path", NOWHERE
+        )
     return options
 
 

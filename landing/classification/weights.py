@@ -107,6 +107,22 @@ def checksum_file(path: Path) -> Path:
     return path.with_name(path.name + ".sha256")
 
 
+def weights_apart(path: Path) -> list[Path]:
+    """Returns the files beside a network's file that hold its weights, after a check of their
+    checksums, which are further lines of its checksum file. Raises ValueError where a file is
+    missing, truncated or changed."""
+    found = []
+    for line in checksum_file(path).read_text(encoding="utf-8").splitlines():
+        checksum, name = line.split(maxsplit=1)
+        file = path.with_name(Path(name).name)
+        if name == path.name:
+            continue
+        if not file.is_file() or hashlib.sha256(file.read_bytes()).hexdigest() != checksum:
+            raise ValueError(f"'{file}', weights of '{path.name}', is missing or changed")
+        found.append(file)
+    return found
+
+
 def write_network(path: Path, content: bytes) -> None:
     """Writes the network's file and its checksum, in the format of ``sha256sum``. In between the
     checksum is both that of an earlier file and of this one: each is valid at every moment."""

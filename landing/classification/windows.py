@@ -24,11 +24,7 @@ def window_starts(length: int, window: int, stride: int) -> NDArray[np.int64]:
 
 
 def class_map(
-    image: Image,
-    window: int,
-    stride: int,
-    classify: Callable[[Image], Array],
-    batch: int = 32,
+    image: Image, window: int, stride: int, classify: Callable[[Image], Array], batch: int = 32
 ) -> Float32:
     """Returns class probabilities (H, W, C) of the pixels of ``image`` (H, W, 3).
 

@@ -76,10 +76,7 @@ def _checked(
     mission: Mission, class_check: SiteClassCheck, selection: Selection
 ) -> list[Candidate]:
     return class_check.judge(
-        selection.candidates,
-        mission.map_view,
-        selection=selection,
-        allow_risky=mission.takes_risky,
+        selection.candidates, mission.map_view, selection=selection, allow_risky=mission.takes_risky
     )
 
 

@@ -13,12 +13,7 @@ from touchdown.landing.api import Candidate, Phase
 from touchdown.landing.mission.choice import choose_commanded, choose_sites, decided
 from touchdown.landing.mission.descent import descend_to, final_descent
 from touchdown.landing.mission.heading import turn_in_climb
-from touchdown.landing.mission.mission_state import (
-    LegBlockedError,
-    Mission,
-    Steps,
-    vertical_move,
-)
+from touchdown.landing.mission.mission_state import LegBlockedError, Mission, Steps, vertical_move
 from touchdown.landing.mission.second_look import ground_under
 from touchdown.landing.mission.trajectory import straight_trajectory, survey_trajectory
 

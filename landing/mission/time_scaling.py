@@ -170,12 +170,7 @@ def _load(velocity: Array, acceleration: Array, coefficients: Array, limits: Arr
 
 @njit(cache=True, error_model="numpy")
 def allowed_rate(
-    starts: Array,
-    quintics: Array,
-    at_s: float,
-    wind: Array,
-    coefficients: Array,
-    limits: Array,
+    starts: Array, quintics: Array, at_s: float, wind: Array, coefficients: Array, limits: Array
 ) -> float:
     """The largest rate now from which every point of the next seconds is reached at a rate that it
     allows, braking on the way.

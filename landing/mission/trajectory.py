@@ -263,9 +263,7 @@ def straight_trajectory(
     initial_speed = float(np.linalg.norm(velocity_start))
     # Peaks of the rest-to-rest quintic: 15/8 d/T in speed, 10/sqrt(3) d/T^2 in acceleration.
     duration = max(
-        1.875 * distance / max_speed,
-        np.sqrt(10.0 / np.sqrt(3.0) * distance / max_accel),
-        0.1,
+        1.875 * distance / max_speed, np.sqrt(10.0 / np.sqrt(3.0) * distance / max_accel), 0.1
     )
     if initial_speed == 0.0 and not np.any(acceleration_start):
         return through([first, last], [duration])

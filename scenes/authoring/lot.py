@@ -55,10 +55,7 @@ class Lot:
     def pad(self, u: float, v: float, half: tuple[float, float], blend_m: float = 3.0) -> Pad:
         """A level rectangle about (u, v)."""
         return Pad(
-            centre_xy_m=self.at(u, v),
-            half_size_m=np.array(half),
-            angle=self.angle,
-            blend_m=blend_m,
+            centre_xy_m=self.at(u, v), half_size_m=np.array(half), angle=self.angle, blend_m=blend_m
         )
 
     @property

@@ -27,11 +27,7 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cells: float)
 
 
 def fractal_noise(
-    rng: np.random.Generator,
-    shape: tuple[int, int],
-    cells: float,
-    octaves: int,
-    gain: float = 0.5,
+    rng: np.random.Generator, shape: tuple[int, int], cells: float, octaves: int, gain: float = 0.5
 ) -> Float32:
     """Sum of ``octaves`` of `smooth_noise`, each half as wide and ``gain`` times as strong;
     divided by the sum's standard deviation. Returns float32 (rows, cols)."""

@@ -100,11 +100,7 @@ def runners(
 
 
 def vehicle_track(
-    rng: np.random.Generator,
-    canvas: Canvas,
-    fine: MicroRelief,
-    line_m: Array,
-    material: Ground,
+    rng: np.random.Generator, canvas: Canvas, fine: MicroRelief, line_m: Array, material: Ground
 ) -> None:
     """The ruts of a vehicle with lugged tyres."""
     runners(canvas, fine, line_m, WHEELS, material)

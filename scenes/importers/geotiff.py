@@ -33,10 +33,7 @@ _METRES_PER_VERTICAL_UNIT = {
 }
 _SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 """First bytes of classic and BigTIFF files of both byte orders."""
-_ENVIRONMENT = {
-    "GDAL_CACHEMAX": 256,
-    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
-}
+_ENVIRONMENT = {"GDAL_CACHEMAX": 256, "CPL_VSIL_CURL_ALLOWED_FILENAME": "none"}
 """Megabytes of blocks that are kept; nothing is fetched from a network."""
 _NEIGHBOURS = (".msk", ".MSK", ".ovr", ".OVR")
 """Endings of files beside a TIFF that GDAL opens with it, by whichever driver knows them."""

@@ -129,10 +129,7 @@ def _site_pose(model: mujoco.MjModel, prefix: str, name: str) -> Pose:
     site_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, prefix + name)
     if site_id < 0:
         raise ValueError(f"the vehicle's MJCF has no site {prefix + name!r}; add it")
-    return Pose(
-        matrix_from_quat_wxyz(model.site_quat[site_id]),
-        np.array(model.site_pos[site_id]),
-    )
+    return Pose(matrix_from_quat_wxyz(model.site_quat[site_id]), np.array(model.site_pos[site_id]))
 
 
 def _number(model: mujoco.MjModel, prefix: str, name: str) -> float:

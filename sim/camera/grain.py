@@ -175,11 +175,7 @@ def _channel(packed: np.uint32, bit: int) -> np.float32:
 
 @njit(cache=True, nogil=True, forceinline=True, error_model="numpy")
 def _texel(
-    texels: NDArray[np.uint32],
-    shift: int,
-    row: np.float32,
-    col: np.float32,
-    size: np.float32,
+    texels: NDArray[np.uint32], shift: int, row: np.float32, col: np.float32, size: np.float32
 ) -> tuple[np.float32, np.float32, np.float32]:
     """Colour of the periodic image of 1 << ``shift`` texels a side there: of the texel, or between
     neighbours where a pixel's ``size`` in texels is small."""

@@ -126,11 +126,7 @@ def with_margin(lens: Lens, pixels: int) -> Lens:
     shifted = None if lens.map_x is None else lens.map_x + np.float32(pixels)
     lowered = None if lens.map_y is None else lens.map_y + np.float32(pixels)
     return Lens(
-        image=lens.image,
-        raster=raster,
-        map_x=shifted,
-        map_y=lowered,
-        margin=lens.margin + pixels,
+        image=lens.image, raster=raster, map_x=shifted, map_y=lowered, margin=lens.margin + pixels
     )
 
 

@@ -196,7 +196,8 @@ class TerrainTiles:
         if self._picture is not None:
             boxes, ahead = self._boxes[seen], -frustum.axes[:, 2]
             depths = (self._centers[seen] - frustum.eye) @ ahead
-            depths -= 0.5 * (boxes[:, 1] - boxes[:, 0]) @ np.abs(ahead)
+            reach = 0.5 * (boxes[:, 1] - boxes[:, 0]) @ np.abs(ahead)
+            depths = np.array([depths - reach, depths + reach])
             lists = self._picture.on(lists, boxes[..., :2], depths)
         GL.glNewList(context.baseHField + self._terrain.field, GL.GL_COMPILE)
         if seen.size:

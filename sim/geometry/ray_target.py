@@ -63,11 +63,7 @@ class RayTarget:
     """Some geoms, rigid in one frame, under one Embree acceleration structure."""
 
     def __init__(
-        self,
-        vertices: list[Array],
-        triangles: list[Int32],
-        geoms: list[int],
-        shapes: ShapeTable,
+        self, vertices: list[Array], triangles: list[Int32], geoms: list[int], shapes: ShapeTable
     ) -> None:
         offsets = np.cumsum([0] + [len(block) for block in vertices])[:-1]
         points = np.concatenate(vertices).astype(np.float32)

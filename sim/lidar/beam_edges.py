@@ -102,11 +102,7 @@ def _apart(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def probed_apart(
-    pulses: Indices,
-    count: int,
-    distance: Float32,
-    cosine: Float32,
-    angle_squared: float,
+    pulses: Indices, count: int, distance: Float32, cosine: Float32, angle_squared: float
 ) -> Indices:
     """Those of ``pulses`` (K,) one of whose ends, an angle off the axis, finds another surface than
     the axis: positions in ``pulses``. ``distance`` and ``cosine``: of ``count`` axes, of K ends on

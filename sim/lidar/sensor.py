@@ -229,12 +229,7 @@ class LidarSensor:
     # -------------------------------------------------------------------------- returns
 
     def _measure(
-        self,
-        first: int,
-        nominal: Float32,
-        track: Track,
-        movers: Movers,
-        air: list[Clutter],
+        self, first: int, nominal: Float32, track: Track, movers: Movers, air: list[Clutter]
     ) -> tuple[Float32, Bytes]:
         """Ranges and intensities of all pulses."""
         count = len(nominal)

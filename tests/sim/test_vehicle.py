@@ -19,10 +19,7 @@ from touchdown.sim.airframe.vehicle import (
     vehicle_model,
 )
 from touchdown.sim.api import AIR_DENSITY_KGPM3, GRAVITY_MPS2, VehicleModel
-from touchdown.sim.frames import (
-    matrix_from_quat_wxyz,
-    rotation_from_yaw,
-)
+from touchdown.sim.frames import matrix_from_quat_wxyz, rotation_from_yaw
 
 Array = NDArray[np.float64]
 TICK_HZ = 600

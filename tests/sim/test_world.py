@@ -56,8 +56,7 @@ MakeWorld = Callable[..., MujocoWorld]
 def scene() -> Scene:
     plain = scene_of(SCENE_XML)
     cart = MovingBody(body_name="cart", path_world=SQUARE, speed_mps=2.0, start_m=1.0)
-    fields = {name: getattr(plain, name) for name in plain.__dataclass_fields__}
-    return Scene(**{**fields, "moving": (cart,)})
+    return dataclasses.replace(plain, moving=(cart,))
 
 
 @pytest.fixture

@@ -56,10 +56,6 @@ def room_points(rng: np.random.Generator, walls: bool) -> np.ndarray:
     ground = np.column_stack([rng.uniform(-15, 15, (20_000, 2)), np.zeros(20_000)])
     if not walls:
         return ground
-    wall_x = np.column_stack(
-        [np.full(3000, 6.3), rng.uniform(-5, 5, 3000), rng.uniform(0, 5, 3000)]
-    )
-    wall_y = np.column_stack(
-        [rng.uniform(-5, 5, 3000), np.full(3000, -7.4), rng.uniform(0, 5, 3000)]
-    )
-    return np.vstack([ground, wall_x, wall_y])
+    east = np.column_stack([np.full(3000, 6.3), rng.uniform(-5, 5, 3000), rng.uniform(0, 5, 3000)])
+    side = np.column_stack([rng.uniform(-5, 5, 3000), np.full(3000, -7.4), rng.uniform(0, 5, 3000)])
+    return np.vstack([ground, east, side])

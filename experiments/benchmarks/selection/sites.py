@@ -13,10 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from touchdown.experiments.benchmarks.posed_survey import (
-    Surveyed,
-    posed_survey,
-)
+from touchdown.experiments.benchmarks.posed_survey import Surveyed, posed_survey
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds

@@ -12,10 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import (
-    Estimate,
-    GridMap,
-)
+from touchdown.estimator.api import Estimate, GridMap
 from touchdown.experiments.benchmarks.posed_survey import SCAN_PERIOD_S, Surveyed, posed_survey
 from touchdown.experiments.benchmarks.selection.stages import Staged, staged_selection
 from touchdown.experiments.config.loading import load_config

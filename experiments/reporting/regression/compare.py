@@ -318,11 +318,7 @@ def _compare_outcomes(pairs: Pairs) -> list[OutcomeResult]:
     raw = [fisher_p(*found) for found in counts.values()]
     return [
         OutcomeResult(
-            name=name,
-            **found._asdict(),
-            p=p,
-            p_adjusted=adjusted,
-            worse=adjusted <= OUTCOME_ALPHA,
+            name=name, **found._asdict(), p=p, p_adjusted=adjusted, worse=adjusted <= OUTCOME_ALPHA
         )
         for (name, found), p, adjusted in zip(counts.items(), raw, holm(raw), strict=True)
     ]

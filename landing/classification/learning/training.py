@@ -191,11 +191,7 @@ class Trainer:
             progress(step + 1, self.steps, f"epoch {epoch + 1} of {self.params.epochs}")
         with _autocast(self._device):
             seen = predict(self._average, self._val.images, self._device)
-        found = scores.summary(
-            seen,
-            self._val.labels,
-            self._val.classes,
-        )
+        found = scores.summary(seen, self._val.labels, self._val.classes)
         row = {
             "epoch": epoch + 1,
             "learning_rate": self._rate((epoch + 1) * self.steps - 1),
@@ -244,9 +240,7 @@ class Trainer:
         network = self._compiled if self._compiled is not None and whole else self.network
         with _autocast(self._device):
             loss = functional.cross_entropy(
-                network(normalised(images)),
-                targets,
-                label_smoothing=self.params.label_smoothing,
+                network(normalised(images)), targets, label_smoothing=self.params.label_smoothing
             )
         self._optimizer.zero_grad(set_to_none=True)
         self._scaler.scale(loss).backward()

@@ -98,8 +98,7 @@ def _reduction_b() -> nn.Module:
     return Branches(
         nn.Sequential(_conv(1024, 192, 1), _conv(192, 192, 3, 2, valid=True)),
         nn.Sequential(
-            _chain(1024, (256, 1), (256, (1, 7)), (320, (7, 1))),
-            _conv(320, 320, 3, 2, valid=True),
+            _chain(1024, (256, 1), (256, (1, 7)), (320, (7, 1))), _conv(320, 320, 3, 2, valid=True)
         ),
         _halved(),
     )

@@ -251,11 +251,7 @@ def _with_column(w: _Sums, sums: Array, col: int, sign: float) -> _Sums:
 
 @numba.njit(cache=True)
 def _sliding_planes(
-    height: Float32,
-    reach: int,
-    enough: float,
-    rise: Float32,
-    level: Float32,
+    height: Float32, reach: int, enough: float, rise: Float32, level: Float32
 ) -> None:
     """Window sums slide along the rows; row and column numbers are the coordinates. ``rise``: the
     square of the plane's gradient, metres per cell."""

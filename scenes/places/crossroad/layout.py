@@ -87,8 +87,7 @@ class Plan:
         main = self.corner_radius_m - radius * np.cos(angle)
         side = self.corner_radius_m - radius * np.sin(angle)
         return self.offset_point(
-            signs[0] * (0.5 * self.main.width_m + main),
-            signs[1] * (0.5 * self.side.width_m + side),
+            signs[0] * (0.5 * self.main.width_m + main), signs[1] * (0.5 * self.side.width_m + side)
         )
 
     def corner_outline(self, signs: tuple[int, int], distance_m: float) -> Array:

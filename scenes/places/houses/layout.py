@@ -106,11 +106,7 @@ def draw_plan(rng: np.random.Generator) -> Plan:
 
 
 def shape_ground(
-    rng: np.random.Generator,
-    plan: Plan,
-    pads: list[Pad],
-    ditches: list[Ditch],
-    mounds: list[Mound],
+    rng: np.random.Generator, plan: Plan, pads: list[Pad], ditches: list[Ditch], mounds: list[Mound]
 ) -> HeightField:
     """Returns natural ground with mounds, ditches, pads and streets; the take-off spot is at height
     0."""

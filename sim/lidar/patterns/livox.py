@@ -66,10 +66,7 @@ AVIA = ScanPattern(
     directions=RisleyPattern(
         (
             Prism(
-                frequency_hz=131.55003,
-                phase_rad=3.13259,
-                wedge_rad=0.28685,
-                flat_face_first=False,
+                frequency_hz=131.55003, phase_rad=3.13259, wedge_rad=0.28685, flat_face_first=False
             ),
             Prism(frequency_hz=-40.79991, phase_rad=0.00125, wedge_rad=0.28803),
         ),

@@ -8,13 +8,7 @@ import pytest
 
 from touchdown.estimator.api import GpsEstimatorParams
 from touchdown.estimator.baselines.gps import GpsEstimator
-from touchdown.sim.api import (
-    GpsFix,
-    ImuSample,
-    MagnetometerSample,
-    Observation,
-    SensorRig,
-)
+from touchdown.sim.api import GpsFix, ImuSample, MagnetometerSample, Observation, SensorRig
 from touchdown.sim.navigation.magnetometer import earth_field_world
 from touchdown.sim.noise import GaussMarkov
 

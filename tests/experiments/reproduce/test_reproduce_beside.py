@@ -20,6 +20,7 @@ from touchdown.experiments.io.run_directory import run_directory
 from touchdown.experiments.reproduce import background_worker as reproduce_beside
 from touchdown.experiments.reproduce import run as reproduce
 from touchdown.experiments.reproduce.background_worker import BackgroundWorker, send_note
+from touchdown.experiments.reproduce.steps import PARTS
 
 from support.campaign_flights import RUNNER, axes, figures, fly, make_plan
 
@@ -56,8 +57,7 @@ def test_work_beside_has_its_own_process_and_one_slot(tmp_path: Path) -> None:
         assert not slots.acquire(blocking=False), "one is ours, one the work's"
         beside.wait()
         assert slots.acquire(timeout=60.0), "it is given back"
-    assert notes == ["threads: 1"]
-    assert int((tmp_path / "pid").read_text()) != os.getpid()
+    assert notes == ["threads: 1"] and int((tmp_path / "pid").read_text()) != os.getpid()
 
 
 @pytest.mark.parametrize(
@@ -128,13 +128,14 @@ def test_parts_beside_flights_are_done_once_and_before_what_is_timed(
     world: World, tmp_path: Path, beside_in_a_thread: list[str]
 ) -> None:
     done = reproduce.reproduce(tmp_path, quick=True, jobs=2)
-    assert done.successful and len(done.states) == 10
+    assert done.successful and len(done.states) == len(PARTS)
     for what in ("calibration", "edges", "sites", "speed", "training"):
         assert world.count(what) == 1, what
     drawn = max(world.calls.index(what) for what in ("calibration", "edges", "scene", "sites"))
     flown = max(n for n, what in enumerate(world.calls) if what.endswith("-s0"))
     assert max(drawn, flown) < world.calls.index("speed") < world.calls.index("training")
-    assert sum(note.startswith("[1/10] calibration: ") for note in beside_in_a_thread) == 2
+    begun = f"[1/{len(PARTS)}] calibration: "
+    assert sum(note.startswith(begun) for note in beside_in_a_thread) == 2
     again = reproduce.reproduce(tmp_path, quick=True, jobs=2)
     assert again.successful and world.count("calibration") == 1
 

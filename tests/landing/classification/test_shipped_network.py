@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 os.environ.setdefault("MUJOCO_GL", "egl")
@@ -13,8 +14,8 @@ import pytest
 from touchdown.experiments.classification.patches import scene_patches
 from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_layout
 from touchdown.experiments.cli import main as cli
-from touchdown.landing.classification import onboard
-from touchdown.landing.classification.mapped_weights import float16_weights
+from touchdown.landing.classification import engine, onboard
+from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES
 
 SEED = 900_004
@@ -27,13 +28,24 @@ def classifier() -> onboard.OnnxGroundClassifier:
     return onboard.load_onboard_classifier(onboard.SHIPPED)
 
 
-def test_most_weights_are_mapped_from_the_file() -> None:
-    onnx = pytest.importorskip("onnx")
-    found = float16_weights(onboard.SHIPPED)
-    for one in onnx.load(str(onboard.SHIPPED)).graph.initializer:
-        stored = onnx.numpy_helper.to_array(one)
-        np.testing.assert_array_equal(found.get(one.name, stored), stored)
-    assert sum(one.nbytes for one in found.values()) > 0.6 * onboard.SHIPPED.stat().st_size
+def test_flights_use_the_trained_network_in_int8(
+    classifier: onboard.OnnxGroundClassifier, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    patches = scene_patches("houses", SEED, PICTURES, classifier.image_size, variation=0)
+    shown = np.stack([patch.rgb for patch in patches])
+    trained = onboard.OnnxGroundClassifier(onboard.TRAINED)
+    assert classifier.min_probability == trained.min_probability
+    found, wanted = (one.classify(shown).probabilities for one in (classifier, trained))
+    assert np.abs(found - wanted).mean() < 0.02
+    copy = tmp_path / "own" / "onboard.onnx"
+    shutil.copytree(onboard.SHIPPED.parent, copy.parent)
+    with pytest.raises(ValueError, match="lie in another file"):
+        OnnxClassifier(copy)
+    monkeypatch.setattr(engine, "_TRAINED", copy.parent.resolve())
+    with copy.with_name("onboard.onnx.2").open("ab") as weights:
+        weights.write(b"?")
+    with pytest.raises(ValueError, match=r"onnx\.2', weights of 'onboard\.onnx', is missing"):
+        OnnxClassifier(copy)
 
 
 @pytest.mark.parametrize("scene", [
@@ -66,7 +78,9 @@ def test_commands_without_a_network_use_the_shipped_one(
     assert cli.main(whole) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["network"] == "resnet50_cbam" and report["image_size"] == 128
-    assert report["rom_mb"] == onboard.SHIPPED.stat().st_size / 1e6
+    files = onboard.SHIPPED.parent.glob("onboard.onnx*")
+    size = sum(file.stat().st_size for file in files if file.suffix != ".sha256")
+    assert report["rom_mb"] == pytest.approx(size / 1e6)
     assert 0 < report["pictures"] <= len(patches)
     picture = next(home.glob("*/*.png"))
     out = tmp_path / "classes"

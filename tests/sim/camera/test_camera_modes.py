@@ -26,18 +26,12 @@ BARREL = (-0.11, 0.02, 0.0012, -0.0008, -0.003)
 """Stronger distortion than that of a D435, with tangential terms."""
 
 
-def depth_of(scene: Scene, params: CameraParams = CLEAN) -> NDArray[np.float32]:
+def seen(scene: Scene, params: CameraParams = CLEAN) -> tuple[NDArray, NDArray]:
+    """(H, W) depths and ids of geoms."""
     sensor = CameraSensor(scene, params, 0)
     try:
-        return sensor.render_depth(sensor.snapshot(posed(scene)))
-    finally:
-        sensor.close()
-
-
-def ids_of(scene: Scene, params: CameraParams = CLEAN) -> NDArray[np.int32]:
-    sensor = CameraSensor(scene, params, 0)
-    try:
-        return sensor.render_segmentation(sensor.snapshot(posed(scene)))
+        snapshot = sensor.snapshot(posed(scene))
+        return sensor.render_depth(snapshot), sensor.render_segmentation(snapshot)
     finally:
         sensor.close()
 
@@ -47,7 +41,7 @@ def test_depth_is_along_the_axis_not_along_the_ray() -> None:
     scene = make_scene(
         '<geom name="crate" type="box" size="2 1 1.5" pos="0 0 1.5" rgba="1 0 0 1"/>'
     )
-    depth = depth_of(scene)
+    depth, _ = seen(scene)
     assert depth.dtype == np.float32
     assert depth.shape == (480, 848)
     on_crate = depth < 18.0
@@ -64,7 +58,7 @@ def test_depth_of_a_tilted_view_follows_the_plane() -> None:
     """Pitched by 0.3 rad over a plane at distance h: depth(u, v) = h / (n . ray)."""
     half = 0.15
     scene = make_scene(quat_wxyz=f"{np.cos(half)} 0 {np.sin(half)} 0")
-    depth = depth_of(scene)
+    depth, _ = seen(scene)
     k = intrinsics_of(CLEAN)
     u, v = np.meshgrid(np.arange(848), np.arange(480))
     rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones_like(u, dtype=float)], axis=-1)
@@ -77,8 +71,8 @@ def test_depth_of_a_tilted_view_follows_the_plane() -> None:
 def test_the_sky_has_no_depth_and_no_geom() -> None:
     half = np.pi / 2  # on its back
     scene = make_scene(quat_wxyz=f"{np.cos(half)} {np.sin(half)} 0 0")
-    assert np.isinf(depth_of(scene)).all()
-    assert (ids_of(scene) == -1).all()
+    depth, ids = seen(scene)
+    assert np.isinf(depth).all() and (ids == -1).all()
 
 
 @pytest.mark.parametrize("samples", [0, 4])
@@ -88,7 +82,7 @@ def test_segmentation_counts_pixels_of_every_geom(samples: int) -> None:
         '<geom name="crate" type="box" size="1 2 1.5" pos="0 0 1.5" rgba="1 0 0 1"/>'
         '<geom name="ball" type="sphere" size="1" pos="4 5 1" rgba="0 1 0 1"/>'
     )
-    ids = ids_of(scene, CameraParams(noise_sigma=0.0, samples=samples))
+    _, ids = seen(scene, CameraParams(noise_sigma=0.0, samples=samples))
     assert ids.dtype == np.int32
     crate, ball, floor = (scene.model.geom(n).id for n in ("crate", "ball", "floor"))
     assert set(np.unique(ids)) == {crate, ball, floor}
@@ -107,8 +101,8 @@ def test_depth_and_segmentation_belong_to_the_colour_image() -> None:
     )
     for params in (CLEAN, CameraParams(noise_sigma=0.0, distortion=BARREL)):
         red = take_image(scene, params)[..., 0] > 128
-        crate = ids_of(scene, params) == scene.model.geom("crate").id
-        deep = depth_of(scene, params) < 19.98
+        depth, ids = seen(scene, params)
+        crate, deep = ids == scene.model.geom("crate").id, depth < 19.98
         assert (red ^ crate).sum() < 0.03 * crate.sum()
         assert (deep ^ crate).sum() < 0.03 * crate.sum()
 

@@ -19,6 +19,7 @@ POSES = {
     "above the middle": ((3.0, -2.0, 14.0), (0.1, -0.1, 0.4)),
     "low and slanted": ((-8.0, 5.0, 4.0), (0.5, 0.2, 0.0)),
     "at the edge": ((28.0, 20.0, 12.0), (0.0, -0.6, 1.0)),
+    "straight down": ((3.0, -2.0, 18.0), (0.0, 0.0, 0.6)),
     "level": ((0.0, 0.0, 6.0), (1.5, 0.0, 0.0)),
 }
 
@@ -95,6 +96,7 @@ def test_pictures_are_those_of_the_whole_scene(
     seen = stage.colour(snapshot, 0, 0, PINHOLE.height)
     np.testing.assert_allclose(stage.depth_of_last(PINHOLE.height), far, rtol=1e-5)
     difference = np.abs(seen.astype(int) - whole)
+
     assert difference.mean() < 1.0  # normals are averaged a little differently
     assert (difference.max(axis=-1) > 25).mean() < 0.01
     assert stage._scene.ngeom < 0.6 * everything
