@@ -228,6 +228,19 @@ class Zou2024Params(CalibratedParams):
     """of a landmark's depth by Eq. 12"""
     recent_keyframes: Count = 12
     """newest keyframes, whose landmarks give the odometry"""
+    loop_threshold: Fraction = 0.11
+    """probability of a revisit, 1 - p(new location), from which the best hypothesis is verified;
+    ``Rtabmap/LoopThr`` of RTAB-Map"""
+    loop_inliers: Count = 20
+    """landmarks that agree with the pose of a revisit, at least; ``Vis/MinInliers`` of RTAB-Map"""
+    short_term_locations: Count = 10
+    """newest locations, one a second, that are not loop candidates; ``Mem/STMSize`` of RTAB-Map"""
+    rehearsal_similarity: Fraction = 0.6
+    """share of common words from which two locations in a row are one; ``Mem/RehearsalSimilarity``
+    of RTAB-Map"""
+    loop_words: Count = 20000
+    """visual words of each kind, beyond which locations go to long-term memory. RTAB-Map limits the
+    time of an update (``Rtabmap/TimeThr``), which would differ from run to run"""
     closure_speed_mps: NotNegative = 0.1
     """fastest motion of the odometry frame when closures correct the past"""
     closure_rate_deg_s: NotNegative = 0.5

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Zou2024Params
+from touchdown.estimator.filtering.error_state import POSE
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
-from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
@@ -19,9 +19,11 @@ from touchdown.estimator.zou2024.bundle import LocalisedImage, adjust_window
 from touchdown.estimator.zou2024.closures import Closures
 from touchdown.estimator.zou2024.depth_field import DepthField
 from touchdown.estimator.zou2024.landmarks import Features, LandmarkDetector
+from touchdown.estimator.zou2024.loop_closure.memory import MemoryLimits
 from touchdown.estimator.zou2024.pnp import CameraPose, solve_pnp
 from touchdown.estimator.zou2024.registration import FeatureMaps
 from touchdown.estimator.zou2024.relative_pose import ImageModel, update_with_image
+from touchdown.estimator.zou2024.verification import LoopVerifier
 from touchdown.estimator.zou2024.visual_map import (
     LandmarkSet,
     MapKeyframe,
@@ -37,17 +39,10 @@ Float32 = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 _LEAST_LANDMARKS = 30
-_LEAST_CLOSURE = 25
-_LEAST_AGREEMENT = 0.5
-"""of the landmarks found, for a closure"""
-_MOST_CANDIDATES = 2
 _QUERY_PERIOD_S = 1.0
-"""between keyframes that the dictionary holds and is asked about: the rate of RTAB-Map"""
-_CLOSURE_RADIUS_PX = 40.0
-_LEAST_SCALE = 0.7
-_CLOSURE_GUESS_SIGMAS = np.array([0.003, 0.003, 0.05, 2.0, 2.0, 0.2])
-_CLOSURE_FLOOR_SIGMAS = np.array([1e-3, 1e-3, 5e-4, 0.015, 0.015, 0.1])
-"""rad and m: information floor for landmarks of an earlier pass"""
+"""between keyframes that the dictionary holds and is asked about: ``Rtabmap/DetectionRate``"""
+_AROUND = 2
+"""keyframes before and after the one of a hypothesis whose landmarks verify it"""
 
 
 class CameraPositioning:
@@ -72,7 +67,13 @@ class CameraPositioning:
             (rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
             self._sigmas(np.arange(2)), params.depth_sigma_m,
         )  # fmt: skip
-        self._closures = Closures(params.closure_speed_mps, rate)
+        features = max(params.sift_features, params.brisk_features)
+        limits = MemoryLimits(
+            params.short_term_locations, params.loop_words, features, params.rehearsal_similarity
+        )
+        self._closures = Closures(params.closure_speed_mps, rate, limits)
+        self._verify = LoopVerifier(self._map, self._model, params.loop_inliers)
+        self._question: dict[str, float] = {}
         self._last_tick = self._asked_tick = -(10**9)
         self._last_position = inertial.eskf.state.position
         self._next_number = 0
@@ -118,6 +119,7 @@ class CameraPositioning:
             self._remember(features, behind, sightings, energy)
         self.diagnostics["keyframes"] = float(len(self._map.keyframes))
         self.diagnostics["closures"] = float(self._closures.closed)
+        self.diagnostics |= self._question
         return corrected
 
     def _at_one_instant(self, found: Features, twist: CameraTwist) -> Features:
@@ -240,6 +242,7 @@ class CameraPositioning:
         keyframe = MapKeyframe(
             self._next_number, pose, in_map, depth_m, (sets[0], sets[1]), sightings,
             self._filter.eskf.twist, self._filter.eskf.state.calibration,
+            self._last_tick / self._rig.tick_hz,
         )  # fmt: skip
         self._next_number += 1
         self._map.keyframes.append(keyframe)
@@ -270,58 +273,34 @@ class CameraPositioning:
     def _close_loops(
         self, keyframe: MapKeyframe, features: tuple[Features, Features], before: MapKeyframe | None
     ) -> None:
-        """Queries the dictionary with the new keyframe and adds closures to old ones that PnP
-        confirms."""
-        words = np.zeros(0, dtype=np.int64)
+        """Adds the new keyframe to the graph. Once a second asks whether it shows a known place,
+        and adds a closure if its landmarks agree."""
+        closures, known = self._closures, self._map.by_number()
+        closures.add(keyframe, self._filter.eskf.covariance[POSE, POSE], before)
+        recent = self._map.keyframes[-self._params.recent_keyframes - 1 :]
+        closures.refresh_odometry({k.number: k for k in recent})
         if self._last_tick - self._asked_tick >= _QUERY_PERIOD_S * self._rig.tick_hz:
             self._asked_tick = self._last_tick
-            words = self._closures.words(features)
-        recent = self._map.keyframes[-self._params.recent_keyframes - 1 :]
-        young = {k.number for k in recent}
-        # a large change of scale magnifies the depth errors of landmarks
-        alike = {
-            k.number
-            for k in self._map.keyframes
-            if _LEAST_SCALE < k.depth_m / keyframe.depth_m < 1.0 / _LEAST_SCALE
-        }
-        found = self._closures.candidates(words, alike - young, _MOST_CANDIDATES)
-        self._closures.add(keyframe, words, before.number if before else None)
-        self._closures.refresh_odometry({k.number: k for k in recent})
-        closed = False
-        for number in found:
-            closed |= self._verify(number, keyframe, features, young)
-        if closed:
-            self._closures.settle(self._map.keyframes)
-        else:
-            self._closures.aim(keyframe)
+            found = closures.ask(keyframe.number, features, self._params.loop_threshold)
+            self._question = {"place_asked_s": keyframe.time_s, "place_found_s": -1.0}
+            if found is not None and self._close(known[found], keyframe, features):
+                self._question["place_found_s"] = known[found].time_s
+                closures.settle(self._map.keyframes)
+                return
+        closures.aim(keyframe)
 
-    def _verify(
-        self,
-        number: int,
-        keyframe: MapKeyframe,
-        features: tuple[Features, Features],
-        young: set[int],
+    def _close(
+        self, source: MapKeyframe, keyframe: MapKeyframe, features: tuple[Features, Features]
     ) -> bool:
-        keyframes = self._map.keyframes
-        at = next(i for i, k in enumerate(keyframes) if k.number == number)
-        hosts = [k for k in keyframes[max(at - 2, 0) : at + 3] if k.number not in young]
-        frames = {k.number: k.map_from_imu for k in hosts}
-        sightings, _ = self._map.match(
-            features, hosts, frames, keyframe.map_from_imu, _CLOSURE_RADIUS_PX
-        )
-        if len(sightings) < _LEAST_CLOSURE:
+        """Adds a closure, if landmarks around ``source`` agree on the keyframe's pose."""
+        older = self._map.keyframes[: -len(self._cloned())]
+        at = next((i for i, k in enumerate(older) if k is source), None)
+        if at is None:
             return False
-        landmarks = self._map.positions(sightings, frames, self._map.by_number())
-        loose = np.diag(1.0 / _CLOSURE_GUESS_SIGMAS**2)
-        solved = solve_pnp(
-            sightings.pixels, landmarks, self._sigmas(sightings.kinds), keyframe.map_from_imu,
-            loose, self._imu_from_camera, self._rig.camera, _LEAST_CLOSURE,
-        )  # fmt: skip
-        if solved is None or solved.inliers.sum() < _LEAST_AGREEMENT * len(sightings):
-            return False
-        information = limit_information(solved.information, np.diag(_CLOSURE_FLOOR_SIGMAS**2))
-        self._closures.close(keyframes[at], keyframe, solved.pose, information)
-        return True
+        seen = self._verify(features, older[max(at - _AROUND, 0) : at + _AROUND + 1], keyframe)
+        if seen is not None:
+            self._closures.close(source, keyframe, seen.pose, seen.information)
+        return seen is not None
 
     def world_from_odom(self, seconds: float) -> tuple[Pose, Array]:
         """Returns the pose of the odometry frame after loop closures, ``seconds`` after the last

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.zou2024.dictionary import InvertedIndex, Vocabulary
-from touchdown.estimator.zou2024.landmarks import BRISK, SIFT, Features
+from touchdown.estimator.filtering.imu_propagation import skew_of
+from touchdown.estimator.zou2024.landmarks import BRISK_BYTES, SIFT_BYTES, Features
+from touchdown.estimator.zou2024.loop_closure.hypotheses import LoopFilter
+from touchdown.estimator.zou2024.loop_closure.memory import Memory, MemoryLimits
 from touchdown.estimator.zou2024.pose_graph import Edge, PoseGraph
 from touchdown.estimator.zou2024.visual_map import MapKeyframe
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_log
@@ -14,53 +16,54 @@ from touchdown.sim.frames import Pose, rotation_from_yaw, so3_log
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_WORDS = 3000
-"""capacity of each vocabulary"""
-_LEAST_LIKENESS = 0.02
+KINDS = ((SIFT_BYTES, False), (BRISK_BYTES, True))
+"""of descriptors: bytes, and whether these are bits"""
 _ANCHOR_SIGMAS = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
 _LEVEL_SIGMAS = np.array([np.radians(0.05), np.radians(0.05), np.inf, np.inf, np.inf, 0.03])
-_HOP_SIGMAS = np.array([2e-4, 2e-4, 2e-4, 0.006, 0.006, 0.006])
-"""rad and m, from one keyframe to the next"""
+_HOP_FLOOR_SIGMAS = np.repeat([2e-5, 1e-3], 3)
+"""rad and m: a hop adds as much where the filter has learnt more than it forgot"""
 
 
 class Closures:
-    """Dictionary, inverted index, pose graph, and the pose of the odometry frame in the world."""
+    """Memory of places, loop hypotheses, pose graph, and the pose of the odometry frame in the
+    world."""
 
-    def __init__(self, speed_mps: float, rate_radps: float) -> None:
+    def __init__(self, speed_mps: float, rate_radps: float, limits: MemoryLimits) -> None:
         self._speed, self._rate = speed_mps, rate_radps
-        self._vocabularies = (Vocabulary(SIFT, _WORDS), Vocabulary(BRISK, _WORDS))
-        self._index = InvertedIndex()
+        self.memory, self._filter = Memory(limits, KINDS), LoopFilter()
+        self._asked = 0
         self._graph = PoseGraph(_ANCHOR_SIGMAS, _LEVEL_SIGMAS)
+        self._covariance: Array = np.zeros((6, 6))
         self._target = self.world_from_odom = Pose.identity()
         self.drift_covariance: Array = np.zeros((3, 3))
         self.closed = 0
 
-    # ------------------------------------------------------------------------ dictionary
+    # ------------------------------------------------------------------------ places
 
-    def words(self, features: tuple[Features, Features]) -> Indices:
-        """The dictionary's words (N,) of an image's features; those of the two kinds differ."""
-        sift, brisk = (
-            vocabulary.assign(found.descriptors)
-            for vocabulary, found in zip(self._vocabularies, features, strict=True)
-        )
-        return np.concatenate([2 * sift, 2 * brisk + 1])
-
-    def candidates(self, words: Indices, among: set[int], most: int) -> list[int]:
-        """Returns the keyframes of ``among`` that share most words with an image of these words."""
-        scores = self._index.scores(words)
-        old = [(s, -k) for k, s in scores.items() if k in among and s >= _LEAST_LIKENESS]
-        return [-k for _, k in sorted(old, reverse=True)[:most]]
+    def ask(self, number: int, features: tuple[Features, Features], threshold: float) -> int | None:
+        """Makes a keyframe a location. Returns the one that it most probably shows again, where it
+        is new with a probability of ``1 - threshold`` at most, and not without a second one to
+        compare it with."""
+        descriptors = features[0].descriptors, features[1].descriptors
+        self._asked, words = self.memory.add(number, descriptors)
+        places = self.memory.working
+        best = self._filter.update(places, self.memory.links(), self.memory.scores(words))
+        self.memory.manage(best)
+        return best if len(places) > 1 and 1.0 - self._filter.new >= threshold else None
 
     # ------------------------------------------------------------------------ graph
 
-    def add(self, keyframe: MapKeyframe, words: Indices, before: int | None) -> None:
-        """Adds a new keyframe, connected by odometry to keyframe ``before``."""
-        self._index.add(keyframe.number, words)
+    def add(self, keyframe: MapKeyframe, covariance: Array, before: MapKeyframe | None) -> None:
+        """Adds a new keyframe, connected by odometry to the newest one, ``before``; ``covariance``
+        (6, 6): of its pose in the filter."""
         self._graph.add_node(keyframe.number, keyframe.map_from_imu, keyframe.odom_from_imu)
         if before is not None:
-            self._graph.add_edge(
-                Edge(before, keyframe.number, Pose.identity(), np.diag(_HOP_SIGMAS**-2.0), False)
-            )
+            ends = before.odom_from_imu, keyframe.odom_from_imu
+            hop = hop_covariance(self._covariance, covariance, *ends)
+            measured = ends[0].inverse() @ ends[1]
+            information = np.linalg.inv(hop).astype(np.float64)
+            self._graph.add_edge(Edge(before.number, keyframe.number, measured, information, False))
+        self._covariance = covariance.copy()
 
     def close(
         self, source: MapKeyframe, target: MapKeyframe, seen: Pose, information: Array
@@ -76,11 +79,12 @@ class Closures:
                 source.number, target.number, measured, to_source.T @ information @ to_source, True
             )
         )
+        self.memory.connect(source.number, self._asked)
         self.closed += 1
 
     def remove(self, number: int) -> None:
         """Removes a keyframe."""
-        self._index.remove(number)
+        self.memory.remove(number)
         self._graph.remove_node(number)
 
     def refresh_odometry(self, keyframes: dict[int, MapKeyframe]) -> None:
@@ -137,3 +141,20 @@ def level_transform(odom: Pose, world: Pose) -> Pose:
     yaw = float(np.arctan2(relative[1, 0] - relative[0, 1], relative[0, 0] + relative[1, 1]))
     rotation = rotation_from_yaw(yaw)
     return Pose(rotation, world.translation - rotation @ odom.translation)
+
+
+def hop_covariance(before: Array, now: Array, source: Pose, target: Pose) -> Array:
+    """Returns the covariance (6, 6) of an odometry edge from the filter's of both poses, ``before``
+    and ``now`` (6, 6): what the errors have grown by beyond those that the source hands on. Over
+    many hops the pose graph is then as uncertain as the filter."""
+    back = source.rotation.T
+    handed_on = np.eye(6)
+    handed_on[:3, :3] = target.rotation.T @ source.rotation
+    handed_on[3:, :3] = -source.rotation @ skew_of(back @ (target.translation - source.translation))
+    grown = now - handed_on @ before @ handed_on.T
+    grown[3:] = back @ grown[3:]
+    grown[:, 3:] = grown[:, 3:] @ source.rotation
+    scale = np.outer(_HOP_FLOOR_SIGMAS, _HOP_FLOOR_SIGMAS)
+    values, axes = np.linalg.eigh(0.5 * (grown + grown.T) / scale)
+    covariance: Array = scale * ((axes * np.maximum(values, 1.0)) @ axes.T)
+    return covariance

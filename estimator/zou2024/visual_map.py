@@ -84,6 +84,7 @@ class MapKeyframe:
     """of the IMU: angular rate in its frame, velocity in the odometry frame"""
     calibration: Array = field(default_factory=lambda: np.zeros(0))
     """of the filter when the depths were measured"""
+    time_s: float = 0.0
 
 
 def by_host(

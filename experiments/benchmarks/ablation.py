@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.benchmarks.odometry import logged_survey, measure
+from touchdown.experiments.benchmarks.revisits import RevisitFigures
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay_config
 
@@ -37,7 +38,8 @@ def changes(variant: str) -> tuple[str, ...]:
 
 
 def ablate_log(logged: LoggedRun, seconds: float | None, report: Report) -> dict[str, Any]:
-    """``{"error_m", "lost_s", "cpu_ms"}`` by variant."""
+    """``{"error_m", "lost_s", "cpu_ms", "closures"}`` by variant; ``closures``: counts of
+    `RevisitFigures`."""
     end_s = math.inf if seconds is None else logged.from_s + seconds
     rows: dict[str, Any] = {}
     for variant, (estimator, _) in VARIANTS.items():
@@ -48,6 +50,7 @@ def ablate_log(logged: LoggedRun, seconds: float | None, report: Report) -> dict
             "error_m": measured.error_m,
             "lost_s": measured.lost_s,
             "cpu_ms": measured.cpu_ms,
+            "closures": measured.revisits._asdict(),
         }
     return rows
 
@@ -73,13 +76,25 @@ def ablate(
 
 
 def ablation_table(found: dict[str, Any]) -> str:
-    """Markdown table, one column per scene: mean error in metres, or the time of the loss."""
+    """Markdown table, one column per scene: mean error in metres, or the time of the loss; last
+    precision and recall of the closures of ``zou2024``."""
     scenes = list(found)
     lines = ["| variant | " + " | ".join(scenes) + " |", "|---|" + "---|" * len(scenes)]
     for variant in VARIANTS:
         cells = [_cell(found[scene][variant]) for scene in scenes]
         lines.append(f"| {variant} | " + " | ".join(cells) + " |")
+    counts = [found[scene].get("zou2024: all on", {}).get("closures") for scene in scenes]
+    if all(counts):
+        cells = [_closures(RevisitFigures(**count)) for count in counts]
+        lines.append("| `zou2024`: closures right / due ones made | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _closures(count: RevisitFigures) -> str:
+    return (
+        f"{count.precision:.2f} ({count.right} of {count.found}) / "
+        f"{count.recall:.2f} ({count.right_and_due} of {count.due})"
+    )
 
 
 def _cell(row: dict[str, Any]) -> str:

@@ -26,6 +26,7 @@ from touchdown.experiments.benchmarks.odometry_baselines import (
     run_reference,
     settings,
 )
+from touchdown.experiments.benchmarks.revisits import RevisitFigures, Revisits
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.metrics import PositioningError
@@ -61,6 +62,8 @@ class Measured:
     """of one core per 0.1 s of data"""
     lost_s: float | None
     """time at which its error exceeded the limit of a flight; the error is that until then"""
+    revisits: RevisitFigures
+    """of estimators that tell in their diagnostics what they looked up"""
 
 
 def flight_config(scene: str, seed: int, overrides: Sequence[str] = ()) -> Config:
@@ -119,6 +122,7 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
     estimator = build_estimator(config, logged.sensors.rig)
     check_needs(config.estimator, estimator.needs, logged.sensors)
     clock, own = CpuClock(), PositioningError()
+    revisits = Revisits(logged.sensors.rig, TruePath(logged).at)
     times: list[float] = []
     estimated: list[Array] = []
     true: list[Array] = []
@@ -127,6 +131,7 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
         data_s = obs.time_s
         if obs.time_s >= end_s:
             break
+        revisits.add(estimate.diagnostics)
         pose = logged.truth.get(obs.tick)
         if pose is None or not logged.judged(obs.tick):
             continue
@@ -141,7 +146,7 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
         true.append(pose.translation)
     cpu_ms = 1e3 * clock.seconds() / max(data_s / 0.1, 1e-9)
     error_m = evo_error(times, true, estimated)
-    return Measured(error_m, own.summary().mean or math.nan, cpu_ms, lost_s)
+    return Measured(error_m, own.summary().mean or math.nan, cpu_ms, lost_s, revisits.figures())
 
 
 # ------------------------------------------------------------------------------------- evo

@@ -31,6 +31,7 @@ LARGEST_OF_KEY: Mapping[str, float] = {
     # Tables of maps: some hundred bytes for each voxel and each of its points.
     "livo.map_voxels": 2_000_000,
     "zou2024.map_voxels": 2_000_000,
+    "zou2024.loop_words": 200_000,
     "livo.scan_points": 100_000,
     "log.scan_points": 1_000_000,
     "sim.battery_capacity_j": 1e9,

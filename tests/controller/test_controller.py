@@ -283,15 +283,13 @@ def test_tilt_stays_within_its_limit() -> None:
         setpoint = hold(np.array([40.0, -30.0, 0.0]))(0.0)
         flyer.advance(controller.update(flyer.estimate(), setpoint).rotor_speed_radps)
         cosines.append(flyer.rotation[2, 2])
-    assert np.degrees(np.arccos(min(cosines))) < 15.0 + 2.0
-    assert abs(flyer.position[2]) < 0.15
+    assert np.degrees(np.arccos(min(cosines))) < 15.0 + 2.0 and abs(flyer.position[2]) < 0.15
 
 
 def test_step_of_one_metre_settles_without_much_overshoot() -> None:
     controller, flyer = flying_controller()
     errors = fly(flyer, controller, hold(np.array([1.0, 0.0, 1.0])), 8.0)
-    assert errors[:, [0, 2]].max() < 0.35
-    assert np.abs(errors[-200:]).max() < 0.01
+    assert errors[:, [0, 2]].max() < 0.35 and np.abs(errors[-200:]).max() < 0.01
 
 
 def test_half_turn_of_yaw_and_a_tumble_are_recovered() -> None:
@@ -327,8 +325,7 @@ def test_survey_in_gusts_stays_close_to_its_reference() -> None:
     flyer.rotation = rotation_from_yaw(0.4)
     flyer.wind = gusts(1)
     errors = np.linalg.norm(fly(flyer, controller, reference, 40.0)[800:], axis=1)
-    assert errors.mean() < 0.05
-    assert errors.max() < 0.15
+    assert errors.mean() < 0.05 and errors.max() < 0.15
 
 
 def test_parameters_out_of_range_are_refused() -> None:

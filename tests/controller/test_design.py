@@ -47,8 +47,7 @@ def test_gains_are_the_closed_forms() -> None:
         )
     )  # fmt: skip
     assert gains.velocity.kp[0] == pytest.approx(1.5 * 4.0)
-    assert gains.velocity.ki[0] == pytest.approx(1.5 * 16.0 / 5.0)
-    assert gains.velocity.kd[0] == 0.5
+    assert gains.velocity.ki[0] == pytest.approx(1.5 * 16.0 / 5.0) and gains.velocity.kd[0] == 0.5
     assert gains.rate.kd[1] == pytest.approx(0.2)
 
 

@@ -51,8 +51,7 @@ def test_flat_ground_under_plants_is_found(
 ) -> None:
     grid = grid_of_returns(grass(height, leaf_area))
     error = grid.ground().height_m[INNER]
-    assert np.median(grid.height_m) > mean_m
-    assert abs(np.median(error)) < error_m
+    assert np.median(grid.height_m) > mean_m and abs(np.median(error)) < error_m
     assert (np.abs(error - np.median(error)) < 0.02).mean() > 0.9
 
 
@@ -66,15 +65,13 @@ def test_tilt_of_a_meadow_is_recovered() -> None:
 def test_edge_of_a_meadow_is_level() -> None:
     meadow = grass(np.where(X > 3.0, 0.25, 0.0))
     grid = grid_of_returns(meadow)
-    assert slope_deg(grid.height_m)[0] > 3.0
-    assert np.hypot(*slope_deg(grid.ground().height_m)) < 0.4
+    assert slope_deg(grid.height_m)[0] > 3.0 and np.hypot(*slope_deg(grid.ground().height_m)) < 0.4
 
 
 def test_road_is_level_where_cars_pass() -> None:
     lane = np.where((np.arange(30) % 5 == 0)[:, None, None] & (X > 3.0), 1.4, 0.0) + grass(0.0)
     grid = grid_of_returns(lane)
-    assert slope_deg(grid.height_m)[0] > 5.0
-    assert np.hypot(*slope_deg(grid.ground().height_m)) < 0.3
+    assert slope_deg(grid.height_m)[0] > 5.0 and np.hypot(*slope_deg(grid.ground().height_m)) < 0.3
 
 
 def test_bare_ground_with_its_steps_stays_to_the_bit() -> None:
@@ -102,8 +99,7 @@ def test_overgrown_rock_in_a_meadow_keeps_its_height() -> None:
 def test_crops_on_a_steep_slope_do_not_lower_it() -> None:
     ground = 0.35 * X
     error = (grid_of_returns(ground + grass(0.3, 3.6)).ground().height_m - ground)[INNER]
-    assert abs(np.median(error)) < 0.02
-    assert (np.abs(error - np.median(error)) < 0.03).mean() > 0.9
+    assert abs(np.median(error)) < 0.02 and (np.abs(error - np.median(error)) < 0.03).mean() > 0.9
 
 
 def test_top_of_a_post_is_no_ground_and_a_roof_is() -> None:
@@ -141,8 +137,7 @@ def test_uncertainty_grows_as_fewer_returns_come_from_the_ground() -> None:
         np.median(grid_of_returns(returns).ground().std_m[INNER])
         for returns in (grass(0.3, 1.0), grass(0.3, 3.6), grass(0.3, 1.0, returns=8))
     )
-    assert open_ < 0.7 * dense and open_ < 0.7 * short
-    assert 0.001 < open_ < short < 0.03
+    assert open_ < 0.7 * dense and open_ < 0.7 * short and 0.001 < open_ < short < 0.03
 
 
 def test_few_returns_are_judged_with_those_around_them() -> None:
@@ -178,8 +173,7 @@ def test_returns_of_a_neighbour_weigh_half_and_follow_the_slope() -> None:
     ends = np.tile(np.array([0, HEIGHT_BINS], np.uint8), (3, 3, 1))
     base, weights = np.zeros((3, 3), np.float32), np.zeros(48)
     _pool(_Heights(histogram, base, ends), (1, 1), 1, (HEIGHT_BIN_M, 0.0), 0.0, weights)
-    assert np.flatnonzero(weights).tolist() == [10]
-    assert weights[10] == 4.0 + 8 * 2 * 0.5
+    assert np.flatnonzero(weights).tolist() == [10] and weights[10] == 4.0 + 8 * 2 * 0.5
 
 
 def test_ground_of_a_window_is_that_of_the_whole_map() -> None:
@@ -250,5 +244,4 @@ def test_single_returns_from_below_the_ground_are_errors_and_three_are_the_groun
 
 def test_histogram_that_is_full_keeps_its_shares() -> None:
     counts, _ = histogram_of(*[0.0, 0.0, 0.1] * 400)
-    assert 100 < counts.max() <= 255
-    assert counts[4] / counts[9] == pytest.approx(2.0, rel=0.1)
+    assert 100 < counts.max() <= 255 and counts[4] / counts[9] == pytest.approx(2.0, rel=0.1)

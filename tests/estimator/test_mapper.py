@@ -110,8 +110,7 @@ def test_pulses_without_return_are_missing_where_they_should_have_hit() -> None:
     grid = view.coarse
     rows, cols = np.nonzero(grid.missing > 0)
     centres = grid.origin_xy_m + (np.column_stack([cols, rows]) + 0.5) * grid.cell_m
-    assert rows.size > 50
-    assert (centres > hole[0] - 0.2).all()
+    assert rows.size > 50 and (centres > hole[0] - 0.2).all()
     assert (centres < hole[1] + 0.2).all()
     deep = (centres > hole[0] + 0.2).all(axis=1) & (centres < hole[1] - 0.2).all(axis=1)
     assert (grid.count[rows[deep], cols[deep]] == 0).all()
@@ -142,8 +141,7 @@ def test_colours_come_from_where_the_camera_looked() -> None:
     )
     right &= y > -half_view + 0.3
     assert (rgb_seen[left] == [200, 0, 0]).all()  # image left is body left (+y)
-    assert (rgb_seen[right] == [0, 200, 0]).all()
-    assert outside.sum() > 10
+    assert (rgb_seen[right] == [0, 200, 0]).all() and outside.sum() > 10
     assert np.isnan(rgb_seen[outside]).all()
 
 
@@ -174,8 +172,7 @@ def test_an_image_is_placed_where_it_was_taken_not_where_it_arrived() -> None:
         late = {"scans": (scan,), "images": (painted(120, 200, 100),)} if tick == 156 else {}
         view = mapper.update(make_obs(tick, **late), make_estimate(tick, body(tick / 600.0)))
     y, red = red_by_place(view)
-    assert (red[(y > 4.3) & (y < 9.0)] == 200.0).all()
-    assert (red[y < 3.7] == 100.0).all()
+    assert (red[(y > 4.3) & (y < 9.0)] == 200.0).all() and (red[y < 3.7] == 100.0).all()
 
 
 def test_a_return_has_the_colour_of_the_image_nearest_in_time() -> None:
@@ -278,16 +275,14 @@ def test_fine_grid_opens_low_follows_and_keeps_the_overlap() -> None:
 
     assert hover(0.0, 20.0, 0).fine is None
     low = hover(0.0, 10.0, 600)
-    assert low.fine is not None
-    assert low.fine.cell_m == 0.05
+    assert low.fine is not None and low.fine.cell_m == 0.05
     before, old_count = low.fine.origin_xy_m, low.fine.count.copy()
     moved = hover(7.0, 10.01, 1200)  # the very same ranges again would be a frozen sensor
     assert moved.fine is not None
     assert moved.fine.origin_xy_m == pytest.approx(before + np.array([7.0, 0.0]))
     shift = round(7.0 / 0.05)
     common = moved.fine.count[:, : 480 - shift]
-    assert (common >= old_count[:, shift:]).all()
-    assert old_count[:, shift:].sum() > 0
+    assert (common >= old_count[:, shift:]).all() and old_count[:, shift:].sum() > 0
     with pytest.raises(ValueError, match="read-only"):
         moved.fine.count[0, 0] = 1.0
 
@@ -315,8 +310,7 @@ def test_not_a_number_in_pose_or_range_leaves_the_map_clean() -> None:
     broken = Pose(np.full((3, 3), np.nan), np.full(3, np.nan))
     view = mapper.update(make_obs(159, scans=(scan,)), make_estimate(159, broken))
     seen = view.coarse.count > 0
-    assert seen.any()
-    assert np.isfinite(view.coarse.height_m[seen]).all()
+    assert seen.any() and np.isfinite(view.coarse.height_m[seen]).all()
 
 
 def raised_track(start_s: float, end_s: float, by_m: float = 1.0) -> PoseTrack:
@@ -353,8 +347,7 @@ def test_a_scan_waits_for_a_track_that_comes_later() -> None:
     poses."""
     tracks = {30: raised_track(0.0, 0.05), 192: raised_track(0.1, 0.2)}
     views = fly_with_tracks({156: moving_scan(4000)}, tracks, 210)
-    assert [view.version for view in views[:64]] == [0] * 64
-    assert views[64].version == 1
+    assert [view.version for view in views[:64]] == [0] * 64 and views[64].version == 1
     assert mean_height(views[-1]) == pytest.approx(1.0, abs=2e-3)
 
 
@@ -362,8 +355,7 @@ def test_a_scan_without_a_track_is_placed_by_the_causal_poses_in_the_end() -> No
     """0.3 s after its end; an estimator that never gives tracks makes no scan wait."""
     views = fly_with_tracks({156: moving_scan(4000)}, {30: raised_track(0.0, 0.05)}, 330)
     first = next(n for n, view in enumerate(views) if view.version == 1)
-    assert 3 * first == 120 + 180
-    assert mean_height(views[-1]) == pytest.approx(0.0, abs=2e-3)
+    assert 3 * first == 120 + 180 and mean_height(views[-1]) == pytest.approx(0.0, abs=2e-3)
     assert fly_with_tracks({156: moving_scan(4000)}, {}, 160)[156 // 3].version == 1
 
 
@@ -374,8 +366,7 @@ def test_a_scan_older_than_one_with_a_track_waits_no_longer() -> None:
     )
     tracks = {30: raised_track(0.0, 0.05), 216: raised_track(0.2, 0.3)}
     views = fly_with_tracks({156: moving_scan(4000), 216: later}, tracks, 220)
-    assert views[213 // 3].version == 0
-    assert views[216 // 3].version == 2
+    assert views[213 // 3].version == 0 and views[216 // 3].version == 2
 
 
 def test_histograms_hold_every_return_of_the_coarse_and_the_fine_map() -> None:

@@ -67,8 +67,7 @@ def test_constant_delays_hold_nothing_back_even_where_messages_are_lost(shift: i
     flight = [replace(o, images=()) if 1500 < o.tick < 2500 else o for o in flight]
     order = MessageOrder(RIG, PERIODS, PATIENCE, scans_follow_images=True)
     released = _released(order, flight)
-    assert len(released) > 170
-    assert all(now == stamp + 36 for _, stamp, now in released)
+    assert len(released) > 170 and all(now == stamp + 36 for _, stamp, now in released)
 
 
 def test_an_overtaken_image_is_used_first() -> None:
@@ -88,8 +87,7 @@ def test_all_messages_come_in_order_when_latencies_vary() -> None:
     assert (np.diff(arrived) < 0).sum() > 30  # scans and images do overtake one another
     released = _released(MessageOrder(RIG, PERIODS, PATIENCE), flight)
     stamps = [stamp for _, stamp, _ in released]
-    assert len(stamps) == len(arrived)
-    assert (np.diff(stamps) < 0).sum() <= 2
+    assert len(stamps) == len(arrived) and (np.diff(stamps) < 0).sum() <= 2
     due = {stamp_of(m): o.tick for o in flight for m in (*o.scans, *o.images)}
     waits = np.array([now - due[stamp] for _, stamp, now in released])
     assert waits.mean() < 8.0  # 13 ms
@@ -113,8 +111,7 @@ def test_a_sensor_that_is_gone_is_not_waited_for() -> None:
         for _, stamp, now in _released(MessageOrder(RIG, PERIODS, PATIENCE), flight)
         if now > 3400
     ]
-    assert len(late) > 200
-    assert set(late) == {0}
+    assert len(late) > 200 and set(late) == {0}
 
 
 def test_a_scan_waits_for_an_image_of_its_own_instant_on_request_alone() -> None:

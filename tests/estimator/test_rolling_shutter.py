@@ -79,8 +79,7 @@ def test_a_global_shutter_on_time_changes_nothing() -> None:
     pixels = np.array([[10.0, 20.0]])
     model = ShutterModel(make_rig())
     twist = CameraTwist(RATE, VELOCITY, 0.0)
-    assert model.idle(twist)
-    assert model.to_instant(pixels, np.ones(1), twist) is pixels
+    assert model.idle(twist) and model.to_instant(pixels, np.ones(1), twist) is pixels
     assert model.to_rows(pixels, np.ones(1), twist) is pixels
     image = CameraImage(tick=60, time_s=0.1, rgb=np.zeros((2, 2, 3), np.uint8))
     assert at_middle_row(image, make_rig()) is image
@@ -172,6 +171,5 @@ def test_the_levelled_image_gives_directions_of_one_instant() -> None:
 def test_the_noise_of_flight_is_never_below_the_data_sheet() -> None:
     rig = make_rig()
     imu = with_flown_noise(rig, FlownImuParams(gyro_density=1e-6, accel_density=0.5)).imu
-    assert imu.gyro_density == rig.imu.gyro_density
-    assert imu.accel_density == 0.5
+    assert imu.gyro_density == rig.imu.gyro_density and imu.accel_density == 0.5
     assert with_flown_noise(rig, FlownImuParams()) == rig

@@ -54,8 +54,7 @@ def test_arguments_win_over_overrides_over_the_file(tmp_path: Path) -> None:
 def test_numpy_values_tuples_and_paths_are_taken() -> None:
     overrides = {"landing.site_xy_m": np.array([1.0, 2.0]), "bias.xy_m": (0.5, np.float64(1.0))}
     config = touchdown.load_config(scene=Path("my/scene.xml"), overrides=overrides)
-    assert config.landing.site_xy_m == (1.0, 2.0)
-    assert config.bias.xy_m == (0.5, 1.0)
+    assert config.landing.site_xy_m == (1.0, 2.0) and config.bias.xy_m == (0.5, 1.0)
     assert config.scene == str(Path("my/scene.xml"))
 
 
@@ -95,8 +94,7 @@ def test_flights_are_configured_by_their_arguments(monkeypatch: pytest.MonkeyPat
     touchdown.land("forest", estimator="zou2024", overrides={"wind.mean_kmh": 0})
     (first, out), (second, none), (third, _) = flown
     assert (first.scene, first.seed, first.survey.height_m) == ("lake", 6, 20.0)
-    assert first.landing.survey_only and out == Path("x")
-    assert second == base and none is None
+    assert first.landing.survey_only and out == Path("x") and second == base and none is None
     assert (third.scene, third.estimator, third.wind.mean_kmh) == ("forest", "zou2024", 0.0)
 
 

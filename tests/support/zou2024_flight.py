@@ -8,6 +8,7 @@ import numpy as np
 
 from touchdown.estimator.api import Estimate, Zou2024Params
 from touchdown.estimator.zou2024.estimator import Zou2024Estimator
+from touchdown.estimator.zou2024.landmarks import Features
 from touchdown.sim.api import CameraImage, CameraIntrinsics, LidarScan, Observation, SensorRig
 from touchdown.sim.frames import Pose
 
@@ -83,6 +84,10 @@ def image_from(pose: Pose, tick: int, rig: SensorRig = RIG) -> CameraImage:
 
 def image_at(tick: int, rig: SensorRig = RIG) -> CameraImage:
     return image_from(Pose(np.eye(3), position_at(tick / HZ)), tick, rig)
+
+
+def features_of(kind: int, descriptors: np.ndarray) -> Features:
+    return Features(kind, np.zeros((len(descriptors), 2)), descriptors.astype(np.uint8))
 
 
 FLIGHT = livo_flight.observed(LAST, position_at, scan_ending_at, image_at)

@@ -73,8 +73,7 @@ def test_epochs_come_in_the_order_of_measurement() -> None:
 def test_messages_after_their_epoch_are_counted_not_used() -> None:
     queue = EpochQueue(make_rig(), SensorNeeds(camera_hz=10))
     assert [e.tick for e in queue.take(observation(156, images=(image(120),)))] == [60, 120]
-    assert queue.take(observation(160, images=(image(60),))) == []
-    assert queue.late == 1
+    assert queue.take(observation(160, images=(image(60),))) == [] and queue.late == 1
 
 
 def test_images_of_varying_latency_all_get_their_epoch() -> None:
@@ -88,8 +87,7 @@ def test_images_of_varying_latency_all_get_their_epoch() -> None:
     for now in range(3, 18_200, 3):
         for epoch in queue.take(observation(now, images=tuple(arrivals.get(now, ())))):
             seen.append(epoch.image is not None)
-    assert queue.late <= 3
-    assert sum(seen) >= 295
+    assert queue.late <= 3 and sum(seen) >= 295
     assert len(seen) - sum(seen) <= 8
 
 
@@ -229,8 +227,7 @@ def test_ground_height_from_many_noisy_pairs() -> None:
     for k in range(40):
         shifts = 30.0 / 30.0 + 0.1 * rng.standard_normal(200)
         ground.take(rays, shifts, pose, 30.0, 0.1 * k)
-    assert ground.sigma_m < 0.06
-    assert abs(ground.height_m - 2.0) < 4.0 * ground.sigma_m
+    assert ground.sigma_m < 0.06 and abs(ground.height_m - 2.0) < 4.0 * ground.sigma_m
     np.testing.assert_allclose(ground.depths(rays, pose), 32.0 - ground.height_m)
 
 

@@ -107,8 +107,7 @@ def test_normals_differ_at_an_edge_and_not_on_a_face() -> None:
     difference, normals = difference_of_normals(np.concatenate([floor, wall]), 0.1, 0.3)
     inside = (np.abs(v - 0.5) < 0.15) & (u > 0.35) & (u < 0.65)
     beside = (np.abs(v - 0.5) < 0.15) & (np.abs(u - 0.15) < 0.01)
-    assert difference[: len(u)][inside].max() < 1e-6
-    assert difference[: len(u)][beside].min() > 0.05
+    assert difference[: len(u)][inside].max() < 1e-6 and difference[: len(u)][beside].min() > 0.05
     np.testing.assert_allclose(normals[: len(u)][inside], [[0.0, 0.0, -1.0]] * inside.sum())
 
 
@@ -118,8 +117,7 @@ def test_ransac_finds_the_larger_of_two_planes() -> None:
     few = np.column_stack([rng.uniform(-1, 1, (200, 2)), rng.uniform(2.2, 3.0, 200)])
     normal, distance, inside = ransac_plane(np.concatenate([many, few]), 0.01, 200, rng)
     np.testing.assert_allclose(normal, [0.0, 0.0, -1.0], atol=1e-12)
-    assert distance == pytest.approx(2.0)
-    assert inside[:300].all() and not inside[300:].any()
+    assert distance == pytest.approx(2.0) and inside[:300].all() and not inside[300:].any()
 
 
 def test_a_board_before_a_floor_is_found() -> None:

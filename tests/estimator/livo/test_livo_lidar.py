@@ -192,8 +192,7 @@ def test_a_return_weighs_by_its_beam_its_plane_and_its_residual(
         point, point, np.eye(3), np.zeros(3), np.array([True]), up, point - height * up,
         np.array([[thickness**2, unsure**2, 0.0]]), 0.02, 1e-3, floor, 4.0,
     )  # fmt: skip
-    assert used == (weight > 0.0)
-    assert information[5, 5] == pytest.approx(weight, rel=1e-6)
+    assert used == (weight > 0.0) and information[5, 5] == pytest.approx(weight, rel=1e-6)
     assert vector[5] == pytest.approx(-weight * height, rel=1e-6)
 
 
@@ -231,14 +230,12 @@ def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
     turn = eskf.state.rotation.T @ true_rotation
     assert abs(turn[2, 0]) < 5e-4 and abs(turn[2, 1]) < 5e-4
     if walls:
-        assert error[0] < 0.02 and error[1] < 0.02
-        assert report.lateral_strength[0] > 1e4
+        assert error[0] < 0.02 and error[1] < 0.02 and report.lateral_strength[0] > 1e4
     else:
         # a plane leaves the lateral position unobserved, but the noise of the voxels' normals adds
         # spurious information: with the floor, prior and covariance stay
         np.testing.assert_allclose(error[:2], [0.05, 0.04], atol=5e-3)
-        assert np.sqrt(eskf.covariance[3, 3]) > 0.09
-        assert report.lateral_strength[0] < 1e3
+        assert np.sqrt(eskf.covariance[3, 3]) > 0.09 and report.lateral_strength[0] < 1e3
     # from there on the returns stay on their planes; where walls hold the pose, two steps suffice
     equations = anchored_update.plane_equations
     with (

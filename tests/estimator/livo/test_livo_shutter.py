@@ -57,8 +57,7 @@ def moving(rng: np.random.Generator) -> tuple[Pose, np.ndarray]:
 def test_the_last_row_is_exposed_at_the_stamp() -> None:
     times = SHUTTER.row_times(np.array([0.0, 119.5, 239.0]), CAMERA.height)
     np.testing.assert_allclose(times, [-0.015, -0.0075, 0.0], atol=1e-12)
-    assert SHUTTER.middle_s == -0.0075
-    assert not Shutter().row_times(ROWS, CAMERA.height).any()
+    assert SHUTTER.middle_s == -0.0075 and not Shutter().row_times(ROWS, CAMERA.height).any()
 
 
 def test_a_landmark_seen_by_a_moving_camera_is_found() -> None:
@@ -98,8 +97,7 @@ def test_the_residual_at_the_true_pose_is_zero() -> None:
             Pinhole.of(CAMERA), PixelNoise(1.0, 1e6),
         ).rms  # fmt: skip
 
-    assert rms(times) < 1e-6
-    assert rms(np.zeros(30)) > 0.5
+    assert rms(times) < 1e-6 and rms(np.zeros(30)) > 0.5
 
 
 def texture() -> np.ndarray:

@@ -78,8 +78,7 @@ def test_patches_are_found_to_a_tenth_of_a_pixel_under_scale_and_turn() -> None:
     moves = [Frame.of(pose.inverse() @ key) for pose in (guess, now)]
     found, tracked, predicted = track(source, target, pixels, planes, moves[0], LENS)
     _, _, truth = track(source, target, pixels, planes, moves[1], LENS)
-    assert found.sum() > 40
-    assert np.linalg.norm(predicted[found] - truth[found], axis=1).mean() > 1.0
+    assert found.sum() > 40 and np.linalg.norm(predicted[found] - truth[found], axis=1).mean() > 1.0
     error = tracked[found] - truth[found]
     assert np.abs(np.median(error, axis=0)).max() < 0.05
     assert np.median(np.linalg.norm(error, axis=1)) < 0.15
@@ -302,8 +301,7 @@ def test_a_black_image_changes_nothing_and_is_counted() -> None:
     report = vision.update(eskf, grey_levels(black))
     assert report.used == 0
     np.testing.assert_array_equal(eskf.covariance, before)
-    assert not vision.wants_keyframe(report, 60)
-    assert vision.wants_keyframe(VisualReport(), 1200)
+    assert not vision.wants_keyframe(report, 60) and vision.wants_keyframe(VisualReport(), 1200)
 
 
 def test_keyframes_are_bounded_and_their_clones_go_with_them() -> None:
@@ -331,8 +329,7 @@ def test_a_plane_is_extended_only_on_demand() -> None:
     image = grey_levels(view(pose @ IMU_FROM_CAMERA))
     vision, eskf = front_end(), filter_at(pose)
     assert not add_keyframe(vision, eskf, image, recent, 0, extend=False)
-    assert not vision.keyframes and not eskf.clones
-    assert add_keyframe(vision, eskf, image, recent, 0)
+    assert not vision.keyframes and not eskf.clones and add_keyframe(vision, eskf, image, recent, 0)
     assert vision.keyframes[0].valid.sum() > 60
 
 

@@ -82,10 +82,8 @@ def test_opencv_reads_a_forest_as_it_was_written(tmp_path: Path) -> None:
 
 def test_features_are_counted_along_columns_first() -> None:
     table = forest.feature_table()
-    assert len(table) == 16 * 16 * 13 + 300 * 13
-    assert table[1].tolist() == [1, 0, -1, -1, 0]
-    assert table[16].tolist() == [0, 1, -1, -1, 0]
-    assert table[256].tolist() == [0, 0, -1, -1, 1]
+    assert len(table) == 16 * 16 * 13 + 300 * 13 and table[1].tolist() == [1, 0, -1, -1, 0]
+    assert table[16].tolist() == [0, 1, -1, -1, 0] and table[256].tolist() == [0, 0, -1, -1, 1]
     # pairs of a grid at the whole parts of k 19 / 6 - 1.5: 1, 4, 8, 11, 14
     assert table[forest.REGULAR_FEATURES].tolist() == [1, 1, 4, 1, 0]
     assert table[-1].tolist() == [11, 14, 14, 14, 12]
@@ -97,8 +95,7 @@ def test_a_split_is_the_one_worked_out_by_hand() -> None:
     assert (gain, threshold) == (0.5, 2.5)
     # one of four on the wrong side: 0.375 before; 3/4 of the 4/9 in the left leaf after
     gain, threshold = forest.best_split(values, np.array([False, False, True, False]))
-    assert gain == pytest.approx(0.375 - 0.5 * 0.5)
-    assert threshold == 2.5
+    assert gain == pytest.approx(0.375 - 0.5 * 0.5) and threshold == 2.5
     assert forest.best_split(np.ones(4, np.float32), np.array([True, False, True, False]))[0] == 0.0
 
 
@@ -196,8 +193,7 @@ def test_segments_are_parted_by_kind_and_by_jumps_of_depth() -> None:
     assert connected(kind, right, down).max() == 1
     down[1, :2] = True  # the last row of kind 1 lies lower
     parted = connected(kind, right, down)
-    assert parted[0, 0] == parted[1, 1] != parted[2, 0]
-    assert parted[0, 2] == parted[2, 2]
+    assert parted[0, 0] == parted[1, 1] != parted[2, 0] and parted[0, 2] == parted[2, 2]
     edge = boundaries(parted)
     assert edge.tolist() == [[0, 1, 0], [1, 1, 0], [0, 1, 0]]
 
@@ -215,8 +211,7 @@ def test_each_detected_pixel_is_matched_once_and_within_reach() -> None:
     for shift, pairs in ((0, 100), (3, 100), (4, 0)):
         assert matched_pairs(np.roll(true, shift, axis=0), true) == pairs
     doubled = true | np.roll(true, 2, axis=0)
-    assert matched_pairs(doubled, true) == 100
-    assert matched_pairs(np.zeros_like(true), true) == 0
+    assert matched_pairs(doubled, true) == 100 and matched_pairs(np.zeros_like(true), true) == 0
 
 
 def test_scores_are_those_worked_out_by_hand() -> None:

@@ -37,10 +37,8 @@ def test_the_image_nearest_in_time_is_taken() -> None:
     images = [
         CameraImage(tick=t, time_s=t / 600, rgb=np.zeros((1, 1, 3), np.uint8)) for t in (20, 60, 80)
     ]
-    assert nearest_image(images, 65, 60) is images[1]
-    assert nearest_image(images, 70, 60) is images[1]
-    assert nearest_image(images, 71, 60) is images[2]
-    assert nearest_image(images, 200, 60) is None
+    assert nearest_image(images, 65, 60) is images[1] and nearest_image(images, 70, 60) is images[1]
+    assert nearest_image(images, 71, 60) is images[2] and nearest_image(images, 200, 60) is None
 
 
 def test_eq_6_of_a_corner() -> None:
@@ -51,8 +49,7 @@ def test_eq_6_of_a_corner() -> None:
     # about the middle the x differences cancel, and the five raised ones give 5 * 1 m
     assert scores[5] == pytest.approx(5.0 / (10 * 10.0))
     # the end sees five neighbours alone
-    assert np.isnan(scores[0])
-    assert shadowed.tolist() == [i == 5 for i in range(11)]
+    assert np.isnan(scores[0]) and shadowed.tolist() == [i == 5 for i in range(11)]
 
 
 def test_eq_6_of_a_straight_track_is_zero_and_gaps_end_it() -> None:
@@ -86,8 +83,7 @@ def test_features_are_sorted_out_by_sector() -> None:
     chosen = sort_out_features(
         scores, np.zeros(5, dtype=bool), directions, cells=(2, 1), edges=1, edge_threshold=0.01
     )
-    assert chosen.planes.tolist() == [0, 2]
-    assert chosen.edges.tolist() == [3]
+    assert chosen.planes.tolist() == [0, 2] and chosen.edges.tolist() == [3]
     shaded = np.array([False, False, False, True, False])
     chosen = sort_out_features(
         scores, shaded, directions, cells=(2, 1), edges=1, edge_threshold=0.01
@@ -138,8 +134,7 @@ def test_geodesic_goes_round_an_obstacle() -> None:
     distance, _ = geodesic_transform(energy, seed, seed, 2)
     # round the wall's lower end, four steps down and up, of which four are diagonal
     around = STEP_ENERGY * (4 + 4 * np.sqrt(2.0))
-    assert distance[0, 4] == pytest.approx(around, rel=1e-5)
-    assert distance[0, 4] < 1.0
+    assert distance[0, 4] == pytest.approx(around, rel=1e-5) and distance[0, 4] < 1.0
 
 
 def test_returns_that_share_a_pixel_share_their_score() -> None:
@@ -212,6 +207,5 @@ def test_gradient_edges_lie_on_the_boundary() -> None:
     rgb[:, 20:, 2] = 200
     energy = GradientEdges()(rgb)
     assert energy.shape == (40, 40) and energy.dtype == np.float32
-    assert energy.min() >= 0.0 and energy.max() <= 1.0
-    assert energy[20, 19:21].min() > 0.8
+    assert energy.min() >= 0.0 and energy.max() <= 1.0 and energy[20, 19:21].min() > 0.8
     assert energy[:, :12].max() == 0.0 and energy[:, 28:].max() == 0.0

@@ -19,10 +19,8 @@ def test_a_clean_flight_is_followed() -> None:
     last = estimates[-1]
     assert max(map(error, estimates)) < 0.03
     np.testing.assert_allclose(last.velocity_odom, [last.time_s, 0.0, 0.0], atol=0.03)
-    assert last.diagnostics["landmarks_used"] >= 15
-    assert last.diagnostics["lidar_planes"] > 60
-    assert last.diagnostics["keyframes"] >= 2
-    assert last.healthy
+    assert last.diagnostics["landmarks_used"] >= 15 and last.diagnostics["lidar_planes"] > 60
+    assert last.diagnostics["keyframes"] >= 2 and last.healthy
 
 
 @pytest.mark.parametrize("part", ["lidar_pose", "camera_pose", "colour_smoothness", "bundle"])

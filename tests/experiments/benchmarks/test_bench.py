@@ -98,8 +98,7 @@ def test_ratio_leaves_estimator_and_lander_out_and_the_excess_adds_up() -> None:
     sums.add("camera_sensor", 5.5e-3)
     loop = {"world": 13.0, "estimator": 50.0, "lander": 7.0, "mapper": 1.5, "rest": 0.5}
     found = loop_overhead._compare(loop, sums)
-    assert found["ratio"] == pytest.approx(1.5)
-    assert found["bare_ms"]["all"] == pytest.approx(10.0)
+    assert found["ratio"] == pytest.approx(1.5) and found["bare_ms"]["all"] == pytest.approx(10.0)
     assert found["excess_ms"] == pytest.approx(
         {
             "lidar_beyond_rays": 2.0, "camera_beyond_pixels": 0.5, "world_beyond_physics": 0.5,
@@ -137,6 +136,5 @@ def test_a_measurement_during_compilation_is_repeated() -> None:
         worker.join()
         return len(calls)
 
-    assert compiled_before(measure, again=lambda: cleared.append(True)) == 2
-    assert cleared == [True]
+    assert compiled_before(measure, again=lambda: cleared.append(True)) == 2 and cleared == [True]
     assert compiled_before(measure) == 3  # all compiled

@@ -1,5 +1,6 @@
 """Estimator benchmark: evo and our figure agree; reference implementations run as intended."""
 
+import dataclasses
 import importlib.util
 import math
 import sys
@@ -15,12 +16,15 @@ from touchdown.experiments.benchmarks.odometry_baselines import (
     deskew_by_step,
     run_reference,
 )
+from touchdown.experiments.benchmarks.revisits import RevisitFigures, Revisits
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.flight.metrics import PositioningError
 from touchdown.experiments.flight.replay import open_run, replay_config
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 
+from support.livo_flight import START_Z
 from support.replay_support import LIFT_OFF_S, make_run, shifted
+from support.zou2024_flight import RIG
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 needs_evo = pytest.mark.skipif(
@@ -54,8 +58,7 @@ def test_an_estimator_is_measured_from_lift_off_to_the_end(run: Path) -> None:
     logged = open_run(run)
     measured = odometry.measure(logged, replay_config(run, "livo", fresh=True))
     assert measured.own_error_m == pytest.approx(measured.error_m, abs=1e-12)
-    assert measured.error_m < 0.03
-    assert measured.lost_s is None and measured.cpu_ms > 0.0
+    assert measured.error_m < 0.03 and measured.lost_s is None and measured.cpu_ms > 0.0
     early = odometry.measure(logged, replay_config(run, "livo", fresh=True), LIFT_OFF_S + 0.05)
     assert early.error_m != measured.error_m
 
@@ -159,11 +162,9 @@ def test_ratios_are_of_the_best_reference_that_is_not_lost() -> None:
     found = {"a": scene(0.02, 0.1, 0.3, None), "b": scene(0.01, 0.05, 0.2, 7.0)}
     figures = odometry.summary(found)
     ratios = figures["ratio"]["reference"]
-    assert ratios["a"] == pytest.approx(5.0)
-    assert ratios["b"] == pytest.approx(20.0)
+    assert ratios["a"] == pytest.approx(5.0) and ratios["b"] == pytest.approx(20.0)
     assert ratios["geometric_mean"] == pytest.approx(10.0)
-    assert figures["error_m"]["b"]["kiss_icp"] == 0.05
-    assert figures["ms_per_0.1s"]["zou2024"] == 10.0
+    assert figures["error_m"]["b"]["kiss_icp"] == 0.05 and figures["ms_per_0.1s"]["zou2024"] == 10.0
 
 
 @needs_evo
@@ -179,3 +180,24 @@ def test_ablation_replays_every_variant(run: Path, monkeypatch: pytest.MonkeyPat
     assert lines[0] == "| variant | here | there |"
     assert lines[2].startswith("| livo: all on | 0.0") and lines[2].endswith("| lost at 12 s |")
     assert lines[3].startswith("| livo: LIDAR only | 0.")
+    assert rows["livo: all on"]["closures"] == RevisitFigures(0, 0, 0, 0)._asdict()
+    rows["zou2024: all on"] = lost | {"closures": RevisitFigures(8, 5, 4, 2)._asdict()}
+    assert ablation.ablation_table({"here": rows}).endswith("| 0.80 (4 of 5) / 0.25 (2 of 8) |")
+
+
+def test_closures_are_judged_by_the_ground_that_the_images_show() -> None:
+    """Ground under a camera that looks straight down, by its shift in shares of the image."""
+    width = START_Z * RIG.camera.width / RIG.camera.fx * RIG.body_from_camera.rotation[:, 0]
+    at = {0.0: 0.0, 1.0: 9.0, 12.0: 0.0, 13.0: 9.2, 14.0: 5.0, 15.0: 0.8, 16.0: 8.9}
+    rig = dataclasses.replace(RIG, world_from_body_start=Pose.identity())
+    revisits = Revisits(
+        rig, lambda t: Pose(np.eye(3), at[t] * width + START_Z * np.array([0.0, 0.0, 1.0]))
+    )
+    found = {12.0: 0.0, 14.0: 1.0, 15.0: 0.0, 16.0: 1.0}
+    revisits.add({"landmarks": 1.0})
+    for asked in (0.0, 0.0, *at):
+        revisits.add({"place_asked_s": asked, "place_found_s": found.get(asked, -1.0)})
+    # 12, 13 and 16 show again three quarters and more; 15 a fifth; 14 nothing that was found
+    assert revisits.figures() == RevisitFigures(due=3, found=4, right=3, right_and_due=2)
+    assert revisits.figures().precision == 0.75
+    assert revisits.figures().recall == pytest.approx(2 / 3)

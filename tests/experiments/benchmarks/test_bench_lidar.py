@@ -35,8 +35,7 @@ def test_figures_of_the_command() -> None:
     done = CliRunner().invoke(cli, ["bench", "lidar", "--rounds", "1", "--json"])
     assert done.exit_code == 0, done.output
     figures = json.loads(done.stdout)
-    assert figures["rays_per_scan"] == 24_000
-    assert {"embree", "mj_multiRay"} <= set(figures["ratio"])
+    assert figures["rays_per_scan"] == 24_000 and {"embree", "mj_multiRay"} <= set(figures["ratio"])
     for name, ratio in figures["ratio"].items():
         expected = figures["rays_per_s"]["sensor"] / figures["rays_per_s"][name]
         assert ratio == pytest.approx(expected)

@@ -64,8 +64,7 @@ def test_the_flame_graph_is_of_the_same_flight(
     monkeypatch.setattr("shutil.which", lambda *_name, **_path: str(spy))
     out = tmp_path / "out"
     code = cli.main(["bench", "profile", "lake", "--seed", "7", "--full", "--out", str(out)])
-    assert code == 0
-    assert json.loads((out / "stages.json").read_text()) == figures
+    assert code == 0 and json.loads((out / "stages.json").read_text()) == figures
     command = (out / "flame.svg").read_text()
     assert (
         "touchdown bench profile lake --estimator livo --profile field --seed 7 --full" in command

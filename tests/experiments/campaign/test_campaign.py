@@ -73,8 +73,7 @@ def test_a_worker_is_replaced_whether_it_or_its_guard_is_killed(
     parent = start_campaign(tmp_path / "campaign.toml", out)
     os.kill(flying_after(out, 2)[0], signal.SIGKILL)
     os.kill(psutil.Process(flying_after(out, 4)[0]).ppid(), signal.SIGKILL)
-    assert parent.wait() == 0
-    assert figures(out) == figures(undisturbed)
+    assert parent.wait() == 0 and figures(out) == figures(undisturbed)
     assert summary(out)["crashed"] == 0
 
 
@@ -83,8 +82,7 @@ def test_any_number_of_jobs_and_shards_gives_the_same_rows(
 ) -> None:
     plan = make_plan(tmp_path, MANY)
     first = fly(plan, tmp_path / "out", shard=(1, 2))
-    assert 0 < first["finished"] < 8
-    assert fly(plan, tmp_path / "out", shard=(2, 2))["remaining"] == 0
+    assert 0 < first["finished"] < 8 and fly(plan, tmp_path / "out", shard=(2, 2))["remaining"] == 0
     assert figures(tmp_path / "out") == figures(undisturbed)
     for path in (tmp_path / "out" / "runs").iterdir():
         other = undisturbed / "runs" / path.name
@@ -106,8 +104,7 @@ def test_a_signal_costs_no_finished_flight(number: int, tmp_path: Path, undistur
     assert document["finished_utc"] is None
     assert [session["jobs"] for session in document["sessions"]] == [2]
     kept = {file: file.stat().st_ino for file in out.glob("runs/*slow*/result.json")}
-    assert fly(plan, out)["remaining"] == 0
-    assert kept == {file: file.stat().st_ino for file in kept}
+    assert fly(plan, out)["remaining"] == 0 and kept == {file: file.stat().st_ino for file in kept}
     assert figures(out) == figures(undisturbed)
 
 
@@ -152,8 +149,7 @@ def test_a_campaign_of_a_version_before_profiles_is_resumed(tmp_path: Path) -> N
     file.write_text(json.dumps(document))
     more = text.replace('"0"', '"0-1"')
     fly(make_plan(tmp_path, more), out)
-    assert set(attempts(out).values()) == {1} and len(attempts(out)) == 2
-    assert flown() == {"ideal"}
+    assert set(attempts(out).values()) == {1} and len(attempts(out)) == 2 and flown() == {"ideal"}
     fly(make_plan(tmp_path, more.replace("0-1", "0-2")), out)
     assert flown() == {"ideal"}
     with pytest.raises(UsageError, match=r'profile of run .* was "ideal" and is now "harsh"'):
@@ -163,12 +159,9 @@ def test_a_campaign_of_a_version_before_profiles_is_resumed(tmp_path: Path) -> N
 def test_rows_with_missing_values_have_the_same_columns_and_types(undisturbed: Path) -> None:
     columns = dict(connect(undisturbed).execute("select column_name, column_type from "
                                                 "(describe runs)").fetchall())  # fmt: skip
-    assert columns["position_error_m.mean"] == "DOUBLE"
-    assert columns["landing.slope_deg"] == "DOUBLE"
-    assert columns["landing.site_xy_m"] == "DOUBLE[]"
-    assert columns["landing.safe"] == "BOOLEAN"
-    assert columns["seed"] == "BIGINT"
-    assert columns["versions.touchdown"] == "VARCHAR"
+    assert columns["position_error_m.mean"] == "DOUBLE" and columns["landing.slope_deg"] == "DOUBLE"
+    assert columns["landing.site_xy_m"] == "DOUBLE[]" and columns["landing.safe"] == "BOOLEAN"
+    assert columns["seed"] == "BIGINT" and columns["versions.touchdown"] == "VARCHAR"
     row = load_rows(undisturbed)[0]
     assert row["run_id"] == "flat-fake.is_lost-s0"
     assert (row["mode"], row["wind_kmh"], row["git_revision"]) == ("fly", 12.0, "abc")

@@ -42,8 +42,7 @@ set = { survey.height_m = 12.0, "log.scan_hz" = 1.0 }
     assert by_name["lake-oracle-s0"]["survey.height_m"] == 12.0
     assert by_name["lake-oracle-s0"]["log.scan_hz"] == 1.0
     for other in ("lake-livo-s0", "flat-oracle-s0"):
-        assert by_name[other]["survey.height_m"] == 25.0
-        assert "log.scan_hz" not in by_name[other]
+        assert by_name[other]["survey.height_m"] == 25.0 and "log.scan_hz" not in by_name[other]
         assert by_name[other]["log.camera_hz"] == 1.0
 
 
@@ -117,8 +116,7 @@ def test_a_scene_file_that_is_none_is_refused_before_the_first_flight(
 def test_shards_share_the_runs_among_them() -> None:
     names = [f"lake-livo-s{seed}" for seed in range(200)]
     parts = [{name for name in names if in_shard(name, (part, 3))} for part in (1, 2, 3)]
-    assert set.union(*parts) == set(names)
-    assert sum(map(len, parts)) == len(names)
+    assert set.union(*parts) == set(names) and sum(map(len, parts)) == len(names)
     assert min(map(len, parts)) > 40
 
 

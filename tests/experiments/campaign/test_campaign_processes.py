@@ -47,15 +47,13 @@ def test_a_worker_whose_copy_holds_its_pipes_is_known_to_be_dead(tmp_path: Path)
 def test_a_crash_leaves_no_process(tmp_path: Path) -> None:
     outcome, reason = flown(tmp_path, "starts_and_crashes")["starts_and_crashes"]
     assert (outcome, reason) == ("CRASHED", "the worker was ended by SIGSEGV")
-    assert len(started(tmp_path / "out")) == 3
-    assert not any(map(is_alive, started(tmp_path / "out")))
+    assert len(started(tmp_path / "out")) == 3 and not any(map(is_alive, started(tmp_path / "out")))
 
 
 def test_processes_of_a_run_are_gone_before_the_next(tmp_path: Path) -> None:
     found = flown(tmp_path, "leaves", "good")
     assert found == {"leaves": ("COMPLETED", ""), "good": ("COMPLETED", "")}
-    assert len(started(tmp_path / "out")) == 3
-    assert not any(map(is_alive, started(tmp_path / "out")))
+    assert len(started(tmp_path / "out")) == 3 and not any(map(is_alive, started(tmp_path / "out")))
     assert set(attempts(tmp_path / "out").values()) == {1}
 
 

@@ -46,8 +46,7 @@ def test_axes_may_grow_and_nothing_else_may_change(tmp_path: Path) -> None:
         fly(make_plan(tmp_path, TWO.replace("0-1", "0")), out)
     # A second wind lengthens the names of new runs only.
     grown = make_plan(tmp_path, TWO.replace("0-1", "0-2") + "wind_kmh = [12, 20]\n")
-    assert fly(grown, out)["finished"] == 6
-    assert attempts(out).most_common(1)[0][1] == 1
+    assert fly(grown, out)["finished"] == 6 and attempts(out).most_common(1)[0][1] == 1
     assert finished_ids(out) == {
         "flat-fake.good-s0", "flat-fake.good-s1", "flat-fake.good-s2-w12",
         *(f"flat-fake.good-s{seed}-w20" for seed in range(3)),

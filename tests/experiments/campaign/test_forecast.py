@@ -42,8 +42,7 @@ def test_a_campaign_is_not_flown(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert [(g["label"], g["flights"], g["measured"]) for g in found["groups"]] == [
         ("field, livo", 4, False), ("field, livo, fog@0", 4, False)
     ]  # fmt: skip
-    assert found["undemanded"] == ["fog@0"]
-    assert not out.exists()
+    assert found["undemanded"] == ["fog@0"] and not out.exists()
     assert dry_run(file, capsys, "--shard", "1/2")["flights"] < 8
     file.write_text(FILE % "117.0")  # 162 s of flight instead of 81
     assert dry_run(file, capsys, "--jobs", "1")["core_hours"] == pytest.approx(

@@ -140,8 +140,7 @@ def test_rendered_pictures_are_scored_by_scene(
     assert {name: row["pictures"] for name, row in by_scene.items()} == {
         "flat": 1, "lake": 2, "pools": 1, "scenes trained on": 3, "scenes never trained on": 1
     }  # fmt: skip
-    assert cli.main(arguments) == 0
-    assert "scenes never trained on" in capsys.readouterr().out
+    assert cli.main(arguments) == 0 and "scenes never trained on" in capsys.readouterr().out
 
 
 def test_classifying_by_command(

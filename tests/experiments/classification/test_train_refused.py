@@ -33,8 +33,7 @@ def test_no_folder_is_left_where_the_start_is_refused(
     line = _refused(
         capsys, "--data", data, "--out", str(out), "--start-from", str(tmp_path / "start")
     )
-    assert "best.pt" in line
-    assert not out.parent.exists()
+    assert "best.pt" in line and not out.parent.exists()
 
 
 def test_a_tensor_for_a_parameter_is_another_training(

@@ -134,11 +134,9 @@ def test_a_directory_without_write_permission_is_one_line(
     (tmp_path / "file").write_text("")
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", _flight(lambda _partial: None))
     code, _, err = _run(capsys, "fly", "flat", "--out", str(tmp_path / "file" / "run"), "--quiet")
-    assert (code, _one_line(err)) == (2, True)
-    assert "a part of that path is a file" in err
+    assert (code, _one_line(err)) == (2, True) and "a part of that path is a file" in err
     code, _, err = _run(capsys, "fly", "flat", "--out", str(tmp_path / ("n" * 300)), "--quiet")
-    assert (code, _one_line(err)) == (2, True)
-    assert "give a shorter name" in err
+    assert (code, _one_line(err)) == (2, True) and "give a shorter name" in err
 
 
 def test_a_file_is_complete_or_unchanged(tmp_path: Path) -> None:
@@ -157,8 +155,7 @@ def test_a_file_is_complete_or_unchanged(tmp_path: Path) -> None:
 
 def test_arguments_that_are_not_utf_8_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = _run(capsys, "scenes", "export", "flat", "--out", "a\udcff")
-    assert (code, _one_line(err)) == (2, True)
-    assert "'a\\udcff' is not UTF-8 text" in err
+    assert (code, _one_line(err)) == (2, True) and "'a\\udcff' is not UTF-8 text" in err
 
 
 def _command(*arguments: str, **changes: Any) -> subprocess.CompletedProcess[bytes]:

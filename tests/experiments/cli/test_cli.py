@@ -63,10 +63,8 @@ def test_invalid_input_is_one_line_and_nothing_is_written(
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     code, out, err = _run(capsys, *arguments)
-    assert code == 2
-    assert out == ""
-    assert err.startswith("touchdown: error: ")
-    assert err.count("\n") == 1
+    assert code == 2 and out == ""
+    assert err.startswith("touchdown: error: ") and err.count("\n") == 1
     for fragment in fragments:
         assert fragment in err
     assert list(tmp_path.iterdir()) == []
@@ -93,8 +91,7 @@ def test_an_out_directory_with_other_files_is_unchanged(
 ) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
     code, _, err = _run(capsys, "land", "crossroad", "--out", str(tmp_path))
-    assert code == 2
-    assert str(tmp_path) in err
+    assert code == 2 and str(tmp_path) in err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
@@ -126,12 +123,10 @@ def test_exit_code_follows_the_outcome(
 
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
     got, out, err = _run(capsys, "land", "crossroad", "--json")
-    assert got == code
-    assert json.loads(out)["outcome"] == result.outcome
+    assert got == code and json.loads(out)["outcome"] == result.outcome
     assert "TAKEOFF" in err
     got, out, err = _run(capsys, "land", "crossroad", "--quiet")
-    assert got == code
-    assert result.outcome in out
+    assert got == code and result.outcome in out
     assert err == ""
 
 
@@ -149,8 +144,7 @@ def test_a_sensor_log_is_not_replaced_by_a_run_without(
     run.mkdir(parents=True)
     (run / "sensors.mcap").write_bytes(b"precious")
     got, _, err = _run(capsys, "fly", "crossroad", "--quiet", *options)
-    assert got == code
-    assert err.count("\n") == (1 if code else 0)
+    assert got == code and err.count("\n") == (1 if code else 0)
     if code:
         assert "sensors.mcap" in err and "--out" in err and "--force" in err
     assert _run(capsys, "fly", "crossroad", "--quiet", "--out", "elsewhere")[0] == 0
@@ -203,8 +197,7 @@ def test_a_lost_estimate_lists_its_events(
     flown = [lost]
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", lambda *_args: flown[-1])
     code, out, _ = _run(capsys, "fly", "crossroad", "--quiet")
-    assert code == 1
-    assert "the last of 8 messages of livo:" in out
+    assert code == 1 and "the last of 8 messages of livo:" in out
     assert "  10.5 s  scan 7 refused [no returns]" in out and "scan 2 " not in out
     flown.append(_changed(lost, event_count=900))
     assert "the last of the first 8 of 900 messages" in _run(capsys, "fly", "crossroad")[1]

@@ -16,8 +16,7 @@ def test_precedence_is_file_then_set_then_option(tmp_path: Path) -> None:
     file = tmp_path / "a.toml"
     file.write_text("seed = 1\n[wind]\nmean_kmh = 1\nturbulence = false\n[survey]\nlegs = 2\n")
     config = load_config(file, ["wind.mean_kmh=2", "seed=2"], seed=3, wind_kmh=None)
-    assert (config.seed, config.wind.mean_kmh) == (3, 2.0)
-    assert not config.wind.turbulence
+    assert (config.seed, config.wind.mean_kmh) == (3, 2.0) and not config.wind.turbulence
     assert config.survey.legs == 2
 
 
@@ -26,10 +25,8 @@ def test_resolved_configuration_can_be_fed_back(tmp_path: Path) -> None:
     file = tmp_path / "config.json"
     file.write_text(dump_config(config))
     again = load_config(file)
-    assert again == config
-    assert again.bias.xy_m == (0.5, -0.25)
-    assert again.landing.site_xy_m == (1.5, -2.0)
-    assert dump_config(again) == dump_config(config)
+    assert again == config and again.bias.xy_m == (0.5, -0.25)
+    assert again.landing.site_xy_m == (1.5, -2.0) and dump_config(again) == dump_config(config)
 
 
 def test_values_of_set_are_toml_or_bare_words() -> None:

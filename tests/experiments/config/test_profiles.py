@@ -77,8 +77,7 @@ def test_a_run_of_a_version_before_profiles_stays_ideal(tmp_path: Path) -> None:
     file.write_text(json.dumps(old))
     ideal = Config(seed=3)
     assert load_config(file) == python_api.load_config(file) == ideal
-    assert replay_config(tmp_path) == ideal
-    assert replay_config(tmp_path, fresh=True) == ideal
+    assert replay_config(tmp_path) == ideal and replay_config(tmp_path, fresh=True) == ideal
     moved = load_config(file, profile="field")
     assert moved.wind.mean_kmh == KIND["wind.mean_kmh"]
     assert python_api.load_config(file, overrides={"profile": "field"}) == moved

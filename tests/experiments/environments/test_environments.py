@@ -142,8 +142,7 @@ def test_privileged_state_is_the_truth(lawn: str, make_task: MakeTask) -> None:
     rotation = state[6:15].reshape(3, 3)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
     assert state[2] == pytest.approx(state[18], abs=1e-3)  # level ground at the take-off height
-    assert np.abs(state[:2]).max() < 1.5
-    assert np.linalg.norm(first["gps"][:3] - state[:3]) < 4.0
+    assert np.abs(state[:2]).max() < 1.5 and np.linalg.norm(first["gps"][:3] - state[:3]) < 4.0
     assert first["camera"].shape == (24, 32, 3) and first["camera"].max() > 0
 
 
@@ -203,8 +202,7 @@ def test_failures_are_penalized(
         last = task.step(np.array(action))
         if last.terminated:
             break
-    assert last.info["outcome"] == outcome
-    assert last.reward == pytest.approx(-10.0, abs=0.5)
+    assert last.info["outcome"] == outcome and last.reward == pytest.approx(-10.0, abs=0.5)
 
 
 def test_time_limit_truncates(lawn: str, make_task: MakeTask) -> None:

@@ -136,8 +136,7 @@ def test_clouds_hold_what_lidar_odometry_reads(
 
 def test_imu_states_its_noise_and_no_orientation(messages: dict[str, list[Any]]) -> None:
     _, message = messages["/imu/data_raw"][7]
-    assert message.header.frame_id == "imu_link"
-    assert message.orientation_covariance[0] == -1.0
+    assert message.header.frame_id == "imu_link" and message.orientation_covariance[0] == -1.0
     # 200 samples a second: density squared times 200
     assert message.angular_velocity_covariance[0] == pytest.approx(2.44e-4**2 * 200.0)
     assert message.linear_acceleration_covariance[8] == pytest.approx(1.72e-3**2 * 200.0)
@@ -240,8 +239,7 @@ def test_raw_images_are_those_of_the_log(
     image = next(image for obs in stream for image in obs.images)
     for name, rgb in (("camera", image.rgb), ("camera_right", image.right_rgb)):
         _, message = found[f"/{name}/image_raw"][0]
-        assert rgb is not None
-        assert (message.height, message.width, message.step) == (240, 424, 1272)
+        assert rgb is not None and (message.height, message.width, message.step) == (240, 424, 1272)
         assert message.encoding == "rgb8" and message.data.tobytes() == rgb.tobytes()
 
 

@@ -104,8 +104,7 @@ def test_invalid_input_is_one_line_and_leaves_no_files(
     before = sorted(path for path in tmp_path.rglob("*"))
     names = {"run": run, "blind": blind, "broken": broken, "cut": cut, "tmp": tmp_path}
     code, printed, errors = _cli(capsys, "export", *[a.format(**names) for a in arguments])
-    assert code == 2 and printed == ""
-    assert errors.count("\n") == 1 and message in errors
+    assert code == 2 and printed == "" and errors.count("\n") == 1 and message in errors
     assert sorted(path for path in tmp_path.rglob("*")) == before
     assert (tmp_path / "note.txt").read_text() == "mine"
 

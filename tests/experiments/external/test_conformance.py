@@ -149,15 +149,13 @@ def test_each_bad_habit_is_reported_with_its_reason(
     spoil: Callable[[Any, Observation, Estimate], Any], rule: str, words: str
 ) -> None:
     violations = _check(spoil)
-    assert [violation.rule for violation in violations] == [rule]
-    assert words in violations[0].reason
+    assert [violation.rule for violation in violations] == [rule] and words in violations[0].reason
     assert rule in RULES
 
 
 def test_a_copy_that_it_forks_does_not_check_on() -> None:
     here = os.getpid()
-    assert _check(_forks) == []
-    assert os.getpid() == here
+    assert _check(_forks) == [] and os.getpid() == here
 
 
 def test_what_is_no_estimator_is_reported() -> None:
@@ -189,8 +187,7 @@ def test_messages_arrive_when_a_flight_s_would() -> None:
     assert [obs.tick for obs in stream if obs.scans] == [96, 156, 216, 276]
     assert [obs.images[0].tick for obs in stream if obs.images] == [60, 120, 180, 240]
     assert all(obs.imu[0].tick == obs.tick for obs in stream[1:])
-    assert [obs.tick for obs in stream if obs.gps] == [192]
-    assert stream[0].imu == ()
+    assert [obs.tick for obs in stream if obs.gps] == [192] and stream[0].imu == ()
 
 
 def test_messages_are_what_the_true_path_measures() -> None:

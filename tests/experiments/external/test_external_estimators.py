@@ -188,8 +188,7 @@ def test_a_command_ends_the_processes_that_it_starts(
     )
     module = lab(STILL + text + ending + "    return Still(params, rig)\n")
     cli.main(["check-estimator", f"{module}:build", "--seconds", "0.1"])
-    assert len(started(tmp_path)) >= 3
-    assert not any(map(is_alive, started(tmp_path)))
+    assert len(started(tmp_path)) >= 3 and not any(map(is_alive, started(tmp_path)))
 
 
 def test_a_copy_that_it_forks_does_not_fly_on(lab: Callable[..., str], tmp_path: Path) -> None:
@@ -362,5 +361,4 @@ def test_velocities_of_every_built_in_estimator_are_those_of_its_poses(name: str
 
 def test_a_right_update_passes_through_as_it_is(lab: Callable[..., str]) -> None:
     estimator = ExternalEstimator(f"{lab(STILL)}:build", {}, synthetic_rig())
-    assert estimator.needs == SensorNeeds()
-    assert isinstance(estimator.update(OBSERVATION), Estimate)
+    assert estimator.needs == SensorNeeds() and isinstance(estimator.update(OBSERVATION), Estimate)

@@ -52,8 +52,7 @@ def test_wind_vibration_brightness_and_latency() -> None:
     profile = math.log(12.2 / 0.1) / math.log(6.1 / 0.1)
     assert found.wind_at_6m_mps == pytest.approx(11.0 / profile)
     assert found.vibration_mps2 == pytest.approx(2.0 / math.sqrt(2.0))
-    assert found.image_grey == pytest.approx(80.0)
-    assert found.scan_latency_ms == pytest.approx(70.0)
+    assert found.image_grey == pytest.approx(80.0) and found.scan_latency_ms == pytest.approx(70.0)
     assert found.scan_latency_sigma_ms == pytest.approx(10.0)
     assert found.readout_shear_px == pytest.approx(rig.camera.fx * 0.02 * 0.5)
     assert found.mount_error_deg == pytest.approx(0.0, abs=1e-5) and found.lens_error_px == 0.0
@@ -67,8 +66,7 @@ def test_errors_of_the_calibration_as_applied() -> None:
     )
     camera = replace(true.camera, cx=true.camera.cx + 3.0, cy=true.camera.cy - 4.0)
     found = flown().measured(NOTHING, true, replace(true, body_from_lidar=turned, camera=camera))
-    assert found.mount_error_deg == pytest.approx(0.3)
-    assert found.lens_error_px == pytest.approx(5.0)
+    assert found.mount_error_deg == pytest.approx(0.3) and found.lens_error_px == pytest.approx(5.0)
 
 
 def test_effects_of_the_world() -> None:

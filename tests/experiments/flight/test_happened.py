@@ -83,8 +83,7 @@ def test_the_wind_must_have_blown_as_asked() -> None:
         "least": pytest.approx(23.4), "most": pytest.approx(48.6),
         "text": "wind of 36 km/h: 36.0 km/h at 6 m, 46.8 at the vehicle, gusts to 72.0",
     }  # fmt: skip
-    assert not judged(config, wind_at_6m_mps=3.3)["happened"]
-    assert not judged(config)["happened"]
+    assert not judged(config, wind_at_6m_mps=3.3)["happened"] and not judged(config)["happened"]
 
 
 @pytest.mark.parametrize("name", list(effects()))
@@ -92,8 +91,7 @@ def test_an_effect_of_nothing_did_not_happen(name: str) -> None:
     config = load_config(None, ["profile=field", f"harsh_effects=['{name}']"])
     rule = EFFECT_RULES[name]
     least = rule.least(config)
-    assert least > 0.0
-    assert not judged(config)["happened"]
+    assert least > 0.0 and not judged(config)["happened"]
     assert not judged(config, **{rule.column: 0.99 * least})["happened"]
     assert judged(config, **{rule.column: 1.01 * least})["happened"]
 

@@ -65,8 +65,7 @@ def test_touchdown_window_keeps_only_the_last_half_second() -> None:
     assert summary.horizontal_speed_mps == pytest.approx(0.05)
     assert summary.vertical_accel_mps2 == pytest.approx(0.1)
     assert summary.bounce_m == pytest.approx(0.03)
-    assert summary.impact_peak_mps2 == pytest.approx(3.1)
-    assert window.contact_xy is not None
+    assert summary.impact_peak_mps2 == pytest.approx(3.1) and window.contact_xy is not None
     np.testing.assert_array_equal(window.contact_xy, [4.0, 5.0])
 
 
@@ -136,8 +135,7 @@ def test_nees_of_known_errors() -> None:
         0.5
     )
     assert summary.median == pytest.approx(9.0, rel=0.05)
-    assert summary.below_14_2 == pytest.approx(2.0 / 3.0)
-    assert summary.samples == 3
+    assert summary.below_14_2 == pytest.approx(2.0 / 3.0) and summary.samples == 3
 
 
 def test_nees_of_a_consistent_estimator_is_chi_square() -> None:

@@ -80,10 +80,8 @@ def test_a_safe_landing() -> None:
     ]
     assert landed == [None, None, Outcome.LANDED]
     result = referee.result(Outcome.LANDED)
-    assert ended == [True]
-    assert result.survey_s == pytest.approx(36.0)
-    assert result.landing.target_offset_m == pytest.approx(0.1)
-    assert result.landing.safe is True
+    assert ended == [True] and result.survey_s == pytest.approx(36.0)
+    assert result.landing.target_offset_m == pytest.approx(0.1) and result.landing.safe is True
     # Two samples between lift-off and the survey's end: exact at 1 s, 0.1 m off at 10 s.
     assert result.position_error.mean == pytest.approx(0.05)
 
@@ -160,10 +158,8 @@ def test_what_follows_the_first_contact_is_in_the_result() -> None:
         )  # fmt: skip
     landing = referee.result(Outcome.LANDED).landing
     assert landing.bounce_m == pytest.approx(0.02)
-    assert landing.impact_peak_mps2 == pytest.approx(4.5)
-    assert landing.tilt_deg == pytest.approx(3.0)
-    assert landing.touchdown_xy_m == (5.0, 6.0)
-    assert landing.touchdown_time_s == pytest.approx(61.0)
+    assert landing.impact_peak_mps2 == pytest.approx(4.5) and landing.tilt_deg == pytest.approx(3.0)
+    assert landing.touchdown_xy_m == (5.0, 6.0) and landing.touchdown_time_s == pytest.approx(61.0)
 
 
 @pytest.mark.parametrize(("gaps", "largest", "agrees", "reason"), [
@@ -223,8 +219,7 @@ def test_rotors_and_moving_things_must_not_be_touched(contact: Contact) -> None:
     referee = make_referee()
     fly_to_descent(referee)
     outcome = judge(referee, 61.0, [5, 6, 1.0], Phase.DESCEND, contacts=(contact,))
-    assert outcome is Outcome.COLLIDED
-    assert contact.other in referee.result(Outcome.COLLIDED).reason
+    assert outcome is Outcome.COLLIDED and contact.other in referee.result(Outcome.COLLIDED).reason
 
 
 def test_touching_anything_during_the_survey_is_a_collision() -> None:

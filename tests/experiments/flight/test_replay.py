@@ -71,8 +71,7 @@ def test_replays_are_equal_to_the_byte(run: Path, tmp_path: Path) -> None:
     assert len({(tmp_path / n / "estimate.tum").read_bytes() for n in ("one", "two")}) == 1
     for result in results:
         result.pop("timing")
-    assert results[0] == results[1]
-    assert results[0]["position_error_m"]["mean"] < 0.02
+    assert results[0] == results[1] and results[0]["position_error_m"]["mean"] < 0.02
     assert results[0]["outcome"] == "COMPLETED" and results[0]["nees"]["samples"] > 0
     assert (tmp_path / "one" / "truth.tum").read_bytes() == (run / "truth.tum").read_bytes()
 
@@ -104,8 +103,7 @@ def test_errors_are_those_of_the_true_path_from_lift_off_on(
     assert result["judged_hz"] == pytest.approx(50.0)
     assert (result["replay_of"], result["flown_by"]) == (str(run), "livo")
     times_out, positions, _ = read_tum(tmp_path / "out" / "estimate.tum")
-    assert np.array_equal(times_out, times)
-    assert np.ptp(positions, axis=0).max() == 0.0
+    assert np.array_equal(times_out, times) and np.ptp(positions, axis=0).max() == 0.0
 
 
 def test_who_is_lost_has_failed(
@@ -116,8 +114,7 @@ def test_who_is_lost_has_failed(
         capsys, "fly", "--replay", run, "--estimator", name, "--out", tmp_path / "far", "--json",
         "--quiet",
     )  # fmt: skip
-    assert code == 1
-    assert json.loads(out)["outcome"] == "DIVERGED"
+    assert code == 1 and json.loads(out)["outcome"] == "DIVERGED"
 
 
 def test_lift_off_is_found_where_a_run_does_not_state_it(tmp_path: Path) -> None:
@@ -125,8 +122,7 @@ def test_lift_off_is_found_where_a_run_does_not_state_it(tmp_path: Path) -> None
     before = logged.truth[round((logged.from_s - 0.02) * 600)].translation[2]
     there = logged.truth[round(logged.from_s * 600)].translation[2]
     start = logged.truth[0].translation[2]
-    assert before <= start + 0.1 < there
-    assert logged.to_s == np.inf
+    assert before <= start + 0.1 < there and logged.to_s == np.inf
 
 
 def test_an_estimator_sees_what_its_own_flight_would_show(tmp_path: Path) -> None:
@@ -168,8 +164,7 @@ def test_refusals_are_one_line(
 ) -> None:
     out = tmp_path / "out"
     code, printed, err = _cli(capsys, "fly", "--replay", run, "--out", out, *arguments)
-    assert (code, printed, err.count("\n")) == (2, "", 1)
-    assert words in err
+    assert (code, printed, err.count("\n")) == (2, "", 1) and words in err
     assert not out.exists() and list(tmp_path.iterdir()) == []
 
 

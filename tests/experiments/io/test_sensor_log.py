@@ -71,8 +71,7 @@ def test_observations_are_read_back_bit_equal_repeatedly(
 
 def test_rig_and_needs_are_read_back(log: Path) -> None:
     reader = SensorLogReader(log)
-    assert same(reader.rig, synthetic_rig())
-    assert reader.sensed == ALL
+    assert same(reader.rig, synthetic_rig()) and reader.sensed == ALL
     assert reader.shared == SensorNeeds(lidar=True)
 
 

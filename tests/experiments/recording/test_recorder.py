@@ -118,11 +118,9 @@ def test_map_points_lie_at_cell_centres_and_grey_stands_for_no_image() -> None:
 
 def test_tiles_come_again_only_after_growth() -> None:
     grid, tiles = _grid(), MapTiles()
-    assert len(list(tiles.changed(grid))) == 1
-    assert list(tiles.changed(grid)) == []
+    assert len(list(tiles.changed(grid))) == 1 and list(tiles.changed(grid)) == []
     grid.count[:80, :80] *= 1.1
-    assert list(tiles.changed(grid)) == []
-    assert len(list(tiles.changed(grid, everything=True))) == 1
+    assert list(tiles.changed(grid)) == [] and len(list(tiles.changed(grid, everything=True))) == 1
     grid.count[100:140, 100:140] = 1.0
     assert list(tiles.changed(grid)) == [(slice(80, 160), slice(80, 160))]
 
@@ -232,8 +230,7 @@ def test_run_directory_holds_all_files(tmp_path: Path, scene: Scene, rig: Sensor
     np.testing.assert_allclose(estimate - truth, [[0.1, 0.0, 0.0]] * 100, atol=1e-9)
     assert (tmp_path / "flight.rrd").read_bytes()[:3] == b"RRF"
     header, _, body = (tmp_path / "map.ply").read_bytes().partition(b"end_header\n")
-    assert b"element vertex 6400" in header
-    assert len(body) == 6400 * 15
+    assert b"element vertex 6400" in header and len(body) == 6400 * 15
     image = cv2.imread(str(tmp_path / "costmap.png"))
     assert image.shape[1] > image.shape[0]
 

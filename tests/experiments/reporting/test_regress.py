@@ -70,8 +70,7 @@ def test_short_flights_are_never_compared_with_whole_ones() -> None:
 def test_the_same_flights_are_no_regression() -> None:
     rows = campaign(np.random.default_rng(0), range(10))
     found = against(rows, rows)
-    assert not found.regressed
-    assert len(found.cells) == 30
+    assert not found.regressed and len(found.cells) == 30
     assert {cell.ratio for cell in found.cells} == {1.0}
     assert {cell.p_adjusted for cell in found.cells} == {1.0}
     assert found.missing == found.added == found.newly_bad == found.warnings == []
@@ -87,8 +86,7 @@ def test_thirty_percent_on_equal_seeds_are_found_and_named() -> None:
     named = [cell for cell in found.cells if cell.worse]
     assert found.regressed
     assert [(c.scene, c.method) for c in named] == [("lake", "livo"), ("all scenes", "livo")]
-    assert named[0].ratio == pytest.approx(1.3)
-    assert named[0].p == 1 / 1024
+    assert named[0].ratio == pytest.approx(1.3) and named[0].p == 1 / 1024
     assert 24 / 1024 <= named[0].p_adjusted <= 30 / 1024
     assert verdict_sentences(found)[0].startswith("WORSE  lake, livo: position error ")
     assert "1.3 times" in verdict_sentences(found)[0]
@@ -108,8 +106,7 @@ def test_thirty_percent_with_noise_in_every_scene_are_found_over_all_scenes() ->
     )
     found = against(worse, rows)
     named = {(cell.scene, cell.method) for cell in found.cells if cell.worse}
-    assert ("all scenes", "livo") in named
-    assert {method for _, method in named} == {"livo"}
+    assert ("all scenes", "livo") in named and {method for _, method in named} == {"livo"}
     assert len(named) < 5, "ten pairs do not show it everywhere"
 
 
@@ -147,8 +144,7 @@ def test_lost_flights_count() -> None:
         for row in rows
     ]
     found = against(lost, rows)
-    assert found.regressed
-    assert [o.name for o in found.outcomes if o.worse] == ["all scenes, gps"]
+    assert found.regressed and [o.name for o in found.outcomes if o.worse] == ["all scenes, gps"]
     assert len(found.newly_bad) == 20
     assert found.newly_bad[0] == "crossroad, gps, seed 0: COMPLETED before, DIVERGED now"
     one = [row | {"outcome": "DIVERGED"} if row is rows[7] else row for row in rows]

@@ -27,8 +27,7 @@ def test_many_pairs_agree_with_the_normal_limit() -> None:
 
 def test_holm_by_hand() -> None:
     assert statistics.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    assert statistics.holm([0.5, 0.9]) == [1.0, 1.0]
-    assert statistics.holm([]) == []
+    assert statistics.holm([0.5, 0.9]) == [1.0, 1.0] and statistics.holm([]) == []
 
 
 def test_fisher_by_hand() -> None:
@@ -50,15 +49,13 @@ def test_pooled_variance_is_that_of_all_samples_together() -> None:
         flights.mean(axis=1).tolist(), flights.var(axis=1).tolist()
     )
     assert found is not None and found.value == pytest.approx(flights.var())
-    assert found.low is not None and found.high is not None
-    assert found.low < found.value < found.high
+    assert found.low is not None and found.high is not None and found.low < found.value < found.high
 
 
 def test_one_flight_has_no_interval() -> None:
     found = statistics.mean_interval([0.3])
     assert found is not None and (found.value, found.low, found.high) == (0.3, None, None)
-    assert statistics.mean_interval([]) is None
-    assert not found.excludes(5.0)
+    assert statistics.mean_interval([]) is None and not found.excludes(5.0)
 
 
 @pytest.mark.parametrize(("flights", "least"), [(5, 0.89), (10, 0.93), (20, 0.94)])
@@ -78,8 +75,7 @@ def test_detectable_effect_of_ten_pairs_by_hand() -> None:
     effect = statistics.detectable_paired(10, 0.04 / 24)
     assert effect == pytest.approx(norm.ppf(0.8**0.1), abs=0.06)
     assert statistics.detectable_paired(9, 0.04 / 24) is None
-    assert statistics.fewest_pairs(0.04 / 24) == 10
-    assert statistics.detectable_paired(1, 0.5) is None
+    assert statistics.fewest_pairs(0.04 / 24) == 10 and statistics.detectable_paired(1, 0.5) is None
     assert statistics.detectable_unpaired(3, 3, 0.04) is None, (
         "one of 20 shuffles is no less than 0.05"
     )

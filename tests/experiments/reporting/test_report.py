@@ -38,12 +38,10 @@ def test_runs_are_found_sorted_and_summed_up(tmp_path: Path) -> None:
     runs = load_runs(tmp_path)
     assert [(name, run.seed) for name, run in runs.items()] == [("a/deep", 1), ("b", 2), ("c", 3)]
     totals = summary(runs, tmp_path)
-    assert totals["outcomes"] == {"LANDED": 2, "NO_SITE": 1}
-    assert totals["unsafe_touchdowns"] == 1
+    assert totals["outcomes"] == {"LANDED": 2, "NO_SITE": 1} and totals["unsafe_touchdowns"] == 1
     assert totals["means"]["livo"]["position_error_m.mean"] == pytest.approx(0.2)
     table = markdown_table(runs, LANDING_COLUMNS).splitlines()
-    assert len(table) == 5
-    assert "| crossroad | livo | 3 | NO_SITE | 0.300 | – |" in table[4]
+    assert len(table) == 5 and "| crossroad | livo | 3 | NO_SITE | 0.300 | – |" in table[4]
     assert "tilt" not in table[0]
 
 

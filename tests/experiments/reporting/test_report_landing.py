@@ -79,8 +79,7 @@ def test_table_5_has_every_method_of_the_paper(rows: list[dict[str, Any]]) -> No
 
 def test_numbers_of_table_5_have_intervals(rows: list[dict[str, Any]]) -> None:
     offset = table(rows, "landing").numbers["gps"]["crossroad"]["landing.target_offset_m"]
-    assert offset["value"] == pytest.approx(1.0)
-    assert offset["low"] < 1.0 < offset["high"]
+    assert offset["value"] == pytest.approx(1.0) and offset["low"] < 1.0 < offset["high"]
 
 
 def test_how_landings_went_counts_unsafe_ones_and_finds_extremes(
@@ -119,12 +118,10 @@ def test_offsets_are_from_the_commanded_spot(rows: list[dict[str, Any]]) -> None
 
 def test_fig_12_shows_what_landed_and_enlarges_the_nearest(rows: list[dict[str, Any]]) -> None:
     (picture,) = landing_pictures(rows)
-    assert picture.name == "fig12"
-    assert "the commanded spot" in picture.title
+    assert picture.name == "fig12" and "the commanded spot" in picture.title
     assert "3 with `livo`, 3 with `gps`" in picture.caption
     assert "the nearest, enlarged" in picture.svg
     alone = [row for row in rows if row["estimator"] == "gps"]
     assert "enlarged" not in landing_pictures(alone)[0].svg
     (chosen,) = landing_pictures([row | {"landing.commanded_xy_m": None} for row in alone])
-    assert "committed at 4 m" in chosen.title
-    assert landing_pictures([]) == []
+    assert "committed at 4 m" in chosen.title and landing_pictures([]) == []

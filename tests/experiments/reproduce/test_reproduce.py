@@ -82,8 +82,7 @@ def test_an_interrupted_reproduction_resumes(world: World, tmp_path: Path) -> No
     assert run_quick(tmp_path).successful and not of_one_killed.exists()
     assert world.count("calibration") == world.count("pictures") == 1
     # Once in each of two campaigns, and the one that was interrupted once more.
-    assert world.count("crossroad-hybrid_flow-s0") == 3
-    assert world.count("crossroad-gps-s0") == 2
+    assert world.count("crossroad-hybrid_flow-s0") == 3 and world.count("crossroad-gps-s0") == 2
 
 
 @pytest.mark.usefixtures("no_report")
@@ -124,8 +123,7 @@ def test_a_part_that_fails_its_purpose_is_reported(
 def test_a_part_that_breaks_leaves_the_others(world: World, tmp_path: Path) -> None:
     world.broken = "speed"
     done = run_quick(tmp_path, skip=["recognition", *CAMPAIGNS])
-    assert not done.successful
-    assert done.states["speed"].error == "RuntimeError: a wing came off"
+    assert not done.successful and done.states["speed"].error == "RuntimeError: a wing came off"
     assert "Traceback" in (tmp_path / "speed" / "error.txt").read_text()
     assert done.states["sites"].successful
     assert "ended with an error" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")

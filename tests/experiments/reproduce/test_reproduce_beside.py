@@ -57,8 +57,7 @@ def test_work_beside_has_its_own_process_and_one_slot(tmp_path: Path) -> None:
         assert not slots.acquire(blocking=False), "one is ours, one the work's"
         beside.wait()
         assert slots.acquire(timeout=60.0), "it is given back"
-    assert notes == ["threads: 1"]
-    assert int((tmp_path / "pid").read_text()) != os.getpid()
+    assert notes == ["threads: 1"] and int((tmp_path / "pid").read_text()) != os.getpid()
 
 
 @pytest.mark.parametrize(

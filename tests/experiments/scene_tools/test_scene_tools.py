@@ -68,8 +68,7 @@ def test_from_above_north_is_up_and_east_is_right(place: Scene) -> None:
     image = render_scene(place, "above", 400)
     assert image.shape == (400, 400, 3)
     assert before == (place.model.vis.map.zfar, place.model.vis.global_.offwidth)
-    assert pixel(image, 0.0, 10.0).argmax() == 0
-    assert pixel(image, 0.0, -10.0).argmax() == 1
+    assert pixel(image, 0.0, 10.0).argmax() == 0 and pixel(image, 0.0, -10.0).argmax() == 1
     assert pixel(image, 10.0, -10.0).argmax() == 2
     with pytest.raises(ValueError, match="above, oblique"):
         render_scene(place, "below")
@@ -88,8 +87,7 @@ def test_hover_sees_true_depth_and_true_points(place: Scene, hover: HoverView) -
     lawn = (np.abs(y) < 5.0) & (np.abs(x) < 4.0)
     assert abs(z[lawn].mean()) < 0.005 and z[lawn].std() < 0.05
     on_slab = (np.abs(y - 10.0) < 2.5) & (np.abs(x) < 3.5)
-    assert on_slab.sum() > 100
-    assert z[on_slab].mean() == pytest.approx(0.5, abs=0.01)
+    assert on_slab.sum() > 100 and z[on_slab].mean() == pytest.approx(0.5, abs=0.01)
 
 
 def test_maps_show_class_height_and_safe_ground(views: SceneViews) -> None:
@@ -97,8 +95,7 @@ def test_maps_show_class_height_and_safe_ground(views: SceneViews) -> None:
         return bool(np.abs(colour - np.array(CLASS_RGB[name])).max() < 12)
 
     classes = views.draw("class")[:-LEGEND_ROWS]
-    assert near(pixel(classes, -10.0, -10.0), "lawn")
-    assert near(pixel(classes, 0.0, 10.0), "road")
+    assert near(pixel(classes, -10.0, -10.0), "lawn") and near(pixel(classes, 0.0, 10.0), "road")
     assert near(pixel(classes, 10.0, -10.0), "water")
     safe = views.draw("safe")[:-LEGEND_ROWS]
     assert pixel(safe, -10.0, -10.0).argmax() == 1  # lawn: green
@@ -117,8 +114,7 @@ def test_all_views_of_a_file_are_written_and_listed(
     code = cli.main(
         ["scenes", "render", str(place_file), "--all-views", "--out", str(out), "--json"]
     )
-    assert code == 0
-    assert json.loads(capsys.readouterr().out) == {"directory": str(out)}
+    assert code == 0 and json.loads(capsys.readouterr().out) == {"directory": str(out)}
     assert {path.stem for path in out.iterdir()} == set(VIEWS)
     assert cv2.imread(str(out / "camera.png")).shape == (480, 848, 3)
 
@@ -126,8 +122,7 @@ def test_all_views_of_a_file_are_written_and_listed(
 def test_survey_facts_of_known_ground(place: Scene) -> None:
     facts = survey_facts(place, 8.0, 0.0, 2.0, 4.0)
     assert facts.seen_m2 == pytest.approx(12.0 * 8.0, rel=0.02)
-    assert facts.safe_share == facts.safe_geometry_share == 1.0
-    assert facts.safe_sites == 1
+    assert facts.safe_share == facts.safe_geometry_share == 1.0 and facts.safe_sites == 1
     assert facts.takeoff_safe
     # Legs towards the slab in the north, to the left of the heading: 48 m^2 of road are no safe
     # class; within 1.5 m of its step there is no safe geometry.
@@ -193,8 +188,7 @@ def test_the_check_of_a_file_is_a_table_and_an_exit_code(
         warnings.simplefilter("error")  # the heap was reported already
         assert cli.main(["scenes", "check", place, *short]) == 0
     shown = capsys.readouterr().out
-    assert "lawn (lawn)" in shown and "heap" in shown
-    assert "remark: there is ground under" in shown
+    assert "lawn (lawn)" in shown and "heap" in shown and "remark: there is ground under" in shown
     assert cli.main(["scenes", "check", "crosroad"]) == 2
 
 

@@ -37,8 +37,7 @@ def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
     assert 70 <= count <= 130, "a quarter, four deviations of a binomial count to either side"
     some = changed[changed > 0.0]
     assert float(some.max()) < 0.5, "a line is at most a quarter as wide as its period, and an edge"
-    assert float(some.mean()) > 0.01
-    assert float(painted.min()) >= 0.0 and float(painted.max()) <= 1.0
+    assert float(some.mean()) > 0.01 and float(painted.min()) >= 0.0 and float(painted.max()) <= 1.0
     assert torch.equal(marked(plain, torch.Generator().manual_seed(5), 0.0), plain)
     without, none = (
         augmented(plain[:4], torch.Generator().manual_seed(7), 1.0, *markings)

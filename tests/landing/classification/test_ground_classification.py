@@ -143,8 +143,7 @@ def test_refused_sites_are_not_classified() -> None:
 ])  # fmt: skip
 def test_uncertain_predictions_are_refused(classifier: ByColour, words: str) -> None:
     (site,) = _check(classifier).judge(_sites((9, 0)), FLAT)
-    assert not site.accepted and words in site.reason
-    assert site.class_predicted == "lawn"
+    assert not site.accepted and words in site.reason and site.class_predicted == "lawn"
 
 
 def test_configuration_overrides_the_limit() -> None:
@@ -280,8 +279,7 @@ def test_in_the_dark_the_class_is_left_to_the_second_look() -> None:
         check = SiteClassCheck(ByColour(), rig, LandingParams(second_look=second_look))
         check.update(make_obs(600, images=(night,)), make_estimate(600, pose))
         (judged,) = check.judge(_sites((-9, 0)), FLAT)
-        assert judged.accepted is second_look
-        assert judged.class_predicted is None
+        assert judged.accepted is second_look and judged.class_predicted is None
         assert ("too dark" in judged.reason) is second_look
     assert check.refusal(None, False) is not None  # and from close by it must be seen
 
@@ -380,8 +378,7 @@ def test_landings_judged_by_class() -> None:
     from touchdown.experiments.flight.run import class_counts
     from touchdown.experiments.io.results import Landing, is_success
 
-    assert class_counts(LandingParams())
-    assert class_counts(LandingParams(site_xy_m=(1.0, 2.0)))
+    assert class_counts(LandingParams()) and class_counts(LandingParams(site_xy_m=(1.0, 2.0)))
     for changes in (
         {"allow_risky": True},
         {"allowed_classes": ("lawn", "road")},

@@ -41,8 +41,7 @@ def test_statistics_of_the_norms_arrive_within_a_short_training(name: str) -> No
         network = build_network(name, 7, 96).eval()
         assert network(torch.zeros(2, 3, 96, 96)).shape == (2, 7)  # small pictures go through
     norms = [part for part in network.modules() if isinstance(part, torch.nn.BatchNorm2d)]
-    assert all(norm.momentum == 0.1 for norm in norms)
-    assert bool(norms) == (name != "vgg19")
+    assert all(norm.momentum == 0.1 for norm in norms) and bool(norms) == (name != "vgg19")
 
 
 @pytest.mark.parametrize(("name", "size", "message"), [

@@ -153,8 +153,7 @@ def test_images_of_a_dark_night_show_nothing() -> None:
     assert survey_images.dark and len(survey_images) == 0
     assert survey_images.patch(np.zeros(3), 6.4, 32) is None
     see(_dim_grass, 2.0)
-    assert not survey_images.dark
-    assert survey_images.patch(np.zeros(3), 6.4, 32) is not None
+    assert not survey_images.dark and survey_images.patch(np.zeros(3), 6.4, 32) is not None
     see(lambda x, y: np.zeros((*x.shape, 3)), 3.0)
     assert survey_images.dark
 

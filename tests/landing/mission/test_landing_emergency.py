@@ -31,16 +31,14 @@ def test_emergency_lands_in_time_on_the_least_bad_site() -> None:
     lander = make_lander(emergency="battery")
     began, view = fly_timed(Puppet(lander, steep, ground=-3.0))
     assert began[Phase.DONE] - began[Phase.SELECT] <= PARAMS.emergency_s
-    assert "the least bad" in view.candidates[0].reason
-    assert Phase.RETURN not in began
+    assert "the least bad" in view.candidates[0].reason and Phase.RETURN not in began
     assert not view.no_site
 
 
 def test_emergency_without_a_map_descends_in_place() -> None:
     void = make_grid(np.full((280, 280), np.nan), origin=ORIGIN)
     began, view = fly_timed(Puppet(make_lander(emergency="battery"), void))
-    assert Phase.RETURN not in began
-    assert view.no_site
+    assert Phase.RETURN not in began and view.no_site
     assert began[Phase.DONE] - began[Phase.SELECT] <= PARAMS.emergency_s
 
 
@@ -54,8 +52,7 @@ def test_search_leg_only_where_the_battery_suffices_for_it_and_the_way_home(
     puppet = Puppet(make_lander(emergency_s=5.0), rubble)
     puppet.battery = battery
     phases, view = fly(puppet)
-    assert phases.count(Phase.SURVEY) == legs
-    assert view.no_site
+    assert phases.count(Phase.SURVEY) == legs and view.no_site
 
 
 class Lost(Puppet):
@@ -85,8 +82,7 @@ def test_short_unhealthy_period_holds_and_resumes() -> None:
             break
     assert np.ptp(np.array(held), axis=0) == pytest.approx(0.0, abs=1e-9)
     assert max(jumps) < 0.3  # the fastest leg covers 0.2 m in a step
-    assert not view.aborted
-    assert view.committed_site_world is not None
+    assert not view.aborted and view.committed_site_world is not None
 
 
 def test_long_unhealthy_period_aborts_and_descends_in_place() -> None:
@@ -94,8 +90,7 @@ def test_long_unhealthy_period_aborts_and_descends_in_place() -> None:
     phases, view = fly(puppet)
     assert view.aborted
     assert "unhealthy" in view.note or phases[-1] is Phase.DONE
-    assert phases[-1] is Phase.DONE
-    assert Phase.SELECT not in phases
+    assert phases[-1] is Phase.DONE and Phase.SELECT not in phases
     assert puppet.position[:2] == pytest.approx(view.committed_site_world[:2], abs=0.01)
 
 

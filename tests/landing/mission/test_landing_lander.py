@@ -21,10 +21,8 @@ def test_phases_follow_each_other_to_a_landing_on_the_committed_site() -> None:
         Phase.TOUCHDOWN, Phase.DONE,
     ]  # fmt: skip
     assert puppet.position[:2] == pytest.approx(view.committed_site_world[:2], abs=0.01)
-    assert view.committed_site_world[2] == pytest.approx(0.0, abs=0.02)
-    assert not view.no_site
-    assert not view.aborted
-    assert not puppet.setpoint.motors_on
+    assert view.committed_site_world[2] == pytest.approx(0.0, abs=0.02) and not view.no_site
+    assert not view.aborted and not puppet.setpoint.motors_on
 
 
 def test_references_never_jump_and_meet_the_ground_slowly() -> None:
@@ -41,8 +39,7 @@ def test_references_never_jump_and_meet_the_ground_slowly() -> None:
         last = setpoint.position_odom
         if view.phase is Phase.DONE:
             break
-    assert 0.05 < fastest_near_ground <= 0.2
-    assert len(commits) == 1
+    assert 0.05 < fastest_near_ground <= 0.2 and len(commits) == 1
 
 
 def test_survey_only_is_done_after_the_survey_and_keeps_flying() -> None:
@@ -61,8 +58,7 @@ def test_no_site_searches_another_leg_then_returns_home() -> None:
         Phase.SELECT, Phase.SURVEY, Phase.SELECT, Phase.RETURN, Phase.DESCEND, Phase.TOUCHDOWN,
         Phase.DONE,
     ]  # fmt: skip
-    assert view.no_site
-    assert not view.aborted
+    assert view.no_site and not view.aborted
     assert puppet.position[:2] == pytest.approx([0.0, 0.0], abs=0.02)
     first, second = view.decisions
     assert first.time_s < second.time_s and second.candidates == view.candidates
@@ -72,8 +68,7 @@ def test_no_site_searches_another_leg_then_returns_home() -> None:
 def test_commanded_site_is_flown_to() -> None:
     puppet = Puppet(make_lander(site_xy_m=(7.0, 5.0)), flat_map())
     phases, view = fly(puppet)
-    assert phases[-1] is Phase.DONE
-    assert Phase.RETURN not in phases
+    assert phases[-1] is Phase.DONE and Phase.RETURN not in phases
     assert puppet.position[:2] == pytest.approx([7.0, 5.0], abs=0.01)
     assert view.committed_site_world == pytest.approx([7.0, 5.0, 0.0], abs=0.02)
 
@@ -83,10 +78,8 @@ def test_unsuitable_commanded_site_is_refused_with_its_reason() -> None:
     height[120:130, 132:140] = 0.8  # a box at x 6.4..8, y 4..6
     puppet = Puppet(make_lander(site_xy_m=(7.0, 5.0)), make_grid(height, origin=ORIGIN))
     phases, view = fly(puppet)
-    assert view.aborted
-    assert Phase.RETURN in phases
-    assert Phase.APPROACH not in phases
-    assert "refused" in view.candidates[0].reason
+    assert view.aborted and Phase.RETURN in phases
+    assert Phase.APPROACH not in phases and "refused" in view.candidates[0].reason
     (decision,) = view.decisions
     assert decision.why == f"No site: the only candidate is {view.candidates[0].reason}"
     assert decision.positions_world[0, :2] == pytest.approx([7.0, 5.0])
@@ -98,8 +91,7 @@ def test_commanded_site_is_accepted_unchecked_without_check_site() -> None:
     height[120:130, 132:140] = 0.8
     lander = make_lander(site_xy_m=(7.0, 5.0), check_site=False)
     phases, view = fly(Puppet(lander, make_grid(height, origin=ORIGIN)))
-    assert not view.aborted
-    assert Phase.RETURN not in phases
+    assert not view.aborted and Phase.RETURN not in phases
     assert view.candidates[0].reason.startswith("accepted unchecked; by the map: refused")
     assert view.candidates[0].rule == "commanded_unchecked"
     assert view.committed_site_world[:2] == pytest.approx([7.0, 5.0])
@@ -139,5 +131,4 @@ def test_site_that_fails_the_look_at_10_m_is_refused() -> None:
     tried = np.array([decision.positions_world[0, :2] for decision in view.decisions])
     apart = np.linalg.norm(tried[:, None] - tried, axis=2)[~np.eye(len(tried), dtype=bool)]
     assert apart.min() > 2.5  # refused_radius_m, less the map's cells
-    assert view.no_site
-    assert phases[-1] is Phase.DONE
+    assert view.no_site and phases[-1] is Phase.DONE

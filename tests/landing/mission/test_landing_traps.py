@@ -48,8 +48,7 @@ def allowed_share(place: Surveyed, x0: float, x1: float, y0: float, y1: float) -
 
 def test_open_lawn_is_taken(garden: Surveyed) -> None:
     site = garden.selection.candidates[0]
-    assert site.accepted
-    assert site.safe_probability > 0.99
+    assert site.accepted and site.safe_probability > 0.99
     assert allowed_share(garden, 12.5, 15.5, -4.0, 1.0) > 0.95
 
 
@@ -69,8 +68,7 @@ def test_roof_is_taken_in_the_middle_but_not_at_its_edge(garden: Surveyed) -> No
 def test_slope_of_12_degrees_is_too_steep(garden: Surveyed) -> None:
     assert allowed_share(garden, 19.0, 27.0, -14.0, -6.0) == 0.0
     site, _ = check_site(garden.map_view, garden.estimate, PARAMS, np.array([23.0, -10.0]))
-    assert site.slope_deg == pytest.approx(12.0, abs=0.5)
-    assert not site.accepted
+    assert site.slope_deg == pytest.approx(12.0, abs=0.5) and not site.accepted
 
 
 def test_hole_in_the_map_is_unknown_not_flat(garden: Surveyed) -> None:
@@ -87,8 +85,7 @@ def test_rubble_everywhere_offers_no_site(tmp_path: Path) -> None:
         if np.hypot(x + 0.25, y + 0.25) > 1.0  # the vehicle stands in the middle
     ]
     place = survey(write(tmp_path, "rubble", LAWN + "".join(stones)))
-    assert not place.selection.allowed.any()
-    assert place.selection.candidates
+    assert not place.selection.allowed.any() and place.selection.candidates
     assert all(site.reason.startswith("refused") for site in place.selection.candidates)
 
 

@@ -183,8 +183,7 @@ def test_final_descent_follows_the_ground_slowly_and_not_near_it() -> None:
     assert stage.mission.final
     assert speed.min() == pytest.approx(-LandingParams().final_speed_mps, abs=1e-3)
     added = np.diff(path[:, 2]) / STEP_S - 0.5 * (speed[1:] + speed[:-1])
-    assert np.max(added) == pytest.approx(0.05, abs=2e-3)
-    assert added.min() > -1e-3
+    assert np.max(added) == pytest.approx(0.05, abs=2e-3) and added.min() > -1e-3
     frozen = path[1:, 2] - landing_support.LEG_HEIGHT - 0.15 < 1.3
     np.testing.assert_allclose(added[frozen], 0.0, atol=1e-3)
     low = path[:, 2] - landing_support.LEG_HEIGHT - 0.15 < 0.19
@@ -261,8 +260,7 @@ def test_take_off_climbs_to_survey_height_and_turns_the_heading() -> None:
     setpoints = stage.run(phases.take_off(stage.mission))
     assert setpoints[-1].position_odom == pytest.approx([0.0, 0.0, QUICK.height_m])
     assert setpoints[-1].yaw_odom == pytest.approx(0.3 + np.pi / 2)
-    assert stage.mission.takeoff_s == 0.0
-    assert min(s.velocity_odom[2] for s in setpoints) >= 0.0
+    assert stage.mission.takeoff_s == 0.0 and min(s.velocity_odom[2] for s in setpoints) >= 0.0
     assert max(s.velocity_odom[2] for s in setpoints) == pytest.approx(3.0, abs=1e-6)
 
 
@@ -286,8 +284,7 @@ def test_the_way_to_the_site_keeps_its_margin(top: float, aside: float, expected
 def test_the_survey_lies_along_the_heading_of_the_start() -> None:
     stage = Stage(np.array([0.0, 0.0, 20.0]), yaw=0.5)
     path = places(stage.run(phases.survey(stage.mission))) @ rotation_from_yaw(0.5)
-    assert path[-1] == pytest.approx([0.0, 10.0, 20.0], abs=0.05)
-    assert 20.0 < path[:, 0].max() < 30.0
+    assert path[-1] == pytest.approx([0.0, 10.0, 20.0], abs=0.05) and 20.0 < path[:, 0].max() < 30.0
     assert path[:, 1].min() > -1e-6 and path[:, 1].max() < 10.0 + 1e-6
     assert len(path) * STEP_S == pytest.approx(QUICK.duration_s, abs=2.0 * STEP_S)
 
@@ -311,8 +308,7 @@ def test_a_refused_site_is_remembered_and_its_decision_says_why() -> None:
     refused, decision = stage.mission.refused_odom, stage.mission.decisions[-1]
     assert len(refused) == 1
     assert refused[0][:2] == pytest.approx(decision.candidates[0].position_odom[:2])
-    assert decision.given_up.startswith("at 10 m: ")
-    assert stage.mission.site_odom is None
+    assert decision.given_up.startswith("at 10 m: ") and stage.mission.site_odom is None
 
 
 def test_strong_wind_makes_sites_beside_obstacles_less_probable() -> None:
@@ -349,8 +345,7 @@ def test_a_search_leg_lies_beside_the_last_one_and_begins_at_its_nearer_end() ->
         np.testing.assert_allclose(path[:, 2], 20.0, atol=1e-6)
         assert path[-1] == pytest.approx([ends[1], 30.0, 20.0], abs=0.01)
         passed = np.linalg.norm(path - [ends[0], 30.0, 20.0], axis=1).min()
-        assert passed < 0.01
-        assert stage.mission.phase is Phase.SURVEY
+        assert passed < 0.01 and stage.mission.phase is Phase.SURVEY
 
 
 def test_a_go_around_climbs_to_survey_height_on_the_spot() -> None:
@@ -421,8 +416,7 @@ def test_time_left_decides_on_search_go_around_reach_and_emergency() -> None:
     assert mission.time_left_s() == np.inf  # four seconds say nothing
     stage.tick = 60_000
     stage.feed()
-    assert mission.time_left_s() == pytest.approx(900.0)
-    assert mission.away_m == pytest.approx(50.0)
+    assert mission.time_left_s() == pytest.approx(900.0) and mission.away_m == pytest.approx(50.0)
     again = energy.go_around_time_s(QUICK.height_m, params)
     assert mission.reach_m() == pytest.approx((900.0 - 2.0 * again) * 5.0 / 1.875)
     home = energy.return_time_s(50.0, QUICK.height_m, params)
@@ -492,13 +486,11 @@ def test_an_unhealthy_estimate_stops_vehicle_and_clock_but_not_the_final_descent
         return watch.hold(mission)
 
     mission.final = True
-    assert (hold_at(0), hold_at(1200)) == (None, None)
-    assert mission.now == 2.0
+    assert (hold_at(0), hold_at(1200)) == (None, None) and mission.now == 2.0
     mission.final = False
     assert (hold_at(1200), watch.lost(mission)) == (None, False)
     held = hold_at(2400)
     assert held is not None and not held.velocity_odom.any()
     np.testing.assert_allclose(held.position_odom, stage.position)
-    assert mission.now == 2.0 and not watch.lost(mission)
-    assert hold_at(6001) is None
+    assert mission.now == 2.0 and not watch.lost(mission) and hold_at(6001) is None
     assert [watch.lost(mission), watch.lost(mission)] == [True, False]
