@@ -10,6 +10,7 @@ import contextlib
 import functools
 import importlib
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -126,6 +127,7 @@ def profile_flight(config: Config, more: tuple[str, ...] = ()) -> dict[str, Any]
     Returns ``sim_s`` and, by stage, ``calls``, ``ms`` a call, ``ms_per_scan`` (0.1 s of flight) and
     ``share``; the scene and set-up are outside of shares."""
     limit_threads()
+    os.environ["LP_NUM_THREADS"] = "0"  # Mesa draws on the thread whose clock is read
     return compiled_before(lambda: _profile(config, more))
 
 

@@ -8,6 +8,7 @@ scan and estimator are of the calls of their classes' methods.
 from __future__ import annotations
 
 import json
+import os
 import re
 import time
 from pathlib import Path
@@ -51,6 +52,7 @@ def anonymous_mb() -> float:
 
 def main() -> None:
     """Flies and prints."""
+    os.environ["LP_NUM_THREADS"] = "0"  # as a worker: Mesa draws on the calling thread
     from touchdown.estimator.livo.estimator import Livo
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.flight.run import fly
