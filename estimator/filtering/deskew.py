@@ -124,11 +124,7 @@ def _lerp_pose(track: Track, index: int, time: float, pose: Frame) -> None:
 
 @njit(cache=True, error_model="numpy")
 def deskew(
-    directions: Float32,
-    time_offsets: Float32,
-    start_time: float,
-    track: Track,
-    mount: Frame,
+    directions: Float32, time_offsets: Float32, start_time: float, track: Track, mount: Frame
 ) -> tuple[Float32, Float32]:
     """Returns origin and direction of every pulse, (N, 3) float32, in the frame of the ``track``,
     from the pose of its own instant.

@@ -46,11 +46,7 @@ from touchdown.estimator.filtering.error_state import (
     Frames,
     Pinhole,
 )
-from touchdown.estimator.filtering.imu_propagation import (
-    cross_into,
-    exp_so3_each,
-    rotate_into,
-)
+from touchdown.estimator.filtering.imu_propagation import cross_into, exp_so3_each, rotate_into
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
 

@@ -31,11 +31,7 @@ from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.livo.anchored_map import AnchoredMap
 from touchdown.estimator.livo.anchored_update import DegeneracyWatch, LidarReport, update_with_scan
-from touchdown.estimator.livo.error_model import (
-    scan_diagnostics,
-    scan_errors,
-    visual_diagnostics,
-)
+from touchdown.estimator.livo.error_model import scan_diagnostics, scan_errors, visual_diagnostics
 from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.shutter import Shutter
 from touchdown.estimator.livo.visual import VisualFrontEnd

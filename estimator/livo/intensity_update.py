@@ -29,11 +29,7 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
-from touchdown.estimator.filtering.imu_propagation import (
-    cross_into,
-    rotate_back_into,
-    rotate_into,
-)
+from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into, rotate_into
 from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.livo.anchored_update import ScanErrors
 from touchdown.estimator.livo.intensity_image import FEWEST, Float32, IntensityImage, brightness

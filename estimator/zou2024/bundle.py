@@ -24,11 +24,7 @@ from touchdown.estimator.filtering.error_state import (
     error_between,
     moved_by,
 )
-from touchdown.estimator.filtering.imu_propagation import (
-    cross_into,
-    rotate_back_into,
-    rotate_into,
-)
+from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into, rotate_into
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.zou2024.visual_map import MapKeyframe, Sightings, by_host, joined

@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
 from touchdown.estimator.filtering.degeneracy import weak_columns, without_directions
-from touchdown.estimator.filtering.error_state import (
-    Frame,
-    Frames,
-    error_between,
-    moved_by,
-)
+from touchdown.estimator.filtering.error_state import Frame, Frames, error_between, moved_by
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.estimator.filtering.plane_map import smallest_eigen
@@ -233,8 +228,9 @@ def register_scan(
     every = np.concatenate([features.edges, features.planes, np.zeros((1, 3))])
     extent = np.array([every.min(axis=0), every.max(axis=0)])
 
-    def equations(pose: Pose, found: Matches) -> ScanEquations:
-        return relative_equations(found, features.lever, Frame.of(pose), anchors, 0, 0, sigmas)
+    def equations(pose: Pose, found: Matches, noise: bool = False) -> ScanEquations:
+        frame = Frame.of(pose)
+        return relative_equations(found, features.lever, frame, anchors, 0, 0, sigmas, noise)
 
     def step(pose: Pose, found: Matches, weak: Array) -> tuple[Pose, float]:
         information, vector, _ = equations(pose, found)
@@ -247,7 +243,7 @@ def register_scan(
         start, found = pose, _associate(features, maps, pose, anchors.moves)
         if len(found.points) < min_matches:
             return None
-        seen = equations(pose, found)
+        seen = equations(pose, found, noise=True)
         weak = weak_columns(seen.information, seen.noise_information, weak_sigmas)
         for _ in range(_FIRST_STEPS):
             pose, _ = step(pose, found, weak)

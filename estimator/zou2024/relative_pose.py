@@ -156,7 +156,7 @@ def update_with_scan(
     update = IteratedUpdate(eskf, share)
     floors = np.concatenate([floor, np.zeros(eskf.shared), np.tile(floor, len(keys))])
     information, vector, _ = relative_equations(
-        found, lever, Frame.of(pose), frames, len(keys), eskf.shared, sigmas
+        found, lever, Frame.of(pose), frames, len(keys), eskf.shared, sigmas, False
     )
     vector = vector + information[:, POSE] @ error_between(eskf.state.pose, pose)
     information, vector = without_directions(information, vector, result.weak)

@@ -18,11 +18,7 @@ from touchdown.estimator.filtering.error_state import (
     ROTATION,
     Frame,
 )
-from touchdown.estimator.filtering.imu_propagation import (
-    cross_into,
-    rotate_back_into,
-    rotate_into,
-)
+from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into, rotate_into
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -135,11 +131,12 @@ class _Sight(NamedTuple):
 @njit(cache=True, error_model="numpy")
 def relative_equations(
     found: Matches, lever: Array, pose: Frame, anchors: AnchorFrames, touched: int, shared: int,
-    sigmas: Array,
+    sigmas: Array, with_noise: bool,
 ) -> ScanEquations:  # fmt: skip
     """Normal equations of the residuals of Eq. 10 over pose, shared calibration and the touched
     clones, Cauchy weighted (scale 3 sigma). ``lever`` (3,): of the LIDAR, IMU frame; ``sigmas``
-    (2,): of edges and of planes.
+    (2,): of edges and of planes. ``with_noise``: with the noise's
+    information, most of the time.
 
     A map point was seen along a beam of its own, which turns with the LIDAR's mount as that of the
     scan does, and moves with its clone.
@@ -219,7 +216,7 @@ def relative_equations(
                         information[columns[a], columns[b]] += scaled * row[b]
         if edge:
             continue
-        for j in range(3):
+        for j in range(3 if with_noise else 0):
             _row_into(slopes[j], sight, row, then, moment)
             for a in range(POSE_DIM):
                 for b in range(POSE_DIM):

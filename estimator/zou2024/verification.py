@@ -54,10 +54,7 @@ class LoopVerifier:
     """landmarks that agree"""
 
     def __call__(
-        self,
-        features: tuple[Features, Features],
-        hosts: list[MapKeyframe],
-        keyframe: MapKeyframe,
+        self, features: tuple[Features, Features], hosts: list[MapKeyframe], keyframe: MapKeyframe
     ) -> Revisit | None:
         """None where the landmarks of ``hosts`` do not agree on a pose of ``keyframe``, whose image
         has ``features``."""

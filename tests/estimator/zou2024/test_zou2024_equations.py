@@ -194,7 +194,7 @@ def test_noise_of_the_map_neither_pulls_nor_counts() -> None:
             points, near, axes, none == 0, none, points, np.ones(count), np.full(count, scatter)
         )
         still = Frame.of(Pose.identity())
-        return relative_equations(found, np.zeros(3), still, NO_ANCHORS, 0, 0, np.ones(2))
+        return relative_equations(found, np.zeros(3), still, NO_ANCHORS, 0, 0, np.ones(2), True)
 
     # 2 / 0.6 + 2 (1/2) / 0.6 towards the middle, about one in count
     pull = count * sigma**2 * 2.5 / 0.6

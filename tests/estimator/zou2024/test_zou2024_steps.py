@@ -143,12 +143,13 @@ def test_relative_equations_are_derivatives_by_pose_mount_and_clone(
 
     near_five = near[:, None] + rng.normal(0.0, 1.0, (12, 5, 3)) * (np.arange(5) > 0)[:, None]
     found = Matches(points, near_five, axes, is_edge, owners, sensors, np.ones(12), np.zeros(12))
-    information, vector, _ = relative_equations(found, lever, Frame.of(pose), frames, 1, 17, sigmas)
+    frame = Frame.of(pose)
+    information, vector, _ = relative_equations(found, lever, frame, frames, 1, 17, sigmas, False)
     slope = np.array([(cost(e) - cost(-e)) / 2e-6 for e in 1e-6 * np.eye(29)])
     np.testing.assert_allclose(vector, -slope, rtol=rtol, atol=4.0 * rtol)
     np.testing.assert_allclose(information, information.T)
     frames = anchors.frames([clone], calibration, np.zeros(0, np.int64))
-    alone, *_ = relative_equations(found, lever, Frame.of(pose), frames, 0, 0, sigmas)
+    alone, *_ = relative_equations(found, lever, frame, frames, 0, 0, sigmas, False)
     assert np.linalg.eigvalsh(alone)[0] > 0.0
     np.testing.assert_allclose(alone, information[:6, :6])
 
