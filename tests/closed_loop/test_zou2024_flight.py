@@ -1,0 +1,18 @@
+"""The paper's whole system in the closed loop: positioning, selection and network."""
+
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.flight.run import fly
+
+SEED = 8301
+
+
+def test_the_whole_system_lands_in_field() -> None:
+    """Bounds of 1.5 times the errors over crossroad in `docs/results/zou2024.md`."""
+    asked = ("preset=short", "sim.threads=1", "landing.selector=zou2024")
+    options = {"scene": "crossroad", "estimator": "zou2024", "seed": SEED, "record": False}
+    config = load_config(None, asked, **options)
+    result = fly(config, None).plain()
+    assert result["outcome"] == "LANDED" and result["landing"]["safe"]
+    assert result["landing"]["judged_on"] == "geometry and class"
+    assert result["position_error_m"]["mean"] < 0.12
+    assert result["nees"]["median"] < 5.0
