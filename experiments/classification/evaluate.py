@@ -83,7 +83,7 @@ def evaluate_network(
         "image_size": facts.image_size,
         "classes": list(facts.classes),
         "miss_costs": dict(facts.miss_costs),
-        "rom_mb": sum(file.stat().st_size for file in (network, *weights_apart(network))) / 1e6,
+        "rom_mb": _size_mb(network),
         **_summary(scores, images.labels, facts),
         "by_source": {
             name: _summary(scores[of], images.labels[of], facts)
@@ -95,6 +95,12 @@ def evaluate_network(
     if measure:
         report |= measured_footprint(network, engine)
     return report
+
+
+def _size_mb(network: Path) -> float:
+    """Size of the file; of the one that is shipped, with those of its weights."""
+    apart = weights_apart(network) if network == onboard.SHIPPED else []
+    return sum(file.stat().st_size for file in (network, *apart)) / 1e6
 
 
 def _by_scene(
