@@ -58,7 +58,12 @@ def bake_light(
     soft = cv2.GaussianBlur(sun, (0, 0), 0.8)
     open_sky = cv2.GaussianBlur(sky, (0, 0), 0.35 / (4.0 * cell))
     open_sky = cv2.resize(open_sky, (pixels, pixels), interpolation=cv2.INTER_LINEAR)
-    light: Float32 = (ambient + (1.0 - ambient) * soft) * (0.45 + 0.55 * open_sky)
+    light = np.asarray(soft, np.float32)
+    light *= 1.0 - ambient  # in place: each new raster would cost more than the sum
+    light += ambient
+    open_sky *= 0.55
+    open_sky += 0.45
+    light *= open_sky
     return light
 
 
