@@ -61,9 +61,10 @@ def bake_light(
     light = np.asarray(soft, np.float32)
     light *= 1.0 - ambient  # in place: each new raster would cost more than the sum
     light += ambient
-    open_sky *= 0.55
-    open_sky += 0.45
-    light *= open_sky
+    sky = np.asarray(open_sky, np.float32)
+    sky *= 0.55
+    sky += 0.45
+    light *= sky
     return light
 
 
