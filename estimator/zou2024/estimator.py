@@ -77,10 +77,9 @@ class Zou2024Estimator:
     def _take(self, message: LidarScan | CameraImage) -> None:
         if isinstance(message, LidarScan):
             tick = message.end_tick
-            # edge energy is a large cost: that of one image serves the scans of a keyframe's period
+            # edge energy is a large cost: one serves two scans
             known, apart = [image for image, _ in self._energies], self._rig.lidar_scan_ticks
-            period = round(self._params.keyframe_period_s * self._rig.tick_hz)
-            image = nearest_image(known, tick, period) or nearest_image(self._images, tick, apart)
+            image = nearest_image(known, tick, apart) or nearest_image(self._images, tick, apart)
             energy = None
             if image is not None and self._params.use_colour_smoothness:
                 energy = self._energy_of(image)

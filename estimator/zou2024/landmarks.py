@@ -6,6 +6,7 @@ The paper names SURF as well. OpenCV's wheels are built without it (its patented
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -74,11 +75,10 @@ class LandmarkDetector:
         self, kind: int, detector: cv2.Feature2D, image: Grey, scale: float, cell_px: int
     ) -> Features:
         most, descriptors = self._counts[kind], None
-        if most == 0:
-            keypoints = ()
-        elif kind == SIFT:
+        keypoints: Sequence[cv2.KeyPoint] = ()
+        if most > 0 and kind == SIFT:
             keypoints, descriptors = detector.detectAndCompute(image, None)
-        else:
+        elif most > 0:
             keypoints = detector.detect(image, None)
             self._adapt_threshold(len(keypoints))
         pixels = np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2)
@@ -92,9 +92,8 @@ class LandmarkDetector:
         chosen = usable[spread(pixels[usable], responses, (width, height), cell_px, most)]
         if kind == BRISK and len(chosen):
             # most of the keypoints are not wanted, and need no descriptors
-            described, chosen = chosen, np.arange(len(chosen))
-            _, descriptors = detector.compute(image, [keypoints[i] for i in described.tolist()])
-            pixels = pixels[described]
+            _, descriptors = detector.compute(image, [keypoints[i] for i in chosen.tolist()])
+            pixels, chosen = pixels[chosen], np.arange(len(chosen))
         if descriptors is None:
             descriptors = np.zeros((0, SIFT_BYTES if kind == SIFT else BRISK_BYTES))
         return Features(kind, pixels[chosen], np.asarray(descriptors)[chosen].astype(np.uint8))

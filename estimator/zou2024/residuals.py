@@ -18,7 +18,7 @@ from touchdown.estimator.filtering.error_state import (
     ROTATION,
     Frame,
 )
-from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into, rotate_into
+from touchdown.estimator.filtering.imu_propagation import cross_into
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -207,12 +207,12 @@ def relative_equations(
     columns[:POSE_DIM] = np.arange(POSE_DIM)
     last, middle = found.near.shape[1] - 1, found.near.shape[1] // 2
     for i in range(found.points.shape[0]):
-        p, axis, k, edge = _vector(found.points[i]), _vector(found.axes[i]), found.owners[i], found.is_edge[i]
+        p, axis = _vector(found.points[i]), _vector(found.axes[i])
+        k, edge = found.owners[i], found.is_edge[i]
         first = _vector(found.near[i, 0])
         here = _along(_vector(pose.translation), 1.0, _turned(pose.rotation, p))
         offset, arm = _along(here, -1.0, first), _along(first, -1.0, _vector(found.sensors[i]))
-        own, slot, reach, shift = pose.rotation, -1, here, _UNIT[0]
-        apart = offset
+        own, slot, reach, apart = pose.rotation, -1, here, offset
         if k >= 0:
             # where the present mount would have put the map point
             own, slot = anchors.clones.rotations[k], anchors.slots[k]
