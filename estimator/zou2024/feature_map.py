@@ -120,7 +120,7 @@ def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int, moves: Fra
     found = np.zeros(count, dtype=np.bool_)
     near = np.zeros((count, NEIGHBOURS, 3))
     whose, sensors = np.full(count, _NO_OWNER, np.int64), np.zeros((count, 3))
-    best, gap = np.empty((NEIGHBOURS, 4)), np.empty((3, layers))
+    distance, gap = np.empty(NEIGHBOURS), np.empty((3, layers))
     # the point's own layer first, then those around: what is near rules out what is far
     order = np.array([(turn + 1) // 2 * (1 if turn % 2 else -1) for turn in range(layers)])
     owned = moves.translations.shape[0] > 0
@@ -155,19 +155,20 @@ def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int, moves: Fra
                     if d2 >= worst:
                         continue
                     at = min(have, NEIGHBOURS - 1)
-                    while at > 0 and best[at - 1, 0] > d2:
-                        for c in range(4):
-                            best[at, c] = best[at - 1, c]
+                    while at > 0 and distance[at - 1] > d2:
+                        distance[at] = distance[at - 1]
+                        for c in range(3):
+                            near[i, at, c] = near[i, at - 1, c]
                         at -= 1
-                    best[at, 0], best[at, 1], best[at, 2], best[at, 3] = d2, x, y, z
+                    distance[at] = d2
+                    near[i, at, 0], near[i, at, 1], near[i, at, 2] = x, y, z
                     if at == 0:
                         nearest = slot
                     have = min(have + 1, NEIGHBOURS)
                     if have == NEIGHBOURS:
-                        worst = best[NEIGHBOURS - 1, 0]
+                        worst = distance[NEIGHBOURS - 1]
         found[i] = have == NEIGHBOURS
         if have > 0:
-            near[i, :have] = best[:have, 1:]
             whose[i], sensors[i] = owners[nearest], sums[nearest, _SENSOR]
     return Nearest(found, near, whose, sensors)
 
