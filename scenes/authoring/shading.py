@@ -105,7 +105,7 @@ def shade(
             if slopes.shape[0] > 0:
                 for k in range(n):
                     tone[k] *= slopes[row, first + k] * (1.0 / 128.0)
-            _expose(image[rows - 1 - row, first:last], colour, tone)
+            _quantize(image[rows - 1 - row, first:last], colour, tone)
 
 
 @njit(cache=True, error_model="numpy")
@@ -384,7 +384,7 @@ def _mark(colour: Array, paint: Bytes, a: Float32, b: Float32, grain: Array, pat
 
 
 @njit(cache=True, error_model="numpy")
-def _expose(image: Bytes, colour: Array, glow: Array) -> None:
+def _quantize(image: Bytes, colour: Array, glow: Array) -> None:
     """Colours in their light. Skylight is bluer than sunlight."""
     n = image.shape[0]
     levels = np.empty((3, n), np.uint8)
