@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, GroundRaster, Surface
 from touchdown.scenes.authoring.ground_cover import PAINT, cover_of
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
-from touchdown.scenes.authoring.shading import shade
+from touchdown.scenes.authoring.shading import ragged_texels, shade
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -264,7 +264,8 @@ def shade_ground(
     image = np.empty((*size, 3), np.uint8)
     level = np.zeros((0, 0), np.uint8) if slopes is None else slopes
     shade(
-        image, canvas.material, canvas.paint, canvas.stain, bright, level, fine, coarse, patches,
-        hue, base, gains, hues, ragged, frames, canvas.texel_m, int(rng.integers(1, 2**31)),
+        image, canvas.material, canvas.paint, canvas.stain, bright, level, fine, coarse.ravel(),
+        patches, hue, base, gains, hues, ragged, frames, canvas.texel_m,
+        ragged_texels(fine, coarse), int(rng.integers(1, 2**31)),
     )  # fmt: skip
     return image

@@ -18,6 +18,12 @@ _FRAY = 2.6
 """Texels by which edges are ragged, for each standard deviation of the noise"""
 
 
+def ragged_texels(*noises: Float32) -> int:
+    """The width of blocks over which no edge reaches that ``noises`` make ragged."""
+    reach = _FRAY * max(max(float(noise.max()), -float(noise.min())) for noise in noises)
+    return max(_BLOCK, int(reach))
+
+
 @njit(cache=True, error_model="numpy")
 def shade(
     image: Bytes,
@@ -36,13 +42,15 @@ def shade(
     ragged: Bytes,
     frames: Array,
     texel_m: float,
+    side: int,
     salt: int,
 ) -> None:
     """Fills ``image`` (rows, cols, 3), the texture of a canvas' ``material``, ``paint`` and
     ``stain`` (rows, cols) under the light ``bright`` and, where there are any, ``slopes``. All
     noise is addressed so that nothing repeats in step: the tiles ``fine`` and ``coarse`` are turned
     against each other, and grain is hashed from the texel's number. ``base``, ``gains``, ``hues``,
-    ``ragged`` and ``frames`` have a row for each material.
+    ``ragged`` and ``frames`` have a row for each material. ``coarse`` is flat; ``side``: texels of
+    a block, no fewer than `ragged_texels`.
 
     It goes along pieces of rows in loops of few operations, of which the compiler makes vector
     instructions; each texel's numbers are worked out in the same order whatever the piece."""
@@ -50,7 +58,6 @@ def shade(
     tile = fine.shape[0] - 1
     to_patch = (patches.shape[0] - 1.001) / rows
     half = 0.5 * rows * texel_m
-    side = max(_BLOCK, int(_FRAY * max(np.abs(fine).max(), np.abs(coarse).max())))
     mixed = _mixed(material, side)
     first_noise, second_noise = np.empty(_PIECE, np.float32), np.empty(_PIECE, np.float32)
     kinds = np.empty(_PIECE, np.uint8)
@@ -75,11 +82,11 @@ def shade(
             _mix(drift[:n], ends[2, first:last], ends[3, first:last], share)
             for k in range(n):
                 a[k] = fine[row & tile, (first + k) & tile]
-            _turn(b, coarse, row, first)
+                here[k] = material[row, first + k]
+            _turn(b, coarse, tile, row, first)
             _hashes(grain[:n], row, first, salt)
             for k in range(n):
                 grain[k] = 2.0 * grain[k] - 1.0
-            here[:] = material[row, first:last]
             _fray(here, a, b, material, mixed, side, ragged, row, first)
             start = 0
             while start < n:
@@ -115,24 +122,25 @@ def _mixed(material: Bytes, side: int) -> NDArray[np.bool_]:
     own = np.empty((rows, cols), np.int64)
     least, most = np.empty(material.shape[1], np.uint8), np.empty(material.shape[1], np.uint8)
     for i in range(rows):
-        least[:] = material[i * side]
-        most[:] = material[i * side]
+        for col in range(least.size):
+            least[col] = most[col] = material[i * side, col]
         for row in range(i * side + 1, min((i + 1) * side, material.shape[0])):
-            line = material[row]
-            for col in range(line.size):
-                least[col] = min(least[col], line[col])
-                most[col] = max(most[col], line[col])
+            for col in range(least.size):
+                least[col] = min(least[col], material[row, col])
+                most[col] = max(most[col], material[row, col])
         for j in range(cols):
-            low, high = (
-                least[j * side : (j + 1) * side].min(),
-                most[j * side : (j + 1) * side].max(),
-            )
-            own[i, j] = int(low) if low == high else -1
+            own[i, j] = least[j * side]
+            for col in range(j * side, min((j + 1) * side, least.size)):
+                if least[col] != least[j * side] or most[col] != least[j * side]:
+                    own[i, j] = -1
     found = np.empty((rows, cols), np.bool_)
     for i in range(rows):
         for j in range(cols):
-            around = own[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
-            found[i, j] = own[i, j] < 0 or (around != own[i, j]).any()
+            found[i, j] = own[i, j] < 0
+            for near_i in range(max(i - 1, 0), min(i + 2, rows)):
+                for near_j in range(max(j - 1, 0), min(j + 2, cols)):
+                    if own[near_i, near_j] != own[i, j]:
+                        found[i, j] = True
     return found
 
 
@@ -179,18 +187,16 @@ def _mix(out: Array, one: Array, other: Array, share: float) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _turn(out: Float32, coarse: Float32, row: int, first: int) -> None:
+def _turn(out: Float32, coarse: Float32, tile: int, row: int, first: int) -> None:
     """``coarse`` along a row that is turned by atan(3/4)."""
-    tile = coarse.shape[0] - 1
-    texels = coarse.reshape(coarse.size)
     places = np.empty(out.size, np.uint32)
     for k in range(out.size):
         col = first + k
         i = np.int32(0.8 * row + 0.6 * col) & tile
         j = np.int32(0.8 * col - 0.6 * row) & tile
-        places[k] = np.uint32(i * coarse.shape[1] + j)
+        places[k] = np.uint32(i * (tile + 1) + j)
     for k in range(out.size):
-        out[k] = texels[places[k]]
+        out[k] = coarse[places[k]]
 
 
 @njit(cache=True, error_model="numpy")
@@ -282,7 +288,8 @@ def _pave(
             x = (first + k + 0.5) * texel_m - half
             tone[k] = 1.0 + _pattern(material, c * x + s * y, c * y - s * x, salt)
     else:
-        tone[:] = 1.0
+        for k in range(tone.size):
+            tone[k] = 1.0
 
 
 @njit(cache=True, error_model="numpy")
