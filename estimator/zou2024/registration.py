@@ -36,8 +36,10 @@ _ROUNDS = 3
 _FIRST_STEPS = 2
 _MOST_STEPS = 6
 _KEPT_SHARE = 0.8
-_SAME_NEIGHBOURS_M = 0.02
+_SAME_NEIGHBOURS_M = 0.05
 """displacement of the scan's outermost points up to which their neighbours are not sought again"""
+_LEAST_STEP = 1e-4
+"""rad and m"""
 _SCATTER_OF_FIVE = 5.0 / 2.0
 """ratio of the variance of points about a plane to the smallest eigenvalue of five: three of their
 degrees of freedom place the plane"""
@@ -251,7 +253,7 @@ def register_scan(
         found = found.select(_keep_best(lengths, found.is_edge))
         for _ in range(_MOST_STEPS):
             pose, size = step(pose, found, weak)
-            if size < 1e-5:
+            if size < _LEAST_STEP:
                 break
         moved = np.abs(pose.apply(extent) - start.apply(extent)).max()
         converged = bool(moved < _SAME_NEIGHBOURS_M)
