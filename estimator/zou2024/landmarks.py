@@ -19,6 +19,7 @@ Bytes = NDArray[np.uint8]
 
 SIFT, BRISK = 0, 1
 SIFT_BYTES, BRISK_BYTES = 128, 64
+_SIFT_COLUMNS = 320
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,28 +54,31 @@ def spread(
 
 
 class LandmarkDetector:
-    """Finds SIFT features in the image reduced to 200 to 400 columns, where those of single leaves
-    are gone, and BRISK features in the whole one, whose threshold follows the texture so that its
-    time stays bounded."""
+    """Finds SIFT features in the image reduced to 320 columns (half of the time of twice as many),
+    and BRISK features in the whole one, whose threshold follows the texture so that its time stays
+    bounded."""
 
     def __init__(self, sift: int, brisk: int, border_px: float = 10.0) -> None:
         self._counts = (sift, brisk)
         self._border = border_px
-        self._sift: cv2.Feature2D = cv2.SIFT.create(nfeatures=2 * sift, contrastThreshold=0.02)
+        self._sift: cv2.Feature2D = cv2.SIFT.create(nfeatures=4 * sift // 3, contrastThreshold=0.02)
         self._brisk_threshold = 50
         self._brisk = cv2.xfeatures2d.BRISK.create(self._brisk_threshold, 2)
 
     def __call__(self, grey: Grey) -> tuple[Features, Features]:
         """(SIFT, BRISK) features of a (H, W) uint8 image."""
-        scale = 2.0 ** max(int(np.log2(grey.shape[1] / 200.0)), 0)
-        smaller = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
-        sift = self._find(SIFT, self._sift, np.asarray(smaller, dtype=np.uint8), scale, 64)
-        brisk = self._find(BRISK, self._brisk, grey, 1.0, 64)
+        height, width = grey.shape
+        columns = min(_SIFT_COLUMNS, width)
+        size = columns, round(columns * height / width)
+        smaller = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+        sift = self._find(SIFT, self._sift, smaller, (width, height), 64)
+        brisk = self._find(BRISK, self._brisk, grey, (width, height), 64)
         return sift, brisk
 
     def _find(
-        self, kind: int, detector: cv2.Feature2D, image: Grey, scale: float, cell_px: int
+        self, kind: int, detector: cv2.Feature2D, image: Grey, size: tuple[int, int], cell_px: int
     ) -> Features:
+        """Features in ``image``, and their pixels in the whole one of ``size`` (width, height)."""
         most, descriptors = self._counts[kind], None
         keypoints: Sequence[cv2.KeyPoint] = ()
         if most > 0 and kind == SIFT:
@@ -84,13 +88,13 @@ class LandmarkDetector:
             self._adapt_threshold(len(keypoints))
         pixels = np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2)
         # the centre of a larger pixel lies between those of the small ones in it
+        scale = np.divide(size, image.shape[::-1])
         pixels = scale * pixels + 0.5 * (scale - 1.0)
-        height, width = round(scale * image.shape[0]), round(scale * image.shape[1])
         inside = (pixels >= self._border).all(axis=1)
-        inside &= (pixels <= np.array([width, height]) - 1 - self._border).all(axis=1)
+        inside &= (pixels <= np.array(size) - 1 - self._border).all(axis=1)
         usable = np.flatnonzero(inside)
         responses = np.array([keypoints[i].response for i in usable.tolist()])
-        chosen = usable[spread(pixels[usable], responses, (width, height), cell_px, most)]
+        chosen = usable[spread(pixels[usable], responses, size, cell_px, most)]
         if kind == BRISK and len(chosen):
             # most of the keypoints are not wanted, and need no descriptors
             _, descriptors = detector.compute(image, [keypoints[i] for i in chosen.tolist()])
