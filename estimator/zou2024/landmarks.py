@@ -61,7 +61,7 @@ class LandmarkDetector:
     def __init__(self, sift: int, brisk: int, border_px: float = 10.0) -> None:
         self._counts = (sift, brisk)
         self._border = border_px
-        self._sift: cv2.Feature2D = cv2.SIFT.create(nfeatures=4 * sift // 3, contrastThreshold=0.02)
+        self._sift: cv2.Feature2D = cv2.SIFT.create(nfeatures=2 * sift, contrastThreshold=0.02)
         self._brisk_threshold = 50
         self._brisk = cv2.xfeatures2d.BRISK.create(self._brisk_threshold, 2)
 
