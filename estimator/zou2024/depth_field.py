@@ -81,8 +81,9 @@ def _pixels_inside(
         v = y / z * matrix[1, 1] + matrix[1, 2]
         if u >= 0.0 and v >= 0.0 and u <= size[0] - 1 and v <= size[1] - 1:
             inside[used] = i
-            at[0, used] = min(max(int(np.rint(0.5 * (v - 0.5))), 0), shape[0] - 1)
-            at[1, used] = min(max(int(np.rint(0.5 * (u - 0.5))), 0), shape[1] - 1)
+            row, col = np.rint(0.5 * (v - 0.5)), np.rint(0.5 * (u - 0.5))
+            at[0, used] = min(max(int(row), 0), shape[0] - 1)
+            at[1, used] = min(max(int(col), 0), shape[1] - 1)
             used += 1
     return inside[:used], at[0, :used], at[1, :used]
 

@@ -19,7 +19,6 @@ Bytes = NDArray[np.uint8]
 
 SIFT, BRISK = 0, 1
 SIFT_BYTES, BRISK_BYTES = 128, 64
-_SIFT_COLUMNS = 320
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +53,8 @@ def spread(
 
 
 class LandmarkDetector:
-    """Finds SIFT features in the image reduced to 320 columns (half of the time of twice as many),
-    and BRISK features in the whole one, whose threshold follows the texture so that its time stays
-    bounded."""
+    """Finds SIFT features on the half-size image (a third of the time of the full size) and BRISK
+    features on the full one, whose threshold follows the texture so that its time stays bounded."""
 
     def __init__(self, sift: int, brisk: int, border_px: float = 10.0) -> None:
         self._counts = (sift, brisk)
@@ -67,18 +65,15 @@ class LandmarkDetector:
 
     def __call__(self, grey: Grey) -> tuple[Features, Features]:
         """(SIFT, BRISK) features of a (H, W) uint8 image."""
-        height, width = grey.shape
-        columns = min(_SIFT_COLUMNS, width)
-        size = columns, round(columns * height / width)
-        smaller = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-        sift = self._find(SIFT, self._sift, smaller, (width, height), 64)
-        brisk = self._find(BRISK, self._brisk, grey, (width, height), 64)
+        smaller = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        half = np.asarray(smaller, dtype=np.uint8)
+        sift = self._find(SIFT, self._sift, half, 2.0, 64)
+        brisk = self._find(BRISK, self._brisk, grey, 1.0, 64)
         return sift, brisk
 
     def _find(
-        self, kind: int, detector: cv2.Feature2D, image: Grey, size: tuple[int, int], cell_px: int
+        self, kind: int, detector: cv2.Feature2D, image: Grey, scale: float, cell_px: int
     ) -> Features:
-        """Features in ``image``, and their pixels in the whole one of ``size`` (width, height)."""
         most, descriptors = self._counts[kind], None
         keypoints: Sequence[cv2.KeyPoint] = ()
         if most > 0 and kind == SIFT:
@@ -87,14 +82,14 @@ class LandmarkDetector:
             keypoints = detector.detect(image, None)
             self._adapt_threshold(len(keypoints))
         pixels = np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2)
-        # the centre of a larger pixel lies between those of the small ones in it
-        scale = np.divide(size, image.shape[::-1])
+        # the centre of a half-size pixel lies between those of its four
         pixels = scale * pixels + 0.5 * (scale - 1.0)
+        height, width = round(scale * image.shape[0]), round(scale * image.shape[1])
         inside = (pixels >= self._border).all(axis=1)
-        inside &= (pixels <= np.array(size) - 1 - self._border).all(axis=1)
+        inside &= (pixels <= np.array([width, height]) - 1 - self._border).all(axis=1)
         usable = np.flatnonzero(inside)
         responses = np.array([keypoints[i].response for i in usable.tolist()])
-        chosen = usable[spread(pixels[usable], responses, size, cell_px, most)]
+        chosen = usable[spread(pixels[usable], responses, (width, height), cell_px, most)]
         if kind == BRISK and len(chosen):
             # most of the keypoints are not wanted, and need no descriptors
             _, descriptors = detector.compute(image, [keypoints[i] for i in chosen.tolist()])
