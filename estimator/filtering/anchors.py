@@ -54,6 +54,10 @@ class Anchors:
         """Removes the anchor of clone ``k``."""
         del self._poses[k], self._calibrations[k]
 
+    def moves_to_kept(self, clones: list[Pose]) -> Frames:
+        """(K,) transforms from the present estimate of the ``clones`` to the anchors as kept."""
+        return _between(Frames.of(self._poses), Frames.of(clones))
+
     def as_kept(
         self, points: Array, sensor: Array, clone: Pose, calibration: Array, imu_rotation: Array
     ) -> Array:

@@ -29,7 +29,7 @@ class PlaneMatches(NamedTuple):
     centres: Array  # (N, 3) m, a point on each plane
     variances: Array
     """(N, 3): m^2 of the returns about the plane (its thickness); m^2 of the plane's height at the
-    point; rad^2 of the normal about either axis"""
+    point; rad^2 of the normal about either axis, by no more than ``_INDEPENDENT`` points"""
     sensors: Array  # (N, 3) m, position that each plane was first seen from
     anchors: NDArray[np.signedinteger]
     """(N,) index of the anchor that each plane belongs to; -1: none"""
@@ -50,8 +50,11 @@ _OFFSET = 1 << 20
 # of products
 _COUNT, _X, _Y, _Z, _XX, _XY, _XZ, _YY, _YZ, _ZZ = range(10)
 _MOMENTS = 10
+_INDEPENDENT = 25.0
+"""most points of a voxel whose heights about its plane are independent of each other: plants and
+bumps of the ground are wider than the gap between two"""
 _FEW = 12
-"""points up to which a voxel of another anchor is taken over: a plane by fewer is hardly one"""
+"""points below which a voxel of another anchor is taken over: a plane by fewer is hardly one"""
 _NO_ANCHOR = -1
 
 
@@ -299,7 +302,7 @@ def match_planes(
         centres[i, 0], centres[i, 1], centres[i, 2] = cx + mx, cy + my, cz + mz
         variances[i, 0] = low
         variances[i, 1] = low / n * (1.0 + reach2 / mid)
-        variances[i, 2] = low / (n * mid)
+        variances[i, 2] = low / (min(n, _INDEPENDENT) * mid)
         slot = int(total[_MOMENTS])
         for a in range(3):
             sensors[i, a] = seen_from[slot, a]

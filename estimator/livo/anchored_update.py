@@ -50,11 +50,11 @@ class ScanErrors:
     """of one return"""
     angle_sigma_rad: float
     """of one beam"""
-    plane_sigma_m: float
-    """of any plane, beside the scatter of its returns"""
     floor_sigmas: Array
     """(6,) rad and m: information floor, errors of the scan, and of each clone's part of the map,
     that do not average out (``limit_information``)"""
+    plane_sigma_m: float = 0.003
+    """of any plane, beside the scatter of its returns"""
     weak_sigmas: tuple[float, float] | None = None
     """rad and m: directions known less well than these are left out of the update
     (``weak_columns``); None: none are"""
