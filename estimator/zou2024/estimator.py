@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,7 @@ class Zou2024Estimator:
         self._camera = CameraPositioning(rig, params, self._filter, self._recent, self._lidar.maps)
         self._undistort = Undistorter(rig)
         self._images: deque[CameraImage] = deque(maxlen=3)
-        self._energy: tuple[int, NDArray[np.float32]] = (-1, np.zeros((0, 0), np.float32))
+        self._energies: list[tuple[CameraImage, NDArray[np.float32]]] = []
         self._scan_track: PoseTrack | None = None
         self._skipped = 0
         self._intake = Intake(rig, self._filter, params.camera_hz, middle_rows=True)
@@ -49,10 +50,7 @@ class Zou2024Estimator:
     def update(self, obs: Observation) -> Estimate:
         """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         self._scan_track = None
-        arrivals = [
-            message if isinstance(message, LidarScan) else self._flat(message)
-            for message in self._intake.ready(obs)
-        ]
+        arrivals = list(self._intake.ready(obs))
         self._images.extend(m for m in arrivals if isinstance(m, CameraImage))
         for message in arrivals:
             if self._intake.admit(message):
@@ -79,9 +77,8 @@ class Zou2024Estimator:
     def _take(self, message: LidarScan | CameraImage) -> None:
         if isinstance(message, LidarScan):
             tick = message.end_tick
-            apart = self._rig.lidar_scan_ticks
-            # edge energy is the largest cost: one serves two scans
-            known = [image for image in self._images if image.tick == self._energy[0]]
+            # edge energy is a large cost: one serves two scans
+            known, apart = [image for image, _ in self._energies], self._rig.lidar_scan_ticks
             image = nearest_image(known, tick, apart) or nearest_image(self._images, tick, apart)
             energy = None
             if image is not None and self._params.use_colour_smoothness:
@@ -93,9 +90,10 @@ class Zou2024Estimator:
             self._skipped += not done
             self._scan_track = self._filter.track_of(message, self._scan_track)
         elif self._camera.due(message.tick):
-            self._camera.take(message, self._energy_of(message))
+            self._camera.take(self._flat(message), partial(self._energy_of, message))
 
     def _energy_of(self, image: CameraImage) -> NDArray[np.float32]:
-        if self._energy[0] != image.tick:
-            self._energy = (image.tick, half_size_energy(image.rgb, self._edges))
-        return self._energy[1]
+        if not self._energies or self._energies[0][0].tick != image.tick:
+            energy = half_size_energy(self._undistort(image.rgb), self._edges)
+            self._energies = [(image, energy)]
+        return self._energies[0][1]
