@@ -71,8 +71,7 @@ class FeatureMaps:
     def insert(self, features: ScanFeatures, eskf: Eskf) -> None:
         """Adds a scan's points at the present pose, to the part of the newest clone."""
         pose = eskf.state.pose
-        terms = self.anchors.kept_from_now(eskf.clones, eskf.state.calibration, pose.rotation)
-        moves = Frames(terms.rotations, terms.translations)
+        moves = self.anchors.moves_to_kept(eskf.clones)
         seen = Seen(pose.apply(features.lever), len(self.anchors) - 1, moves)
         self.edges.insert(pose.apply(features.edges), seen)
         self.planes.insert(pose.apply(features.planes), seen)
