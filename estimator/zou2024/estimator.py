@@ -24,6 +24,7 @@ from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
 Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 
 
 class Zou2024Estimator:
@@ -42,7 +43,7 @@ class Zou2024Estimator:
         self._camera = CameraPositioning(rig, params, self._filter, self._recent, self._lidar.maps)
         self._undistort = Undistorter(rig)
         self._images: deque[CameraImage] = deque(maxlen=3)
-        self._energies: list[tuple[CameraImage, NDArray[np.float32]]] = []
+        self._energies: list[tuple[CameraImage, Float32]] = []
         self._scan_track: PoseTrack | None = None
         self._skipped = 0
         self._intake = Intake(rig, self._filter, params.camera_hz, middle_rows=True)
@@ -77,9 +78,10 @@ class Zou2024Estimator:
     def _take(self, message: LidarScan | CameraImage) -> None:
         if isinstance(message, LidarScan):
             tick = message.end_tick
-            # edge energy is a large cost: one serves two scans
+            # edge energy is a large cost: that of a keyframe serves the scans until the next
             known, apart = [image for image, _ in self._energies], self._rig.lidar_scan_ticks
-            image = nearest_image(known, tick, apart) or nearest_image(self._images, tick, apart)
+            period = round(self._params.keyframe_period_s * self._rig.tick_hz)
+            image = nearest_image(known, tick, period) or nearest_image(self._images, tick, apart)
             energy = None
             if image is not None and self._params.use_colour_smoothness:
                 energy = self._energy_of(image)
@@ -90,10 +92,12 @@ class Zou2024Estimator:
             self._skipped += not done
             self._scan_track = self._filter.track_of(message, self._scan_track)
         elif self._camera.due(message.tick):
-            self._camera.take(self._flat(message), partial(self._energy_of, message))
+            flat = self._flat(message)
+            self._camera.take(flat, partial(self._energy_of, message, flat))
 
-    def _energy_of(self, image: CameraImage) -> NDArray[np.float32]:
+    def _energy_of(self, image: CameraImage, flat: CameraImage | None = None) -> Float32:
+        """Edge energy of an image; ``flat``: the same without distortion, where it is known."""
         if not self._energies or self._energies[0][0].tick != image.tick:
-            energy = half_size_energy(self._undistort(image.rgb), self._edges)
-            self._energies = [(image, energy)]
+            rgb = (flat or self._flat(image)).rgb
+            self._energies = [(image, half_size_energy(rgb, self._edges))]
         return self._energies[0][1]

@@ -99,9 +99,9 @@ class LandmarkDetector:
         return Features(kind, pixels[chosen], np.asarray(descriptors)[chosen].astype(np.uint8))
 
     def _adapt_threshold(self, found: int) -> None:
-        """Aims at two to five times the features wanted."""
-        wanted = self._counts[BRISK]
-        step = 8 if found > 5 * wanted else -8 if found < 2 * wanted else 0
+        """Aims at 1.7 times the features wanted, of which ten grey levels keep one in e."""
+        step = round(10.0 * float(np.log(max(found, 1) / (1.7 * self._counts[BRISK]))))
+        step = min(max(step, -16), 16)
         threshold = min(max(self._brisk_threshold + step, 10), 120)
         if threshold != self._brisk_threshold:
             self._brisk_threshold = threshold
