@@ -154,6 +154,13 @@ class LivoParams(CalibratedParams):
     """height error shared by all planes and landmarks of a keyframe"""
     depth_sigma_m: NotNegative = 0.02
     """of a landmark along its ray"""
+    assumed_depth_share: NotNegative = 0.4
+    """standard deviation, relative to their distance, of features that are assumed to lie on level
+    ground below the rangefinder, as new ones are while no scans come"""
+    assumed_depth_floor: NotNegative = 0.16
+    """the same at the least, however long parallax has shown their depth"""
+    ground_memory_s: NotNegative = 1.0
+    """time constant of the ground's height below the rangefinder"""
     use_lidar: bool = True
     """scans correct the pose; if false, they still give depth to features"""
     use_vision: bool = True

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, HybridFlowParams
 from touchdown.estimator.baselines.gps import SatelliteAiding
-from touchdown.estimator.baselines.ground_below import GroundBelow
 from touchdown.estimator.baselines.ground_flow import (
     Displacement,
     level_directions,
@@ -31,6 +30,7 @@ from touchdown.estimator.filtering.rolling_shutter import (
     ShutterModel,
     ground_depths,
 )
+from touchdown.estimator.ground_below import GroundBelow
 from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, OpticalFlowParams
 from touchdown.estimator.baselines.corner_flow import follow
-from touchdown.estimator.baselines.ground_below import GroundBelow
 from touchdown.estimator.baselines.ground_flow import (
     level_directions,
     pixels_of,
@@ -27,6 +26,7 @@ from touchdown.estimator.filtering.rolling_shutter import (
     ShutterModel,
     ground_depths,
 )
+from touchdown.estimator.ground_below import GroundBelow
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 

@@ -146,6 +146,11 @@ class InertialFilter:
         return self.eskf.state.tick
 
     @property
+    def present(self) -> NavState:
+        """The state at the newest IMU sample."""
+        return self._propagated
+
+    @property
     def propagated_tick(self) -> int:
         """Tick of the newest IMU sample."""
         return self._propagated.tick

@@ -34,6 +34,8 @@ class Keyframe:
     """(N, 3) ``n . P = 1`` in this keyframe's camera frame"""
     sigmas: Array
     """(N,) m along the ray, of features on no plane; 0 for the others"""
+    assumed: NDArray[np.bool_]
+    """(N,) True where no return has shown the depth"""
     depth_m: float
     """median depth of the landmarks"""
     calibration: Array
@@ -97,6 +99,7 @@ def measure_planes(
     which = missing[better]
     keyframe.valid[which] = True
     keyframe.planes[which], keyframe.sigmas[which] = planes[better], sigmas[better]
+    keyframe.assumed[which] = False
     if keyframe.valid.any():
         keyframe.depth_m = float(np.median(keyframe.landmarks_camera(camera)[keyframe.valid, 2]))
 

@@ -86,6 +86,63 @@ def reprojection_information(
 
 
 @njit(cache=True, error_model="numpy")
+def _see(
+    landmark: Array, keyframe: Frame, now: Frame, late_s: float, twist: Array,
+    camera_from_imu: Frame, offset: Array, turned: Array, seen: Array,
+) -> None:  # fmt: skip
+    """Writes the landmark of a keyframe in the present IMU frame (``offset``, with the present
+    attitude), the rotation until its row ``late_s`` after the exposure (``turned``), and its
+    position in the camera then (``seen``)."""
+    world, turn = np.empty(3), np.empty(3)
+    rotate_into(keyframe.rotation, landmark, world)
+    for a in range(3):
+        moved = now.translation[a] + late_s * twist[POSITION.start + a]
+        world[a] += keyframe.translation[a] - moved
+        turn[a] = -late_s * twist[ROTATION.start + a]
+    rotate_back_into(now.rotation, world, offset)
+    exp_so3_into(turn, turned)
+    rotate_into(turned, offset, turn)
+    rotate_into(camera_from_imu.rotation, turn, seen)
+    for a in range(3):
+        seen[a] += camera_from_imu.translation[a]
+
+
+@njit(cache=True, error_model="numpy")
+def depth_corrections(
+    views: LandmarkViews, now: Frame, keyframe: Frame, twist: Array, camera_from_imu: Frame,
+    lens: Pinhole, noise: PixelNoise,
+) -> Array:  # fmt: skip
+    """Returns by how many of their ``spreads`` landmarks lie further along their rays, by the
+    parallax since their keyframe, and the share of the variance that is left, (N, 2).
+
+    A scalar Kalman filter each, with the poses as given; other arguments as in
+    ``calibrated_information``. Landmarks off by ``gate_px`` and more stay.
+    """
+    out, c, far = np.zeros((len(views.pixels), 2)), np.empty(3), np.empty(3)
+    offset, turned, further = np.empty(3), np.empty((3, 3)), np.empty(3)
+    for i in range(len(views.pixels)):
+        out[i, 1] = 1.0
+        for a in range(3):
+            further[a] = views.landmarks[i, a] + views.spreads[i, a]
+        late = views.row_times[i]
+        _see(views.landmarks[i], keyframe, now, late, twist, camera_from_imu, offset, turned, c)
+        _see(further, keyframe, now, late, twist, camera_from_imu, offset, turned, far)
+        if c[2] < 1e-2 or far[2] < 1e-2:
+            continue
+        u, v = lens.fx * c[0] / c[2] + lens.cx, lens.fy * c[1] / c[2] + lens.cy
+        ru, rv = views.pixels[i, 0] - u, views.pixels[i, 1] - v
+        du = lens.fx * far[0] / far[2] + lens.cx - u
+        dv = lens.fy * far[1] / far[2] + lens.cy - v
+        power = du * du + dv * dv
+        total = power + noise.sigma_px * noise.sigma_px
+        if ru * ru + rv * rv - (du * ru + dv * rv) ** 2 / total > noise.gate_px * noise.gate_px:
+            continue
+        out[i, 0] = (du * ru + dv * rv) / total
+        out[i, 1] = 1.0 - power / total
+    return out
+
+
+@njit(cache=True, error_model="numpy")
 def calibrated_information(
     views: LandmarkViews,
     now: Frame,
@@ -103,7 +160,7 @@ def calibrated_information(
     ``gate_px``.
     """
     pixels, row_times, landmarks, jacobians, spreads = views
-    camera_rotation, camera_position = camera_from_imu
+    camera_rotation = camera_from_imu.rotation
     fx, fy, cx, cy = lens
     sigma_px, gate_px = noise
     shared = jacobians.shape[2]
@@ -114,28 +171,15 @@ def calibrated_information(
     jacobian, turned = np.zeros((2, size)), np.empty((3, 3))
     mount, m = np.empty((2, 3)), np.empty((2, 3))
     to_world, to_key = np.empty((2, 3)), np.empty((2, 3))
-    world, offset, turn, ray, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    offset, turn, ray, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     used, squares = 0, 0.0
     for i in range(len(pixels)):
         q, late = landmarks[i], row_times[i]
-        rotate_into(keyframe.rotation, q, world)
-        for a in range(3):
-            moved = now.translation[a] + late * twists[0, POSITION.start + a]
-            world[a] += keyframe.translation[a] - moved
-            turn[a] = -late * twists[0, ROTATION.start + a]
-        rotate_back_into(now.rotation, world, offset)
-        exp_so3_into(turn, turned)
-        rotate_into(turned, offset, ray)
-        rotate_into(camera_rotation, ray, c)
-        for a in range(3):
-            c[a] += camera_position[a]
+        _see(q, keyframe, now, late, twists[0], camera_from_imu, offset, turned, c)
         if c[2] < 1e-2:
             continue
         x, y = c[0] / c[2], c[1] / c[2]
         ru, rv = pixels[i, 0] - (fx * x + cx), pixels[i, 1] - (fy * y + cy)
-        error2 = ru * ru + rv * rv
-        if error2 > gate_px * gate_px:
-            continue
         for b in range(3):
             mount[0, b] = fx / c[2] * (camera_rotation[0, b] - x * camera_rotation[2, b])
             mount[1, b] = fy / c[2] * (camera_rotation[1, b] - y * camera_rotation[2, b])
@@ -143,6 +187,16 @@ def calibrated_information(
             rotate_back_into(turned, mount[a], m[a])
             rotate_into(now.rotation, m[a], to_world[a])
             rotate_back_into(keyframe.rotation, to_world[a], to_key[a])
+        # an error of the landmark's depth moves its pixel along the epipolar line
+        du, dv = 0.0, 0.0
+        for k in range(3):
+            du += to_key[0, k] * spreads[i, k]
+            dv += to_key[1, k] * spreads[i, k]
+        rest = 1.0 / (sigma_px * sigma_px + du * du + dv * dv)
+        error2 = ru * ru + rv * rv - rest * (du * ru + dv * rv) ** 2
+        if error2 > gate_px * gate_px:
+            continue
+        for a in range(2):
             cross_into(m[a], offset, jacobian[a], ROTATION.start)
             cross_into(q, to_key[a], jacobian[a], key + ROTATION.start)
             for b in range(3):
@@ -170,13 +224,7 @@ def calibrated_information(
                     jacobian[a, calibration + CAMERA_ROTATION.start + b] += turn[b]
                     jacobian[a, calibration + CAMERA_TRANSLATION.start + b] -= mount[a, b]
         weight = 1.0 / ((1.0 + 4.0 * error2 / (gate_px * gate_px)) * sigma_px * sigma_px)
-        # an error of the landmark's depth moves its pixel along the epipolar line
-        du, dv = 0.0, 0.0
-        for k in range(3):
-            du += to_key[0, k] * spreads[i, k]
-            dv += to_key[1, k] * spreads[i, k]
         # root of the weight: less along that line
-        rest = 1.0 / (sigma_px * sigma_px + du * du + dv * dv)
         less = rest / (1.0 + np.sqrt(rest) * sigma_px)
         root = np.sqrt(weight)
         wuu, wuv = root * (1.0 - less * du * du), -root * less * du * dv

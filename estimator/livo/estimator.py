@@ -29,6 +29,7 @@ from touchdown.estimator.filtering.online_calibration import (
 )
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.undistortion import Undistorter
+from touchdown.estimator.ground_below import GroundBelow
 from touchdown.estimator.livo.anchored_map import AnchoredMap
 from touchdown.estimator.livo.anchored_update import DegeneracyWatch, LidarReport, update_with_scan
 from touchdown.estimator.livo.error_model import scan_diagnostics, scan_errors, visual_diagnostics
@@ -56,7 +57,7 @@ class Livo:
         self._rig = rig
         self._params = params = params or LivoParams()
         camera_hz = params.camera_hz if params.use_vision else 0
-        self.needs = SensorNeeds(camera_hz=camera_hz, lidar=True)
+        self.needs = SensorNeeds(camera_hz=camera_hz, lidar=True, rangefinder=True)
         flown = with_flown_noise(rig, params).imu
         self._filter = InertialFilter(
             rig, params.correction_time_s, flown=flown, calibration_sigmas=prior_sigmas(params)
@@ -80,6 +81,7 @@ class Livo:
         self._undistort = Undistorter(rig)
         self._vision_tick, self._scan_tick = 0, 0
         self._odom = Pose.identity()
+        self._ground = GroundBelow(rig, params.ground_memory_s)
         self._height = 0.0
         """median range of the newest scan, m"""
         self._skipped = 0
@@ -99,6 +101,7 @@ class Livo:
             else:
                 self._take_image(message)
         self._intake.finish(obs)
+        self._ground.take(obs.rangefinder, self._filter.present)
         # the reported pose differs from the best estimate by the decaying jump
         jump = self._filter.jump[POSITION]
         self._diagnostics["skipped"] = float(self._skipped + self._intake.skipped)
@@ -167,8 +170,9 @@ class Livo:
         if vision.wants_keyframe(report, image.tick):
             # old returns lie at one side of the image, and may be on a roof there
             fresh = image.tick - self._scan_tick <= _FRESH_SCANS * self._rig.lidar_scan_ticks
+            ground = None if fresh else self._ground.height_m
             keyframe = vision.new_keyframe(
-                eskf, levels, recent, image.tick, delay_s=delay_s, extend=fresh
+                eskf, levels, recent, image.tick, delay_s=delay_s, ground_m=ground
             )
             if keyframe is not None:
                 self._add_clone(keyframe)

@@ -43,6 +43,7 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
+from touchdown.estimator.livo.assumed_depth import assume_level_ground, move_along_rays
 from touchdown.estimator.livo.patch_tracker import Grey, track
 from touchdown.estimator.livo.plane_extension import extend_plane
 from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
@@ -76,10 +77,17 @@ class _Track:
     """Landmarks of one keyframe that were found in the present image."""
 
     keyframe: int
+    which: NDArray[np.int64]
+    """(N,) of its features"""
     views: LandmarkViews
     """as created"""
     made_with: Array
     """(C,) calibration at which ``landmarks`` hold"""
+
+    def by(self, calibration: Array) -> LandmarkViews:
+        """The views with the landmarks at the present ``calibration`` (C,)."""
+        moved = self.views.jacobians @ (calibration - self.made_with)
+        return self.views._replace(landmarks=self.views.landmarks + moved)
 
 
 _NO_IMAGE = np.zeros((0, 0), dtype=np.uint8)
@@ -138,16 +146,20 @@ class VisualFrontEnd:
         tick: int,
         *,
         delay_s: float = 0.0,
-        extend: bool = True,
+        ground_m: float | None = None,
     ) -> Keyframe | None:
         """Returns the present image as a keyframe if enough of its features have a plane, else
-        None. ``delay_s``: its stamp less the instant of the filter's state; ``extend``: features
-        without returns may take the common plane of the returns around."""
+        None. ``delay_s``: its stamp less the instant of the filter's state; ``ground_m``: height of
+        the ground for features without returns while there are no scans. While there are, features
+        without may take the common plane of the returns around."""
         pixels = detect_features(levels[0], self._params.features)
         keyframe = self._keyframe(eskf, levels, pixels, tick, delay_s)
         camera_from_odom = self._camera_at(eskf.state.pose, keyframe).inverse()
         measure_planes(keyframe, recent, camera_from_odom, self._camera)
-        if extend and int(keyframe.valid.sum()) < _LEAST_PLANES:
+        if ground_m is not None:
+            share = self._params.assumed_depth_share
+            assume_level_ground(keyframe, camera_from_odom, ground_m, self._camera, share)
+        elif int(keyframe.valid.sum()) < _LEAST_PLANES:
             extend_plane(keyframe, recent, camera_from_odom, self._camera)
         if int(keyframe.valid.sum()) < _LEAST_PLANES:
             return None
@@ -167,7 +179,8 @@ class VisualFrontEnd:
         count = len(pixels)
         return Keyframe(
             tick=tick, levels=levels, pixels=pixels, valid=np.zeros(count, dtype=np.bool_),
-            planes=np.zeros((count, 3)), sigmas=np.zeros(count), depth_m=0.0,
+            planes=np.zeros((count, 3)), sigmas=np.zeros(count), assumed=np.zeros(count, np.bool_),
+            depth_m=0.0,
             calibration=eskf.state.calibration, twist=eskf.twist, delay_s=delay_s,
         )  # fmt: skip
 
@@ -226,6 +239,8 @@ class VisualFrontEnd:
         if sum(len(t.views.pixels) for t in tracks) < _LEAST_LANDMARKS:
             return VisualReport(best_share=best)
         used, rms = self._iterate(IteratedUpdate(eskf, share), eskf, tracks, delay_s)
+        if used:
+            self._refine_depths(eskf, tracks, delay_s)
         return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=best)
 
     def _exposed(
@@ -258,14 +273,16 @@ class VisualFrontEnd:
         spreads = arms * (sigmas / np.linalg.norm(arms, axis=1))[:, None]
         if not eskf.shared:
             fixed = np.zeros((len(which), 3, 0))
-            return _Track(k, LandmarkViews(pixels, rows, landmarks, fixed, spreads), np.zeros(0))
+            views = LandmarkViews(pixels, rows, landmarks, fixed, spreads)
+            return _Track(k, which, views, np.zeros(0))
         made_with = keyframe.calibration[: eskf.shared].copy()
         for given in (FOCAL, CENTER, CAMERA_ROTATION, CAMERA_TRANSLATION):
             made_with[given] = 0.0  # rays are those of the given lens and mount
         jacobians = landmark_jacobians(
             rays, planes, self._lidar_in_camera, Frame.of(mount), twist, Pinhole.of(self._camera)
         )
-        return _Track(k, LandmarkViews(pixels, rows, landmarks, jacobians, spreads), made_with)
+        views = LandmarkViews(pixels, rows, landmarks, jacobians, spreads)
+        return _Track(k, which, views, made_with)
 
     def _iterate(
         self, update: IteratedUpdate, eskf: Eskf, tracks: list[_Track], delay_s: float
@@ -282,6 +299,20 @@ class VisualFrontEnd:
         update.finish()
         return used, rms
 
+    def _refine_depths(self, eskf: Eskf, tracks: list[_Track], delay_s: float) -> None:
+        """Moves features whose depth is assumed to where the image shows them."""
+        calibration, params = eskf.state.calibration, self._params
+        mount = corrected_camera(self._imu_from_camera, calibration)
+        lens = corrected_lens(self._camera, calibration)
+        *clones, now = self._exposed(eskf, [track.keyframe for track in tracks], delay_s)
+        for clone, track_ in zip(clones, tracks, strict=True):
+            move_along_rays(
+                self.keyframes[track_.keyframe], track_.which, track_.by(calibration[: eskf.shared]),
+                (Frame.of(now), Frame.of(clone)), eskf.twist, (mount, lens),
+                params.assumed_depth_floor,
+                PixelNoise(params.pixel_sigma, _GATES_PX[0]),
+            )  # fmt: skip
+
     def _accumulate(
         self, eskf: Eskf, tracks: list[_Track], delay_s: float, gate_px: float
     ) -> NormalEquations:
@@ -296,10 +327,9 @@ class VisualFrontEnd:
         camera = corrected_camera(self._imu_from_camera, state.calibration).inverse()
         calibration = state.calibration[:shared]
         for slot, track_ in enumerate(tracks):
-            clone, keyframe, views = clones[slot], self.keyframes[track_.keyframe], track_.views
-            landmarks = views.landmarks + views.jacobians @ (calibration - track_.made_with)
+            clone, keyframe = clones[slot], self.keyframes[track_.keyframe]
             part = calibrated_information(
-                views._replace(landmarks=landmarks),
+                track_.by(calibration),
                 Frame.of(now), Frame.of(clone), np.array([eskf.twist, keyframe.twist]),
                 Frame.of(camera), lens, PixelNoise(self._params.pixel_sigma, gate_px),
             )  # fmt: skip

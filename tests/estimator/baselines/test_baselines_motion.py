@@ -13,7 +13,6 @@ from touchdown.estimator.baselines import ground_flow
 from touchdown.estimator.baselines.aiding import BaroHeight, update_velocity
 from touchdown.estimator.baselines.alignment import Alignment
 from touchdown.estimator.baselines.gps import SatelliteAiding
-from touchdown.estimator.baselines.ground_below import GroundBelow
 from touchdown.estimator.baselines.ground_flow import Displacement, update_with_displacement
 from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
 from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
@@ -22,6 +21,7 @@ from touchdown.estimator.baselines.world_anchor import FollowingAnchor
 from touchdown.estimator.filtering.error_state import STATE_DIM, VELOCITY
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.estimator.ground_below import GroundBelow
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     BarometerSample,
