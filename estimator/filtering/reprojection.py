@@ -87,13 +87,14 @@ def reprojection_information(
 
 @njit(cache=True, error_model="numpy")
 def _see(
-    landmark: Array, keyframe: Frame, now: Frame, late_s: float, twist: Array,
+    landmark: Array, poses: tuple[Frame, Frame], late_s: float, twist: Array,
     camera_from_imu: Frame, offset: Array, turned: Array, seen: Array,
 ) -> None:  # fmt: skip
-    """Writes the landmark of a keyframe in the present IMU frame (``offset``, with the present
-    attitude), the rotation until its row ``late_s`` after the exposure (``turned``), and its
-    position in the camera then (``seen``)."""
+    """Writes the landmark of a keyframe in the present IMU frame (``offset``), the rotation until
+    its row ``late_s`` after the exposure (``turned``), and its position in the camera then
+    (``seen``). ``poses``: of the keyframe and now."""
     world, turn = np.empty(3), np.empty(3)
+    keyframe, now = poses
     rotate_into(keyframe.rotation, landmark, world)
     for a in range(3):
         moved = now.translation[a] + late_s * twist[POSITION.start + a]
@@ -120,13 +121,14 @@ def depth_corrections(
     """
     out, c, far = np.zeros((len(views.pixels), 2)), np.empty(3), np.empty(3)
     offset, turned, further = np.empty(3), np.empty((3, 3)), np.empty(3)
+    poses = (keyframe, now)
     for i in range(len(views.pixels)):
         out[i, 1] = 1.0
         for a in range(3):
             further[a] = views.landmarks[i, a] + views.spreads[i, a]
         late = views.row_times[i]
-        _see(views.landmarks[i], keyframe, now, late, twist, camera_from_imu, offset, turned, c)
-        _see(further, keyframe, now, late, twist, camera_from_imu, offset, turned, far)
+        _see(views.landmarks[i], poses, late, twist, camera_from_imu, offset, turned, c)
+        _see(further, poses, late, twist, camera_from_imu, offset, turned, far)
         if c[2] < 1e-2 or far[2] < 1e-2:
             continue
         u, v = lens.fx * c[0] / c[2] + lens.cx, lens.fy * c[1] / c[2] + lens.cy
@@ -157,7 +159,8 @@ def calibrated_information(
 
     ``now``, ``keyframe``: odom_from_imu at the exposures; ``twists`` (2, 6): angular rate and
     velocity now and at the keyframe. Cauchy weights of scale ``gate_px`` / 2, zero beyond
-    ``gate_px``.
+    ``gate_px``, by the length of a residual in units of its standard deviation, times
+    ``sigma_px``: along the epipolar line an uncertain depth explains it.
     """
     pixels, row_times, landmarks, jacobians, spreads = views
     camera_rotation = camera_from_imu.rotation
@@ -172,10 +175,10 @@ def calibrated_information(
     mount, m = np.empty((2, 3)), np.empty((2, 3))
     to_world, to_key = np.empty((2, 3)), np.empty((2, 3))
     offset, turn, ray, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    used, squares = 0, 0.0
+    used, squares, poses = 0, 0.0, (keyframe, now)
     for i in range(len(pixels)):
         q, late = landmarks[i], row_times[i]
-        _see(q, keyframe, now, late, twists[0], camera_from_imu, offset, turned, c)
+        _see(q, poses, late, twists[0], camera_from_imu, offset, turned, c)
         if c[2] < 1e-2:
             continue
         x, y = c[0] / c[2], c[1] / c[2]

@@ -73,9 +73,9 @@ def move_along_rays(
 ) -> None:
     """Moves the assumed ones among the features ``which`` (N,) to where their ``views`` show them.
 
-    ``poses``: odom_from_imu now and at the keyframe, ``twist`` (6,) now; ``camera``: imu_from_camera
-    and lens; ``floor``: of the standard
-    deviation, relative to the keyframe's depth.
+    ``poses``: odom_from_imu now and at the keyframe; ``twist`` (6,): of the IMU now; ``camera``:
+    imu_from_camera and the lens, as estimated; ``floor``: of the standard deviation, relative to
+    the keyframe's depth.
     """
     chosen = np.flatnonzero(keyframe.assumed[which])
     if len(chosen) == 0:

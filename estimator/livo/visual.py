@@ -305,12 +305,12 @@ class VisualFrontEnd:
         mount = corrected_camera(self._imu_from_camera, calibration)
         lens = corrected_lens(self._camera, calibration)
         *clones, now = self._exposed(eskf, [track.keyframe for track in tracks], delay_s)
+        noise = PixelNoise(params.pixel_sigma, _GATES_PX[0])
         for clone, track_ in zip(clones, tracks, strict=True):
             move_along_rays(
-                self.keyframes[track_.keyframe], track_.which, track_.by(calibration[: eskf.shared]),
-                (Frame.of(now), Frame.of(clone)), eskf.twist, (mount, lens),
-                params.assumed_depth_floor,
-                PixelNoise(params.pixel_sigma, _GATES_PX[0]),
+                self.keyframes[track_.keyframe], track_.which,
+                track_.by(calibration[: eskf.shared]), (Frame.of(now), Frame.of(clone)),
+                eskf.twist, (mount, lens), params.assumed_depth_floor, noise,
             )  # fmt: skip
 
     def _accumulate(

@@ -120,7 +120,8 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
     from touchdown.experiments.flight.wiring import build_estimator
 
     estimator = build_estimator(config, logged.sensors.rig)
-    check_needs(config.estimator, estimator.needs, logged.sensors)
+    spare = getattr(estimator, "spare_sensors", ())
+    check_needs(config.estimator, estimator.needs, logged.sensors, spare)
     clock, own = CpuClock(), PositioningError()
     revisits = Revisits(logged.sensors.rig, TruePath(logged).at)
     times: list[float] = []

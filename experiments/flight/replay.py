@@ -136,12 +136,15 @@ def replay_config(
     return config
 
 
-def check_needs(name: str, needs: SensorNeeds, reader: SensorLogReader) -> None:
-    """Raises UsageError naming the sensors that the estimator needs and the log lacks."""
+def check_needs(
+    name: str, needs: SensorNeeds, reader: SensorLogReader, spare: tuple[str, ...] = ()
+) -> None:
+    """Raises UsageError naming the sensors that the estimator needs and the log lacks. ``spare``:
+    those that it can do without."""
     missing = [
         field.name
         for field in dataclasses.fields(needs)
-        if field.name != "camera_hz"
+        if field.name not in ("camera_hz", *spare)
         and getattr(needs, field.name)
         and not getattr(reader.sensed, field.name)
     ]
@@ -232,7 +235,8 @@ def replay(
             raise UsageError(f"--out {out_dir} is the run that is replayed; name another directory")
     limit_threads()
     estimator = build_estimator(config, logged.sensors.rig)
-    check_needs(config.estimator, estimator.needs, logged.sensors)
+    spare = getattr(estimator, "spare_sensors", ())
+    check_needs(config.estimator, estimator.needs, logged.sensors, spare)
     if out_dir is None:
         return _replay(logged, estimator, config, None, progress)
     with run_directory(out_dir) as partial:

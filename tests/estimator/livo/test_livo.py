@@ -10,7 +10,7 @@ from touchdown.estimator.api import LivoParams
 from touchdown.estimator.livo.estimator import Livo
 from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.estimator.oracle import Oracle
-from touchdown.sim.api import GRAVITY_MPS2, ImuSample, Observation, Truth
+from touchdown.sim.api import GRAVITY_MPS2, ImuSample, Observation, RangefinderSample, Truth
 from touchdown.sim.frames import Pose
 
 from support.livo_flight import (
@@ -93,16 +93,22 @@ def test_scan_track_spans_the_scan() -> None:
 
 def test_returns_of_long_ago_are_not_extended(monkeypatch: pytest.MonkeyPatch) -> None:
     """The LIDAR drops out from the scan at 0.6 s on; that of 0.5 s is fresh for three periods."""
-    asked: list[tuple[int, bool]] = []
+    asked: list[tuple[int, float | None]] = []
 
-    def note(self: VisualFrontEnd, *args: Any, delay_s: float = 0.0, extend: bool = True) -> None:
+    def note(
+        self: VisualFrontEnd, *args: Any, delay_s: float = 0.0, ground_m: float | None = None
+    ) -> None:
         assert delay_s == 0.0  # the images lie on the ticks of the IMU
-        asked.append((args[3], extend))
+        asked.append((args[3], ground_m))
 
     monkeypatch.setattr(VisualFrontEnd, "new_keyframe", note)
-    fly([dataclasses.replace(o, scans=()) if o.tick > 350 else o for o in FLIGHT])
-    assert [extend for tick, extend in asked if tick <= 480] == [True] * 8
-    assert [extend for tick, extend in asked if tick > 480] == [False] * 4
+    reading = RangefinderSample(tick=480, time_s=0.8, range_m=2.5)
+    silent = [dataclasses.replace(o, scans=()) if o.tick > 350 else o for o in FLIGHT]
+    fly([dataclasses.replace(o, rangefinder=(reading,) * (o.tick == 480)) for o in silent])
+    assert [ground for tick, ground in asked if tick <= 480] == [None] * 8
+    below = [ground for tick, ground in asked if tick > 480]
+    level = position_at(0.8)[2] - 2.5 + RIG.nav.rangefinder.position_body_m[2]
+    assert len(below) == 4 and below == pytest.approx([level] * 4, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,14 @@ from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.filtering.keyframes import Overlap, choose, detect_features, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes
-from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
+from touchdown.estimator.filtering.reprojection import (
+    LandmarkViews,
+    MountedCamera,
+    PixelNoise,
+    calibrated_information,
+    depth_corrections,
+    reprojection_information,
+)
 from touchdown.estimator.livo.patch_tracker import grey_levels, track
 from touchdown.estimator.livo.shutter import Shutter
 from touchdown.estimator.livo.visual import VisualFrontEnd, VisualReport
@@ -328,9 +335,76 @@ def test_a_plane_is_extended_only_on_demand() -> None:
     pose = imu_pose((0, 0, 22), (0, 0, 0))
     image = grey_levels(view(pose @ IMU_FROM_CAMERA))
     vision, eskf = front_end(), filter_at(pose)
-    assert not add_keyframe(vision, eskf, image, recent, 0, extend=False)
+    assert not add_keyframe(vision, eskf, image, recent, 0, ground_m=21.8)
     assert not vision.keyframes and not eskf.clones and add_keyframe(vision, eskf, image, recent, 0)
-    assert vision.keyframes[0].valid.sum() > 60
+    assert vision.keyframes[0].valid.sum() > 60 and not vision.keyframes[0].assumed.any()
+
+
+def test_without_returns_features_lie_on_level_ground() -> None:
+    """Seen from 20 m with a tilt of 6 degrees; the rangefinder says that the ground is at z = 2."""
+    pose = imu_pose((3.0, -2.0, 20.0), (0.08, -0.06, 0.5))
+    vision, eskf = front_end(), filter_at(pose)
+    image = grey_levels(view(pose @ IMU_FROM_CAMERA))
+    assert add_keyframe(vision, eskf, image, RecentReturns(scans=1, per_scan=10), 0, ground_m=2.0)
+    (keyframe,) = vision.keyframes
+    camera = pose @ IMU_FROM_CAMERA
+    landmarks = keyframe.landmarks_camera(CAMERA)
+    assert keyframe.valid.all() and keyframe.assumed.all()
+    np.testing.assert_allclose(camera.apply(landmarks)[:, 2], 2.0, atol=1e-9)
+    np.testing.assert_allclose(keyframe.sigmas, 0.4 * np.linalg.norm(landmarks, axis=1))
+    assert keyframe.depth_m == pytest.approx(float(np.median(landmarks[:, 2])))
+
+
+def test_parallax_finds_the_depth_of_the_ground_and_no_more_than_the_floor() -> None:
+    """The ground is assumed 3 m too low, a sixth of 18 m; 6 m sideways and back show it. What the
+    returns have shown stays."""
+    start = imu_pose((0.0, 0.0, 18.0), (0.0, 0.0, 0.0))
+    vision, eskf = front_end(), filter_at(start)
+    image = grey_levels(view(start @ IMU_FROM_CAMERA))
+    assert add_keyframe(vision, eskf, image, RecentReturns(scans=1, per_scan=10), 0, ground_m=-3.0)
+    (keyframe,) = vision.keyframes
+    keyframe.assumed[:5] = False
+    planes = keyframe.planes.copy()
+    for x in (1.0, 2.0, 4.0, 6.0, 3.0):
+        pose = imu_pose((x, 0.0, 18.0), (0.0, 0.0, 0.0))
+        eskf.state = replace(eskf.state, rotation=pose.rotation, position=pose.translation)
+        assert vision.update(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA))).used > 60
+    moved = (start @ IMU_FROM_CAMERA).apply(keyframe.landmarks_camera(CAMERA))[5:]
+    seen = keyframe.sigmas[5:] < 0.39 * keyframe.depth_m
+    assert seen.sum() > 60 and float(np.median(np.abs(moved[seen, 2]))) < 0.15
+    np.testing.assert_array_equal(keyframe.planes[:5], planes[:5])
+    assert keyframe.sigmas.min() == pytest.approx(0.16 * keyframe.depth_m)
+
+
+def test_a_wrong_depth_is_no_outlier_but_what_lies_beside_the_epipolar_line_is() -> None:
+    """One landmark 10 m off of 20, after a move of 5 m along x; then the same error along y."""
+    now, still = (
+        Frame(np.eye(3), np.array([5.0, 0.0, 20.0])),
+        Frame(np.eye(3), np.array([0, 0, 20.0])),
+    )
+    mount = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3)).inverse()
+    camera = Frame.of(mount)
+    landmark, spread = np.array([[2.0, 1.0, -20.0]]), np.array([[1.0, 0.5, -10.0]])
+    true = mount.apply(landmark + 0.8 * spread - [5.0, 0.0, 0.0])
+    pixel = true[:, :2] / true[:, 2:] * [LENS.fx, LENS.fy] + [LENS.cx, LENS.cy]
+    assumed = mount.apply(landmark - [5.0, 0.0, 0.0])
+    expected = assumed[:, :2] / assumed[:, 2:] * [LENS.fx, LENS.fy] + [LENS.cx, LENS.cy]
+    error = pixel - expected
+    assert np.linalg.norm(error) > 15.0
+    for shift, used in ((error, 1), (error[:, ::-1] * [1.0, -1.0], 0)):
+        views = LandmarkViews(expected + shift, np.zeros(1), landmark, np.zeros((1, 3, 0)), spread)
+        found = calibrated_information(
+            views, now, still, np.zeros((2, 6)), camera, LENS, PixelNoise(0.3, 6.0)
+        )
+        assert found.used == used
+    views = views._replace(pixels=expected + error)
+    ((moved, left),) = depth_corrections(
+        views, now, still, np.zeros(6), camera, LENS, PixelNoise(0.3, 6.0)
+    )
+    # linear in the depth: from 20 to 28 m the disparity falls by less than 0.8 of that to 30 m
+    assert 0.8 < moved < 1.0
+    power = ((pixel - expected) ** 2).sum() / moved**2
+    assert left == pytest.approx(0.3**2 / (0.3**2 + power), rel=0.3)
 
 
 def test_the_keyframes_of_least_variance_and_largest_overlap_are_chosen() -> None:
