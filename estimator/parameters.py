@@ -129,7 +129,18 @@ class LivoParams(CalibratedParams):
     map_voxels: Count = 131072
     """capacity of the plane map, a power of two; it never grows"""
     voxel_points: Count = 150
-    """a voxel ignores further returns after so many: the oldest carry the least drift"""
+    """a voxel ignores further returns after so many"""
+    map_open_s: Positive = 0.3
+    """scans enter the map for so long after a keyframe: later ones have drifted against it"""
+    image_open_s: Positive = 0.5
+    """the same of the images of intensity, whose cells need more returns"""
+    anchor_spacing: Positive = 0.6
+    """distance from the newest keyframe relative to the height, beyond which the map is given
+    another part where images fail"""
+    anchor_turn_deg: Positive = 20.0
+    """the same of the rotation since then"""
+    plane_sigma_m: NotNegative = 0.003
+    """of any plane of the map, beside the scatter of its returns"""
     scan_points: Count = 2000
     """returns of a scan that are matched, spread evenly"""
     scan_tilt_sigma_deg: NotNegative = 1.0

@@ -6,6 +6,7 @@ import os
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -55,3 +56,30 @@ def torch() -> Any:
     module: Any = pytest.importorskip("torch")
     module.set_num_threads(1)
     return module
+
+
+@pytest.fixture
+def run_cli(capsys: pytest.CaptureFixture[str]) -> Any:
+    """Runs the command line and returns exit code, output and errors."""
+
+    def run(*arguments: Any) -> tuple[int, str, str]:
+        from touchdown.experiments.cli import main
+
+        capsys.readouterr()
+        code = main.main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture
+def says(run_cli: Any) -> Any:
+    """Runs the command line, which must end with a code, and returns what it prints."""
+
+    def says(code: int, *arguments: Any) -> Any:
+        ended, out, err = run_cli(*arguments)
+        assert ended == code, err
+        return SimpleNamespace(out=out, err=err)
+
+    return says

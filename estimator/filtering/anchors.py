@@ -18,7 +18,6 @@ from touchdown.estimator.filtering.error_state import (
     MOUNT_TRANSLATION,
     Frames,
 )
-from touchdown.estimator.filtering.plane_map import AnchorTerms
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -55,18 +54,20 @@ class Anchors:
         """Removes the anchor of clone ``k``."""
         del self._poses[k], self._calibrations[k]
 
-    def kept_from_now(
-        self, clones: list[Pose], calibration: Array, imu_rotation: Array
-    ) -> AnchorTerms:
-        """Transforms of new returns to the anchors' poses as kept, and the changes of the mount.
-        ``imu_rotation`` (3, 3): odom_from_imu of the scan."""
-        moves = _between(Frames.of(self._poses), Frames.of(clones))
-        changes = -self._mount_changes(calibration)
-        turns, shifts = (
-            np.ascontiguousarray(changes[:, part] @ imu_rotation.T)
-            for part in (MOUNT_ROTATION, MOUNT_TRANSLATION)
-        )
-        return AnchorTerms(*moves, turns, shifts)
+    def moves_to_kept(self, clones: list[Pose]) -> Frames:
+        """(K,) transforms from the present estimate of the ``clones`` to the anchors as kept."""
+        return _between(Frames.of(self._poses), Frames.of(clones))
+
+    def as_kept(
+        self, points: Array, sensor: Array, clone: Pose, calibration: Array, imu_rotation: Array
+    ) -> Array:
+        """Returns (N, 3) points of a scan as the newest anchor keeps them, odom frame: relative to
+        its ``clone`` as they are now. ``sensor`` (3,): position of the LIDAR; ``imu_rotation``
+        (3, 3): odom_from_imu of the scan."""
+        change = self._calibrations[-1] - _mount_part(calibration)
+        turn, shift = (imu_rotation @ change[part] for part in (MOUNT_ROTATION, MOUNT_TRANSLATION))
+        with_mount = points + np.cross(turn, points - sensor) + shift
+        return (self._poses[-1] @ clone.inverse()).apply(with_mount)
 
     def frames(self, clones: list[Pose], calibration: Array, touched: Indices) -> AnchorFrames:
         """The anchors at the present estimate; ``touched``: of them, ascending."""

@@ -29,7 +29,7 @@ class PlaneMatches(NamedTuple):
     centres: Array  # (N, 3) m, a point on each plane
     variances: Array
     """(N, 3): m^2 of the returns about the plane (its thickness); m^2 of the plane's height at the
-    point; rad^2 of the normal about either axis"""
+    point; rad^2 of the normal about either axis, by no more than ``_INDEPENDENT`` points"""
     sensors: Array  # (N, 3) m, position that each plane was first seen from
     anchors: NDArray[np.signedinteger]
     """(N,) index of the anchor that each plane belongs to; -1: none"""
@@ -44,24 +44,18 @@ class Voxels(NamedTuple):
     seen_from: Array  # (S, 3) m
 
 
-class AnchorTerms(NamedTuple):
-    """What moves new points to the state at the creation of each of K anchors, see
-    ``Anchors.kept_from_now``."""
-
-    rotations: Array  # (K, 3, 3)
-    translations: Array  # (K, 3) m
-    turns: Array  # (K, 3) rad, of a beam about the sensor, odom frame, applied first
-    shifts: Array  # (K, 3) m, with it
-
-
 _EMPTY = np.int64(-1)
 _OFFSET = 1 << 20
 # moments of a voxel: number of points, sums of their coordinates about the voxel's centre, and sums
 # of products
 _COUNT, _X, _Y, _Z, _XX, _XY, _XZ, _YY, _YZ, _ZZ = range(10)
 _MOMENTS = 10
+_INDEPENDENT = 25.0
+"""most points of a voxel whose heights about its plane are independent of each other: plants and
+bumps of the ground are wider than the gap between two"""
+_FEW = 12
+"""points below which a voxel of another anchor is taken over: a plane by fewer is hardly one"""
 _NO_ANCHOR = -1
-_NO_TERMS = AnchorTerms(np.zeros((0, 3, 3)), *(np.zeros((0, 3)) for _ in range(3)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -107,54 +101,46 @@ def insert_points(
     points: Array,
     sensor: Array,
     owner: int,
-    terms: AnchorTerms,
     voxel: float,
     max_count: int,
 ) -> int:
-    """Adds (N, 3) points seen from ``sensor`` (3,); returns the number of used slots.
+    """Adds (N, 3) points seen from ``sensor`` (3,), placed with anchor ``owner``; returns the
+    number of used slots.
 
-    New voxels belong to anchor ``owner``. For a voxel with an anchor, points are first moved by its
-    ``terms``.
+    A voxel holds the points of one anchor, that of its first point: those of another, with the
+    drift between the two, would move its plane, unseen by the filter. One with fewer than
+    ``_FEW`` points is given to ``owner`` and emptied.
 
-    A voxel with ``max_count`` points is not changed: its oldest points carry the least drift, and
-    the cost of a scan stays constant. When the table is 70 % full, new voxels are rejected.
+    A voxel with ``max_count`` points is not changed: the cost of a scan stays constant. When the
+    table is 70 % full, new voxels are rejected.
     """
     keys, moments, owners, seen_from = voxels
     limit = int(0.7 * keys.shape[0])
-    p, one = np.empty(3), np.zeros(_MOMENTS)
+    one = np.zeros(_MOMENTS)
     one[_COUNT] = 1.0
     for i in range(points.shape[0]):
-        ix = int(np.floor(points[i, 0] / voxel))
-        iy = int(np.floor(points[i, 1] / voxel))
-        iz = int(np.floor(points[i, 2] / voxel))
+        x, y, z = points[i, 0] / voxel, points[i, 1] / voxel, points[i, 2] / voxel
+        ix, iy, iz = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
         key = _pack(ix, iy, iz)
         slot = _slot(keys, key)
+        m = moments[slot]
         if keys[slot] == _EMPTY:
             if used >= limit:
                 continue
             keys[slot] = key
+            used += 1
+        elif owners[slot] != owner:
+            if m[_COUNT] >= _FEW:
+                continue
+            m[:] = 0.0
+        if m[_COUNT] >= max_count:
+            continue
+        if m[_COUNT] == 0.0:
             owners[slot] = owner
             for a in range(3):
                 seen_from[slot, a] = sensor[a]
-            used += 1
-        m = moments[slot]
-        if m[_COUNT] >= max_count:
-            continue
-        for a in range(3):
-            p[a] = points[i, a]
-        k = owners[slot]
-        if k >= 0:
-            w, shift, r = terms.turns[k], terms.shifts[k], terms.rotations[k]
-            bx, by, bz = p[0] - sensor[0], p[1] - sensor[1], p[2] - sensor[2]
-            qx = p[0] + w[1] * bz - w[2] * by + shift[0]
-            qy = p[1] + w[2] * bx - w[0] * bz + shift[1]
-            qz = p[2] + w[0] * by - w[1] * bx + shift[2]
-            for a in range(3):
-                p[a] = r[a, 0] * qx + r[a, 1] * qy + r[a, 2] * qz + terms.translations[k, a]
-        x = p[0] - (ix + 0.5) * voxel
-        y = p[1] - (iy + 0.5) * voxel
-        z = p[2] - (iz + 0.5) * voxel
-        _add_moved(m, one, x, y, z)
+        x, y, z = x - (ix + 0.5), y - (iy + 0.5), z - (iz + 0.5)
+        _add_moved(m, one, x * voxel, y * voxel, z * voxel)
     return used
 
 
@@ -316,7 +302,7 @@ def match_planes(
         centres[i, 0], centres[i, 1], centres[i, 2] = cx + mx, cy + my, cz + mz
         variances[i, 0] = low
         variances[i, 1] = low / n * (1.0 + reach2 / mid)
-        variances[i, 2] = low / (n * mid)
+        variances[i, 2] = low / (min(n, _INDEPENDENT) * mid)
         slot = int(total[_MOMENTS])
         for a in range(3):
             sensors[i, a] = seen_from[slot, a]
@@ -343,19 +329,12 @@ class PlaneMap:
             np.zeros((capacity, 3)),
         )
 
-    def insert(
-        self,
-        points_odom: Array,
-        sensor_odom: Array | None = None,
-        owner: int = _NO_ANCHOR,
-        terms: AnchorTerms = _NO_TERMS,
-    ) -> None:
-        """Adds (N, 3) points seen from ``sensor_odom`` (3,). ``owner`` and ``terms``: see
-        ``insert_points``; without them the voxels have no anchor."""
-        sensor = np.zeros(3) if sensor_odom is None else sensor_odom
+    def insert(self, points: Array, sensor: Array | None = None, owner: int = _NO_ANCHOR) -> None:
+        """Adds (N, 3) points seen from ``sensor`` (3,), odom frame. ``owner``: see
+        ``insert_points``; without it the voxels have no anchor."""
         self.used = insert_points(
-            self._voxels, self.used, points_odom, sensor, owner, terms, self.voxel_m,
-            self.max_points,
+            self._voxels, self.used, points, np.zeros(3) if sensor is None else sensor, owner,
+            self.voxel_m, self.max_points,
         )  # fmt: skip
 
     def reassign(self, gone: int, successor: int, move: Pose) -> None:

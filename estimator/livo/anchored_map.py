@@ -1,6 +1,9 @@
 """The map of `livo`: planes, recent returns and intensity images, anchored to the filter's clones.
 
-A part of the map belongs to the clone that it was seen from and moves with its estimate.
+A part of the map belongs to the clone that it was seen from and moves with its estimate. It is made
+of the scans within a moment after its clone, whose drift against it is nothing beside the noise of
+a return, and is never added to: returns registered to it later would bring the drift since then
+into the map, and a revisit, compared with it, would confirm that drift.
 """
 
 from __future__ import annotations
@@ -27,9 +30,13 @@ voxel from one corner of it"""
 class AnchoredMap:
     """Part k of ``anchors`` and ``images`` belongs to clone k of the filter."""
 
-    def __init__(self, params: LivoParams, lever: Array, dark_ticks: int | None) -> None:
-        """``lever`` (3,), ``dark_ticks``: see ``PhotometricUpdate``."""
+    def __init__(
+        self, params: LivoParams, lever: Array, dark_ticks: int | None, tick_hz: int
+    ) -> None:
+        """``lever`` (3,), ``dark_ticks``: see ``PhotometricUpdate``; ``tick_hz``: of ticks."""
         self._voxel_m = params.voxel_m
+        self._open_ticks = params.map_open_s * tick_hz, params.image_open_s * tick_hz
+        self._begun = 0
         self.planes = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
         self.recent = RecentReturns()
         self.anchors = Anchors()
@@ -39,19 +46,25 @@ class AnchoredMap:
         self, eskf: Eskf, scan: PlacedScan, intensity: NDArray[np.uint8], lever: Array
     ) -> None:
         """Adds the scan just used, with its ``intensity`` (N,), at the present pose to the newest
-        clone's part. ``lever`` (3,): of the LIDAR in the IMU frame."""
-        state = eskf.state
+        clone's part while that is open. ``lever`` (3,): of the LIDAR in the IMU frame."""
+        state, age = eskf.state, eskf.state.tick - self._begun
         pose = Frame(state.rotation, state.position)
-        sensor = state.rotation @ lever + state.position
-        terms = self.anchors.kept_from_now(eskf.clones, state.calibration, state.rotation)
-        spread = thin_out(scan.points, _SPREAD * self._voxel_m, 16)
-        points = moved(scan.points, spread, pose)
-        self.planes.insert(points, sensor, len(self.anchors) - 1, terms)
         self.recent.add(scan.points, pose)
-        self.photometric.extend(eskf, scan.points, intensity)
+        if not eskf.clones:
+            return
+        if age <= self._open_ticks[0]:
+            sensor = state.rotation @ lever + state.position
+            spread = thin_out(scan.points, _SPREAD * self._voxel_m, 16)
+            points = moved(scan.points, spread, pose)
+            clone, calibration = eskf.clones[-1], state.calibration
+            points = self.anchors.as_kept(points, sensor, clone, calibration, state.rotation)
+            self.planes.insert(points, sensor, len(self.anchors) - 1)
+        if age <= self._open_ticks[1]:
+            self.photometric.extend(eskf, scan.points, intensity)
 
     def begin(self, eskf: Eskf, height_m: float, dark_ticks: int) -> None:
         """Begins the part of the clone just added, ``height_m`` above the ground."""
+        self._begun = eskf.state.tick
         self.photometric.begin(eskf, height_m, dark_ticks)
         self.anchors.add(eskf.clones[-1], eskf.state.calibration)
 

@@ -22,7 +22,6 @@ from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_e
 
 Array = NDArray[np.float64]
 
-_PLANE_FLOOR_M = 0.003
 _SAME_PLANE_M = 0.02
 """displacement of a return up to which its plane is not looked up again"""
 _GATES = (6.0, 4.0)
@@ -54,6 +53,8 @@ class ScanErrors:
     floor_sigmas: Array
     """(6,) rad and m: information floor, errors of the scan, and of each clone's part of the map,
     that do not average out (``limit_information``)"""
+    plane_sigma_m: float = 0.003
+    """of any plane, beside the scatter of its returns"""
     weak_sigmas: tuple[float, float] | None = None
     """rad and m: directions known less well than these are left out of the update
     (``weak_columns``); None: none are"""
@@ -90,7 +91,7 @@ def update_with_scan(
             keys = np.unique(matched.anchors[matched.found])
             keys = keys[keys >= 0].astype(np.int64)
         noise = ScanNoise(
-            errors.range_sigma_m, errors.angle_sigma_rad, _PLANE_FLOOR_M,
+            errors.range_sigma_m, errors.angle_sigma_rad, errors.plane_sigma_m,
             _GATES[min(iteration, len(_GATES) - 1)],
         )  # fmt: skip
         found = plane_equations(

@@ -18,6 +18,7 @@ def scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:
     return ScanErrors(
         range_sigma_m=rig.lidar.range_sigma_m,
         angle_sigma_rad=float(np.radians(rig.lidar.angle_sigma_deg)),
+        plane_sigma_m=params.plane_sigma_m,
         floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
         weak_sigmas=weak if params.use_degeneracy else None,
     )

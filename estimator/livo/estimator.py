@@ -36,7 +36,7 @@ from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.shutter import Shutter
 from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
-from touchdown.sim.frames import Pose
+from touchdown.sim.frames import Pose, so3_log
 
 Array = NDArray[np.float64]
 
@@ -44,8 +44,6 @@ _FEWEST_RETURNS = 50
 """minimum of a usable scan"""
 _FRESH_SCANS = 3
 """periods of a scan after which the last one no longer covers the ground in view"""
-_ANCHOR_REACH = 0.5
-"""of the height: distance from the newest keyframe beyond which the map needs another anchor"""
 _INFLATION, _FLOOR = 1.8, 0.005
 """inflation and floor of the reported covariance: errors of a landmark or a voxel repeat from image
 to image and scan to scan, while the filter takes them for white noise"""
@@ -72,7 +70,9 @@ class Livo:
             lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
         )  # fmt: skip
         dark_ticks = rig.tick_hz // 2 if params.use_intensity else None
-        self._map = AnchoredMap(params, self._filter.imu_from_lidar.translation, dark_ticks)
+        self._map = AnchoredMap(
+            params, self._filter.imu_from_lidar.translation, dark_ticks, rig.tick_hz
+        )  # fmt: skip
         self._scan_errors = scan_errors(rig, params)
         floor = np.array([_FLOOR, _FLOOR, np.hypot(_FLOOR, params.ground_sigma_m)])
         self._floor = np.diag(floor**2)
@@ -191,5 +191,7 @@ class Livo:
             return True
         if tick - self._vision_tick <= self._rig.tick_hz // 2:
             return False
-        gap = np.linalg.norm(self._eskf.state.position - self._eskf.clones[-1].translation)
-        return float(gap) > _ANCHOR_REACH * max(self._height, 2.0)
+        since, params = self._eskf.clones[-1].inverse() @ self._eskf.state.pose, self._params
+        far = params.anchor_spacing * max(self._height, 2.0)
+        turned = np.linalg.norm(so3_log(since.rotation)) > np.radians(params.anchor_turn_deg)
+        return bool(turned or np.linalg.norm(since.translation) > far)

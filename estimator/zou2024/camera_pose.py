@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -88,9 +89,9 @@ class CameraPositioning:
         age_s = (tick - self._last_tick) / self._rig.tick_hz
         return age_s >= params.keyframe_period_s or bool(moved >= params.keyframe_distance_m)
 
-    def take(self, image: CameraImage, energy: Float32) -> bool:
-        """Localises an image taken at the filter's time and may add a keyframe. Returns True if the
-        filter was corrected."""
+    def take(self, image: CameraImage, energy: Callable[[], Float32]) -> bool:
+        """Localises an image taken at the filter's time and may add a keyframe, for which alone it
+        asks for the edge ``energy``. Returns True if the filter was corrected."""
         self._last_tick = image.tick
         grey = np.asarray(cv2.cvtColor(image.rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         found = self._detector(grey)
@@ -116,7 +117,7 @@ class CameraPositioning:
             sightings = no_sightings()
         self._last_position = self._filter.eskf.state.position
         if self._worth_keeping(sightings):
-            self._remember(features, behind, sightings, energy)
+            self._remember(features, behind, sightings, energy())
         self.diagnostics["keyframes"] = float(len(self._map.keyframes))
         self.diagnostics["closures"] = float(self._closures.closed)
         self.diagnostics |= self._question

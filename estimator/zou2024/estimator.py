@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
 Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 
 
 class Zou2024Estimator:
@@ -41,7 +43,7 @@ class Zou2024Estimator:
         self._camera = CameraPositioning(rig, params, self._filter, self._recent, self._lidar.maps)
         self._undistort = Undistorter(rig)
         self._images: deque[CameraImage] = deque(maxlen=3)
-        self._energy: tuple[int, NDArray[np.float32]] = (-1, np.zeros((0, 0), np.float32))
+        self._energies: list[tuple[CameraImage, Float32]] = []
         self._scan_track: PoseTrack | None = None
         self._skipped = 0
         self._intake = Intake(rig, self._filter, params.camera_hz, middle_rows=True)
@@ -49,10 +51,7 @@ class Zou2024Estimator:
     def update(self, obs: Observation) -> Estimate:
         """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         self._scan_track = None
-        arrivals = [
-            message if isinstance(message, LidarScan) else self._flat(message)
-            for message in self._intake.ready(obs)
-        ]
+        arrivals = list(self._intake.ready(obs))
         self._images.extend(m for m in arrivals if isinstance(m, CameraImage))
         for message in arrivals:
             if self._intake.admit(message):
@@ -79,10 +78,10 @@ class Zou2024Estimator:
     def _take(self, message: LidarScan | CameraImage) -> None:
         if isinstance(message, LidarScan):
             tick = message.end_tick
-            apart = self._rig.lidar_scan_ticks
-            # edge energy is the largest cost: one serves two scans
-            known = [image for image in self._images if image.tick == self._energy[0]]
-            image = nearest_image(known, tick, apart) or nearest_image(self._images, tick, apart)
+            # edge energy is a large cost: that of a keyframe serves the scans until the next
+            known, apart = [image for image, _ in self._energies], self._rig.lidar_scan_ticks
+            period = round(self._params.keyframe_period_s * self._rig.tick_hz)
+            image = nearest_image(known, tick, period) or nearest_image(self._images, tick, apart)
             energy = None
             if image is not None and self._params.use_colour_smoothness:
                 energy = self._energy_of(image)
@@ -93,9 +92,12 @@ class Zou2024Estimator:
             self._skipped += not done
             self._scan_track = self._filter.track_of(message, self._scan_track)
         elif self._camera.due(message.tick):
-            self._camera.take(message, self._energy_of(message))
+            flat = self._flat(message)
+            self._camera.take(flat, partial(self._energy_of, message, flat))
 
-    def _energy_of(self, image: CameraImage) -> NDArray[np.float32]:
-        if self._energy[0] != image.tick:
-            self._energy = (image.tick, half_size_energy(image.rgb, self._edges))
-        return self._energy[1]
+    def _energy_of(self, image: CameraImage, flat: CameraImage | None = None) -> Float32:
+        """Edge energy of an image; ``flat``: the same without distortion, where it is known."""
+        if not self._energies or self._energies[0][0].tick != image.tick:
+            rgb = (flat or self._flat(image)).rgb
+            self._energies = [(image, half_size_energy(rgb, self._edges))]
+        return self._energies[0][1]

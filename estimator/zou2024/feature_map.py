@@ -116,30 +116,33 @@ def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int, moves: Fra
     owners since their voxels were made, before distances are taken: a neighbour found where it was
     would lie beside the point by what its owner has been corrected, and pull the pose along."""
     keys, sums, owners = voxels
-    count = points.shape[0]
+    count, layers = points.shape[0], 2 * reach + 1
     found = np.zeros(count, dtype=np.bool_)
     near = np.zeros((count, NEIGHBOURS, 3))
     whose, sensors = np.full(count, _NO_OWNER, np.int64), np.zeros((count, 3))
-    distance, gap = np.empty(NEIGHBOURS), np.empty((3, 2 * reach + 1))
-    kept, moved, owned = np.empty(3), np.empty(3), moves.translations.shape[0] > 0
+    distance, gap = np.empty(NEIGHBOURS), np.empty((3, layers))
+    # the point's own layer first, then those around: what is near rules out what is far
+    order = np.array([(turn + 1) // 2 * (1 if turn % 2 else -1) for turn in range(layers)])
+    owned = moves.translations.shape[0] > 0
     for i in range(count):
-        first = np.floor(points[i] / voxel) - reach
-        for a in range(3):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        ix, iy, iz = np.floor(px / voxel), np.floor(py / voxel), np.floor(pz / voxel)
+        for turn in range(layers):
             # least squared distance of the point from each layer of voxels
-            for k in range(2 * reach + 1):
-                face = first[a] + k + (k < reach)
-                gap[a, k] = 0.0 if k == reach else (points[i, a] - face * voxel) ** 2
-        have, worst = 0, np.inf
-        for turn in range(2 * reach + 1):
-            # the layers of the point's own height first
-            kz = reach + (turn + 1) // 2 * (1 if turn % 2 else -1)
-            for ky in range(2 * reach + 1):
+            step = order[turn]
+            away = step + (step < 0)
+            gap[0, turn] = ((ix + away) * voxel - px) ** 2 if step else 0.0
+            gap[1, turn] = ((iy + away) * voxel - py) ** 2 if step else 0.0
+            gap[2, turn] = ((iz + away) * voxel - pz) ** 2 if step else 0.0
+        have, worst, nearest = 0, np.inf, -1
+        for kz in range(layers):
+            for ky in range(layers):
                 if gap[2, kz] + gap[1, ky] >= worst:
                     continue
-                for kx in range(2 * reach + 1):
+                for kx in range(layers):
                     if gap[2, kz] + gap[1, ky] + gap[0, kx] >= worst:
                         continue
-                    key = _pack(int(first[0]) + kx, int(first[1]) + ky, int(first[2]) + kz)
+                    key = _pack(int(ix) + order[kx], int(iy) + order[ky], int(iz) + order[kz])
                     slot = _slot(keys, key)
                     if keys[slot] == _EMPTY:
                         continue
@@ -147,29 +150,37 @@ def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int, moves: Fra
                     x, y, z = sums[slot, _X] / n, sums[slot, _Y] / n, sums[slot, _Z] / n
                     k = owners[slot]
                     if owned and k >= 0:
-                        kept[0], kept[1], kept[2] = x, y, z
-                        rotate_into(moves.rotations[k], kept, moved)
-                        x = moved[0] + moves.translations[k, 0]
-                        y = moved[1] + moves.translations[k, 1]
-                        z = moved[2] + moves.translations[k, 2]
-                    d2 = (x - points[i, 0]) ** 2
-                    d2 += (y - points[i, 1]) ** 2 + (z - points[i, 2]) ** 2
+                        x, y, z = _moved(moves, k, x, y, z)
+                    d2 = (x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2
                     if d2 >= worst:
                         continue
                     at = min(have, NEIGHBOURS - 1)
                     while at > 0 and distance[at - 1] > d2:
                         distance[at] = distance[at - 1]
-                        near[i, at] = near[i, at - 1]
+                        for c in range(3):
+                            near[i, at, c] = near[i, at - 1, c]
                         at -= 1
                     distance[at] = d2
                     near[i, at, 0], near[i, at, 1], near[i, at, 2] = x, y, z
                     if at == 0:
-                        whose[i], sensors[i] = k, sums[slot, _SENSOR]
+                        nearest = slot
                     have = min(have + 1, NEIGHBOURS)
                     if have == NEIGHBOURS:
                         worst = distance[NEIGHBOURS - 1]
         found[i] = have == NEIGHBOURS
+        if have > 0:
+            whose[i], sensors[i] = owners[nearest], sums[nearest, _SENSOR]
     return Nearest(found, near, whose, sensors)
+
+
+@njit(cache=True, error_model="numpy")
+def _moved(moves: Frames, k: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    r, t = moves.rotations, moves.translations
+    return (
+        r[k, 0, 0] * x + r[k, 0, 1] * y + r[k, 0, 2] * z + t[k, 0],
+        r[k, 1, 0] * x + r[k, 1, 1] * y + r[k, 1, 2] * z + t[k, 1],
+        r[k, 2, 0] * x + r[k, 2, 1] * y + r[k, 2, 2] * z + t[k, 2],
+    )
 
 
 class FeatureMap:

@@ -6,6 +6,7 @@ The paper names SURF as well. OpenCV's wheels are built without it (its patented
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -73,12 +74,13 @@ class LandmarkDetector:
     def _find(
         self, kind: int, detector: cv2.Feature2D, image: Grey, scale: float, cell_px: int
     ) -> Features:
-        most = self._counts[kind]
-        keypoints, descriptors = detector.detectAndCompute(image, None) if most > 0 else ((), None)
-        if kind == BRISK:
+        most, descriptors = self._counts[kind], None
+        keypoints: Sequence[cv2.KeyPoint] = ()
+        if most > 0 and kind == SIFT:
+            keypoints, descriptors = detector.detectAndCompute(image, None)
+        elif most > 0:
+            keypoints = detector.detect(image, None)
             self._adapt_threshold(len(keypoints))
-        if descriptors is None:
-            descriptors = np.zeros((0, SIFT_BYTES if kind == SIFT else BRISK_BYTES))
         pixels = np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2)
         # the centre of a half-size pixel lies between those of its four
         pixels = scale * pixels + 0.5 * (scale - 1.0)
@@ -88,12 +90,18 @@ class LandmarkDetector:
         usable = np.flatnonzero(inside)
         responses = np.array([keypoints[i].response for i in usable.tolist()])
         chosen = usable[spread(pixels[usable], responses, (width, height), cell_px, most)]
+        if kind == BRISK and len(chosen):
+            # most of the keypoints are not wanted, and need no descriptors
+            _, descriptors = detector.compute(image, [keypoints[i] for i in chosen.tolist()])
+            pixels, chosen = pixels[chosen], np.arange(len(chosen))
+        if descriptors is None:
+            descriptors = np.zeros((0, SIFT_BYTES if kind == SIFT else BRISK_BYTES))
         return Features(kind, pixels[chosen], np.asarray(descriptors)[chosen].astype(np.uint8))
 
     def _adapt_threshold(self, found: int) -> None:
-        """Aims at two to five times the features wanted."""
-        wanted = self._counts[BRISK]
-        step = 8 if found > 5 * wanted else -8 if found < 2 * wanted else 0
+        """Aims at 1.7 times the features wanted, of which ten grey levels keep one in e."""
+        step = round(10.0 * float(np.log(max(found, 1) / (1.7 * self._counts[BRISK]))))
+        step = min(max(step, -16), 16)
         threshold = min(max(self._brisk_threshold + step, 10), 120)
         if threshold != self._brisk_threshold:
             self._brisk_threshold = threshold

@@ -11,7 +11,7 @@ from touchdown.sim.api import CameraImage
 
 Array = NDArray[np.float64]
 
-_NEAREST_DEPTH_M = 0.05
+NEAREST_DEPTH_M = 0.05
 
 
 def project(points_camera: Array, matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -22,7 +22,7 @@ def project(points_camera: Array, matrix: Array) -> tuple[Array, NDArray[np.bool
     meaningless.
     """
     depth = points_camera[:, 2]
-    front = depth > _NEAREST_DEPTH_M
+    front = depth > NEAREST_DEPTH_M
     rays = points_camera / np.where(front, depth, 1.0)[:, None]
     return rays @ matrix[:2].T, front
 

@@ -36,8 +36,10 @@ _ROUNDS = 3
 _FIRST_STEPS = 2
 _MOST_STEPS = 6
 _KEPT_SHARE = 0.8
-_SAME_NEIGHBOURS_M = 0.02
+_SAME_NEIGHBOURS_M = 0.05
 """displacement of the scan's outermost points up to which their neighbours are not sought again"""
+_LEAST_STEP = 1e-4
+"""rad and m"""
 _SCATTER_OF_FIVE = 5.0 / 2.0
 """ratio of the variance of points about a plane to the smallest eigenvalue of five: three of their
 degrees of freedom place the plane"""
@@ -69,8 +71,7 @@ class FeatureMaps:
     def insert(self, features: ScanFeatures, eskf: Eskf) -> None:
         """Adds a scan's points at the present pose, to the part of the newest clone."""
         pose = eskf.state.pose
-        terms = self.anchors.kept_from_now(eskf.clones, eskf.state.calibration, pose.rotation)
-        moves = Frames(terms.rotations, terms.translations)
+        moves = self.anchors.moves_to_kept(eskf.clones)
         seen = Seen(pose.apply(features.lever), len(self.anchors) - 1, moves)
         self.edges.insert(pose.apply(features.edges), seen)
         self.planes.insert(pose.apply(features.planes), seen)
@@ -251,7 +252,7 @@ def register_scan(
         found = found.select(_keep_best(lengths, found.is_edge))
         for _ in range(_MOST_STEPS):
             pose, size = step(pose, found, weak)
-            if size < 1e-5:
+            if size < _LEAST_STEP:
                 break
         moved = np.abs(pose.apply(extent) - start.apply(extent)).max()
         converged = bool(moved < _SAME_NEIGHBOURS_M)

@@ -18,7 +18,7 @@ from touchdown.estimator.filtering.error_state import (
     ROTATION,
     Frame,
 )
-from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into, rotate_into
+from touchdown.estimator.filtering.imu_propagation import cross_into
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -117,15 +117,64 @@ def line_and_plane_axes(near: Array, is_edge: Mask) -> Array:
     return out
 
 
+Vector = tuple[float, float, float]
+_UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@njit(cache=True, error_model="numpy")
+def _vector(values: Array) -> Vector:
+    """Three numbers as a tuple, which stays in registers."""
+    return values[0], values[1], values[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _along(start: Vector, length: float, direction: Vector) -> Vector:
+    return (
+        start[0] + length * direction[0],
+        start[1] + length * direction[1],
+        start[2] + length * direction[2],
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, error_model="numpy")
+def _turned(r: Array, v: Vector) -> Vector:
+    """``r @ v``"""
+    return (
+        r[0, 0] * v[0] + r[0, 1] * v[1] + r[0, 2] * v[2],
+        r[1, 0] * v[0] + r[1, 1] * v[1] + r[1, 2] * v[2],
+        r[2, 0] * v[0] + r[2, 1] * v[1] + r[2, 2] * v[2],
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _turned_back(r: Array, v: Vector) -> Vector:
+    """``r.T @ v``"""
+    return (
+        r[0, 0] * v[0] + r[1, 0] * v[1] + r[2, 0] * v[2],
+        r[0, 1] * v[0] + r[1, 1] * v[1] + r[2, 1] * v[2],
+        r[0, 2] * v[0] + r[1, 2] * v[1] + r[2, 2] * v[2],
+    )
+
+
 class _Sight(NamedTuple):
     """A point of the scan and what it is compared with, in the odom frame unless said."""
 
     rotation: Array  # (3, 3) odom_from_imu of the scan
     own: Array  # (3, 3) of the clone that the map point belongs to
-    point: Array  # (3,) IMU frame
-    beam: Array  # (3,) IMU frame, from the LIDAR
-    reach: Array  # (3,) from the clone
-    arm: Array  # (3,) to the map point, from where it was seen
+    point: Vector  # IMU frame
+    beam: Vector  # IMU frame, from the LIDAR
+    reach: Vector  # from the clone
+    arm: Vector  # to the map point, from where it was seen
 
 
 @njit(cache=True, error_model="numpy")
@@ -150,120 +199,100 @@ def relative_equations(
     """
     head = POSE_DIM + shared
     size = head + POSE_DIM * touched
-    width = POSE_DIM if size == POSE_DIM else _WIDTH
+    alone = size == POSE_DIM
+    width = POSE_DIM if alone else _WIDTH
     information, vector = np.zeros((size, size)), np.zeros(size)
-    noise = np.zeros((POSE_DIM, POSE_DIM))
-    row, columns, slopes = np.zeros(_WIDTH), np.empty(_WIDTH, np.int64), np.zeros((3, 3))
-    sight = _Sight(pose.rotation, pose.rotation, np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
-    m, offset, direction, pull = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    then, moment = np.zeros(3), np.zeros(3)
+    noise, row = np.zeros((POSE_DIM, POSE_DIM)), np.zeros(_WIDTH)
+    columns = np.arange(_WIDTH) if shared > 0 or alone else np.full(_WIDTH, -1)
+    columns[:POSE_DIM] = np.arange(POSE_DIM)
     last, middle = found.near.shape[1] - 1, found.near.shape[1] // 2
     for i in range(found.points.shape[0]):
-        p, axis, k, edge = found.points[i], found.axes[i], found.owners[i], found.is_edge[i]
-        own, slot = pose.rotation, -1
-        rotate_into(pose.rotation, p, offset)
-        m[:] = found.near[i, 0]
+        p, axis = _vector(found.points[i]), _vector(found.axes[i])
+        k, edge = found.owners[i], found.is_edge[i]
+        first = _vector(found.near[i, 0])
+        here = _along(_vector(pose.translation), 1.0, _turned(pose.rotation, p))
+        offset, arm = _along(here, -1.0, first), _along(first, -1.0, _vector(found.sensors[i]))
+        own, slot, reach, apart = pose.rotation, -1, here, offset
         if k >= 0:
+            # where the present mount would have put the map point
             own, slot = anchors.clones.rotations[k], anchors.slots[k]
-        sight = _Sight(pose.rotation, own, p, sight.beam, sight.reach, sight.arm)
-        along, square = 0.0, 0.0
-        for c in range(3):
-            offset[c] += pose.translation[c]
-            if k >= 0:
-                sight.reach[c] = offset[c] - anchors.clones.translations[k, c]
-            offset[c] -= m[c]
-            sight.arm[c], sight.beam[c] = m[c] - found.sensors[i, c], p[c] - lever[c]
-            along += offset[c] * axis[c]
-            square += offset[c] * offset[c]
+            reach = _along(here, -1.0, _vector(anchors.clones.translations[k]))
+            change = anchors.mount_changes[k]
+            turn = _turned(own, _vector(change[MOUNT_ROTATION]))
+            apart = _along(offset, -1.0, _cross(turn, arm))
+            apart = _along(apart, -1.0, _turned(own, _vector(change[MOUNT_TRANSLATION])))
+        sight = _Sight(pose.rotation, own, p, _along(p, -1.0, _vector(lever)), reach, arm)
+        along, square = _dot(offset, axis), _dot(offset, offset)
         square = square - along * along if edge else along * along
         variance = (sigmas[0] if edge else sigmas[1]) ** 2 + square / 9.0
+        slopes, pull = _UNIT, axis
         if not edge:
-            near = found.near[i]
-            _slopes_into(near[0], near[middle], near[last], slopes)
-            pull[:] = slopes[0]
+            slopes = _slopes(first, _vector(found.near[i, middle]), _vector(found.near[i, last]))
+            pull = slopes[0]
             for j in range(3):
-                share = 1.0 if j == 0 else 0.0
-                for c in range(3):
-                    share += offset[c] * slopes[j, c]
+                part = _dot(offset, slopes[j])
+                share = 1.0 + part if j == 0 else part
                 variance += found.scatter[i] * share * share
-                for c in range(3):
-                    pull[c] += (share - (j == 0)) * slopes[j, c]
+                pull = _along(pull, part, slopes[j])
         weight = found.weights[i] / variance
         for b in range(POSE_DIM):
-            columns[b] = b
-            columns[_MOUNT + b] = _MOUNT + b if shared > 0 else -1
             columns[_CLONE + b] = head + POSE_DIM * slot + b if slot >= 0 else -1
         for c in range(3 if edge else 1):
-            residual = along
-            for a in range(3):
-                direction[a] = -axis[c] * axis[a] if edge else axis[a]
-            if edge:
-                direction[c] += 1.0
-                residual = offset[c] - along * axis[c]
-            _row_into(direction, sight, row, then, moment)
-            for a in range(3):
-                if k >= 0:
-                    change = anchors.mount_changes[k]
-                    residual -= moment[a] * change[MOUNT_ROTATION.start + a]
-                    residual -= then[a] * change[MOUNT_TRANSLATION.start + a]
+            direction = _along(_UNIT[c], -axis[c], axis) if edge else axis
+            residual = _dot(apart, direction)
+            _row_into(direction, sight, alone, row)
             for a in range(width):
                 if columns[a] < 0:
                     continue
                 scaled = weight * row[a]
                 vector[columns[a]] -= scaled * residual
-                for b in range(width):
+                for b in range(a + 1):
                     if columns[b] >= 0:
                         information[columns[a], columns[b]] += scaled * row[b]
         if edge:
             continue
         for j in range(3 if with_noise else 0):
-            _row_into(slopes[j], sight, row, then, moment)
+            _row_into(slopes[j], sight, True, row)
             for a in range(POSE_DIM):
                 for b in range(POSE_DIM):
                     noise[a, b] += weight * found.scatter[i] * row[a] * row[b]
-        _row_into(pull, sight, row, then, moment)
+        _row_into(pull, sight, alone, row)
         for a in range(width):
             if columns[a] >= 0:
                 vector[columns[a]] += weight * found.scatter[i] * row[a]
+    for a in range(size):
+        for b in range(a):
+            information[b, a] = information[a, b]
     return ScanEquations(information, vector, noise)
 
 
 @njit(cache=True, error_model="numpy")
-def _row_into(direction: Array, sight: _Sight, row: Array, then: Array, moment: Array) -> None:
-    """Writes the derivatives of a distance along ``direction`` (3,) by pose, mount and clone into
-    ``row``; into ``then`` the direction in the clone's IMU frame, and into ``moment`` that of the
-    map point about where it was seen from."""
-    turned = np.empty(3)
-    cross_into(sight.reach, direction, moment, 0)
-    rotate_back_into(sight.own, moment, turned)
+def _row_into(direction: Vector, sight: _Sight, alone: bool, row: Array) -> None:
+    """Writes the derivatives of a distance along ``direction`` by pose and, unless ``alone``, by
+    mount and clone into ``row``."""
+    turned = _turned_back(sight.rotation, direction)
+    by_rotation = _cross(sight.point, turned)
     for a in range(3):
-        row[POSITION.start + a] = direction[a]
-        row[_CLONE + ROTATION.start + a] = -turned[a]
-        row[_CLONE + POSITION.start + a] = -direction[a]
-    cross_into(sight.arm, direction, turned, 0)
-    rotate_back_into(sight.own, turned, moment)
-    rotate_back_into(sight.own, direction, then)
-    rotate_back_into(sight.rotation, direction, turned)
-    cross_into(sight.point, turned, row, ROTATION.start)
-    cross_into(sight.beam, turned, row, _MOUNT + MOUNT_ROTATION.start)
+        row[ROTATION.start + a], row[POSITION.start + a] = by_rotation[a], direction[a]
+    if alone:
+        return
+    then = _turned_back(sight.own, direction)
+    beam = _cross(sight.beam, turned)
+    moment = _turned_back(sight.own, _cross(sight.arm, direction))
+    by_clone = _turned_back(sight.own, _cross(sight.reach, direction))
     for a in range(3):
-        row[_MOUNT + MOUNT_ROTATION.start + a] -= moment[a]
+        row[_MOUNT + MOUNT_ROTATION.start + a] = beam[a] - moment[a]
         row[_MOUNT + MOUNT_TRANSLATION.start + a] = turned[a] - then[a]
+        row[_CLONE + ROTATION.start + a] = -by_clone[a]
+        row[_CLONE + POSITION.start + a] = -direction[a]
 
 
 @njit(cache=True, error_model="numpy")
-def _slopes_into(first: Array, middle: Array, last: Array, out: Array) -> None:
-    """Writes the gradients (3, 3) of the barycentric coordinates in a triangle, a row a corner."""
-    normal, square = np.empty(3), 0.0
-    side, other = np.empty(3), np.empty(3)
-    for a in range(3):
-        side[a], other[a] = middle[a] - first[a], last[a] - first[a]
-    cross_into(side, other, normal, 0)
-    for a in range(3):
-        square += normal[a] * normal[a]
-    cross_into(other, normal, out[1], 0)
-    cross_into(normal, side, out[2], 0)
-    for a in range(3):
-        out[1, a] /= square
-        out[2, a] /= square
-        out[0, a] = -out[1, a] - out[2, a]
+def _slopes(first: Vector, middle: Vector, last: Vector) -> tuple[Vector, Vector, Vector]:
+    """The gradients of the barycentric coordinates in a triangle, of each corner."""
+    side, other = _along(middle, -1.0, first), _along(last, -1.0, first)
+    normal, zero = _cross(side, other), (0.0, 0.0, 0.0)
+    size = 1.0 / _dot(normal, normal)
+    second = _along(zero, size, _cross(other, normal))
+    third = _along(zero, size, _cross(normal, side))
+    return _along(_along(zero, -1.0, second), -1.0, third), second, third

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import gc
 import os
 import re
 import traceback
+from collections.abc import Iterator
+
+from touchdown.experiments.external.processes import release_memory
 
 BLAS_THREADS = "OPENBLAS_NUM_THREADS"
-_M_MMAP_THRESHOLD = -3
-"""parameter of glibc's mallopt"""
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_MMAP_MAX = -1, -3, -4
+"""parameters of glibc's mallopt"""
 
 
 def has_display() -> bool:
@@ -59,9 +64,25 @@ def limit_threads() -> None:
     os.environ[BLAS_THREADS] = "1"  # for copies that are loaded later, here or in a child
 
 
-def map_large_blocks() -> None:
-    """Gives each block of memory above 1 MB a mapping of its own, which goes back to the system
-    when it is freed. glibc would keep blocks of up to 32 MB, and holes between them stay."""
+@contextlib.contextmanager
+def set_up_memory() -> Iterator[None]:
+    """While a flight is set up, what is freed is used again: rasters of up to 100 MB come and go,
+    and new pages of the system would take a third of the time. Afterwards free pages go back to it,
+    and each block above 1 MB gets a mapping of its own, which goes back when it is freed: glibc
+    would keep blocks of up to 32 MB, and holes between them stay."""
+    _set_malloc(most_mappings=0, trim_bytes=1 << 30)
+    gc.freeze()  # what is there already need not be searched for what the set-up leaves
+    try:
+        yield
+    finally:
+        _set_malloc(most_mappings=1 << 16, trim_bytes=1 << 17)
+        release_memory()
+        gc.unfreeze()
+
+
+def _set_malloc(most_mappings: int, trim_bytes: int) -> None:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries lack it
     if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, 1 << 20)
+        mallopt(_M_MMAP_MAX, most_mappings)
+        mallopt(_M_TRIM_THRESHOLD, trim_bytes)

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, input_message
-from touchdown.experiments.external.processes import release_memory
 from touchdown.experiments.external.wrapper import ExternalEstimatorError
 from touchdown.experiments.flight.estimator_calibration import check_calibration
 from touchdown.experiments.flight.inactive_faults import inactive_faults
 from touchdown.experiments.flight.loop import run_flight
 from touchdown.experiments.flight.observers import Progress, StepObserver
-from touchdown.experiments.flight.platform import limit_threads, map_large_blocks
+from touchdown.experiments.flight.platform import limit_threads, set_up_memory
 from touchdown.experiments.flight.referee import Referee
 from touchdown.experiments.flight.result import make_result
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
@@ -53,17 +52,16 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
     an earlier run of that name is replaced. Raises UsageError for bad input before anything is
     written.
     """
-    map_large_blocks()
     check_estimator_available(config.estimator)
     check_calibration(config)
     build_classifier(config)
     if out_dir is not None:
         check_out_dir(out_dir)
     limit_threads()
-    scene = build_scene(config)
-    stack = build_flight_stack(config, scene)
-    stack.world.take_textures()
-    release_memory()  # what the loaders of scene and network have freed
+    with set_up_memory():
+        scene = build_scene(config)
+        stack = build_flight_stack(config, scene)
+        stack.world.take_textures()
     _warn_of_inactive_faults(config, stack)
     if out_dir is None:
         return fly_and_judge(config, stack, NullRecorder(), progress)

@@ -58,7 +58,13 @@ def bake_light(
     soft = cv2.GaussianBlur(sun, (0, 0), 0.8)
     open_sky = cv2.GaussianBlur(sky, (0, 0), 0.35 / (4.0 * cell))
     open_sky = cv2.resize(open_sky, (pixels, pixels), interpolation=cv2.INTER_LINEAR)
-    light: Float32 = (ambient + (1.0 - ambient) * soft) * (0.45 + 0.55 * open_sky)
+    light = np.asarray(soft, np.float32)
+    light *= 1.0 - ambient  # in place: each new raster would cost more than the sum
+    light += ambient
+    sky = np.asarray(open_sky, np.float32)
+    sky *= 0.55
+    sky += 0.45
+    light *= sky
     return light
 
 

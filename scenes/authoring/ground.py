@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, GroundRaster, Surface
 from touchdown.scenes.authoring.ground_cover import PAINT, cover_of
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
+from touchdown.scenes.authoring.shading import ragged_texels, shade
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -257,177 +257,15 @@ def shade_ground(
     patches = fractal_noise(rng, (512, 512), 56.0, 4, 0.6)
     hue = fractal_noise(rng, (512, 512), 40.0, 3, 0.6)
     size = canvas.material.shape
-    glow = (light * 255.0).astype(np.uint8)
+    glow = np.multiply(
+        light, np.float32(255.0), out=np.empty_like(light, np.uint8), casting="unsafe"
+    )
     bright = np.asarray(cv2.resize(glow, size, interpolation=cv2.INTER_LINEAR), np.uint8)
     image = np.empty((*size, 3), np.uint8)
     level = np.zeros((0, 0), np.uint8) if slopes is None else slopes
-    _shade(
-        image, canvas.material, canvas.paint, canvas.stain, bright, level, fine, coarse, patches,
-        hue, base, gains, hues, ragged, frames, canvas.texel_m, int(rng.integers(1, 2**31)),
+    shade(
+        image, canvas.material, canvas.paint, canvas.stain, bright, level, fine, coarse.ravel(),
+        patches, hue, base, gains, hues, ragged, frames, canvas.texel_m,
+        ragged_texels(fine, coarse), int(rng.integers(1, 2**31)),
     )  # fmt: skip
     return image
-
-
-@njit(cache=True, error_model="numpy")
-def _hash(a: int, b: int, salt: int) -> float:
-    """Uniform in [0, 1) from two integers."""
-    value = (a * 73856093) ^ (b * 19349663) ^ (salt * 83492791)
-    value &= 0xFFFFFFFF
-    value = ((value ^ (value >> 15)) * 0x2C1B3C6D) & 0xFFFFFFFF
-    value = ((value ^ (value >> 12)) * 0x297A2D39) & 0xFFFFFFFF
-    value ^= value >> 15
-    return value / 4294967296.0
-
-
-@njit(cache=True, error_model="numpy")
-def _bilinear(field_: Float32, row: float, col: float) -> float:
-    i, j = int(row), int(col)
-    i, j = min(i, field_.shape[0] - 2), min(j, field_.shape[1] - 2)
-    v, u = row - i, col - j
-    top = field_[i, j] * (1.0 - u) + field_[i, j + 1] * u
-    low = field_[i + 1, j] * (1.0 - u) + field_[i + 1, j + 1] * u
-    return top * (1.0 - v) + low * v
-
-
-@njit(cache=True, error_model="numpy")
-def _slab(u: float, v: float, length: float, width: float, joint: float, salt: int) -> float:
-    """Relative tone of slabs in running bond with dark joints."""
-    course = np.floor(v / width)
-    shifted = u / length + 0.5 * (int(course) & 1)
-    number = np.floor(shifted)
-    if v - course * width < joint or (shifted - number) * length < joint:
-        return -0.24
-    return 0.13 * (_hash(int(course), int(number), salt) - 0.5)
-
-
-@njit(cache=True, error_model="numpy")
-def _clump(row: int, col: int, material: int, salt: int) -> float:
-    """Relative tone of tufts, clods and stones: in some cells of 7 texels lies one with a sharp
-    outline, so that there are corners to track at the scale of a camera's pixel."""
-    cell_row, cell_col = row // 7, col // 7
-    pick = _hash(cell_row, cell_col, salt + 7 + material)
-    if pick > 0.26:
-        return 0.0
-    place = _hash(cell_col, cell_row, salt + 13)
-    down = row - cell_row * 7 - 2.0 - 2.0 * place
-    right = col - cell_col * 7 - 2.0 - 2.0 * ((place * 64.0) % 1.0)
-    radius = 1.0 + 5.5 * pick
-    if down * down + (0.6 + pick * 3.4) * right * right > radius * radius:
-        return 0.0
-    return -0.27 if place < 0.60 else 0.25
-
-
-@njit(cache=True, error_model="numpy")
-def _first_half(turns: float) -> bool:
-    """Where the sine of a turn is positive."""
-    return turns - np.floor(turns) < 0.5
-
-
-@njit(cache=True, error_model="numpy")
-def _pattern(material: int, u: float, v: float, salt: int) -> float:
-    """Relative tone of a material's regular pattern at (u, v) metres in its own frame."""
-    if material == 3 or material == 4:
-        return _slab(u, v, 0.8, 0.5, 0.03, salt)
-    if material == 8:
-        return _slab(u, v, 0.4, 0.2, 0.026, salt)
-    if material == 0:
-        return 0.055 if _first_half(v / 2.6) else -0.055
-    if material == 15:
-        return 0.075 if _first_half(v / 11.0) else -0.075
-    if material == 16:
-        return 0.035 if np.sin(np.pi * u / 1.5) * np.sin(np.pi * v / 1.5) > 0.0 else -0.035
-    if material == 14:
-        return 0.03 * np.sin(2.0 * np.pi * v / 0.16)
-    if material == 2:
-        return 0.13 * np.sin(2.0 * np.pi * v / 0.75)
-    if material == 19:
-        return _slab(u, v, 0.6, 0.6, 0.02, salt)
-    if material == 20:
-        return _slab(u, v, 2.4, 0.15, 0.02, salt)
-    if material == 21:
-        return 0.07 if _first_half(u / 8.0) else -0.07
-    if material == 24:
-        return 1.3 * _slab(u, v, 0.17, 0.13, 0.022, salt)
-    return 0.0
-
-
-@njit(cache=True, error_model="numpy")
-def _shade(
-    image: Bytes,
-    material: Bytes,
-    paint: Bytes,
-    stain: Bytes,
-    bright: Bytes,
-    slopes: Bytes,
-    fine: Float32,
-    coarse: Float32,
-    patches: Float32,
-    hue: Float32,
-    base: Float32,
-    gains: Float32,
-    hues: Float32,
-    ragged: Bytes,
-    frames: Array,
-    texel_m: float,
-    salt: int,
-) -> None:
-    """Fills ``image`` row by row. All noise is addressed so that nothing repeats in step: the two
-    tiles are turned against each other, and grain is hashed from the texel's number."""
-    rows, cols = material.shape
-    tile = fine.shape[0] - 1
-    to_patch = (patches.shape[0] - 1.001) / rows
-    half = 0.5 * rows * texel_m
-    sloped = slopes.shape[0] > 0
-    for row in range(rows):
-        y = (row + 0.5) * texel_m - half
-        out_row = rows - 1 - row
-        for col in range(cols):
-            x = (col + 0.5) * texel_m - half
-            here = material[row, col]
-            a = fine[row & tile, col & tile]
-            b = coarse[int(0.8 * row + 0.6 * col) & tile, int(0.8 * col - 0.6 * row) & tile]
-            if ragged[here]:
-                near_row = min(max(row + int(2.6 * a), 0), rows - 1)
-                near_col = min(max(col + int(2.6 * b), 0), cols - 1)
-                near = material[near_row, near_col]
-                if ragged[near]:
-                    here = near
-            grain = 2.0 * _hash(row, col, salt) - 1.0
-            patch = _bilinear(patches, row * to_patch, col * to_patch)
-            drift = _bilinear(hue, row * to_patch, col * to_patch)
-            c, s = frames[here, 0], frames[here, 1]
-            tone = 1.0 + _pattern(here, c * x + s * y, c * y - s * x, salt)
-            tone += gains[here, 0] * a + gains[here, 1] * b
-            tone += gains[here, 2] * grain + gains[here, 3] * patch
-            if ragged[here]:
-                tone += _clump(row, col, here, salt)
-            dark = stain[row, col] * (1.0 / 255.0)
-            tone *= 1.0 - 0.62 * dark
-            red = base[here, 0] * tone + hues[here, 0] * drift
-            green = base[here, 1] * tone + hues[here, 1] * drift
-            blue = base[here, 2] * tone + hues[here, 2] * drift
-            if here == 26:
-                leaf = np.sin(2.0 * np.pi * (c * y - s * x) / 0.5) + 0.45 * a + 0.45 * b
-                if leaf > 0.25:
-                    lit = tone * (0.8 + 0.35 * min(leaf, 1.2))
-                    red, green, blue = 70.0 * lit, 112.0 * lit, 44.0 * lit
-            if here <= 1 and drift + 0.5 * here > 0.35:
-                bloom = _hash(row, col, salt + 1)
-                if bloom > 0.9988:
-                    red, green = 216.0, 208.0
-                    blue = 90.0 if bloom > 0.9994 else 204.0
-            cover = paint[row, col] * (1.0 / 255.0)
-            if cover > 0.0:
-                cover *= min(max(0.93 + 0.17 * b + 0.16 * a, 0.25), 1.0)
-                white = 222.0 * (1.0 + 0.03 * grain + 0.03 * patch)
-                red += cover * (white - red)
-                green += cover * (white - green)
-                blue += cover * (0.985 * white - blue)
-            glow = bright[row, col] * (1.0 / 255.0)
-            if sloped:
-                glow *= slopes[row, col] * (1.0 / 128.0)
-            # Skylight is bluer than sunlight.
-            cool = 1.0 + 0.10 * (1.0 - glow)
-            image[out_row, col, 0] = min(max(red * glow, 0.0), 255.0)
-            image[out_row, col, 1] = min(max(green * glow, 0.0), 255.0)
-            image[out_row, col, 2] = min(max(blue * glow * cool, 0.0), 255.0)

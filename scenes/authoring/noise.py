@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -46,9 +48,14 @@ def tileable_noise(
     """Periodic noise with the amplitude spectrum ``|k|**-exponent`` above ``low_cut`` cycles per
     tile, zero mean, unit variance. Returns float32 (size, size)."""
     white = np.fft.rfft2(rng.standard_normal((size, size)))
+    white *= _amplitudes(size, exponent, low_cut)
+    field = np.fft.irfft2(white, s=(size, size))
+    return ((field - field.mean()) / field.std()).astype(np.float32)
+
+
+@lru_cache(maxsize=4)
+def _amplitudes(size: int, exponent: float, low_cut: float) -> NDArray[np.float64]:
     rows = np.fft.fftfreq(size, 1.0 / size)[:, None]
     cols = np.fft.rfftfreq(size, 1.0 / size)[None, :]
     radius = np.hypot(rows, cols)
-    gain = np.where(radius >= low_cut, np.maximum(radius, 1.0) ** -exponent, 0.0)
-    field = np.fft.irfft2(white * gain, s=(size, size))
-    return ((field - field.mean()) / field.std()).astype(np.float32)
+    return np.where(radius >= low_cut, np.maximum(radius, 1.0) ** -exponent, 0.0)

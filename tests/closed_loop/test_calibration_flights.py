@@ -11,7 +11,6 @@ import pytest
 
 from touchdown.experiments.api import CalibrationErrorParams
 from touchdown.experiments.calibration.evaluate import run_calibration
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.estimator_calibration import erring_rig, nominal_rig
 from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
@@ -19,6 +18,7 @@ from touchdown.experiments.io.calibration_file import read_calibration
 from touchdown.sim.api import SensorRig
 from touchdown.sim.frames import so3_log
 
+from support.command import Says
 from support.worlds import load_ideal_config as load_config
 
 
@@ -144,13 +144,11 @@ def test_invalid_calibration_files_are_one_line(
 ])  # fmt: skip
 def test_bad_input_is_one_line(
     arguments: tuple[str, ...], fragments: list[str], tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, says: Says,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     (tmp_path / "torn.json").write_text("{")
-    code = cli.main([*arguments, "--quiet"])
-    captured = capsys.readouterr()
-    assert code == 2
+    captured = says(2, *arguments, "--quiet")
     assert captured.err.startswith("touchdown: error: ") and captured.err.count("\n") == 1
     for fragment in fragments:
         assert fragment in captured.err

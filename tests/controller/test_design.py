@@ -1,6 +1,4 @@
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +7,8 @@ import pytest
 from touchdown.controller import design
 from touchdown.controller.api import ControlParams
 from touchdown.controller.gains import cascade_gains
-from touchdown.experiments.cli.main import main
 
+from support.command import Says, lines_of
 from support.flight_dynamics import example_vehicle
 
 ROOT = Path(__file__).parents[2]
@@ -53,15 +51,11 @@ def test_gains_are_the_closed_forms() -> None:
 
 def test_flying_does_not_import_python_control() -> None:
     script = "import sys, touchdown.controller.cascade; print('control' in sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "False"
+    assert lines_of(script) == ["False"]
 
 
-def test_the_command_prints_the_margins_of_every_loop(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["control", "margins", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["loops"]
+def test_the_command_prints_the_margins_of_every_loop(says: Says) -> None:
+    rows = json.loads(says(0, "control", "margins", "--json").out)["loops"]
     assert len(rows) == 11
     for row in rows:
         assert row["gain_margin_db"] >= design.MIN_GAIN_MARGIN_DB

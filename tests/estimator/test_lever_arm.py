@@ -41,6 +41,7 @@ from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log, yaw_
 from touchdown.sim.world import MujocoWorld
 
 from support.baselines_support import make_rig
+from support.worlds import NO_NOISE
 
 SLOPE = """<mujoco><worldbody>
   <geom name="lawn_floor" type="plane" size="60 60 0.1" euler="4 0 0"/>
@@ -51,10 +52,6 @@ EXACT = NavParams(
     barometer=BarometerParams(white_sigma_pa=0.0, drift_sigma_pa=0.0, offset_sigma_pa=0.0),
     magnetometer=MagnetometerParams(noise_sigma_ut=0.0, hard_iron_sigma_ut=0.0),
 )
-QUIET = ImuParams(
-    gyro_density=0.0, accel_density=0.0, gyro_bias_walk=0.0, accel_bias_walk=0.0,
-    gyro_bias_sigma=0.0, accel_bias_sigma=0.0,
-)  # fmt: skip
 LEVER = (0.12, -0.08, 0.06)
 """three times what vehicles have, so that ignoring it shows"""
 NEEDS = SensorNeeds(gps=True, barometer=True, magnetometer=True)
@@ -83,7 +80,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
     path.write_text(SLOPE)
     params = WorldParams(
         sim=SimParams(threads=1), wind=WindParams(mean_kmh=0.0, turbulence=False),
-        imu=replace(QUIET, offset_m=LEVER), nav=EXACT,
+        imu=replace(NO_NOISE, offset_m=LEVER), nav=EXACT,
     )  # fmt: skip
     world = MujocoWorld(load_scene(str(path), 0), params, 3, NEEDS)
     observations, truths = [world.reset()], [world.truth()]

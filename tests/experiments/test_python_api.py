@@ -1,8 +1,6 @@
 """The Python interface: names, laziness, arguments, errors."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,8 @@ import touchdown
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import RunResult, result_files
+
+from support.command import lines_of
 
 ROOT = Path(__file__).parents[2]
 SHORT = {
@@ -36,11 +36,7 @@ def test_importing_loads_no_simulator() -> None:
         "touchdown.load_config; "
         "print([m for m in ('mujoco', 'cv2', 'open3d', 'numba', 'click') if m in sys.modules])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    first, second = done.stdout.splitlines()
-    assert (first, second) == ("[]", "[]")
+    assert lines_of(script) == ["[]", "[]"]
 
 
 def test_arguments_win_over_overrides_over_the_file(tmp_path: Path) -> None:

@@ -12,13 +12,14 @@ import rasterio
 from affine import Affine
 from numpy.typing import NDArray
 
-from touchdown.experiments.cli import main as cli
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.importers.dem import import_dem
 from touchdown.scenes.importers.geotiff import METRES_PER_DEGREE, read_heights
 from touchdown.scenes.truth.maps import judge_touchdown
 from touchdown.scenes.truth.raycast import cast_down
+
+from support.command import Says
 
 Array = NDArray[np.float64]
 
@@ -251,14 +252,12 @@ def test_invalid_images_and_windows_are_one_clear_line(tmp_path: Path) -> None:
         import_dem(tif, tmp_path / "full")
 
 
-def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_line(tmp_path: Path, says: Says) -> None:
     heights = ramp()
     heights[30:34, 30:34] = -9999.0
     tif = write_tiff(tmp_path / "hill.tif", heights)
     out = tmp_path / "out"
-    assert cli.main(["scenes", "import-dem", str(tif), str(out), "--window", "100"]) == 0
-    captured = capsys.readouterr()
+    captured = says(0, "scenes", "import-dem", tif, out, "--window", "100")
     assert captured.out.strip() == str(out / "scene.xml")
     assert "holes" in captured.err and "Traceback" not in captured.err
-    assert cli.main(["scenes", "import-dem", str(tif), str(out)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    assert says(2, "scenes", "import-dem", tif, out).err.count("\n") == 1

@@ -8,12 +8,10 @@ from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import so3_exp
 from touchdown.sim.imu import ImuSensor
 
+from support.worlds import NO_NOISE
+
 Array = NDArray[np.float64]
 
-PERFECT = ImuParams(
-    gyro_density=0.0, accel_density=0.0, gyro_bias_walk=0.0, accel_bias_walk=0.0,
-    gyro_bias_sigma=0.0, accel_bias_sigma=0.0,
-)  # fmt: skip
 PERIOD_S = 3 / 600
 
 
@@ -28,7 +26,7 @@ def test_constant_acceleration_in_a_turned_body() -> None:
     """Heading north (yaw 90 degrees), accelerating north at 2 m/s^2: forward in the body."""
     north = so3_exp(np.array([0.0, 0.0, np.pi / 2]))
     gained = np.array([0.0, 2.0 * PERIOD_S, 0.0])
-    sample = ImuSensor(PERFECT, 600, 3, 0).sample(3, north, north, np.zeros(3), gained)
+    sample = ImuSensor(NO_NOISE, 600, 3, 0).sample(3, north, north, np.zeros(3), gained)
     np.testing.assert_allclose(sample.specific_force, [2.0, 0.0, GRAVITY_MPS2], atol=1e-9)
 
 
@@ -36,7 +34,7 @@ def test_constant_rotation_about_a_tilted_axis() -> None:
     rate = np.array([0.7, -2.0, 1.1])
     start = so3_exp(np.array([0.3, 0.2, -1.0]))
     end = start @ so3_exp(rate * PERIOD_S)
-    sample = ImuSensor(PERFECT, 600, 3, 0).sample(3, start, end, np.zeros(3), np.zeros(3))
+    sample = ImuSensor(NO_NOISE, 600, 3, 0).sample(3, start, end, np.zeros(3), np.zeros(3))
     np.testing.assert_allclose(sample.angular_velocity, rate, atol=1e-9)
     middle = start @ so3_exp(0.5 * rate * PERIOD_S)
     np.testing.assert_allclose(
@@ -46,7 +44,7 @@ def test_constant_rotation_about_a_tilted_axis() -> None:
 
 def test_circular_flight_integrates_back_to_its_velocity() -> None:
     """A level circle at 5 m/s with 1 rad/s: dead reckoning on the samples returns the velocity."""
-    sensor = ImuSensor(PERFECT, 600, 3, 0)
+    sensor = ImuSensor(NO_NOISE, 600, 3, 0)
     turn = so3_exp(np.array([0.0, 0.0, PERIOD_S]))
     rotation, velocity = np.eye(3), np.array([5.0, 0.0, 0.0])
     reckoned_rotation, reckoned = rotation, velocity

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import MovingBody
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.traffic import add_mover, path_length
+from touchdown.scenes.authoring.streets import add_mover, path_length
 from touchdown.scenes.authoring.ways import band, paint_wear
 from touchdown.scenes.places.crossroad.layout import HALF_M, QUADRANTS, ROAD_DEPTH_M, Plan, Road
 from touchdown.scenes.props.cars import CAR_SURFACE, CarShape

@@ -14,9 +14,9 @@ from touchdown.scenes.authoring.streets import (
     paint_dashes,
     paint_street,
     place_street_kerb,
+    send_round,
     smooth_line,
 )
-from touchdown.scenes.authoring.traffic import send_round
 from touchdown.scenes.authoring.ways import paint_wear
 from touchdown.scenes.places.footbridge.layout import HALF_M, Plan
 from touchdown.scenes.props.cars import CAR_SURFACE, add_car_models

@@ -15,12 +15,13 @@ from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.lot import Lot, scatter, unit_circle
 from touchdown.scenes.authoring.streets import (
     Street,
+    add_mover,
     lane_loop,
     paint_dashes,
     paint_street,
+    path_length,
     place_street_kerb,
 )
-from touchdown.scenes.authoring.traffic import add_mover, path_length
 from touchdown.scenes.authoring.ways import paint_wear
 from touchdown.scenes.places.houses.green import Green, build_green, draw_green, paint_green
 from touchdown.scenes.places.houses.homes import (

@@ -20,9 +20,9 @@ from touchdown.scenes.authoring.streets import (
     paint_dashes,
     paint_street,
     place_street_kerb,
+    send_round,
 )
 from touchdown.scenes.authoring.textures import Image, to_texture
-from touchdown.scenes.authoring.traffic import send_round
 from touchdown.scenes.authoring.ways import band, paint_wear
 from touchdown.scenes.places.rooftop_parking.layout import HALF_M, STREET_M, Plan
 from touchdown.scenes.props.cars import CAR_SURFACE, CarShape, park_car

@@ -212,14 +212,26 @@ def test_level_ground_is_reported_as_degenerate() -> None:
 
 
 def test_the_map_belongs_to_clones_of_the_poses_that_made_it() -> None:
-    """Without images a new one comes every half height of 6 m; 0.16 s pass until a scan is used."""
-    flight = observations(RIG, 840, accelerated(12.0, 0.0, 0.0), seen=False)
+    """Without images a new one comes every 0.6 of the height of 6 m; 0.16 s pass until a scan is
+    used."""
+    flight = observations(RIG, 840, accelerated(14.0, 0.0, 0.0), seen=False)
     livo = Livo(RIG)
     counts = [len(livo._eskf.clones) for obs in flight if livo.update(obs)]
     assert (counts[600 // IMU_TICKS], counts[-1]) == (1, 2)
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-6.0, 15.0), [-1.0, 0.0, 1.0]))
     matched = livo._map.planes.match(np.column_stack([x, y, np.zeros(x.size)]) + [0.4, 0.4, 0.0])
     assert matched.found.sum() > 40 and set(matched.anchors[matched.found].tolist()) == {0, 1}
+
+
+@pytest.mark.parametrize(("turn_deg", "lacks"), [(19.0, False), (21.0, True)])
+def test_a_turn_in_the_dark_adds_to_the_map(turn_deg: float, lacks: bool) -> None:
+    livo, _ = run(FLIGHT[:100], LivoParams(use_vision=False))
+    clone = livo._eskf.clones[-1]
+    turned = clone.rotation @ so3_exp(np.radians([0.0, 0.0, turn_deg]))
+    livo._eskf.state = dataclasses.replace(
+        livo._eskf.state, rotation=turned, position=clone.translation
+    )
+    assert livo._lacks_anchor(livo._eskf.state.tick + 600) == lacks
 
 
 # ------------------------------------------------------------------------------ images

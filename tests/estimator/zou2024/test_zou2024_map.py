@@ -25,7 +25,7 @@ from support.zou2024_flight import PLAIN, RIG, features_of, image_from
 
 IMU_FROM_CAMERA = RIG.body_from_imu.inverse() @ RIG.body_from_camera
 NOTHING = np.zeros((0, 3))
-NO_EDGES = np.zeros((120, 212), np.float32)
+NO_EDGES = np.zeros((120, 212), np.float32).copy
 
 
 def params(**changes: Any) -> Zou2024Params:

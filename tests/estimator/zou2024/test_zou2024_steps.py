@@ -244,7 +244,7 @@ def test_the_estimator_knows_where_an_earlier_image_was_taken(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Images 20 ticks before the ends of the scans."""
-    estimator = Zou2024Estimator(RIG, params())
+    estimator = Zou2024Estimator(RIG, params(keyframe_period_s=0.1))
     places: list[Any] = []
     monkeypatch.setattr(
         estimator._lidar, "take", lambda scan, energy, seen_from: places.append(seen_from) or True

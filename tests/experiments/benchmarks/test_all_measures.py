@@ -11,6 +11,8 @@ from touchdown.experiments.benchmarks.all_measures import COMMANDS, MEASURES
 from touchdown.experiments.benchmarks.flights_probe import Clock
 from touchdown.experiments.cli import main as cli
 
+from support.command import Says
+
 TITLES = [measure.title for measure in MEASURES]
 
 
@@ -39,7 +41,9 @@ def _as_modules(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_as_modules")
-def test_two_checkouts_take_turns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_checkouts_take_turns(
+    tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = tmp_path / "log"
     trees = [checkout(tmp_path / "a", 1.0, log), checkout(tmp_path / "b", 0.5, log)]
     assert cli.main(["bench", "compare", *map(str, trees), "--rounds", "2", "--json"]) == 0
@@ -48,8 +52,7 @@ def test_two_checkouts_take_turns(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert list(found) == TITLES
     for place, title in enumerate(TITLES, 1):
         assert found[title]["values"] == [place, 0.5 * place] and found[title]["ratio"] == 0.5
-    assert cli.main(["bench", "compare", *map(str, trees)]) == 0
-    words = capsys.readouterr().out.splitlines()[0].split()
+    words = says(0, "bench", "compare", *map(str, trees)).out.splitlines()[0].split()
     assert " ".join(words) == "landing in a worker 1 0.5 core-s per s x 0.50"
 
 
@@ -64,15 +67,12 @@ def test_what_a_checkout_does_not_print_is_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("_as_modules")
-def test_a_checkout_that_does_not_run_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_checkout_that_does_not_run_is_one_line(tmp_path: Path, says: Says) -> None:
     tree = checkout(tmp_path / "a", 1.0, tmp_path / "log")
     main = tree / "src" / "touchdown" / "__main__.py"
     main.write_text("import sys\nprint('no camera', file=sys.stderr)\nsys.exit(2)")
     for message in ("no camera", "is no checkout of touchdown"):
-        assert cli.main(["bench", "compare", str(tree), str(tree)]) == 2
-        lines = capsys.readouterr().err.strip().splitlines()
+        lines = says(2, "bench", "compare", tree, tree).err.strip().splitlines()
         assert len(lines) == 1 and message in lines[0]
         (main.parent / "__init__.py").unlink(missing_ok=True)
 

@@ -22,6 +22,7 @@ from touchdown.experiments.flight.metrics import PositioningError
 from touchdown.experiments.flight.replay import open_run, replay_config
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 
+from support.command import Says
 from support.livo_flight import START_Z
 from support.replay_support import LIFT_OFF_S, make_run, shifted
 from support.zou2024_flight import RIG
@@ -122,13 +123,10 @@ def test_constant_velocity_deskewing_undoes_a_share_of_the_step() -> None:
     assert deskew_by_step(points, shares, turned)[:, 1] == pytest.approx(expected, abs=1e-9)
 
 
-def test_missing_references_are_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_references_are_one_line(monkeypatch: pytest.MonkeyPatch, says: Says) -> None:
     for package in ("evo", "kiss_icp", "small_gicp"):
         monkeypatch.setitem(sys.modules, package, None)
-    assert cli.main(["bench", "estimator", "crossroad"]) == 2
-    captured = capsys.readouterr()
+    captured = says(2, "bench", "estimator", "crossroad")
     assert captured.out == "" and captured.err.count("\n") == 1
     assert "is not installed; pip install 'touchdown[bench]'" in captured.err
     assert cli.main(["bench", "estimator", "--seconds", "-3"]) == 2

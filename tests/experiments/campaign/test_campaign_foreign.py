@@ -18,6 +18,7 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 
 from support.campaign_flights import attempts, axes, fly, make_plan
+from support.command import Says
 
 NAME = "flat-fake.good-s0"
 TEXT = axes(scene=["flat"], estimator=["fake:good"], seeds="0-1")
@@ -158,7 +159,7 @@ def test_rows_that_name_another_run_are_damaged(out: Path) -> None:
 
 
 def test_missing_rows_are_no_success(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, says: Says
 ) -> None:
     """As after a worker that did not report what became of its runs."""
     make_plan(tmp_path, TEXT)
@@ -166,8 +167,7 @@ def test_missing_rows_are_no_success(
     monkeypatch.setattr("touchdown.experiments.flight.wiring.check_estimator_available", print)
     monkeypatch.setattr(session, "check_external_code", lambda *_arguments: None)
     command = ["campaign", str(tmp_path / "campaign.toml"), "--out", str(tmp_path / "out")]
-    assert cli.main([*command, "--quiet", "--json"]) == 1
-    captured = capsys.readouterr()
+    captured = says(1, *command, "--quiet", "--json")
     assert captured.err.count("\n") == 1
     assert f"2 runs have no row, such as {NAME}; give the same command again" in captured.err
 

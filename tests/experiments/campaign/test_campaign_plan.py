@@ -7,10 +7,10 @@ import pytest
 
 from touchdown.experiments.campaign import plan as plans
 from touchdown.experiments.campaign.plan import in_shard
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 
 from support.campaign_flights import axes, make_plan
+from support.command import Says
 
 
 def test_plan_is_the_product_of_the_axes_seed_by_seed(tmp_path: Path) -> None:
@@ -88,13 +88,11 @@ set = { survey.height_m = 12.0, "log.scan_hz" = 1.0 }
     ],
 )
 def test_usage_errors_are_one_line_and_write_nothing(
-    text: str, fragments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    text: str, fragments: list[str], tmp_path: Path, says: Says
 ) -> None:
     file = tmp_path / "bad.toml"
     file.write_text(text, encoding="utf-8")
-    code = cli.main(["campaign", str(file), "--out", str(tmp_path / "out")])
-    captured = capsys.readouterr()
-    assert code == 2, captured.err
+    captured = says(2, "campaign", file, "--out", tmp_path / "out")
     assert captured.out == "" and captured.err.count("\n") == 1
     for fragment in fragments:
         assert fragment in captured.err
@@ -102,13 +100,12 @@ def test_usage_errors_are_one_line_and_write_nothing(
 
 
 def test_a_scene_file_that_is_none_is_refused_before_the_first_flight(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, says: Says
 ) -> None:
     (tmp_path / "place.xml").write_text("<robot/>")
     file = tmp_path / "c.toml"
     file.write_text(axes(scene=[str(tmp_path / "place.xml")]))
-    assert cli.main(["campaign", str(file), "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
+    error = says(2, "campaign", file, "--out", tmp_path / "out").err
     assert error.count("\n") == 1 and "the root of 'place.xml' is <robot>" in error
     assert not (tmp_path / "out").exists()
 

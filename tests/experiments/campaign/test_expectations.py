@@ -12,6 +12,7 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 
 from support.campaign_flights import fly, make_plan
+from support.command import Says
 
 FILE = """
 name = "test"
@@ -137,22 +138,20 @@ def test_means_are_judged_by_scene_once_all_runs_are_there() -> None:
 
 
 def test_a_campaign_is_judged_row_by_row(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     plan = make_plan(tmp_path, FILE % "2.0")
     assert len(plan.runs) == 2 * 2 * (2 + 1)  # scenes, seeds, faults of each method
     figures = fly(plan, out)
     assert figures["as_expected"] and [v["finished"] for v in figures["expectations"]] == [4, 4]
-    assert cli.main(["campaign", "status", str(out)]) == 0
-    assert "lost ones" in capsys.readouterr().out
+    assert "lost ones" in says(0, "campaign", "status", out).out
     # the same runs, other expectations: error 2 * (0.1 + 0.01 seed + 0.012 + 0.4) is 1.02 and 1.04
     fly(make_plan(tmp_path, FILE % "1.03"), out)
     verdicts = expectations.judge_campaign(out)
     assert [len(v.failures) for v in verdicts] == [2, 0]
     assert all("-s1" in run_id for run_id in verdicts[0].failures)
-    assert cli.main(["campaign", "status", str(out), "--json"]) == 1
-    assert json.loads(capsys.readouterr().out)["as_expected"] is False
+    assert json.loads(says(1, "campaign", "status", out, "--json").out)["as_expected"] is False
     assert cli.main(["report", str(out)]) == 1 and "2 not as expected" in capsys.readouterr().out
     report = (out / "report" / "report.md").read_text()
     assert "Expectations and outcomes" in report and "at most 1.03 m expected" in report

@@ -16,6 +16,7 @@ from touchdown.experiments.io.images import read_picture
 from touchdown.landing.classification import weights
 from touchdown.landing.classification.labels import D_LAND
 
+from support.command import Says
 from support.labelled_images_support import coloured, coloured_folders
 
 
@@ -78,7 +79,7 @@ def test_weights_are_float16_and_the_rest_of_training_is_kept(trained: Path, tor
 
 
 def test_what_a_miss_costs_is_decided_at_the_end(
-    trained: Path, folder: Path, tmp_path: Path, torch: Any, capsys: pytest.CaptureFixture[str]
+    trained: Path, folder: Path, tmp_path: Path, torch: Any, says: Says
 ) -> None:
     """The same training, ended with a cost: the same scores but for one class, ln 10 more."""
     from touchdown.landing.classification.learning.footprint import load_classifier
@@ -88,8 +89,7 @@ def test_what_a_miss_costs_is_decided_at_the_end(
     arguments = ["train", "--network", "mobilenet_v3_large", "--data", str(folder), "--out",
                  str(out), "--epochs", "2", "--image-size", "32", "--quiet", "--json",
                  "--miss-cost", "water=10"]  # fmt: skip
-    assert cli.main(arguments) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(says(0, *arguments).out)
     assert report["parameters"]["miss_costs"] == [["water", 10.0]]
     images = coloured(6, 8).images
     more = np.where(np.array(D_LAND) == "water", np.log(10.0), 0.0)
@@ -102,20 +102,17 @@ def test_what_a_miss_costs_is_decided_at_the_end(
     reports = []
     for file, cost in ((out / "network.onnx", []), (trained, ["--miss-cost", "water=10"])):
         whole = ["evaluate", str(file), "--data", str(folder), "--no-cost", "--quiet", "--json"]
-        assert cli.main([*whole, *cost]) == 0
-        reports.append(json.loads(capsys.readouterr().out))
+        reports.append(json.loads(says(0, *whole, *cost).out))
     assert reports[0]["miss_costs"] == reports[1]["miss_costs"] == {"water": 10.0}
     assert reports[0]["confusion"] == reports[1]["confusion"]
-    assert cli.main([*whole, "--miss-cost", "lava=2"]) == 2
-    assert "miss cost of 'lava'" in capsys.readouterr().err
+    assert "miss cost of 'lava'" in says(2, *whole, "--miss-cost", "lava=2").err
 
 
 def test_evaluating_by_command(
-    trained: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+    trained: Path, folder: Path, says: Says, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["evaluate", str(trained), "--data", str(folder), "--quiet", "--json"]
-    assert cli.main(arguments) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(says(0, *arguments).out)
     assert report["pictures"] == sum(map(sum, report["confusion"]))
     assert report["top1"] == report["hits"] / report["pictures"]
     assert report["rom_mb"] == trained.stat().st_size / 1e6
@@ -126,7 +123,7 @@ def test_evaluating_by_command(
 
 
 def test_rendered_pictures_are_scored_by_scene(
-    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    trained: Path, tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = [("lake", 4), ("lake", 9), ("pools", 0), ("flat", 4)]
     lines = [",".join(COLUMNS)]
@@ -135,8 +132,7 @@ def test_rendered_pictures_are_scored_by_scene(
         lines.append(f"{number}.png,lawn,pond,{scene},{seed},test,20.0,6.0,1.000")
     (tmp_path / MANIFEST).write_text("\n".join(lines) + "\n")
     arguments = ["evaluate", str(trained), "--data", str(tmp_path), "--no-cost", "--quiet"]
-    assert cli.main([*arguments, "--json"]) == 0
-    by_scene = json.loads(capsys.readouterr().out)["by_scene"]
+    by_scene = json.loads(says(0, *arguments, "--json").out)["by_scene"]
     assert {name: row["pictures"] for name, row in by_scene.items()} == {
         "flat": 1, "lake": 2, "pools": 1, "scenes trained on": 3, "scenes never trained on": 1
     }  # fmt: skip
@@ -144,14 +140,13 @@ def test_rendered_pictures_are_scored_by_scene(
 
 
 def test_classifying_by_command(
-    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    trained: Path, tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str]
 ) -> None:
     photograph = tmp_path / "photograph.png"
     cv2.imwrite(str(photograph), np.full((60, 90, 3), 90, np.uint8))
     out = tmp_path / "classes"
     arguments = ["classify", str(photograph), "--network", str(trained), "--out", str(out)]
-    assert cli.main([*arguments, "--json", "--quiet"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["pictures"]
+    (row,) = json.loads(says(0, *arguments, "--json", "--quiet").out)["pictures"]
     assert sum(row["shares"].values()) == pytest.approx(1.0) and row["window_px"] == 32
     assert read_picture(out / "photograph-classes.png").shape[1] == 90
     assert cli.main([*arguments, "--window", "64"]) == 2
@@ -160,24 +155,22 @@ def test_classifying_by_command(
 
 @pytest.mark.parametrize("change", [lambda content: content[:-100], lambda content: b"x" + content])
 def test_broken_networks_are_reported_in_one_line(
-    change: Any, trained: Path, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    change: Any, trained: Path, folder: Path, tmp_path: Path, says: Says
 ) -> None:
     broken = tmp_path / "network.onnx"
     broken.write_bytes(change(trained.read_bytes()))
     weights.checksum_file(broken).write_bytes(weights.checksum_file(trained).read_bytes())
-    assert cli.main(["evaluate", str(broken), "--data", str(folder), "--quiet"]) == 2
-    output = capsys.readouterr().err
+    output = says(2, "evaluate", broken, "--data", folder, "--quiet").err
     assert "is truncated or changed" in output and output.count("\n") == 1
     for engine in ("onnx", "torch"):
         weights.write_network(broken, b"no network at all")
-        assert cli.main(["evaluate", str(broken), "--data", str(folder), "--engine", engine]) == 2
-        output = capsys.readouterr().err
+        output = says(2, "evaluate", broken, "--data", folder, "--engine", engine).err
         assert "cannot be loaded as a network" in output and output.count("\n") == 1
 
 
 def test_commands_say_what_is_missing(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    says: Says,
 ) -> None:  # fmt: skip
     """Without torch the other commands work, and this one says what to install."""
     for name in [
@@ -186,8 +179,7 @@ def test_commands_say_what_is_missing(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "torch", None)
     arguments = ["train", "--data", str(folder), "--out", str(tmp_path / "out")]
-    assert cli.main(arguments) == 2
-    output = capsys.readouterr().err
+    output = says(2, *arguments).err
     assert "this needs torch: install it with pip install 'touchdown[train]'" in output
     assert not (tmp_path / "out").exists()
 
@@ -203,11 +195,10 @@ def test_commands_say_what_is_missing(
 ])  # fmt: skip
 def test_training_refuses(
     arguments: list[str], message: str, torch: Any, folder: Path, tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    says: Says,
 ) -> None:  # fmt: skip
     pytest.importorskip("onnx")
     out = tmp_path / "out"
     command = ["train", "--out", str(out), "--data", str(folder), "--quiet", *arguments]
-    assert cli.main(command) == 2
-    output = capsys.readouterr().err
+    output = says(2, *command).err
     assert message in output and output.count("\n") == 1 and not out.exists()

@@ -14,11 +14,12 @@ from touchdown.experiments.classification import patches, render_dataset
 from touchdown.experiments.classification.image_folders import load_images, read_catalogue
 from touchdown.experiments.classification.render_dataset import DatasetParams
 from touchdown.experiments.classification.splits import split_of_layout, split_of_ucmerced
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, squared
 from touchdown.landing.classification import labels
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID
+
+from support.command import Says
 
 
 def test_folders_tell_the_kind_of_data() -> None:
@@ -239,18 +240,14 @@ def test_the_middle_square_is_taken() -> None:
     ("arguments", "message"),
     [(["--scene", "pond"], "unknown scene 'pond'"), (["--images", "0"], "--images")],
 )
-def test_command_refuses(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["dataset", "render", "--out", str(tmp_path / "new"), *arguments]) == 2
-    printed = capsys.readouterr().err
+def test_command_refuses(arguments: list[str], message: str, tmp_path: Path, says: Says) -> None:
+    printed = says(2, "dataset", "render", "--out", tmp_path / "new", *arguments).err
     assert message in printed and printed.count("\n") == 1
 
 
-def test_command_keeps_what_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_keeps_what_is_there(tmp_path: Path, says: Says) -> None:
     (tmp_path / "note.txt").write_text("mine")
-    assert cli.main(["dataset", "render", "--out", str(tmp_path), "--images", "1"]) == 2
-    assert "is not empty" in capsys.readouterr().err
+    assert "is not empty" in says(2, "dataset", "render", "--out", tmp_path, "--images", "1").err
     assert [path.name for path in tmp_path.iterdir()] == ["note.txt"]
 
 

@@ -21,6 +21,7 @@ from touchdown.experiments.io.run_directory import run_directory, whole_file
 from touchdown.experiments.terminal import error_line
 
 from support.campaign_fakes import fake_result
+from support.command import RunCli, Says
 
 
 def _comma_locale() -> str | None:
@@ -35,12 +36,6 @@ def _comma_locale() -> str | None:
 
 
 ROOT = Path(__file__).parents[3]
-
-
-def _run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    code = cli.main(arguments)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def _one_line(error: str) -> bool:
@@ -76,26 +71,26 @@ def _raise(error: BaseException) -> Callable[[Path], None]:
 ])  # fmt: skip
 def test_a_disk_error_in_flight_is_one_line_and_leaves_no_files(
     number: int, fragment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    run_cli: RunCli,
 ) -> None:  # fmt: skip
     failure = _raise(OSError(number, os.strerror(number), "/a/.partial-1/truth.tum"))
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", _flight(failure))
     out = tmp_path / "mit ümlaut" / "run"
-    code, _, err = _run(capsys, "fly", "flat", "--out", str(out), "--quiet")
+    code, _, err = run_cli("fly", "flat", "--out", str(out), "--quiet")
     assert (code, _one_line(err)) == (2, True)
     assert fragment in err and str(out) in err and "partial" not in err
     assert list(out.parent.iterdir()) == []
 
 
 def test_an_earlier_run_survives_a_full_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_cli: RunCli
 ) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "result.json").write_text('{"old": 1}')
     monkeypatch.setattr(
         "touchdown.experiments.flight.run.fly", _flight(_raise(OSError(errno.ENOSPC, "full")))
     )
-    assert _run(capsys, "fly", "flat", "--out", str(tmp_path / "run"), "--quiet")[0] == 2
+    assert run_cli("fly", "flat", "--out", str(tmp_path / "run"), "--quiet")[0] == 2
     assert (tmp_path / "run" / "result.json").read_text() == '{"old": 1}'
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
@@ -112,7 +107,7 @@ def test_an_internal_error_keeps_its_traceback(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_in_flight_is_one_line_and_leaves_no_files(
-    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_cli: RunCli
 ) -> None:
     before = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
     # Background jobs of a shell ignore Ctrl-C.
@@ -121,7 +116,7 @@ def test_a_signal_in_flight_is_one_line_and_leaves_no_files(
         "touchdown.experiments.flight.run.fly",
         _flight(lambda _partial: signal.raise_signal(number)),
     )
-    code, out, err = _run(capsys, "land", "flat", "--out", str(tmp_path / "run"), "--quiet")
+    code, out, err = run_cli("land", "flat", "--out", str(tmp_path / "run"), "--quiet")
     for kind, handler in before.items():
         signal.signal(kind, handler)
     assert (code, out, err.strip()) == (128 + number, "", "touchdown: interrupted")
@@ -129,13 +124,13 @@ def test_a_signal_in_flight_is_one_line_and_leaves_no_files(
 
 
 def test_a_directory_without_write_permission_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_cli: RunCli
 ) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", _flight(lambda _partial: None))
-    code, _, err = _run(capsys, "fly", "flat", "--out", str(tmp_path / "file" / "run"), "--quiet")
+    code, _, err = run_cli("fly", "flat", "--out", str(tmp_path / "file" / "run"), "--quiet")
     assert (code, _one_line(err)) == (2, True) and "a part of that path is a file" in err
-    code, _, err = _run(capsys, "fly", "flat", "--out", str(tmp_path / ("n" * 300)), "--quiet")
+    code, _, err = run_cli("fly", "flat", "--out", str(tmp_path / ("n" * 300)), "--quiet")
     assert (code, _one_line(err)) == (2, True) and "give a shorter name" in err
 
 
@@ -153,8 +148,8 @@ def test_a_file_is_complete_or_unchanged(tmp_path: Path) -> None:
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
-def test_arguments_that_are_not_utf_8_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    code, _, err = _run(capsys, "scenes", "export", "flat", "--out", "a\udcff")
+def test_arguments_that_are_not_utf_8_are_refused(run_cli: RunCli) -> None:
+    code, _, err = run_cli("scenes", "export", "flat", "--out", "a\udcff")
     assert (code, _one_line(err)) == (2, True) and "'a\\udcff' is not UTF-8 text" in err
 
 
@@ -193,7 +188,7 @@ def test_no_terminal_no_colour_and_forty_columns(tmp_path: Path) -> None:
         assert b"\x1b" not in done.stdout and b"wind_kmh" in done.stdout
 
 
-def test_links_in_a_circle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_links_in_a_circle(tmp_path: Path, says: Says) -> None:
     """Wherever a path is given, one line names it."""
     circle = tmp_path / "circle"
     circle.symlink_to(circle)
@@ -212,8 +207,7 @@ def test_links_in_a_circle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         ("quantize", str(network), "--data", str(tmp_path), "--out", str(tmp_path / "o.onnx")),
         ("classify", str(circle), "--out", inner),
     ):
-        assert cli.main(list(command)) == 2, command
-        lines = capsys.readouterr().err.strip().splitlines()
+        lines = says(2, *list(command)).err.strip().splitlines()
         assert len(lines) == 1 and lines[0].startswith("touchdown: error: "), (command, lines)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["circle", "network.onnx"]
 
@@ -225,9 +219,7 @@ def test_an_error_line_has_no_control_characters_and_a_limited_length() -> None:
     assert len(line) < 750 and line.endswith("is wrong; give another")
 
 
-def test_decimal_commas_of_the_locale_change_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_decimal_commas_of_the_locale_change_nothing(tmp_path: Path, run_cli: RunCli) -> None:
     before = locale.setlocale(locale.LC_NUMERIC)
     try:
         if _comma_locale() is None:
@@ -243,9 +235,9 @@ def test_decimal_commas_of_the_locale_change_nothing(
         )
         assert spec.compile().geom_size[0, 0] == 0.25
         (tmp_path / "result.json").write_text(json.dumps(fake_result(config, "COMPLETED")))
-        code, out, _ = _run(capsys, "query", str(tmp_path), "select wind_kmh from runs", "--csv")
+        code, out, _ = run_cli("query", str(tmp_path), "select wind_kmh from runs", "--csv")
         assert (code, out.splitlines()[1]) == (0, "7.5")
-        assert _run(capsys, "report", str(tmp_path))[1].count("7,5") == 0
+        assert run_cli("report", tmp_path)[1].count("7,5") == 0
     finally:
         locale.setlocale(locale.LC_NUMERIC, before)
 

@@ -1,6 +1,4 @@
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +8,16 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.io.results import RunResult
 
+from support.command import RunCli, lines_of
+
 ROOT = Path(__file__).parents[3]
 HEAVY = ("mujoco", "open3d", "cv2", "rerun", "numba", "matplotlib", "scipy", "torch", "ray")
-
-
-def _run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    code = cli.main(arguments)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def test_importing_the_command_line_imports_nothing_heavy() -> None:
     names = f"[m for m in {HEAVY!r} if m in sys.modules]"
     script = f"import sys, touchdown.experiments.cli.main; print({names})"
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "[]"
+    assert lines_of(script) == ["[]"]
 
 
 @pytest.mark.parametrize(("arguments", "fragments"), [
@@ -59,10 +50,10 @@ def test_importing_the_command_line_imports_nothing_heavy() -> None:
 ])  # fmt: skip
 def test_invalid_input_is_one_line_and_nothing_is_written(
     arguments: tuple[str, ...], fragments: list[str], tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, run_cli: RunCli,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    code, out, err = _run(capsys, *arguments)
+    code, out, err = run_cli(*arguments)
     assert code == 2 and out == ""
     assert err.startswith("touchdown: error: ") and err.count("\n") == 1
     for fragment in fragments:
@@ -86,11 +77,9 @@ def test_the_light_of_an_option_is_that_of_the_flight(
     assert lights == ["night", "dusk", "day"]
 
 
-def test_an_out_directory_with_other_files_is_unchanged(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_out_directory_with_other_files_is_unchanged(tmp_path: Path, run_cli: RunCli) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
-    code, _, err = _run(capsys, "land", "crossroad", "--out", str(tmp_path))
+    code, _, err = run_cli("land", "crossroad", "--out", tmp_path)
     assert code == 2 and str(tmp_path) in err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
@@ -115,17 +104,17 @@ def _changed(result: RunResult, **values: Any) -> RunResult:
 ])  # fmt: skip
 def test_exit_code_follows_the_outcome(
     result: RunResult, code: int, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    run_cli: RunCli,
 ) -> None:  # fmt: skip
     def fly(_config: Any, _out: Path, progress: Any) -> RunResult:
         progress(0.0, "TAKEOFF", "climbing")
         return result
 
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", fly)
-    got, out, err = _run(capsys, "land", "crossroad", "--json")
+    got, out, err = run_cli("land", "crossroad", "--json")
     assert got == code and json.loads(out)["outcome"] == result.outcome
     assert "TAKEOFF" in err
-    got, out, err = _run(capsys, "land", "crossroad", "--quiet")
+    got, out, err = run_cli("land", "crossroad", "--quiet")
     assert got == code and result.outcome in out
     assert err == ""
 
@@ -136,18 +125,18 @@ def test_exit_code_follows_the_outcome(
 )
 def test_a_sensor_log_is_not_replaced_by_a_run_without(
     options: tuple[str, ...], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    run_cli: RunCli,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", lambda *_: _result("COMPLETED"))
     run = tmp_path / "runs" / "crossroad-livo-0"
     run.mkdir(parents=True)
     (run / "sensors.mcap").write_bytes(b"precious")
-    got, _, err = _run(capsys, "fly", "crossroad", "--quiet", *options)
+    got, _, err = run_cli("fly", "crossroad", "--quiet", *options)
     assert got == code and err.count("\n") == (1 if code else 0)
     if code:
         assert "sensors.mcap" in err and "--out" in err and "--force" in err
-    assert _run(capsys, "fly", "crossroad", "--quiet", "--out", "elsewhere")[0] == 0
+    assert run_cli("fly", "crossroad", "--quiet", "--out", "elsewhere")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -189,17 +178,15 @@ def test_the_first_three_candidates_and_the_reason_are_printed(
     assert "before, at 61.2 s: given up: a wire\n" in out
 
 
-def test_a_lost_estimate_lists_its_events(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lost_estimate_lists_its_events(monkeypatch: pytest.MonkeyPatch, run_cli: RunCli) -> None:
     events = [{"time_s": 1.5 * i, "text": f"scan {i} refused [no returns]"} for i in range(8)]
     lost = _changed(_result("DIVERGED"), estimator="livo", events=events, event_count=8)
     flown = [lost]
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", lambda *_args: flown[-1])
-    code, out, _ = _run(capsys, "fly", "crossroad", "--quiet")
+    code, out, _ = run_cli("fly", "crossroad", "--quiet")
     assert code == 1 and "the last of 8 messages of livo:" in out
     assert "  10.5 s  scan 7 refused [no returns]" in out and "scan 2 " not in out
     flown.append(_changed(lost, event_count=900))
-    assert "the last of the first 8 of 900 messages" in _run(capsys, "fly", "crossroad")[1]
+    assert "the last of the first 8 of 900 messages" in run_cli("fly", "crossroad")[1]
     flown.append(_changed(lost, outcome="TIPPED"))
-    assert "messages of" not in _run(capsys, "fly", "crossroad", "--quiet")[1]
+    assert "messages of" not in run_cli("fly", "crossroad", "--quiet")[1]

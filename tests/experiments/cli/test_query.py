@@ -24,6 +24,7 @@ from touchdown.experiments.reporting import sql as sql_of_runs
 from touchdown.experiments.reporting.sql import connect, query_table
 
 from support.campaign_flights import wait_for
+from support.command import Says
 from support.report_support import write_run
 
 Query = Callable[..., Any]
@@ -180,17 +181,15 @@ def test_sums_are_exact(ask: Query) -> None:
     assert ask("select sum(seed + 9007199254740993) as s from runs") == [{"s": 2**54 + 3}]
 
 
-def test_csv_keeps_what_it_quotes(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_csv_keeps_what_it_quotes(runs: Path, says: Says) -> None:
     sql = "select 'a,\"b\"' as x, chr(27) as y"
-    assert cli.main(["query", str(runs), sql, "--csv"]) == 0
-    rows = list(csv.reader(io.StringIO(capsys.readouterr().out)))
+    rows = list(csv.reader(io.StringIO(says(0, "query", runs, sql, "--csv").out)))
     assert rows == [["x", "y"], ['a,"b"', "\x1b"]]
 
 
-def test_a_table_is_literal(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_table_is_literal(runs: Path, says: Says) -> None:
     sql = "select '[bold]x[/y]' as \"[/z]\", ':smile:' as s, chr(27) || chr(8238) as c"
-    assert cli.main(["query", str(runs), sql]) == 0
-    out = capsys.readouterr().out
+    out = says(0, "query", runs, sql).out
     assert all(word in out for word in ("[bold]x[/y]", "[/z]", ":smile:", r"\x1b\u202e"))
     assert "\x1b" not in out
 

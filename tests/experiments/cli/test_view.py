@@ -12,6 +12,7 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.cli import view
 
 from support.campaign_flights import wait_for
+from support.command import Says
 
 FAKE_VIEWER = """
 import os, pathlib, subprocess, sys
@@ -45,13 +46,12 @@ def _gone(pid: int) -> bool:
 
 
 def test_a_viewer_without_a_display_is_one_line(
-    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    run: Path, monkeypatch: pytest.MonkeyPatch, says: Says
 ) -> None:
     _without_display(monkeypatch)
     opened: list[list[str]] = []
     monkeypatch.setattr(view, "run_viewer", lambda command: opened.append(command) or 0)
-    assert cli.main(["view", str(run)]) == 2
-    err = capsys.readouterr().err
+    err = says(2, "view", run).err
     assert "--web" in err and err.count("\n") == 1 and cli.main(["view", str(run), "--web"]) == 0
     monkeypatch.setenv("DISPLAY", ":0")
     assert cli.main(["view", str(run), "--web"]) == 0 and cli.main(["view", str(run)]) == 0

@@ -10,10 +10,11 @@ import pytest
 
 import touchdown
 from touchdown.experiments.campaign.plan import load_plan
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.errors import UsageError
+
+from support.command import Says
 
 DIGITS = "9" * 5000
 DEEP = 3000
@@ -53,12 +54,11 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "text", "words"), CASES)
 def test_a_file_at_its_limits_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, text: str, words: str
+    tmp_path: Path, says: Says, name: str, text: str, words: str
 ) -> None:
     file = tmp_path / name
     file.write_text(text, encoding="utf-8")
-    assert cli.main(["fly", "flat", "--config", str(file), "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
+    error = says(2, "fly", "flat", "--config", file, "--out", tmp_path / "out").err
     assert error.count("\n") == 1 and error.strip().isprintable() and len(error) < 1000
     assert words in error and not (tmp_path / "out").exists()
 
@@ -139,12 +139,11 @@ LARGEST = 2**63 - 1
     ("bench", "endurance", "--seeds", str(2**63)),
 ], ids=" ".join)  # fmt: skip
 def test_a_seed_that_no_table_holds_is_refused_where_it_enters(
-    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...], says: Says,
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    assert cli.main(list(arguments)) == 2
-    error = capsys.readouterr().err
+    error = says(2, *list(arguments)).err
     assert error.count("\n") == 1 and "seed" in error
     assert str(LARGEST) in error or len(arguments[-1]) > 100
     assert not list(tmp_path.iterdir())

@@ -16,6 +16,7 @@ from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import replay_config
 
+from support.command import Says
 from support.replay_support import make_run
 
 MODULE = "payload_of_a_stranger"
@@ -49,11 +50,8 @@ COMMANDS = (
 
 
 @pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
-def test_results_do_not_bring_code(
-    unpacked: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
-) -> None:
-    assert cli.main(list(arguments)) == 2
-    error = capsys.readouterr().err
+def test_results_do_not_bring_code(unpacked: Path, says: Says, arguments: tuple[str, ...]) -> None:
+    error = says(2, *list(arguments)).err
     file = "campaign.toml" if arguments[0] == "campaign" else "run/config.json"
     assert error == (
         f"touchdown: error: '{file}' came with results and names code, estimator '{NAME}': the "

@@ -2,27 +2,21 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.export.flown_run import open_flown
 from touchdown.experiments.external.synthetic_stream import synthetic_rig
 
-
-def _cli(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
-    code = cli.main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+from support.command import RunCli
 
 
 def test_the_command_prints_what_it_wrote(
-    run: Path, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Path, bag: Path, tmp_path: Path, run_cli: RunCli
 ) -> None:
     out = tmp_path / "new" / "flown-bag"
-    code, printed, _ = _cli(capsys, "export", run, "--format", "mcap", "--out", out, "--json")
+    code, printed, _ = run_cli("export", run, "--format", "mcap", "--out", out, "--json")
     facts = json.loads(printed)
     assert (
         code == 0
@@ -35,13 +29,11 @@ def test_the_command_prints_what_it_wrote(
     assert facts["imu_from_lidar"]["rotation_row_major"] == pose.rotation.ravel().tolist()
     # equal runs, equal files
     assert (out / "flown-bag.mcap").read_bytes() == (bag / "flown-bag.mcap").read_bytes()
-    code, printed, _ = _cli(capsys, "export", run, "--format", "tum", "--out", tmp_path / "e.tum")
+    code, printed, _ = run_cli("export", run, "--format", "tum", "--out", tmp_path / "e.tum")
     assert code == 0 and printed.splitlines()[-1].startswith(f"written: {tmp_path / 'e.tum'}")
 
 
-def test_default_output_is_beside_the_run_and_is_replaced(
-    run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_default_output_is_beside_the_run_and_is_replaced(run: Path, run_cli: RunCli) -> None:
     for _ in range(2):  # an earlier export is replaced
         for kind, name in (
             ("tum", "flown-estimate.tum"),
@@ -49,7 +41,7 @@ def test_default_output_is_beside_the_run_and_is_replaced(
             ("ply", "flown.ply"),
             ("mcap", "flown-bag/flown-bag.mcap"),
         ):
-            assert _cli(capsys, "export", run, "--format", kind)[0] == 0
+            assert run_cli("export", run, "--format", kind)[0] == 0
             assert (run.parent / name).is_file()
     names = {path.name for path in run.parent.iterdir()}
     assert names == {"flown", "flown-bag", "flown-estimate.tum", "flown.csv", "flown.ply"}
@@ -86,7 +78,7 @@ def test_default_output_is_beside_the_run_and_is_replaced(
     (["{broken}", "--format", "ply"], "no map"),
 ])  # fmt: skip
 def test_invalid_input_is_one_line_and_leaves_no_files(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str],
+    run: Path, tmp_path: Path, run_cli: RunCli, arguments: list[str],
     message: str,
 ) -> None:  # fmt: skip
     (tmp_path / "note.txt").write_text("mine")
@@ -103,7 +95,7 @@ def test_invalid_input_is_one_line_and_leaves_no_files(
     (broken / "map.ply").write_text("ply\n")
     before = sorted(path for path in tmp_path.rglob("*"))
     names = {"run": run, "blind": blind, "broken": broken, "cut": cut, "tmp": tmp_path}
-    code, printed, errors = _cli(capsys, "export", *[a.format(**names) for a in arguments])
+    code, printed, errors = run_cli("export", *[a.format(**names) for a in arguments])
     assert code == 2 and printed == "" and errors.count("\n") == 1 and message in errors
     assert sorted(path for path in tmp_path.rglob("*")) == before
     assert (tmp_path / "note.txt").read_text() == "mine"

@@ -19,6 +19,8 @@ from touchdown.experiments.external.synthetic_stream import SyntheticStream, syn
 from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
+from support.command import Says
+
 PAGE = Path(__file__).parents[3] / "docs" / "writing-an-estimator.md"
 
 
@@ -240,14 +242,12 @@ def test_the_command_passes_the_example(
 
 
 def test_the_command_tells_what_is_wrong(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, says: Says
 ) -> None:
     bad = _example().replace("time_s=obs.time_s,", "time_s=-obs.time_s,")
     _module(tmp_path, monkeypatch, "ground_flow_backwards", bad)
     command = ["check-estimator", "ground_flow_backwards:build", "--seconds", "0.5", "--json"]
-    assert cli.main(command) == 1
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(says(1, *command).out)
     assert [row["rule"] for row in found["violations"]] == ["time"]
-    assert cli.main(["check-estimator", "livvo"]) == 2
-    assert "did you mean 'livo'" in capsys.readouterr().err
+    assert "did you mean 'livo'" in says(2, "check-estimator", "livvo").err
     assert cli.main(["check-estimator", "livo", "--seconds", "-1"]) == 2

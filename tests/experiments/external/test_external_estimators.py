@@ -30,6 +30,7 @@ from touchdown.sim.frames import Pose
 
 from support.campaign_fakes import started
 from support.campaign_flights import axes, is_alive, make_plan
+from support.command import Says
 from support.worlds import load_ideal_config as load_config
 
 TESTS = os.getpid()
@@ -119,15 +120,14 @@ def test_a_module_of_the_current_directory_is_found_and_hides_nothing(
     ("{package}/vio.py:build", STILL, ["MODULE:FUNCTION, such as my_lab.vio:build"]),
 ])  # fmt: skip
 def test_a_name_that_leads_nowhere_is_one_line_before_any_flight(
-    lab: Callable[..., str], capsys: pytest.CaptureFixture[str], name: str, text: str,
+    lab: Callable[..., str], says: Says, name: str, text: str,
     words: list[str],
 ) -> None:  # fmt: skip
     package = lab(text).partition(".")[0]
     name = name.format(package=package)
     Path("plan.toml").write_text(axes(scene=["flat"], estimator=["gps", name], seeds="0-1"))
     for command in (["fly", "flat", "--estimator", name], ["campaign", "plan.toml", "--out", "o"]):
-        assert cli.main(command) == 2
-        output = capsys.readouterr().err
+        output = says(2, *command).err
         assert output.count("\n") == 1 and all(word in output for word in words), output
     assert not Path("o").exists() and not Path("runs").exists()
 
@@ -205,14 +205,11 @@ def test_a_copy_that_it_forks_does_not_fly_on(lab: Callable[..., str], tmp_path:
     assert not (tmp_path / "flew_on").exists()
 
 
-def test_a_flight_that_it_ends_leaves_nothing(
-    lab: Callable[..., str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flight_that_it_ends_leaves_nothing(lab: Callable[..., str], says: Says) -> None:
     name = f"{lab(_spoilt('return None if obs.time_s > 0.05 else estimate'))}:build"
     Path("lawn.xml").write_text(LAWN)
     short = ["--profile", "ideal", "--no-record", "--quiet", "--out", "flown/one"]
-    assert cli.main(["fly", "lawn.xml", "--estimator", name, *short]) == 2
-    output = capsys.readouterr().err
+    output = says(2, "fly", "lawn.xml", "--estimator", name, *short).err
     assert output.count("\n") == 1 and "at 0.055 s update returned NoneType" in output
     assert list(Path("flown").iterdir()) == []
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import open_run, replay, replay_config, seen_by
@@ -18,6 +17,7 @@ from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import read_tum
 from touchdown.sim.api import Observation, SensorNeeds
 
+from support.command import RunCli
 from support.replay_support import LIFT_OFF_S, make_run
 
 ROOT = Path(__file__).parents[3]
@@ -56,12 +56,6 @@ def _still(
     (tmp_path / f"{name}.py").write_text(STILL.format(needs=needs, offset=offset))
     monkeypatch.syspath_prepend(str(tmp_path))
     return f"{name}:build"
-
-
-def _cli(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
-    code = cli.main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def test_replays_are_equal_to_the_byte(run: Path, tmp_path: Path) -> None:
@@ -107,11 +101,11 @@ def test_errors_are_those_of_the_true_path_from_lift_off_on(
 
 
 def test_who_is_lost_has_failed(
-    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_cli: RunCli
 ) -> None:
     name = _still(tmp_path, monkeypatch, "still_far", offset=500.0)
-    code, out, _ = _cli(
-        capsys, "fly", "--replay", run, "--estimator", name, "--out", tmp_path / "far", "--json",
+    code, out, _ = run_cli(
+        "fly", "--replay", run, "--estimator", name, "--out", tmp_path / "far", "--json",
         "--quiet",
     )  # fmt: skip
     assert code == 1 and json.loads(out)["outcome"] == "DIVERGED"
@@ -160,24 +154,22 @@ def test_an_estimator_sees_what_its_own_flight_would_show(tmp_path: Path) -> Non
     (["--set", "wind.mean_kmh=3"], "the flight is over"),
 ])  # fmt: skip
 def test_refusals_are_one_line(
-    run: Path, tmp_path: Path, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    run: Path, tmp_path: Path, arguments: list[str], words: str, run_cli: RunCli
 ) -> None:
     out = tmp_path / "out"
-    code, printed, err = _cli(capsys, "fly", "--replay", run, "--out", out, *arguments)
+    code, printed, err = run_cli("fly", "--replay", run, "--out", out, *arguments)
     assert (code, printed, err.count("\n")) == (2, "", 1) and words in err
     assert not out.exists() and list(tmp_path.iterdir()) == []
 
 
-def test_wrong_directories_are_one_line(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_directories_are_one_line(run: Path, tmp_path: Path, run_cli: RunCli) -> None:
     for arguments, words in (
         (["fly", "--replay", tmp_path / "none"], "is no run directory"),
         (["fly", "houses", "--replay", run], "was flown over crossroad, not houses"),
         (["fly", "--replay", run, "--out", run], "is the run that is replayed"),
         (["fly"], "missing argument 'SCENE'"),
     ):
-        code, _, err = _cli(capsys, *arguments)
+        code, _, err = run_cli(*arguments)
         assert code == 2 and words in err and err.count("\n") == 1, err
     silent = make_run(tmp_path / "silent", seconds=0.3)
     (silent / FILE_NAME).unlink()
@@ -203,22 +195,20 @@ def test_parameters_of_an_earlier_version_are_left_out_with_a_warning(tmp_path: 
 
 
 @pytest.mark.slow
-def test_a_flight_is_repeated_to_the_byte_by_its_own_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flight_is_repeated_to_the_byte_by_its_own_log(tmp_path: Path, run_cli: RunCli) -> None:
     flown, again = tmp_path / "flown", tmp_path / "again"
     short = ["survey.legs=1", "survey.leg_length_m=6.0", "survey.height_m=8.0"]
     short += ["survey.duration_s=6.0", "sim.threads=1"]
     settings = [word for text in short for word in ("--set", text)]
-    code, out, _ = _cli(
-        capsys, "fly", "crossroad", "--log-sensors", "--no-record", "--quiet", "--json", *settings,
+    code, out, _ = run_cli(
+        "fly", "crossroad", "--log-sensors", "--no-record", "--quiet", "--json", *settings,
         "--out", flown,
     )  # fmt: skip
     assert code == 0
     result = json.loads(out)
     size_mb = (flown / FILE_NAME).stat().st_size / 1e6
     assert size_mb / result["timing"]["sim_s"] <= 15.0
-    code, out, _ = _cli(capsys, "fly", "--replay", flown, "--out", again, "--quiet", "--json")
+    code, out, _ = run_cli("fly", "--replay", flown, "--out", again, "--quiet", "--json")
     assert code == 0
     assert (again / "estimate.tum").read_bytes() == (flown / "estimate.tum").read_bytes()
     replayed = json.loads(out)["position_error_m"]["mean"]

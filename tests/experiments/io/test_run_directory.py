@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import psutil
@@ -98,12 +99,15 @@ def test_a_process_of_the_same_number_that_began_later_is_another(tmp_path: Path
         assert whole._is_abandoned(partial, here, str(os.getpid()))
 
 
-@pytest.mark.parametrize("can_exchange", [True, False])
-def test_an_earlier_run_is_replaced_and_never_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, can_exchange: bool
-) -> None:
-    if not can_exchange:
+@pytest.fixture(params=[True, False])
+def can_exchange(request: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    if not request.param:
         monkeypatch.setattr(whole, "_exchange", lambda _one, _other: False)
+    return request.param
+
+
+@pytest.mark.usefixtures("can_exchange")
+def test_an_earlier_run_is_replaced_and_never_missing(tmp_path: Path) -> None:
     out = tmp_path / "a"
     for maker in ("run_directory", "whole_folder"):
         make(maker, out)
@@ -115,13 +119,9 @@ def test_an_earlier_run_is_replaced_and_never_missing(
         out.rmdir()
 
 
-@pytest.mark.parametrize("can_exchange", [True, False])
+@pytest.mark.usefixtures("can_exchange")
 @pytest.mark.parametrize("maker", ["run_directory", "whole_folder"])
-def test_what_came_during_the_work_is_kept_and_the_work_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, maker: str, can_exchange: bool
-) -> None:
-    if not can_exchange:
-        monkeypatch.setattr(whole, "_exchange", lambda _one, _other: False)
+def test_what_came_during_the_work_is_kept_and_the_work_too(tmp_path: Path, maker: str) -> None:
     out = tmp_path / "a"
     make(maker, out)
     (tmp_path / "a-2").touch()
@@ -136,14 +136,9 @@ def test_what_came_during_the_work_is_kept_and_the_work_too(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "a-2", "a-3", "a-4"]
 
 
-@pytest.mark.parametrize("can_exchange", [True, False])
-def test_of_two_at_once_one_is_there_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, can_exchange: bool
-) -> None:
+def test_of_two_at_once_one_is_there_whole(tmp_path: Path, can_exchange: bool) -> None:
     """Two processes replace one directory over and over; where they exchange it, it is always
     there."""
-    if not can_exchange:
-        monkeypatch.setattr(whole, "_exchange", lambda _one, _other: False)
     out = tmp_path / "a"
     make("run_directory", out)
     writers = [multiprocessing.get_context("fork").Process(target=_replace, args=(out,))

@@ -11,6 +11,7 @@ import pytest
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import broken_text
 
+from support.command import Says
 from support.report_support import write_run
 
 COMMANDS = (
@@ -57,12 +58,11 @@ REFUSED = {
 @pytest.mark.parametrize(("change", "words"), REFUSED.values(), ids=REFUSED)
 def test_refused_in_one_line(
     command: tuple[str, ...], change: Callable[[Path], None], words: str,
-    tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, says: Says,
 ) -> None:  # fmt: skip
     change(write_run(tmp_path / "runs", "flat", "m", 0))
     given = [part.format(runs=tmp_path / "runs", out=tmp_path / "out") for part in command]
-    assert cli.main(given) == 2
-    error = capsys.readouterr().err
+    error = says(2, *given).err
     assert error.count("\n") == 1 and words in error and "sys." not in error
     assert not (tmp_path / "out").exists()
 

@@ -21,6 +21,8 @@ from touchdown.experiments.reporting.regression.baseline import (
 from touchdown.experiments.reporting.regression.compare import Comparison, compare
 from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_sentences
 
+from support.command import Says
+
 SCENES = ("crossroad", "lake", "houses", "forest")
 METHODS = ("gps", "optical_flow", "hybrid_flow", "stereo", "zou2024", "livo")
 Row = dict[str, Any]
@@ -278,7 +280,7 @@ def write_runs(directory: Path, factor: float = 1.0, seeds: range = range(10)) -
         (run / "result.json").write_text(json.dumps(result))
 
 
-def test_exit_codes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_exit_codes(tmp_path: Path, says: Says) -> None:
     write_runs(tmp_path / "old")
     write_runs(tmp_path / "new", 1.3)
     base = str(tmp_path / "sub" / "base.json")
@@ -286,11 +288,8 @@ def test_exit_codes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["regress", old, "--baseline", base, "--update"]) == 0
     written = Path(base).read_bytes()
     assert cli.main(["regress", old, "--baseline", base]) == 0
-    capsys.readouterr()
-    assert cli.main(["regress", new, "--baseline", base]) == 1
-    assert "WORSE  lake, livo" in capsys.readouterr().out
-    assert cli.main(["regress", new, "--baseline", base, "--json"]) == 1
-    tree = json.loads(capsys.readouterr().out)
+    assert "WORSE  lake, livo" in says(1, "regress", new, "--baseline", base).out
+    tree = json.loads(says(1, "regress", new, "--baseline", base, "--json").out)
     assert tree["regressed"] and tree["cells"][0]["ratio"] == pytest.approx(1.3)
     assert tree["cells"][0]["detectable"] > 1.0
     assert cli.main(["regress", old, "--baseline", base, "--update"]) == 0
@@ -325,12 +324,9 @@ def one_flight(values: str, bad: str = "false") -> str:
 
 
 @pytest.mark.parametrize("margin", ["nan", "inf", "-0.1", "1e9"])
-def test_a_margin_is_a_share(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], margin: str
-) -> None:
+def test_a_margin_is_a_share(tmp_path: Path, says: Says, margin: str) -> None:
     arguments = ["regress", str(tmp_path), "--baseline", "b.json", "--margin", margin]
-    assert cli.main(arguments) == 2
-    assert "invalid value for '--margin'" in capsys.readouterr().err.lower()
+    assert "invalid value for '--margin'" in says(2, *arguments).err.lower()
 
 
 @pytest.mark.parametrize(
@@ -349,7 +345,7 @@ def test_a_margin_is_a_share(
     ],
 )
 def test_bad_baselines_are_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str | None, message: str
+    tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str], text: str | None, message: str
 ) -> None:
     write_runs(tmp_path / "old")
     base = tmp_path / "base.json"
@@ -360,8 +356,7 @@ def test_bad_baselines_are_one_line(
         )
         assert base.read_text() == text, "a file that is no baseline is left alone"
         capsys.readouterr()
-    assert cli.main(["regress", str(tmp_path / "old"), "--baseline", str(base)]) == 2
-    said = capsys.readouterr()
+    said = says(2, "regress", tmp_path / "old", "--baseline", base)
     assert said.out == "" and said.err.count("\n") == 1 and message in said.err
 
 
@@ -375,9 +370,8 @@ def test_a_baseline_reads_back(tmp_path: Path) -> None:
     assert found.git_revision == "abc" and found.config_sha == configuration_sha(rows)
 
 
-def test_nothing_in_common_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_in_common_is_an_error(tmp_path: Path, says: Says) -> None:
     write_runs(tmp_path / "old")
     write_baseline([flight("flat", "gps", 0, 1.0)], tmp_path / "base.json")
     command = ["regress", str(tmp_path / "old"), "--baseline", str(tmp_path / "base.json")]
-    assert cli.main(command) == 2
-    assert "no cell of these flights; it has flat, gps" in capsys.readouterr().err
+    assert "no cell of these flights; it has flat, gps" in says(2, *command).err

@@ -17,6 +17,7 @@ from touchdown.experiments.reporting.narrative import leading_sentences
 from touchdown.experiments.reporting.run_table import LANDING_COLUMNS, markdown_table, summary
 from touchdown.experiments.reporting.tables import Table
 
+from support.command import Says
 from support.report_support import LANDING
 from support.report_support import write_run as write_flight
 
@@ -207,20 +208,16 @@ def test_the_same_flights_the_same_report(campaign: Path, report: document.Repor
     assert document.markdown(again) == document.markdown(report)
 
 
-def test_command_writes_everything(
-    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_writes_everything(campaign: Path, tmp_path: Path, says: Says) -> None:
     out = tmp_path / "deep" / "report"
-    assert cli.main(["report", str(campaign), "--out", str(out), "--json"]) == 0
-    tree = json.loads(capsys.readouterr().out)
+    tree = json.loads(says(0, "report", campaign, "--out", out, "--json").out)
     assert tree["tables"]["table2_error"]["zou2024"]["lake"]["value"] == pytest.approx(0.22)
     assert sorted(tree["files"]) == ["html", "json", "markdown"]
     text = (out / "report.md").read_text()
     for target in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text):
         assert (out / target).is_file()
     assert text.count("| `livo` |") > 5
-    assert cli.main(["report", str(campaign), "--out", str(out / "report.md")]) == 2
-    assert "cannot be written" in capsys.readouterr().err
+    assert "cannot be written" in says(2, "report", campaign, "--out", out / "report.md").err
 
 
 def test_files_of_others_are_no_report_to_be_replaced(
@@ -241,10 +238,9 @@ def test_files_of_others_are_no_report_to_be_replaced(
 
 
 def test_a_plain_directory_prints_its_table(
-    campaign: Path, capsys: pytest.CaptureFixture[str]
+    campaign: Path, says: Says, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["report", str(campaign)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = says(0, "report", campaign).out.splitlines()
     assert lines[0].startswith("| run | scene | estimator | seed | outcome |")
     assert lines[2].startswith("| crossroad-gps-s0 | crossroad | gps | 0 |")
     assert lines[-2:] == ["", "21 runs: COMPLETED 17, DIVERGED 1, LANDED 3; 1 unsafe touchdown"]

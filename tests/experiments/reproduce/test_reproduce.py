@@ -16,6 +16,8 @@ from touchdown.experiments.reproduce import run as reproduce
 from touchdown.experiments.reproduce.items import ITEMS
 from touchdown.experiments.reproduce.steps import PARTS, part_named
 
+from support.command import Says
+
 if TYPE_CHECKING:
     from support.reproduce_world import World
 
@@ -35,13 +37,9 @@ def test_every_item_of_the_paper_has_one_part() -> None:
     assert {re.sub(r" [ab]$", "", item) for item in shown} == tables | figures
 
 
-def test_one_command_gives_every_table_and_figure(
-    world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_command_gives_every_table_and_figure(world: World, tmp_path: Path, says: Says) -> None:
     out = tmp_path / "deep" / "out"
-    code = cli.main(["reproduce", "--out", str(out), "--quick", "--jobs", "1", "--json"])
-    output = capsys.readouterr()
-    assert code == 0, output.err
+    output = says(0, "reproduce", "--out", out, "--quick", "--jobs", "1", "--json")
     tree = json.loads(output.out)
     assert [part["part"] for part in tree["parts"]] == [part.name for part in PARTS]
     assert tree["good"] and all(part["good"] for part in tree["parts"])
@@ -105,13 +103,12 @@ _SAME = ("calibration", "edges", "world", "sites")
 
 
 def test_a_part_that_fails_its_purpose_is_reported(
-    world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    world: World, tmp_path: Path, says: Says
 ) -> None:
     world.consistent = False
     skips = [argument for name in (*CAMPAIGNS, "recognition") for argument in ("--skip", name)]
     arguments = ["reproduce", "--out", str(tmp_path), "--quick", "--quiet", *skips]
-    assert cli.main(arguments) == 1
-    output = capsys.readouterr()
+    output = says(1, *arguments)
     assert output.err == ""
     assert re.search(r"calibration +quick .* FAILED: its errors exceed", output.out)
     text = (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
@@ -173,7 +170,7 @@ def test_trained_networks_are_kept(world: World, tmp_path: Path) -> None:
     ),
 ])  # fmt: skip
 def test_usage_errors_are_one_line(
-    world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str],
+    world: World, tmp_path: Path, says: Says, arguments: list[str],
     message: str,
 ) -> None:  # fmt: skip
     (tmp_path / "UNRELATED").mkdir()
@@ -182,8 +179,7 @@ def test_usage_errors_are_one_line(
         str(tmp_path / argument) if argument.startswith(("OUT", "UNRELATED")) else argument
         for argument in arguments
     ]
-    assert cli.main(["reproduce", *command]) == 2
-    output = capsys.readouterr()
+    output = says(2, "reproduce", *command)
     assert output.err.count("\n") == 1 and message in output.err
     assert not (tmp_path / "OUT").exists() and not world.calls
 

@@ -23,6 +23,8 @@ from touchdown.experiments.results_book.record import (
 )
 from touchdown.experiments.results_book.sets import ROOT, SETS, FlightSet
 
+from support.command import Says
+
 PAGES = sorted({block.page for block in BLOCKS})
 LANDINGS = SETS[0]
 REVISION = "0123456789abcdef0123456789abcdef01234567"
@@ -264,18 +266,15 @@ def test_nothing_is_flown_that_could_not_be_printed(
         flying.fly([LANDINGS], tmp_path, 1, flying.Watcher)
 
 
-def test_the_cost_is_stated_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_cost_is_stated_first(tmp_path: Path, says: Says) -> None:
     fly(LANDINGS, tmp_path, left_out=3)
     asked = ["results", "--out", str(tmp_path), "--dry-run", "--only", "landings"]
-    assert cli.main(asked) == 0
-    printed = capsys.readouterr().out.splitlines()
+    printed = says(0, *asked).out.splitlines()
     assert printed[0] == "landings: 20 flights, 17 of them finished"
     assert printed[-1].startswith("together: 3 flights, 0.07 core-hours"), "90 s each, as measured"
-    assert cli.main([*asked, "--json"]) == 0
-    tree = json.loads(capsys.readouterr().out)
+    tree = json.loads(says(0, *asked, "--json").out)
     assert tree["left"] == 3 and tree["core_hours"] == pytest.approx(3 * 90.0 / 3600.0)
-    assert cli.main([*asked[:-1], "landing"]) == 2
-    assert "did you mean 'landings'" in capsys.readouterr().err
+    assert "did you mean 'landings'" in says(2, *asked[:-1], "landing").err
 
 
 def test_a_page_without_its_markers_is_named() -> None:

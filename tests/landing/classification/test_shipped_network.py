@@ -13,10 +13,11 @@ import pytest
 
 from touchdown.experiments.classification.patches import scene_patches
 from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_layout
-from touchdown.experiments.cli import main as cli
 from touchdown.landing.classification import engine, onboard
 from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES
+
+from support.command import Says
 
 SEED = 900_004
 """of no data set, and one that leaves 4 when divided by 5"""
@@ -66,17 +67,14 @@ def test_accuracy_on_unseen_scenes(scene: str, classifier: onboard.OnnxGroundCla
     assert not any(t and name in ("water", "trees") for t, name in zip(taken, true, strict=True))
 
 
-def test_commands_without_a_network_use_the_shipped_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_without_a_network_use_the_shipped_one(tmp_path: Path, says: Says) -> None:
     home = tmp_path / "pictures"
     patches = scene_patches("lake", SEED, 10, 128, variation=0)
     for number, patch in enumerate(patches):
         (home / patch.land_class).mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(home / patch.land_class / f"{number}.png"), patch.rgb[..., ::-1])
     whole = ["evaluate", "--data", str(home), "--split", "train", "--no-cost", "--quiet", "--json"]
-    assert cli.main(whole) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(says(0, *whole).out)
     assert report["network"] == "resnet50_cbam" and report["image_size"] == 128
     files = onboard.SHIPPED.parent.glob("onboard.onnx*")
     size = sum(file.stat().st_size for file in files if file.suffix != ".sha256")
@@ -84,7 +82,6 @@ def test_commands_without_a_network_use_the_shipped_one(
     assert 0 < report["pictures"] <= len(patches)
     picture = next(home.glob("*/*.png"))
     out = tmp_path / "classes"
-    assert cli.main(["classify", str(picture), "--out", str(out), "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["pictures"]
+    (row,) = json.loads(says(0, "classify", picture, "--out", out, "--json").out)["pictures"]
     assert Path(row["classes"]).is_file()
     assert sum(row["shares"].values()) == pytest.approx(1.0, abs=1e-6)
