@@ -10,6 +10,7 @@ import pytest
 from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.error_state import (
     CALIBRATION_DIM,
+    CENTER,
     MOUNT_TRANSLATION,
     STATE_DIM,
     Frame,
@@ -355,23 +356,31 @@ def test_without_returns_features_lie_on_level_ground() -> None:
     assert keyframe.depth_m == pytest.approx(float(np.median(landmarks[:, 2])))
 
 
-def test_parallax_finds_the_depth_of_the_ground_and_no_more_than_the_floor() -> None:
-    """The ground is assumed 3 m too low, a sixth of 18 m; 6 m sideways and back show it. What the
-    returns have shown stays."""
-    start = imu_pose((0.0, 0.0, 18.0), (0.0, 0.0, 0.0))
-    vision, eskf = front_end(), filter_at(start)
-    image = grey_levels(view(start @ IMU_FROM_CAMERA))
-    assert add_keyframe(vision, eskf, image, RecentReturns(scans=1, per_scan=10), 0, ground_m=-3.0)
+@pytest.mark.parametrize("centre_px", [0, 4])
+def test_parallax_finds_the_depth_of_the_ground_and_no_more_than_the_floor(centre_px: int) -> None:
+    """The ground is assumed 3 m too low, a sixth of 18 m; 6 m sideways and back show it, also by a
+    lens whose centre was found to lie aside. What the returns have shown stays."""
+    start, calibration = imu_pose((0.0, 0.0, 18.0), (0.0, 0.0, 0.0)), np.zeros(CALIBRATION_DIM)
+    calibration[CENTER] = [0.0, centre_px]
+    variances = np.full(STATE_DIM + CALIBRATION_DIM, 1e-8)
+    variances[STATE_DIM:] = 1e-14
+    eskf = Eskf(replace(filter_at(start).state, calibration=calibration), variances)
+
+    def seen(pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return grey_levels(np.roll(view(pose @ IMU_FROM_CAMERA), centre_px, axis=0))
+
+    vision, none = front_end(), RecentReturns(scans=1, per_scan=10)
+    assert add_keyframe(vision, eskf, seen(start), none, 0, ground_m=-3.0)
     (keyframe,) = vision.keyframes
     keyframe.assumed[:5] = False
     planes = keyframe.planes.copy()
     for x in (1.0, 2.0, 4.0, 6.0, 3.0):
         pose = imu_pose((x, 0.0, 18.0), (0.0, 0.0, 0.0))
         eskf.state = replace(eskf.state, rotation=pose.rotation, position=pose.translation)
-        assert vision.update(eskf, grey_levels(view(pose @ IMU_FROM_CAMERA))).used > 60
+        assert vision.update(eskf, seen(pose)).used > 60
     moved = (start @ IMU_FROM_CAMERA).apply(keyframe.landmarks_camera(CAMERA))[5:]
-    seen = keyframe.sigmas[5:] < 0.39 * keyframe.depth_m
-    assert seen.sum() > 60 and float(np.median(np.abs(moved[seen, 2]))) < 0.15
+    known = keyframe.sigmas[5:] < 0.39 * keyframe.depth_m
+    assert known.sum() > 60 and float(np.median(np.abs(moved[known, 2]))) < 0.15
     np.testing.assert_array_equal(keyframe.planes[:5], planes[:5])
     assert keyframe.sigmas.min() == pytest.approx(0.16 * keyframe.depth_m)
 
