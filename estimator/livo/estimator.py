@@ -7,8 +7,8 @@ order, LIDAR before vision, and the sequential update follow FAST-LIVO (Zheng et
 Landmarks are anchored to cloned keyframe poses, not to a map without errors, so that a later view
 of the same ground closes the loop.
 
-While no scans come, new features are assumed on the ground below the rangefinder, and parallax moves
-them (``assumed_depth``).
+While no scans come, new features are assumed on the ground below the rangefinder, and parallax
+moves them (``assumed_depth``).
 
 Scans and images arrive late. The filter's state is at measurement time; the estimate is that state
 propagated over the buffered IMU samples to the present.
