@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame
-from touchdown.sim.api import LidarParams, LidarScan
+from touchdown.sim.api import LidarScan, LidarSheet
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class PlacedScan:
         return PlacedScan(self.points[chosen], self.beams[chosen], self.pulses[chosen])
 
 
-def screen_scan(scan: LidarScan, lidar: LidarParams, *, check_blind_zone: bool = False) -> Indices:
+def screen_scan(scan: LidarScan, lidar: LidarSheet, *, check_blind_zone: bool = False) -> Indices:
     """Returns the indices (K,) of the pulses with a valid return: a finite range between
     ``min_range_m`` and ``max_range_m`` and a time within the scan.
 

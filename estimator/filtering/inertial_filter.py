@@ -49,8 +49,8 @@ from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraImage,
-    ImuParams,
     ImuSample,
+    ImuSheet,
     LidarScan,
     Observation,
     SensorRig,
@@ -80,7 +80,7 @@ def with_flown_noise(rig: SensorRig, params: FlownImuParams | LivoParams) -> Sen
     return replace(rig, imu=replace(rig.imu, **larger))
 
 
-def bias_sigmas(imu: ImuParams, *, estimated: bool = False) -> Array:
+def bias_sigmas(imu: ImuSheet, *, estimated: bool = False) -> Array:
     """(6,) rad/s and m/s^2: errors of gyroscope and accelerometer that stay in level flight as they
     are: turn-on biases, and gravity along misaligned and wrongly scaled axes, unless these are
     ``estimated``."""
@@ -108,7 +108,7 @@ class InertialFilter:
         correction_time_s: float,
         attitude_known: bool = True,
         *,
-        flown: ImuParams | None = None,
+        flown: ImuSheet | None = None,
         calibration_sigmas: Array | None = None,
     ) -> None:
         self.rig = rig
