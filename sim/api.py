@@ -8,7 +8,7 @@ read-only.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from annotated_types import Interval
@@ -21,14 +21,21 @@ from touchdown.sim.faults.types import Fault as Fault
 from touchdown.sim.faults.types import FaultParams as FaultParams
 from touchdown.sim.frames import Pose
 from touchdown.sim.imu_types import ImuParams as ImuParams
+from touchdown.sim.imu_types import ImuSheet as ImuSheet
+from touchdown.sim.lidar.types import LidarParams as LidarParams
+from touchdown.sim.lidar.types import LidarPreset as LidarPreset
+from touchdown.sim.lidar.types import LidarSheet as LidarSheet
 from touchdown.sim.navigation.types import BarometerParams as BarometerParams
 from touchdown.sim.navigation.types import BarometerSample as BarometerSample
+from touchdown.sim.navigation.types import BarometerSheet as BarometerSheet
 from touchdown.sim.navigation.types import GpsFix as GpsFix
 from touchdown.sim.navigation.types import GpsParams as GpsParams
 from touchdown.sim.navigation.types import GpsPreset as GpsPreset
+from touchdown.sim.navigation.types import GpsSheet as GpsSheet
 from touchdown.sim.navigation.types import MagnetometerParams as MagnetometerParams
 from touchdown.sim.navigation.types import MagnetometerSample as MagnetometerSample
 from touchdown.sim.navigation.types import NavParams as NavParams
+from touchdown.sim.navigation.types import NavSheet as NavSheet
 from touchdown.sim.navigation.types import RangefinderParams as RangefinderParams
 from touchdown.sim.navigation.types import RangefinderSample as RangefinderSample
 from touchdown.sim.ranges import FORBID_EXTRA as FORBID_EXTRA
@@ -98,49 +105,6 @@ class WindParams:
     """add the rotational gusts of the Dryden model, which turn the vehicle"""
     wakes: bool = False
     """slow the wind and make it more turbulent behind buildings and trees"""
-
-
-LidarPreset = Literal["horizon", "avia", "mid360"]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LidarParams:
-    """A Livox-like scanning LIDAR. Defaults: Livox Horizon (manufacturer's data sheet)."""
-
-    __pydantic_config__ = FORBID_EXTRA
-
-    preset: LidarPreset = "horizon"
-    """pattern, point rate, range limits and beam"""
-    range_sigma_m: NotNegative = 0.02
-    """standard deviation of the range noise"""
-    angle_sigma_deg: NotNegative = 0.05
-    """standard deviation of the beam direction, each axis"""
-    min_range_m: NotNegative = 0.5
-    """nearest range that is reported"""
-    max_range_m: Positive = 260.0
-    """farthest range that is reported; reflectivity limits it further"""
-    divergence: bool = True
-    """True: beams have a width and split into several echoes at edges. False: rays without width.
-    """
-    return_mode: Literal["first", "strongest"] = "first"
-    """Which echo of a split beam is reported."""
-    pulse_length_m: NotNegative = 1.0
-    """Surfaces nearer to one another than this merge into one echo at their mean range."""
-    range_bias_m: NotNegative = 0.0
-    """bound of the systematic range error: a constant by seed, time walk of weak echoes, and
-    incidence. 0: none"""
-    range_noise_growth: Fraction = 0.0
-    """share of the range noise's variance, at 20 m on 80 %, that grows as an echo gets weaker (with
-    the range squared, over reflectivity times cosine). 0: ``range_sigma_m`` everywhere"""
-    texture: NotNegative = 0.0
-    """how much the reflectivity varies within a surface, over the measured spreads of materials: 1
-    as measured, 0 not at all"""
-    vegetation: NotNegative = 0.0
-    """height of grass and crops that pulses partly enter, over the usual one of each material: 1
-    as usual, 0 none"""
-    sway: NotNegative = 0.0
-    """how far crowns sway in the wind, over the displacement of a typical tree: 1 as typical, 0 not
-    at all"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -226,9 +190,9 @@ class VehicleModel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensorRig:
-    """Sensor calibration and rates as given to an estimator. ``world_from_body_start`` is the known
-    take-off pose: all of it, or position and heading, see ``start_tilt_sigma_rad``. Extrinsics map
-    sensor coordinates to body coordinates."""
+    """Sensor calibration, rates and data sheets as given to an estimator, without parameters of the
+    simulation. ``world_from_body_start`` is the known take-off pose: all of it, or position and
+    heading, see ``start_tilt_sigma_rad``. Extrinsics map sensor coordinates to body coordinates."""
 
     tick_hz: int
     body_from_imu: Pose
@@ -236,15 +200,15 @@ class SensorRig:
     body_from_camera: Pose
     body_from_camera_right: Pose
     camera: CameraIntrinsics
-    lidar: LidarParams
-    imu: ImuParams
+    lidar: LidarSheet
+    imu: ImuSheet
     imu_ticks: int
     camera_ticks: int
     lidar_scan_ticks: int
     compute_latency_ticks: int
     world_from_body_start: Pose
     vehicle: VehicleModel
-    nav: NavParams = field(default_factory=NavParams)
+    nav: NavSheet = field(default_factory=NavSheet)
     start_tilt_sigma_rad: float = 0.0
     """standard deviation of the true roll and pitch at take-off about those of
     ``world_from_body_start``, which are 0 then; 0: they are known"""

@@ -8,9 +8,9 @@ from touchdown.sim.ranges import FORBID_EXTRA, Fraction, NotNegative
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ImuParams:
-    """Bosch BMI088 (data sheet): noise densities, in-run bias walk, turn-on errors; its place on
-    the body and the propellers' vibration there. Turn-on errors are drawn once a flight."""
+class ImuSheet:
+    """What data sheet and calibration say of an IMU: noise densities, in-run bias walk, spread of
+    the turn-on errors, ranges. Defaults: Bosch BMI088 (data sheet)."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -26,9 +26,6 @@ class ImuParams:
     """rad/s, turn-on"""
     accel_bias_sigma: NotNegative = 3.0e-2
     """m/s^2, turn-on"""
-    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """from the MJCF's site ``imu`` to the sensor, body axes (forward, left, up); estimators know it
-    """
     scale_sigma: NotNegative = 0.0
     """relative error of scale of each axis of gyroscope and accelerometer, standard deviation"""
     misalignment_sigma_deg: NotNegative = 0.0
@@ -40,6 +37,16 @@ class ImuParams:
     """rad/s at which a gyroscope sample saturates; 0: never"""
     accel_range: NotNegative = 0.0
     """m/s^2 at which an accelerometer sample saturates; 0: never"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ImuParams(ImuSheet):
+    """Bosch BMI088 (data sheet), its place on the body and the propellers' vibration there. Turn-on
+    errors are drawn once a flight."""
+
+    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """from the MJCF's site ``imu`` to the sensor, body axes (forward, left, up); estimators know it
+    """
     vibration_gyro_density: NotNegative = 0.0
     """rad/s/sqrt(Hz) that the propellers shake into the sensor in hover, broad band; grows with the
     square of the rotor speed. 0: a perfectly isolated mount; 4e-3 is the median of unisolated

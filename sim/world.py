@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import TypeVar
 
 import mujoco
 import numpy as np
@@ -18,9 +19,14 @@ from touchdown.sim.airframe.rotors import Rotors
 from touchdown.sim.airframe.vehicle import rotor_geometry, vehicle_body_id, vehicle_model
 from touchdown.sim.api import (
     GRAVITY_MPS2,
+    BarometerSheet,
     Command,
     Contact,
+    GpsSheet,
     ImuSample,
+    ImuSheet,
+    LidarSheet,
+    NavSheet,
     Observation,
     SensorNeeds,
     SensorRig,
@@ -41,6 +47,8 @@ from touchdown.sim.navigation.channels import NavSensors
 from touchdown.sim.typing import Array
 from touchdown.sim.wakes import Wakes, obstacles
 from touchdown.sim.wind import Wind
+
+_Sheet = TypeVar("_Sheet", LidarSheet, ImuSheet, GpsSheet, BarometerSheet)
 
 _NOTHING = SensorNeeds()
 _NEAR_GROUND_M = 4.0
@@ -115,26 +123,29 @@ class MujocoWorld:
         return ImuSensor(self._params.imu, sim.tick_hz, sim.imu_ticks, self._seed, hover)
 
     def _make_rig(self) -> SensorRig:
-        mounts = self._imaging.mounts
+        mounts, params = self._imaging.mounts, self._params
         return SensorRig(
             tick_hz=self._sim.tick_hz,
-            body_from_imu=Pose(
-                mounts.imu.rotation, mounts.imu.translation + self._params.imu.offset_m
-            ),
+            body_from_imu=Pose(mounts.imu.rotation, mounts.imu.translation + params.imu.offset_m),
             body_from_lidar=mounts.lidar,
             body_from_camera=mounts.camera,
             body_from_camera_right=mounts.camera_right,
             camera=self._imaging.camera.intrinsics(),
-            lidar=self._params.lidar,
-            imu=self._params.imu,
+            lidar=_sheet(LidarSheet, params.lidar),
+            imu=_sheet(ImuSheet, params.imu),
             imu_ticks=self._sim.imu_ticks,
             camera_ticks=self._sim.camera_ticks,
             lidar_scan_ticks=self._sim.lidar_scan_ticks,
             compute_latency_ticks=self._sim.compute_latency_ticks,
             world_from_body_start=self._pose(),
             vehicle=self._vehicle,
-            nav=self._params.nav,
-            camera_readout_s=self._params.camera.readout_s,
+            nav=NavSheet(
+                gps=_sheet(GpsSheet, params.nav.gps),
+                barometer=_sheet(BarometerSheet, params.nav.barometer),
+                magnetometer=params.nav.magnetometer,
+                rangefinder=params.nav.rangefinder,
+            ),
+            camera_readout_s=params.camera.readout_s,
         )
 
     # ------------------------------------------------------------------------ the protocol
@@ -394,6 +405,11 @@ class MujocoWorld:
                 f"tick {self._tick}: the physics diverged (position {self._position}, "
                 f"velocity {self._velocity})"
             )
+
+
+def _sheet(kind: type[_Sheet], params: _Sheet) -> _Sheet:
+    """The data sheet's part of a sensor's parameters."""
+    return kind(**{field.name: getattr(params, field.name) for field in fields(kind)})
 
 
 def _frozen(array: Array) -> Array:

@@ -33,7 +33,7 @@ from touchdown.estimator.filtering.error_state import (
     STATE_DIM,
     VELOCITY,
 )
-from touchdown.sim.api import GRAVITY_MPS2, ImuParams
+from touchdown.sim.api import GRAVITY_MPS2, ImuSheet
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -271,7 +271,7 @@ class ImuBuffer:
     avoids by propagating the filter.
     """
 
-    def __init__(self, imu: ImuParams, step_s: float, capacity: int = 512) -> None:
+    def __init__(self, imu: ImuSheet, step_s: float, capacity: int = 512) -> None:
         self.step_s = step_s
         self.densities = NoiseDensities(
             imu.gyro_density, imu.accel_density, imu.gyro_bias_walk, imu.accel_bias_walk

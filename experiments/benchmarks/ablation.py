@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.benchmarks.odometry import logged_survey, measure
+from touchdown.experiments.benchmarks.odometry import logged_survey, measure, seeds_by_scene
 from touchdown.experiments.benchmarks.revisits import RevisitFigures
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay_config
@@ -58,7 +58,7 @@ def ablate_log(logged: LoggedRun, seconds: float | None, report: Report) -> dict
 def ablate(
     scenes: Sequence[str],
     *,
-    seed: int,
+    seeds: Sequence[int],
     runs: Path,
     seconds: float | None = None,
     report: Report = lambda _text: None,
@@ -68,7 +68,7 @@ def ablate(
     if not scenes:
         raise UsageError("name at least one scene")
     found: dict[str, Any] = {}
-    for scene in scenes:
+    for scene, seed in seeds_by_scene(scenes, seeds).items():
         report(f"{scene}: the log")
         run = logged_survey(scene, seed, runs, report)
         found[scene] = ablate_log(open_run(run), seconds, report)

@@ -1,15 +1,17 @@
-"""Positioning error on equal scans: ``livo`` and ``zou2024``, KISS-ICP and small_gicp.
+"""Positioning error on equal logs: ``livo`` and ``zou2024`` beside odometry of others.
 
 One survey per scene is flown with ``livo`` in the loop and its sensors are logged. The estimators
-replay that log as in a flight, causally and from lift-off to the end of the survey; the reference
-implementations get its scans (see `odometry_baselines`), each with the best setting of its grid.
-Errors are those of evo: APE of the translation, not aligned.
+replay that log as in a flight, causally and from lift-off to the end of the survey. The reference
+implementations get its scans (`odometry_baselines`), or scans and IMU samples (`inertial`), each
+with the best setting of its grid. Errors are those of evo: APE of the translation, not aligned.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,6 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.experiments.benchmarks.inertial import comparison as inertial
+from touchdown.experiments.benchmarks.inertial.logfile import write_log
 from touchdown.experiments.benchmarks.odometry_baselines import (
     GRIDS,
     OdometryTrack,
@@ -29,6 +33,7 @@ from touchdown.experiments.benchmarks.odometry_baselines import (
 from touchdown.experiments.benchmarks.revisits import RevisitFigures, Revisits
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.metrics import PositioningError
 from touchdown.experiments.flight.replay import (
     CpuClock,
@@ -45,7 +50,14 @@ Array = NDArray[np.float64]
 Report = Callable[[str], None]
 
 SCENES = ("crossroad", "lake", "houses", "forest")
-ESTIMATORS = ("livo", "zou2024")
+WITHOUT_CAMERA = "livo_no_camera"
+ESTIMATORS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "livo": ("livo", ()),
+    WITHOUT_CAMERA: ("livo", ("livo.use_vision=false",)),
+    "zou2024": ("zou2024", ()),
+}
+"""Estimator and changed parameters by name. References are compared with `WITHOUT_CAMERA`, which
+like them sees no image."""
 _SURVEY_BELOW_M = 0.5
 """The survey begins where the vehicle first is this near to its greatest height."""
 
@@ -74,18 +86,22 @@ def flight_config(scene: str, seed: int, overrides: Sequence[str] = ()) -> Confi
     )  # fmt: skip
 
 
-def bench_scene(logged: LoggedRun, seconds: float | None, report: Report) -> dict[str, Any]:
+def bench_scene(
+    logged: LoggedRun, seconds: float | None, report: Report, lio_python: str = sys.executable
+) -> dict[str, Any]:
     """Errors and costs of all methods over one log, of its first ``seconds`` after lift-off where
     these are given: ``error_m``, ``cpu_ms``, ``own_difference_m``, ``lost_s`` by method, and
-    ``settings`` with every setting of the reference implementations and its error."""
+    ``settings`` with every setting of the reference implementations and its error; ``missing`` has
+    a line for each method that the environment of ``lio_python`` lacks. Raises UsageError."""
     end_s = math.inf if seconds is None else logged.from_s + seconds
     found: dict[str, Any] = {
         "error_m": {}, "cpu_ms": {}, "own_difference_m": {}, "lost_s": {}, "best": {},
-        "settings": {},
+        "settings": {}, "missing": {},
     }  # fmt: skip
-    for name in ESTIMATORS:
+    for name, (estimator, changes) in ESTIMATORS.items():
         report(f"{name}")
-        measured = measure(logged, replay_config(logged.path, name, fresh=True), end_s)
+        config = replay_config(logged.path, estimator, changes, fresh=True)
+        measured = measure(logged, config, end_s)
         found["error_m"][name] = measured.error_m
         found["own_difference_m"][name] = abs(measured.error_m - measured.own_error_m)
         found["cpu_ms"][name] = measured.cpu_ms
@@ -105,13 +121,38 @@ def bench_scene(logged: LoggedRun, seconds: float | None, report: Report) -> dic
                 truth.survey_s(),
             )
             rows.append(_reference_row(track, truth))
-        best = min(rows, key=_badness)
-        found["error_m"][method] = best["error_m"]
-        found["cpu_ms"][method] = best["cpu_ms"]
-        found["lost_s"][method] = best["lost_s"]
-        found["best"][method] = best["setting"]
-        found["settings"][method] = rows
+        _add_best(found, method, rows)
+    _bench_inertial(found, logged, end_s, report, lio_python)
     return found
+
+
+def _bench_inertial(
+    found: dict[str, Any], logged: LoggedRun, end_s: float, report: Report, python: str
+) -> None:
+    truth, there = TruePath(logged), inertial.installed(python)
+    span = (logged.from_s, truth.survey_s(), min(end_s, logged.to_s))
+    with tempfile.TemporaryDirectory(prefix="touchdown-lio-") as folder:
+        log = Path(folder) / "log.npz"
+        for method, facts in inertial.METHODS.items():
+            if facts.package not in there:
+                found["missing"][method] = inertial.missing_line(method)
+                continue
+            if not log.is_file():
+                write_log(logged, end_s, log)
+            rows = []
+            for setting in inertial.settings(method):
+                report(f"{method} {setting}")
+                track = inertial.run_setting(method, setting, log, truth.at, span, python)
+                rows.append(_reference_row(track, truth) | {"failure": track.failure})
+            _add_best(found, method, rows)
+
+
+def _add_best(found: dict[str, Any], method: str, rows: list[dict[str, Any]]) -> None:
+    best = min(rows, key=_badness)
+    for name in ("error_m", "cpu_ms", "lost_s"):
+        found[name][method] = best[name]
+    found["best"][method] = best["setting"]
+    found["settings"][method] = rows
 
 
 def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measured:
@@ -243,11 +284,16 @@ def logged_scans(logged: LoggedRun, end_s: float) -> list[ScanPoints]:
 
 def _badness(row: dict[str, Any]) -> tuple[float, float]:
     """Sort key: lost settings are the worst, the sooner lost the worse."""
-    lost_s = row["lost_s"]
-    return (-math.inf if lost_s is None else -lost_s, row["error_m"])
+    lost_s, error_m = row["lost_s"], row["error_m"]
+    return (
+        -math.inf if lost_s is None else -lost_s,
+        math.inf if math.isnan(error_m) else error_m,
+    )
 
 
-def _reference_row(track: OdometryTrack, truth: TruePath) -> dict[str, Any]:
+def _reference_row(
+    track: OdometryTrack | inertial.InertialTrack, truth: TruePath
+) -> dict[str, Any]:
     true = [truth.at(time_s).translation for time_s in track.times_s]
     return {
         "setting": track.setting,
@@ -263,29 +309,31 @@ def _reference_row(track: OdometryTrack, truth: TruePath) -> dict[str, Any]:
 def bench_estimator(
     scenes: Sequence[str],
     *,
-    seed: int,
+    seeds: Sequence[int],
     runs: Path,
     seconds: float | None = None,
     report: Report = lambda _text: None,
+    lio_python: str = sys.executable,
 ) -> dict[str, Any]:
     """Flies the surveys that ``runs`` lacks, one directory ``SCENE-SEED`` each, and compares.
 
-    ``error_m.SCENE.METHOD``, ``ratio.reference.SCENE`` (the better of them over ``livo``) with
-    their ``geometric_mean``, ``ms_per_0.1s.METHOD`` (mean over scenes), ``evo_difference_m.SCENE``
-    (evo on the flight's files less its own figure) and the details by scene. Raises UsageError.
+    ``seeds``: one for all scenes, or one each. ``lio_python``: interpreter of the environment of
+    the methods in `inertial`. Returns what `summary` does, ``evo_difference_m.SCENE`` (evo on the
+    flight's files less its own figure) and the details by scene. Raises UsageError.
     """
     require_references()
     found: dict[str, dict[str, Any]] = {}
     difference: dict[str, float] = {}
-    for scene in scenes:
+    seed_of = seeds_by_scene(scenes, seeds)
+    for scene, seed in seed_of.items():
         report_scene = partial(_report_scene, report, scene)
         run = logged_survey(scene, seed, runs, report_scene)
         logged = open_run(run)
         flown_error_m = float(logged.result.value("position_error_m.mean"))
         difference[scene] = evo_of_run(run) - flown_error_m
-        found[scene] = bench_scene(logged, seconds, report_scene)
+        found[scene] = bench_scene(logged, seconds, report_scene, lio_python)
     return {
-        "seed": seed,
+        "seed": seed_of,
         "seconds": seconds,
         **summary(found),
         "evo_difference_m": difference,
@@ -294,22 +342,52 @@ def bench_estimator(
 
 
 def summary(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Figures over all scenes from those of each, as `bench_scene` returns them."""
-    ratios = {}
-    for scene, figures in found.items():
-        errors, lost = figures["error_m"], figures["lost_s"]
-        kept = [method for method in GRIDS if lost[method] is None] or list(GRIDS)
-        ratios[scene] = min(errors[method] for method in kept) / errors["livo"]
-    mean = math.exp(float(np.mean([math.log(ratio) for ratio in ratios.values()])))
-    methods = (*ESTIMATORS, *GRIDS)
+    """Figures over all scenes from those of each, as `bench_scene` returns them:
+    ``error_m.SCENE.METHOD``, ``ms_per_0.1s.METHOD`` (mean over scenes) and, each with its
+    ``geometric_mean``, ``ratio.scans.SCENE`` and ``ratio.inertial.SCENE``: the best reference that
+    sees the scans alone, or scans and IMU, over ``livo`` without camera."""
+    methods = [
+        name
+        for name in (*ESTIMATORS, *GRIDS, *inertial.METHODS)
+        if all(name in figures["error_m"] for figures in found.values())
+    ]
+    with_imu = [name for name, facts in inertial.METHODS.items() if facts.imu]
+    alone = [name for name in methods if name not in (*ESTIMATORS, *with_imu)]
     return {
         "error_m": {scene: figures["error_m"] for scene, figures in found.items()},
-        "ratio": {"reference": {**ratios, "geometric_mean": mean}},
+        "ratio": {
+            "scans": _ratios(found, alone),
+            "inertial": _ratios(found, [name for name in methods if name in with_imu]),
+        },
         "ms_per_0.1s": {
             name: float(np.mean([figures["cpu_ms"][name] for figures in found.values()]))
             for name in methods
         },
+        "remarks": {name: facts.remarks for name, facts in inertial.METHODS.items()},
     }
+
+
+def _ratios(found: dict[str, dict[str, Any]], methods: Sequence[str]) -> dict[str, float]:
+    """Of the best of these, one that is not lost where there is one; empty where none ran."""
+    ratios = {}
+    for scene, figures in found.items():
+        errors, lost = figures["error_m"], figures["lost_s"]
+        known = [method for method in methods if not math.isnan(errors[method])]
+        kept = [method for method in known if lost[method] is None] or known
+        if kept:
+            ratios[scene] = min(errors[method] for method in kept) / errors[WITHOUT_CAMERA]
+    if not ratios:
+        return {}
+    mean = math.exp(float(np.mean([math.log(ratio) for ratio in ratios.values()])))
+    return {**ratios, "geometric_mean": mean}
+
+
+def seeds_by_scene(scenes: Sequence[str], seeds: Sequence[int]) -> Mapping[str, int]:
+    """Seed by scene, of one for all or one each. Raises UsageError for another number of them."""
+    if len(seeds) not in (1, len(scenes)):
+        raise UsageError(f"{len(seeds)} seeds for {len(scenes)} scenes; give one, or one each")
+    every = seeds if len(seeds) == len(scenes) else (*seeds,) * len(scenes)
+    return dict(zip(scenes, every, strict=True))
 
 
 def _report_scene(report: Report, scene: str, text: str) -> None:

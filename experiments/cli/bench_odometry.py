@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import tempfile
 from pathlib import Path
@@ -20,7 +21,22 @@ from touchdown.experiments.terminal import say
 @click.option(
     "--ablate", is_flag=True, help="Leave out one part of the estimators after the other instead."
 )
-@click.option("--seed", type=SEED, default=0, show_default=True)
+@click.option(
+    "--seed",
+    type=SEED,
+    multiple=True,
+    default=(0,),
+    show_default="0",
+    help="Seed of the surveys; once for all scenes, or once for each.",
+)
+@click.option(
+    "--lio-python",
+    type=click.Path(dir_okay=False),
+    default=sys.executable,
+    show_default="this one",
+    metavar="PYTHON",
+    help="Interpreter of the environment that has the methods of the extra lio.",
+)
 @click.option(
     "--seconds",
     type=Number(min=0.0, max=86400.0, min_open=True),
@@ -36,17 +52,19 @@ from touchdown.experiments.terminal import say
 def bench_estimator(
     scenes: tuple[str, ...],
     ablate: bool,
-    seed: int,
+    seed: tuple[int, ...],
+    lio_python: str,
     seconds: float | None,
     runs: Path | None,
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Compare positioning error and cost with KISS-ICP and small_gicp on equal scans.
+    """Compare positioning error and cost with odometry of others on equal logs.
 
     One survey per scene (crossroad, lake, houses and forest unless named) is flown with livo. Its
     log is replayed through livo, zou2024 and the reference implementations, these with the best of
-    a grid of settings. With --ablate the log is replayed through livo and zou2024 with one part
+    a grid of settings: KISS-ICP and small_gicp on the scans alone, and those of the extra lio on
+    scans and IMU. With --ablate the log is replayed through livo and zou2024 with one part
     after the other left out. All of it is open loop.
 
     Example: touchdown bench estimator crossroad --seconds 20 --runs runs/logged
@@ -58,13 +76,15 @@ def bench_estimator(
     chosen = scenes or bench.SCENES
     report = _quiet if quiet else _to_stderr
     with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
-        where: dict[str, Any] = {"seed": seed, "runs": runs or Path(folder), "seconds": seconds}
+        where: dict[str, Any] = {"seeds": seed, "runs": runs or Path(folder), "seconds": seconds}
         if ablate:
             table = usage_errors(lambda: run_ablation(chosen, report=report, **where))
-            text = json.dumps({"seed": seed, "seconds": seconds, "ablation": table}, indent=2)
+            text = json.dumps({"seed": list(seed), "seconds": seconds, "ablation": table}, indent=2)
             say(text if as_json else ablation_table(table))
             return EXIT_DONE
-        figures = usage_errors(lambda: bench.bench_estimator(chosen, report=report, **where))
+        figures = usage_errors(
+            lambda: bench.bench_estimator(chosen, report=report, lio_python=lio_python, **where)
+        )
     say(json.dumps(figures, indent=2) if as_json else _table(figures))
     return EXIT_DONE
 
@@ -79,31 +99,40 @@ def _to_stderr(text: str) -> None:
 
 
 def _table(figures: dict[str, Any]) -> str:
-    methods = list(figures["ms_per_0.1s"])
-    lines = ["| scene | " + " | ".join(methods) + " | best reference / livo |"]
-    lines.append("|---|" + "---|" * (len(methods) + 1))
-    for scene, errors in figures["error_m"].items():
-        lost = figures["scenes"][scene]["lost_s"]
-        cells = [_error(errors[name], lost[name]) for name in methods]
-        cells.append(f"{figures['ratio']['reference'][scene]:.1f}")
-        lines.append(f"| {scene} | " + " | ".join(cells) + " |")
-    costs = [f"{figures['ms_per_0.1s'][name]:.1f}" for name in methods]
-    lines.append("| ms per 0.1 s | " + " | ".join(costs) + " | |")
-    mean = figures["ratio"]["reference"]["geometric_mean"]
+    """One row a method: methods are many, scenes are few."""
+    scenes, details = list(figures["error_m"]), figures["scenes"]
+    lines = ["| method | " + " | ".join(scenes) + " | CPU for 0.1 s of data (ms) |"]
+    lines.append("|---|" + "---|" * (len(scenes) + 1))
+    for name, cost in figures["ms_per_0.1s"].items():
+        cells = [_error(details[s]["error_m"][name], details[s]["lost_s"][name]) for s in scenes]
+        lines.append(f"| {name} | " + " | ".join(cells) + f" | {cost:.1f} |")
+    missing = {name: line for s in scenes for name, line in details[s]["missing"].items()}
+    for name in missing:
+        lines.append(f"| {name} |" + " not installed |" * len(scenes) + " |")
+    for kind, ratios in figures["ratio"].items():
+        if ratios:
+            cells = [f"{ratios[s]:.1f}" if s in ratios else "" for s in scenes]
+            what = "scans and IMU" if kind == "inertial" else "scans alone"
+            lines.append(f"| best on {what} / livo_no_camera | " + " | ".join(cells) + " | |")
+    lines.append("\nmean error in metres by evo, not aligned")
+    for kind, ratios in figures["ratio"].items():
+        if ratios:
+            lines.append(f"geometric mean of the ratio, {kind}: {ratios['geometric_mean']:.2f}")
     worst = max(abs(value) for value in figures["evo_difference_m"].values())
-    lines.append(
-        f"\nmean error in metres by evo, not aligned; geometric mean of the ratio {mean:.1f}"
-    )
     lines.append(f"evo and the figures of the flights differ by at most {1e3 * worst:.3f} mm")
-    for scene, details in figures["scenes"].items():
-        for method, setting in details["best"].items():
+    for scene in scenes:
+        for method, setting in details[scene]["best"].items():
             text = ", ".join(f"{name} {value}" for name, value in setting.items())
             lines.append(f"{scene}: best of {method}: {text}")
-    return "\n".join(lines)
+    lines += [f"{name}: {text}" for name, text in figures["remarks"].items()]
+    return "\n".join([*lines, *missing.values()])
 
 
 def _error(error_m: float, lost_s: float | None) -> str:
-    return f"{error_m:.3f}" if lost_s is None else f"{error_m:.2f} until lost at {lost_s:.0f} s"
+    if lost_s is None:
+        return f"{error_m:.3f}"
+    until = "" if math.isnan(error_m) else f"{error_m:.2f} until "
+    return f"{until}lost at {lost_s:.0f} s"
 
 
 @click.command("imu")

@@ -21,19 +21,25 @@ GpsPreset = Literal["zou2024", "ublox-m8", "rtk", "denied"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class GpsParams:
-    """A satellite receiver; ``denied``: no fix ever. Fields that are None come from the preset."""
+class GpsSheet:
+    """Mount and rate of a satellite receiver; each fix states its own standard deviations."""
 
     __pydantic_config__ = FORBID_EXTRA
 
-    preset: GpsPreset = "zou2024"
-    """receiver model"""
     period_ticks: Count = 120
     """ticks between two fixes (5 Hz)"""
     latency_ticks: CountOrZero = 72
     """ticks from measurement to arrival (120 ms)"""
     antenna_body_m: tuple[float, float, float] = (0.0, 0.0, 0.14)
     """position of the antenna, body frame: on top of the battery"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GpsParams(GpsSheet):
+    """A satellite receiver; ``denied``: no fix ever. Fields that are None come from the preset."""
+
+    preset: GpsPreset = "zou2024"
+    """receiver model"""
     sigma_xy_m: NotNegative | None = None
     """stationary standard deviation of the wandering error, each horizontal axis"""
     sigma_z_m: NotNegative | None = None
@@ -47,9 +53,9 @@ class GpsParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class BarometerParams:
-    """Bosch BMP388 (data sheet): noise 1.2 Pa, absolute accuracy 50 Pa, relative 8 Pa; the drift is
-    a Gauss-Markov process (weather, temperature). 12 Pa are about 1 m."""
+class BarometerSheet:
+    """What a data sheet says of a barometer, and the elevation of the site on a map. Defaults:
+    Bosch BMP388 (data sheet): noise 1.2 Pa, absolute accuracy 50 Pa. 12 Pa are about 1 m."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -59,14 +65,20 @@ class BarometerParams:
     """ticks from measurement to arrival"""
     white_sigma_pa: NotNegative = 1.2
     """standard deviation of the white noise"""
-    drift_sigma_pa: NotNegative = 4.0
-    """stationary standard deviation of the drift"""
-    drift_tau_s: Positive = 300.0
-    """correlation time of the drift"""
     offset_sigma_pa: NotNegative = 25.0
     """turn-on"""
     site_elevation_m: Annotated[float, Interval(ge=-500.0, le=9000.0)] = 50.0
     """of world z = 0 above mean sea level"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BarometerParams(BarometerSheet):
+    """Bosch BMP388 (data sheet), with a drift: a Gauss-Markov process (weather, temperature)."""
+
+    drift_sigma_pa: NotNegative = 4.0
+    """stationary standard deviation of the drift"""
+    drift_tau_s: Positive = 300.0
+    """correlation time of the drift"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -128,12 +140,23 @@ class NavParams:
     rangefinder: RangefinderParams = field(default_factory=RangefinderParams)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NavSheet:
+    """What data sheets, calibration and maps say of the sensors beside camera, LIDAR and IMU. All
+    of the magnetometer and the rangefinder is such: field of the earth, noise, ranges, mount."""
+
+    gps: GpsSheet = field(default_factory=GpsSheet)
+    barometer: BarometerSheet = field(default_factory=BarometerSheet)
+    magnetometer: MagnetometerParams = field(default_factory=MagnetometerParams)
+    rangefinder: RangefinderParams = field(default_factory=RangefinderParams)
+
+
 # --------------------------------------------------------------------------------- messages
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GpsFix:
-    """Position and velocity of the ANTENNA (``GpsParams.antenna_body_m``) at ``tick``, in the local
+    """Position and velocity of the ANTENNA (``GpsSheet.antenna_body_m``) at ``tick``, in the local
     east-north-up frame, which is the world frame."""
 
     tick: int

@@ -196,14 +196,6 @@ def test_images_have_a_clock_and_stamps_of_their_own(scene: Scene) -> None:
                enumerate(arrived, start=1))  # fmt: skip
 
 
-def test_an_estimator_knows_the_readout(scene: Scene) -> None:
-    for readout_s in (0.0, 0.015):
-        camera = dataclasses.replace(SMALL_IMAGE, readout_s=readout_s)
-        world = MujocoWorld(scene, WorldParams(camera=camera), 3)
-        assert world.rig.camera_readout_s == readout_s
-        world.close()
-
-
 def test_a_scan_is_cast_from_the_poses_of_its_own_ticks(make_world: MakeWorld) -> None:
     """In a climb at 1 m/s the first pulses of a scan put the floor at height 0 by the true pose of
     its start, the last ones by that of its end, 0.1 m higher."""

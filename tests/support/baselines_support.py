@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from touchdown.experiments.config.schema import Config
-from touchdown.sim.api import CameraIntrinsics, ImuParams, LidarParams, SensorRig, VehicleModel
+from touchdown.sim.api import CameraIntrinsics, ImuSheet, LidarSheet, SensorRig, VehicleModel
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 
 from support.worlds import load_ideal_config as load_config
@@ -21,8 +21,8 @@ def make_rig() -> SensorRig:
         body_from_camera=Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3)),
         body_from_camera_right=Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.0, -0.05, 0.0])),
         camera=CameraIntrinsics(width=64, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5),
-        lidar=LidarParams(),
-        imu=ImuParams(),
+        lidar=LidarSheet(),
+        imu=ImuSheet(),
         imu_ticks=3,
         camera_ticks=20,
         lidar_scan_ticks=60,

@@ -10,10 +10,10 @@ from touchdown.estimator.mapping.kernels import accumulate_heights
 from touchdown.estimator.mapping.records import Grid, Pulses
 from touchdown.sim.api import (
     CameraIntrinsics,
-    ImuParams,
     ImuSample,
-    LidarParams,
+    ImuSheet,
     LidarScan,
+    LidarSheet,
     Observation,
     SensorRig,
     VehicleModel,
@@ -38,7 +38,7 @@ def make_rig(start: tuple[float, float, float] = (0.0, 0.0, LEG_HEIGHT)) -> Sens
     return SensorRig(
         tick_hz=600, body_from_imu=Pose.identity(), body_from_lidar=DOWNWARD,
         body_from_camera=DOWNWARD, body_from_camera_right=DOWNWARD, camera=camera,
-        lidar=LidarParams(), imu=ImuParams(), imu_ticks=3, camera_ticks=20, lidar_scan_ticks=60,
+        lidar=LidarSheet(), imu=ImuSheet(), imu_ticks=3, camera_ticks=20, lidar_scan_ticks=60,
         compute_latency_ticks=36, world_from_body_start=Pose(np.eye(3), np.array(start)),
         vehicle=vehicle,
     )  # fmt: skip

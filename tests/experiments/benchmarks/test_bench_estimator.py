@@ -18,6 +18,7 @@ from touchdown.experiments.benchmarks.odometry_baselines import (
 )
 from touchdown.experiments.benchmarks.revisits import RevisitFigures, Revisits
 from touchdown.experiments.cli import main as cli
+from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.metrics import PositioningError
 from touchdown.experiments.flight.replay import open_run, replay_config
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
@@ -151,18 +152,31 @@ def test_the_true_path_is_interpolated(run: Path) -> None:
 
 
 def test_ratios_are_of_the_best_reference_that_is_not_lost() -> None:
+    """Those with an IMU by themselves; both over `livo` without camera."""
+
     def scene(livo: float, kiss: float, gicp: float, kiss_lost: float | None) -> dict[str, Any]:
-        names = ("livo", "zou2024", "kiss_icp", "small_gicp")
-        errors = dict(zip(names, (livo, 1.0, kiss, gicp), strict=True))
+        names = ("livo", "livo_no_camera", "zou2024", "kiss_icp", "small_gicp", "rko_lio")
+        errors = dict(zip(names, (0.001, livo, 1.0, kiss, gicp, 2.0 * livo), strict=True))
         lost = dict.fromkeys(names) | {"kiss_icp": kiss_lost}
         return {"error_m": errors, "lost_s": lost, "cpu_ms": dict.fromkeys(names, 10.0)}
 
     found = {"a": scene(0.02, 0.1, 0.3, None), "b": scene(0.01, 0.05, 0.2, 7.0)}
     figures = odometry.summary(found)
-    ratios = figures["ratio"]["reference"]
+    ratios = figures["ratio"]["scans"]
     assert ratios["a"] == pytest.approx(5.0) and ratios["b"] == pytest.approx(20.0)
     assert ratios["geometric_mean"] == pytest.approx(10.0)
+    assert figures["ratio"]["inertial"] == pytest.approx({"a": 2, "b": 2, "geometric_mean": 2})
     assert figures["error_m"]["b"]["kiss_icp"] == 0.05 and figures["ms_per_0.1s"]["zou2024"] == 10.0
+    for figure in found.values():
+        del figure["error_m"]["rko_lio"]  # not installed
+    assert odometry.summary(found)["ratio"]["inertial"] == {}
+
+
+def test_seeds_are_one_for_all_or_one_each() -> None:
+    assert odometry.seeds_by_scene(("lake", "forest"), (4,)) == {"lake": 4, "forest": 4}
+    assert odometry.seeds_by_scene(("lake", "forest"), (4, 5)) == {"lake": 4, "forest": 5}
+    with pytest.raises(UsageError, match="3 seeds for 2 scenes; give one, or one each"):
+        odometry.seeds_by_scene(("lake", "forest"), (1, 2, 3))
 
 
 @needs_evo

@@ -114,8 +114,10 @@ def test_plain_json_keeps_every_digit() -> None:
     turned = dataclasses.replace(
         rig, camera=dataclasses.replace(rig.camera, fx=0.1 + 0.2, distortion=np.full(5, 1 / 3))
     )
-    again = from_plain(type(rig), json.loads(json.dumps(to_plain(turned))))
-    assert same(again, turned)
+    plain = json.loads(json.dumps(to_plain(turned)))
+    assert same(from_plain(type(rig), plain), turned)
+    plain["lidar"]["vegetation"] = 1.0  # logs of earlier versions hold more
+    assert same(from_plain(type(rig), plain), turned)
     grid = np.arange(6, dtype=np.int16).reshape(2, 3)
     assert same(from_plain(np.ndarray, json.loads(json.dumps(to_plain(grid)))), grid)
 

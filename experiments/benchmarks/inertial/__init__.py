@@ -1,0 +1,1 @@
+"""LIDAR-inertial odometry of others on logged scans and IMU samples."""
