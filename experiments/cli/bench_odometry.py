@@ -1,4 +1,5 @@
-"""``touchdown bench estimator`` and ``bench imu``, beside programs and records of others."""
+"""``touchdown bench estimator``, ``bench imu`` and ``bench limit``: beside programs and records of
+others, and beside what is possible."""
 
 from __future__ import annotations
 
@@ -154,4 +155,28 @@ def bench_imu(data: Path, out: Path | None, as_json: bool) -> int:
         click.echo(json.dumps({name: array.tolist() for name, array in found.items()}, indent=2))
     else:
         click.echo("\n".join(imu_spectra.rows(found)))
+    return EXIT_DONE
+
+
+@click.command("limit")
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--replay/--no-replay", "replays", default=True,
+              help="Replay livo on the same logs.  [replay]")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+def bench_limit(runs: tuple[Path, ...], replays: bool, as_json: bool, quiet: bool) -> int:
+    """Print the Cramér-Rao bound of the position error of logged surveys, by sets of sensors, and
+    the error of livo on the same logs.
+
+    RUNS: run directories flown with --log-sensors. The bound is computed from the true path, the
+    true surface and the noises; it is no estimator.
+
+    Example: touchdown bench limit runs/survey
+    """
+    from touchdown.experiments.benchmarks.limit import survey
+
+    report = _quiet if quiet else _to_stderr
+    figures = usage_errors(lambda: [survey.measure(run, replays, report) for run in runs])
+    text = json.dumps({"runs": figures}, indent=2) if as_json else survey.table(figures)
+    say(text)
     return EXIT_DONE

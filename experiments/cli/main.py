@@ -15,7 +15,7 @@ import click
 
 from touchdown.experiments.cli.bench import bench
 from touchdown.experiments.cli.bench_all import bench_all, bench_compare, bench_profile
-from touchdown.experiments.cli.bench_odometry import bench_estimator, bench_imu
+from touchdown.experiments.cli.bench_odometry import bench_estimator, bench_imu, bench_limit
 from touchdown.experiments.cli.calibrate import calibrate
 from touchdown.experiments.cli.campaign import campaign
 from touchdown.experiments.cli.classification import classify, dataset, evaluate, quantize, train
@@ -67,6 +67,7 @@ cli.add_command(scenes)
 cli.add_command(bench)
 bench.add_command(bench_estimator)
 bench.add_command(bench_imu)
+bench.add_command(bench_limit)
 bench.add_command(bench_profile)
 bench.add_command(bench_all)
 bench.add_command(bench_compare)

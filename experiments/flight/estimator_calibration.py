@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 _DISTORTION_TERMS = 4
 """k1, k2, p1 and p2"""
-_DISTORTION_SHARE = 0.353
+DISTORTION_SHARE = 0.353
 """of the standard deviation of the largest displacement, what each of them causes alone: their
 errors are independent, and there is a corner at which they add"""
 
@@ -178,7 +178,7 @@ def _distorted(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> Sen
         return rig
     draw = np.random.default_rng([seed, crc32(b"rig distortion")]).standard_normal
     unit = corner_displacement_px(rig.camera)
-    each = _DISTORTION_SHARE * params.distortion_sigma_px
+    each = DISTORTION_SHARE * params.distortion_sigma_px
     error = np.append(each * draw(_DISTORTION_TERMS) / unit, 0.0)
     camera = replace(rig.camera, distortion=rig.camera.distortion + error)
     return replace(rig, camera=camera)

@@ -1,0 +1,205 @@
+"""Fisher information of a trajectory, with landmarks marginalised.
+
+The error state is linear about the true trajectory and everything is Gaussian, so that the inverse
+of the information is the posterior Cramér-Rao bound (Van Trees and Bell, "Bayesian Bounds", 2007;
+Tichavsky, Muravchik and Nehorai, IEEE Trans. Signal Processing 46, 1998, whose recursion is the
+elimination of the states in the order of time). Landmarks are unknown constants of the places that
+a sensor sees: their Schur complement leaves what the sensor tells of the states that saw them.
+
+Order of the unknowns: `STATE` of each state, one state after the other, then constants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+STATE = 15
+"""position and velocity (world), rotation vector (world axes), biases of gyroscope and
+accelerometer"""
+POSE = np.array([0, 1, 2, 6, 7, 8])
+IMU_CONSTANTS = 27
+"""gyroscope matrix, response of the gyroscope to force, accelerometer matrix: (3, 3) each"""
+LANDMARK = 5
+"""unknowns of a landmark, of which a sensor may use fewer"""
+_LANDMARK_PRIOR = 1e-6
+_CHUNK = 2000
+
+
+class Rows(NamedTuple):
+    """Scalar measurements of landmarks from states, linear in the errors of all."""
+
+    state: Indices
+    """(N,)"""
+    landmark: Indices
+    """(N,)"""
+    pose: Array
+    """(N, 6) derivatives by position and rotation of the state"""
+    constant: Array
+    """(N, C) by all constants of the problem"""
+    local: Array
+    """(N, LANDMARK) by the landmark"""
+    weight: Array
+    """(N,) one over the variance, times the number of measurements that a row stands for"""
+
+    @staticmethod
+    def joined(parts: Sequence[Rows]) -> Rows:
+        """All rows of ``parts``, which are not empty."""
+        return Rows._make(np.concatenate(column) for column in zip(*parts, strict=True))
+
+    def chosen(self, which: NDArray[np.bool_]) -> Rows:
+        """Those of ``which`` (N,)."""
+        return self._make(column[which] for column in self)
+
+
+class Motion(NamedTuple):
+    """One step of `imu_steps` between states."""
+
+    transition: Array
+    """(15, 15)"""
+    by_constant: Array
+    """(15, IMU_CONSTANTS)"""
+    noise: Array
+    """(15, 15) covariance"""
+
+
+class Densities(NamedTuple):
+    """White noise of gyroscope and accelerometer, and random walks of their biases, each per square
+    root of Hz."""
+
+    gyro: float
+    accel: float
+    gyro_walk: float
+    accel_walk: float
+
+    def powers(self) -> Array:
+        """(15,) of the derivative of the error state; position has none."""
+        levels = [0.0, self.accel, self.gyro, self.gyro_walk, self.accel_walk]
+        return np.repeat(np.square(levels), 3)
+
+
+def imu_motion(
+    rotations: Array, rates: Array, forces: Array, step_s: float, densities: Densities
+) -> Motion:
+    """The error's motion over (M,) steps of ``step_s`` with attitudes (M, 3, 3) world_from_imu,
+    angular rates (M, 3) and specific forces (M, 3), both in IMU axes."""
+    transition, by_constant = np.eye(STATE), np.zeros((STATE, IMU_CONSTANTS))
+    noise, powers = np.zeros((STATE, STATE)), densities.powers()
+    p, v, turn, gyro, accel = (slice(k, k + 3) for k in range(0, STATE, 3))
+    for rotation, rate, force in zip(rotations, rates, forces, strict=True):
+        change, given = np.zeros((STATE, STATE)), np.zeros((STATE, IMU_CONSTANTS))
+        change[p, v] = np.eye(3)
+        change[v, turn] = -skews(rotation @ force)
+        change[v, accel] = change[turn, gyro] = -rotation
+        given[turn, :9], given[turn, 9:18] = np.kron(-rotation, rate), np.kron(-rotation, force)
+        given[v, 18:] = np.kron(-rotation, force)
+        # Exact for white noise on an integrator: three terms of the exponential series.
+        power = step_s * change
+        squared = power @ power
+        step = np.eye(STATE) + power + 0.5 * squared
+        given = step_s * (np.eye(STATE) + 0.5 * power + squared / 6.0) @ given
+        q = np.diag(powers)
+        mixed = change @ q
+        cross = mixed @ change.T
+        grown = step_s * q + step_s**2 / 2.0 * (mixed + mixed.T) + step_s**3 / 3.0 * cross
+        transition, by_constant = step @ transition, step @ by_constant + given
+        noise = step @ noise @ step.T + grown
+    return Motion(transition, by_constant, noise)
+
+
+def motion_information(motions: Sequence[Motion], constants: int) -> Array:
+    """Information that the IMU gives on ``len(motions) + 1`` states and ``constants`` constants, of
+    which the first `IMU_CONSTANTS` are the IMU's."""
+    count = STATE * (len(motions) + 1)
+    total = np.zeros((count + constants, count + constants))
+    for k, motion in enumerate(motions):
+        root = np.linalg.inv(np.linalg.cholesky(motion.noise))
+        jacobian = root @ np.hstack([motion.transition, -np.eye(STATE), motion.by_constant])
+        at = np.append(np.arange(2 * STATE) + STATE * k, count + np.arange(IMU_CONSTANTS))
+        total[np.ix_(at, at)] += jacobian.T @ jacobian
+    return total
+
+
+def landmark_information(rows: Rows, states: int, constants: int) -> Array:
+    """Information (15 K + C, 15 K + C) of ``rows`` on ``states`` K states and ``constants`` C
+    constants, whatever the landmarks are."""
+    size = STATE * states + constants
+    if not len(rows.state):
+        return np.zeros((size, size))
+    names, own = np.unique(rows.landmark, return_inverse=True)
+    at = np.concatenate([_columns(states), STATE * states + np.arange(constants)])
+    left, right = _matrices(rows, own, states, len(names))
+    total = (left.T @ left).toarray()
+    cross = (left.T @ right).tocsc()
+    inverse = np.linalg.inv(np.linalg.cholesky(_blocks(rows, own, len(names))))
+    for start in range(0, len(names), _CHUNK):
+        some = inverse[start : start + _CHUNK]
+        part = cross[:, LANDMARK * start : LANDMARK * (start + len(some))].toarray()
+        part = np.einsum("akj,kij->aki", part.reshape(len(part), -1, LANDMARK), some)
+        flat = part.reshape(len(part), -1)
+        total -= flat @ flat.T
+    spread = np.zeros((size, size))
+    spread[np.ix_(at, at)] = total
+    return spread
+
+
+def _columns(states: int) -> Indices:
+    return (STATE * np.arange(states)[:, None] + POSE).ravel()
+
+
+def _matrices(rows: Rows, own: Indices, states: int, landmarks: int) -> tuple[sp.csr_array, ...]:
+    """Whitened derivatives (N, 6 K + C) by poses and constants, (N, LANDMARK L) by landmarks."""
+    root, count = np.sqrt(rows.weight)[:, None], len(rows.state)
+    constants = rows.constant.shape[1]
+    used = np.flatnonzero(rows.constant.any(axis=0))
+    pose_at = 6 * rows.state[:, None] + np.arange(6)
+    columns = np.hstack([pose_at, np.tile(6 * states + used, (count, 1))])
+    values = root * np.hstack([rows.pose, rows.constant[:, used]])
+    left = _csr(values, columns, 6 * states + constants)
+    right = _csr(
+        root * rows.local, LANDMARK * own[:, None] + np.arange(LANDMARK), LANDMARK * landmarks
+    )
+    return left, right
+
+
+def _csr(values: Array, columns: Indices, width: int) -> sp.csr_array:
+    starts = values.shape[1] * np.arange(len(values) + 1)
+    return sp.csr_array((values.ravel(), columns.ravel(), starts), shape=(len(values), width))
+
+
+def _blocks(rows: Rows, own: Indices, landmarks: int) -> Array:
+    """(L, LANDMARK, LANDMARK) information on each landmark, with a weak prior."""
+    blocks = np.empty((landmarks, LANDMARK, LANDMARK))
+    for i in range(LANDMARK):
+        for j in range(i + 1):
+            weights = rows.weight * rows.local[:, i] * rows.local[:, j]
+            blocks[:, i, j] = blocks[:, j, i] = np.bincount(own, weights, landmarks)
+    return blocks + _LANDMARK_PRIOR * np.eye(LANDMARK)
+
+
+def bound(information: Array, wanted: Sequence[int] | Indices) -> Array:
+    """Covariance of the ``wanted`` unknowns, the others unknown too: the block of the inverse.
+    Raises numpy's LinAlgError where the information does not determine all of them."""
+    # Unknowns have units from rad/s^2 to pixels: equal diagonals keep the factor accurate.
+    scale = 1.0 / np.sqrt(np.diag(information))
+    factor = scipy.linalg.cho_factor(information * scale * scale[:, None], lower=True)
+    units = np.zeros((len(information), len(wanted)))
+    units[wanted, np.arange(len(wanted))] = scale[wanted]
+    covariance: Array = (scipy.linalg.cho_solve(factor, units) * scale[:, None])[wanted]
+    return covariance
+
+
+def skews(vectors: Array) -> Array:
+    """(..., 3) -> (..., 3, 3): the matrix that multiplies from the left as a cross product."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

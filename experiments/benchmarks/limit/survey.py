@@ -1,0 +1,260 @@
+"""The least position error that the sensors of a logged survey allow, beside what `livo` reaches.
+
+A benchmark: it reads the truth. No estimator uses it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.experiments.benchmarks.limit import imaging, ranging
+from touchdown.experiments.benchmarks.limit.constants import CONSTANTS, GROUPS, constant_sigmas
+from touchdown.experiments.benchmarks.limit.information import (
+    STATE,
+    Densities,
+    Motion,
+    Rows,
+    bound,
+    imu_motion,
+    landmark_information,
+    motion_information,
+)
+from touchdown.experiments.benchmarks.limit.surface import TruePath, TrueSurface
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.replay import LoggedRun, open_run, replay, replay_config
+from touchdown.experiments.io.provenance import git_revision
+from touchdown.sim.api import GRAVITY_MPS2, SensorRig
+
+Array = NDArray[np.float64]
+Report = Callable[[str], None]
+
+PERIOD_S = 0.5
+"""between states"""
+LOOK_S = 5.0
+"""between the instants at which the bound is evaluated"""
+SETS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "camera, LIDAR, IMU": ("ranges", "intensities", "features"),
+        "LIDAR, IMU": ("ranges", "intensities"),
+        "LIDAR without intensities, IMU": ("ranges",),
+        "camera, rangefinder, IMU": ("features", "heights"),
+        "camera, IMU": ("features",),
+        "IMU": (),
+    }
+)
+REPLAYED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"camera, LIDAR, IMU": (), "LIDAR, IMU": ("livo.use_vision=false",)}
+)
+AS_IT_IS, QUIET = "as it is", "noise of the IMU a tenth"
+_QUIETER = 10.0
+_FEW, _PIXEL = 1000 / 24000, (imaging.PIXEL_SIGMA / 3.0) ** 2
+_LESS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "1000 returns a scan": {"ranges": _FEW, "intensities": _FEW},
+        "features to 3 px": {"features": _PIXEL},
+        "both": {"ranges": _FEW, "intensities": _FEW, "features": _PIXEL},
+    }
+)
+"""Factors of the information of measurements"""
+_STILL_BEFORE_S = 0.7
+_STILL_SIGMA = 1e-3
+"""m, m/s and rad, of a vehicle that stands"""
+_SMALL = 1e-6
+
+
+class Problem:
+    """A survey's states, constants and measurements."""
+
+    def __init__(self, logged: LoggedRun, flight: ranging.Flight, rows: Mapping[str, Rows]) -> None:
+        self.rows, self.scene = rows, logged.result.scene
+        self.period_s = flight.period_s
+        self._flight, self._rig = flight, logged.sensors.rig
+        sheet = flight.config.imu
+        self._densities = Densities(
+            sheet.gyro_density, sheet.accel_density, sheet.gyro_bias_walk, sheet.accel_bias_walk
+        )
+        end = min(logged.to_s, float(flight.path.times_s[-1]))
+        self.states = int(end / flight.period_s) + 1
+        first = int(np.ceil(logged.from_s / flight.period_s))
+        self.looks = list(range(self.states - 1, first, -round(LOOK_S / flight.period_s)))[::-1]
+        self.still = int(max(logged.from_s - _STILL_BEFORE_S, 0.0) / flight.period_s) + 1
+        self.sigmas = constant_sigmas(flight.config, self._rig.camera)
+        self._motions: dict[float, list[Motion]] = {}
+
+    def motions(self, quieter: float = 1.0) -> list[Motion]:
+        """Of the IMU with ``quieter`` times less noise."""
+        if quieter not in self._motions:
+            densities = Densities(*(value / quieter for value in self._densities))
+            self._motions[quieter] = _motions(self._flight, self._rig, self.states, densities)
+        return self._motions[quieter]
+
+    def before(self, states: int) -> Array:
+        """Information that needs no sensor: the start, standing still, and constants."""
+        imu, count = self._flight.config.imu, STATE * states
+        diagonal = np.zeros(count + CONSTANTS)
+        diagonal[count:] = self.sigmas**-2
+        start = np.repeat([_SMALL, _SMALL, _SMALL, imu.gyro_bias_sigma, imu.accel_bias_sigma], 3)
+        start[6:8] = self._rig.start_tilt_sigma_rad or _SMALL
+        diagonal[:STATE] = np.maximum(start, _SMALL) ** -2
+        for k in range(1, min(self.still, states)):
+            diagonal[STATE * k : STATE * k + 6] = _STILL_SIGMA**-2
+            diagonal[STATE * k + 8] = _STILL_SIGMA**-2
+        return np.diag(diagonal)
+
+    def sensed(self, names: Sequence[str], states: int, factors: Mapping[str, float]) -> Array:
+        """Information of the sensors ``names`` on the first ``states`` states."""
+        parts = []
+        for name in names:
+            rows = self.rows[name]
+            rows = rows.chosen(rows.state < states)
+            parts.append(rows._replace(weight=factors.get(name, 1.0) * rows.weight))
+        if not parts:
+            return np.zeros((STATE * states + CONSTANTS,) * 2)
+        return landmark_information(Rows.joined(parts), states, CONSTANTS)
+
+    def covariances(
+        self, names: Sequence[str], factors: Mapping[str, float] = MappingProxyType({})
+    ) -> list[dict[str, Array]]:
+        """The position's covariances (3, 3) at each instant of ``looks``: `AS_IT_IS`, with one of
+        `GROUPS` known, and with a `QUIET` IMU."""
+        found = []
+        for look in self.looks:
+            states = look + 1
+            rest = self.before(states) + self.sensed(names, states, factors)
+            total = rest + motion_information(self.motions()[:look], CONSTANTS)
+            quiet = rest + motion_information(self.motions(_QUIETER)[:look], CONSTANTS)
+            position = STATE * look + np.arange(3)
+            one = {AS_IT_IS: bound(total, position), QUIET: bound(quiet, position)}
+            for group, columns in GROUPS.items():
+                known = STATE * states + np.concatenate([np.r_[part] for part in columns])
+                left = np.setdiff1d(np.arange(len(total)), known)
+                one[f"known: {group}"] = bound(total[np.ix_(left, left)], position)
+            found.append(one)
+        return found
+
+
+def _motions(
+    flight: ranging.Flight, rig: SensorRig, states: int, densities: Densities
+) -> list[Motion]:
+    path, mount = flight.path, rig.body_from_imu
+    steps = np.diff(path.times_s)
+    center = path.positions + path.rotations @ mount.translation
+    velocity = np.gradient(center, path.times_s, axis=0)
+    force_world = np.gradient(velocity, path.times_s, axis=0) + [0.0, 0.0, GRAVITY_MPS2]
+    rotation = path.rotations @ mount.rotation
+    back = np.swapaxes(rotation, 1, 2)
+    force = np.einsum("nij,nj->ni", back, force_world)
+    rate = np.einsum("nij,nj->ni", back, path.rates_at(path.times_s)[:, 3:])
+    found = []
+    for k in range(states - 1):
+        start, end = np.searchsorted(
+            path.times_s, flight.period_s * np.array([k, k + 1]) - 0.5 * steps.min()
+        )
+        step = flight.period_s / (end - start)
+        part = slice(start, end)
+        found.append(imu_motion(rotation[part], rate[part], force[part], step, densities))
+    return found
+
+
+def build(run: Path) -> Problem:
+    """Reads a logged survey. Raises UsageError."""
+    logged = open_run(run)
+    config = replay_config(run)
+    rig = logged.sensors.rig
+    if not np.isfinite(logged.from_s):
+        raise UsageError(f"'{run}' never took off: fly a survey with --log-sensors")
+    flight = ranging.Flight(config, TrueSurface(config), TruePath(run / "truth.tum"), PERIOD_S)
+    states = int(min(logged.to_s, float(flight.path.times_s[-1])) / PERIOD_S) + 1
+    features = imaging.follow(flight, rig.camera, states)
+    end_s = PERIOD_S * (states - 0.5)
+    scans = (
+        scan
+        for obs in logged.sensors.observations(images=False)
+        for scan in obs.scans
+        if scan.end_time_s < end_s
+    )
+    some, near = ranging.collect(scans, flight)
+    rows = {
+        "ranges": ranging.range_rows(flight, some, features.points, features.normals),
+        "intensities": ranging.intensity_rows(flight, near),
+        "heights": ranging.height_rows(flight, end_s, features.points, features.normals),
+        "features": imaging.image_rows(
+            flight, rig.camera, features, config.livo.camera_hz * PERIOD_S
+        ),
+    }
+    return Problem(logged, flight, rows)
+
+
+def measure(run: Path, replays: bool, report: Report) -> dict[str, Any]:
+    """The bounds of one survey, metres, and with ``replays`` what `livo` reaches. Raises
+    UsageError."""
+    problem = build(run)
+    figures: dict[str, Any] = {
+        "run": str(run),
+        "scene": problem.scene,
+        "revision": git_revision(),
+        "bound_m": {},
+        "changed_m": {},
+    }
+    for title, names in SETS.items():
+        report(f"{run.name}: {title}")
+        found = problem.covariances(names)
+        figures["bound_m"][title] = _spread(found, AS_IT_IS)
+        changed = {what: _spread(found, what)["mean"] for what in found[0] if what != AS_IT_IS}
+        for what, factors in _LESS.items():
+            if set(factors) & set(names):
+                less = problem.covariances(names, factors)
+                changed[what] = _spread(less, AS_IT_IS)["mean"]
+        figures["changed_m"][title] = changed
+    if replays:
+        report(f"{run.name}: replays")
+        figures["reached_m"] = {
+            title: _reached(run, overrides) for title, overrides in REPLAYED.items()
+        }
+    return figures
+
+
+def _spread(found: list[dict[str, Array]], name: str) -> dict[str, float]:
+    each = np.array([np.diag(one[name]) for one in found])
+    total = np.sqrt(each.sum(axis=1))
+    return {
+        "mean": float(total.mean()),
+        "end": float(total[-1]),
+        **{axis: float(np.sqrt(each[:, k]).mean()) for k, axis in enumerate("xyz")},
+    }
+
+
+def _reached(run: Path, overrides: tuple[str, ...]) -> float:
+    result = replay(run, replay_config(run, "livo", overrides, fresh=True))
+    return float(dataclasses.asdict(result)["position_error_m"]["mean"])
+
+
+def table(figures: Sequence[Mapping[str, Any]]) -> str:
+    """Tables in Markdown, metres: the bounds beside what is reached, and what changes them."""
+    scenes = " | ".join(run["scene"] for run in figures)
+    head = [f"| sensors | {scenes} |", "|---|" + "---|" * len(figures)]
+    lines = ["Bound (m), mean over the survey", "", *head]
+    for title in SETS:
+        cells = [f"{run['bound_m'][title]['mean']:.4f}" for run in figures]
+        lines.append(f"| {title} | " + " | ".join(cells) + " |")
+    if all("reached_m" in run for run in figures):
+        lines += ["", "`livo` on the same logs: mean error (m), and over the bound", "", *head]
+        for title in REPLAYED:
+            pairs = [(run["reached_m"][title], run["bound_m"][title]["mean"]) for run in figures]
+            cells = [f"{error:.3f} ({error / least:.0f})" for error, least in pairs]
+            lines.append(f"| {title} | " + " | ".join(cells) + " |")
+    for title in SETS:
+        lines += ["", f"{title}: bound (m) with a change", "", head[0].replace("sensors", "change")]
+        lines.append(head[1])
+        for what in figures[0]["changed_m"][title]:
+            cells = [f"{run['changed_m'][title][what]:.4f}" for run in figures]
+            lines.append(f"| {what} | " + " | ".join(cells) + " |")
+    revisions = sorted({run["revision"] or "no revision" for run in figures})
+    return "\n".join([*lines, "", "revision " + ", ".join(revisions)])
