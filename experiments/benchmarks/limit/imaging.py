@@ -169,6 +169,7 @@ def image_rows(flight: Flight, lens: CameraIntrinsics, features: Features, image
         constant.reshape(count, CONSTANTS),
         (shrink @ landmark).reshape(count, LANDMARK),
         np.full(count, images / PIXEL_SIGMA**2),
+        np.ones(count),
     )
 
 

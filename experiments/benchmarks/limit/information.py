@@ -11,7 +11,7 @@ Order of the unknowns: `STATE` of each state, one state after the other, then co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +49,16 @@ class Rows(NamedTuple):
     """(N, LANDMARK) by the landmark"""
     weight: Array
     """(N,) one over the variance, times the number of measurements that a row stands for"""
+    copies: Array
+    """(N,) how many landmarks of its kind the row's landmark stands for"""
+
+    def with_common_error(self, sigma: float) -> Rows:
+        """The same with an error of this size that all measurements of a landmark from one state
+        share, and that the next state does not."""
+        pair = self.state * (self.landmark.max() + 1) + self.landmark
+        _, own = np.unique(pair, return_inverse=True)
+        together = np.bincount(own, self.weight)[own]
+        return self._replace(weight=self.weight / (1.0 + sigma**2 * together))
 
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:
@@ -57,7 +67,7 @@ class Rows(NamedTuple):
 
     def chosen(self, which: NDArray[np.bool_]) -> Rows:
         """Those of ``which`` (N,)."""
-        return self._make(column[which] for column in self)
+        return Rows._make(column[which] for column in self)
 
 
 class Motion(NamedTuple):
@@ -131,24 +141,44 @@ def motion_information(motions: Sequence[Motion], constants: int) -> Array:
 def landmark_information(rows: Rows, states: int, constants: int) -> Array:
     """Information (15 K + C, 15 K + C) of ``rows`` on ``states`` K states and ``constants`` C
     constants, whatever the landmarks are."""
-    size = STATE * states + constants
-    if not len(rows.state):
-        return np.zeros((size, size))
+    return next(landmark_informations(rows, [states], constants))
+
+
+def landmark_informations(rows: Rows, counts: Sequence[int], constants: int) -> Iterator[Array]:
+    """As `landmark_information`, of the rows of the first of the states, for each of the ascending
+    ``counts`` of states."""
     names, own = np.unique(rows.landmark, return_inverse=True)
-    at = np.concatenate([_columns(states), STATE * states + np.arange(constants)])
-    left, right = _matrices(rows, own, states, len(names))
-    total = (left.T @ left).toarray()
-    cross = (left.T @ right).tocsc()
-    inverse = np.linalg.inv(np.linalg.cholesky(_blocks(rows, own, len(names))))
-    for start in range(0, len(names), _CHUNK):
-        some = inverse[start : start + _CHUNK]
-        part = cross[:, LANDMARK * start : LANDMARK * (start + len(some))].toarray()
-        part = np.einsum("akj,kij->aki", part.reshape(len(part), -1, LANDMARK), some)
-        flat = part.reshape(len(part), -1)
-        total -= flat @ flat.T
-    spread = np.zeros((size, size))
-    spread[np.ix_(at, at)] = total
-    return spread
+    width = 6 * counts[-1] + constants
+    total = np.zeros((width, width))
+    cross = sp.csc_array((width, LANDMARK * len(names)))
+    blocks = np.tile(_LANDMARK_PRIOR * np.eye(LANDMARK), (len(names), 1, 1))
+    before = 0
+    for count in counts:
+        some = (rows.state >= before) & (rows.state < count)
+        part, places, before = rows.chosen(some), own[some], count
+        if len(part.state):
+            left, right = _matrices(part, places, counts[-1], len(names))
+            total += (left.T @ left).toarray()
+            cross = cross + (left.T @ right).tocsc()
+            blocks += _blocks(part, places, len(names))
+        kept = np.append(np.arange(6 * count), np.arange(width - constants, width))
+        reduced = total[np.ix_(kept, kept)] - _explained(cross, blocks, kept)
+        at = np.append(_columns(count), STATE * count + np.arange(constants))
+        spread = np.zeros((STATE * count + constants,) * 2)
+        spread[np.ix_(at, at)] = reduced
+        yield spread
+
+
+def _explained(cross: sp.csc_array, blocks: Array, kept: Indices) -> Array:
+    """What not knowing the landmarks takes from the information on the ``kept`` unknowns."""
+    total = np.zeros((len(kept), len(kept)))
+    for start in range(0, len(blocks), _CHUNK):
+        some = np.linalg.inv(np.linalg.cholesky(blocks[start : start + _CHUNK]))
+        part = cross[:, LANDMARK * start : LANDMARK * (start + len(some))].toarray()[kept]
+        part = np.einsum("akj,kij->aki", part.reshape(len(kept), -1, LANDMARK), some)
+        flat = part.reshape(len(kept), -1)
+        total += flat @ flat.T
+    return total
 
 
 def _columns(states: int) -> Indices:
@@ -157,7 +187,7 @@ def _columns(states: int) -> Indices:
 
 def _matrices(rows: Rows, own: Indices, states: int, landmarks: int) -> tuple[sp.csr_array, ...]:
     """Whitened derivatives (N, 6 K + C) by poses and constants, (N, LANDMARK L) by landmarks."""
-    root, count = np.sqrt(rows.weight)[:, None], len(rows.state)
+    root, count = np.sqrt(rows.weight * rows.copies)[:, None], len(rows.state)
     constants = rows.constant.shape[1]
     used = np.flatnonzero(rows.constant.any(axis=0))
     pose_at = 6 * rows.state[:, None] + np.arange(6)
@@ -176,13 +206,13 @@ def _csr(values: Array, columns: Indices, width: int) -> sp.csr_array:
 
 
 def _blocks(rows: Rows, own: Indices, landmarks: int) -> Array:
-    """(L, LANDMARK, LANDMARK) information on each landmark, with a weak prior."""
+    """(L, LANDMARK, LANDMARK) information on each landmark, which rows have in ``own`` (N,)."""
     blocks = np.empty((landmarks, LANDMARK, LANDMARK))
     for i in range(LANDMARK):
         for j in range(i + 1):
-            weights = rows.weight * rows.local[:, i] * rows.local[:, j]
+            weights = rows.weight * rows.copies * rows.local[:, i] * rows.local[:, j]
             blocks[:, i, j] = blocks[:, j, i] = np.bincount(own, weights, landmarks)
-    return blocks + _LANDMARK_PRIOR * np.eye(LANDMARK)
+    return blocks
 
 
 def bound(information: Array, wanted: Sequence[int] | Indices) -> Array:

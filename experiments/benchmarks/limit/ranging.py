@@ -76,7 +76,7 @@ class Pulses(NamedTuple):
 
     def chosen(self, which: Bools) -> Pulses:
         """Those of ``which`` (N,)."""
-        return self._make(column[which] for column in self)
+        return Pulses._make(column[which] for column in self)
 
 
 class Places(NamedTuple):
@@ -203,8 +203,8 @@ def range_rows(flight: Flight, pulses: Pulses, features: Array, facing: Array) -
     share = min(1.0, PATCHES / max(int(others.sum()), 1))
     drawn = others & (np.random.default_rng(0).random(len(others)) < share)
     use = ((enough & known) | drawn)[patches.own]
-    weight = STRIDE * np.where(known, 1.0, 1.0 / share)[patches.own]
-    rows = _plane_rows(flight, found, patches, weight / _variance(flight, found, patches))
+    rows = _plane_rows(flight, found, patches, STRIDE / _variance(flight, found, patches))
+    rows.copies[:] = np.where(known, 1.0, 1.0 / share)[patches.own]
     rows.constant[:, RANGE] = -found.cosine[:, None] * flight.surface.range_columns(
         found.struck.distance, np.maximum(found.pulses.level, 1.0) / _LEVELS, found.cosine
     )
@@ -272,7 +272,8 @@ def _rows(
         [np.einsum("nji,nj->ni", own, turn), np.einsum("nji,nj->ni", own, directions)]
     )
     pose = np.hstack([directions, np.cross(arm, directions)])
-    return Rows(state, landmark, pose, constant, np.zeros((len(state), LANDMARK)), weight)
+    local, copies = np.zeros((len(state), LANDMARK)), np.ones(len(state))
+    return Rows(state, landmark, pose, constant, local, weight, copies)
 
 
 def intensity_rows(flight: Flight, pulses: Pulses) -> Rows:
@@ -303,7 +304,8 @@ def intensity_rows(flight: Flight, pulses: Pulses) -> Rows:
     east = np.column_stack([mean[:, 1:], np.zeros(len(mean))])
     share = np.einsum("ni,ni->n", east, beam) / -found.cosine
     direction = east - share[:, None] * normal
-    rows = _rows(flight, found, direction, CELLS + own, 1.0 / (CELL_SHARE * variance))
+    rows = _rows(flight, found, direction, CELLS + own, 1.0 / variance)
+    rows.copies[:] = 1.0 / CELL_SHARE
     rows.local[:, 0], rows.local[:, 1:3] = -1.0, -offset
     return rows.chosen(use)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -139,7 +140,10 @@ class TrueSurface:
         """(N,) standard deviations of the range noise; ``usual_m`` without growth."""
         if self._errors is None:
             return np.full(len(distance), usual_m)
-        return np.asarray(self._errors.noise_sigma_m(distance, strength), dtype=np.float64)
+        with warnings.catch_warnings():  # numpy's, of arrays that are broadcast and only read
+            warnings.simplefilter("ignore", DeprecationWarning)
+            sigma = self._errors.noise_sigma_m(distance, strength)
+        return np.asarray(sigma, dtype=np.float64)
 
 
 def _target(scene: LidarScene) -> RayTarget:

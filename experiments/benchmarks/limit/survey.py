@@ -5,8 +5,8 @@ A benchmark: it reads the truth. No estimator uses it.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import repeat
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -23,7 +23,7 @@ from touchdown.experiments.benchmarks.limit.information import (
     Rows,
     bound,
     imu_motion,
-    landmark_information,
+    landmark_informations,
     motion_information,
 )
 from touchdown.experiments.benchmarks.limit.surface import TruePath, TrueSurface
@@ -42,6 +42,7 @@ LOOK_S = 5.0
 SETS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "camera, LIDAR, IMU": ("ranges", "intensities", "features"),
+        "camera, LIDAR without intensities, IMU": ("ranges", "features"),
         "LIDAR, IMU": ("ranges", "intensities"),
         "LIDAR without intensities, IMU": ("ranges",),
         "camera, rangefinder, IMU": ("features", "heights"),
@@ -54,15 +55,40 @@ REPLAYED: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 AS_IT_IS, QUIET = "as it is", "noise of the IMU a tenth"
 _QUIETER = 10.0
-_FEW, _PIXEL = 1000 / 24000, (imaging.PIXEL_SIGMA / 3.0) ** 2
-_LESS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+_FEW, _COARSE_PX, _COMMON_M = 1000 / 24000, 3.0, 0.02
+Change = Callable[[Rows], Rows]
+"""of measurements of one kind"""
+
+
+def _unchanged(rows: Rows) -> Rows:
+    return rows
+
+
+def _fewer(rows: Rows) -> Rows:
+    return rows._replace(weight=_FEW * rows.weight)
+
+
+def _coarser(rows: Rows) -> Rows:
+    return rows._replace(weight=(imaging.PIXEL_SIGMA / _COARSE_PX) ** 2 * rows.weight)
+
+
+def _alike(rows: Rows) -> Rows:
+    return rows.with_common_error(_COMMON_M)
+
+
+LESS: Mapping[str, Mapping[str, Change]] = MappingProxyType(
     {
-        "1000 returns a scan": {"ranges": _FEW, "intensities": _FEW},
-        "features to 3 px": {"features": _PIXEL},
-        "both": {"ranges": _FEW, "intensities": _FEW, "features": _PIXEL},
+        "1000 returns a scan": {"ranges": _fewer, "intensities": _fewer},
+        "2 cm common to a patch's returns": {"ranges": _alike},
+        "features to 3 px": {"features": _coarser},
+        "all three": {
+            "ranges": lambda rows: _alike(_fewer(rows)),
+            "intensities": _fewer,
+            "features": _coarser,
+        },
     }
 )
-"""Factors of the information of measurements"""
+"""Measurements that tell less, by kind"""
 _STILL_BEFORE_S = 0.7
 _STILL_SIGMA = 1e-3
 """m, m/s and rad, of a vehicle that stands"""
@@ -108,32 +134,25 @@ class Problem:
             diagonal[STATE * k + 8] = _STILL_SIGMA**-2
         return np.diag(diagonal)
 
-    def sensed(self, names: Sequence[str], states: int, factors: Mapping[str, float]) -> Array:
-        """Information of the sensors ``names`` on the first ``states`` states."""
-        parts = []
-        for name in names:
-            rows = self.rows[name]
-            rows = rows.chosen(rows.state < states)
-            parts.append(rows._replace(weight=factors.get(name, 1.0) * rows.weight))
-        if not parts:
-            return np.zeros((STATE * states + CONSTANTS,) * 2)
-        return landmark_information(Rows.joined(parts), states, CONSTANTS)
-
     def covariances(
-        self, names: Sequence[str], factors: Mapping[str, float] = MappingProxyType({})
+        self, names: Sequence[str], changes: Mapping[str, Change] = MappingProxyType({})
     ) -> list[dict[str, Array]]:
         """The position's covariances (3, 3) at each instant of ``looks``: `AS_IT_IS`, with one of
         `GROUPS` known, and with a `QUIET` IMU."""
+        counts = [look + 1 for look in self.looks]
+        rows = [changes.get(name, _unchanged)(self.rows[name]) for name in names]
+        sensed: Iterable[Array] = repeat(np.zeros(()), len(counts))
+        if rows:
+            sensed = landmark_informations(Rows.joined(rows), counts, CONSTANTS)
         found = []
-        for look in self.looks:
-            states = look + 1
-            rest = self.before(states) + self.sensed(names, states, factors)
-            total = rest + motion_information(self.motions()[:look], CONSTANTS)
-            quiet = rest + motion_information(self.motions(_QUIETER)[:look], CONSTANTS)
-            position = STATE * look + np.arange(3)
+        for count, seen in zip(counts, sensed, strict=True):
+            rest = self.before(count) + seen
+            total = rest + motion_information(self.motions()[: count - 1], CONSTANTS)
+            quiet = rest + motion_information(self.motions(_QUIETER)[: count - 1], CONSTANTS)
+            position = STATE * (count - 1) + np.arange(3)
             one = {AS_IT_IS: bound(total, position), QUIET: bound(quiet, position)}
             for group, columns in GROUPS.items():
-                known = STATE * states + np.concatenate([np.r_[part] for part in columns])
+                known = STATE * count + np.concatenate([np.r_[part] for part in columns])
                 left = np.setdiff1d(np.arange(len(total)), known)
                 one[f"known: {group}"] = bound(total[np.ix_(left, left)], position)
             found.append(one)
@@ -208,9 +227,9 @@ def measure(run: Path, replays: bool, report: Report) -> dict[str, Any]:
         found = problem.covariances(names)
         figures["bound_m"][title] = _spread(found, AS_IT_IS)
         changed = {what: _spread(found, what)["mean"] for what in found[0] if what != AS_IT_IS}
-        for what, factors in _LESS.items():
-            if set(factors) & set(names):
-                less = problem.covariances(names, factors)
+        for what, changes in LESS.items():
+            if set(changes) & set(names):
+                less = problem.covariances(names, changes)
                 changed[what] = _spread(less, AS_IT_IS)["mean"]
         figures["changed_m"][title] = changed
     if replays:
@@ -232,8 +251,10 @@ def _spread(found: list[dict[str, Array]], name: str) -> dict[str, float]:
 
 
 def _reached(run: Path, overrides: tuple[str, ...]) -> float:
-    result = replay(run, replay_config(run, "livo", overrides, fresh=True))
-    return float(dataclasses.asdict(result)["position_error_m"]["mean"])
+    error = replay(run, replay_config(run, "livo", overrides, fresh=True)).position_error_m
+    if error is None or error.mean is None:
+        raise UsageError(f"'{run}' is too short to be judged: fly a whole survey")
+    return float(error.mean)
 
 
 def table(figures: Sequence[Mapping[str, Any]]) -> str:
