@@ -98,6 +98,13 @@ def test_a_landmark_seen_again_ends_the_drift_and_a_sensor_never_hurts():
     assert np.linalg.eigvalsh(added).min() > -1e-6 * added.max()
 
 
+def test_an_error_that_measurements_share_does_not_average_out():
+    rows = Rows.joined([_heights(0, 3), _heights(1, 3)]).with_common_error(0.05)
+    assert np.bincount(rows.state, rows.weight) == pytest.approx(
+        np.full(2, 1.0 / (SIGMA**2 / REPEATS + 0.05**2))
+    )
+
+
 def test_the_imu_s_constants_act_as_the_model_says():
     rotation, rate, force = so3_exp(np.array([0.3, -0.2, 0.5])), np.array([0.1, 0.2, 0.3]), 9.0
     forces = np.array([[0.5, -0.3, force]])
