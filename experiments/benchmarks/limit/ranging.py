@@ -203,12 +203,14 @@ def range_rows(flight: Flight, pulses: Pulses, features: Array, facing: Array) -
     share = min(1.0, PATCHES / max(int(others.sum()), 1))
     drawn = others & (np.random.default_rng(0).random(len(others)) < share)
     use = ((enough & known) | drawn)[patches.own]
-    rows = _plane_rows(flight, found, patches, STRIDE / _variance(flight, found, patches))
+    weight = STRIDE / _variance(flight, found, patches)[use]
+    found, patches = _chosen(found, use), patches._replace(own=patches.own[use])
+    rows = _plane_rows(flight, found, patches, weight)
     rows.copies[:] = np.where(known, 1.0, 1.0 / share)[patches.own]
     rows.constant[:, RANGE] = -found.cosine[:, None] * flight.surface.range_columns(
         found.struck.distance, np.maximum(found.pulses.level, 1.0) / _LEVELS, found.cosine
     )
-    return rows.chosen(use)
+    return rows
 
 
 def height_rows(flight: Flight, end_s: float, features: Array, facing: Array) -> Rows:

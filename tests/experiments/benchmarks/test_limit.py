@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks.limit import imaging, ranging
+from touchdown.experiments.benchmarks.limit import imaging, ranging, survey
 from touchdown.experiments.benchmarks.limit.constants import (
     CLOCK,
     CONSTANTS,
@@ -28,6 +28,7 @@ from touchdown.experiments.benchmarks.limit.information import (
     motion_information,
 )  # fmt: skip
 from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.errors import UsageError
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.geometry.ray_target import Hits
@@ -204,6 +205,22 @@ def test_ranges_move_as_their_rows_say():
         assert rows.constant[0, MOUNT][k] == pytest.approx(slope, abs=1e-6)
     across = ranging.tangents(normal)[0] @ (points - center)[0]
     assert rows.local[0] == pytest.approx([0.0, 0.0, -1.0, *-across])
+
+
+def test_bounds_and_errors_are_printed_side_by_side(tmp_path):
+    run = {
+        "scene": "lake",
+        "revision": "abc",
+        "bound_m": {title: {"mean": 0.004} for title in survey.SETS},
+        "changed_m": {title: {"features to 3 px": 0.0051} for title in survey.SETS},
+        "reached_m": dict.fromkeys(survey.REPLAYED, 0.1),
+    }
+    printed = survey.table([run]).splitlines()
+    assert "| camera, LIDAR, IMU | 0.0040 |" in printed
+    assert "| camera, LIDAR, IMU | 0.100 (25) |" in printed
+    assert "| features to 3 px | 0.0051 |" in printed
+    with pytest.raises(UsageError, match="no run directory"):
+        survey.measure(tmp_path, False, print)
 
 
 def test_what_is_known_of_the_constants_is_what_the_profile_draws():
