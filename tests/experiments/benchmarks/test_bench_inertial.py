@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks.inertial import comparison, logfile, runner
+from touchdown.experiments.benchmarks.inertial import comparison, logfile, methods, runner
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.synthetic_stream import synthetic_rig
 from touchdown.sim.api import ImuSample, LidarScan
@@ -168,10 +168,10 @@ def test_missing_packages_are_named_with_their_extra() -> None:
     assert comparison.missing_line("rko_lio") == (
         "rko_lio is not installed; pip install 'touchdown[lio]' installs rko-lio"
     )
-    with pytest.raises(UsageError, match="--lio-python '/no/python' is no Python interpreter"):
+    with pytest.raises(UsageError, match="LIO_PYTHON: '/no/python' is no Python interpreter"):
         comparison.installed("/no/python")
-    assert comparison.METHODS.keys() <= runner.METHODS.keys()
-    assert {facts.package for facts in comparison.METHODS.values()} <= set(runner.PACKAGES)
+    assert methods.METHODS.keys() <= runner.METHODS.keys()
+    assert {facts.package for facts in methods.METHODS.values()} <= set(runner.PACKAGES)
 
 
 THERE = comparison.installed(PYTHON)
@@ -179,10 +179,10 @@ ROOM: dict[str, dict[str, Any]] = {"rko_lio": {"voxel_size": 0.5}}
 """settings for a room; those of the grids are for ground below"""
 
 
-@pytest.mark.parametrize("method", comparison.METHODS)
+@pytest.mark.parametrize("method", methods.METHODS)
 def test_methods_follow_motion_in_a_room(method: str, log: Path) -> None:
     """Times, units, mounts and gravity are right: a wrong one costs a decimetre or more."""
-    package = comparison.METHODS[method].package
+    package = methods.METHODS[method].package
     if package not in THERE:
         pytest.skip(f"{package} of the extra 'lio' is not installed")
     span = (0.0, REST_S, END_S)
