@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame
+from touchdown.estimator.filtering.trail import ScanPath
 from touchdown.sim.api import LidarScan, LidarSheet
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 
@@ -34,7 +35,7 @@ class Track(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PlacedScan:
-    """Valid returns of one scan in the IMU frame at the end of the scan."""
+    """Valid returns of one scan in the IMU frame at the last IMU sample of the scan."""
 
     points: Array
     """(K, 3) m"""
@@ -69,27 +70,17 @@ def screen_scan(scan: LidarScan, lidar: LidarSheet, *, check_blind_zone: bool = 
 
 
 def place_scan(
-    scan: LidarScan,
-    pulses: Indices,
-    imu_from_lidar: Pose,
-    rotations: Array,
-    positions: Array,
-    step_s: float,
+    scan: LidarScan, pulses: Indices, imu_from_lidar: Pose, path: ScanPath
 ) -> PlacedScan:
-    """Deskews the given ``pulses`` (K,) of a scan into the IMU frame at its end.
-
-    ``rotations`` (M + 1, 3, 3) and ``positions`` (M + 1, 3): odom_from_imu every ``step_s`` from
-    the start of the scan to its end.
-    """
-    end = rotations[-1].T
-    quats = np.array([quat_wxyz_from_matrix(rotation) for rotation in end @ rotations])
-    times = step_s * np.arange(float(len(quats)))
+    """Deskews the given ``pulses`` (K,) of a scan into the IMU frame at ``path.now``."""
+    turn, place = path.rotations[path.now].T, path.positions[path.now]
+    quats = np.array([quat_wxyz_from_matrix(rotation) for rotation in turn @ path.rotations])
     aims, offsets = scan.directions[pulses], scan.time_offsets[pulses]
     for part in (aims, offsets):  # as those of messages are, for which `deskew` is compiled
         part.setflags(write=False)
     origins, directions = deskew(
         aims, offsets, 0.0,
-        Track(times, (positions - positions[-1]) @ end.T, quats), Frame.of(imu_from_lidar),
+        Track(path.times, (path.positions - place) @ turn.T, quats), Frame.of(imu_from_lidar),
     )  # fmt: skip
     beams = (scan.ranges[pulses, None] * directions).astype(np.float64)
     return PlacedScan(origins + beams, beams, pulses)

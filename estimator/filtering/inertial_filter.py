@@ -44,7 +44,7 @@ from touchdown.estimator.filtering.imu_propagation import (
     rotate_back_into,
 )
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist
-from touchdown.estimator.filtering.trail import Trail
+from touchdown.estimator.filtering.trail import ScanPath, Trail
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
 from touchdown.sim.api import (
     GRAVITY_MPS2,
@@ -220,27 +220,49 @@ class InertialFilter:
     def place_scan(
         self, scan: LidarScan, imu_from_lidar: Pose | None = None, *, check_blind_zone: bool = False
     ) -> PlacedScan | None:
-        """Returns the valid returns of a scan, deskewed to its end; None if the trail does not span
-        the scan. ``imu_from_lidar``: the given mount by default; ``check_blind_zone``: see
+        """Returns the valid returns of a scan, deskewed to the filter's time, which is that of the
+        last IMU sample at or before the scan's end; None if the trail does not span the scan.
+        ``imu_from_lidar``: the given mount by default; ``check_blind_zone``: see
         ``screen_scan``."""
-        first = self.trail.start_of(scan)
+        trail = self._trail_over(scan)
+        first = trail.start_of(scan, self.rig.imu_ticks)
         if first is None:
             return None
         pulses = screen_scan(scan, self.rig.lidar, check_blind_zone=check_blind_zone)
         mount = self.imu_from_lidar if imu_from_lidar is None else imu_from_lidar
-        rotations, positions = self.trail.rotations[first:], self.trail.positions[first:]
-        return place_scan(scan, pulses, mount, rotations, positions, self.step_s)
+        ticks = trail.ticks[first:]
+        late_s = scan.start_time_s - float(ticks[0]) / self.rig.tick_hz
+        times = self.step_s * ((ticks - ticks[0]) / self.rig.imu_ticks) - late_s
+        now = int(np.searchsorted(ticks, self.tick))
+        path = ScanPath(times, trail.rotations[first:], trail.positions[first:], now)
+        return place_scan(scan, pulses, mount, path)
+
+    def _trail_over(self, scan: LidarScan) -> Trail:
+        """The trail to the scan's end: where that lies between two IMU samples, to the second, or
+        on at the present twist if that has not come."""
+        state = self.eskf.state
+        if scan.end_tick <= state.tick:
+            return self.trail
+        if self._buffer.count:
+            ticks, gyro, force, _ = self._buffer.samples(1)
+            following = propagate_nominal(state, ticks, gyro, force, self.step_s).end
+            return self.trail.reaching(following)
+        turn = so3_exp(self.step_s * self.eskf.rate)
+        position = state.position + self.step_s * state.velocity
+        tick, rotation = state.tick + self.rig.imu_ticks, state.rotation @ turn
+        return self.trail.reaching(replace(state, tick=tick, rotation=rotation, position=position))
 
     def track_of(self, scan: LidarScan, earlier: PoseTrack | None = None) -> PoseTrack | None:
         """Returns the body's poses over a scan, after its corrections; from the start of the
         ``earlier`` track, if there is one."""
-        first = self.trail.start_of(scan)
+        trail = self._trail_over(scan)
+        first = trail.start_of(scan, self.rig.imu_ticks)
         if first is None:
             return earlier
         if earlier is not None:
             start = round(earlier.times_s[0] * self.rig.tick_hz)
-            first = min(first, int(np.searchsorted(self.trail.ticks, start)))
-        return self.trail.track(first, self.imu_from_body, self.rig.tick_hz)
+            first = min(first, int(np.searchsorted(trail.ticks, start)))
+        return trail.track(first, self.imu_from_body, self.rig.tick_hz)
 
     def camera_twist(self, image: CameraImage) -> CameraTwist:
         """Twist of the camera at the filter's time, and the delay of ``image`` after it."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +16,15 @@ from touchdown.sim.frames import Pose, interpolate_pose, quat_wxyz_from_matrix
 Array = NDArray[np.float64]
 
 _STEPS = 128
+
+
+class ScanPath(NamedTuple):
+    """odom_from_imu at M >= 2 instants that span a scan."""
+
+    times: Array  # (M,) s after the scan's start
+    rotations: Array  # (M, 3, 3)
+    positions: Array  # (M, 3) m
+    now: int  # index of the filter's pose: that at the last IMU sample of the scan
 
 
 class Trail:
@@ -37,12 +49,18 @@ class Trail:
         self.positions = (self.positions - self.positions[-1]) @ rotation.T + state.position
         self.rotations = rotation @ self.rotations
 
-    def start_of(self, scan: LidarScan) -> int | None:
-        """Returns the index of the pose at the scan's start, if the trail spans the scan
-        exactly."""
-        first = int(np.searchsorted(self.ticks, scan.start_tick))
-        spans = first + 1 < len(self.ticks) and self.ticks[first] == scan.start_tick
-        return first if spans and self.ticks[-1] == scan.end_tick else None
+    def reaching(self, state: NavState) -> Trail:
+        """Returns the trail with one pose more, without changing it."""
+        longer = copy.copy(self)
+        longer.extend(np.array([state.tick]), state.rotation[None], state.position[None])
+        return longer
+
+    def start_of(self, scan: LidarScan, imu_ticks: int) -> int | None:
+        """Returns the index of the last pose at or before the scan's start, if the trail ends at
+        the scan's end or less than ``imu_ticks`` after it."""
+        first = int(np.searchsorted(self.ticks, scan.start_tick, side="right")) - 1
+        spans = 0 <= first < len(self.ticks) - 1
+        return first if spans and 0 <= self.ticks[-1] - scan.end_tick < imu_ticks else None
 
     def track(self, first: int, imu_from_body: Pose, tick_hz: int) -> PoseTrack:
         """Returns the body's poses from index ``first`` on."""

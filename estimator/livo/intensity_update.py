@@ -96,6 +96,9 @@ def photometry(
 
     ``lever`` (3,): the LIDAR in the IMU frame; ``sigma``: of a residual. Cauchy weights. The mean
     of the residuals, the scan's own brightness, is marginalised.
+
+    All returns turn as if at their mean height: by their differences in height, tilt would be told
+    from a shift, but brightness changes with height in plants, which would turn the vehicle.
     """
     points, beams = returns
     means, weights, axes, cell, clone_rotation, w, shift = image
@@ -106,6 +109,13 @@ def photometry(
     total_weight, mean_residual = 0.0, 0.0
     g, q, seen = np.zeros(3), np.zeros(3), np.zeros(3)
     now, to_odom, arm = np.zeros(3), np.zeros(3), np.zeros(3)
+    level_p, level_beam = np.zeros(3), np.zeros(3)
+    up, up_now = clone_rotation[2].copy(), np.zeros(3)
+    rotate_back_into(rotation, up, up_now)
+    level = 0.0  # mean height of the returns above the IMU, m
+    for i in range(points.shape[0]):
+        for a in range(3):
+            level += up_now[a] * points[i, a] / points.shape[0]
     squares, noise, absolute = 0.0, 0.0, 0.0
     used = 0
     for i in range(points.shape[0]):
@@ -143,9 +153,14 @@ def photometry(
             g[a] = gu * axes[0, a] + gv * axes[1, a]
         rotate_back_into(rotation, g, now)
         rotate_into(clone_rotation, g, to_odom)
-        cross_into(p, now, row, ROTATION.start)
+        lift = up_now[0] * p[0] + up_now[1] * p[1] + up_now[2] * p[2] - level
+        for a in range(3):
+            level_p[a], level_beam[a] = p[a] - lift * up_now[a], beam[a] - lift * up_now[a]
+            q[a] -= lift * up[a]
+            seen[a] -= lift * up[a]
+        cross_into(level_p, now, row, ROTATION.start)
         cross_into(g, q, row, _CLONE + ROTATION.start)
-        cross_into(beam, now, row, _MOUNT + MOUNT_ROTATION.start)
+        cross_into(level_beam, now, row, _MOUNT + MOUNT_ROTATION.start)
         cross_into(seen, g, arm, 0)
         for a in range(3):
             row[_MOUNT + MOUNT_ROTATION.start + a] -= arm[a]

@@ -32,6 +32,8 @@ _LAYERS: Mapping[str, tuple[str, ...]] = {
     "harsh": ("field", "harsh"),
 }
 """Files of each profile, later ones over earlier ones."""
+_ASSUMED = ("livo.", "zou2024.", "flown_imu.")
+"""Keys of a profile that say what estimators assume."""
 PROFILES = tuple(_LAYERS)
 PRESET_KEY = "preset"
 """The key that names the preset."""
@@ -52,13 +54,13 @@ def profile_values(name: str) -> Mapping[str, Any]:
 
 @functools.cache
 def effects() -> Mapping[str, Mapping[str, Any]]:
-    """The groups of keys that `harsh` changes, by the name of the effect, with the values of
-    `harsh`. Raises ValueError for a pattern without a key, and a key in no or two groups."""
+    """The groups of keys of the world that `harsh` changes, by the name of the effect, with the
+    values of `harsh`. Raises ValueError for a pattern without a key, and a key in no group."""
     file = resources.files(__package__).joinpath("profiles", "effects.toml")
     harsh = resources.files(__package__).joinpath("profiles", "harsh.toml")
-    values = dict(flatten(tomllib.loads(harsh.read_text(encoding="utf-8"))))
+    values = flatten(tomllib.loads(harsh.read_text(encoding="utf-8")))
     groups: dict[str, dict[str, Any]] = {}
-    left = dict(values)
+    left = {key: value for key, value in values if not key.startswith(_ASSUMED)}
     for name, patterns in tomllib.loads(file.read_text(encoding="utf-8")).items():
         groups[name] = {}
         for pattern in patterns:

@@ -172,6 +172,27 @@ def test_the_brightness_of_a_scan_as_a_whole_does_not_count():
     np.testing.assert_allclose(bright, dark, atol=1e-3 * np.abs(dark).max())
 
 
+def test_heights_of_returns_do_not_show_the_tilt():
+    """Brightness changes with height in plants: over rough ground all returns turn as if at their
+    mean height, and tilt cannot be told from a shift."""
+    places = ground(4000, 2)
+    places[:, 2] = np.random.default_rng(4).uniform(-2.0, 2.0, len(places))
+    now, clone = (Pose(so3_exp(np.array([0.0, 0.0, yaw])), TRUE.translation) for yaw in (0.3, 1.9))
+    points, move = now.inverse().apply(places), clone.inverse() @ now
+    rows = photometry(
+        Returns(points, points - LEVER), reflectivity(places),
+        view_of(image_of(clone), clone.rotation), Frame.of(move), LEVER, 0.3,
+    ).information  # fmt: skip
+    height = points[:, 2].mean()
+    level = np.array([[0.0, -height], [height, 0.0]])
+    turned = now.rotation[:2, :2].T @ rows[3:5]
+    np.testing.assert_allclose(rows[:2], level @ turned, atol=1e-6 * rows.max())
+    turned = clone.rotation[:2, :2].T @ rows[15:17]
+    np.testing.assert_allclose(rows[12:14], level @ turned, atol=1e-6 * rows.max())
+    lower = level * (height - LEVER[2]) / height
+    np.testing.assert_allclose(rows[6:8], lower @ rows[9:11], atol=1e-6 * rows.max())
+
+
 def test_noise_of_the_image_is_no_texture():
     update = PhotometricUpdate(LEVER)
     eskf = filter_at(TRUE, update)

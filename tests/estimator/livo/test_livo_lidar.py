@@ -11,14 +11,13 @@ from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.information import lateral_strength, limit_information
 from touchdown.estimator.filtering.plane_map import PlaneMap, smallest_eigen
+from touchdown.estimator.filtering.trail import ScanPath
 from touchdown.estimator.livo import anchored_update
 from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
 from touchdown.sim.api import LidarParams
 from touchdown.sim.frames import Pose, so3_exp
 
 from support.livo_lidar_support import lidar_scan, placed, plane_information, room_points, state_at
-
-STEP_S = 0.005
 
 
 def test_deskew_brings_a_fixed_point_to_one_place() -> None:
@@ -41,7 +40,8 @@ def test_deskew_brings_a_fixed_point_to_one_place() -> None:
         directions[i] = in_lidar / ranges[i]
     scan = lidar_scan(directions, ranges, offsets)
     pulses = screen_scan(scan, LidarParams())
-    result = place_scan(scan, pulses, Pose(mount, lever), rotations, positions, STEP_S)
+    path = ScanPath(times, rotations, positions, steps)
+    result = place_scan(scan, pulses, Pose(mount, lever), path)
     expected = rotations[-1].T @ (target - positions[-1])
     np.testing.assert_allclose(result.points, np.tile(expected, (count, 1)), atol=2e-4)
     np.testing.assert_allclose(np.linalg.norm(result.beams, axis=1), ranges, rtol=1e-4)
@@ -54,8 +54,8 @@ def test_screening_keeps_valid_returns_only() -> None:
     scan = lidar_scan(directions, ranges, offsets)
     pulses = screen_scan(scan, LidarParams(min_range_m=0.5, max_range_m=260.0))
     np.testing.assert_array_equal(pulses, [4])
-    poses = np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3))
-    result = place_scan(scan, pulses, Pose.identity(), *poses, STEP_S)
+    path = ScanPath(np.array([0.0, 0.1]), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)), 1)
+    result = place_scan(scan, pulses, Pose.identity(), path)
     np.testing.assert_allclose(result.points, [[0.0, 0.0, 7.0]])
     np.testing.assert_array_equal(result.pulses, [4])
 
