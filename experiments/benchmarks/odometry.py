@@ -174,8 +174,7 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
     from touchdown.experiments.flight.wiring import build_estimator
 
     estimator = build_estimator(config, logged.sensors.rig)
-    spare = getattr(estimator, "spare_sensors", ())
-    check_needs(config.estimator, estimator.needs, logged.sensors, spare)
+    check_needs(config.estimator, estimator, logged.sensors)
     clock, own = CpuClock(), PositioningError()
     revisits = Revisits(logged.sensors.rig, TruePath(logged).at)
     times: list[float] = []
