@@ -158,8 +158,8 @@ class _Drift:
 def final_descent(mission: Mission) -> Steps:
     """Descends until ground contact is detected, then stops the motors.
 
-    Near the ground LIDAR and, in the dark, camera see nothing. Once the estimate drifts, the vehicle
-    sinks no slower than at ``drift_speed_mps``: less time is left to drift in."""
+    Near the ground LIDAR and, in the dark, camera see nothing. Once the estimate drifts, the
+    vehicle sinks no slower than at ``drift_speed_mps``: less time is left to drift in."""
     mission.phase = Phase.DESCEND
     mission.final = True
     assert mission.site_odom is not None
