@@ -73,9 +73,10 @@ def bench_profile(more: tuple[str, ...], out: Path | None, as_json: bool, **chos
             if out.exists() and not out.is_dir():
                 raise UsageError(f"--out '{out}' is a file: name a directory")
             out.mkdir(parents=True, exist_ok=True)
-            again = [chosen["scene"], *(["--full"] if chosen["full"] else [])]
-            again += [f"--{name}={chosen[name]}" for name in ("estimator", "profile", "seed")]
-            again += [f"--stage={place}" for place in more]
+            again = [chosen["scene"]]
+            for name in ("estimator", "profile", "seed"):
+                again += [f"--{name}", str(chosen[name])]
+            again += [*(["--full"] if chosen["full"] else []), *(f"--stage={p}" for p in more)]
             figures = flight_profile.profile_with_flames(again, out / "flame.svg")
             if figures is None:
                 say("no flame graph: py-spy is not installed (pip install py-spy)", err=True)
