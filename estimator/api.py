@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,6 +129,19 @@ class Estimator(Protocol):
     needs: SensorNeeds
 
     def update(self, obs: Observation) -> Estimate: ...
+
+
+@runtime_checkable
+class SparesSensors(Protocol):
+    """An estimator that a replay may run on a log without some of the sensors that it needs."""
+
+    spare_sensors: tuple[str, ...]
+    """their fields of `SensorNeeds`"""
+
+
+def spare_sensors(estimator: Estimator) -> tuple[str, ...]:
+    """The sensors that ``estimator`` can do without in a replay."""
+    return tuple(estimator.spare_sensors) if isinstance(estimator, SparesSensors) else ()
 
 
 class Ground(NamedTuple):

@@ -69,8 +69,8 @@ class StartParams:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibrationErrorParams:
     """Standard deviations of the errors of the nominal calibration, drawn from the seed. Those of
-    camera_from_lidar and of the lens are unused in flights with a calibration file; those against
-    the IMU remain."""
+    camera_from_lidar and of the lens are unused in flights with a calibration file; the others
+    remain."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -93,3 +93,7 @@ class CalibrationErrorParams:
     camera's mount instead"""
     imu_lidar_translation_sigma_m: NotNegative = 0.0
     """of the LIDAR's mount against the IMU, along each axis, likewise"""
+    readout_share: NotNegative = 0.0
+    """relative, of the camera's readout time"""
+    lever_sigma_m: NotNegative = 0.0
+    """of the places of the satellite antenna and the rangefinder on the body, along each axis"""

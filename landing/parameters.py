@@ -288,6 +288,11 @@ class LandingParams:
     """vertical acceleration below ``commit_height_m``"""
     touchdown_speed_mps: Positive = 0.09
     """vertical speed at the first contact"""
+    drift_growth_m: Positive = 0.03
+    """growth of the horizontal standard deviation in the final descent (the root of the variance
+    gained) from which on nothing seems to measure the position"""
+    drift_speed_mps: Positive = 0.3
+    """least vertical speed from then on: less time to drift in"""
     classifier: str = "auto"
     """``auto``: the network that is shipped with the project, if there is one; ``off``: sites are
     checked by geometry alone; else the path of a network's file"""

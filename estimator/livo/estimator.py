@@ -57,7 +57,7 @@ class Livo:
     """Tightly coupled estimator, see the module. Deterministic; nothing is drawn at random."""
 
     spare_sensors = ("rangefinder",)
-    """of those that it asks for, what a log may lack: it is read while no scans come"""
+    """the rangefinder is read while no scans come"""
 
     def __init__(self, rig: SensorRig, params: LivoParams | None = None) -> None:
         self._rig = rig

@@ -9,6 +9,7 @@ with the best setting of its grid. Errors are those of evo: APE of the translati
 from __future__ import annotations
 
 import math
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.benchmarks.inertial import comparison as inertial
 from touchdown.experiments.benchmarks.inertial.logfile import write_log
+from touchdown.experiments.benchmarks.inertial.methods import METHODS
 from touchdown.experiments.benchmarks.odometry_baselines import (
     GRIDS,
     OdometryTrack,
@@ -50,6 +52,8 @@ Array = NDArray[np.float64]
 Report = Callable[[str], None]
 
 SCENES = ("crossroad", "lake", "houses", "forest")
+LIO_PYTHON = "TOUCHDOWN_LIO_PYTHON"
+"""Environment variable with the interpreter of the environment of the methods in `inertial`."""
 WITHOUT_CAMERA = "livo_no_camera"
 ESTIMATORS: dict[str, tuple[str, tuple[str, ...]]] = {
     "livo": ("livo", ()),
@@ -87,18 +91,22 @@ def flight_config(scene: str, seed: int, overrides: Sequence[str] = ()) -> Confi
 
 
 def bench_scene(
-    logged: LoggedRun, seconds: float | None, report: Report, lio_python: str = sys.executable
+    logged: LoggedRun, seconds: float | None, report: Report, methods: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Errors and costs of all methods over one log, of its first ``seconds`` after lift-off where
     these are given: ``error_m``, ``cpu_ms``, ``own_difference_m``, ``lost_s`` by method, and
     ``settings`` with every setting of the reference implementations and its error; ``missing`` has
-    a line for each method that the environment of ``lio_python`` lacks. Raises UsageError."""
+    a line for each method that is not installed. ``methods``: some of them, or all. Raises
+    UsageError."""
+    chosen = set(chosen_methods(methods))
     end_s = math.inf if seconds is None else logged.from_s + seconds
     found: dict[str, Any] = {
         "error_m": {}, "cpu_ms": {}, "own_difference_m": {}, "lost_s": {}, "best": {},
         "settings": {}, "missing": {},
     }  # fmt: skip
     for name, (estimator, changes) in ESTIMATORS.items():
+        if name not in chosen:
+            continue
         report(f"{name}")
         config = replay_config(logged.path, estimator, changes, fresh=True)
         measured = measure(logged, config, end_s)
@@ -106,9 +114,9 @@ def bench_scene(
         found["own_difference_m"][name] = abs(measured.error_m - measured.own_error_m)
         found["cpu_ms"][name] = measured.cpu_ms
         found["lost_s"][name] = measured.lost_s
-    scans = logged_scans(logged, end_s)
-    truth = TruePath(logged)
-    for method in GRIDS:
+    truth, alone = TruePath(logged), [method for method in GRIDS if method in chosen]
+    scans = logged_scans(logged, end_s) if alone else []
+    for method in alone:
         rows = []
         for setting in settings(method):
             report(f"{method} {setting}")
@@ -122,18 +130,23 @@ def bench_scene(
             )
             rows.append(_reference_row(track, truth))
         _add_best(found, method, rows)
-    _bench_inertial(found, logged, end_s, report, lio_python)
+    _bench_inertial(found, logged, end_s, report, chosen)
     return found
 
 
 def _bench_inertial(
-    found: dict[str, Any], logged: LoggedRun, end_s: float, report: Report, python: str
+    found: dict[str, Any], logged: LoggedRun, end_s: float, report: Report, chosen: set[str]
 ) -> None:
+    if chosen.isdisjoint(METHODS):
+        return
+    python = os.environ.get(LIO_PYTHON, sys.executable)
     truth, there = TruePath(logged), inertial.installed(python)
     span = (logged.from_s, truth.survey_s(), min(end_s, logged.to_s))
     with tempfile.TemporaryDirectory(prefix="touchdown-lio-") as folder:
         log = Path(folder) / "log.npz"
-        for method, facts in inertial.METHODS.items():
+        for method, facts in METHODS.items():
+            if method not in chosen:
+                continue
             if facts.package not in there:
                 found["missing"][method] = inertial.missing_line(method)
                 continue
@@ -161,8 +174,7 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
     from touchdown.experiments.flight.wiring import build_estimator
 
     estimator = build_estimator(config, logged.sensors.rig)
-    spare = getattr(estimator, "spare_sensors", ())
-    check_needs(config.estimator, estimator.needs, logged.sensors, spare)
+    check_needs(config.estimator, estimator, logged.sensors)
     clock, own = CpuClock(), PositioningError()
     revisits = Revisits(logged.sensors.rig, TruePath(logged).at)
     times: list[float] = []
@@ -313,14 +325,15 @@ def bench_estimator(
     runs: Path,
     seconds: float | None = None,
     report: Report = lambda _text: None,
-    lio_python: str = sys.executable,
+    methods: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Flies the surveys that ``runs`` lacks, one directory ``SCENE-SEED`` each, and compares.
 
-    ``seeds``: one for all scenes, or one each. ``lio_python``: interpreter of the environment of
-    the methods in `inertial`. Returns what `summary` does, ``evo_difference_m.SCENE`` (evo on the
-    flight's files less its own figure) and the details by scene. Raises UsageError.
+    ``seeds``: one for all scenes, or one each. ``methods``: some of the rows, or all. Returns what
+    `summary` does, ``evo_difference_m.SCENE`` (evo on the flight's files less its own figure) and
+    the details by scene. Raises UsageError.
     """
+    chosen_methods(methods)
     require_references()
     found: dict[str, dict[str, Any]] = {}
     difference: dict[str, float] = {}
@@ -331,7 +344,7 @@ def bench_estimator(
         logged = open_run(run)
         flown_error_m = float(logged.result.value("position_error_m.mean"))
         difference[scene] = evo_of_run(run) - flown_error_m
-        found[scene] = bench_scene(logged, seconds, report_scene, lio_python)
+        found[scene] = bench_scene(logged, seconds, report_scene, methods)
     return {
         "seed": seed_of,
         "seconds": seconds,
@@ -348,10 +361,10 @@ def summary(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
     sees the scans alone, or scans and IMU, over ``livo`` without camera."""
     methods = [
         name
-        for name in (*ESTIMATORS, *GRIDS, *inertial.METHODS)
+        for name in (*ESTIMATORS, *GRIDS, *METHODS)
         if all(name in figures["error_m"] for figures in found.values())
     ]
-    with_imu = [name for name, facts in inertial.METHODS.items() if facts.imu]
+    with_imu = [name for name, facts in METHODS.items() if facts.imu]
     alone = [name for name in methods if name not in (*ESTIMATORS, *with_imu)]
     return {
         "error_m": {scene: figures["error_m"] for scene, figures in found.items()},
@@ -363,7 +376,7 @@ def summary(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
             name: float(np.mean([figures["cpu_ms"][name] for figures in found.values()]))
             for name in methods
         },
-        "remarks": {name: facts.remarks for name, facts in inertial.METHODS.items()},
+        "remarks": {name: METHODS[name].remarks for name in methods if name in METHODS},
     }
 
 
@@ -374,12 +387,20 @@ def _ratios(found: dict[str, dict[str, Any]], methods: Sequence[str]) -> dict[st
         errors, lost = figures["error_m"], figures["lost_s"]
         known = [method for method in methods if not math.isnan(errors[method])]
         kept = [method for method in known if lost[method] is None] or known
-        if kept:
+        if kept and WITHOUT_CAMERA in errors:
             ratios[scene] = min(errors[method] for method in kept) / errors[WITHOUT_CAMERA]
     if not ratios:
         return {}
     mean = math.exp(float(np.mean([math.log(ratio) for ratio in ratios.values()])))
     return {**ratios, "geometric_mean": mean}
+
+
+def chosen_methods(methods: Sequence[str]) -> Sequence[str]:
+    """These rows of the table, or all where none is named. Raises UsageError for an unknown one."""
+    every = (*ESTIMATORS, *GRIDS, *METHODS)
+    if unknown := [name for name in methods if name not in every]:
+        raise UsageError(f"'{unknown[0]}' is no method; known ones: {', '.join(every)}")
+    return methods or every
 
 
 def seeds_by_scene(scenes: Sequence[str], seeds: Sequence[int]) -> Mapping[str, int]:

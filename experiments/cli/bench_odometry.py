@@ -30,12 +30,10 @@ from touchdown.experiments.terminal import say
     help="Seed of the surveys; once for all scenes, or once for each.",
 )
 @click.option(
-    "--lio-python",
-    type=click.Path(dir_okay=False),
-    default=sys.executable,
-    show_default="this one",
-    metavar="PYTHON",
-    help="Interpreter of the environment that has the methods of the extra lio.",
+    "--method",
+    multiple=True,
+    metavar="NAME",
+    help="Only this row of the table; may be given more than once.  [all]",
 )
 @click.option(
     "--seconds",
@@ -53,7 +51,7 @@ def bench_estimator(
     scenes: tuple[str, ...],
     ablate: bool,
     seed: tuple[int, ...],
-    lio_python: str,
+    method: tuple[str, ...],
     seconds: float | None,
     runs: Path | None,
     as_json: bool,
@@ -64,8 +62,9 @@ def bench_estimator(
     One survey per scene (crossroad, lake, houses and forest unless named) is flown with livo. Its
     log is replayed through livo, zou2024 and the reference implementations, these with the best of
     a grid of settings: KISS-ICP and small_gicp on the scans alone, and those of the extra lio on
-    scans and IMU. With --ablate the log is replayed through livo and zou2024 with one part
-    after the other left out. All of it is open loop.
+    scans and IMU, run by the interpreter that TOUCHDOWN_LIO_PYTHON names. With --ablate the log is
+    replayed through livo and zou2024 with one part after the other left out. All of it is open
+    loop.
 
     Example: touchdown bench estimator crossroad --seconds 20 --runs runs/logged
     """
@@ -83,7 +82,7 @@ def bench_estimator(
             say(text if as_json else ablation_table(table))
             return EXIT_DONE
         figures = usage_errors(
-            lambda: bench.bench_estimator(chosen, report=report, lio_python=lio_python, **where)
+            lambda: bench.bench_estimator(chosen, report=report, methods=method, **where)
         )
     say(json.dumps(figures, indent=2) if as_json else _table(figures))
     return EXIT_DONE

@@ -22,7 +22,6 @@ _FLOWN = {
     "calibration": "--calibration",
     "config_file": "--config",
     "record": "--record",
-    "fault": "--fault",
     "log_sensors": "--log-sensors",
 }
 """Options of the flight itself, without meaning in a replay."""
@@ -52,7 +51,7 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     if out.resolve() != run.resolve():  # `replay` reports that with its own message
         check_log_kept(out, logs=False, force=options["force"])
     with none_left():
-        result = replay(run, config, out, make_progress(quiet))
+        result = replay(run, config, out, make_progress(quiet), options["fault"])
     end_progress(quiet)
     if options["as_json"]:
         click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
@@ -126,12 +125,12 @@ def _checked(name: str, run: Path | None, seconds: float, overrides: tuple[str, 
     build = usage_errors(lambda: _build_function(config))
     rig, observations = logged.sensors.rig, []
     try:
-        needs = build_estimator(config, rig).needs
+        estimator = build_estimator(config, rig)
     except ExternalEstimatorError:
         # It fails before the first observation; the conformance check states the reason.
         return check_estimator(build, rig=rig, params=config.external, seconds=seconds)
-    check_needs(name, needs, logged.sensors)
-    for obs in seen_by(needs, logged.sensors):
+    check_needs(name, estimator, logged.sensors)
+    for obs in seen_by(estimator.needs, logged.sensors):
         observations.append(obs)
         if obs.time_s >= seconds:
             break

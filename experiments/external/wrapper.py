@@ -6,7 +6,7 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
-from touchdown.estimator.api import Estimate
+from touchdown.estimator.api import Estimate, spare_sensors
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.estimate_checks import (
     call,
@@ -44,7 +44,7 @@ class ExternalEstimator:
         reason = wrong_estimator(inner, rig)
         if reason:
             raise self._error(reason)
-        self.needs = inner.needs
+        self.needs, self.spare_sensors = inner.needs, spare_sensors(inner)
         self._update = inner.update
 
     def update(self, obs: Observation) -> Estimate:

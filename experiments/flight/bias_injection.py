@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from touchdown.estimator.api import Estimate, Estimator
+from touchdown.estimator.api import Estimate, Estimator, spare_sensors
 from touchdown.experiments.api import BiasParams
 from touchdown.sim.api import Observation
 from touchdown.sim.frames import Pose
@@ -20,7 +20,7 @@ class BiasedEstimator:
     def __init__(self, inner: Estimator, params: BiasParams) -> None:
         if params.ramp_s <= 0.0:
             raise ValueError(f"bias.ramp_s is {params.ramp_s}; it must be positive")
-        self.needs = inner.needs
+        self.needs, self.spare_sensors = inner.needs, spare_sensors(inner)
         self._inner = inner
         self._bias = np.array([*params.xy_m, 0.0])
         self._ramp_s = params.ramp_s

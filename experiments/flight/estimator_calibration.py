@@ -30,14 +30,15 @@ errors are independent, and there is a corner at which they add"""
 def nominal_rig(rig: SensorRig, config: Config) -> SensorRig:
     """Returns the nominal calibration: ``rig`` with the calibration file
     ``config.calibration``, or else with the errors of ``config.calibration_error``, drawn from the
-    seed; with the errors against the IMU; and with the part of the take-off pose that
-    ``config.start`` makes known.
+    seed; with the errors against the IMU, of readout and lever arms; and with the part of the
+    take-off pose that ``config.start`` makes known.
 
     Without an error against the IMU the mount of the camera on the body is exact, and that of the
     LIDAR follows from it. Raises UsageError for a file that cannot be used.
     """
     errors, start = config.calibration_error, config.start
     content = check_calibration(config)
+    rig = _apart(rig, errors, config.seed)
     if content is None:
         return known_start(erring_rig(rig, errors, config.seed), start)
     camera = content.intrinsics()
@@ -152,6 +153,31 @@ def _lidar_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: int
         return rig
     wrong = _mount_error(rig, rotation, translation, seed, b"lidar")
     return replace(rig, body_from_lidar=wrong(rig.body_from_lidar))
+
+
+def _apart(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
+    """With the errors of the readout and of the lever arms of antenna and rangefinder."""
+    if params.readout_share:
+        stretch = 1.0 + params.readout_share * _draws(seed, b"readout", 1)[0]
+        rig = replace(rig, camera_readout_s=float(rig.camera_readout_s * stretch))
+    if not params.lever_sigma_m:
+        return rig
+    gps, beam = rig.nav.gps, rig.nav.rangefinder
+    levers = [
+        params.lever_sigma_m * _draws(seed, b"lever arm of " + name, 3) + true
+        for name, true in ((b"gps", gps.antenna_body_m), (b"rangefinder", beam.position_body_m))
+    ]
+    antenna, mount = (tuple(lever.tolist()) for lever in levers)
+    nav = replace(
+        rig.nav,
+        gps=replace(gps, antenna_body_m=antenna),
+        rangefinder=replace(beam, position_body_m=mount),
+    )
+    return replace(rig, nav=nav)
+
+
+def _draws(seed: int, name: bytes, count: int) -> Array:
+    return np.random.default_rng([seed, crc32(name)]).standard_normal(count)
 
 
 def _mount_error(

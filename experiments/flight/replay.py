@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, Estimator, ImageThinning
+from touchdown.estimator.api import Estimate, Estimator, ImageThinning, spare_sensors
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.keys import is_external_key
 from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_values
@@ -33,6 +33,8 @@ from touchdown.experiments.io.sensor_log_checks import check_images, damage_repo
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import TumWriter, read_tum
 from touchdown.sim.api import Observation, SensorNeeds
+from touchdown.sim.faults.injector import FaultInjector
+from touchdown.sim.faults.types import WORLD_KINDS
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
 
@@ -136,11 +138,10 @@ def replay_config(
     return config
 
 
-def check_needs(
-    name: str, needs: SensorNeeds, reader: SensorLogReader, spare: tuple[str, ...] = ()
-) -> None:
-    """Raises UsageError naming the sensors that the estimator needs and the log lacks. ``spare``:
+def check_needs(name: str, estimator: Estimator, reader: SensorLogReader) -> None:
+    """Raises UsageError naming the sensors that the estimator needs and the log lacks, but for
     those that it can do without."""
+    needs, spare = estimator.needs, spare_sensors(estimator)
     missing = [
         field.name
         for field in dataclasses.fields(needs)
@@ -214,11 +215,33 @@ def run_estimator(
         yield obs, estimate
 
 
+def replay_faults(config: Config, events: tuple[str, ...], tick_hz: int) -> FaultInjector:
+    """Injects ``events`` into a log beside what the flight went through. Raises UsageError for one
+    that is not understood, or that acts where things are measured."""
+    params = dataclasses.replace(config.faults, events=events)
+    try:
+        schedule = params.schedule()
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    for fault in schedule:
+        if fault.kind in WORLD_KINDS:
+            raise UsageError(
+                f"fault '{fault.text}' acts on what is measured, and the log is of the flight "
+                "without it; fly with it"
+            )
+    return FaultInjector(params, tick_hz)
+
+
 def replay(
-    run: Path, config: Config, out_dir: Path | None = None, progress: Progress | None = None
+    run: Path,
+    config: Config,
+    out_dir: Path | None = None,
+    progress: Progress | None = None,
+    faults: tuple[str, ...] = (),
 ) -> RunResult:
     """Replays ``run`` into the estimator of ``config`` (see `replay_config`); returns the result
-    and, with ``out_dir``, writes a run directory.
+    and, with ``out_dir``, writes a run directory. ``faults``: of the logged messages, such as
+    ``lidar_dropout@20``.
 
     Errors are judged at the rows of the run's ``truth.tum`` (``judged_hz``) between lift-off and
     the end of the survey. ``estimate.tum`` is the same to the byte in every replay; only
@@ -235,14 +258,14 @@ def replay(
             raise UsageError(f"--out {out_dir} is the run that is replayed; name another directory")
     limit_threads()
     estimator = build_estimator(config, logged.sensors.rig)
-    spare = getattr(estimator, "spare_sensors", ())
-    check_needs(config.estimator, estimator.needs, logged.sensors, spare)
+    check_needs(config.estimator, estimator, logged.sensors)
+    injector = replay_faults(config, faults, logged.sensors.rig.tick_hz)
     if out_dir is None:
-        return _replay(logged, estimator, config, None, progress)
+        return _replay(logged, estimator, config, None, progress, injector)
     with run_directory(out_dir) as partial:
         writer = TumWriter(partial / "estimate.tum")
         try:
-            result = _replay(logged, estimator, config, writer, progress)
+            result = _replay(logged, estimator, config, writer, progress, injector)
         finally:
             writer.close()
         shutil.copy(run / "truth.tum", partial / "truth.tum")
@@ -257,11 +280,12 @@ def _replay(
     config: Config,
     writer: TumWriter | None,
     progress: Progress | None,
+    injector: FaultInjector,
 ) -> RunResult:
     error, consistency = PositioningError(), Consistency()
     clock, started = CpuClock(), time.perf_counter()
     outcome, reason, last_s = Outcome.COMPLETED, "", 0.0
-    observations = seen_by(estimator.needs, logged.sensors)
+    observations = map(injector.apply, seen_by(estimator.needs, logged.sensors))
     for obs, estimate in _estimates(estimator, observations, clock, logged):
         true = logged.truth.get(obs.tick)
         if true is None:
@@ -284,7 +308,7 @@ def _replay(
     wall_s = time.perf_counter() - started
     scans = max(last_s / 0.1, 1e-9)
     return _result(
-        logged, config, outcome, reason, error, consistency,
+        logged, config, outcome, reason, error, consistency, injector.summary(),
         timing=Timing(
             wall_s=wall_s,
             sim_s=last_s,
@@ -325,6 +349,7 @@ def _result(
     reason: str,
     error: PositioningError,
     consistency: Consistency,
+    faults: list[dict[str, Any]],
     timing: Timing,
 ) -> RunResult:
     code: dict[str, Any] = dict(flown_code(config.estimator))
@@ -341,6 +366,7 @@ def _result(
         judged_hz=logged_hz(logged),
         position_error_m=error.summary(),
         nees=consistency.summary(),
+        faults=faults,
         landing=None,
         timing=timing,
         versions=versions(),

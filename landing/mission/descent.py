@@ -141,8 +141,25 @@ def _commit(mission: Mission) -> None:
     mission.committed_site_world = mission.world(mission.site_odom)
 
 
+class _Drift:
+    """Whether nothing measures the horizontal position any more: its variance has grown by more
+    than ``growth_m`` squared. Stays true."""
+
+    def __init__(self, growth_m: float) -> None:
+        self._growth, self._least, self.found = growth_m**2, np.inf, False
+
+    def update(self, covariance: Array) -> bool:
+        variance = float(np.linalg.eigvalsh(covariance[:2, :2])[1])
+        self._least = min(self._least, variance)
+        self.found = self.found or variance > self._least + self._growth
+        return self.found
+
+
 def final_descent(mission: Mission) -> Steps:
-    """Descends until ground contact is detected, then stops the motors."""
+    """Descends until ground contact is detected, then stops the motors.
+
+    Near the ground LIDAR and, in the dark, camera see nothing. Once the estimate drifts, the
+    vehicle sinks no slower than at ``drift_speed_mps``: less time is left to drift in."""
     mission.phase = Phase.DESCEND
     mission.final = True
     assert mission.site_odom is not None
@@ -157,18 +174,27 @@ def final_descent(mission: Mission) -> Steps:
         max_accel=params.final_accel_mps2,
     )
     detector = TouchdownDetector(mission.rig)
+    drift = _Drift(params.drift_growth_m)
     start, before, correction = mission.now, mission.now, 0.0
     wanted, version = 0.0, -1
+    path_s, rate = 0.0, 1.0
     offset = here[:2] - mission.site_odom[:2]
     while True:
-        position, velocity, acceleration = path.sample(mission.now - start)
+        step = mission.now - before
+        path_s += rate * step
+        position, velocity, acceleration = path.sample(path_s)
+        if drift.update(mission.estimate.position_covariance):
+            sinking = max(-float(velocity[2]), 1e-3)
+            faster = rate + params.final_accel_mps2 * step / sinking
+            rate = min(max(params.drift_speed_mps / sinking, 1.0), faster)
+            velocity = rate * velocity
         legs_above = mission.position_odom[2] - mission.leg_height - ground - correction
         if legs_above > _FREEZE_ABOVE_M:
             if mission.map_view.version != version:
                 version = mission.map_view.version
                 seen = ground_under(mission.map_view, mission.site_odom)
                 wanted = seen - ground if np.isfinite(seen) else correction
-            limit = _GROUND_RATE_MPS * (mission.now - before)
+            limit = _GROUND_RATE_MPS * step
             correction += float(np.clip(wanted - correction, -limit, limit))
         before = mission.now
         fade = float(np.exp(-(mission.now - start)))

@@ -11,7 +11,7 @@ import json
 import os
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -19,6 +19,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.experiments.benchmarks.inertial.methods import METHODS
 from touchdown.experiments.errors import UsageError
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
 
@@ -34,35 +35,6 @@ MOST_WAITING_S = 6.0
 BEFORE_SURVEY_S = 0.5
 """IMU samples before the first scan of a start at the survey."""
 _COLUMNS = 9
-
-
-@dataclass(frozen=True, slots=True)
-class Method:
-    """A method by its package, with what it lacks or asks for and the grid of its settings, of
-    which all combinations run. ``start``: ``rest`` gives it the IMU from the beginning of the log,
-    on the ground, and the scans that have returns; ``survey`` begins at the height of the survey.
-    All other settings are the defaults of the package."""
-
-    package: str
-    imu: bool
-    remarks: str
-    grid: Mapping[str, tuple[Any, ...]]
-
-
-METHODS: dict[str, Method] = {
-    "rko_lio": Method(
-        "rko-lio",
-        True,
-        "no camera, no intensity; takes its first two scans for a time at rest, or the start for "
-        "level",
-        {
-            "start": ("rest", "survey"),
-            "voxel_size": (0.5, 1.0),
-            "initialization_phase": (False, True),
-            "double_downsample": (True, False),
-        },
-    ),
-}
 
 
 @dataclass(slots=True)
@@ -87,7 +59,9 @@ def installed(python: str) -> dict[str, str]:
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
         found: dict[str, str] = json.loads(done.stdout)
     except (OSError, subprocess.SubprocessError, ValueError) as error:
-        raise UsageError(f"--lio-python '{python}' is no Python interpreter with numpy") from error
+        raise UsageError(
+            f"TOUCHDOWN_LIO_PYTHON: '{python}' is no Python interpreter with numpy"
+        ) from error
     return found
 
 
@@ -98,10 +72,10 @@ def missing_line(method: str) -> str:
 
 
 def settings(method: str) -> Iterator[dict[str, Any]]:
-    """Yields all combinations of a method's grid."""
-    grid = METHODS[method].grid
-    for values in itertools.product(*grid.values()):
-        yield dict(zip(grid, values, strict=True))
+    """Yields all combinations of each of a method's grids."""
+    for grid in METHODS[method].grids:
+        for values in itertools.product(*grid.values()):
+            yield dict(zip(grid, values, strict=True))
 
 
 def run_setting(

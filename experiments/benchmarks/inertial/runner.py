@@ -226,15 +226,18 @@ _POINT = np.dtype(
 
 class Evalio:
     """A pipeline of evalio (Potokar 2025) by its class; poses are those of the IMU. A scan is a
-    grid, one row a laser with its pulses without return, as methods with features expect."""
+    grid, one row a laser with its pulses without return, as methods with features expect. Poses
+    are stamped with the start of a scan, and are those of ``late`` of its duration later, or of
+    its end where a constant velocity undistorts it."""
 
-    def __init__(self, pipeline: str, log: Log, setting: dict[str, Any]) -> None:
+    def __init__(self, pipeline: str, late: float, log: Log, setting: dict[str, Any]) -> None:
         from evalio import types
         from evalio._cpp import helpers, pipelines
 
         self._types, self._helpers, self._lasers = types, helpers, log.lasers
         self._pipeline = getattr(pipelines, pipeline)()
-        unknown = self._pipeline.set_params(setting)
+        # CT-ICP has no valid values of its own before its defaults are set.
+        unknown = self._pipeline.set_params(self._pipeline.default_params() | setting)
         if unknown:
             raise ValueError(f"{pipeline} has no {', '.join(unknown)}")
         gyro, accel, gyro_walk, accel_walk = log.imu_noise.tolist()
@@ -252,6 +255,8 @@ class Evalio:
         self._pipeline.set_imu_T_lidar(types.SE3.from_mat(log.imu_from_lidar))
         self._pipeline.initialize()
         self._imu_from_body = np.linalg.inv(log.body_from_imu)
+        undistorted = pipeline != "DLIO" and setting.get("deskew", False)
+        self._late_s = log.scan_s * (1.0 if undistorted else late)
 
     def prepare(self, scan: Scan) -> Any:
         cloud = np.zeros((self._lasers, len(scan.points) // self._lasers), _POINT)
@@ -289,7 +294,7 @@ class Evalio:
     def scan(self, prepared: Any) -> Poses:
         self._pipeline.add_lidar(prepared)
         return [
-            (stamp.to_sec(), pose.to_mat() @ self._imu_from_body)
+            (stamp.to_sec() + self._late_s, pose.to_mat() @ self._imu_from_body)
             for stamp, pose in self._pipeline.saved_estimates()
         ]
 
@@ -298,12 +303,12 @@ METHODS: dict[str, Callable[[Log, dict[str, Any]], Method]] = {
     "rko_lio": RkoLio,
     "genz_lio": GenzLio,
     "se3_lio": Se3Lio,
-    "lio_sam": partial(Evalio, "LioSAM"),
-    "dlio": partial(Evalio, "DLIO"),
-    "loam": partial(Evalio, "LOAM"),
-    "ct_icp": partial(Evalio, "CTICP"),
-    "mad_icp": partial(Evalio, "MadICP"),
-    "genz_icp": partial(Evalio, "GenZICP"),
+    "lio_sam": partial(Evalio, "LioSAM", -1.5),
+    "dlio": partial(Evalio, "DLIO", 0.5),
+    "loam": partial(Evalio, "LOAM", 0.5),
+    "ct_icp": partial(Evalio, "CTICP", 0.0),
+    "mad_icp": partial(Evalio, "MadICP", 0.5),
+    "genz_icp": partial(Evalio, "GenZICP", 0.5),
 }
 
 

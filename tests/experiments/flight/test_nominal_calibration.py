@@ -133,6 +133,30 @@ def test_calibration_file_says_the_pair_and_both_err_against_the_imu(tmp_path: P
     assert not np.allclose(nominal.body_from_camera.matrix(), rig.body_from_camera.matrix())
 
 
+def test_readout_and_lever_arms_err_by_their_sigmas() -> None:
+    """Each by itself, drawn from the seed."""
+    rig = replace(make_rig(), camera_readout_s=0.015)
+    params = CalibrationErrorParams(readout_share=0.01, lever_sigma_m=0.005)
+    config = load_config().model_copy(update={"calibration_error": params})
+    found = [nominal_rig(rig, config.model_copy(update={"seed": seed})) for seed in range(400)]
+    off = np.array(
+        [
+            [
+                0.5 * (nominal.camera_readout_s / 0.015 - 1.0),
+                *np.subtract(nominal.nav.gps.antenna_body_m, rig.nav.gps.antenna_body_m),
+                *np.subtract(
+                    nominal.nav.rangefinder.position_body_m, rig.nav.rangefinder.position_body_m
+                ),
+            ]
+            for nominal in found
+        ]
+    )
+    np.testing.assert_allclose(off.std(axis=0), 0.005, rtol=0.15)
+    assert np.abs(np.corrcoef(off.T) - np.eye(7)).max() < 0.2
+    exact = nominal_rig(rig, load_config())
+    assert exact.nav == rig.nav and exact.camera_readout_s == rig.camera_readout_s
+
+
 def test_the_start_may_be_known_by_heading_only() -> None:
     tilted = so3_exp(np.array([0.0, 0.0, 0.8])) @ so3_exp(np.array([0.05, -0.03, 0.0]))
     start = Pose(tilted, np.array([1.0, 2.0, 3.0]))

@@ -141,6 +141,33 @@ def test_an_estimator_sees_what_its_own_flight_would_show(tmp_path: Path) -> Non
     assert sum(len(o.imu) for o in blind) == 140
 
 
+def test_a_log_may_lack_what_an_estimator_spares(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = _still(tmp_path, monkeypatch, "sparing", "gps=True")
+    for overrides in ((), ("bias.xy_m=[0.5, 0.0]",)):
+        with pytest.raises(UsageError, match="lacks what sparing:build needs: gps"):
+            replay(run, replay_config(run, name, overrides))
+    monkeypatch.setattr("sparing.Still.spare_sensors", ("gps",), raising=False)
+    for overrides in ((), ("bias.xy_m=[0.5, 0.0]",)):
+        assert replay(run, replay_config(run, name, overrides)).outcome == "COMPLETED"
+
+
+def test_faults_befall_the_messages_of_a_log(run: Path, tmp_path: Path, run_cli: RunCli) -> None:
+    faults = ["--fault", "lidar_dropout@0", "--fault", "camera_black@0*2"]
+    code, printed, err = run_cli(
+        "fly", "--replay", run, "--out", tmp_path / "out", "--json", "--quiet", *faults
+    )
+    scans, images = json.loads(printed)["faults"]
+    assert code == 0 and err == ""
+    assert scans["messages"] == scans["came"] and scans["came"]["scans"] > 2
+    assert images["messages"] == {"images": 2} and images["came"]["images"] > 2
+    usual = replay(run, replay_config(run), tmp_path / "usual")
+    assert usual.faults == []
+    found = ((tmp_path / name / "estimate.tum").read_bytes() for name in ("out", "usual"))
+    assert len(set(found)) == 2
+
+
 @pytest.mark.parametrize(("arguments", "words"), [
     (["--estimator", "stereo"], "lacks what stereo needs: stereo"),
     (["--estimator", "gps"], "lacks what gps needs: gps, barometer, magnetometer"),
@@ -152,6 +179,8 @@ def test_an_estimator_sees_what_its_own_flight_would_show(tmp_path: Path) -> Non
     (["--light", "night"], "--light does not go with --replay"),
     (["--log-sensors"], "--log-sensors does not go with --replay"),
     (["--set", "wind.mean_kmh=3"], "the flight is over"),
+    (["--fault", "fog@0"], "fault 'fog@0' acts on what is measured"),
+    (["--fault", "lidar_gone@0"], "unknown fault 'lidar_gone'"),
 ])  # fmt: skip
 def test_refusals_are_one_line(
     run: Path, tmp_path: Path, arguments: list[str], words: str, run_cli: RunCli

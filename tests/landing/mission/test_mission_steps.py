@@ -47,7 +47,8 @@ RUBBLE = fine(np.random.default_rng(5).uniform(0.0, 0.6, (240, 240)))
 
 class Stage:
     """A mission in the air whose vehicle is where its setpoint is. ``maps`` gives the fine map and
-    the version by the height of the legs; rotors carry ``carried`` of the weight."""
+    the version by the height of the legs; rotors carry ``carried`` of the weight; ``spread`` is the
+    variance of the estimated position."""
 
     def __init__(self, position: Array, yaw: float = 0.0, **params: Any) -> None:
         rig = landing_support.make_rig()
@@ -60,6 +61,7 @@ class Stage:
         self.world_from_odom = Pose.identity()
         self.tick, self.battery = 0, 1.0
         self.carried: Callable[[float], float] = lambda legs: 1.0
+        self.spread: Callable[[float], float] = lambda legs: 1e-4
         self.result: Any = None
         self.mission.obs = landing_support.make_obs(0)
         self.feed()
@@ -79,7 +81,10 @@ class Stage:
         estimate = landing_support.make_estimate(
             self.tick, Pose(np.eye(3), self.position), np.zeros(3) if velocity is None else velocity
         )
-        estimate = dataclasses.replace(estimate, world_from_odom=self.world_from_odom)
+        estimate = dataclasses.replace(
+            estimate, world_from_odom=self.world_from_odom,
+            position_covariance=self.spread(legs) * np.eye(3),
+        )  # fmt: skip
         view: MapView = dataclasses.replace(landing_support.view_of(COARSE, grid), version=version)
         self.mission.update(obs, estimate, view)
 
@@ -192,6 +197,28 @@ def test_final_descent_follows_the_ground_slowly_and_not_near_it() -> None:
     aside = path[:, 0] - SITE[0]
     np.testing.assert_allclose(aside, 0.5 * np.exp(-STEP_S * np.arange(len(path))), atol=1e-6)
     assert path[-1, 2] - landing_support.LEG_HEIGHT == pytest.approx(0.15, abs=0.1)
+
+
+def test_a_drifting_estimate_is_brought_down_faster() -> None:
+    """The variance grows below 0.15 m. Nothing changes above, nor where it grows by less than the
+    limit; then the speed rises with the final acceleration to 0.3 m/s and stays there."""
+    params, found = LandingParams(), {}
+    for sigma in (0.02, 0.05):
+        stage = Stage(SITE + [0.0, 0.0, 4.0 + landing_support.LEG_HEIGHT])
+        stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
+        stage.spread = lambda legs, sigma=sigma: 1e-4 + (sigma**2 if legs < 0.15 else 0.0)
+        setpoints = stage.run(final_descent(stage.mission))
+        flown = [s for s in setpoints if s.thrust_limit is None and s.motors_on]
+        found[sigma] = np.array([(s.position_odom[2], s.velocity_odom[2]) for s in flown])
+    usual, hurried = found[0.02], found[0.05]
+    assert usual[-1, 1] == pytest.approx(-params.touchdown_speed_mps, abs=1e-6)
+    same = usual[:, 0] - landing_support.LEG_HEIGHT > 0.151
+    np.testing.assert_array_equal(hurried[: same.sum()], usual[same])
+    gained = np.diff(hurried[same.sum() :, 1]) / STEP_S
+    assert gained.min() == pytest.approx(-params.final_accel_mps2, abs=1e-3)
+    last = hurried[hurried[:, 0] - landing_support.LEG_HEIGHT < 0.02]
+    np.testing.assert_allclose(last[:, 1], -params.drift_speed_mps, atol=1e-6)
+    np.testing.assert_allclose(np.diff(last[:, 0]) / STEP_S, -params.drift_speed_mps, atol=1e-3)
 
 
 def test_a_missing_weight_high_above_the_ground_is_no_touchdown() -> None:
