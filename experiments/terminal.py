@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from touchdown.experiments.errors import visible
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 
 _UNCUT = 4000
@@ -55,6 +56,17 @@ def make_console(*, stderr: bool = False) -> Console:
 
     width = None if stderr or sys.stdout.isatty() else _UNCUT
     return LiteralConsole(stderr=stderr, highlight=False, markup=False, emoji=False, width=width)
+
+
+def make_table(title: str, *headings: str, left: Collection[str] = ()) -> Table:
+    """With its title and first column on the left, and others but ``left`` on the right."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for number, heading in enumerate(headings):
+        right = number and heading not in left
+        table.add_column(heading, justify="right" if right else "left", no_wrap=True)
+    return table
 
 
 def make_notes(quiet: bool) -> Callable[[str], None]:

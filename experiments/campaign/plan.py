@@ -38,13 +38,13 @@ _OWN_KEYS = {
 MOST_RUNS = 100_000
 """of one campaign: its plan is one file"""
 
-_STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class Limits(BaseModel):
+class Limits(_Strict):
     """Limits of one run; beyond them it is ended and recorded as crashed."""
-
-    model_config = _STRICT
 
     run_timeout_s: float = Field(default=1800.0, gt=0)
     """wall time"""
@@ -54,27 +54,21 @@ class Limits(BaseModel):
     """more attempts at a run that crashed; an outcome, however bad, is never retried"""
 
 
-class Override(BaseModel):
+class Override(_Strict):
     """Keys for some of the runs: those whose axes have one of the values in ``when``."""
-
-    model_config = _STRICT
 
     when: dict[str, Any]
     set: dict[str, Any]
 
 
-class Skip(BaseModel):
+class Skip(_Strict):
     """Runs that are not flown: those whose axes have one of the values in ``when``."""
-
-    model_config = _STRICT
 
     when: dict[str, Any]
 
 
-class Expect(BaseModel):
+class Expect(_Strict):
     """The expected results of the runs in ``when``; of all runs without it."""
-
-    model_config = _STRICT
 
     name: str = ""
     when: dict[str, Any] = Field(default_factory=dict)
@@ -100,10 +94,8 @@ BOUNDS = ("at_most", "mean_at_most", "mean_at_least")
 """Fields of ``Expect`` that bound columns of the results."""
 
 
-class CampaignFile(BaseModel):
+class CampaignFile(_Strict):
     """The schema of a campaign's TOML file."""
-
-    model_config = _STRICT
 
     name: str = Field(min_length=1)
     mode: Literal["fly", "land"] = "fly"

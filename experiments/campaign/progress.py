@@ -18,7 +18,7 @@ from touchdown.experiments.campaign.executor import Event
 from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.campaign.worker import Task
 from touchdown.experiments.errors import visible
-from touchdown.experiments.terminal import make_console
+from touchdown.experiments.terminal import make_console, make_table
 
 
 class TimeLeft:
@@ -157,10 +157,9 @@ def _cost_table(estimators: Mapping[str, Any]) -> Table:
     """Table of the mean cost of a run, with four stages and the rest; `--json` has all stages."""
     shown = ("set_up", "world", "estimator", "mapper")
     title = "a run on average, and where its time went"
-    table = Table(title=title, title_justify="left", box=None)
-    table.add_column("estimator", no_wrap=True)
-    for title in ("runs", "wall s", "cpu s", "set-up", "sensors", "estimator", "mapper", "rest"):
-        table.add_column(title, justify="right", no_wrap=True)
+    heads = ("runs", "wall s", "cpu s", "set-up", "sensors", "estimator", "mapper", "rest")
+    table = make_table(title, "estimator", *heads)
+    table.box = None
     for name, cost in estimators.items():
         runs = max(1, cost["runs"])
         shares = [cost["stage_share"].get(stage, 0.0) for stage in shown]

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, SEED, CommandGroup
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    JSON,
+    PATH,
+    QUIET,
+    SEED,
+    CommandGroup,
+    answer,
+)
 from touchdown.experiments.cli.console import print_overhead, print_stages
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import end_progress, make_progress, say
@@ -30,8 +40,8 @@ def bench() -> int:
 @click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
 @click.option("--ratio/--no-ratio", default=True, help="Measure the ratios as well.  [ratio]")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@JSON
+@QUIET
 def bench_loop(
     scene: str, estimator: str, seed: int, full: bool, ratio: bool, as_json: bool, quiet: bool
 ) -> int:
@@ -84,10 +94,8 @@ def bench_loop(
 @click.option("--runs", type=click.IntRange(2, 240), default=6, show_default=True,
               help="Flights of each campaign.")  # fmt: skip
 @click.option("--rounds", type=click.IntRange(1, 100), default=1, show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def bench_scaling_command(
-    scene: str, estimator: str, workers: int, runs: int, rounds: int, as_json: bool
-) -> int:
+@JSON
+def bench_scaling_command(as_json: bool, **options: Any) -> int:
     """Fly the same campaign of short landings with one single-threaded worker and with several.
 
     ratio.one is the throughput of all workers divided by that of one, start-up included.
@@ -96,21 +104,11 @@ def bench_scaling_command(
     """
     from touchdown.experiments.benchmarks.scaling import measure_scaling
 
-    figures = usage_errors(
-        lambda: measure_scaling(
-            scene=scene,
-            estimator=estimator,
-            workers=workers,
-            runs=runs,
-            rounds=rounds,
-            report=lambda line: say(line, err=as_json),
-        )
-    )
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-    else:
-        click.echo(f"ratio.one {figures['ratio']['one']:.2f} with {workers} workers")
-    return EXIT_DONE
+    def show(figures: dict[str, Any]) -> None:
+        click.echo(f"ratio.one {figures['ratio']['one']:.2f} with {options['workers']} workers")
+
+    report = partial(say, err=as_json)
+    return answer(usage_errors(lambda: measure_scaling(report=report, **options)), as_json, show)
 
 
 @bench.command("lidar")
@@ -118,22 +116,20 @@ def bench_scaling_command(
 @click.option("--preset", default="horizon", show_default=True, help="horizon, avia or mid360.")
 @click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--rounds", type=click.IntRange(1, 100), default=7, show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) -> int:
+@JSON
+def bench_lidar(as_json: bool, **options: Any) -> int:
     """Measure rays per second of the LIDAR sensor and of bare ray casters, one thread each.
 
     Example: touchdown bench lidar --json
     """
     from touchdown.experiments.benchmarks.lidar import bench_lidar as measure
 
-    figures = usage_errors(lambda: measure(scene=scene, seed=seed, preset=preset, rounds=rounds))
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-    else:
+    def show(figures: dict[str, Any]) -> None:
         for name, rate in figures["rays_per_s"].items():
             beside = f"  sensor {figures['ratio'][name]:.2f}x" if name in figures["ratio"] else ""
             click.echo(f"{name:13} {rate / 1e6:7.2f} million rays/s{beside}")
-    return EXIT_DONE
+
+    return answer(usage_errors(lambda: measure(**options)), as_json, show)
 
 
 @bench.command("landing")
@@ -141,20 +137,12 @@ def bench_lidar(scene: str, preset: str, seed: int, rounds: int, as_json: bool) 
 @click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--rounds", type=click.IntRange(1, 100), default=9, show_default=True)
 @click.option("--reference/--no-reference", default=True, help="Time the reference code too.")
-@click.option("--network", type=click.Path(path_type=Path), default=None,
+@click.option("--network", type=PATH, default=None,
               help="Ground classifier (ONNX).  [the one that comes with touchdown]")  # fmt: skip
 @click.option("--threads", type=click.IntRange(1, 1024), default=2, show_default=True,
               help="Processor threads of the network.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def bench_landing(
-    scene: str,
-    seed: int,
-    rounds: int,
-    reference: bool,
-    network: Path | None,
-    threads: int,
-    as_json: bool,
-) -> int:
+@JSON
+def bench_landing(reference: bool, threads: int, as_json: bool, **options: Any) -> int:
     """Time each step of site selection on the map of a whole survey, in milliseconds (Table 7 of
     the paper), beside the same steps by Open3D, SciPy and scikit-image, one thread each.
 
@@ -165,16 +153,7 @@ def bench_landing(
     """
     from touchdown.experiments.benchmarks.selection.timing import bench_landing as measure
 
-    figures = usage_errors(
-        lambda: measure(
-            scene=scene,
-            seed=seed,
-            rounds=rounds,
-            reference=reference,
-            network=network,
-            threads=threads,
-        )
-    )
+    figures = usage_errors(lambda: measure(reference=reference, threads=threads, **options))
     if as_json:
         click.echo(json.dumps(figures, indent=2))
         return EXIT_DONE
@@ -197,20 +176,11 @@ def bench_landing(
 @click.option("--selector", type=click.Choice(["risk", "zou2024"]), default=None, help="  [risk]")
 @click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
 @click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these maps.")
-@click.option("--pictures", type=click.Path(path_type=Path), default=None, metavar="DIR",
+@click.option("--pictures", type=PATH, default=None, metavar="DIR",
               help="Draw the steps to each site (Fig. 11 of the paper) into DIR.")  # fmt: skip
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def bench_selector(
-    scenes: tuple[str, ...],
-    seeds: str,
-    selector: str | None,
-    jobs: int,
-    fit_model: bool,
-    pictures: Path | None,
-    overrides: tuple[str, ...],
-    as_json: bool,
-) -> int:
+@JSON
+def bench_selector(scenes: tuple[str, ...], as_json: bool, **options: Any) -> int:
     """Choose sites without flying and compare them with the true maps: precision, recall, regret
     and calibration. The sensors take the planned poses of the survey without a flight. SCENES: by
     default all scenes but flat and open_water.
@@ -222,20 +192,11 @@ def bench_selector(
     figures = usage_errors(
         lambda: selector_check.run(
             scenes or selector_check.SCENES,
-            seeds=seeds,
-            selector=selector,
-            jobs=jobs,
-            fit_model=fit_model,
-            overrides=overrides,
             report=lambda result: say(selector_check.row(result), err=as_json),
-            pictures=pictures,
+            **options,
         )
     )
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-    else:
-        say(selector_check.text(figures))
-    return EXIT_DONE
+    return answer(figures, as_json, lambda figures: say(selector_check.text(figures)))
 
 
 @bench.command("endurance")
@@ -244,18 +205,11 @@ def bench_selector(
 @click.option("--seeds", default="0-1", show_default=True, help="Such as 0-4 or 100,101.")
 @click.option("--minutes", type=click.IntRange(2, 1440), default=5, show_default=True)
 @click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
-@click.option("--plot", type=click.Path(path_type=Path), default=None, help="PNG or JPG.")
+@click.option("--plot", type=PATH, default=None, help="PNG or JPG.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def bench_endurance(
-    scenes: tuple[str, ...],
-    estimator: str,
-    seeds: str,
-    minutes: int,
-    jobs: int,
-    plot: Path | None,
-    overrides: tuple[str, ...],
-    as_json: bool,
+    scenes: tuple[str, ...], seeds: str, jobs: int, plot: Path | None, as_json: bool, **options: Any
 ) -> int:
     """Fly long surveys: position error, time per scan (of the estimator and of the whole process)
     and memory in each minute. SCENES: by default crossroad, lake, houses and forest.
@@ -267,9 +221,7 @@ def bench_endurance(
 
     def run() -> list[dict[str, Any]]:
         configs = [
-            endurance.endurance_config(
-                scene=scene, estimator=estimator, seed=seed, minutes=minutes, overrides=overrides
-            )
+            endurance.endurance_config(scene=scene, seed=seed, **options)
             for scene in scenes or ("crossroad", "lake", "houses", "forest")
             for seed in parse_seeds(seeds, "--seeds")
         ]
@@ -280,10 +232,7 @@ def bench_endurance(
             endurance.plot(flights, plot)
         return flights
 
-    flights = usage_errors(run)
-    if as_json:
-        click.echo(json.dumps({"flights": flights}, indent=2))
-    return EXIT_DONE
+    return answer({"flights": usage_errors(run)}, as_json, lambda _flights: None)
 
 
 def _usage_errors_until_airborne(

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, SEED
+from touchdown.experiments.cli.common import JSON, PATH, SEED, answer
 from touchdown.experiments.errors import UsageError, usage_errors
 from touchdown.experiments.terminal import say
 
@@ -18,7 +18,7 @@ ROUNDS = click.IntRange(1, 100)
 
 @click.command("all")
 @click.option("--rounds", type=ROUNDS, default=1, show_default=True, help="Medians are printed.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def bench_all(rounds: int, as_json: bool) -> int:
     """Measure what a flight costs: two landings as a worker flies them, the real-time factor with
     recording, the LIDAR beside other ray casters, the choice of a site.
@@ -31,10 +31,10 @@ def bench_all(rounds: int, as_json: bool) -> int:
 
 
 @click.command("compare")
-@click.argument("a", type=click.Path(path_type=Path))
-@click.argument("b", type=click.Path(path_type=Path))
+@click.argument("a", type=PATH)
+@click.argument("b", type=PATH)
 @click.option("--rounds", type=ROUNDS, default=1, show_default=True, help="Medians are printed.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def bench_compare(a: Path, b: Path, rounds: int, as_json: bool) -> int:
     """Run the measures of `bench all` on the checkouts A and B in turns, in this environment.
 
@@ -51,19 +51,10 @@ def bench_compare(a: Path, b: Path, rounds: int, as_json: bool) -> int:
 @click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
 @click.option("--stage", "more", multiple=True, metavar="MODULE:NAME",
               help="Another function as a stage of its own; repeatable.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="DIR",
+@click.option("--out", type=PATH, default=None, metavar="DIR",
               help="Write stages.json and, with py-spy, flame.svg there.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def bench_profile(
-    scene: str,
-    estimator: str,
-    profile: str,
-    seed: int,
-    full: bool,
-    more: tuple[str, ...],
-    out: Path | None,
-    as_json: bool,
-) -> int:
+@JSON
+def bench_profile(more: tuple[str, ...], out: Path | None, as_json: bool, **chosen: Any) -> int:
     """Fly once on one core, without recording: the processor time of each stage, and a flame graph.
 
     The time of a stage is without that of the stages that it calls. The flame graph needs py-spy
@@ -72,10 +63,6 @@ def bench_profile(
     Example: touchdown bench profile forest --out profile
     """
     from touchdown.experiments.benchmarks import flight_profile
-
-    chosen: dict[str, Any] = {
-        "scene": scene, "estimator": estimator, "profile": profile, "seed": seed, "full": full,
-    }  # fmt: skip
 
     def measure() -> dict[str, Any]:
         config = flight_profile.profile_config(**chosen)
@@ -86,8 +73,10 @@ def bench_profile(
             if out.exists() and not out.is_dir():
                 raise UsageError(f"--out '{out}' is a file: name a directory")
             out.mkdir(parents=True, exist_ok=True)
-            again = [scene, "--estimator", estimator, "--profile", profile, "--seed", str(seed)]
-            again += [*(["--full"] if full else []), *(f"--stage={place}" for place in more)]
+            again = [chosen["scene"]]
+            for name in ("estimator", "profile", "seed"):
+                again += [f"--{name}", str(chosen[name])]
+            again += [*(["--full"] if chosen["full"] else []), *(f"--stage={p}" for p in more)]
             figures = flight_profile.profile_with_flames(again, out / "flame.svg")
             if figures is None:
                 say("no flame graph: py-spy is not installed (pip install py-spy)", err=True)
@@ -96,9 +85,7 @@ def bench_profile(
             (out / "stages.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
         return figures
 
-    figures = usage_errors(measure)
-    click.echo(json.dumps(figures, indent=2) if as_json else flight_profile.table(figures))
-    return EXIT_DONE
+    return answer(usage_errors(measure), as_json, lambda found: say(flight_profile.table(found)))
 
 
 def _measure(trees: Sequence[Path], rounds: int, as_json: bool) -> int:
@@ -116,9 +103,7 @@ def _measure(trees: Sequence[Path], rounds: int, as_json: bool) -> int:
                 click.echo(_line(one))
 
     usage_errors(run)
-    if as_json:
-        click.echo(json.dumps(as_plain(found), indent=2))
-    return EXIT_DONE
+    return answer(as_plain(found), as_json, lambda _figures: None)
 
 
 def as_plain(found: Sequence[Any]) -> dict[str, Any]:

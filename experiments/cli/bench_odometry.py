@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, SEED, Number
+from touchdown.experiments.cli.common import EXIT_DONE, JSON, PATH, QUIET, SEED, Number, answer
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import say
 
@@ -43,11 +43,11 @@ from touchdown.experiments.terminal import say
 )
 @click.option(
     "--runs",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Keep the logged surveys here, and use those that are there.  [a temporary folder]",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@JSON
+@QUIET
 def bench_estimator(
     scenes: tuple[str, ...],
     ablate: bool,
@@ -136,11 +136,11 @@ def _error(error_m: float, lost_s: float | None) -> str:
 
 
 @click.command("imu")
-@click.option("--data", type=click.Path(path_type=Path), required=True, metavar="DIR",
+@click.option("--data", type=PATH, required=True, metavar="DIR",
               help="Recorded flights of Hurwitz and Klein (2023).")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="DIR",
+@click.option("--out", type=PATH, default=None, metavar="DIR",
               help="Draw imu_spectra.png there.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def bench_imu(data: Path, out: Path | None, as_json: bool) -> int:
     """Compare the vibration of the simulated IMU with that of recorded flights, band by band, and
     fit the levels of its model to them.
@@ -150,19 +150,16 @@ def bench_imu(data: Path, out: Path | None, as_json: bool) -> int:
     from touchdown.experiments.benchmarks import imu_spectra
 
     found = usage_errors(lambda: imu_spectra.measure(data, out))
-    if as_json:
-        click.echo(json.dumps({name: array.tolist() for name, array in found.items()}, indent=2))
-    else:
-        click.echo("\n".join(imu_spectra.rows(found)))
-    return EXIT_DONE
+    plain = {name: array.tolist() for name, array in found.items()}
+    return answer(plain, as_json, lambda _: say("\n".join(imu_spectra.rows(found))))
 
 
 @click.command("limit")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, required=True, type=PATH)
 @click.option("--replay/--no-replay", "replays", default=True,
               help="Replay livo on the same logs.  [replay]")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@JSON
+@QUIET
 def bench_limit(runs: tuple[Path, ...], replays: bool, as_json: bool, quiet: bool) -> int:
     """Print the Cramér-Rao bound of the position error of logged surveys, by sets of sensors, and
     the error of livo on the same logs.
@@ -176,6 +173,4 @@ def bench_limit(runs: tuple[Path, ...], replays: bool, as_json: bool, quiet: boo
 
     report = _quiet if quiet else _to_stderr
     figures = usage_errors(lambda: [survey.measure(run, replays, report) for run in runs])
-    text = json.dumps({"runs": figures}, indent=2) if as_json else survey.table(figures)
-    say(text)
-    return EXIT_DONE
+    return answer({"runs": figures}, as_json, lambda _: say(survey.table(figures)))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, SEED
+from touchdown.experiments.cli.common import PATH, QUIET, SEED, answer
 from touchdown.experiments.cli.console import print_calibration
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import make_notes
@@ -18,13 +17,13 @@ from touchdown.experiments.terminal import make_notes
 @click.option("--seed", type=SEED, help="Varies the poses, the room and all noise.  [0]")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     default=Path("calibration.json"),
     show_default=True,
     help="The file that flights load with --calibration.",
 )
-@click.option("--pictures", type=click.Path(path_type=Path), help="Folder for figures.")
-@click.option("--config", "config_file", type=click.Path(path_type=Path), help="A TOML file.")
+@click.option("--pictures", type=PATH, help="Folder for figures.")
+@click.option("--config", "config_file", type=PATH, help="A TOML file.")
 @click.option(
     "--set",
     "overrides",
@@ -33,7 +32,7 @@ from touchdown.experiments.terminal import make_notes
     help="Such as camera.distortion=[-0.05,0.02,0.0,0.0,0.0]. May be repeated.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@QUIET
 def calibrate(
     poses: int,
     seed: int | None,
@@ -59,8 +58,4 @@ def calibrate(
         config_file, overrides, allow_code=True, profile_default="ideal", seed=seed
     )
     report = usage_errors(lambda: run_calibration(config, poses, out, pictures, make_notes(quiet)))
-    if as_json:
-        click.echo(json.dumps(report, indent=2))
-    else:
-        print_calibration(report)
-    return EXIT_DONE
+    return answer(report, as_json, print_calibration)

@@ -10,7 +10,16 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, CommandGroup, interrupt_code
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    JSON,
+    PATH,
+    QUIET,
+    CommandGroup,
+    answer,
+    interrupt_code,
+)
 from touchdown.experiments.errors import visible
 
 
@@ -67,8 +76,8 @@ def campaign() -> int:
 
 
 @click.command("campaign")
-@click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR",
+@click.argument("file", type=PATH, metavar="FILE.toml")
+@click.option("--out", type=PATH, metavar="DIR",
               help="The campaign's directory; an existing one is resumed.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
 @click.option("--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True)
@@ -81,7 +90,7 @@ def campaign() -> int:
 @click.option("--dry-run", is_flag=True,
               help="Print the number of flights and their expected cost; fly nothing.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@QUIET
 @click.pass_context
 def fly_file(
     context: click.Context,
@@ -129,10 +138,7 @@ def fly_file(
             file=sys.stderr,
         )
         return interrupt_code(error)
-    if more["as_json"]:
-        click.echo(json.dumps(figures, indent=2))
-    else:
-        print_summary(figures)
+    answer(figures, more["as_json"], print_summary)
     if missing := figures["missing"]:
         print(
             f"touchdown: {len(missing)} runs have no row, such as {missing[0]}; give the same "
@@ -144,8 +150,8 @@ def fly_file(
 
 
 @campaign.command("status")
-@click.argument("directory", type=click.Path(path_type=Path), metavar="DIR")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.argument("directory", type=PATH, metavar="DIR")
+@JSON
 def status(directory: Path, as_json: bool) -> int:
     """Print the progress of the campaign in DIR and its time by stage, also while it runs. Exit
     code 1 means that some results are not as its file expects.
@@ -156,8 +162,5 @@ def status(directory: Path, as_json: bool) -> int:
     from touchdown.experiments.campaign.session import summary
 
     figures = summary(directory)
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-    else:
-        print_summary(figures)
+    answer(figures, as_json, print_summary)
     return EXIT_DONE if figures["as_expected"] else EXIT_FAILED

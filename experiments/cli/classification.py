@@ -10,9 +10,18 @@ from typing import Any
 import click
 import numpy as np
 
-from touchdown.experiments.cli.common import EXIT_DONE, SEED, CommandGroup, Number
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    JSON,
+    PATH,
+    QUIET,
+    SEED,
+    CommandGroup,
+    Number,
+    answer,
+)
 from touchdown.experiments.errors import usage_errors
-from touchdown.experiments.terminal import say
+from touchdown.experiments.terminal import make_console, make_table, say
 
 SCHEMES = ("d_land", "d_scene")
 """Keys of `landing.classification.labels.SCHEMES`, repeated to keep `--help` fast."""
@@ -64,8 +73,6 @@ def _miss_cost(default: str) -> Callable[[Any], Any]:
 _ENGINE = click.option(
     "--engine", type=click.Choice(("onnx", "torch")), default="onnx", show_default=True
 )
-_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-_QUIET = click.option("--quiet", is_flag=True, help="No progress on stderr.")
 
 
 @click.group(cls=CommandGroup)
@@ -78,7 +85,7 @@ def dataset() -> int:
 
 
 @dataset.command("render")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
+@click.option("--out", type=PATH, required=True, help="A new folder.")
 @click.option("--images", type=click.IntRange(1, 10_000_000), default=4000, show_default=True)
 @click.option("--seed", type=SEED, default=0, show_default=True,
               help="Of layouts, poses and light; scene seeds start at 1000.")  # fmt: skip
@@ -92,8 +99,8 @@ def dataset() -> int:
               help="Share of views with random colours of roads, paving, roofs …")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
               help="Processes; the images do not depend on it.")  # fmt: skip
-@_JSON
-@_QUIET
+@JSON
+@QUIET
 def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: Any) -> int:
     """Render patches of the scenes by the vehicle's camera, labelled by the class of their ground.
 
@@ -109,13 +116,13 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
         done = usage_errors(
             lambda: render_dataset(out, DatasetParams(**options), jobs=jobs, progress=progress)
         )
-    if as_json:
-        click.echo(json.dumps(done, indent=2))
-    else:
-        for kind in ("classes", "splits"):
-            say("  ".join(f"{name} {count}" for name, count in done[kind].items()))
-        say(f"written: {done['directory']} ({done['images']} images)")
-    return EXIT_DONE
+    return answer(done, as_json, _print_dataset)
+
+
+def _print_dataset(done: Mapping[str, Any]) -> None:
+    for kind in ("classes", "splits"):
+        say("  ".join(f"{name} {count}" for name, count in done[kind].items()))
+    say(f"written: {done['directory']} ({done['images']} images)")
 
 
 @click.command()
@@ -124,9 +131,9 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
               "mobilenet_v3_large or inception_v4.")  # fmt: skip
 @click.option("--labels", type=click.Choice(SCHEMES), default="d_land", show_default=True)
 @_DATA
-@click.option("--out", type=click.Path(path_type=Path), required=True,
+@click.option("--out", type=PATH, required=True,
               help="Folder; an interrupted training in it is resumed.")  # fmt: skip
-@click.option("--start-from", "start", type=click.Path(path_type=Path), metavar="PATH",
+@click.option("--start-from", "start", type=PATH, metavar="PATH",
               help="Folder of another training, or a network's file, with the initial "
               "weights.  [random]")  # fmt: skip
 @click.option("--start-share", type=Number(0.0, 1.0, max_open=True), default=0.0,
@@ -157,8 +164,8 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
 @click.option("--compile", "compiled", is_flag=True,
               help="Compile the network: slow at each new image size, then faster. "
               "Needs a C++ compiler.")  # fmt: skip
-@_JSON
-@_QUIET
+@JSON
+@QUIET
 def train(
     data: tuple[str, ...],
     out: Path,
@@ -223,7 +230,7 @@ def _limit_torch(threads: int) -> None:
 
 
 @click.command()
-@click.argument("network", required=False, type=click.Path(path_type=Path))
+@click.argument("network", required=False, type=PATH)
 @_DATA
 @click.option("--split", type=click.Choice(("train", "val", "test")), default="test",
               show_default=True)  # fmt: skip
@@ -232,8 +239,8 @@ def _limit_torch(threads: int) -> None:
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
 @click.option("--cost/--no-cost", "measure", default=True, show_default=True,
               help="Measure RAM and run time in a process of its own.")  # fmt: skip
-@_JSON
-@_QUIET
+@JSON
+@QUIET
 def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
     """Score NETWORK, a file of `touchdown train`, on images that it was not trained on.
 
@@ -255,23 +262,19 @@ def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -
                 **options,
             )
         )
-    if as_json:
-        click.echo(json.dumps(report, indent=2))
-    else:
-        print_evaluation(report)
-    return EXIT_DONE
+    return answer(report, as_json, print_evaluation)
 
 
 @click.command()
-@click.argument("network", required=False, type=click.Path(path_type=Path))
+@click.argument("network", required=False, type=PATH)
 @click.option("--type", "weight_type", type=click.Choice(("float16", "bfloat16", "int8")),
               default="int8", show_default=True, help="Of the weights.")  # fmt: skip
 @_DATA
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="A file *.onnx.")
+@click.option("--out", type=PATH, required=True, help="A file *.onnx.")
 @click.option("--pictures", type=click.IntRange(1), default=256, show_default=True,
               help="Number of training images for the ranges of int8 activations.")  # fmt: skip
-@_JSON
-@_QUIET
+@JSON
+@QUIET
 def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
     """Write NETWORK, a file of `touchdown train`, with smaller weights.
 
@@ -304,10 +307,10 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
 
 
 @click.command()
-@click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--network", type=click.Path(path_type=Path),
+@click.argument("images", nargs=-1, required=True, type=PATH)
+@click.option("--network", type=PATH,
               help="A file of `touchdown train`.  [the shipped one]")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), default=Path("classes"), show_default=True,
+@click.option("--out", type=PATH, default=Path("classes"), show_default=True,
               help="Folder for NAME-classes.png.")  # fmt: skip
 @click.option("--window", "window_px", type=click.IntRange(16),
               help="Side of the classified square.  [a quarter of the image]")  # fmt: skip
@@ -315,8 +318,8 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
               help="Probability below which the class is unsure.")  # fmt: skip
 @_ENGINE
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
-@_JSON
-@_QUIET
+@JSON
+@QUIET
 def classify(
     images: tuple[Path, ...],
     network: Path | None,
@@ -357,16 +360,10 @@ def classify(
 
 def print_evaluation(report: Mapping[str, Any]) -> None:
     """Prints tables: scores overall, by data set and by scene, and the confusion matrix."""
-    from rich.table import Table
-
-    from touchdown.experiments.terminal import make_console
-
     console = make_console()
-    table = Table(
-        title=f"{report['network']}, {report['labels']}, {report['split']}", title_justify="left"
-    )
-    for heading in ("images of", "n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE"):
-        table.add_column(heading, justify="left" if heading == "images of" else "right")
+    title = f"{report['network']}, {report['labels']}, {report['split']}"
+    heads = ("n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE")
+    table = make_table(title, "images of", *heads)
     rows = {"all": report} | (report["by_source"] if len(report["by_source"]) > 1 else {})
     rows |= report["by_scene"]
     for name, row in rows.items():
@@ -403,15 +400,11 @@ def _decision_text(decision: Mapping[str, Any]) -> str:
 
 def _confusion_table(report: Mapping[str, Any]) -> Any:
     """Returns the confusion matrix of classes that occur or are predicted."""
-    from rich.table import Table
-
     counts = np.array(report["confusion"])
     shown = np.flatnonzero(counts.sum(axis=0) + counts.sum(axis=1))
-    table = Table(title="true class by row, predicted class by column", title_justify="left")
-    table.add_column("")
-    for number in shown:
-        table.add_column(report["classes"][number], justify="right")
-    table.add_column("recall", justify="right")
+    names = [report["classes"][number] for number in shown]
+    title = "true class by row, predicted class by column"
+    table = make_table(title, "", *names, "recall")
     for number in shown:
         name = report["classes"][number]
         recall = report["recall_of"].get(name)

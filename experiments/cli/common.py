@@ -1,8 +1,11 @@
-"""Exit codes and the command group that all commands share."""
+"""Exit codes, options and the command group that all commands share."""
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import click
@@ -51,6 +54,21 @@ class SeedType(click.ParamType):
 
 
 SEED = SeedType()
+PATH = click.Path(path_type=Path)
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+QUIET = click.option("--quiet", is_flag=True, help="No progress on stderr.")
+OVERRIDES = click.option(
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="May be repeated."
+)
+
+
+def answer(figures: Any, as_json: bool, show: Callable[[Any], object]) -> int:
+    """Prints ``figures`` as one JSON object, or calls ``show`` with them. Returns EXIT_DONE."""
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+    else:
+        show(figures)
+    return EXIT_DONE
 
 
 class CommandGroup(click.Group):

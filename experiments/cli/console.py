@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from touchdown.experiments.errors import visible
-from touchdown.experiments.terminal import make_console
+from touchdown.experiments.terminal import make_console, make_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -81,14 +81,12 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
 
 def _print_choice(result: RunResult, console: Console) -> None:
     """Prints the first candidates of the last decision, and why the first one won."""
-    from rich.table import Table
-
     choice = result.choice
     if choice is None:
         return
-    table = Table(title=f"candidate sites, selector {choice.selector}", title_justify="left")
-    for title in ("", "x, y (m)", "score", "slope", "clearance", "ground", "rule"):
-        table.add_column(title, justify="left" if title in ("ground", "rule") else "right")
+    heads = ("", "x, y (m)", "score", "slope", "clearance", "ground", "rule")
+    title = f"candidate sites, selector {choice.selector}"
+    table = make_table(title, *heads, left=("ground", "rule"))
     for site in choice.candidates[:_FIRST_SITES]:
         position, ground = site.position_m, site.class_predicted
         table.add_row(
@@ -145,15 +143,11 @@ def _last_events(result: RunResult) -> list[str]:
 
 def print_stages(result: RunResult) -> None:
     """Prints the real-time factor and the wall time of each stage."""
-    from rich.table import Table
-
     timing = result.plain()["timing"]
     stages: dict[str, float] = dict(timing["stage_ms"])
     total = 100.0 / timing["real_time_factor"]
-    table = Table(title=f"{result.scene}, {result.estimator}, per 0.1 s of flight", min_width=46)
-    table.add_column("stage")
-    table.add_column("ms", justify="right")
-    table.add_column("share", justify="right")
+    title = f"{result.scene}, {result.estimator}, per 0.1 s of flight"
+    table = make_table(title, "stage", "ms", "share")
     order = [name for name in _STAGE_ORDER if name in stages]
     order += [name for name in stages if name not in order]
     for name in order:
@@ -169,13 +163,9 @@ def print_stages(result: RunResult) -> None:
 
 def print_overhead(ratio: float, overhead: Mapping[str, Any]) -> None:
     """Prints the cost of the loop on one core beyond physics, rays and pixels, largest first."""
-    from rich.table import Table
-
     bare, loop = overhead["bare_ms"], overhead["loop_ms"]
-    table = Table(title="one core, per 0.1 s of flight, processor time", min_width=46)
-    table.add_column("part")
-    table.add_column("ms", justify="right")
-    table.add_column("of bare", justify="right")
+    title = "one core, per 0.1 s of flight, processor time"
+    table = make_table(title, "part", "ms", "of bare")
     for name in ("physics", "rays", "pixels", "all"):
         table.add_row(f"bare {name}", f"{bare[name]:.1f}", f"{bare[name] / bare['all']:.0%}")
     table.add_section()
@@ -189,12 +179,8 @@ def print_overhead(ratio: float, overhead: Mapping[str, Any]) -> None:
 
 
 def print_margins(rows: list[dict[str, Any]]) -> None:
-    from rich.table import Table
-
-    table = Table(title="loop margins", title_justify="left")
-    table.add_column("loop", no_wrap=True)
-    for title in ("gain (dB)", "phase (deg)", "crossover (rad/s)"):
-        table.add_column(title, justify="right", no_wrap=True)
+    heads = ("gain (dB)", "phase (deg)", "crossover (rad/s)")
+    table = make_table("loop margins", "loop", *heads)
     for row in rows:
         table.add_row(
             row["name"],
@@ -207,12 +193,8 @@ def print_margins(rows: list[dict[str, Any]]) -> None:
 
 def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
     """Prints a row per scene: seeds that build, difference of the two most alike, safe ground."""
-    from rich.table import Table
-
-    table = Table(title="seeds of each scene", title_justify="left")
-    table.add_column("scene", no_wrap=True)
-    for title in ("built", "closest", "height", "class", "grey", "safe ground", "s a seed"):
-        table.add_column(title, justify="right", no_wrap=True)
+    heads = ("built", "closest", "height", "class", "grey", "safe ground", "s a seed")
+    table = make_table("seeds of each scene", "scene", *heads)
     notes = []
     for row in rows:
         pair = row["closest"] or {"seeds": [], "height_m": 0.0, "class_share": 0.0, "grey": 0.0}
@@ -285,16 +267,10 @@ def print_place(row: Mapping[str, Any]) -> None:
 
 def print_calibration(report: Mapping[str, Any]) -> None:
     """Prints the errors of a calibration beside its stated standard deviations."""
-    from rich.table import Table
-
     error, sigma = report["error"], report["stated_sigma"]
     views, agreed = report["views"], report["consistency"]["consistent"]
-    table = Table(
-        title=f"{views['used']} of {views['given']} views used", title_justify="left", min_width=52
-    )
-    table.add_column("", style="dim")
-    table.add_column("error", justify="right")
-    table.add_column("stated sigma", justify="right")
+    title = f"{views['used']} of {views['given']} views used"
+    table = make_table(title, "", "error", "stated sigma")
     table.add_row(
         "rotation of the LIDAR",
         f"{error['rotation_deg']:.4f} deg",

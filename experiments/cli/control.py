@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, CommandGroup
+from touchdown.experiments.cli.common import EXIT_DONE, JSON, OVERRIDES, PATH, CommandGroup, answer
 from touchdown.experiments.cli.console import print_margins
 from touchdown.experiments.errors import usage_errors
 
@@ -22,9 +21,9 @@ def control() -> int:
 
 
 @control.command("margins")
-@click.option("--config", "config_file", type=click.Path(path_type=Path), help="A TOML file.")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="May be repeated.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--config", "config_file", type=PATH, help="A TOML file.")
+@OVERRIDES
+@JSON
 def control_margins(config_file: Path | None, overrides: tuple[str, ...], as_json: bool) -> int:
     """Print gain and phase margin of every control loop, from the linear model.
 
@@ -42,8 +41,4 @@ def control_margins(config_file: Path | None, overrides: tuple[str, ...], as_jso
     scene = usage_errors(lambda: build_scene(config))
     margins = loop_margins(vehicle_model(scene.model), config.control)
     rows = [dataclasses.asdict(margin) for margin in margins]
-    if as_json:
-        click.echo(json.dumps({"loops": rows}, indent=2))
-    else:
-        print_margins(rows)
-    return EXIT_DONE
+    return answer({"loops": rows}, as_json, lambda found: print_margins(found["loops"]))

@@ -9,9 +9,17 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, SEED, CommandGroup
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    JSON,
+    PATH,
+    QUIET,
+    SEED,
+    CommandGroup,
+    answer,
+)
 from touchdown.experiments.errors import usage_errors
-from touchdown.experiments.terminal import make_notes, say
+from touchdown.experiments.terminal import make_console, make_notes, make_table, say
 
 
 @click.group(cls=CommandGroup)
@@ -23,13 +31,13 @@ def edges() -> None:
 
 
 @edges.command("train")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("edges.yml.gz"),
+@click.option("--out", type=PATH, default=Path("edges.yml.gz"),
               show_default=True, help="The model, *.yml.gz; flights take it by "
               "--set zou2024.edge_model=FILE.")  # fmt: skip
 @click.option("--seed", type=SEED, default=0, show_default=True,
               help="Varies the scenes, the poses and the forest.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@JSON
+@QUIET
 def edges_train(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
     """Render images of the scenes with their true boundaries and grow a structured forest.
 
@@ -55,9 +63,9 @@ def edges_train(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
 @click.option("--model", default="shipped", show_default=True,
               help="`shipped`, `gradient`, or a file of `touchdown edges train`.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(1), default=5, show_default=True)
-@click.option("--plot", type=click.Path(path_type=Path), help="Precision over recall, JPG or PNG.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@click.option("--plot", type=PATH, help="Precision over recall, JPG or PNG.")
+@JSON
+@QUIET
 def edges_evaluate(model: str, seeds: int, plot: Path | None, as_json: bool, quiet: bool) -> int:
     """Score the detector beside Canny on scenes and seeds that it was not trained on.
 
@@ -71,19 +79,15 @@ def edges_evaluate(model: str, seeds: int, plot: Path | None, as_json: bool, qui
     report = usage_errors(lambda: evaluate(model, seeds, make_notes(quiet)))
     if plot is not None:
         plot_curves(plot, report)
-    if as_json:
-        click.echo(json.dumps(report, indent=2))
-    else:
-        print_scores(report)
-    return EXIT_DONE
+    return answer(report, as_json, print_scores)
 
 
 @edges.command("picture")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("edge-pictures"),
+@click.option("--out", type=PATH, default=Path("edge-pictures"),
               show_default=True, help="Folder for edges.jpg and smoothness.jpg.")  # fmt: skip
 @click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--model", default="shipped", show_default=True)
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@QUIET
 def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
     """Draw the edge energy beside Canny and the truth, and the smoothness of the estimator.
 
@@ -97,17 +101,11 @@ def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
 
 
 def print_scores(report: Mapping[str, Any]) -> None:
-    from rich.table import Table
-
     from touchdown.experiments.edges.figures import DETECTOR_LABELS
-    from touchdown.experiments.terminal import make_console
 
     scenes = list(next(iter(report["scenes"].values())))
-    table = Table(title=f"{report['pictures']} pictures", title_justify="left")
-    table.add_column("", style="dim")
     heads = ("ODS", "OIS", "AP", "precision", "recall", *(f"ODS {scene}" for scene in scenes))
-    for head in heads:
-        table.add_column(head, justify="right")
+    table = make_table(f"{report['pictures']} pictures", "", *heads)
     for name, row in report["detectors"].items():
         figures = [*row.values(), *report["scenes"][name].values()]
         table.add_row(DETECTOR_LABELS.get(name, name), *(f"{figure:.3f}" for figure in figures))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE
+from touchdown.experiments.cli.common import EXIT_DONE, JSON, PATH
 from touchdown.experiments.terminal import say
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class OriginType(click.ParamType):
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=PATH)
 @click.option(
     "--format",
     "kind",
@@ -55,9 +55,7 @@ class OriginType(click.ParamType):
     required=True,
     help="mcap: a rosbag2 folder; ply: a cloud; tum: a trajectory; csv: a table of time steps.",
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="The file or folder.  [RUN.FORMAT, RUN-bag]"
-)
+@click.option("--out", type=PATH, help="The file or folder.  [RUN.FORMAT, RUN-bag]")
 @click.option(
     "--poses",
     type=click.Choice(["estimate", "truth", "reference"]),
@@ -102,7 +100,7 @@ class OriginType(click.ParamType):
 @click.option(
     "--judged", is_flag=True, help="tum, csv: only rows at which the position error is evaluated."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def export(run: Path, kind: str, out: Path | None, as_json: bool, **choices: Any) -> int:
     """Write RUN, a run directory, in a format of other tools.
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, PATH
 from touchdown.experiments.cli.console import print_result
 from touchdown.experiments.cli.replay import run_replay
 from touchdown.experiments.terminal import end_progress, make_progress
@@ -67,7 +67,7 @@ _FLIGHT_OPTIONS = (
     click.option(
         "--config",
         "config_file",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="A TOML file, or the config.json of an earlier run.",
     ),
     click.option(
@@ -88,9 +88,7 @@ _FLIGHT_OPTIONS = (
         metavar="KIND@START[+SECONDS|*N]",
         help="A fault at START seconds, such as lidar_dropout@20+1 or fog@0. May be repeated.",
     ),
-    click.option(
-        "--out", type=click.Path(path_type=Path), help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]"
-    ),
+    click.option("--out", type=PATH, help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]"),
     click.option("--force", is_flag=True, help="Replace a run whose sensors.mcap would be lost."),
     click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
     click.option(
@@ -151,7 +149,7 @@ def land(
     "--replay",
     "replayed",
     metavar="RUN",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Run directory with sensors.mcap: its sensors replace the simulation.",
 )
 @click.pass_context

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE
+from touchdown.experiments.cli.common import EXIT_DONE, JSON, PATH
 
 if TYPE_CHECKING:
     from touchdown.experiments.reporting.sql import QueryResult
 
 
 @click.command()
-@click.argument("directory", type=click.Path(path_type=Path), metavar="DIR")
+@click.argument("directory", type=PATH, metavar="DIR")
 @click.argument("sql")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 @click.option("--csv", "as_csv", is_flag=True, help="Print comma-separated values.")
 def query(directory: Path, sql: str, as_json: bool, as_csv: bool) -> int:
     """Run SQL over the runs in DIR, a campaign or any directory of runs. The table is `runs`.

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, Number
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, JSON, OVERRIDES, PATH, Number
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import say
 
@@ -67,7 +67,7 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     "--replay",
     "run",
     metavar="RUN",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Observations of a run with sensors.mcap instead of synthetic ones.",
 )
 @click.option(
@@ -77,8 +77,8 @@ def run_replay(run: Path, options: dict[str, Any]) -> int:
     show_default=True,
     help="Of messages.",
 )
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="May be repeated.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@OVERRIDES
+@JSON
 def check_estimator_command(
     name: str, run: Path | None, seconds: float, overrides: tuple[str, ...], as_json: bool
 ) -> int:

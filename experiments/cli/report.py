@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, Number
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, JSON, PATH, Number
 from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import say
 
@@ -18,13 +18,11 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("directory", type=click.Path(path_type=Path))
+@click.argument("directory", type=PATH)
 @click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Write the full report there.  [DIRECTORY/report for a campaign]",
+    "--out", type=PATH, help="Write the full report there.  [DIRECTORY/report for a campaign]"
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def report(directory: Path, out: Path | None, as_json: bool) -> int:
     """Report on all flights at or below DIRECTORY.
 
@@ -109,7 +107,7 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
 
 
 @click.command()
-@click.argument("directory", metavar="DIRECTORY|FILE.toml", type=click.Path(path_type=Path))
+@click.argument("directory", metavar="DIRECTORY|FILE.toml", type=PATH)
 @click.option(
     "--baseline",
     required=True,
@@ -138,9 +136,9 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
 )
 @click.option("--preset", type=click.Choice(["whole", "short"]),
               help="With FILE.toml: how much each run flies.  [whole]")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR",
+@click.option("--out", type=PATH, metavar="DIR",
               help="With FILE.toml: a new directory that keeps the flights.  [none]")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def regress(directory: Path, baseline: Path, update: bool, as_json: bool, **more: Any) -> int:
     """Exit 1 when DIRECTORY's flights are worse than the baseline's. FILE.toml is a campaign, which
     is flown first.

@@ -10,11 +10,19 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, interrupt_code
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    JSON,
+    PATH,
+    QUIET,
+    answer,
+    interrupt_code,
+)
 
 
 @click.command()
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR",
+@click.option("--out", type=PATH, metavar="DIR",
               help="Directory; required without --list. An earlier one is continued.")  # fmt: skip
 @click.option("--quick", is_flag=True, help="Few flights and one small network.")
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
@@ -25,8 +33,8 @@ from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, interrupt_c
               "images, as --data of touchdown train. May be repeated.")  # fmt: skip
 @click.option("--list", "only_list", is_flag=True,
               help="Print the parts, their tables and figures, and approximate times.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@JSON
+@QUIET
 def reproduce(
     out: Path | None,
     quick: bool,
@@ -77,10 +85,7 @@ def reproduce(
         )
         return interrupt_code(error)
     figures = figures_of(done, out / REPORT)
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-    else:
-        _print_parts(figures)
+    answer(figures, as_json, _print_parts)
     return EXIT_DONE if done.successful else EXIT_FAILED
 
 

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, interrupt_code
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    JSON,
+    PATH,
+    QUIET,
+    interrupt_code,
+)
 from touchdown.experiments.terminal import say
 
 if TYPE_CHECKING:
@@ -18,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", required=True,
+@click.option("--out", type=PATH, metavar="DIR", required=True,
               help="Directory of the flights; an earlier one is continued.")  # fmt: skip
 @click.option("--profile", type=click.Choice(["field", "ideal"]), default="field",
               show_default=True, help="The sets of which world.")  # fmt: skip
@@ -28,8 +35,8 @@ if TYPE_CHECKING:
               help="Write docs/results/results.json and the tables of the pages.")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Print what it would cost, and fly nothing.")
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@JSON
+@QUIET
 def results(
     out: Path,
     profile: str,

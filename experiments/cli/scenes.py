@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, SEED, CommandGroup, Number
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    JSON,
+    PATH,
+    QUIET,
+    SEED,
+    CommandGroup,
+    Number,
+)
 from touchdown.experiments.cli.console import print_place, print_scene_check
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import make_notes, say
@@ -33,7 +42,7 @@ def scenes() -> int:
 
 
 @scenes.command("list")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def scenes_list(as_json: bool) -> int:
     """Print the names of the scenes.
 
@@ -52,7 +61,7 @@ def scenes_list(as_json: bool) -> int:
 @click.option("--all-views", is_flag=True, help="Every view of SCENE.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="PNG file, or directory for several.  [SCENE-VIEW.png, SCENE-SEED, scenes-SEED]",
 )
 @click.option("--seed", type=SEED, default=0, show_default=True)
@@ -66,8 +75,8 @@ def scenes_list(as_json: bool) -> int:
 )
 @click.option("--light", type=click.Choice(LIGHTS), default="day", show_default=True,
               help="Light of the scene.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@JSON
+@QUIET
 def scenes_render(
     scene: str | None,
     every_scene: bool,
@@ -111,8 +120,8 @@ def scenes_render(
               help="Seeds of a named scene; a file has none.")  # fmt: skip
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE",
               help="Key of a file's survey, such as survey.legs=1. May be repeated.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--quiet", is_flag=True, help="No progress on stderr.")
+@JSON
+@QUIET
 def scenes_check(
     names: tuple[str, ...], seeds: int, overrides: tuple[str, ...], as_json: bool, quiet: bool
 ) -> int:
@@ -147,9 +156,9 @@ def scenes_check(
 
 @scenes.command("export")
 @click.argument("scene")
-@click.option("--out", type=click.Path(path_type=Path), help="Directory.  [SCENE-SEED]")
+@click.option("--out", type=PATH, help="Directory.  [SCENE-SEED]")
 @click.option("--seed", type=SEED, default=0, show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int:
     """Write a scene's MJCF with its assets, to open in MuJoCo's own viewer.
 
@@ -165,12 +174,10 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
 
 
 @scenes.command("import-dem")
-@click.argument("dem", type=click.Path(path_type=Path))
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("dem", type=PATH)
+@click.argument("out", type=PATH)
 @click.option(
-    "--ortho",
-    type=click.Path(path_type=Path),
-    help="Aerial image of the same extent, or a GeoTIFF.  [relief in colours]",
+    "--ortho", type=PATH, help="Aerial image of the same extent, or a GeoTIFF.  [relief in colours]"
 )
 @click.option("--cell", "cell_m", type=Number(), metavar="M", help="Node spacing.  [the model's]")
 @click.option("--window", "window_m", type=Number(), default=200.0, show_default=True, metavar="M",
@@ -179,7 +186,7 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
               help="Its centre, metres from the south-west corner.  [the middle]")  # fmt: skip
 @click.option("--class", "land_class", default="field", show_default=True,
               help="Land class of the ground.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@JSON
 def scenes_import_dem(
     dem: Path,
     out: Path,

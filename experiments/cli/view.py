@@ -13,7 +13,7 @@ from urllib.parse import quote
 import click
 
 from touchdown.experiments.campaign import guard
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED
+from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, PATH
 from touchdown.experiments.flight.platform import has_display
 
 LOCALHOST = "127.0.0.1"
@@ -23,7 +23,7 @@ _PATIENCE_S = 5.0
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=PATH)
 @click.option(
     "--web",
     is_flag=True,

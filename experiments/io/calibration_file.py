@@ -17,7 +17,11 @@ from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
-_STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
 _MAX_QUAT_ERROR = 1e-3
 
 Vector3 = tuple[float, float, float]
@@ -27,10 +31,8 @@ Pixels = Annotated[int, Field(gt=0)]
 Focal = Annotated[float, Field(gt=0.0)]
 
 
-class CameraPart(BaseModel):
+class CameraPart(_Strict):
     """K without skew, and OpenCV's distortion k1, k2, p1, p2, k3."""
-
-    model_config = _STRICT
 
     width: Pixels
     height: Pixels
@@ -41,19 +43,15 @@ class CameraPart(BaseModel):
     distortion: Vector5
 
 
-class ExtrinsicPart(BaseModel):
+class ExtrinsicPart(_Strict):
     """p_camera = R p_lidar + t"""
-
-    model_config = _STRICT
 
     rotation_quat_wxyz: Vector4
     translation_m: Vector3
 
 
-class CovariancePart(BaseModel):
+class CovariancePart(_Strict):
     """Standard deviations and residuals that the calibration states."""
-
-    model_config = _STRICT
 
     camera: list[list[float]]
     """(9, 9) of fx, fy, cx, cy (pixels), k1, k2, p1, p2, k3"""
@@ -61,19 +59,15 @@ class CovariancePart(BaseModel):
     """(6, 6) of a small rotation (rad) applied on the left, then of the translation (m)"""
 
 
-class ResidualPart(BaseModel):
+class ResidualPart(_Strict):
     """Root mean squares."""
-
-    model_config = _STRICT
 
     reprojection_rms_px: float
     plane_rms_m: float
 
 
-class CalibrationFile(BaseModel):
+class CalibrationFile(_Strict):
     """The whole file. Of these, a flight needs ``camera`` and ``camera_from_lidar``."""
-
-    model_config = _STRICT
 
     camera: CameraPart
     camera_from_lidar: ExtrinsicPart

@@ -9,7 +9,7 @@ import dataclasses
 import importlib.util
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -230,6 +230,18 @@ def _campaign_part(name: str, title: str, *shows: str) -> Part:
     )
 
 
+def _drawn(name: str, title: str, run: Callable[[Job], Done], seconds: float, *shows: str) -> Part:
+    return Part(
+        name=name,
+        title=title,
+        shows=shows,
+        settings=lambda _extent: {"seed": 0},
+        run=run,
+        core_seconds=_always(seconds),
+        beside=True,
+    )
+
+
 def _always(seconds: float) -> Callable[[Extent], float]:
     return lambda _extent: seconds
 
@@ -243,42 +255,13 @@ def _recognition_seconds(extent: Extent) -> float:
 
 
 PARTS: tuple[Part, ...] = (
-    Part(
-        name="calibration",
-        title="Camera and LIDAR, calibrated",
-        shows=("Fig. 2",),
+    replace(
+        _drawn("calibration", "Camera and LIDAR, calibrated", _calibration, 60.0, "Fig. 2"),
         settings=lambda extent: {"poses": extent.edition.poses},
-        run=_calibration,
-        core_seconds=_always(60.0),
-        beside=True,
     ),
-    Part(
-        name="edges",
-        title="Edge energy and smoothness",
-        shows=("Fig. 4",),
-        settings=lambda _extent: {"seed": 0},
-        run=_edges,
-        core_seconds=_always(40.0),
-        beside=True,
-    ),
-    Part(
-        name="world",
-        title="Vehicle and scenes",
-        shows=("Fig. 7", "Fig. 8"),
-        settings=lambda _extent: {"seed": 0},
-        run=_world,
-        core_seconds=_always(30.0),
-        beside=True,
-    ),
-    Part(
-        name="sites",
-        title="From the map to the site",
-        shows=("Fig. 11",),
-        settings=lambda _extent: {"seed": 0},
-        run=_sites,
-        core_seconds=_always(80.0),
-        beside=True,
-    ),
+    _drawn("edges", "Edge energy and smoothness", _edges, 40.0, "Fig. 4"),
+    _drawn("world", "Vehicle and scenes", _world, 30.0, "Fig. 7", "Fig. 8"),
+    _drawn("sites", "From the map to the site", _sites, 80.0, "Fig. 11"),
     _campaign_part("positioning", "Positioning", "Table 1", "Table 2", "Fig. 9 a", "Fig. 10"),
     _campaign_part("commanded_site", "Landings on one spot", "Table 5", "Fig. 12"),
     _campaign_part("zou2024_sites", "Landings on five kinds of sites", "Table 6"),

@@ -157,13 +157,6 @@ def rendered_meaning(scene: str, land_class: str) -> Meaning:
     return Meaning(land_class, parts.get(land_class, whole))
 
 
-def check_scheme(scheme: str) -> tuple[str, ...]:
-    """Returns the classes of a scheme. Raises ValueError for an unknown one."""
-    if scheme not in SCHEMES:
-        raise ValueError(f"unknown labels '{scheme}': give one of {', '.join(SCHEMES)}")
-    return SCHEMES[scheme]
-
-
 def plain_name(name: str) -> str:
     """Returns the letters and digits of a folder's or a class's name in lower case."""
     return re.sub(r"[^a-z0-9]", "", name.lower())

@@ -23,7 +23,7 @@ CHORD_M = 1e-3
 CHORD_RELATIVE = 1e-3
 """The same for larger ones, as a share of the radius."""
 POROUS_CHORD_RELATIVE = 1e-2
-"""The same for crowns and reeds, which are many."""
+"""As a share of the radius, for crowns and reeds, which are many."""
 _MARGIN = 1.0 + 1e-5
 """Keeps a wrapping outside after its corners are rounded to single precision."""
 
@@ -42,12 +42,13 @@ def geom_mesh(
     model: mujoco.MjModel,
     geom_id: int,
     plane_reach_m: float,
-    porous: bool = False,
+    chord: float | None = None,
     around: tuple[float, float] = (0.0, 0.0),
 ) -> Mesh | None:
     """Triangles of one geom in the geom's own frame, or None for a kind that has no surface here
     (flexible shapes). Signed-distance shapes have the mesh that MuJoCo makes of them. An unbounded
-    plane reaches ``plane_reach_m`` around the point ``around`` of its own frame."""
+    plane reaches ``plane_reach_m`` around the point ``around`` of its own frame. ``chord``: the
+    largest gap of a wrapping as a share of the radius."""
     size = np.array(model.geom_size[geom_id])
     kind = int(model.geom_type[geom_id])
     data_id = int(model.geom_dataid[geom_id])
@@ -63,13 +64,13 @@ def geom_mesh(
     if kind == types.mjGEOM_BOX:
         return box(size)
     if kind == types.mjGEOM_SPHERE:
-        return ellipsoid(np.full(3, size[0]), porous)
+        return ellipsoid(np.full(3, size[0]), chord)
     if kind == types.mjGEOM_ELLIPSOID:
-        return ellipsoid(size, porous)
+        return ellipsoid(size, chord)
     if kind == types.mjGEOM_CYLINDER:
-        return cylinder(size[0], size[1], porous)
+        return cylinder(size[0], size[1], chord)
     if kind == types.mjGEOM_CAPSULE:
-        return capsule(size[0], size[1], porous)
+        return capsule(size[0], size[1], chord)
     return None
 
 
@@ -79,7 +80,7 @@ def plane(half_sizes: Array, middle: Array) -> Mesh:
     counts = np.clip(np.ceil(2.0 * half_sizes / _PLANE_CELL_M), 1, _MOST_PLANE_CELLS).astype(int)
     (left, low), (right, high) = middle - half_sizes, middle + half_sizes
     xs, ys = np.linspace(left, right, counts[0] + 1), np.linspace(low, high, counts[1] + 1)
-    return _grid_vertices(xs, ys, np.zeros((ys.size, xs.size))), _grid_triangles(ys.size, xs.size)
+    return _grid_vertices(xs, ys, np.zeros((ys.size, xs.size))), grid_triangles(ys.size, xs.size)
 
 
 def box(half_sizes: Array) -> Mesh:
@@ -104,27 +105,27 @@ def height_field(model: mujoco.MjModel, field_id: int) -> Mesh:
     corners = below[np.cumsum([0, cols - 1, rows - 1, cols - 1])]
     underside = corners[None, ::-1]
     triangles = np.concatenate(
-        [_grid_triangles(rows, cols), _quads(sides), _quads(underside)]
+        [grid_triangles(rows, cols), _quads(sides), _quads(underside)]
     ).astype(np.int32)
     return np.concatenate([top, skirt]), triangles
 
 
-def ellipsoid(semi_axes: Array, porous: bool = False) -> Mesh:
-    segments = _segments(float(semi_axes.max()), porous)
+def ellipsoid(semi_axes: Array, chord: float | None = None) -> Mesh:
+    segments = _segments(float(semi_axes.max()), chord)
     angles = np.linspace(-0.5 * math.pi, 0.5 * math.pi, segments // 2 + 1)
     vertices, triangles = _revolve(np.cos(angles), np.sin(angles), segments)
     return vertices * semi_axes * _swell(vertices, triangles), triangles
 
 
-def cylinder(radius: float, half_length: float, porous: bool = False) -> Mesh:
-    segments = _segments(radius, porous)
+def cylinder(radius: float, half_length: float, chord: float | None = None) -> Mesh:
+    segments = _segments(radius, chord)
     outer = radius * _MARGIN / math.cos(math.pi / segments)
     heights = half_length * np.array([-1.0, -1.0, 1.0, 1.0])
     return _revolve(np.array([0.0, outer, outer, 0.0]), heights, segments)
 
 
-def capsule(radius: float, half_length: float, porous: bool = False) -> Mesh:
-    segments = _segments(radius, porous)
+def capsule(radius: float, half_length: float, chord: float | None = None) -> Mesh:
+    segments = _segments(radius, chord)
     quarter = np.linspace(0.0, 0.5 * math.pi, segments // 4 + 1)
     radii, heights = np.cos(quarter), np.sin(quarter)
     ball = _revolve(
@@ -144,9 +145,9 @@ def _stored_mesh(model: mujoco.MjModel, mesh_id: int) -> Mesh:
     return vertices.astype(np.float64), triangles.astype(np.int32)
 
 
-def _segments(radius: float, porous: bool) -> int:
+def _segments(radius: float, share: float | None) -> int:
     """Even number of edges round a circle that keeps the chord error."""
-    chord = POROUS_CHORD_RELATIVE * radius if porous else max(CHORD_M, CHORD_RELATIVE * radius)
+    chord = max(CHORD_M, CHORD_RELATIVE * radius) if share is None else share * radius
     if chord >= radius:
         return _FEWEST_SEGMENTS
     needed = math.pi / math.acos(1.0 - chord / radius)
@@ -187,7 +188,8 @@ def _grid_vertices(xs: Array, ys: Array, heights: Array) -> Array:
     return np.stack([grid_x, grid_y, heights], axis=-1).reshape(-1, 3)
 
 
-def _grid_triangles(rows: int, cols: int) -> Triangles:
+def grid_triangles(rows: int, cols: int) -> Triangles:
+    """(T, 3) triangles of a grid of vertices, row by row."""
     index = np.arange(rows * cols).reshape(rows, cols)
     corners = [index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]]
     return _quads(np.stack(corners, axis=-1).reshape(-1, 4))

@@ -18,7 +18,7 @@ from touchdown.scenes.api import LAND_CLASSES, GroundRaster, Scene, Surface
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.quadrics import ShapeTable
 from touchdown.sim.geometry.ray_target import Hits, RayTarget, body_pose, geom_pose
-from touchdown.sim.geometry.tessellation import geom_mesh
+from touchdown.sim.geometry.tessellation import POROUS_CHORD_RELATIVE, geom_mesh
 from touchdown.sim.lidar.heightfield import GroundGrid
 from touchdown.sim.lidar.rays import ground_cells
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32
@@ -119,7 +119,8 @@ class LidarScene:
         for geom_id in _visible_geoms(model):
             around = geom_pose(rest, geom_id).inverse().apply(middle)
             porous = bool(self.optics.porosity[geom_id] > 0.0)
-            mesh = geom_mesh(model, geom_id, reach, porous, (around[0], around[1]))
+            chord = POROUS_CHORD_RELATIVE if porous else None
+            mesh = geom_mesh(model, geom_id, reach, chord, (around[0], around[1]))
             if mesh is None or not len(mesh[1]):
                 continue
             root = moving_root(model, int(model.geom_bodyid[geom_id]))

@@ -58,9 +58,3 @@ class Cbam(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         return attend(features, self.mlp, self.window)
-
-
-def parameters_of(channels: int) -> int:
-    """Weights of one `Cbam`: two layers with biases, the window, scale and shift of its norm."""
-    hidden = channels // REDUCTION
-    return 2 * channels * hidden + hidden + channels + 2 * WINDOW**2 + 2

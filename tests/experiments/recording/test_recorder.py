@@ -13,7 +13,6 @@ from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
 from touchdown.experiments.io.tum import TumWriter, read_tum
 from touchdown.experiments.recording import mjcf_meshes
 from touchdown.experiments.recording.map_tiles import MapTiles
-from touchdown.experiments.recording.rerun_scene import pose_on_path
 from touchdown.experiments.recording.run_recorder import RunRecorder
 from touchdown.experiments.recording.scan_deskew import scan_points_odom
 from touchdown.experiments.recording.step_record import StepRecord
@@ -139,17 +138,9 @@ def test_scan_points_use_the_pose_of_their_own_instant() -> None:
     np.testing.assert_allclose(points[:, 2], 0.0, atol=1e-6)
 
 
-def test_moving_body_follows_its_closed_path(scene: Scene) -> None:
-    position, yaw = pose_on_path(scene.moving[0], 5.0)  # 15 m: half way up the second side
-    np.testing.assert_allclose(position, [10.0, 5.0, 1.0])
-    assert yaw == pytest.approx(0.5 * np.pi)
-    again, _ = pose_on_path(scene.moving[0], 25.0)  # 40 m around
-    np.testing.assert_allclose(again, position)
-
-
 def test_box_mesh_is_closed_and_faces_outwards(scene: Scene) -> None:
     house = scene.model.geom("house").id
-    mesh = mjcf_meshes.merged_mesh(scene.model, [house], mjcf_meshes.geom_poses_world(scene.model))
+    mesh = mjcf_meshes.merged_mesh(scene.model, [house], mjcf_meshes.geom_poses(scene.model))
     corners = mesh.vertices[mesh.faces]
     volume = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
     assert volume == pytest.approx(4 * 2 * 6)
@@ -158,7 +149,7 @@ def test_box_mesh_is_closed_and_faces_outwards(scene: Scene) -> None:
 
 def test_terrain_mesh_spans_the_height_field(scene: Scene) -> None:
     model = scene.model
-    ground = mjcf_meshes.terrain(model, 0, np.eye(4), max_side=11, texture_pixels=16)
+    ground = mjcf_meshes.terrain(model, 0, Pose.identity(), max_side=11, texture_pixels=16)
     assert len(ground.vertices) == 11 * 11
     np.testing.assert_allclose(ground.vertices.min(axis=0), [-20.0, -10.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(ground.vertices.max(axis=0), [20.0, 10.0, 2.0], atol=1e-6)
