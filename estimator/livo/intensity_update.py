@@ -98,7 +98,7 @@ def photometry(
     of the residuals, the scan's own brightness, is marginalised.
 
     All returns turn as if at their mean height: by their differences in height, tilt would be told
-    from a shift, but brightness changes with height in plants, which would turn the vehicle.
+    from a shift, but over plants that turns the vehicle.
     """
     points, beams = returns
     means, weights, axes, cell, clone_rotation, w, shift = image

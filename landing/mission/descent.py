@@ -183,7 +183,8 @@ def final_descent(mission: Mission) -> Steps:
         step = mission.now - before
         path_s += rate * step
         position, velocity, acceleration = path.sample(path_s)
-        if drift.update(mission.estimate.position_covariance):
+        drifts = drift.update(mission.estimate.position_covariance)
+        if drifts and acceleration[2] >= 0.0:  # not while it gathers speed
             sinking = max(-float(velocity[2]), 1e-3)
             faster = rate + params.final_accel_mps2 * step / sinking
             rate = min(max(params.drift_speed_mps / sinking, 1.0), faster)

@@ -173,8 +173,8 @@ def test_the_brightness_of_a_scan_as_a_whole_does_not_count():
 
 
 def test_heights_of_returns_do_not_show_the_tilt():
-    """Brightness changes with height in plants: over rough ground all returns turn as if at their
-    mean height, and tilt cannot be told from a shift."""
+    """Over rough ground all returns turn as if at their mean height, and tilt cannot be told from a
+    shift."""
     places = ground(4000, 2)
     places[:, 2] = np.random.default_rng(4).uniform(-2.0, 2.0, len(places))
     now, clone = (Pose(so3_exp(np.array([0.0, 0.0, yaw])), TRUE.translation) for yaw in (0.3, 1.9))

@@ -221,6 +221,18 @@ def test_a_drifting_estimate_is_brought_down_faster() -> None:
     np.testing.assert_allclose(np.diff(last[:, 0]) / STEP_S, -params.drift_speed_mps, atol=1e-3)
 
 
+def test_a_drift_at_the_start_of_the_final_descent_does_not_skip_its_path() -> None:
+    stage = Stage(SITE + [0.0, 0.0, 4.0 + landing_support.LEG_HEIGHT])
+    stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
+    stage.spread = lambda legs: 1e-4 + (0.05**2 if legs < 3.9999 else 0.0)
+    setpoints = stage.run(final_descent(stage.mission))
+    flown = [s for s in setpoints if s.thrust_limit is None and s.motors_on]
+    speed = np.diff([s.position_odom[2] for s in flown]) / STEP_S
+    params = LandingParams()
+    assert speed.min() == pytest.approx(-params.final_speed_mps, abs=5e-3)
+    assert np.abs(np.diff(speed)).max() < 1.2 * params.final_accel_mps2 * STEP_S
+
+
 def test_a_missing_weight_high_above_the_ground_is_no_touchdown() -> None:
     stage = Stage(SITE + [0.0, 0.0, 4.0 + landing_support.LEG_HEIGHT])
     stage.carried = lambda legs: 0.5
