@@ -212,6 +212,16 @@ class PhaseStart(_Part):
     phase: str
 
 
+class PartNames(_Part):
+    """A text for each part of a flight beside the estimator."""
+
+    selector: str | None = None
+    lander: str | None = None
+    controller: str | None = None
+    mapper: str | None = None
+    classifier: str | None = None
+
+
 class RunResult(_Part):
     """The result of one flight or replay. ``plain`` is the content of ``result.json``: the fields
     that were given, in the order below."""
@@ -223,6 +233,10 @@ class RunResult(_Part):
     estimator: str
     estimator_sha: str | None = None
     """hash of the code of an external estimator"""
+    parts: PartNames | None = None
+    """names of the parts that are not those by default"""
+    parts_sha: PartNames | None = None
+    """hashes of the code of the external ones"""
     profile: str | None = None
     """how kind the world was"""
     preset: str | None = None
