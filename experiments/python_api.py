@@ -165,9 +165,13 @@ def load_runs(directory: str | Path) -> list[RunResult]:
     """The results of all runs at or below ``directory``, sorted by scene, estimator and seed, each
     with the ``path`` of its run and, in ``settings``, the configuration keys in which they differ.
     Raises UsageError where there is none or one cannot be read."""
+    from touchdown.experiments.config.settings import settings_apart
     from touchdown.experiments.io import results
 
-    return list(results.load_runs(Path(directory)).values())
+    found = list(results.load_runs(Path(directory)).values())
+    paths = [run.path or Path(directory) for run in found]
+    apart = zip(found, paths, settings_apart(paths), strict=True)
+    return [run.found_at(path, settings) for run, path, settings in apart]
 
 
 @_by_keyword

@@ -23,7 +23,6 @@ from touchdown.experiments.errors import UsageError, input_message, plain_fault,
 from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.measured import Figure, Measured
 from touchdown.experiments.io.provenance import plain_json
-from touchdown.experiments.io.settings import settings_apart
 
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
 LANDED = "LANDED"
@@ -277,16 +276,18 @@ class RunResult(_Part):
         """The run directory; None for a result that was not written."""
         return self._path
 
-    def found_at(self, path: Path | None) -> RunResult:
-        """This result, of the run directory ``path``."""
-        self._path = path
-        return self
-
     @property
     def settings(self) -> Mapping[str, Any]:
-        """The configuration keys in which the runs that were read together differ, with their
-        values in this one."""
+        """The configuration keys in which the runs that `touchdown.load_runs` read together differ,
+        with their values in this one."""
         return self._settings
+
+    def found_at(
+        self, path: Path | None, settings: Mapping[str, Any] = types.MappingProxyType({})
+    ) -> RunResult:
+        """This result, of the run directory ``path``."""
+        self._path, self._settings = path, dict(settings)
+        return self
 
     @property
     def is_success(self) -> bool:
@@ -419,7 +420,7 @@ def result_files(directory: Path) -> list[Path]:
 
 def load_runs(directory: Path) -> dict[str, RunResult]:
     """Every ``result.json`` at or below ``directory``, sorted by scene, estimator and seed, each
-    with its ``path`` and ``settings``. Keys are the run directories, relative to ``directory``.
+    with its ``path``. Keys are the run directories, relative to ``directory``.
 
     Raises UsageError where there is none or one cannot be read.
     """
@@ -431,9 +432,6 @@ def load_runs(directory: Path) -> dict[str, RunResult]:
         found[name] = load_result(file).found_at(file.parent)
     if not found:
         raise UsageError(f"'{directory}' holds no finished run (no result.json)")
-    differing = settings_apart([result._path for result in found.values() if result._path])
-    for result, settings in zip(found.values(), differing, strict=True):
-        result._settings = settings
     ordered = sorted(found.items(), key=lambda i: (i[1].scene, i[1].estimator, i[1].seed))
     return dict(ordered)
 

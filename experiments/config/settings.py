@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from touchdown.experiments.config.files import read_tree
 from touchdown.experiments.config.keys import flatten
-from touchdown.experiments.io.foreign import read_object
+from touchdown.experiments.errors import UsageError
 
 UNTOLD = ("scene", "seed", "estimator", "record", "log.", "sim.threads")
 """Keys, or their beginnings, that every result has, too, or that change nothing of a flight."""
@@ -27,6 +28,6 @@ def settings_apart(runs: Sequence[Path]) -> list[dict[str, Any]]:
 
 def _values(file: Path) -> dict[str, Any]:
     try:
-        return dict(flatten(read_object(file)))
-    except (OSError, ValueError, RecursionError):
+        return dict(flatten(read_tree(file)))
+    except UsageError:
         return {}
