@@ -100,10 +100,9 @@ def reason_of(error: Exception) -> str:
 
 def require_dm_control(what: str) -> None:
     """Raises UsageError, naming ``what`` needs it, where dm_control cannot be imported."""
-    missing = [name for name in ("dm_control", "labmaze") if find_spec(name) is None]
-    if missing:
+    if find_spec("dm_control") is None:
         raise UsageError(
-            f"{what} needs {missing[0]}, which is not installed: pip install dm-control, on Python "
+            f"{what} needs dm_control, which is not installed: pip install dm-control, on Python "
             "3.11 or 3.12 (labmaze, which it needs, has no wheels for newer ones)"
         )
 

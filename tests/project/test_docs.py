@@ -229,12 +229,12 @@ def test_the_blocks_of_the_python_page_run(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.chdir(tmp_path)
     printed = io.StringIO()
     blocks = blocks_of(ROOT / "docs" / "python.md", "python")
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     with contextlib.redirect_stdout(printed):
         for block in blocks[1:]:
             exec(compile(block, "python.md", "exec", dont_inherit=True), {"__name__": "block"})
     assert (tmp_path / "runs" / "study.png").stat().st_size > 0
-    assert [line.split()[:3] for line in printed.getvalue().splitlines()[1:]] == [
+    assert [line.split()[:3] for line in printed.getvalue().splitlines()[1:5]] == [
         [estimator, str(seed), "COMPLETED"]
         for estimator in ("gps", "optical_flow")
         for seed in (0, 1)

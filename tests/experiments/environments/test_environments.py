@@ -171,8 +171,8 @@ def test_the_suite_pushes_shows_and_names(lawn: str, monkeypatch: pytest.MonkeyP
         suite.load(lawn, "lnad")
     with pytest.raises(ValueError, match=r"did you mean 'crossroad'"):
         suite.load("crosroad", "land")
-    monkeypatch.setitem(sys.modules, "labmaze", None)
-    with pytest.raises(UsageError, match=r"suite needs labmaze, which is not installed: pip"):
+    monkeypatch.setitem(sys.modules, "dm_control", None)
+    with pytest.raises(UsageError, match=r"suite needs dm_control, which is not installed: pip"):
         require_dm_control("touchdown.suite")
 
 
