@@ -7,6 +7,7 @@ import errno
 import os
 import re
 from collections.abc import Callable, Iterable
+from importlib.util import find_spec
 from typing import Any
 
 
@@ -95,6 +96,15 @@ def input_message(error: ValueError | OSError) -> str:
 def reason_of(error: Exception) -> str:
     """The words of an error, without the number that the system gives it."""
     return error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+
+
+def require_dm_control(what: str) -> None:
+    """Raises UsageError, naming ``what`` needs it, where dm_control cannot be imported."""
+    if find_spec("dm_control") is None:
+        raise UsageError(
+            f"{what} needs dm_control, which is not installed: pip install dm-control, on Python "
+            "3.11 or 3.12 (labmaze, which it needs, has no wheels for newer ones)"
+        )
 
 
 def usage_errors(action: Callable[[], Any]) -> Any:

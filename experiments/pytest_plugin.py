@@ -165,6 +165,7 @@ def assert_position_error(
     from touchdown.experiments.campaign.results_table import is_successful
     from touchdown.experiments.reporting.flights import number
 
+    __tracebackhide__ = True  # pytest shows the test's line, not this function
     flights = list(rows)
     if not flights:
         raise ValueError("assert_position_error was given no flight")

@@ -9,10 +9,11 @@ from __future__ import annotations
 import functools
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.config.keys import flatten
@@ -36,10 +37,34 @@ if TYPE_CHECKING:
 
 Overrides = Mapping[str, Any]
 """Values by dotted configuration key, such as ``{"survey.height_m": 20.0}``."""
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+_KEYWORDS = (
+    ("--allow-code", "allow_code=True"),
+    ("--log-sensors", "log.sensors=True among the overrides"),
+    ("--out", "out"), ("--estimator", "estimator"), ("--seed", "seed"), ("--set", "overrides"),
+)  # fmt: skip
 Progress = bool | Callable[[float, str, str], None]
 """True prints progress to stderr; a function is called with simulated seconds, phase and note."""
 
 
+def _by_keyword(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Names keywords instead of options of the command line in the errors of ``function``."""
+
+    @functools.wraps(function)
+    def wrapped(*arguments: _P.args, **keywords: _P.kwargs) -> _R:
+        try:
+            return function(*arguments, **keywords)
+        except UsageError as error:
+            text = str(error)
+            for option, keyword in _KEYWORDS:
+                text = re.sub(rf"(?<!\w){option}\b", keyword, text)
+            raise UsageError(text) from error
+
+    return wrapped
+
+
+@_by_keyword
 def load_config(
     file: str | Path | None = None,
     *,
@@ -68,6 +93,7 @@ def load_config(
     return _changed(values, sources, overrides, scene=scene, estimator=estimator, seed=seed)
 
 
+@_by_keyword
 def fly(
     scene: str | Path | Config = "crossroad",
     *,
@@ -88,6 +114,7 @@ def fly(
     return _flown(config, out, progress)
 
 
+@_by_keyword
 def land(
     scene: str | Path | Config = "crossroad",
     *,
@@ -106,6 +133,7 @@ def land(
     return _flown(config, out, progress)
 
 
+@_by_keyword
 def replay(
     run: str | Path,
     *,
@@ -127,19 +155,27 @@ def replay(
     _prepare()
     texts = tuple(f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items())
     config = replays.replay_config(Path(run), estimator, texts, allow_code=allow_code)
-    result = replays.replay(Path(run), config, _path(out), _progress(progress))
+    folder = _path(out)
+    result = replays.replay(Path(run), config, folder, _progress(progress))
     end_progress(quiet=progress is not True)
-    return result
+    return result.found_at(folder)
 
 
+@_by_keyword
 def load_runs(directory: str | Path) -> list[RunResult]:
-    """The results of all runs at or below ``directory``, sorted by scene, estimator and seed.
+    """The results of all runs at or below ``directory``, sorted by scene, estimator and seed, each
+    with the ``path`` of its run and, in ``settings``, the configuration keys in which they differ.
     Raises UsageError where there is none or one cannot be read."""
+    from touchdown.experiments.config.settings import settings_apart
     from touchdown.experiments.io import results
 
-    return list(results.load_runs(Path(directory)).values())
+    found = list(results.load_runs(Path(directory)).values())
+    paths = [run.path or Path(directory) for run in found]
+    apart = zip(found, paths, settings_apart(paths), strict=True)
+    return [run.found_at(path, settings) for run, path, settings in apart]
 
 
+@_by_keyword
 def check_estimator(
     estimator: str | Build, *, overrides: Overrides | None = None, seconds: float = 3.0
 ) -> list[Violation]:
@@ -235,7 +271,7 @@ def _flown(config: Config, out: str | Path | None, progress: Progress) -> RunRes
         )
     result = fly_with_usage_errors(config, folder, _progress(progress))
     end_progress(quiet=progress is not True)
-    return result
+    return result.found_at(folder)
 
 
 def _prepare() -> None:

@@ -63,24 +63,29 @@ class MujocoWorld:
     The first scan ends, and the first image is exposed, one period after tick 0. The world writes
     the physics options of ``scene.model`` (time step, air, wind). Raises ValueError for
     incompatible rates, parameters out of range, a scene without vehicle or a take-off spot on which
-    the vehicle cannot stand.
+    the vehicle cannot stand. ``drawn``: ``model`` may be drawn, vehicle and all.
     """
 
     rig: SensorRig
 
     def __init__(
-        self, scene: Scene, params: WorldParams, seed: int, needs: SensorNeeds = _NOTHING
+        self,
+        scene: Scene,
+        params: WorldParams,
+        seed: int,
+        needs: SensorNeeds = _NOTHING,
+        drawn: bool = False,
     ) -> None:
         check_rates(params.sim, needs)
         self._vehicle = vehicle_model(scene.model)
         self._deviations = draw_deviations(params.vehicle_error, seed)
-        drawn = scene
-        scene = replace(scene, model=true_model(scene.model, self._deviations))
+        nominal = scene
+        scene = replace(scene, model=true_model(scene.model, self._deviations, drawn))
         self._scene, self._params, self._seed, self._needs = scene, params, seed, needs
         self._sim, self._model = params.sim, scene.model
         self._step_s = self._sim.control_ticks / self._sim.tick_hz
         self._prepare_body()
-        self._imaging = ImagingSensors(drawn, params, seed, self._moving)
+        self._imaging = ImagingSensors(nominal, params, seed, self._moving)
         self._imaging.add(needs)
         self._nav = self._make_nav()
         self.rig = self._make_rig()
@@ -149,6 +154,16 @@ class MujocoWorld:
         )
 
     # ------------------------------------------------------------------------ the protocol
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model with the true vehicle: the one that moves, not a copy of it."""
+        return self._model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's state, not a copy of it."""
+        return self._data
 
     def require(self, needs: SensorNeeds) -> None:
         """Adds sensors before the flight begins; estimators state their needs only after they have

@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import socket
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -363,6 +364,12 @@ def flying_now(directory: Path) -> list[str]:
     if not folder.is_dir() or not _is_in_use(directory):
         return []
     return sorted({path.name.rpartition(".")[0] for path in folder.iterdir()})
+
+
+def flown_for_s(directory: Path) -> float:
+    """Seconds since the session in progress began: since its lock was signed."""
+    locks = [path for path in directory.glob(f"{LOCK_FILE}*") if not path.name.endswith("sessions")]
+    return max(0.0, time.time() - max(path.stat().st_mtime for path in locks)) if locks else 0.0
 
 
 def _is_in_use(directory: Path) -> bool:

@@ -18,7 +18,7 @@ from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.run_names import AXES, run_name
 from touchdown.experiments.config.files import check_named_code, read_tree
 from touchdown.experiments.config.keys import flatten, hint_for
-from touchdown.experiments.config.loading import config_of, is_key, known_keys
+from touchdown.experiments.config.loading import config_of, is_key, known_keys, parse_override
 from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT, PRESET_KEY
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
@@ -137,10 +137,16 @@ class Plan:
     """True if the file says which profile is flown"""
 
 
-def load_plan(file: Path, *, allow_code: bool = False, preset: str | None = None) -> Plan:
+def load_plan(
+    file: Path,
+    *,
+    allow_code: bool = False,
+    preset: str | None = None,
+    overrides: Sequence[str] = (),
+) -> Plan:
     """Reads, checks and unrolls a campaign's TOML file. A file that lies in the directory of a
-    campaign or a run names an external estimator only with ``allow_code``. ``preset``: that of all
-    runs.
+    campaign or a run names an external estimator only with ``allow_code``. ``preset`` and
+    ``overrides`` (``key=value``) are of all runs, over those of the file's ``[base]``.
 
     Every configuration is validated here, so that a mistake shows before the first flight.
     Raises UsageError, one line.
@@ -158,10 +164,13 @@ def load_plan(file: Path, *, allow_code: bool = False, preset: str | None = None
     if preset is not None:
         _check_settable([PRESET_KEY], axes, f"--preset {preset}")
         base[PRESET_KEY] = preset
-    overrides = [_override(entry, axes, f"[[override]] {number} of {file}")
-                 for number, entry in enumerate(spec.override, start=1)]  # fmt: skip
+    given = dict(map(parse_override, overrides))
+    _check_settable(given, axes, "--set")
+    base |= given
+    changes = [_override(entry, axes, f"[[override]] {number} of {file}")
+               for number, entry in enumerate(spec.override, start=1)]  # fmt: skip
     _check_names(axes, str(file))
-    runs = _runs(spec, axes, base, overrides, str(file))
+    runs = _runs(spec, axes, base, changes, str(file))
     expect = [_expectation(entry, axes, f"[[expect]] {number} of {file}")
               for number, entry in enumerate(spec.expect, start=1)]  # fmt: skip
     return Plan(
@@ -172,7 +181,7 @@ def load_plan(file: Path, *, allow_code: bool = False, preset: str | None = None
         runs=tuple(runs),
         text=file.read_text(encoding="utf-8"),
         expect=tuple(expect),
-        names_profile=any("profile" in keys for keys in (axes, base, *(s for _, s in overrides))),
+        names_profile=any("profile" in keys for keys in (axes, base, *(s for _, s in changes))),
     )
 
 

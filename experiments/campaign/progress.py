@@ -136,6 +136,7 @@ def print_summary(figures: Mapping[str, Any]) -> None:
         f"{figures['name']}: {figures['finished']} of {figures['runs']} runs finished, "
         f"{figures['crashed']} crashed, {figures['remaining']} to go, "
         f"{_clock(figures['wall_s'])} so far"
+        + ("" if figures["left_s"] is None else f", about {_clock(figures['left_s'])} left")
     )
     if figures["outcomes"]:
         counts = ", ".join(f"{name} {count}" for name, count in figures["outcomes"].items())

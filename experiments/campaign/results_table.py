@@ -209,6 +209,13 @@ def load_rows(directory: Path) -> list[dict[str, Any]]:
     return sorted(table_of(rows).to_pylist(), key=_order)
 
 
+def run_path(directory: Path, row: Mapping[str, Any]) -> Path:
+    """The run directory of a row of `load_rows`."""
+    if is_campaign(directory):
+        return directory / RUNS / str(row["run_id"])
+    return directory if row["run_id"] == directory.name else directory / str(row["run_id"])
+
+
 def refresh(directory: Path, *, must_write: bool = False) -> list[dict[str, Any]]:
     """Returns all rows of a campaign; rewrites ``results.parquet`` where it is out of date.
 

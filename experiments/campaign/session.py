@@ -9,6 +9,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from touchdown.experiments.campaign import expectations
@@ -17,6 +18,7 @@ from touchdown.experiments.campaign.directory import (
     Shard,
     add_session,
     check_external_code,
+    flown_for_s,
     flying_now,
     locked,
     parts_named,
@@ -164,6 +166,8 @@ def _without_row(runs: Sequence[PlannedRun], directory: Path) -> list[str]:
 def summary(directory: Path) -> dict[str, Any]:
     """Returns the progress and the cost of a campaign.
 
+    ``wall_s`` includes the session in progress; ``left_s`` is the time left by the mean duration
+    of the finished runs, None where none is known or nobody flies.
     ``estimators`` gives processor and wall seconds of the finished runs of each, and the share of
     their wall time by stage: ``set_up`` is loading, building and writing, ``rest`` the loop itself.
     ``expectations`` are `experiments.campaign.expectations.Verdict`; ``as_expected``
@@ -175,6 +179,9 @@ def summary(directory: Path) -> dict[str, Any]:
     planned = {run["run_id"] for run in document["runs"]}
     rows = [row for row in refresh(directory) if row["run_id"] in planned]
     crashed = [row for row in rows if row["outcome"] == CRASHED]
+    flying, remaining = flying_now(directory), len(planned) - len(rows)
+    took = [row["wall_s"] for row in rows if row["wall_s"] is not None]
+    known = bool(took and flying)
     return {
         "name": document["name"],
         "mode": document["mode"],
@@ -183,11 +190,13 @@ def summary(directory: Path) -> dict[str, Any]:
         "runs": len(planned),
         "finished": len(rows) - len(crashed),
         "crashed": len(crashed),
-        "remaining": len(planned) - len(rows),
-        "flying": flying_now(directory),
+        "remaining": remaining,
+        "flying": flying,
+        "left_s": remaining * fmean(took) / len(flying) if known else None,
         "outcomes": dict(sorted(Counter(row["outcome"] for row in rows).items())),
         "errors": {row["run_id"]: row["reason"] for row in crashed},
-        "wall_s": sum(session["wall_s"] for session in document["sessions"]),
+        "wall_s": sum(session["wall_s"] for session in document["sessions"])
+        + (flown_for_s(directory) if flying else 0.0),
         "estimators": _costs([row for row in rows if row["outcome"] != CRASHED]),
         "git_revisions": sorted({row["git_revision"] for row in rows if row["git_revision"]}),
         "idle_conditions": expectations.idle_conditions(rows),

@@ -14,6 +14,7 @@ from touchdown.experiments.cli.common import (
     EXIT_DONE,
     EXIT_FAILED,
     JSON,
+    OVERRIDES,
     PATH,
     QUIET,
     CommandGroup,
@@ -87,6 +88,7 @@ def campaign() -> int:
               help="Import external estimators that a campaign.toml of results names.")  # fmt: skip
 @click.option("--preset", type=click.Choice(["whole", "short"]),
               help="How much each run flies: short is one leg of 12 m.  [whole]")  # fmt: skip
+@OVERRIDES
 @click.option("--dry-run", is_flag=True,
               help="Print the number of flights and their expected cost; fly nothing.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
@@ -119,7 +121,8 @@ def fly_file(
         make_engine,
     )
 
-    plan = load_plan(file, allow_code=allow_code, preset=more["preset"])
+    plan = load_plan(file, allow_code=allow_code, preset=more["preset"],
+                     overrides=more["overrides"])  # fmt: skip
     expected = forecast(plan, runs_of_shard(plan, shard), out, more["jobs"] or default_jobs())
     if more["dry_run"]:
         click.echo(json.dumps(expected.as_json(), indent=2) if more["as_json"] else

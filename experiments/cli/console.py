@@ -52,6 +52,7 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
     parts = {} if result.parts is None else result.parts.model_dump(exclude_none=True)
     title += "".join(f", {kind} {visible(name)}" for kind, name in parts.items())
     title += "" if result.wind_kmh is None else f", wind {result.wind_kmh:g} km/h"
+    title += "".join(f", {visible(text)}" for text in fault_texts(result))
     table = Table(title=title, show_header=False, title_justify="left", min_width=52)
     table.add_column(style="dim")
     table.add_column(justify="right")
@@ -77,7 +78,7 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
         console.print(f"run directory: {out_dir}", soft_wrap=True)
         if (out_dir / "flight.rrd").exists():
             console.print(f"recording:     {out_dir / 'flight.rrd'}", soft_wrap=True)
-            program = "touchdown" if shutil.which("touchdown") else sys.argv[0]
+            program = "touchdown" if shutil.which("touchdown") else f"{sys.executable} -m touchdown"
             console.print(f"view it:       {program} view {out_dir}", soft_wrap=True)
 
 
@@ -110,6 +111,11 @@ def _print_choice(result: RunResult, console: Console) -> None:
 
 def _figure(form: str, value: float | None) -> str:
     return "-" if value is None else form.format(value)
+
+
+def fault_texts(result: RunResult) -> list[str]:
+    """The faults that were flown, or given to a replay, as they were asked for."""
+    return [str(fault["fault"]) for fault in result.faults if "fault" in fault]
 
 
 def _remark(result: RunResult) -> str:

@@ -100,7 +100,7 @@ def load_config(
                 values[key], sources[key] = value, str(file)
     given: dict[str, Any] = {}
     for text in overrides:
-        key, value = _parse_override(text)
+        key, value = parse_override(text)
         given[key], sources[key] = value, f"--set {text}"
     for name, value in options.items():
         if value is not None:
@@ -187,7 +187,8 @@ def is_key(key: str) -> bool:
     return key in known_keys() or is_external_key(key)
 
 
-def _parse_override(text: str) -> tuple[str, Any]:
+def parse_override(text: str) -> tuple[str, Any]:
+    """The dotted key and the value of ``key=value``, as after ``--set``. Raises UsageError."""
     key, equals, raw = text.partition("=")
     key = key.strip()
     if not equals or not re.fullmatch(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*", key):

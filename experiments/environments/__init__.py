@@ -1,8 +1,8 @@
-"""The landing task as a reinforcement-learning environment of Gymnasium or dm_env.
+"""The landing task as a reinforcement-learning environment of dm_control or Gymnasium.
 
-Importing this package registers ``Touchdown-v0`` with Gymnasium where that is installed; dm_env
-uses `dm_environment.TouchdownEnvironment`. Both need the extra ``rl``. Actions, observations and
-rewards are documented in `landing_task`."""
+Importing this package registers ``Touchdown-v0`` with Gymnasium where that is installed (extra
+``rl``); `suite` is ``touchdown.suite``. Actions, observations and rewards are documented in
+`landing_task`."""
 
 from __future__ import annotations
 

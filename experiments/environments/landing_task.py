@@ -44,7 +44,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.loading import load_config
@@ -52,11 +51,10 @@ from touchdown.experiments.config.profiles import DEFAULT, PROFILES
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.environments.action_modes import ACTION_MODES, ActionMode
 from touchdown.experiments.environments.observations import SENSORS, ObservationBuffer, sensor_needs
+from touchdown.experiments.environments.task_scene import TaskScene, task_scene
 from touchdown.experiments.environments.wiring import EnvBackend, build_env_backend
 from touchdown.experiments.flight.truth_lookup import TruthLookup, stands_on_truth
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.scenes.api import Scene, TruthMaps
-from touchdown.scenes.truth.maps import truth_maps as scene_truth_maps
 from touchdown.sim.api import Truth
 from touchdown.sim.frames import tilt_from_rotation
 
@@ -68,18 +66,15 @@ MAX_CLIMB_M = 30.0
 TOUCH_DOWN_MPS = 1.5
 TOUCH_SIDE_MPS = 1.0
 TOUCH_TILT_DEG = 20.0
-_PROGRESS_PER_M = 0.1
-_TIME_COST_PER_S = 0.01
-_SAFE, _UNSAFE, _FAILED = 10.0, -2.0, -10.0
-_MAP_CELL_M = 0.25
-_MAX_DISTANCE_M = 20.0
+PROGRESS_PER_M = 0.1
+TIME_COST_PER_S = 0.01
+SAFE, UNSAFE, FAILED = 10.0, -2.0, -10.0
 _EDGE_M = 5.0
-_CLEAR_RADIUS_M = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TaskOptions:
-    """Arguments of ``gymnasium.make`` and of the dm_env class. Raises ValueError if invalid."""
+    """Arguments of ``gymnasium.make`` and of ``touchdown.suite``. Raises ValueError if invalid."""
 
     scene: str = "crossroad"
     """a name or the path of an MJCF file"""
@@ -120,6 +115,18 @@ class TaskOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class Measures:
+    """What the reward is made of."""
+
+    height_m: float
+    """of the feet over the take-off ground"""
+    distance_m: float
+    """horizontal, to the nearest truly safe point, at most 20"""
+    sink_mps: float
+    """speed downwards at the last control step before now; negative in a climb"""
+
+
+@dataclass(frozen=True, slots=True)
 class Step:
     """Result of one action."""
 
@@ -128,39 +135,26 @@ class Step:
     terminated: bool
     truncated: bool
     info: dict[str, Any]
+    measures: Measures
 
 
 @dataclass(frozen=True, slots=True)
-class TaskScene:
-    """A scene with its true safe ground."""
+class _End:
+    """End of an episode. Its reward is added to that of the last step."""
 
-    scene: Scene
-    maps: TruthMaps
-    safe_distance_m: Array
-    """(rows, cols) to the nearest safe cell, on the grid of ``maps``"""
-
-    def distance_at(self, xy: Array) -> float:
-        """Metres to the nearest safe point, at most 20; 20 outside of the maps."""
-        cell = _cell_of(self.maps, xy)
-        return _MAX_DISTANCE_M if cell is None else float(self.safe_distance_m[cell])
-
-    def highest_near(self, xy: Array) -> float:
-        """Height of the highest surface within 3 m; 0 where there is none."""
-        maps = self.maps
-        row, col = np.floor((xy - maps.origin_xy_m) / maps.cell_m).astype(int)[::-1]
-        reach = round(_CLEAR_RADIUS_M / maps.cell_m)
-        window = maps.height_m[
-            max(row - reach, 0) : row + reach + 1, max(col - reach, 0) : col + reach + 1
-        ]
-        seen = window[np.isfinite(window)]
-        return float(seen.max()) if seen.size else 0.0
+    outcome: Outcome
+    safe: bool
+    reward: float
 
 
 class LandingTask:
-    """Runs episodes of the task. Call ``reset`` before the first ``step``."""
+    """Runs episodes of the task. Call ``reset`` before the first ``step``; ``step`` is
+    ``take_action``, then ``advance`` until the action is flown, then ``result``. ``drawn``: the
+    world's own model can be drawn."""
 
-    def __init__(self, options: TaskOptions) -> None:
+    def __init__(self, options: TaskOptions, drawn: bool = False) -> None:
         self.options = options
+        self._drawn = drawn
         self.observations = ObservationBuffer(
             options.sensors, options.privileged, options.camera_pixels
         )
@@ -172,6 +166,7 @@ class LandingTask:
         self._steps_per_action = control_hz // options.action_hz
         self._layout: TaskScene | None = None
         self._backend: EnvBackend | None = None
+        self._end: _End | None = None
 
     def reset(self, layout_seed: int | None, rng: np.random.Generator) -> Step:
         """Begins an episode on the layout of ``layout_seed`` (None: the present one). ``rng`` draws
@@ -179,12 +174,14 @@ class LandingTask:
         if self._backend is not None:
             self._backend.close()
             self._backend = None
-        layout = self._take_layout(layout_seed)
+        layout = self.layout(layout_seed)
         world_seed = int(rng.integers(2**31))
         config = self._config.model_copy(update={"seed": world_seed})
         needs = sensor_needs(self.options.sensors)
-        backend = build_env_backend(config, layout.scene, needs, self.options.view_pixels)
+        pixels = self.options.view_pixels
+        backend = build_env_backend(config, layout.scene, needs, pixels, self._drawn)
         self._backend = backend
+        self._end = None
         self._action_mode: ActionMode = ACTION_MODES[self.options.action](backend)
         rig = backend.world.rig
         self.observations.reset(rig)
@@ -194,11 +191,21 @@ class LandingTask:
         self._start_tick = round(WARM_UP_S * rig.tick_hz)
         while self._obs.tick < self._start_tick:
             self._advance(self._action_mode.hold(self._obs))
-        self._potential = self._potential_now()
-        return Step(self._observation(), 0.0, False, False, self._info(None, False))
+        self._before = self._truth
+        measures = self._measures()
+        self._potential = _potential_of(measures)
+        return Step(self._observation(), 0.0, False, False, self._info(None), measures)
 
     def step(self, action: NDArray[Any]) -> Step:
-        """Flies one action, (4,) clipped to [-1, 1].
+        """Flies one action; raises as ``take_action``."""
+        self.take_action(action)
+        for _ in range(self._steps_per_action):
+            if not self.advance():
+                break
+        return self.result()
+
+    def take_action(self, action: NDArray[Any]) -> None:
+        """Sets the action that is flown next, (4,), clipped to [-1, 1].
 
         Raises ValueError for a wrong shape or values that are not finite, and RuntimeError before
         the first reset.
@@ -208,25 +215,57 @@ class LandingTask:
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (4,) or not np.all(np.isfinite(action)):
             raise ValueError(f"an action is 4 finite numbers, not {action!r}")
-        action = np.clip(action, -1.0, 1.0)
-        outcome, safe, ending = None, False, 0.0
-        self._action_mode.set_action(action)
-        for _ in range(self._steps_per_action):
-            before = self._truth
-            self._advance(self._action_mode.command(self._obs))
-            outcome, safe, ending = self._judge(before, self._truth)
-            if outcome is not None:
-                break
+        self._action_mode.set_action(np.clip(action, -1.0, 1.0))
+
+    def advance(self) -> bool:
+        """Flies one control step of the action; False where it ended the episode."""
+        self._before = self._truth
+        self._advance(self._action_mode.command(self._obs))
+        self._end = self._judge(self._before, self._truth)
+        return self._end is None
+
+    def result(self) -> Step:
+        """Returns what the action came to."""
+        assert self._backend is not None
         time_s = (self._obs.tick - self._start_tick) / self._backend.world.rig.tick_hz
-        potential = self._potential_now()
-        reward = potential - self._potential
+        measures, end = self._measures(), self._end
+        potential = _potential_of(measures)
+        reward = potential - self._potential - TIME_COST_PER_S / self.options.action_hz
         self._potential = potential
-        reward += ending - _TIME_COST_PER_S / self.options.action_hz
-        truncated = outcome is None and time_s >= self.options.time_limit_s
-        named = Outcome.TIMEOUT if truncated else outcome
-        return Step(
-            self._observation(), reward, outcome is not None, truncated, self._info(named, safe)
-        )
+        truncated = end is None and time_s >= self.options.time_limit_s
+        if end is not None:
+            reward += end.reward
+        info = self._info(end, truncated)
+        return Step(self._observation(), reward, end is not None, truncated, info, measures)
+
+    @property
+    def world(self) -> Any:
+        """``sim.world.MujocoWorld`` of the episode. Raises RuntimeError before the first reset."""
+        if self._backend is None:
+            raise RuntimeError("reset the environment before looking at its world")
+        return self._backend.world
+
+    @property
+    def heights_m(self) -> tuple[float, float]:
+        """Least and greatest height of the feet over the take-off ground in the present episode:
+        over the lowest surface, and where the climb ends it."""
+        assert self._layout is not None and self._backend is not None
+        feet = self._start_z - self._backend.world.rig.vehicle.leg_height_m
+        home = float(self._home[2])
+        return self._layout.lowest() - home, feet + MAX_CLIMB_M - home
+
+    @property
+    def control_ticks(self) -> int:
+        """Ticks of a control step, of which an action takes several."""
+        return self._config.sim.control_ticks
+
+    def layout(self, seed: int | None) -> TaskScene:
+        """Returns the layout of a seed (None: the present one), which the next ``reset`` takes."""
+        if self._layout is None or seed not in (None, self._layout.scene.seed):
+            self._layout = None  # frees the old one first
+            scene = build_scene(self._config.model_copy(update={"seed": seed or 0}))
+            self._layout = task_scene(scene)
+        return self._layout
 
     def render(self) -> NDArray[np.uint8]:
         """Returns the vehicle's view downwards, (H, W, 3) uint8. Raises RuntimeError before the
@@ -243,14 +282,6 @@ class LandingTask:
 
     # ------------------------------------------------------------------------------ inside
 
-    def _take_layout(self, seed: int | None) -> TaskScene:
-        if self._layout is None or seed not in (None, self._layout.scene.seed):
-            self._layout = None  # frees the old one first
-            scene = build_scene(self._config.model_copy(update={"seed": seed or 0}))
-            maps = scene_truth_maps(scene, _MAP_CELL_M)
-            self._layout = TaskScene(scene, maps, _distances(maps))
-        return self._layout
-
     def _start(self, layout: TaskScene, rng: np.random.Generator) -> tuple[Array, float]:
         spread = self.options.start_spread_m
         low, high = layout.scene.bounds_xy_m + np.array([[_EDGE_M], [-_EDGE_M]])
@@ -265,28 +296,31 @@ class LandingTask:
         self._truth: Truth = self._backend.world.truth()
         self.observations.update(self._obs)
 
-    def _potential_now(self) -> float:
+    def _measures(self) -> Measures:
         assert self._layout is not None and self._backend is not None
         position = self._truth.world_from_body.translation
         feet = position[2] - self._backend.world.rig.vehicle.leg_height_m
-        height = float(feet - self._home[2])
-        return -_PROGRESS_PER_M * (height + self._layout.distance_at(position[:2]))
+        return Measures(
+            height_m=float(feet - self._home[2]),
+            distance_m=self._layout.distance_at(position[:2]),
+            sink_mps=-float(self._before.velocity_world[2]),
+        )
 
-    def _judge(self, before: Truth, now: Truth) -> tuple[Outcome | None, bool, float]:
-        """Returns outcome (None in flight), safety of the touchdown, and final reward."""
+    def _judge(self, before: Truth, now: Truth) -> _End | None:
+        """Returns the end of the episode, None in flight."""
         assert self._layout is not None
         if now.contacts:
             return self._judge_contact(before, now)
         if np.degrees(tilt_from_rotation(now.world_from_body.rotation)) > MAX_TILT_DEG:
-            return Outcome.TIPPED, False, _FAILED
+            return _End(Outcome.TIPPED, False, FAILED)
         low, high = self._layout.scene.bounds_xy_m
         position = now.world_from_body.translation
         inside = np.all(position[:2] >= low) and np.all(position[:2] <= high)
         if not inside or position[2] > self._start_z + MAX_CLIMB_M or position[2] < -500.0:
-            return Outcome.ABORTED, False, _FAILED
-        return None, False, 0.0
+            return _End(Outcome.ABORTED, False, FAILED)
+        return None
 
-    def _judge_contact(self, before: Truth, now: Truth) -> tuple[Outcome, bool, float]:
+    def _judge_contact(self, before: Truth, now: Truth) -> _End:
         assert self._layout is not None
         lookup = TruthLookup(self._layout.scene)
         down = -float(before.velocity_world[2])
@@ -296,26 +330,27 @@ class LandingTask:
         moving = lookup.moving_geoms
         legs = all(c.part == "leg" and c.other not in moving for c in now.contacts)
         if not (gentle and legs):
-            return Outcome.COLLIDED, False, _FAILED
+            return _End(Outcome.COLLIDED, False, FAILED)
         on_truth = stands_on_truth(lookup.height_gap_m(now.contacts)) is not False
         safe = on_truth and bool(lookup.judge(now.world_from_body.translation[:2]).safe)
         if not safe:
-            return Outcome.LANDED, False, _UNSAFE
-        return Outcome.LANDED, True, _SAFE * (1.0 - 0.5 * max(down, 0.0) / TOUCH_DOWN_MPS)
+            return _End(Outcome.LANDED, False, UNSAFE)
+        return _End(Outcome.LANDED, True, SAFE * (1.0 - 0.5 * max(down, 0.0) / TOUCH_DOWN_MPS))
 
     def _observation(self) -> dict[str, NDArray[Any]]:
         assert self._backend is not None
         height = self._backend.world.height_over_ground()
         return self.observations.observation(self._truth, self._home, height)
 
-    def _info(self, outcome: Outcome | None, safe: bool) -> dict[str, Any]:
+    def _info(self, end: _End | None, truncated: bool = False) -> dict[str, Any]:
+        outcome = Outcome.TIMEOUT if truncated else end and end.outcome
         assert self._backend is not None and self._layout is not None
         ticks = self._obs.tick - self._start_tick
         return {
             "time_s": ticks / self._backend.world.rig.tick_hz,
             "layout": self._layout.scene.seed,
             "outcome": "" if outcome is None else str(outcome),
-            "safe": safe,
+            "safe": end is not None and end.safe,
         }
 
 
@@ -340,15 +375,5 @@ def _configuration(options: TaskOptions) -> Config:
     )
 
 
-def _distances(maps: TruthMaps) -> Array:
-    """(rows, cols) metres to the nearest safe cell, at most 20."""
-    if not maps.safe.any():
-        return np.full(maps.safe.shape, _MAX_DISTANCE_M)
-    metres = ndimage.distance_transform_edt(~maps.safe) * maps.cell_m
-    return np.minimum(metres, _MAX_DISTANCE_M)
-
-
-def _cell_of(maps: TruthMaps, xy: Array) -> tuple[int, int] | None:
-    col, row = np.floor((xy - maps.origin_xy_m) / maps.cell_m).astype(int)
-    rows, cols = maps.safe.shape
-    return (int(row), int(col)) if 0 <= row < rows and 0 <= col < cols else None
+def _potential_of(measures: Measures) -> float:
+    return -PROGRESS_PER_M * (measures.height_m + measures.distance_m)

@@ -37,10 +37,14 @@ class EnvBackend:
 
 
 def build_env_backend(
-    config: Config, scene: Scene, needs: SensorNeeds, view_pixels: tuple[int, int]
+    config: Config,
+    scene: Scene,
+    needs: SensorNeeds,
+    view_pixels: tuple[int, int],
+    drawn: bool = False,
 ) -> EnvBackend:
     """Returns world and autopilot of ``config`` with the sensors of ``needs``. view_pixels: (width,
-    height) of rendered views."""
+    height) of rendered views; drawn: the world's own model can be drawn too."""
     from touchdown.controller.cascade import CascadeController
     from touchdown.estimator.oracle import Oracle
     from touchdown.experiments.flight.platform import limit_threads
@@ -48,7 +52,7 @@ def build_env_backend(
     from touchdown.sim.camera.sensor import CameraSensor
 
     limit_threads()
-    world = make_world(config, scene)
+    world = make_world(config, scene, drawn)
     world.require(needs)
     width, height = view_pixels
     lens = CameraParams(noise_sigma=0.0, samples=4, width=width, height=height)

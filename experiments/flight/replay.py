@@ -27,7 +27,7 @@ from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.metrics import Consistency, PositioningError
-from touchdown.experiments.flight.observers import Progress
+from touchdown.experiments.flight.observers import EventLog, Progress
 from touchdown.experiments.io.provenance import git_revision, versions
 from touchdown.experiments.io.results import RunResult, StageTimes, Timing, load_result
 from touchdown.experiments.io.sensor_log_checks import check_images, damage_reported
@@ -274,7 +274,11 @@ def replay(
         finally:
             writer.close()
         shutil.copy(run / "truth.tum", partial / "truth.tum")
-        (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
+        events = (*config.faults.events, *faults)
+        flown = config.model_copy(
+            update={"faults": dataclasses.replace(config.faults, events=events)}
+        )
+        (partial / "config.json").write_text(dump_config(flown), encoding="utf-8")
         (partial / "result.json").write_text(result.to_json(), encoding="utf-8")
     return result
 
@@ -288,10 +292,11 @@ def _replay(
     injector: FaultInjector,
 ) -> RunResult:
     error, consistency = PositioningError(), Consistency()
-    clock, started = CpuClock(), time.perf_counter()
+    clock, started, events = CpuClock(), time.perf_counter(), EventLog()
     outcome, reason, last_s = Outcome.COMPLETED, "", 0.0
     observations = map(injector.apply, seen_by(estimator.needs, logged.sensors))
     for obs, estimate in _estimates(estimator, observations, clock, logged):
+        events.add(estimate.time_s, estimate.events)
         true = logged.truth.get(obs.tick)
         if true is None:
             continue
@@ -312,15 +317,35 @@ def _replay(
         outcome, reason = Outcome.GROUNDED, "the logged flight never took off"
     wall_s = time.perf_counter() - started
     scans = max(last_s / 0.1, 1e-9)
-    return _result(
-        logged, config, outcome, reason, error, consistency, injector.summary(),
+    code: dict[str, Any] = dict(flown_code(config.estimator))
+    return RunResult(
+        outcome=str(outcome),
+        reason=reason,
+        scene=config.scene,
+        seed=config.seed,
+        estimator=config.estimator,
+        **code,
+        profile=config.profile,
+        preset=config.preset,
+        wind_kmh=config.wind.mean_kmh,
+        replay_of=str(logged.path),
+        flown_by=logged.result.estimator,
+        judged_hz=logged_hz(logged),
+        position_error_m=error.summary(),
+        nees=consistency.summary(),
+        landing=None,
         timing=Timing(
             wall_s=wall_s,
             sim_s=last_s,
             real_time_factor=last_s / wall_s,
             stage_ms=StageTimes(estimator=1e3 * clock.seconds() / scans),
         ),
-    )  # fmt: skip
+        versions=versions(),
+        git_revision=git_revision(),
+        events=events.kept,
+        event_count=events.count,
+        faults=injector.summary(),
+    )
 
 
 def _estimates(
@@ -345,38 +370,6 @@ def _estimates(
                 return
             last_s = pair[0].time_s
             yield pair
-
-
-def _result(
-    logged: LoggedRun,
-    config: Config,
-    outcome: Outcome,
-    reason: str,
-    error: PositioningError,
-    consistency: Consistency,
-    faults: list[dict[str, Any]],
-    timing: Timing,
-) -> RunResult:
-    code: dict[str, Any] = dict(flown_code(config.estimator))
-    return RunResult(
-        outcome=str(outcome),
-        reason=reason,
-        scene=config.scene,
-        seed=config.seed,
-        estimator=config.estimator,
-        **code,
-        wind_kmh=config.wind.mean_kmh,
-        replay_of=str(logged.path),
-        flown_by=logged.result.estimator,
-        judged_hz=logged_hz(logged),
-        position_error_m=error.summary(),
-        nees=consistency.summary(),
-        faults=faults,
-        landing=None,
-        timing=timing,
-        versions=versions(),
-        git_revision=git_revision(),
-    )
 
 
 def logged_hz(logged: LoggedRun) -> float:

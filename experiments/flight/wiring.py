@@ -187,10 +187,11 @@ def world_params(config: Config) -> WorldParams:
     )
 
 
-def make_world(config: Config, scene: Scene) -> Any:
+def make_world(config: Config, scene: Scene, drawn: bool = False) -> Any:
+    """The world of a configuration; ``drawn`` as in `sim.world.MujocoWorld`."""
     from touchdown.sim.world import MujocoWorld
 
-    return MujocoWorld(scene, world_params(config), config.seed)
+    return MujocoWorld(scene, world_params(config), config.seed, drawn=drawn)
 
 
 def build_estimator(config: Config, rig: SensorRig) -> Estimator:

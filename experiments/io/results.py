@@ -10,7 +10,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+)
 
 from touchdown.experiments.errors import UsageError, input_message, plain_fault, reason_of
 from touchdown.experiments.io.foreign import read_object
@@ -275,6 +282,26 @@ class RunResult(_Part):
     measured: Measured | None = None
     conditions: list[dict[str, Any]] = []
     """verdicts of `experiments.flight.happened`"""
+    _path: Path | None = PrivateAttr(None)
+    _settings: dict[str, Any] = PrivateAttr(default_factory=dict)
+
+    @property
+    def path(self) -> Path | None:
+        """The run directory; None for a result that was not written."""
+        return self._path
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The configuration keys in which the runs that `touchdown.load_runs` read together differ,
+        with their values in this one."""
+        return self._settings
+
+    def found_at(
+        self, path: Path | None, settings: Mapping[str, Any] = types.MappingProxyType({})
+    ) -> RunResult:
+        """This result, of the run directory ``path``."""
+        self._path, self._settings = path, dict(settings)
+        return self
 
     @property
     def is_success(self) -> bool:
@@ -406,16 +433,17 @@ def result_files(directory: Path) -> list[Path]:
 
 
 def load_runs(directory: Path) -> dict[str, RunResult]:
-    """Every ``result.json`` at or below ``directory``, sorted by scene, estimator and seed. Keys
-    are the run directories, relative to ``directory``.
+    """Every ``result.json`` at or below ``directory``, sorted by scene, estimator and seed, each
+    with its ``path``. Keys are the run directories, relative to ``directory``.
 
     Raises UsageError where there is none or one cannot be read.
     """
     if not directory.is_dir():
         raise UsageError(f"'{directory}' is no directory of runs")
-    found = {
-        _run_name(path.parent, directory): load_result(path) for path in result_files(directory)
-    }
+    found: dict[str, RunResult] = {}
+    for file in result_files(directory):
+        name = _run_name(file.parent, directory)
+        found[name] = load_result(file).found_at(file.parent)
     if not found:
         raise UsageError(f"'{directory}' holds no finished run (no result.json)")
     ordered = sorted(found.items(), key=lambda i: (i[1].scene, i[1].estimator, i[1].seed))

@@ -14,6 +14,7 @@ from typing import Any
 from touchdown.experiments.campaign.directory import read_plan_file
 from touchdown.experiments.campaign.results_table import is_campaign, is_successful
 from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.settings import UNTOLD
 from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.reporting.flights import Row, methods_of, number, values
 from touchdown.experiments.reporting.measures import is_marked, setting_notes
@@ -95,8 +96,7 @@ def label_conditions(rows: Sequence[dict[str, Any]]) -> None:
 
 _WORLD = ("profile", "preset", "light")
 """Keys that set many others."""
-_SAME = ("scene", "scene_seed", "seed", "estimator", "record", "log.", "sim.threads",
-         "landing.site_xy_m", "landing.survey_only")  # fmt: skip
+_SAME = (*UNTOLD, "landing.site_xy_m", "landing.survey_only")
 """Keys, or their beginnings, that make no condition."""
 
 

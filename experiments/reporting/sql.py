@@ -56,15 +56,21 @@ class QueryResult(NamedTuple):
 
 
 def connect(directory: Path) -> duckdb.DuckDBPyConnection:
-    """Returns an in-memory DuckDB connection with the table ``runs``, closed to everything else.
+    """Returns an in-memory DuckDB connection with the table ``runs``: the rows of `load_rows`, the
+    ``path`` of each run, and `settings_apart`. It is closed to everything else.
     Raises UsageError as load_rows."""
     return _closed(_table(directory))
 
 
 def _table(directory: Path) -> pa.Table:
-    from touchdown.experiments.campaign.results_table import load_rows, table_of
+    from touchdown.experiments.campaign.results_table import SCHEMA, load_rows, run_path, table_of
+    from touchdown.experiments.config.settings import settings_apart
 
-    return table_of(load_rows(directory))
+    rows = load_rows(directory)
+    paths = [run_path(directory, row) for row in rows]
+    for row, path, settings in zip(rows, paths, settings_apart(paths), strict=True):
+        row |= {"path": str(path)} | {k: v for k, v in settings.items() if k not in SCHEMA}
+    return table_of(rows)
 
 
 def _closed(table: pa.Table) -> duckdb.DuckDBPyConnection:

@@ -17,6 +17,7 @@ from touchdown.sim.textures import give_back_textures
 from touchdown.sim.typing import Array
 
 _DRAWN = 64
+_SHOWN_GROUP = 2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -69,15 +70,19 @@ def _uniform(seed: int, name: bytes, count: int) -> Array:
     return np.random.default_rng([seed, crc32(b"vehicle error " + name)]).uniform(-1.0, 1.0, count)
 
 
-def true_model(model: Any, deviations: Deviations) -> Any:
+def true_model(model: Any, deviations: Deviations, drawn: bool = False) -> Any:
     """MuJoCo's model of the scene with the true vehicle: a copy, or ``model`` itself where the body
     does not deviate. The inertia grows with the mass; its axes pass through the centre of mass. The
-    copy's textures are undefined: it moves, and is not drawn."""
-    if not deviations.of_the_body:
+    copy's textures are undefined: it moves, and is not drawn. ``drawn``: always a copy, with its
+    textures and with the vehicle in a geom group that MuJoCo's viewers show."""
+    if not (deviations.of_the_body or drawn):
         return model
     true = copy.copy(model)
-    give_back_textures(true)
     body = vehicle_body_id(true)
+    if drawn:
+        true.geom_group[true.body_rootid[true.geom_bodyid] == body] = _SHOWN_GROUP
+    else:
+        give_back_textures(true)
     true.body_mass[body] *= deviations.mass
     true.body_inertia[body] *= deviations.mass
     true.body_ipos[body] += deviations.center_of_mass_m

@@ -17,6 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if TYPE_CHECKING:
     from touchdown.estimator.api import Estimate, Estimator
     from touchdown.experiments.config.schema import Config
+    from touchdown.experiments.environments import suite
     from touchdown.experiments.errors import UsageError
     from touchdown.experiments.io.results import RunResult
     from touchdown.experiments.python_api import (
@@ -48,6 +49,7 @@ __all__ = [
     "load_config",
     "load_runs",
     "replay",
+    "suite",
 ]
 
 _HOMES = {
@@ -60,8 +62,11 @@ _HOMES = {
     "SensorNeeds": "sim.api",
     "SensorRig": "sim.api",
     "UsageError": "experiments.errors",
+    "suite": "experiments.environments.suite",
 }
 """Module of each name; the others are in `experiments.python_api`."""
+_MODULES = frozenset({"suite"})
+"""Names that are modules themselves."""
 
 
 def __getattr__(name: str) -> Any:
@@ -74,7 +79,7 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'touchdown' has no attribute '{name}'")
     home = importlib.import_module(f"touchdown.{_HOMES.get(name, 'experiments.python_api')}")
-    value = globals()[name] = getattr(home, name)
+    value = globals()[name] = home if name in _MODULES else getattr(home, name)
     return value
 
 

@@ -11,6 +11,7 @@ import touchdown
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import RunResult, result_files
+from touchdown.experiments.reporting.sql import run_sql
 
 from support.command import lines_of
 
@@ -64,6 +65,7 @@ def test_numpy_values_tuples_and_paths_are_taken() -> None:
         "survey.height_m = -3 in overrides must be within",
     ),
     (lambda: touchdown.load_config("gone.toml"), "gone.toml' does not exist"),
+    (lambda: touchdown.fly("flat", out="."), "out .: is the working directory"),
     (lambda: touchdown.load_runs("gone"), "'gone' is no directory"),
     (lambda: touchdown.replay("gone"), "'gone' is no run directory"),
     (lambda: touchdown.check_estimator("liwo"), "did you mean 'livo'"),
@@ -120,7 +122,14 @@ def test_fly_load_runs_and_replay(tmp_path: Path) -> None:
     )  # fmt: skip
     assert result.outcome == "COMPLETED" and "SURVEY" in phases
     assert touchdown.load_runs(tmp_path) == [result]
-    again = touchdown.replay(out, overrides={"gps_estimator.baro_sigma_m": 1.0})
-    assert again.replay_of == str(out)
+    key, path = "gps_estimator.baro_sigma_m", out.with_name("two")
+    again = touchdown.replay(out, overrides={key: 1.0}, out=path)
+    assert again.replay_of == str(out) and again.profile == "field"
+    flown, replayed = touchdown.load_runs(tmp_path)
+    assert (flown.path, replayed.path) == (out, path)
+    assert flown.settings.keys() == replayed.settings.keys() == {key}
+    assert replayed.settings[key] == 1.0 != flown.settings[key]
+    query = f"select path, \"{key}\" from runs where run_id like '%two'"
+    assert run_sql(tmp_path, query).rows == [(str(path), 1.0)]
     assert again.position_error_m is not None and result.position_error_m is not None
     assert again.position_error_m.mean != result.position_error_m.mean

@@ -213,8 +213,9 @@ def test_the_smallest_estimator_satisfies_the_contract() -> None:
 
 def test_the_page_of_slots_holds_the_examples_and_readme_names_slots_that_are_there() -> None:
     page = ROOT / "docs" / "bring-your-own.md"
-    files = {file.read_text(encoding="utf-8") for file in (ROOT / "examples").glob("*.py")}
-    assert files == set(blocks_of(page, "python"))
+    for row in rows_of("docs/bring-your-own.md", "slot"):
+        for file in re.findall(r"`(examples/\w+\.py)`", row[-1]):
+            assert text_of(file) in blocks_of(page, "python")
     slots, named = (
         {option for row in rows_of(*table) for option in re.findall(r"--(\w+)", " ".join(row[:2]))}
         for table in (("docs/bring-your-own.md", "slot"), ("README.md", "yours"))
@@ -224,16 +225,17 @@ def test_the_page_of_slots_holds_the_examples_and_readme_names_slots_that_are_th
         assert slots <= {param.name for param in command.params}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [0, 1], ids=["gymnasium", "dm_env"])
+@pytest.mark.parametrize("number", range(3), ids=["dm_control", "physics", "gymnasium"])
 def test_environments_do_what_the_page_says(number: int) -> None:
-    pytest.importorskip("gymnasium")
-    pytest.importorskip("dm_env")
+    """All blocks but that of the viewer, which needs a display."""
+    pytest.importorskip(("dm_control", "dm_control", "gymnasium")[number])
     page = ROOT / "docs" / "environments.md"
     promised = re.findall(r"^It prints `([^`]+)`", text_of("docs/environments.md"), re.MULTILINE)
+    blocks = [block for block in blocks_of(page, "python") if "viewer" not in block]
+    assert len(blocks) == len(promised) == 3
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        exec(blocks_of(page, "python")[number], {"__name__": "block"})
+        exec(blocks[number], {"__name__": "block"})
     assert printed.getvalue().strip() == promised[number]
 
 
@@ -246,12 +248,12 @@ def test_the_blocks_of_the_python_page_run(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.chdir(tmp_path)
     printed = io.StringIO()
     blocks = blocks_of(ROOT / "docs" / "python.md", "python")
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     with contextlib.redirect_stdout(printed):
         for block in blocks[1:]:
             exec(compile(block, "python.md", "exec", dont_inherit=True), {"__name__": "block"})
     assert (tmp_path / "runs" / "study.png").stat().st_size > 0
-    assert [line.split()[:3] for line in printed.getvalue().splitlines()[1:]] == [
+    assert [line.split()[:3] for line in printed.getvalue().splitlines()[1:5]] == [
         [estimator, str(seed), "COMPLETED"]
         for estimator in ("gps", "optical_flow")
         for seed in (0, 1)

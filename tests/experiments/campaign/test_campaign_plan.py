@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.campaign import plan as plans
-from touchdown.experiments.campaign.plan import in_shard
+from touchdown.experiments.campaign.plan import in_shard, load_plan
 from touchdown.experiments.errors import UsageError
 
 from support.campaign_flights import axes, make_plan
@@ -41,6 +41,11 @@ set = { survey.height_m = 12.0, "log.scan_hz" = 1.0 }
     by_name = {run.run_id: run.values for run in make_plan(tmp_path, text).runs}
     assert by_name["lake-oracle-s0"]["survey.height_m"] == 12.0
     assert by_name["lake-oracle-s0"]["log.scan_hz"] == 1.0
+    plan = load_plan(tmp_path / "campaign.toml", overrides=["survey.height_m=9"])
+    heights = {run.run_id: run.values["survey.height_m"] for run in plan.runs}
+    assert heights["flat-livo-s0"] == 9 and heights["lake-oracle-s0"] == 12.0
+    with pytest.raises(UsageError, match="'seed' in --set is an axis"):
+        load_plan(tmp_path / "campaign.toml", overrides=["seed=1"])
     for other in ("lake-livo-s0", "flat-oracle-s0"):
         assert by_name[other]["survey.height_m"] == 25.0 and "log.scan_hz" not in by_name[other]
         assert by_name[other]["log.camera_hz"] == 1.0

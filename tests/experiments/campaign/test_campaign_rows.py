@@ -1,12 +1,14 @@
 """Directory of a campaign: its owner, and the rows read from it."""
 
+import dataclasses
 import os
+import time
 from pathlib import Path
 
 import pytest
 
-from touchdown.experiments.campaign.directory import locked
-from touchdown.experiments.campaign.results_table import finished_ids
+from touchdown.experiments.campaign.directory import locked, settle_plan
+from touchdown.experiments.campaign.results_table import finished_ids, load_rows
 from touchdown.experiments.campaign.session import summary
 from touchdown.experiments.errors import UsageError
 
@@ -70,3 +72,19 @@ def test_a_run_with_a_damaged_row_is_repeated(tmp_path: Path) -> None:
     (out / "runs" / "flat-fake.good-s0" / "row.parquet").write_bytes(b"")
     assert fly(plan, out)["finished"] == 2
     assert attempts(out) == {"flat-fake.good-s0": 2, "flat-fake.good-s1": 1}
+
+
+def test_the_session_in_progress_counts(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    plan = make_plan(tmp_path, TWO)
+    fly(dataclasses.replace(plan, runs=plan.runs[:1]), out)
+    settle_plan(plan, out, None)
+    before = summary(out)
+    assert (before["remaining"], before["left_s"]) == (1, None)
+    row = load_rows(out)[0]
+    with locked(out, None):
+        os.utime(out / ".lock", (time.time() - 60.0,) * 2)
+        (out / ".partial" / "flat-fake.good-s1.1").mkdir(parents=True)
+        during = summary(out)
+    assert 60.0 <= during["wall_s"] - before["wall_s"] < 90.0
+    assert during["left_s"] == row["wall_s"]

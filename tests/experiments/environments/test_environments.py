@@ -1,5 +1,6 @@
-"""The landing task behind Gymnasium and dm_env: interfaces, rewards, endings, determinism."""
+"""The landing task behind Gymnasium and dm_control: interfaces, rewards, endings, determinism."""
 
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,15 +11,16 @@ import pytest
 from numpy.typing import NDArray
 
 gymnasium = pytest.importorskip("gymnasium")
-dm_env = pytest.importorskip("dm_env")
+pytest.importorskip("dm_control")
 
 from absl.testing import absltest  # noqa: E402
 from dm_env import test_utils  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from touchdown.experiments.environments.dm_environment import TouchdownEnvironment  # noqa: E402
+from touchdown import UsageError, suite  # noqa: E402
 from touchdown.experiments.environments.gymnasium_env import TouchdownEnv  # noqa: E402
 from touchdown.experiments.environments.landing_task import LandingTask, Step, TaskOptions  # noqa: E402
+from touchdown.experiments.errors import require_dm_control  # noqa: E402
 
 Array = NDArray[Any]
 MakeTask = Callable[..., LandingTask]
@@ -102,21 +104,76 @@ def test_rendering_shows_the_ground_below(lawn: str) -> None:
         TouchdownEnv(render_mode="ansi", scene=lawn)
 
 
-class TestDmEnv(test_utils.EnvironmentTestMixin, absltest.TestCase):  # type: ignore[misc]
+class TestSuite(test_utils.EnvironmentTestMixin, absltest.TestCase):  # type: ignore[misc]
     """dm_env's own checks; full thrust climbs out of the episode, so that terminations occur."""
 
     scene: str
 
     @pytest.fixture(autouse=True)
     def _set_scene(self, lawn: str) -> None:
-        TestDmEnv.scene = lawn
+        TestSuite.scene = lawn
 
-    def make_object_under_test(self) -> TouchdownEnvironment:
-        return TouchdownEnvironment(seed=1, scene=self.scene, time_limit_s=0.5, **SMALL)
+    def make_object_under_test(self) -> suite.LandingEnvironment:
+        return suite.load(self.scene, "land", {"random": 1, "time_limit": 0.5, **SMALL})
 
     def make_action_sequence(self) -> Iterator[Array]:
         for _ in range(60):
             yield np.zeros(4, dtype=np.float32)
+
+
+def test_a_descent_of_the_suite_is_gymnasiums(lawn: str, make_task: MakeTask) -> None:
+    """The reward built of tolerances is the one that Gymnasium gives; the same seed gives the same
+    time steps to the bit; the physics is the world itself, in step with its position."""
+    kwargs = {"random": 3, "layout": 0, "start_spread_m": 1.0, "start_height_m": 4.0, **SMALL}
+    both = [suite.load(lawn, "land_by_velocity", kwargs) for _ in range(2)]
+    task = make_task(lawn, action="velocity")
+    task.reset(0, np.random.default_rng(np.random.RandomState(3).randint(2**31)))
+    steps = [env.reset() for env in both]
+    physics, down = both[0].physics, np.array([0.0, 0.0, -0.3, 0.0], dtype=np.float32)
+    assert physics.data.ptr is both[0].task.landing.world.data
+    while not steps[0].last():
+        steps, other = [env.step(down) for env in both], task.step(down)
+        assert steps[0].reward == steps[1].reward == pytest.approx(other.reward, abs=1e-9)
+        for name, seen in steps[0].observation.items():
+            np.testing.assert_array_equal(seen, steps[1].observation[name])
+            np.testing.assert_array_equal(seen, other.observation[name])
+        at = physics.named.data.xpos["vehicle/quadrotor"]
+        np.testing.assert_allclose(at, physics.data.qpos[:3], atol=1e-12)
+    assert (steps[0].discount, both[0].task.info["outcome"]) == (0.0, "LANDED")
+    assert steps[0].reward == pytest.approx(10.0 * (1.0 - 0.5 * 0.3 * 2.5 / 1.5), abs=0.7)
+    picture = physics.render(60, 80, camera_id="vehicle/camera")
+    assert picture.std() > 2.0 and picture[..., 1].mean() > picture[..., 0].mean() + 10  # lawn
+    for env in both:
+        env.close()
+
+
+def test_the_suite_pushes_shows_and_names(lawn: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wrench that is set between steps pushes the vehicle for one step: 40 N for 0.02 s give 4.2
+    kg 0.19 m/s."""
+    pairs = [("flat", "land"), ("flat", "land_by_velocity")]
+    assert set(pairs) < set(suite.ALL_TASKS) and set(suite.BENCHMARKING) < set(suite.ALL_TASKS)
+    speeds = []
+    for force in (0.0, 40.0):
+        kwargs = {"random": 3, "profile": "ideal", "wind_kmh": 0.0, **SMALL}
+        env = suite.load(lawn, "land", kwargs, {"flat_observation": True}, visualize_reward=True)
+        first, data = env.reset(), env.physics.named.data
+        assert first.observation.keys() == env.observation_spec().keys() == {"observations"}
+        env.observation_spec()["observations"].validate(first.observation["observations"])
+        colour = env.physics.named.model.geom_rgba["vehicle/body_fuselage"].copy()
+        data.xfrc_applied["vehicle/quadrotor"] = [force, 0, 0, 0, 0, 0]
+        env.step(np.zeros(4))
+        env.step(np.zeros(4))
+        speeds.append(env.physics.data.qvel[0])
+        assert (env.physics.named.model.geom_rgba["vehicle/body_fuselage"] != colour).any()
+        env.close()
+    assert speeds[1] - speeds[0] == pytest.approx(40.0 * 0.02 / 4.2, rel=0.05)
+    with pytest.raises(UsageError, match=r"task 'lnad' does not exist \(did you mean 'land'\?\)"):
+        suite.load(lawn, "lnad")
+    with pytest.raises(ValueError, match=r"did you mean 'crossroad'"):
+        suite.load("crosroad", "land")
+    monkeypatch.setitem(sys.modules, "dm_control", None)
+    with pytest.raises(UsageError, match=r"suite needs dm_control, which is not installed: pip"):
+        require_dm_control("touchdown.suite")
 
 
 def test_observations_hold_sensors_only(lawn: str, make_task: MakeTask) -> None:

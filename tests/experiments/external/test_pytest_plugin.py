@@ -10,6 +10,8 @@ import pytest
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.pytest_plugin import assert_position_error, fly_all
 
+from support.docs_support import blocks_of
+
 pytest_plugins = ["pytester"]
 
 ROOT = Path(__file__).parents[3]
@@ -86,3 +88,11 @@ def test_the_plugin_needs_nothing_but_pytest() -> None:
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert done.stdout.strip() == "[]"
+
+
+def test_the_example_of_the_page_passes_as_it_is_printed(pytester: pytest.Pytester) -> None:
+    """But for the second seed, which is left out."""
+    block = blocks_of(ROOT / "docs" / "ci-regression.md", "python")[0]
+    pytester.makepyfile(test_positioning=block.replace("seeds=range(2)", "seeds=range(1)"))
+    pytester.runpytest_subprocess("-q", "--touchdown-out=kept").assert_outcomes(passed=2)
+    assert (pytester.path / "kept" / "flat-oracle-s0" / "result.json").is_file()

@@ -158,10 +158,14 @@ def test_faults_befall_the_messages_of_a_log(run: Path, tmp_path: Path, run_cli:
     code, printed, err = run_cli(
         "fly", "--replay", run, "--out", tmp_path / "out", "--json", "--quiet", *faults
     )
-    scans, images = json.loads(printed)["faults"]
+    result = json.loads(printed)
+    scans, images = result["faults"]
+    assert result["event_count"] == len(result["events"]) > 0
     assert code == 0 and err == ""
     assert scans["messages"] == scans["came"] and scans["came"]["scans"] > 2
     assert images["messages"] == {"images": 2} and images["came"]["images"] > 2
+    told = json.loads((tmp_path / "out" / "config.json").read_text())["faults"]["events"]
+    assert told == faults[1::2]
     usual = replay(run, replay_config(run), tmp_path / "usual")
     assert usual.faults == []
     found = ((tmp_path / name / "estimate.tum").read_bytes() for name in ("out", "usual"))
