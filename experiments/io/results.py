@@ -22,6 +22,7 @@ from pydantic import (
 from touchdown.experiments.errors import UsageError, input_message, plain_fault, reason_of
 from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.measured import Figure, Measured
+from touchdown.experiments.io.part_names import PartNames as PartNames
 from touchdown.experiments.io.provenance import plain_json
 
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
@@ -217,16 +218,6 @@ class PhaseStart(_Part):
 
     time_s: float
     phase: str
-
-
-class PartNames(_Part):
-    """A text for each part of a flight beside the estimator."""
-
-    selector: str | None = None
-    lander: str | None = None
-    controller: str | None = None
-    mapper: str | None = None
-    classifier: str | None = None
 
 
 class RunResult(_Part):
