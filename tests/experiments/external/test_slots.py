@@ -129,7 +129,7 @@ def test_finished_runs_of_other_code_stop_a_campaign(
     file = tmp_path / "plan.toml"
     file.write_text(f'name = "t"\n[axes]\nscene = ["flat"]\nselector = ["risk", "{name}"]\n')
     plan = load_plan(file)
-    assert [run.run_id for run in plan.runs][1].endswith(f"-selector{name.replace(':', '.')}")
+    assert [run.run_id for run in plan.runs][1].endswith(f"-s0-{name.replace(':', '.')}")
     row = {"run_id": "r", "estimator": "livo", "parts.selector": name, "parts_sha.selector": "0"}
     monkeypatch.setattr("touchdown.experiments.campaign.directory.refresh", lambda _: [row])
     (tmp_path / "campaign.json").write_text("{}")
