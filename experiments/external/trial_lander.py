@@ -141,13 +141,13 @@ def _session(trial: Trial, part: Any) -> Iterator[Any]:
         view = None if setpoint is None else trial.ask(part, "view", when=when)
         if view is None and trial.findings.violations:
             return  # it raised
-        yield setpoint, None if view is None else view.phase
         wrong = wrong_setpoint(setpoint)
         trial.judge(wrong, f"{when} update returned")
         unseen = wrong_view(view)
         trial.judge(unseen, f"{when} view returned")
         if wrong is not None or unseen is not None or view is None:
             return
+        yield setpoint, view.phase
         phases.setdefault(view.phase, time_s)
         jump = 0.0 if last is None else _jump(last, setpoint)
         if jump > JUMP_M:
