@@ -324,8 +324,8 @@ class LanderRig:
 class Lander(Protocol):
     """Flies the mission: turns estimates and maps into setpoints. The phase of ``view`` tells the
     referee what is flown: SURVEY is judged, a touchdown counts from DESCEND on and in RETURN,
-    and in DONE the flight is over once the vehicle is at rest. It must be deterministic and must not modify its
-    input; what it decides takes no simulated time but what it hovers for."""
+    and in DONE the flight is over once the vehicle is at rest. It must be deterministic and must
+    not modify its input; what it decides takes no simulated time but what it hovers for."""
 
     needs: SensorNeeds
 

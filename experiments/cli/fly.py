@@ -173,6 +173,7 @@ def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.config.slots import external_parts
     from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
@@ -188,6 +189,9 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     )
     if out is None:
         suffix = "" if config.preset == "whole" else f"-{config.preset}"
+        suffix += "".join(
+            f"-{n.replace(':', '.')}" for k, n in external_parts(config) if k != "estimator"
+        )
         out = default_out_dir(config.scene, config.estimator, config.seed, suffix)
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
     with none_left():

@@ -35,6 +35,7 @@ from touchdown.experiments.external.wrapper import LONGEST_CALL_S, ExternalPartE
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.slots import RIGS
 from touchdown.experiments.reporting.document import part_sentences
+from touchdown.experiments.reporting.regression.baseline import cells_of
 from touchdown.landing.api import SelectorInput, SelectorParams
 from touchdown.sim.api import SensorNeeds
 
@@ -248,7 +249,9 @@ BROKEN: list[tuple[str, str, str, str, str]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("kind", "old", "new", "rule", "words"), BROKEN)
+@pytest.mark.parametrize(
+    ("kind", "old", "new", "rule", "words"), BROKEN, ids=[f"{row[0]}-{row[3]}" for row in BROKEN]
+)
 def test_each_bad_habit_is_reported_with_its_reason(
     brought: Callable[..., str], kind: str, old: str, new: str, rule: str, words: str
 ) -> None:
@@ -346,4 +349,7 @@ def test_results_and_reports_name_the_parts_that_flew() -> None:
     assert part_sentences([*rows, {**rows[0], **rows[1]}]) == [
         "Selector: `zou2024`, and that by default. Mapper: `a.b:c`, and that by default."
     ]
+    same = {"scene": "flat", "estimator": "livo", "seed": 0, "mode": "land", "outcome": "LANDED"}
+    cells = cells_of([{**same, **row, "run_id": f"flat-livo-0-{n}"} for n, row in enumerate(rows)])
+    assert [variant for _, _, variant in cells] == ["land a.b:c", "land zou2024"]
     assert part_sentences([rows[0]]) == ["Mapper: `a.b:c`."] and part_sentences([{}]) == []
