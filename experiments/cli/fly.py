@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,25 @@ class SiteType(click.ParamType):
         if not (math.isfinite(x) and math.isfinite(y)):
             self.fail(f"'{value}' must be two finite numbers", param, ctx)
         return x, y
+
+
+class LiveType(click.ParamType):
+    """``window``, ``web``, or the address of a viewer."""
+
+    name = "live"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        text = str(value)
+        if text not in ("auto", "window", "web") and not re.fullmatch(
+            r"rerun(\+https?)?://[^/\s]+/proxy", text
+        ):
+            self.fail(
+                f"'{text}' is none of window, web and an address such as "
+                "rerun+http://127.0.0.1:9876/proxy (give the scene before --live)",
+                param,
+                ctx,
+            )
+        return text
 
 
 _Command = Callable[..., int]
@@ -96,6 +116,15 @@ _FLIGHT_OPTIONS = (
         is_flag=True,
         default=None,
         help="Write sensors.mcap, every message of the sensors, for --replay and other tools.",
+    ),
+    click.option(
+        "--live",
+        type=LiveType(),
+        is_flag=False,
+        flag_value="auto",
+        metavar="[window|web|URL]",
+        help="Show the flight in the Rerun viewer while it goes on: in a window, on a page of this "
+        "machine, or in the viewer at URL.",
     ),
     click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object."),
     click.option("--quiet", is_flag=True, help="No progress on stderr."),
@@ -169,6 +198,7 @@ def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
 
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
+    from touchdown.experiments.cli.viewer import live_viewer
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.run import fly_with_usage_errors
@@ -187,11 +217,15 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         suffix = "" if config.preset == "whole" else f"-{config.preset}"
         out = default_out_dir(config.scene, config.estimator, config.seed, suffix)
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
-    with none_left():
-        result = fly_with_usage_errors(config, out, make_progress(quiet))
-    end_progress(quiet)
-    if options["as_json"]:
-        click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
-    else:
-        print_result(result, out)
+    with live_viewer(options["live"]) as view:
+        with none_left():
+            address = None if view is None else view.address
+            result = fly_with_usage_errors(config, out, make_progress(quiet), address)
+        end_progress(quiet)
+        if options["as_json"]:
+            click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
+        else:
+            print_result(result, out)
+        if view is not None:
+            view.stay()
     return EXIT_DONE if result.is_success else EXIT_FAILED

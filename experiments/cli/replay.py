@@ -23,6 +23,7 @@ _FLOWN = {
     "config_file": "--config",
     "record": "--record",
     "log_sensors": "--log-sensors",
+    "live": "--live",
 }
 """Options of the flight itself, without meaning in a replay."""
 
