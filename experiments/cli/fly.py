@@ -198,11 +198,11 @@ def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
 
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
-    from touchdown.experiments.cli.viewer import live_viewer
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
+    from touchdown.experiments.viewing.processes import live_viewer
 
     quiet, out = options["quiet"], options["out"]
     config = load_config(

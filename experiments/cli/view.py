@@ -9,10 +9,10 @@ from pathlib import Path
 import click
 
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, PATH
-from touchdown.experiments.cli.viewer import address_text, run_viewer, web_viewer
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.platform import has_display
 from touchdown.experiments.io.run_directory import whole_file
+from touchdown.experiments.viewing.processes import address_text, run_viewer, web_viewer
 from touchdown.sim.files.opening import no_file
 
 
@@ -38,7 +38,7 @@ def view(run: Path, other: Path | None, web: bool, save: Path | None) -> int:
         if save is not None:
             raise UsageError("--save writes two flights; name OTHER, the second run directory")
         return _open(run, run if run.suffix == ".rrd" else run / "flight.rrd", web)
-    from touchdown.experiments.recording.two_flights import write_two_flights
+    from touchdown.experiments.viewing.two_flights import write_two_flights
 
     if save is not None:
         with whole_file(save) as partial:

@@ -14,9 +14,9 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 import touchdown
-from touchdown.experiments.cli.viewer import free_port
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.recording.two_flights import write_two_flights
+from touchdown.experiments.viewing.processes import free_port
+from touchdown.experiments.viewing.two_flights import write_two_flights
 
 from support.command import Says
 
