@@ -25,6 +25,7 @@ from touchdown.experiments.config.loading import (
     under_base,
 )
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.slots import params_of
 from touchdown.experiments.errors import UsageError, usage_errors
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def load_config(
 
     ``file`` is a TOML file or the ``config.json`` of a run; without it the defaults apply.
     ``overrides`` win over the file, the other arguments over both. A file that came with results
-    names an external estimator, whose module a flight imports, only with ``allow_code``. Raises
+    names external parts, whose modules a flight imports, only with ``allow_code``. Raises
     UsageError.
     """
     values: dict[str, Any] = {}
@@ -86,9 +87,9 @@ def load_config(
         path = Path(file)
         for key, value in under_base(path, read_values(path), overrides or {}).items():
             values[key], sources[key] = value, str(file)
-        named_here = estimator is not None or "estimator" in (overrides or {})
-        if not (allow_code or named_here):
-            check_named_code(Path(file), [values.get("estimator")])
+        here = {*(overrides or {}), *(() if estimator is None else ("estimator",))}
+        if not allow_code:
+            check_named_code(path, ((key, v) for key, v in values.items() if key not in here))
     return _changed(values, sources, overrides, scene=scene, estimator=estimator, seed=seed)
 
 
@@ -204,7 +205,9 @@ def check_estimator(
     else:
         check_estimator_name(name)
         build = functools.partial(_built, config)
-    return conformance.check_estimator(build, params=config.external, seconds=seconds)
+    return conformance.check_estimator(
+        build, params=params_of(config, "estimator"), seconds=seconds
+    )
 
 
 # ------------------------------------------------------------------------------------------- inside

@@ -27,8 +27,9 @@ from touchdown.experiments.campaign.run_names import is_run_name
 from touchdown.experiments.campaign.worker import PARTIAL, Task
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.profiles import BEFORE_PROFILES
+from touchdown.experiments.config.slots import SLOTS, names_code
 from touchdown.experiments.errors import UsageError, reason_of
-from touchdown.experiments.external.loading import code_now, is_external
+from touchdown.experiments.external.loading import code_now
 from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links, shown
 from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
 
@@ -297,20 +298,33 @@ def _difference(old: Mapping[str, Any], runs: Sequence[PlannedRun], directory: P
     )
 
 
+def parts_named(plan: Plan) -> list[tuple[str, str]]:
+    """(kind, MODULE:FUNCTION) of all external parts of a plan's runs, each once."""
+    named = {
+        (kind, str(name))
+        for run in plan.runs
+        for kind, slot in SLOTS.items()
+        if names_code(slot, name := run.values.get(slot.key))
+    }
+    return sorted(named)
+
+
 def check_external_code(plan: Plan, directory: Path) -> None:
-    """Raises UsageError where finished runs were flown with other code of an external estimator
-    than there is now: they would not be flown again, and stand beside runs of another program. Runs
-    that do not say what they were flown with pass."""
-    wanted = {str(run.values["estimator"]) for run in plan.runs}
-    now = {name: code_now(name) for name in sorted(wanted) if is_external(name)}
+    """Raises UsageError where finished runs were flown with other code of an external part than
+    there is now: they would not be flown again, and stand beside runs of another program. Runs that
+    do not say what they were flown with pass."""
+    now = {(kind, name): code_now(name, kind) for kind, name in parts_named(plan)}
     if not now or not (directory / PLAN_FILE).is_file():
         return
     rows = refresh(directory)
-    for name, code in now.items():
+    for (kind, name), code in now.items():
+        own, sha = ("estimator", "estimator_sha")
+        if kind != "estimator":
+            own, sha = (f"parts.{kind}", f"parts_sha.{kind}")
         changed = [
             row["run_id"]
             for row in rows
-            if row["estimator"] == name and row.get("estimator_sha") not in (None, code)
+            if row.get(own) == name and row.get(sha) not in (None, code)
         ]
         if changed:
             raise UsageError(

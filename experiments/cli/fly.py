@@ -62,6 +62,16 @@ _FLIGHT_OPTIONS = (
         metavar="NAME",
         help="livo, zou2024, gps, optical_flow, hybrid_flow, stereo, oracle, or MODULE:FUNCTION.",
     ),
+    *(
+        click.option(f"--{kind}", metavar="NAME", help=f"{text}, or MODULE:FUNCTION.  [{default}]")
+        for kind, text, default in (
+            ("selector", "What chooses the site: risk, zou2024 (Zou, Sun and Kong 2024)", "risk"),
+            ("lander", "What flies the mission: site", "site"),
+            ("controller", "What turns setpoints into rotor speeds: cascade", "cascade"),
+            ("mapper", "What makes the map: grid", "grid"),
+            ("classifier", "What tells the class of ground: auto, off, a network's file", "auto"),
+        )
+    ),
     click.option("--seed", type=int, help="Varies the scene, the wind and all noise.  [0]"),
     click.option(
         "--profile",
@@ -93,7 +103,7 @@ _FLIGHT_OPTIONS = (
     click.option(
         "--allow-code",
         is_flag=True,
-        help="Import the external estimator that a run's config.json names.",
+        help="Import the external parts that a run's config.json names.",
     ),
     click.option(
         "--set",
@@ -133,7 +143,7 @@ _FLIGHT_OPTIONS = (
 
 _CONFIG_OPTIONS = (
     "scene", "estimator", "seed", "profile", "preset", "light", "wind_kmh", "record",
-    "calibration", "log_sensors",
+    "calibration", "log_sensors", "selector", "lander", "controller", "mapper", "classifier",
 )  # fmt: skip
 """The options that `experiments.config.loading.load_config` takes."""
 
@@ -149,18 +159,11 @@ def _flight_options(command: _Command) -> _Command:
 @_flight_options
 @click.option("--site", type=SiteType(), help="Land here (metres, world frame).")
 @click.option(
-    "--selector",
-    type=click.Choice(["risk", "zou2024"]),
-    help="What chooses the site: risk, or the method of Zou, Sun and Kong (2024).  [risk]",
-)
-@click.option(
     "--emergency",
     type=click.Choice(["battery"]),
     help="Land within landing.emergency_s of the survey's end, on the safest site in reach.",
 )
-def land(
-    site: tuple[float, float] | None, selector: str | None, emergency: str | None, **options: Any
-) -> int:
+def land(site: tuple[float, float] | None, emergency: str | None, **options: Any) -> int:
     """Take off, survey, map, choose a landing site and land on it.
 
     SCENE is a name (see `touchdown scenes list`) or the path of an MJCF file. Exit code 0 means
@@ -168,7 +171,7 @@ def land(
 
     Example: touchdown land crossroad --seed 3 --wind-kmh 20 --set landing.second_look=false
     """
-    return _run_flight(options, site=site, selector=selector, emergency=emergency)
+    return _run_flight(options, site=site, emergency=emergency)
 
 
 @click.command()

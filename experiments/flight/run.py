@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, input_message
-from touchdown.experiments.external.wrapper import ExternalEstimatorError
+from touchdown.experiments.external.wrapper import ExternalPartError
 from touchdown.experiments.flight.estimator_calibration import check_calibration
 from touchdown.experiments.flight.inactive_faults import inactive_faults
 from touchdown.experiments.flight.loop import run_flight
@@ -18,6 +18,7 @@ from touchdown.experiments.flight.observers import Progress, StepObserver
 from touchdown.experiments.flight.platform import limit_threads, set_up_memory
 from touchdown.experiments.flight.referee import Referee
 from touchdown.experiments.flight.result import make_result
+from touchdown.experiments.flight.slots import check_parts_available
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.truth_lookup import TruthLookup
 from touchdown.experiments.flight.wiring import (
@@ -25,7 +26,7 @@ from touchdown.experiments.flight.wiring import (
     build_classifier,
     build_flight_stack,
     build_scene,
-    check_estimator_available,
+    check_estimator_name,
 )
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import check_out_dir, run_directory
@@ -57,7 +58,8 @@ def fly(
     an earlier run of that name is replaced. ``live``, the address of a Rerun viewer, streams the
     recording there while it flies. Raises UsageError for bad input before anything is written.
     """
-    check_estimator_available(config.estimator)
+    check_estimator_name(config.estimator)
+    check_parts_available(config)
     check_calibration(config)
     build_classifier(config)
     if out_dir is not None:
@@ -102,7 +104,7 @@ def fly_with_usage_errors(
     try:
         return fly(config, out_dir, watch, live)
     except (ValueError, OSError) as error:
-        if airborne or isinstance(error, ExternalEstimatorError):
+        if airborne or isinstance(error, ExternalPartError):
             raise
         raise UsageError(input_message(error)) from error
 
@@ -139,6 +141,9 @@ def fly_and_judge(
     finally:
         stack.world.close()
         observer.close()
+    for part in stack.external:
+        if sentence := part.slowness():
+            warnings.warn(sentence, stacklevel=3)
     return make_result(config, stack, judgement, clock, observer)
 
 
