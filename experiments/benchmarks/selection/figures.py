@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.costmap_image import seen_box
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import Candidate, CostmapView, Selection
@@ -79,8 +78,8 @@ def steps_figure(selection: Selection, title: str) -> Colours:
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def write_steps(path: Path, config: Config, selection: Selection) -> None:
-    """Writes `steps_figure` of a selection with ``config`` as JPEG of at most 250 kB.
+def write_steps(path: Path, place: str, selection: Selection) -> None:
+    """Writes `steps_figure` of a selection over ``place`` as JPEG of at most 250 kB.
 
     Raises ValueError as `steps_figure`, and OSError where the file cannot be written."""
     site = chosen(selection.candidates)
@@ -88,21 +87,21 @@ def write_steps(path: Path, config: Config, selection: Selection) -> None:
     if site is not None:
         east, north = site.position_odom[:2]
         verdict = f"site at ({east:.1f}, {north:.1f}) m, {site.reason}"
-    title = f"{config.scene}, seed {config.seed}\n{verdict}"
+    title = f"{place}\n{verdict}"
     path.write_bytes(jpeg(steps_figure(selection, title)))
 
 
-def figure_files(configs: Sequence[Config], folder: Path) -> list[Path]:
-    """Creates ``folder`` and returns a file in it for each scene, such as ``site_turf.jpg``, with
-    the seed in the name where there are several. Raises UsageError."""
+def figure_files(places: Sequence[tuple[str, int]], folder: Path) -> list[Path]:
+    """Creates ``folder`` and returns a file in it for each scene and seed, such as
+    ``site_turf.jpg``, with the seed in the name where there are several. Raises UsageError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"--pictures: '{folder}' cannot be created: {error.strerror}") from error
-    several = len({config.seed for config in configs}) > 1
+    several = len({seed for _, seed in places}) > 1
     return [
-        folder / f"site_{Path(config.scene).stem}{f'_{config.seed}' if several else ''}.jpg"
-        for config in configs
+        folder / f"site_{Path(scene).stem}{f'_{seed}' if several else ''}.jpg"
+        for scene, seed in places
     ]
 
 
