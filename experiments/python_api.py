@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from touchdown.experiments.config.files import check_named_code
+from touchdown.experiments.config.files import check_named_code, check_named_scene
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import (
     OPTION_KEYS,
@@ -89,6 +89,8 @@ def load_config(
         named_here = estimator is not None or "estimator" in (overrides or {})
         if not (allow_code or named_here):
             check_named_code(Path(file), [values.get("estimator")])
+        if not (allow_code or scene is not None or "scene" in (overrides or {})):
+            check_named_scene(Path(file), [values.get("scene")])
     return _changed(values, sources, overrides, scene=scene, estimator=estimator, seed=seed)
 
 

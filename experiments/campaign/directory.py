@@ -31,6 +31,7 @@ from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import code_now, is_external
 from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links, shown
 from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
+from touchdown.scenes.api import names_function
 
 PLAN_FILE, SOURCE_FILE, LOCK_FILE = "campaign.json", "campaign.toml", ".lock"
 SHARE_FILE = ".share"
@@ -312,12 +313,27 @@ def check_external_code(plan: Plan, directory: Path) -> None:
             for row in rows
             if row["estimator"] == name and row.get("estimator_sha") not in (None, code)
         ]
-        if changed:
-            raise UsageError(
-                f"the code of {name} has changed since runs of '{directory}' were flown "
-                f"({len(changed)}), such as {changed[0]}; name another --out, or remove those runs "
-                f"({directory / RUNS / changed[0]} and so on) to fly them anew"
-            )
+        _refuse_changed(name, changed, directory)
+
+
+def check_scene_code(plan: Plan, directory: Path) -> None:
+    """As `check_external_code`, for scenes MODULE:FUNCTION."""
+    wanted = {str(run.values["scene"]) for run in plan.runs}
+    now = {name: code_now(name, "scene") for name in sorted(wanted) if names_function(name)}
+    rows = refresh(directory) if now and (directory / PLAN_FILE).is_file() else []
+    for name, code in now.items():
+        flown = [row for row in rows if row["scene"] == name]
+        changed = [r["run_id"] for r in flown if r.get("scene_sha") not in (None, code)]
+        _refuse_changed(name, changed, directory)
+
+
+def _refuse_changed(name: str, changed: Sequence[str], directory: Path) -> None:
+    if changed:
+        raise UsageError(
+            f"the code of {name} has changed since runs of '{directory}' were flown "
+            f"({len(changed)}), such as {changed[0]}; name another --out, or remove those runs "
+            f"({directory / RUNS / changed[0]} and so on) to fly them anew"
+        )
 
 
 # ---------------------------------------------------------------------------------------- leavings

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.run_names import AXES, run_name
-from touchdown.experiments.config.files import check_named_code, read_tree
+from touchdown.experiments.config.files import check_named_code, check_named_scene, read_tree
 from touchdown.experiments.config.keys import flatten, hint_for
 from touchdown.experiments.config.loading import config_of, is_key, known_keys, parse_override
 from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT, PRESET_KEY
@@ -158,6 +158,7 @@ def load_plan(
     axes = _axes(spec.axes, str(file))
     if not allow_code:
         check_named_code(file, axes["estimator"])
+        check_named_scene(file, axes["scene"])
     base = dict(flatten(spec.base))
     _check_settable(base, axes, f"[base] of {file}")
     if preset is not None:

@@ -18,6 +18,7 @@ from touchdown.experiments.campaign.directory import (
     Shard,
     add_session,
     check_external_code,
+    check_scene_code,
     flown_for_s,
     flying_now,
     locked,
@@ -90,6 +91,7 @@ def fly_campaign(
     with locked(directory, shard):
         if real:
             check_external_code(plan, directory)
+            check_scene_code(plan, directory)
         check_rows(directory)
         for run_id in {run.run_id for run in plan.runs} - finished_ids(directory):
             if (run_dir := directory / RUNS / run_id).is_dir():

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.errors import UsageError, input_message, is_text
+from touchdown.scenes.api import names_function
 from touchdown.sim.files.opening import no_file
 
 MOST_BYTES = 1 << 20
@@ -105,6 +106,16 @@ def came_with_results(file: Path) -> bool:
     """True if a program wrote the configuration beside results: a JSON file, or a file in the
     directory of a run or a campaign. Other files were written by their user."""
     return file.suffix == ".json" or any((file.parent / n).is_file() for n in RESULT_FILES)
+
+
+def check_named_scene(file: Path, scenes: Iterable[Any]) -> None:
+    """Raises ``UsageError`` where a file that came with results names a scene of code."""
+    for name in filter(names_function, scenes if came_with_results(file) else ()):
+        raise UsageError(
+            f"'{file}' came with results and names code, scene '{name}': the module "
+            f"'{name.partition(':')[0]}' would be imported and run, from the current directory "
+            "too; if you trust it, give --allow-code, or name the scene with --scene-from"
+        )
 
 
 def check_named_code(file: Path, estimators: Iterable[Any]) -> None:

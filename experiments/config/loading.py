@@ -26,6 +26,7 @@ from touchdown.experiments.config.files import (
     LARGEST,
     came_with_results,
     check_named_code,
+    check_named_scene,
     wrong_value,
 )
 from touchdown.experiments.config.files import read_tree as read_tree
@@ -113,6 +114,8 @@ def load_config(
         values[KEY], sources[KEY] = profile_default, BY_DEFAULT
     if file is not None and not allow_code and sources.get("estimator") == str(file):
         check_named_code(file, [values.get("estimator")])
+    if file is not None and not allow_code and sources.get("scene") == str(file):
+        check_named_scene(file, [values.get("scene")])
     return config_of(values, sources)
 
 

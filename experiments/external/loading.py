@@ -1,4 +1,4 @@
-"""External estimators: loading of MODULE:FUNCTION and identification of its code.
+"""External parts: loading of MODULE:FUNCTION and identification of its code.
 
 For a name that cannot be loaded, one line states what is missing and the remedy.
 """
@@ -19,12 +19,11 @@ from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from touchdown.estimator.api import Estimator
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.estimate_checks import describe_error
-from touchdown.sim.api import SensorRig
 
-Build = Callable[[dict[str, Any], SensorRig], Estimator]
+Build = Callable[[dict[str, Any], Any], Any]
+"""``build(params, rig)`` of a part; the rig is that of its kind"""
 
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 _AT_IMPORT: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()
@@ -32,34 +31,32 @@ _AT_IMPORT: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()
 
 
 def is_external(name: str) -> bool:
-    """True if an estimator's name is MODULE:FUNCTION."""
+    """True if the name of a part is MODULE:FUNCTION."""
     return ":" in name
 
 
-def external_builder(name: str) -> Build:
+def external_builder(name: str, kind: str = "estimator") -> Build:
     """Function ``build`` of the module ``my_lab.vio`` for ``my_lab.vio:build``.
 
     The current directory is searched last, so that it hides no installed module. Raises UsageError.
     """
-    module, function = external_module(name), name.partition(":")[2]
+    module, function = external_module(name, kind), name.partition(":")[2]
     build: Any = getattr(module, function, None)
     if build is None:
         own = {key: getattr(value, "__module__", "") for key, value in vars(module).items()}
         known = [key for key, home in own.items() if home == module.__name__]
         hint = nearest(function, known) or (f"; it has {', '.join(known[:6])}" if known else "")
-        raise UsageError(
-            f"estimator '{name}': {module.__name__} has no function '{function}'{hint}"
-        )
+        raise UsageError(f"{kind} '{name}': {module.__name__} has no function '{function}'{hint}")
     if not callable(build):
-        raise UsageError(f"estimator '{name}': {function} is no function")
+        raise UsageError(f"{kind} '{name}': {function} is no function")
     return build  # type: ignore[no-any-return]
 
 
-def check_external(name: str) -> None:
+def check_external(name: str, kind: str = "estimator") -> None:
     """Raises UsageError unless the builder exists and takes (params, rig)."""
-    reason = wrong_signature(external_builder(name))
+    reason = wrong_signature(external_builder(name, kind))
     if reason:
-        raise UsageError(f"estimator '{name}': {reason}")
+        raise UsageError(f"{kind} '{name}': {reason}")
 
 
 def wrong_signature(build: Callable[..., Any]) -> str:
@@ -79,11 +76,11 @@ def wrong_signature(build: Callable[..., Any]) -> str:
 # ------------------------------------------------------------------------------------- the module
 
 
-def external_module(name: str) -> ModuleType:
+def external_module(name: str, kind: str = "estimator") -> ModuleType:
     """Imported module of MODULE:FUNCTION. Raises UsageError."""
     if not _NAME.fullmatch(name):
         raise UsageError(
-            f"estimator '{name}' is not of the form MODULE:FUNCTION, such as my_lab.vio:build"
+            f"{kind} '{name}' is not of the form MODULE:FUNCTION, such as my_lab.vio:build"
         )
     module_name = name.partition(":")[0]
     _look_here()
@@ -91,16 +88,16 @@ def external_module(name: str) -> ModuleType:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         reason = _missing(module_name, error)
-        raise UsageError(f"estimator '{name}': {reason}") from error
+        raise UsageError(f"{kind} '{name}': {reason}") from error
     except SyntaxError as error:
         where = f"{_short(error.filename or module_name)}:{error.lineno or 0}"
-        raise UsageError(f"estimator '{name}': syntax error in {where}: {error.msg}") from error
+        raise UsageError(f"{kind} '{name}': syntax error in {where}: {error.msg}") from error
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # code of others may raise anything
         where = location(error, module_name)
         raise UsageError(
-            f"estimator '{name}': importing {module_name} raised {describe_error(error)}{where}"
+            f"{kind} '{name}': importing {module_name} raised {describe_error(error)}{where}"
         ) from error
     if module not in _AT_IMPORT:
         _AT_IMPORT[module] = _hash(module)
@@ -159,7 +156,7 @@ def _importer(error: BaseException) -> str:
 
 
 def location(error: BaseException, module_name: str) -> str:
-    """`` (my_lab/vio.py:12)``: the last line of the estimator's own code in the traceback of an
+    """`` (my_lab/vio.py:12)``: the last line of the part's own code in the traceback of an
     exception, or an empty string."""
     top, found = module_name.partition(".")[0], ""
     for frame, line in traceback.walk_tb(error.__traceback__):
@@ -168,15 +165,20 @@ def location(error: BaseException, module_name: str) -> str:
     return found
 
 
+def imported_code(name: str) -> str:
+    """Twelve hexadecimal digits that identify the imported code of an external part."""
+    return _AT_IMPORT[external_module(name)]
+
+
 def flown_code(name: str) -> dict[str, str]:
-    """``estimator_sha`` of a result: twelve hexadecimal digits that identify the imported code of
-    an external estimator. Empty for built-in ones, whose code ``git_revision`` identifies."""
-    return {"estimator_sha": _AT_IMPORT[external_module(name)]} if is_external(name) else {}
+    """``estimator_sha`` of a result: `imported_code` of an external estimator. Empty for built-in
+    ones, whose code ``git_revision`` identifies."""
+    return {"estimator_sha": imported_code(name)} if is_external(name) else {}
 
 
-def code_now(name: str) -> str:
-    """``estimator_sha`` of the code in its present state on disk. Raises UsageError."""
-    return _hash(external_module(name))
+def code_now(name: str, kind: str = "estimator") -> str:
+    """`imported_code` in its present state on disk. Raises UsageError."""
+    return _hash(external_module(name, kind))
 
 
 def _hash(module: ModuleType) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.external.loading import flown_code
+from touchdown.experiments.external.loading import flown_code, imported_code
 from touchdown.experiments.flight.choice import choice_of
 from touchdown.experiments.flight.happened import as_json, judge_conditions
 from touchdown.experiments.flight.metrics import GroundMap, levelness_error_deg
@@ -25,6 +25,7 @@ from touchdown.experiments.io.results import (
     StageTimes,
     Timing,
 )
+from touchdown.scenes.api import names_function
 
 
 def make_result(
@@ -37,7 +38,9 @@ def make_result(
     """Returns the result of a finished flight."""
     code: dict[str, Any] = dict(flown_code(config.estimator))
     origin = stack.scene.origin_m
-    moved: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
+    place: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
+    if names_function(config.scene):
+        place["scene_sha"] = imported_code(config.scene)
     record = stack.record()
     measured = observer.conditions.measured(record, stack.world.rig, stack.nominal_rig)
     conditions = judge_conditions(config, measured, record.faults, judgement.sim_s)
@@ -51,7 +54,7 @@ def make_result(
         profile=config.profile,
         preset=config.preset,
         wind_kmh=config.wind.mean_kmh,
-        **moved,
+        **place,
         position_error_m=judgement.position_error,
         span_s=judgement.span_s,
         trajectory_error_m=judgement.deviation.mean_m,

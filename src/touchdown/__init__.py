@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         load_runs,
         replay,
     )
+    from touchdown.experiments.scene_tools import pymjcf
     from touchdown.sim.api import Observation, SensorNeeds, SensorRig
     from touchdown.sim.frames import Pose
 
@@ -48,6 +49,7 @@ __all__ = [
     "land",
     "load_config",
     "load_runs",
+    "pymjcf",
     "replay",
     "suite",
 ]
@@ -62,10 +64,11 @@ _HOMES = {
     "SensorNeeds": "sim.api",
     "SensorRig": "sim.api",
     "UsageError": "experiments.errors",
+    "pymjcf": "experiments.scene_tools.pymjcf",
     "suite": "experiments.environments.suite",
 }
 """Module of each name; the others are in `experiments.python_api`."""
-_MODULES = frozenset({"suite"})
+_MODULES = frozenset({"pymjcf", "suite"})
 """Names that are modules themselves."""
 
 

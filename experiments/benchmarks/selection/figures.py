@@ -19,6 +19,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.costmap_image import seen_box
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import Candidate, CostmapView, Selection
+from touchdown.scenes.api import short_name
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.uint8]
@@ -101,7 +102,7 @@ def figure_files(configs: Sequence[Config], folder: Path) -> list[Path]:
         raise UsageError(f"--pictures: '{folder}' cannot be created: {error.strerror}") from error
     several = len({config.seed for config in configs}) > 1
     return [
-        folder / f"site_{Path(config.scene).stem}{f'_{config.seed}' if several else ''}.jpg"
+        folder / f"site_{short_name(config.scene)}{f'_{config.seed}' if several else ''}.jpg"
         for config in configs
     ]
 
