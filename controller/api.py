@@ -10,7 +10,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate
-from touchdown.sim.api import FORBID_EXTRA, Command, Count, NotNegative, Positive
+from touchdown.sim.api import FORBID_EXTRA, Command, Count, NotNegative, Positive, VehicleModel
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,9 @@ class Setpoint:
 
 
 class Controller(Protocol):
-    """``update`` returns the command for the control step that begins now."""
+    """``update`` returns the command for the control step that begins now; called once a step, at
+    ``control_hz``. It must be deterministic and must not modify its input. The command acts at
+    once, through the rotors' own lag: there is no compute latency."""
 
     def update(self, estimate: Estimate, setpoint: Setpoint) -> Command: ...
 
@@ -47,6 +49,9 @@ class ControlParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
+    controller: str = "cascade"
+    """what turns setpoints into rotor speeds: ``cascade``, or MODULE:FUNCTION of an external
+    controller"""
     control_hz: Count = 200
     """rate of the control loop, sim.tick_hz / sim.control_ticks"""
     max_tilt_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 35.0
@@ -84,3 +89,15 @@ class ControlParams:
     where the rotors' thrust does not last for both; off, the force across is fed forward alone"""
     max_correction_mps: Positive = 3.0
     """bound on the velocity that the position loop may add to the reference's"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ControllerRig:
+    """What a controller knows before the flight."""
+
+    vehicle: VehicleModel
+    """the airframe's data sheet: mass, inertia, rotors"""
+    control_hz: int
+    """calls of ``update`` a second"""
+    control: ControlParams
+    """keys ``control.*``: limits such as ``max_tilt_deg``, and the bandwidths of the shipped one"""

@@ -17,6 +17,8 @@ class MapperParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
+    mapper: str = "grid"
+    """what makes the map: ``grid``, or MODULE:FUNCTION of an external mapper"""
     enabled: bool = True
     """false: no map, and no LIDAR unless the estimator needs it; for surveys only"""
     cell_m: Positive = 0.2

@@ -89,6 +89,7 @@ def fly_all(
 
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.flight.slots import check_parts_available
     from touchdown.experiments.flight.wiring import check_estimator_available
     from touchdown.scenes.api import short_name
 
@@ -108,6 +109,7 @@ def fly_all(
                 estimator=estimator,
                 survey_only=mode == "fly",
             )
+            check_parts_available(config)
             name = f"{short_name(scene)}-{estimator.replace(':', '.')}-s{seed}"
             tasks.append((config.model_dump_json(), str(out / name), mode))
     if jobs == 1 or len(tasks) == 1:
@@ -129,7 +131,7 @@ def _fly_one(task: tuple[str, str, str]) -> dict[str, Any]:
     from touchdown.experiments.campaign.results_table import CRASHED, make_row
     from touchdown.experiments.config.schema import Config
     from touchdown.experiments.errors import UsageError
-    from touchdown.experiments.external.wrapper import ExternalEstimatorError
+    from touchdown.experiments.external.wrapper import ExternalPartError
     from touchdown.experiments.flight.platform import rendering_backend
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.results import RunResult
@@ -140,7 +142,7 @@ def _fly_one(task: tuple[str, str, str]) -> dict[str, Any]:
     try:
         result = fly_with_usage_errors(config, Path(out), lambda *_: None)
     except Exception as error:
-        external = isinstance(error, ExternalEstimatorError)
+        external = isinstance(error, ExternalPartError)
         if isinstance(error, UsageError) and not external:
             raise
         result = RunResult(

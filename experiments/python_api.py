@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from touchdown.experiments.config.files import check_named_code, check_named_scene
+from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import (
     OPTION_KEYS,
@@ -25,6 +25,7 @@ from touchdown.experiments.config.loading import (
     under_base,
 )
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.slots import params_of
 from touchdown.experiments.errors import UsageError, usage_errors
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def load_config(
 
     ``file`` is a TOML file or the ``config.json`` of a run; without it the defaults apply.
     ``overrides`` win over the file, the other arguments over both. A file that came with results
-    names an external estimator, whose module a flight imports, only with ``allow_code``. Raises
+    names external parts, whose modules a flight imports, only with ``allow_code``. Raises
     UsageError.
     """
     values: dict[str, Any] = {}
@@ -86,11 +87,10 @@ def load_config(
         path = Path(file)
         for key, value in under_base(path, read_values(path), overrides or {}).items():
             values[key], sources[key] = value, str(file)
-        named_here = estimator is not None or "estimator" in (overrides or {})
-        if not (allow_code or named_here):
-            check_named_code(Path(file), [values.get("estimator")])
-        if not (allow_code or scene is not None or "scene" in (overrides or {})):
-            check_named_scene(Path(file), [values.get("scene")])
+        named = {"scene": scene, "estimator": estimator}
+        here = {*(overrides or {}), *(key for key, value in named.items() if value is not None)}
+        if not allow_code:
+            check_named_code(path, ((key, v) for key, v in values.items() if key not in here))
     return _changed(values, sources, overrides, scene=scene, estimator=estimator, seed=seed)
 
 
@@ -103,16 +103,18 @@ def fly(
     overrides: Overrides | None = None,
     out: str | Path | None = None,
     progress: Progress = False,
+    live: str | None = None,
 ) -> RunResult:
     """Flies the survey alone and returns its result.
 
     ``scene`` is the name of a scene, the path of an MJCF file, or a configuration; the other
     arguments change it. With ``out`` the run directory appears there, and replaces an earlier one;
     without it nothing is written. ``{"record": False}`` in ``overrides`` leaves out the recording.
-    Raises UsageError for bad input before the flight.
+    ``live`` is the address of a Rerun viewer that shows the flight while it goes on, such as
+    ``rerun+http://127.0.0.1:9876/proxy``. Raises UsageError for bad input before the flight.
     """
     config = _flight_config(scene, estimator, seed, overrides, survey_only=True)
-    return _flown(config, out, progress)
+    return _flown(config, out, progress, live)
 
 
 @_by_keyword
@@ -124,6 +126,7 @@ def land(
     overrides: Overrides | None = None,
     out: str | Path | None = None,
     progress: Progress = False,
+    live: str | None = None,
 ) -> RunResult:
     """Takes off, surveys, maps, chooses a site, lands on it, and returns the result.
 
@@ -131,7 +134,7 @@ def land(
     exception.
     """
     config = _flight_config(scene, estimator, seed, overrides, survey_only=False)
-    return _flown(config, out, progress)
+    return _flown(config, out, progress, live)
 
 
 @_by_keyword
@@ -203,7 +206,9 @@ def check_estimator(
     else:
         check_estimator_name(name)
         build = functools.partial(_built, config)
-    return conformance.check_estimator(build, params=config.external, seconds=seconds)
+    return conformance.check_estimator(
+        build, params=params_of(config, "estimator"), seconds=seconds
+    )
 
 
 # ------------------------------------------------------------------------------------------- inside
@@ -256,7 +261,9 @@ def _flight_config(
     )  # fmt: skip
 
 
-def _flown(config: Config, out: str | Path | None, progress: Progress) -> RunResult:
+def _flown(
+    config: Config, out: str | Path | None, progress: Progress, live: str | None
+) -> RunResult:
     _prepare()
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.sensor_log import FILE_NAME
@@ -268,7 +275,7 @@ def _flown(config: Config, out: str | Path | None, progress: Progress) -> RunRes
             f"'{folder}' holds {FILE_NAME}, and this run would replace it without one; give "
             "another `out`, or remove it"
         )
-    result = fly_with_usage_errors(config, folder, _progress(progress))
+    result = fly_with_usage_errors(config, folder, _progress(progress), live)
     end_progress(quiet=progress is not True)
     return result.found_at(folder)
 

@@ -18,7 +18,7 @@ from touchdown.landing.parameters import SelectorParams as SelectorParams
 from touchdown.landing.parameters import SurveyParams as SurveyParams
 from touchdown.landing.parameters import TermName as TermName
 from touchdown.landing.parameters import Zou2024SelectorParams as Zou2024SelectorParams
-from touchdown.sim.api import Observation, SensorNeeds
+from touchdown.sim.api import Observation, SensorNeeds, VehicleModel
 
 Array = NDArray[np.float64]
 
@@ -42,21 +42,23 @@ SiteRule = Literal[
     "not_seen", "few_returns", "rough", "steep", "step", "object", "motion", "water",
     "tall_neighbour", "map_edge", "out_of_reach", "near_refused_site",
     "low_probability", "footprint_slope", "footprint_roughness",
-    "unsafe_ground", "uncertain_ground", "unfamiliar_ground", "no_image",
+    "unsafe_ground", "uncertain_ground", "unfamiliar_ground", "no_image", "by_selector",
 ]  # fmt: skip
-"""Rules that prefer a site (first line), or refuse it by map, plane or class of the ground."""
+"""Rules that prefer a site (first line), or refuse it by map, plane or class of the ground, or for
+a reason of an external selector's own."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ScoreTerm:
     """One term of the value of a site."""
 
-    name: TermName
+    name: str
+    """a `TermName`, or that of an external selector's own"""
     value: float
     """weighted: the terms of a site add up to its value"""
-    quantity: float
+    quantity: float = float("nan")
     """what the term weights, in ``unit``"""
-    unit: str
+    unit: str = ""
     """"" where it has none"""
 
 
@@ -64,7 +66,8 @@ class ScoreTerm:
 class TermLayer:
     """One term of the score in every cell, (rows, cols); NaN unknown."""
 
-    name: TermName
+    name: str
+    """as that of a `ScoreTerm`"""
     value: NDArray[np.float32]
     """weighted, as it is added"""
     quantity: NDArray[np.float32]
@@ -167,23 +170,86 @@ class Selection:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class SelectorRig:
+    """What a selector knows before the flight."""
+
+    vehicle: VehicleModel
+    """the airframe's data sheet: ``footprint_radius_m``, ``leg_height_m`` and more"""
+    landing: LandingParams
+    """keys ``landing.*``: what ground is safe to land on, such as ``max_slope_deg``, and how many
+    candidates are examined"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SelectorInput:
+    """What a selector knows at a decision; positions in the odom frame."""
+
+    map_view: MapView
+    """the elevation map; ``coarse`` covers the survey"""
+    estimate: Estimate
+    """where the vehicle hovers"""
+    reach_m: float = float("inf")
+    """horizontal distance to a site that the remaining energy allows"""
+    avoid_odom: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(N, 3) sites that were refused already: no site within ``landing.refused_radius_m`` of one is
+    taken"""
+    unsafe_ground_odom: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(N, 3) those of them that were refused for the kind of their ground"""
+    wind_mps: float = 0.0
+    """estimated wind speed"""
+    emergency: bool = False
+    """the first site in reach is taken even where none is accepted"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Site:
+    """A landing site that a selector offers."""
+
+    position_odom: Array
+    """(2,) or (3,) centre, odom frame; the height of the ground is that of the map"""
+    terms: tuple[ScoreTerm, ...]
+    """they add up to what ranks the site, higher is better; the same names for each site"""
+    accepted: bool = True
+    reason: str = ""
+    """why it is accepted or refused, in words"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RankedSites:
+    """The answer of a selector."""
+
+    sites: tuple[Site, ...]
+    """the best first; ``landing.max_candidates`` of them are examined"""
+    layers: tuple[TermLayer, ...] = ()
+    """the terms in every cell, (rows, cols) of the coarse map: they are drawn as the costmap"""
+
+
+class Selector(Protocol):
+    """``select`` is called while the vehicle hovers: at the end of the survey, after a further leg,
+    after a go-around, and again where ground classification has refused all sites. It must be
+    deterministic, must not modify its input, and returns no site where nothing is mapped."""
+
+    def select(self, seen: SelectorInput) -> RankedSites: ...
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class LanderView:
     """State of the lander for the recorder and the referee."""
 
     phase: Phase
-    note: str
-    """the last decision, as text"""
-    candidates: tuple[Candidate, ...]
-    costmap: CostmapView | None
-    site_world: Array | None
-    """(3,) the current target site, world frame"""
-    committed_site_world: Array | None
-    """(3,) the site as committed at 4 m, immutable after"""
     reference_world: Array
     """(3,) current position of the reference trajectory"""
-    no_site: bool
+    note: str = ""
+    """the last decision, as text"""
+    candidates: tuple[Candidate, ...] = ()
+    costmap: CostmapView | None = None
+    site_world: Array | None = None
+    """(3,) the current target site, world frame"""
+    committed_site_world: Array | None = None
+    """(3,) the site as committed at 4 m, immutable after"""
+    no_site: bool = False
     """no safe site was found: returning to the take-off spot"""
-    aborted: bool
+    aborted: bool = False
     """the landing was given up for another reason (a refused ``--site``, an unhealthy estimate)"""
     site_class: str | None = None
     """predicted class of the ground at the site; None without ground classification"""

@@ -155,8 +155,11 @@ class GroundParams:
 class LandingParams:
     __pydantic_config__ = FORBID_EXTRA
 
-    selector: Literal["risk", "zou2024"] = "risk"
-    """what chooses the site: ``landing.risk`` or ``landing.zou2024``"""
+    lander: str = "site"
+    """what flies the mission: ``site``, or MODULE:FUNCTION of an external lander"""
+    selector: str = "risk"
+    """what chooses the site: ``risk`` (``landing.risk``), ``zou2024`` (``landing.zou2024``), or
+    MODULE:FUNCTION of an external selector"""
     risk: SelectorParams = field(default_factory=SelectorParams)
     zou2024: Zou2024SelectorParams = field(default_factory=Zou2024SelectorParams)
     ground: GroundParams = field(default_factory=GroundParams)
@@ -295,7 +298,8 @@ class LandingParams:
     """least vertical speed from then on: less time to drift in"""
     classifier: str = "auto"
     """``auto``: the network that is shipped with the project, if there is one; ``off``: sites are
-    checked by geometry alone; else the path of a network's file"""
+    checked by geometry alone; else the path of a network's file, or MODULE:FUNCTION of an external
+    classifier"""
     classifier_min_probability: Fraction = 0.0
     """probability of a safe class below which a site is refused; 0: the limit in the network's
     file"""
@@ -318,5 +322,6 @@ class LandingParams:
 
     @property
     def chosen_selector(self) -> SelectorParams:
-        """That of ``selector``."""
+        """That of ``selector``; for an external one ``risk``, whose gate ``class`` its sites pass
+        too."""
         return self.zou2024 if self.selector == "zou2024" else self.risk

@@ -27,8 +27,9 @@ from touchdown.experiments.campaign.run_names import is_run_name
 from touchdown.experiments.campaign.worker import PARTIAL, Task
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.profiles import BEFORE_PROFILES
+from touchdown.experiments.config.slots import SLOTS, names_code
 from touchdown.experiments.errors import UsageError, reason_of
-from touchdown.experiments.external.loading import code_now, is_external
+from touchdown.experiments.external.loading import code_now
 from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links, shown
 from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
 from touchdown.scenes.api import names_function
@@ -298,42 +299,42 @@ def _difference(old: Mapping[str, Any], runs: Sequence[PlannedRun], directory: P
     )
 
 
+def parts_named(plan: Plan) -> list[tuple[str, str]]:
+    """(kind, MODULE:FUNCTION) of all external parts of a plan's runs, each once."""
+    named = {
+        (kind, str(name))
+        for run in plan.runs
+        for kind, slot in SLOTS.items()
+        if names_code(slot, name := run.values.get(slot.key))
+    }
+    return sorted(named)
+
+
 def check_external_code(plan: Plan, directory: Path) -> None:
-    """Raises UsageError where finished runs were flown with other code of an external estimator
-    than there is now: they would not be flown again, and stand beside runs of another program. Runs
-    that do not say what they were flown with pass."""
-    wanted = {str(run.values["estimator"]) for run in plan.runs}
-    now = {name: code_now(name) for name in sorted(wanted) if is_external(name)}
+    """Raises UsageError where finished runs were flown with other code of an external part or of a
+    scene than there is now: they would not be flown again, and stand beside runs of another
+    program. Runs that do not say what they were flown with pass."""
+    scenes = sorted({str(run.values["scene"]) for run in plan.runs})
+    named = [*parts_named(plan), *(("scene", name) for name in filter(names_function, scenes))]
+    now = {(kind, name): code_now(name, kind) for kind, name in named}
     if not now or not (directory / PLAN_FILE).is_file():
         return
     rows = refresh(directory)
-    for name, code in now.items():
+    for (kind, name), code in now.items():
+        own, sha = (kind, f"{kind}_sha")
+        if kind not in ("estimator", "scene"):
+            own, sha = (f"parts.{kind}", f"parts_sha.{kind}")
         changed = [
             row["run_id"]
             for row in rows
-            if row["estimator"] == name and row.get("estimator_sha") not in (None, code)
+            if row.get(own) == name and row.get(sha) not in (None, code)
         ]
-        _refuse_changed(name, changed, directory)
-
-
-def check_scene_code(plan: Plan, directory: Path) -> None:
-    """As `check_external_code`, for scenes MODULE:FUNCTION."""
-    wanted = {str(run.values["scene"]) for run in plan.runs}
-    now = {name: code_now(name, "scene") for name in sorted(wanted) if names_function(name)}
-    rows = refresh(directory) if now and (directory / PLAN_FILE).is_file() else []
-    for name, code in now.items():
-        flown = [row for row in rows if row["scene"] == name]
-        changed = [r["run_id"] for r in flown if r.get("scene_sha") not in (None, code)]
-        _refuse_changed(name, changed, directory)
-
-
-def _refuse_changed(name: str, changed: Sequence[str], directory: Path) -> None:
-    if changed:
-        raise UsageError(
-            f"the code of {name} has changed since runs of '{directory}' were flown "
-            f"({len(changed)}), such as {changed[0]}; name another --out, or remove those runs "
-            f"({directory / RUNS / changed[0]} and so on) to fly them anew"
-        )
+        if changed:
+            raise UsageError(
+                f"the code of {name} has changed since runs of '{directory}' were flown "
+                f"({len(changed)}), such as {changed[0]}; name another --out, or remove those runs "
+                f"({directory / RUNS / changed[0]} and so on) to fly them anew"
+            )
 
 
 # ---------------------------------------------------------------------------------------- leavings

@@ -7,7 +7,7 @@ import itertools
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.run_names import AXES, run_name
-from touchdown.experiments.config.files import check_named_code, check_named_scene, read_tree
+from touchdown.experiments.config.files import check_named_code, read_tree
 from touchdown.experiments.config.keys import flatten, hint_for
 from touchdown.experiments.config.loading import config_of, is_key, known_keys, parse_override
 from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT, PRESET_KEY
@@ -157,8 +157,8 @@ def load_plan(
     spec = _parse(tree, str(file))
     axes = _axes(spec.axes, str(file))
     if not allow_code:
-        check_named_code(file, axes["estimator"])
-        check_named_scene(file, axes["scene"])
+        sets = [*axes.items(), *((k, [v]) for k, v in _set_in(spec))]
+        check_named_code(file, ((key, value) for key, values in sets for value in values))
     base = dict(flatten(spec.base))
     _check_settable(base, axes, f"[base] of {file}")
     if preset is not None:
@@ -183,6 +183,12 @@ def load_plan(
         expect=tuple(expect),
         names_profile=any("profile" in keys for keys in (axes, base, *(s for _, s in changes))),
     )
+
+
+def _set_in(spec: CampaignFile) -> Iterator[tuple[str, Any]]:
+    """(dotted key, value) of all that a campaign sets beside its axes."""
+    for tree in (spec.base, *(entry.set for entry in spec.override)):
+        yield from flatten(tree)
 
 
 def of_version_before_profiles(plan: Plan) -> Plan:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from touchdown.experiments.config.loading import OPTION_KEYS
+from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.io.foreign import is_plain_name
 from touchdown.scenes.api import short_name
 
@@ -16,6 +17,7 @@ AXES: Mapping[str, str] = {
     "estimator": "estimator",
     "seed": "seed",
     "wind_kmh": OPTION_KEYS["wind_kmh"],
+    **{kind: slot.key for kind, slot in SLOTS.items() if kind != "estimator"},
 }
 """Short names of axes and the keys that they set; any other key is an axis by its own name."""
 

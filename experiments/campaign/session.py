@@ -18,10 +18,10 @@ from touchdown.experiments.campaign.directory import (
     Shard,
     add_session,
     check_external_code,
-    check_scene_code,
     flown_for_s,
     flying_now,
     locked,
+    parts_named,
     read_plan_file,
     settle_plan,
     sweep,
@@ -44,6 +44,7 @@ from touchdown.experiments.campaign.worker import (
     wants_recording,
 )
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.external.loading import check_external
 from touchdown.experiments.io.results import load_result
 from touchdown.experiments.io.run_directory import utc_now
 
@@ -80,18 +81,19 @@ def fly_campaign(
     n) flies the i-th of n parts, i from 1. Raises UsageError for a directory that is in use, that
     belongs to another campaign, or whose disk is full; for an external estimator that is not
     available, or whose code differs from that of the finished runs."""
-    from touchdown.experiments.flight.wiring import check_estimator_available
+    from touchdown.experiments.flight.wiring import check_estimator_name
     from touchdown.experiments.io.provenance import git_revision
 
     watcher = watcher or Watcher()
     real = runner == REAL_RUNNER
     if real:
         for name in {str(run.values["estimator"]): None for run in plan.runs}:
-            check_estimator_available(name)
+            check_estimator_name(name)
+        for kind, name in parts_named(plan):
+            check_external(name, kind)
     with locked(directory, shard):
         if real:
             check_external_code(plan, directory)
-            check_scene_code(plan, directory)
         check_rows(directory)
         for run_id in {run.run_id for run in plan.runs} - finished_ids(directory):
             if (run_dir := directory / RUNS / run_id).is_dir():

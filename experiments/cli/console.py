@@ -49,6 +49,8 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
     title = f"{result.scene}, {result.estimator}, seed {result.seed}"
     title += f", {result.profile}" if result.profile else ""
     title += f", {result.preset}" if result.preset not in (None, "whole") else ""
+    parts = {} if result.parts is None else result.parts.model_dump(exclude_none=True)
+    title += "".join(f", {kind} {visible(name)}" for kind, name in parts.items())
     title += "" if result.wind_kmh is None else f", wind {result.wind_kmh:g} km/h"
     title += "".join(f", {visible(text)}" for text in fault_texts(result))
     table = Table(title=title, show_header=False, title_justify="left", min_width=52)

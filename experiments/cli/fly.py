@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -36,12 +37,41 @@ class SiteType(click.ParamType):
         return x, y
 
 
+class LiveType(click.ParamType):
+    """``window``, ``web``, or the address of a viewer."""
+
+    name = "live"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        text = str(value)
+        if text not in ("auto", "window", "web") and not re.fullmatch(
+            r"rerun(\+https?)?://[^/\s]+/proxy", text
+        ):
+            self.fail(
+                f"'{text}' is none of window, web and an address such as "
+                "rerun+http://127.0.0.1:9876/proxy (give the scene before --live)",
+                param,
+                ctx,
+            )
+        return text
+
+
 _Command = Callable[..., int]
 _FLIGHT_OPTIONS = (
     click.option(
         "--estimator",
         metavar="NAME",
         help="livo, zou2024, gps, optical_flow, hybrid_flow, stereo, oracle, or MODULE:FUNCTION.",
+    ),
+    *(
+        click.option(f"--{kind}", metavar="NAME", help=f"{text}, or MODULE:FUNCTION.  [{default}]")
+        for kind, text, default in (
+            ("selector", "What chooses the site: risk, zou2024 (Zou, Sun and Kong 2024)", "risk"),
+            ("lander", "What flies the mission: site", "site"),
+            ("controller", "What turns setpoints into rotor speeds: cascade", "cascade"),
+            ("mapper", "What makes the map: grid", "grid"),
+            ("classifier", "What tells the class of ground: auto, off, a network's file", "auto"),
+        )
     ),
     click.option("--seed", type=int, help="Varies the scene, the wind and all noise.  [0]"),
     click.option(
@@ -74,7 +104,7 @@ _FLIGHT_OPTIONS = (
     click.option(
         "--allow-code",
         is_flag=True,
-        help="Import the external estimator that a run's config.json names.",
+        help="Import the external parts that a run's config.json names.",
     ),
     click.option(
         "--set",
@@ -103,6 +133,15 @@ _FLIGHT_OPTIONS = (
         default=None,
         help="Write sensors.mcap, every message of the sensors, for --replay and other tools.",
     ),
+    click.option(
+        "--live",
+        type=LiveType(),
+        is_flag=False,
+        flag_value="auto",
+        metavar="[window|web|URL]",
+        help="Show the flight in the Rerun viewer while it goes on: in a window, on a page of this "
+        "machine, or in the viewer at URL.",
+    ),
     click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object."),
     click.option("--quiet", is_flag=True, help="No progress on stderr."),
 )
@@ -110,7 +149,7 @@ _FLIGHT_OPTIONS = (
 
 _CONFIG_OPTIONS = (
     "scene", "estimator", "seed", "profile", "preset", "light", "wind_kmh", "record",
-    "calibration", "log_sensors",
+    "calibration", "log_sensors", "selector", "lander", "controller", "mapper", "classifier",
 )  # fmt: skip
 """The options that `experiments.config.loading.load_config` takes."""
 
@@ -126,18 +165,11 @@ def _flight_options(command: _Command) -> _Command:
 @_flight_options
 @click.option("--site", type=SiteType(), help="Land here (metres, world frame).")
 @click.option(
-    "--selector",
-    type=click.Choice(["risk", "zou2024"]),
-    help="What chooses the site: risk, or the method of Zou, Sun and Kong (2024).  [risk]",
-)
-@click.option(
     "--emergency",
     type=click.Choice(["battery"]),
     help="Land within landing.emergency_s of the survey's end, on the safest site in reach.",
 )
-def land(
-    site: tuple[float, float] | None, selector: str | None, emergency: str | None, **options: Any
-) -> int:
+def land(site: tuple[float, float] | None, emergency: str | None, **options: Any) -> int:
     """Take off, survey, map, choose a landing site and land on it.
 
     SCENE is a name (see `touchdown scenes list`), the path of an MJCF file, or MODULE:FUNCTION as
@@ -145,7 +177,7 @@ def land(
 
     Example: touchdown land crossroad --seed 3 --wind-kmh 20 --set landing.second_look=false
     """
-    return _run_flight(options, site=site, selector=selector, emergency=emergency)
+    return _run_flight(options, site=site, emergency=emergency)
 
 
 @click.command()
@@ -191,6 +223,7 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
+    from touchdown.experiments.viewing.processes import live_viewer
 
     _take_scene(options)
     if options["scene"] is None:
@@ -209,11 +242,15 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         suffix = "" if config.preset == "whole" else f"-{config.preset}"
         out = default_out_dir(config.scene, config.estimator, config.seed, suffix)
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
-    with none_left():
-        result = fly_with_usage_errors(config, out, make_progress(quiet))
-    end_progress(quiet)
-    if options["as_json"]:
-        click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
-    else:
-        print_result(result, out)
+    with live_viewer(options["live"]) as view:
+        with none_left():
+            address = None if view is None else view.address
+            result = fly_with_usage_errors(config, out, make_progress(quiet), address)
+        end_progress(quiet)
+        if options["as_json"]:
+            click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
+        else:
+            print_result(result, out)
+        if view is not None:
+            view.stay()
     return EXIT_DONE if result.is_success else EXIT_FAILED

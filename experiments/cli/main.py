@@ -31,7 +31,7 @@ from touchdown.experiments.cli.edges import edges
 from touchdown.experiments.cli.export import export
 from touchdown.experiments.cli.fly import fly, land
 from touchdown.experiments.cli.query import query
-from touchdown.experiments.cli.replay import check_estimator_command
+from touchdown.experiments.cli.replay import check_estimator_command, check_plugin_command
 from touchdown.experiments.cli.report import regress, report
 from touchdown.experiments.cli.reproduce import reproduce
 from touchdown.experiments.cli.results import results
@@ -71,6 +71,7 @@ bench.add_command(bench_limit)
 bench.add_command(bench_profile)
 bench.add_command(bench_all)
 bench.add_command(bench_compare)
+cli.add_command(check_plugin_command)
 cli.add_command(check_estimator_command)
 cli.add_command(calibrate)
 cli.add_command(campaign)

@@ -1,4 +1,5 @@
-"""The table ``external`` of a configuration: parameters of an external estimator, of any keys."""
+"""The table ``external`` of a configuration: parameters of external parts, of any keys. Those of a
+selector are ``external.selector.*``, and so on; keys of no kind are an estimator's."""
 
 from __future__ import annotations
 
@@ -6,20 +7,28 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from touchdown.experiments.config.slots import SLOTS, names_code
+
 PREFIX = "external."
 _DEEPEST = 8
 
 
-def wrong_external_key(values: Mapping[str, Any], estimator: Any) -> tuple[str, str] | None:
+def wrong_external_key(values: Mapping[str, Any]) -> tuple[str, str] | None:
     """The first dotted key of the table in ``values`` that is wrong, and the reason; None
     if all are right."""
     ours = {key: value for key, value in values.items() if key.startswith(PREFIX)}
     for key, value in ours.items():
-        if isinstance(estimator, str) and ":" not in estimator:
+        kind = _kind_of(key)
+        slot = SLOTS[kind]
+        part = values.get(slot.key, slot.default)
+        if isinstance(part, str) and not names_code(slot, part):
             return key, (
-                "is for an external estimator, MODULE:FUNCTION, which "
-                f"'{estimator}' is not; leave it out (in a campaign: set it in an [[override]])"
+                f"is for an external {kind}, MODULE:FUNCTION, which "
+                f"'{part}' is not; leave it out (in a campaign: set it in an [[override]])"
+                f"{_of_another_part(key, values)}"
             )
+        if key == f"{PREFIX}{kind}":
+            return key, f"is the table of the {kind}; set its keys, such as {key}.gain"
         if isinstance(value, dict):
             return key, f"is a table; set its keys one by one, such as {key}.gain"
         if key.count(".") > _DEEPEST:
@@ -31,6 +40,20 @@ def wrong_external_key(values: Mapping[str, Any], estimator: Any) -> tuple[str, 
         if reason:
             return key, reason
     return None
+
+
+def _kind_of(key: str) -> str:
+    """Kind of the part that a key of the table is for."""
+    name = key.removeprefix(PREFIX).partition(".")[0]
+    return name if name in SLOTS else "estimator"
+
+
+def _of_another_part(key: str, values: Mapping[str, Any]) -> str:
+    """Hint for a key that lacks the kind of its part."""
+    kinds = [k for k, slot in SLOTS.items() if names_code(slot, values.get(slot.key))]
+    if _kind_of(key) != "estimator" or not kinds:
+        return ""
+    return f"; that of the {kinds[0]} is {PREFIX}{kinds[0]}.{key.removeprefix(PREFIX)}"
 
 
 def _wrong_value(value: Any, depth: int = 0) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from touchdown.experiments.config.slots import SLOTS, names_code
 from touchdown.experiments.errors import UsageError, input_message, is_text
 from touchdown.scenes.api import names_function
 from touchdown.sim.files.opening import no_file
@@ -108,25 +109,19 @@ def came_with_results(file: Path) -> bool:
     return file.suffix == ".json" or any((file.parent / n).is_file() for n in RESULT_FILES)
 
 
-def check_named_scene(file: Path, scenes: Iterable[Any]) -> None:
-    """Raises ``UsageError`` where a file that came with results names a scene of code."""
-    for name in filter(names_function, scenes if came_with_results(file) else ()):
-        raise UsageError(
-            f"'{file}' came with results and names code, scene '{name}': the module "
-            f"'{name.partition(':')[0]}' would be imported and run, from the current directory "
-            "too; if you trust it, give --allow-code, or name the scene with --scene-from"
-        )
-
-
-def check_named_code(file: Path, estimators: Iterable[Any]) -> None:
-    """Raises ``UsageError`` where a file that came with results names an external estimator: its
-    module would be imported, and may lie beside them."""
+def check_named_code(file: Path, named: Iterable[tuple[str, Any]]) -> None:
+    """Raises ``UsageError`` where a file that came with results names external code for a slot or
+    a scene: the module would be imported, and may lie beside them. ``named``: keys, or their axes,
+    and values."""
     if not came_with_results(file):
         return
-    for name in estimators:
-        if isinstance(name, str) and ":" in name:
+    kinds = {name: kind for kind, slot in SLOTS.items() for name in (kind, slot.key)}
+    for key, name in named:
+        kind = "scene" if key == "scene" else kinds.get(key, "")
+        option = "scene-from" if kind == "scene" else kind
+        if names_function(name) if kind == "scene" else kind and names_code(SLOTS[kind], name):
             raise UsageError(
-                f"'{file}' came with results and names code, estimator '{name}': the module "
+                f"'{file}' came with results and names code, {kind} '{name}': the module "
                 f"'{name.partition(':')[0]}' would be imported and run, from the current directory "
-                "too; if you trust it, give --allow-code, or name the estimator with --estimator"
+                f"too; if you trust it, give --allow-code, or name the {kind} with --{option}"
             )

@@ -26,7 +26,6 @@ from touchdown.experiments.config.files import (
     LARGEST,
     came_with_results,
     check_named_code,
-    check_named_scene,
     wrong_value,
 )
 from touchdown.experiments.config.files import read_tree as read_tree
@@ -50,6 +49,7 @@ from touchdown.experiments.config.profiles import (
 )
 from touchdown.experiments.config.ranges import choices_of, out_of_range, rule_of, types_of_keys
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.slots import SLOTS, check_part_names
 from touchdown.experiments.errors import UsageError, plain_fault
 
 OPTION_KEYS: Mapping[str, str] = {
@@ -65,7 +65,7 @@ OPTION_KEYS: Mapping[str, str] = {
     "wind_kmh": "wind.mean_kmh",
     "site": "landing.site_xy_m",
     "emergency": "landing.emergency",
-    "selector": "landing.selector",
+    **{kind: slot.key for kind, slot in SLOTS.items() if kind != "estimator"},
     "survey_only": "landing.survey_only",
     "fault": "faults.events",
 }
@@ -88,9 +88,9 @@ def load_config(
     ``file`` is a TOML file or a ``config.json``; ``overrides`` are ``a.b=c`` strings whose values
     are TOML (bare words count as text); ``options`` are the names in ``OPTION_KEYS``, where None
     means not given. Keys of the file for which ``take`` is false are left out. Without
-    ``allow_code`` a file that came with results must not name an external estimator, unless an
-    override or an option names one too. ``profile_default`` is the profile where no source names
-    one. Raises ``UsageError``.
+    ``allow_code`` a file that came with results must not name external code for a slot, unless an
+    override or an option names what fills it. ``profile_default`` is the profile where no source
+    names one. Raises ``UsageError``.
     """
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
@@ -112,10 +112,11 @@ def load_config(
     values |= given
     if KEY not in values:
         values[KEY], sources[KEY] = profile_default, BY_DEFAULT
-    if file is not None and not allow_code and sources.get("estimator") == str(file):
-        check_named_code(file, [values.get("estimator")])
-    if file is not None and not allow_code and sources.get("scene") == str(file):
-        check_named_scene(file, [values.get("scene")])
+    if file is not None and not allow_code:
+        keys = ("scene", *(slot.key for slot in SLOTS.values()))
+        check_named_code(
+            file, ((key, values.get(key)) for key in keys if sources.get(key) == str(file))
+        )
     return config_of(values, sources)
 
 
@@ -147,7 +148,7 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
             raise UsageError(f"{key[:80]} in {sources[key]} {reason}")
         _check_key(key, sources[key])
         _check_finite(key, value, sources[key])
-    if found := wrong_external_key(values, values.get("estimator", "livo")):
+    if found := wrong_external_key(values):
         key, reason = found
         raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
     base = base_values(values)
@@ -156,6 +157,7 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     for key, value in values.items():
         if out_of_range(key, value):
             raise UsageError(_outside(key, value, sources[key]))
+    check_part_names(config, sources)
     check_rates(config)
     check_map(config)
     check_faults(config, sources)

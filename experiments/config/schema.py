@@ -99,7 +99,8 @@ class Config(BaseModel):
     estimator: str = "livo"
     """name of an estimator, or MODULE:FUNCTION of an external one"""
     external: dict[str, Any] = Field(default_factory=dict)
-    """parameters that an external estimator is built with: any keys"""
+    """parameters that external parts are built with: any keys, ``external.selector.*`` those of a
+    selector and so on; keys of no kind are an estimator's"""
     calibration: str | None = None
     """path of a file of `touchdown calibrate`: the calibration given to estimators; none: the true
     calibration with the errors of ``calibration_error``"""

@@ -61,14 +61,22 @@ def _row(number: int, site: Candidate, terms: int) -> list[str]:
         f"{site.value:.3f}" if np.isfinite(site.value) else "-",
         *(shown or ["-"] * terms),
         ground,
-        f"{site.slope_deg:.1f} deg, {site.step_m:.2f} m, {site.clearance_m:.1f} m",
+        ", ".join(
+            f"{figure:.{digits}f} {unit}" if np.isfinite(figure) else "-"
+            for figure, digits, unit in (
+                (site.slope_deg, 1, "deg"),
+                (site.step_m, 2, "m"),
+                (site.clearance_m, 1, "m"),
+            )
+        ),
         site.rule.replace("_", " "),
     ]
 
 
 def _term(term: ScoreTerm) -> str:
     """Such as "0.080 (2.4 m)"."""
-    quantity = f" ({term.quantity:.1f} {term.unit})" if term.unit else ""
+    told = term.unit and np.isfinite(term.quantity)
+    quantity = f" ({term.quantity:.1f} {term.unit})" if told else ""
     return f"{term.value:.3f}{quantity}"
 
 

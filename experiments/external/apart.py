@@ -12,14 +12,14 @@ from typing import Any
 from touchdown.experiments.external.processes import adopt_orphans, end_descendants
 from touchdown.sim.files.child import die_with_parent
 
-_COMMANDS = ("fly", "land", "check-estimator")
+_COMMANDS = ("fly", "land", "check-estimator", "check-plugin")
 _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE_S = 20
 """After a signal the command may take this long for its end."""
 
 
 def runs_code_of_others(arguments: Sequence[str]) -> bool:
-    """True for a command that may build an estimator MODULE:FUNCTION."""
+    """True for a command that may build a part MODULE:FUNCTION."""
     words = arguments[1:]
     named = any(":" in word or word.startswith("--config") for word in words)
     return bool(words) and arguments[0] in _COMMANDS and named
@@ -64,8 +64,8 @@ def in_child(command: Callable[[], int]) -> tuple[int, str]:
         return 128 + signals[0], ""
     how = f"exit code {ended}" if ended >= 0 else signal.Signals(-ended).name
     return 1, (
-        f"the process ended in the middle ({how}): code of the estimator has ended it, or there "
-        "was no memory left; an estimator returns an Estimate or raises"
+        f"the process ended in the middle ({how}): code of an external part has ended it, or "
+        "there was no memory left; a part answers or raises"
     )
 
 

@@ -8,16 +8,22 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import traceback
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, Estimator
+from touchdown.experiments.external.conformance_report import (
+    Findings,
+    LatencyWatch,
+    digest,
+    digests_of,
+    slow,
+    trace_of,
+)
+from touchdown.experiments.external.conformance_report import Violation as Violation
 from touchdown.experiments.external.conformance_twist import TwistCheck
 from touchdown.experiments.external.estimate_checks import (
     call,
@@ -46,7 +52,9 @@ RULES = {
     "frames": "the first estimate is near the take-off pose: world ENU, body FLU",
     "continuity": "odom_from_body does not jump",
     "twist": "velocity_odom and angular_velocity_body are those of odom_from_body",
+    "motion": "it moves with the vehicle: one that ignores every sensor is none",
     "missing data": "a second without scans, or without images, is survived",
+    "latency": "an update takes at most 20 ms of wall time on average",
 }
 """Checked rules by name."""
 
@@ -57,21 +65,10 @@ JUMP_M, JUMP_DEG = 0.5, 10.0
 """Limits of ``odom_from_body`` between two control steps, beyond the motion by its own velocity."""
 TURN_RAD = 0.5
 """Turn of the synthetic flight, which distinguishes degrees from radians."""
+MOVED_M, LEAST_SHARE = 0.5, 0.25
+"""Way of the vehicle from which on the estimator must have moved, and its least share along it."""
 _GAP = (0.4, 0.75)
 """share of the stream between which data is missing"""
-
-
-@dataclass(frozen=True, slots=True)
-class Violation:
-    """Broken rule, a key of `RULES`, and the evidence."""
-
-    rule: str
-    reason: str
-    trace: str = field(default="", compare=False)
-    """traceback of the exception, if one was raised"""
-
-    def __str__(self) -> str:
-        return f"{self.rule}: {self.reason}"
 
 
 def check_estimator(
@@ -81,13 +78,36 @@ def check_estimator(
     observations: Sequence[Observation] | None = None,
     params: dict[str, Any] | None = None,
     seconds: float = 3.0,
+    true_position: Callable[[int], Array | None] | None = None,
 ) -> list[Violation]:
     """Returns the first violation of every rule that the estimator of ``build`` breaks; an empty
-    list is a pass.
+    list is a pass. Arguments as in `examine_estimator`."""
+    return examine_estimator(
+        build,
+        rig=rig,
+        observations=observations,
+        params=params,
+        seconds=seconds,
+        true_position=true_position,
+    ).violations
+
+
+def examine_estimator(
+    build: Build,
+    *,
+    rig: SensorRig | None = None,
+    observations: Sequence[Observation] | None = None,
+    params: dict[str, Any] | None = None,
+    seconds: float = 3.0,
+    true_position: Callable[[int], Array | None] | None = None,
+) -> Findings:
+    """Returns the broken rules of an estimator, its latency, and how far it moved beside the
+    vehicle.
 
     Without ``observations``, ``seconds`` of synthetic messages are used, with all that the
-    estimator needs; with them, ``rig`` must be the rig that recorded them. The estimator is built
-    and run up to four times.
+    estimator needs; with them, ``rig`` must be the rig that recorded them, and ``true_position``
+    gives the vehicle's position (3,) at a tick, world frame, None where it is not known. The
+    estimator is built and run up to four times.
     """
     if observations is not None and rig is None:
         raise ValueError("observations need the rig that recorded them")
@@ -95,17 +115,20 @@ def check_estimator(
     check = _Check(build, rig, params or {})
     estimator = check.built()
     if estimator is None:
-        return check.violations
+        return check.findings
     needs = estimator.needs
-    stream = observations or tuple(SyntheticStream(rig, needs, seconds, turn_rad=TURN_RAD))
-    first = check.run(estimator, stream)
+    synthetic = SyntheticStream(rig, needs, seconds, turn_rad=TURN_RAD)
+    stream = observations or tuple(synthetic)
+    if observations is None:
+        true_position = lambda tick: synthetic.true_pose(tick).translation  # noqa: E731
+    first = check.run(estimator, stream, true_position)
     if not check.broke("answers"):
         check.repeat(stream, first)
         if needs.lidar:
             check.without("scans", stream)
         if needs.camera_hz:
             check.without("images", stream)
-    return check.violations
+    return check.findings
 
 
 class _Check:
@@ -113,7 +136,8 @@ class _Check:
 
     def __init__(self, build: Build, rig: SensorRig, params: dict[str, Any]) -> None:
         self._build, self._rig, self._params = build, rig, params
-        self.violations: list[Violation] = []
+        self.findings = Findings()
+        self.violations = self.findings.violations
 
     def broke(self, rule: str) -> bool:
         return any(violation.rule == rule for violation in self.violations)
@@ -124,7 +148,7 @@ class _Check:
 
     def built(self) -> Estimator | None:
         """A new estimator, or None with the reason noted."""
-        before = _digest(self._rig)
+        before = digest(self._rig)
         reason = wrong_signature(self._build)
         if reason:
             self._note("builds", reason)
@@ -132,33 +156,42 @@ class _Check:
         estimator: Estimator
         estimator, error = call(self._build, copy.deepcopy(self._params), self._rig)
         if error is not None:
-            self._note("builds", f"build raised {describe_error(error)}", _trace(error))
+            self._note("builds", f"build raised {describe_error(error)}", trace_of(error))
             return None
         reason = wrong_estimator(estimator, self._rig)
         if reason:
             self._note("builds", reason)
             return None
-        if _digest(self._rig) != before:
+        if digest(self._rig) != before:
             self._note("inputs", "build modified the rig")
         return estimator
 
-    def run(self, estimator: Estimator, stream: Sequence[Observation]) -> list[bytes]:
+    def run(
+        self,
+        estimator: Estimator,
+        stream: Sequence[Observation],
+        true_position: Callable[[int], Array | None] | None,
+    ) -> list[bytes]:
         """Checks all rules of a single pass; returns digests of the estimates."""
+        latency, ways = LatencyWatch(), _Ways()
         digests: list[bytes] = []
         previous: tuple[Observation, Estimate] | None = None
-        rig_before, twist = _digest(self._rig), TwistCheck()
+        rig_before, twist = digest(self._rig), TwistCheck()
         kept: list[tuple[Observation, list[tuple[str, bytes]]]] = []
         for original in stream:
             obs = copy.deepcopy(original)
-            kept.append((obs, _digests(obs)))
-            estimate = self._answer(estimator, obs)
+            kept.append((obs, digests_of(obs)))
+            with latency:
+                estimate = self._answer(estimator, obs)
             if estimate is None:
                 break
             self._judge(obs, estimate, previous)
             if not any(self.broke(rule) for rule in ("shapes", "finite", "time")):
                 twist.add(estimate)
+                if true_position is not None:
+                    ways.add(true_position(obs.tick), estimate)
             previous = (obs, estimate)
-            digests.append(_digest(estimate))
+            digests.append(digest(estimate))
             if len(kept) > 200:  # one second: later writes are not detected
                 self._compare(kept.pop(0), obs.time_s)
         for pair in kept:
@@ -166,7 +199,14 @@ class _Check:
         reason = twist.reason()
         if reason:
             self._note("twist", reason)
-        if _digest(self._rig) != rig_before:
+        if ways.rest is not None:
+            self.findings.figures["moved"] = ways.text()
+            if ways.stayed():
+                self._note("motion", f"it does not move with the vehicle: it moved {ways.text()}")
+        self.findings.figures["latency"] = latency.text()
+        if reason := slow("estimator", latency):
+            self._note("latency", reason)
+        if digest(self._rig) != rig_before:
             self._note("inputs", "update modified the rig")
         return digests
 
@@ -174,7 +214,7 @@ class _Check:
         estimate, error = call(estimator.update, obs)
         if error is not None:
             reason = f"at {obs.time_s:.3f} s update raised {describe_error(error)}"
-            self._note("answers", reason, _trace(error))
+            self._note("answers", reason, trace_of(error))
             return None
         if not isinstance(estimate, Estimate):
             kind = type(estimate).__name__
@@ -184,7 +224,7 @@ class _Check:
 
     def _compare(self, pair: tuple[Observation, list[tuple[str, bytes]]], now_s: float) -> None:
         obs, before = pair
-        for (name, old), (_, new) in zip(before, _digests(obs), strict=True):
+        for (name, old), (_, new) in zip(before, digests_of(obs), strict=True):
             if old != new:
                 self._note("inputs", f"the observation of {obs.time_s:.3f} s had '{name}' modified")
 
@@ -267,11 +307,11 @@ class _Check:
         state = np.random.get_state()  # noqa: NPY002
         np.random.seed(20240229)  # noqa: NPY002
         try:
-            for obs, digest in zip(stream, first, strict=False):
+            for obs, before in zip(stream, first, strict=False):
                 estimate = self._answer(estimator, copy.deepcopy(obs))
                 if estimate is None:
                     return
-                if _digest(estimate) != digest:
+                if digest(estimate) != before:
                     self._note("deterministic", f"two runs differ from {obs.time_s:.3f} s on")
                     return
         finally:
@@ -289,7 +329,7 @@ class _Check:
                     "missing data",
                     f"without {field}, at {obs.time_s:.3f} s, update raised "
                     f"{describe_error(error)}",
-                    _trace(error),
+                    trace_of(error),
                 )
                 return
             if not isinstance(estimate, Estimate):
@@ -308,6 +348,39 @@ class _Check:
                 return
 
 
+class _Ways:
+    """The farthest way of the vehicle from its start, and that of the estimate then."""
+
+    def __init__(self) -> None:
+        self.rest: tuple[Array, Array] | None = None
+        """the first true and estimated position"""
+        self._true: Array = np.zeros(3)
+        self._estimated: Array = np.zeros(3)
+
+    def add(self, true: Array | None, estimate: Estimate) -> None:
+        """Takes the true position (3,) and the estimate of one control step."""
+        if true is None:
+            return
+        here = estimate.world_from_body.translation
+        if self.rest is None:
+            self.rest = (true, here)
+        way = true - self.rest[0]
+        if np.linalg.norm(way) >= np.linalg.norm(self._true):
+            self._true, self._estimated = way, here - self.rest[1]
+
+    def stayed(self) -> bool:
+        """True where the vehicle has moved and the estimate has not gone along."""
+        true_m = float(np.linalg.norm(self._true))
+        along_m = float(self._estimated @ self._true) / max(true_m, 1e-9)
+        return true_m >= MOVED_M and along_m < LEAST_SHARE * true_m
+
+    def text(self) -> str:
+        """Such as "2.62 m beside 2.69 m of the vehicle, 0.12 m apart"."""
+        lengths = (float(np.linalg.norm(way)) for way in (self._estimated, self._true))
+        apart = float(np.linalg.norm(self._estimated - self._true))
+        return "{:.2f} m beside {:.2f} m of the vehicle, {:.2f} m apart".format(*lengths, apart)
+
+
 def _with_gap(field: str, stream: Sequence[Observation]) -> Iterator[Observation]:
     first, last = (int(share * len(stream)) for share in _GAP)
     for number, obs in enumerate(stream):
@@ -322,12 +395,6 @@ def _between(first: Pose, second: Pose) -> tuple[float, float]:
     return distance, float(np.degrees(angle))
 
 
-def _trace(error: BaseException) -> str:
-    """The traceback of an exception, without the frame of the caller here."""
-    first = error.__traceback__.tb_next if error.__traceback__ is not None else None
-    return "".join(traceback.format_exception(type(error), error, first))
-
-
 def _not_finite(estimate: Estimate) -> str:
     """Name of the first part that is not finite, or an empty string."""
     diagnostics = (
@@ -336,35 +403,3 @@ def _not_finite(estimate: Estimate) -> str:
     return not_finite(estimate) or next(
         (name for name, value in diagnostics if not np.all(np.isfinite(value))), ""
     )
-
-
-# ------------------------------------------------------------------------------------ digests
-
-
-def _digests(obs: Observation) -> list[tuple[str, bytes]]:
-    names = [field.name for field in dataclasses.fields(obs)]
-    return [(name, _digest(getattr(obs, name))) for name in names]
-
-
-def _digest(value: Any) -> bytes:
-    """Bytes that are equal for values that are equal to the bit."""
-    return b"".join(_pieces(value))
-
-
-def _pieces(value: Any) -> Iterable[bytes]:
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        for field in dataclasses.fields(value):
-            yield from _pieces(getattr(value, field.name))
-    elif isinstance(value, np.ndarray):
-        data = np.ascontiguousarray(value)
-        yield f"{data.dtype}{data.shape}{crc32(data.view(np.uint8).data)}".encode()
-    elif isinstance(value, tuple | list):
-        yield str(len(value)).encode()
-        for item in value:
-            yield from _pieces(item)
-    elif hasattr(value, "items"):
-        for name, item in value.items():
-            yield str(name).encode()
-            yield from _pieces(item)
-    else:
-        yield repr(value).encode()

@@ -23,6 +23,7 @@ from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.keys import is_external_key
 from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_values
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.metrics import Consistency, PositioningError
@@ -124,7 +125,11 @@ def replay_config(
     gone: list[str] = []
     same = estimator in (None, read_values(run / "config.json").get("estimator"))
 
+    others = {slot.key for slot in SLOTS.values() if slot.kind != "estimator"}
+
     def take(key: str) -> bool:
+        if key in others or key.startswith(tuple(f"external.{kind}." for kind in SLOTS)):
+            return same and key.startswith("external.estimator.")  # nothing else is replayed
         if key.partition(".")[0] in _FLOWN or key == "estimator":
             return True
         if not is_key(key):

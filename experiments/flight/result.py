@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.slots import external_parts, other_parts
 from touchdown.experiments.external.loading import flown_code, imported_code
 from touchdown.experiments.flight.choice import choice_of
 from touchdown.experiments.flight.happened import as_json, judge_conditions
@@ -21,6 +22,7 @@ from touchdown.experiments.io.provenance import git_revision, versions
 from touchdown.experiments.io.results import (
     LevelnessError,
     MapFigures,
+    PartNames,
     RunResult,
     StageTimes,
     Timing,
@@ -36,7 +38,7 @@ def make_result(
     observer: StepObserver,
 ) -> RunResult:
     """Returns the result of a finished flight."""
-    code: dict[str, Any] = dict(flown_code(config.estimator))
+    code: dict[str, Any] = {**flown_code(config.estimator), **_parts(config)}
     origin = stack.scene.origin_m
     place: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
     if names_function(config.scene):
@@ -76,6 +78,15 @@ def make_result(
         measured=measured,
         conditions=as_json(conditions),
     )
+
+
+def _parts(config: Config) -> dict[str, Any]:
+    """The parts beside the estimator that are not those by default, and the code of external
+    ones."""
+    others = other_parts(config)
+    code = {kind: imported_code(name) for kind, name in external_parts(config) if kind in others}
+    told = {"parts": PartNames(**others)} if others else {}
+    return told | ({"parts_sha": PartNames(**code)} if code else {})
 
 
 def _timing(clock: StageClock, sim_s: float) -> Timing:

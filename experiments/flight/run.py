@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError, input_message
-from touchdown.experiments.external.wrapper import ExternalEstimatorError
+from touchdown.experiments.external.wrapper import ExternalPartError
 from touchdown.experiments.flight.estimator_calibration import check_calibration
 from touchdown.experiments.flight.inactive_faults import inactive_faults
 from touchdown.experiments.flight.loop import run_flight
@@ -18,6 +18,7 @@ from touchdown.experiments.flight.observers import Progress, StepObserver
 from touchdown.experiments.flight.platform import limit_threads, set_up_memory
 from touchdown.experiments.flight.referee import Referee
 from touchdown.experiments.flight.result import make_result
+from touchdown.experiments.flight.slots import check_parts_available
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.truth_lookup import TruthLookup
 from touchdown.experiments.flight.wiring import (
@@ -25,7 +26,7 @@ from touchdown.experiments.flight.wiring import (
     build_classifier,
     build_flight_stack,
     build_scene,
-    check_estimator_available,
+    check_estimator_name,
 )
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import check_out_dir, run_directory
@@ -45,14 +46,20 @@ _STAGES = (
 )
 
 
-def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) -> RunResult:
+def fly(
+    config: Config,
+    out_dir: Path | None,
+    progress: Progress | None = None,
+    live: str | None = None,
+) -> RunResult:
     """Flies one configuration and returns its result.
 
     With ``out_dir`` the run directory appears there at once, complete, when the flight is over;
-    an earlier run of that name is replaced. Raises UsageError for bad input before anything is
-    written.
+    an earlier run of that name is replaced. ``live``, the address of a Rerun viewer, streams the
+    recording there while it flies. Raises UsageError for bad input before anything is written.
     """
-    check_estimator_available(config.estimator)
+    check_estimator_name(config.estimator)
+    check_parts_available(config)
     check_calibration(config)
     build_classifier(config)
     if out_dir is not None:
@@ -64,17 +71,27 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
         stack.world.take_textures()
     _warn_of_inactive_faults(config, stack)
     if out_dir is None:
-        return fly_and_judge(config, stack, NullRecorder(), progress)
+        return fly_and_judge(config, stack, _only_live(config, stack, live), progress)
     with run_directory(out_dir) as partial:
         sensors = _sensor_log(partial, stack) if config.log.sensors else None
-        recorder = RunRecorder(partial, scene, stack.world.rig, config, sensors)
+        recorder = RunRecorder(partial, scene, stack.world.rig, config, sensors, live)
         result = fly_and_judge(config, stack, recorder, progress)
         (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
         (partial / "result.json").write_text(result.to_json(), encoding="utf-8")
     return result
 
 
-def fly_with_usage_errors(config: Config, out_dir: Path | None, progress: Progress) -> RunResult:
+def _only_live(config: Config, stack: FlightStack, live: str | None) -> Recorder:
+    if live is None:
+        return NullRecorder()
+    from touchdown.experiments.recording.rerun_recorder import RerunLog
+
+    return RerunLog(None, stack.scene, stack.world.rig, config, live)
+
+
+def fly_with_usage_errors(
+    config: Config, out_dir: Path | None, progress: Progress, live: str | None = None
+) -> RunResult:
     """As `fly`. A ValueError or OSError before the first control step is bad input and becomes a
     UsageError; a later one is a defect of the program and passes through."""
     airborne = False
@@ -85,9 +102,9 @@ def fly_with_usage_errors(config: Config, out_dir: Path | None, progress: Progre
         progress(time_s, phase, note)
 
     try:
-        return fly(config, out_dir, watch)
+        return fly(config, out_dir, watch, live)
     except (ValueError, OSError) as error:
-        if airborne or isinstance(error, ExternalEstimatorError):
+        if airborne or isinstance(error, ExternalPartError):
             raise
         raise UsageError(input_message(error)) from error
 
@@ -124,6 +141,9 @@ def fly_and_judge(
     finally:
         stack.world.close()
         observer.close()
+    for part in stack.external:
+        if sentence := part.slowness():
+            warnings.warn(sentence, stacklevel=3)
     return make_result(config, stack, judgement, clock, observer)
 
 

@@ -14,11 +14,13 @@ from touchdown.controller.api import Controller
 from touchdown.estimator.api import Estimator, Mapper
 from touchdown.experiments.config.keys import hint_for_value
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.slots import params_of
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.loading import check_external, is_external
-from touchdown.experiments.external.wrapper import ExternalEstimator
+from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalPart
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
 from touchdown.experiments.flight.estimator_calibration import nominal_rig
+from touchdown.experiments.flight.slots import external_controller, external_of, external_selector
 from touchdown.landing.api import Lander
 from touchdown.scenes.api import LowSun, Scene, names_function
 from touchdown.scenes.registry import scene_names
@@ -48,6 +50,8 @@ class FlightStack:
     """the rig as the estimator knows it"""
     network: dict[str, Any] | None = None
     """the network of the ground classifier, for the result; None without one"""
+    external: tuple[ExternalPart, ...] = ()
+    """the parts that code from outside fills"""
 
 
 def build_scene(config: Config) -> Scene:
@@ -99,27 +103,30 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     world = make_world(config, scene)
     try:
         rig = nominal_rig(world.rig, config)
-        estimator = _biased(make_estimator(rig, world.truth), config)
+        own_estimator = make_estimator(rig, world.truth)
+        selector, controller = external_selector(config, rig), external_controller(config, rig)
     except ValueError:
         world.close()
         raise
+    estimator = _biased(own_estimator, config)
     mapper = _mapper(config, rig)
-    lander = SiteLander(rig, config.landing, config.survey, classifier)
+    select = None if selector is None else selector.select
+    lander = SiteLander(rig, config.landing, config.survey, classifier, select)
     needs = estimator.needs
     if config.mapper.enabled:
         needs = needs | mapper.needs | lander.needs
     world.require(needs)
-    controller = CascadeController(world.rig.vehicle, config.control)
     return FlightStack(
         scene=scene,
         world=world,
         estimator=estimator,
         mapper=mapper,
         lander=lander,
-        controller=controller,
+        controller=controller or CascadeController(world.rig.vehicle, config.control),
         record=world.record,
         nominal_rig=rig,
         network=None if classifier is None else classifier.description(),
+        external=external_of(own_estimator, selector, controller),
     )
 
 
@@ -293,7 +300,9 @@ def _estimator_factory(config: Config) -> _EstimatorFactory:
     check_estimator_name(config.estimator)
     if config.estimator in ESTIMATORS:
         return ESTIMATORS[config.estimator](config)
-    return lambda rig, _truth: ExternalEstimator(config.estimator, config.external, rig)
+    return lambda rig, _truth: ExternalEstimator(
+        config.estimator, params_of(config, "estimator"), rig
+    )
 
 
 def check_scene_name(name: str, where: str = "") -> None:

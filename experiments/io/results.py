@@ -22,6 +22,7 @@ from pydantic import (
 from touchdown.experiments.errors import UsageError, input_message, plain_fault, reason_of
 from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.measured import Figure, Measured
+from touchdown.experiments.io.part_names import PartNames as PartNames
 from touchdown.experiments.io.provenance import plain_json
 
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
@@ -232,6 +233,10 @@ class RunResult(_Part):
     estimator: str
     estimator_sha: str | None = None
     """hash of the code of an external estimator"""
+    parts: PartNames | None = None
+    """names of the parts that are not those by default"""
+    parts_sha: PartNames | None = None
+    """hashes of the code of the external ones"""
     profile: str | None = None
     """how kind the world was"""
     preset: str | None = None

@@ -17,6 +17,7 @@ from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.errors import UsageError, visible
 from touchdown.experiments.io.foreign import as_plain_name, read_object
 from touchdown.experiments.io.provenance import UNRECORDED_REMEDY
+from touchdown.experiments.io.results import PartNames
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.conditions import (
@@ -250,7 +251,19 @@ def condition_sentences(rows: Sequence[Row]) -> list[str]:
     if versions:
         named = (f"{key.partition('.')[2]} {value}" for key, value in versions.items())
         lines.insert(2, f"Versions: {', '.join(named)}.")
-    return lines
+    return [lines[0], *part_sentences(rows), *lines[1:]]
+
+
+def part_sentences(rows: Sequence[Row]) -> list[str]:
+    """The parts beside the estimator that flew and are not those by default, a sentence each."""
+    sentences = []
+    for kind in PartNames.model_fields:
+        names = sorted({row[f"parts.{kind}"] for row in rows if row.get(f"parts.{kind}")})
+        others = len(names) and any(not row.get(f"parts.{kind}") for row in rows)
+        if names:
+            told = ", ".join(f"`{name}`" for name in names)
+            sentences.append(f"{kind.capitalize()}: {told}{', and that by default' * others}.")
+    return [" ".join(sentences)] if sentences else []
 
 
 def _revision_text(revisions: Sequence[str], unrecorded: int) -> str:

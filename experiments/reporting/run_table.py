@@ -9,7 +9,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from touchdown.experiments.io.results import LANDED, RunResult, lookup
+from touchdown.experiments.io.results import LANDED, PartNames, RunResult, lookup
 from touchdown.experiments.reporting.conditions import label_conditions
 from touchdown.experiments.reporting.markdown_text import markdown_cell
 from touchdown.experiments.reporting.measures import titled
@@ -42,6 +42,7 @@ LANDING_COLUMNS: tuple[Column, ...] = (
     Column("run", "run"),
     Column("scene", "scene"),
     Column("estimator", "estimator"),
+    *(Column(kind, f"parts.{kind}") for kind in PartNames.model_fields),
     Column("seed", "seed"),
     Column("outcome", "outcome"),
     Column("position error mean (m)", "position_error_m.mean", "{:.3f}"),

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import Candidate, Decision, Selection
+from touchdown.landing.api import Candidate, Decision, Selection, SelectorInput
 from touchdown.landing.classification.site_check import SiteClassCheck, least_bad
 from touchdown.landing.mission.mission_state import Mission
 from touchdown.landing.selection.ranking import ranked, why_chosen
-from touchdown.landing.selection.selector import SelectionLimits, check_site, select_sites
+from touchdown.landing.selection.selector import check_site
 
 Array = NDArray[np.float64]
 
@@ -81,19 +81,15 @@ def _checked(
 
 
 def _select(mission: Mission, avoid_odom: Sequence[Array]) -> Selection:
-    limits = SelectionLimits(
+    seen = SelectorInput(
+        map_view=mission.map_view,
+        estimate=mission.estimate,
         reach_m=mission.reach_m(),
-        avoid_odom=(*mission.refused_odom, *avoid_odom),
-        unsafe_ground_odom=mission.unsafe_ground_odom,
+        avoid_odom=np.reshape([*mission.refused_odom, *avoid_odom], (-1, 3)),
+        unsafe_ground_odom=np.reshape(mission.unsafe_ground_odom, (-1, 3)),
         wind_mps=mission.wind.speed_mps,
-        least_bad=mission.in_emergency,
+        emergency=mission.in_emergency,
     )
-    selection = select_sites(
-        mission.map_view,
-        mission.estimate,
-        mission.params,
-        footprint_radius_m=mission.rig.vehicle.footprint_radius_m,
-        limits=limits,
-    )
+    selection = mission.select(seen)
     mission.costmap = selection.costmap
     return selection

@@ -7,7 +7,7 @@ from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import GroundClassifier, LanderView, LandingParams, Phase, SurveyParams
 from touchdown.landing.classification.site_check import SiteClassCheck
 from touchdown.landing.mission.health import HealthWatch, give_up
-from touchdown.landing.mission.mission_state import Mission, Steps
+from touchdown.landing.mission.mission_state import Mission, Select, Steps
 from touchdown.landing.mission.phases import run_phases
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 
@@ -26,9 +26,10 @@ class SiteLander:
         params: LandingParams,
         survey: SurveyParams,
         classifier: GroundClassifier | None = None,
+        select: Select | None = None,
     ) -> None:
         class_check = None if classifier is None else SiteClassCheck(classifier, rig, params)
-        self._mission = Mission(rig, params, survey, class_check)
+        self._mission = Mission(rig, params, survey, class_check, select)
         self._steps: Steps = run_phases(self._mission)
         self._health = HealthWatch()
 

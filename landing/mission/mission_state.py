@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Generator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from touchdown.landing.api import (
     Decision,
     LandingParams,
     Phase,
+    Selection,
+    SelectorInput,
+    SelectorRig,
     SurveyParams,
 )
 from touchdown.landing.classification.site_check import SiteClass, SiteClassCheck
@@ -31,11 +35,13 @@ from touchdown.landing.mission.heading import HeadingTurn
 from touchdown.landing.mission.time_scaling import TimeScaling, scaled
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
 from touchdown.landing.mission.wind import FeltWind, WindEstimator
+from touchdown.landing.selection.selector import shipped_selection
 from touchdown.sim.api import Observation, SensorRig
 from touchdown.sim.frames import wrap_angle, yaw_from_rotation
 
 Array = NDArray[np.float64]
 Steps = Generator[Setpoint, None, None]
+Select = Callable[[SelectorInput], Selection]
 
 _RAMP_S = RAMP_S
 _REPORTED_RATE = 0.9
@@ -61,8 +67,13 @@ class Mission:
         params: LandingParams,
         survey: SurveyParams,
         class_check: SiteClassCheck | None = None,
+        select: Select | None = None,
     ) -> None:
         self.rig = rig
+        self.select: Select = select or partial(
+            shipped_selection, rig=SelectorRig(vehicle=rig.vehicle, landing=params)
+        )
+        """makes a selection of what is seen"""
         self.params = params
         self.survey = survey
         start = rig.world_from_body_start

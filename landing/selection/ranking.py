@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import Counter
 from collections.abc import Sequence
 
-from touchdown.landing.api import Candidate, ScoreTerm, TermName
+from touchdown.landing.api import Candidate, ScoreTerm
 
-_BETTER: dict[TermName, str] = {
+_BETTER: dict[str, str] = {
     "probability": "higher probability of a safe touchdown",
     "flatness": "flatter",
     "smoothness": "more uniform",
@@ -18,7 +19,7 @@ _BETTER: dict[TermName, str] = {
     "traffic": "not near traffic",
     "plants": "not among plants",
 }
-_YES_OR_NO: tuple[TermName, ...] = ("traffic", "plants")
+_YES_OR_NO = ("traffic", "plants")
 _NOTABLE = 0.002
 """difference of a term's value from which it is stated"""
 _MOST_TERMS = 3
@@ -75,9 +76,12 @@ def _advantage(a: ScoreTerm, b: ScoreTerm) -> str:
     """Such as "more clearance (3.0 against 1.2 m)"."""
     if a.name in _YES_OR_NO:
         return _BETTER[a.name]
+    better = _BETTER.get(a.name, f"better {a.name.replace('_', ' ')}")
+    if math.isnan(a.quantity):
+        return better
     digits = 1 if a.unit else 3
     unit = f" {a.unit}" if a.unit else ""
-    return f"{_BETTER[a.name]} ({a.quantity:.{digits}f} against {b.quantity:.{digits}f}{unit})"
+    return f"{better} ({a.quantity:.{digits}f} against {b.quantity:.{digits}f}{unit})"
 
 
 def _refused(sites: Sequence[Candidate]) -> str:

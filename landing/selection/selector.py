@@ -15,6 +15,8 @@ from touchdown.landing.api import (
     CostmapView,
     LandingParams,
     Selection,
+    SelectorInput,
+    SelectorRig,
     SiteRule,
     TermLayer,
 )
@@ -129,6 +131,24 @@ def select_sites(
     )
 
 
+def shipped_selection(seen: SelectorInput, rig: SelectorRig) -> Selection:
+    """Returns the candidate sites by ``rig.landing.selector``, a shipped one, as `select_sites`."""
+    limits = SelectionLimits(
+        reach_m=seen.reach_m,
+        avoid_odom=tuple(seen.avoid_odom),
+        unsafe_ground_odom=tuple(seen.unsafe_ground_odom),
+        wind_mps=seen.wind_mps,
+        least_bad=seen.emergency,
+    )
+    return select_sites(
+        seen.map_view,
+        seen.estimate,
+        rig.landing,
+        footprint_radius_m=rig.vehicle.footprint_radius_m,
+        limits=limits,
+    )
+
+
 def check_site(
     map_view: MapView, estimate: Estimate, params: LandingParams, xy_odom: Array
 ) -> tuple[Candidate, CostmapView | None]:
@@ -139,10 +159,10 @@ def check_site(
     """
     found = _assess(map_view, estimate, params, params.low_margin_m, NO_LIMITS)
     if found is None:
-        return _unmapped(xy_odom), None
+        return unmapped(xy_odom), None
     spot = found.site.raster.cell_of(xy_odom)
     if not found.site.raster.contains(*spot):
-        return _unmapped(xy_odom), _shown(found)
+        return unmapped(xy_odom), _shown(found)
     if checks_ground(found.site.selector):
         found.allowed[spot] = found.site.landable.mask[spot]
     candidate = _candidate(found, spot, xy_odom)
@@ -154,7 +174,8 @@ def check_site(
 _OUTSIDE = Refusal("not_seen", "outside what was mapped")
 
 
-def _unmapped(xy: Array, refusal: Refusal = _OUTSIDE) -> Candidate:
+def unmapped(xy: Array, refusal: Refusal = _OUTSIDE) -> Candidate:
+    """Returns the site at ``xy`` (2,), whose ground is unknown, refused."""
     return Candidate(
         position_odom=np.array([xy[0], xy[1], np.nan]),
         normal_odom=np.array([0.0, 0.0, 1.0]),
@@ -297,7 +318,7 @@ def _candidate(
     xy = np.asarray(xy, dtype=np.float64)
     plane = fit_footprint(site.raster, xy, params.ground.footprint_m)
     if plane is None:
-        return _unmapped(xy, _refusal(found, spot))
+        return unmapped(xy, _refusal(found, spot))
     predicted = float(site.probability[spot])
     strict = certain and checks_ground(site.selector)
     refusal = None

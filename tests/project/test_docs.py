@@ -17,6 +17,8 @@ import yaml
 from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.slots import SLOTS
+from touchdown.experiments.external.examine import EXAMINERS
 from touchdown.experiments.scene_tools.flyability import check_scene_file
 
 from support.docs_support import (
@@ -27,6 +29,7 @@ from support.docs_support import (
     inline_of,
     name_of,
     prose_of,
+    rows_of,
     text_of,
 )
 
@@ -157,8 +160,10 @@ def test_commands_in_blocks_parse(page: Path) -> None:
                 options = _parse(arguments).params
             except click.ClickException as error:
                 pytest.fail(f"{name_of(page)}: touchdown {' '.join(arguments)}: {error.message}")
-            estimator = options.get("estimator") or options.get("name")
-            load_config(None, options.get("overrides", ()), estimator=estimator)
+            parts: dict[str, Any] = {kind: options[kind] for kind in SLOTS if kind in options}
+            if "name" in options:
+                parts[options.get("kind", "estimator")] = options["name"]
+            load_config(None, options.get("overrides", ()), **parts)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -204,6 +209,20 @@ def test_the_smallest_estimator_satisfies_the_contract() -> None:
     exec(compile(block, "vio.py", "exec", dont_inherit=True), module)
     estimator = module["build"]({}, None)
     assert estimator.needs.lidar and callable(estimator.update)
+
+
+def test_the_page_of_slots_holds_the_examples_and_readme_names_slots_that_are_there() -> None:
+    page = ROOT / "docs" / "bring-your-own.md"
+    for row in rows_of("docs/bring-your-own.md", "slot"):
+        for file in re.findall(r"`(examples/\w+\.py)`", row[-1]):
+            assert text_of(file) in blocks_of(page, "python")
+    slots, named = (
+        {option for row in rows_of(*table) for option in re.findall(r"--(\w+)", " ".join(row[:2]))}
+        for table in (("docs/bring-your-own.md", "slot"), ("README.md", "yours"))
+    )
+    assert named == slots == {*EXAMINERS, "estimator"}
+    for command in (cli.cli.commands["fly"], cli.cli.commands["land"]):
+        assert slots <= {param.name for param in command.params}
 
 
 @pytest.mark.parametrize("number", range(3), ids=["dm_control", "physics", "gymnasium"])

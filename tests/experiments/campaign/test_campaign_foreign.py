@@ -164,7 +164,7 @@ def test_missing_rows_are_no_success(
     """As after a worker that did not report what became of its runs."""
     make_plan(tmp_path, TEXT)
     monkeypatch.setattr(session.LocalEngine, "run", lambda *_arguments: None)
-    monkeypatch.setattr("touchdown.experiments.flight.wiring.check_estimator_available", print)
+    monkeypatch.setattr(session, "check_external", print)
     monkeypatch.setattr(session, "check_external_code", lambda *_arguments: None)
     command = ["campaign", str(tmp_path / "campaign.toml"), "--out", str(tmp_path / "out")]
     captured = says(1, *command, "--quiet", "--json")

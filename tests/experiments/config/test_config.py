@@ -7,6 +7,7 @@ from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.config.keys import RENAMED
 from touchdown.experiments.config.loading import dump_config, known_keys, load_config, read_tree
 from touchdown.experiments.config.ranges import choices_of, types_of_keys
+from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.errors import UsageError
 
 CONFIGS = Path(__file__).parents[3] / "configs"
@@ -104,7 +105,7 @@ def test_one_fault_needs_no_brackets(tmp_path: Path) -> None:
 
 OPEN_NAMES = {
     "scene", "estimator", "external", "calibration", "harsh_effects", "faults.events",
-    "zou2024.edge_model", "landing.classifier",
+    "zou2024.edge_model", *(slot.key for slot in SLOTS.values()),
 }  # fmt: skip
 """Names beside paths, modules and forms with numbers: checked by what reads them."""
 

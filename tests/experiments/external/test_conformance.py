@@ -155,6 +155,11 @@ def test_each_bad_habit_is_reported_with_its_reason(
     assert rule in RULES
 
 
+def test_one_that_ignores_every_sensor_does_not_conform() -> None:
+    (found,) = check_estimator(lambda _params, rig: Still(rig, lambda _self, _obs, e: e))
+    assert found.rule == "motion" and "moved 0.00 m beside 2.69 m of the vehicle" in found.reason
+
+
 def test_a_copy_that_it_forks_does_not_check_on() -> None:
     here = os.getpid()
     assert _check(_forks) == [] and os.getpid() == here
@@ -238,7 +243,9 @@ def test_the_command_passes_the_example(
 ) -> None:
     _module(tmp_path, monkeypatch, "ground_flow_example", _example())
     assert cli.main(["check-estimator", "ground_flow_example:build", "--seconds", "1"]) == 0
-    assert capsys.readouterr().out == "ground_flow_example:build: conforms\n"
+    moved, latency, verdict = capsys.readouterr().out.splitlines()
+    assert " beside 0.07 m of the vehicle" in moved and " ms a call, " in latency
+    assert verdict == "estimator ground_flow_example:build: conforms"
 
 
 def test_the_command_tells_what_is_wrong(

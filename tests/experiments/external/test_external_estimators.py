@@ -21,7 +21,7 @@ from touchdown.experiments.external.conformance import TURN_RAD, check_estimator
 from touchdown.experiments.external.conformance_twist import TwistCheck
 from touchdown.experiments.external.loading import code_now, external_builder, flown_code
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
-from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalEstimatorError
+from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalPartError
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.wiring import ESTIMATORS, build_estimator
 from touchdown.experiments.io.results import load_result
@@ -142,7 +142,7 @@ def test_what_cannot_be_built_is_reported_and_the_contract_says_the_same(
     lab: Callable[..., str], text: str, words: str
 ) -> None:
     name = f"{lab(text)}:build"
-    with pytest.raises(ExternalEstimatorError) as failure:
+    with pytest.raises(ExternalPartError) as failure:
         ExternalEstimator(name, {}, synthetic_rig())
     assert str(failure.value).startswith(f"estimator '{name}': ") and words in str(failure.value)
     broken = check_estimator(external_builder(name))
@@ -171,10 +171,12 @@ def test_what_cannot_be_built_is_reported_and_the_contract_says_the_same(
 def test_a_wrong_update_is_one_line(lab: Callable[..., str], body: str, words: str) -> None:
     name = f"{lab(_spoilt(body))}:build"
     estimator = ExternalEstimator(name, {}, synthetic_rig())
-    with pytest.raises(ExternalEstimatorError) as failure:
+    with pytest.raises(ExternalPartError) as failure:
         estimator.update(OBSERVATION)
     output = str(failure.value)
-    assert words in output and output.endswith(f"`touchdown check-estimator {name}` says more")
+    assert words in output and output.endswith(
+        f"`touchdown check-plugin estimator {name}` says more"
+    )
     assert ("vio.py:" in output) == ("raised" in output)
 
 
@@ -225,7 +227,7 @@ def test_external_keys_reach_the_builder_and_come_back(
     config = load_config(file, ["external.names=['a', 'b']", "external.gain=0.5"])
     assert config.external == {"gain": 0.5, "filter": {"sigma": -1}, "names": ["a", "b"]}
     built = build_estimator(config, synthetic_rig())
-    assert built.update.__self__._update.__self__.params == config.external  # type: ignore[attr-defined]
+    assert built.part.inner.params == config.external  # type: ignore[attr-defined]
     (tmp_path / "config.json").write_text(dump_config(config))
     assert load_config(tmp_path / "config.json", allow_code=True) == config
     assert replay_config(tmp_path, allow_code=True).external == config.external

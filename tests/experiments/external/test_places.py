@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from touchdown.experiments.campaign.directory import check_scene_code
+from touchdown.experiments.campaign.directory import check_external_code
 from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.campaign.results_table import make_row, write_table
 from touchdown.experiments.config.loading import load_config
@@ -112,10 +112,10 @@ def test_roots_and_specs_are_scenes() -> None:
     plan = load_plan(Path("plan.toml"))
     assert [r.run_id for r in plan.runs] == [f"my_places.{n}-oracle-s0" for n in ("root", "spec")]
     _write_run("my_places:root", code_now("my_places:root"))
-    check_scene_code(plan, Path("out"))
+    check_external_code(plan, Path("out"))
     _write_run("my_places:spec", "of other code")
     with pytest.raises(UsageError, match="the code of my_places:spec has changed since runs of"):
-        check_scene_code(plan, Path("out"))
+        check_external_code(plan, Path("out"))
 
 
 def _write_run(scene: str, sha: str) -> None:
