@@ -119,7 +119,8 @@ def check_named_code(file: Path, named: Iterable[tuple[str, Any]]) -> None:
     for key, name in named:
         kind = "scene" if key == "scene" else kinds.get(key, "")
         option = "scene-from" if kind == "scene" else kind
-        if names_function(name) if kind == "scene" else kind and names_code(SLOTS[kind], name):
+        of_scene = kind == "scene" and names_function(name)
+        if of_scene or (kind in SLOTS and names_code(SLOTS[kind], name)):
             raise UsageError(
                 f"'{file}' came with results and names code, {kind} '{name}': the module "
                 f"'{name.partition(':')[0]}' would be imported and run, from the current directory "
