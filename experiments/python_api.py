@@ -87,7 +87,8 @@ def load_config(
         path = Path(file)
         for key, value in under_base(path, read_values(path), overrides or {}).items():
             values[key], sources[key] = value, str(file)
-        here = {*(overrides or {}), *(() if estimator is None else ("estimator",))}
+        named = {"scene": scene, "estimator": estimator}
+        here = {*(overrides or {}), *(key for key, value in named.items() if value is not None)}
         if not allow_code:
             check_named_code(path, ((key, v) for key, v in values.items() if key not in here))
     return _changed(values, sources, overrides, scene=scene, estimator=estimator, seed=seed)

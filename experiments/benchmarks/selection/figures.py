@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from touchdown.experiments.drawing.costmap_image import seen_box
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import Candidate, CostmapView, Selection
+from touchdown.scenes.api import short_name
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.uint8]
@@ -100,7 +101,7 @@ def figure_files(places: Sequence[tuple[str, int]], folder: Path) -> list[Path]:
         raise UsageError(f"--pictures: '{folder}' cannot be created: {error.strerror}") from error
     several = len({seed for _, seed in places}) > 1
     return [
-        folder / f"site_{Path(scene).stem}{f'_{seed}' if several else ''}.jpg"
+        folder / f"site_{short_name(scene)}{f'_{seed}' if several else ''}.jpg"
         for scene, seed in places
     ]
 
@@ -126,16 +127,19 @@ def jpeg(image: Colours, most_bytes: int = MOST_BYTES) -> bytes:
 def _paint(figure: Figure, panels: NDArray[Any], selection: Selection, view: CostmapView) -> None:
     photo = _photo(view)
     known = np.isfinite(view.flatness)
+    if not known.any():  # the terms of Eqs. 14 to 18 are those of the shipped selectors
+        known = view.rgb.any(axis=2) | np.isfinite(view.value)
     passed = np.where(known, selection.allowed.astype(np.float32), np.float32(np.nan))
-    clusters = cluster_colours(np.where(known, selection.cluster, np.int32(-1)))
     layers: list[tuple[str, Layer]] = [
         ("map, from above", photo),
         *(_over_its_range(term.name, np.where(known, term.value, np.nan)) for term in view.terms),
         _over_its_range("score", view.value),
         ("gates", passed),
-        (f"{len(selection.modes)} clusters, Quick Shift (Eq. 19)", clusters),
-        ("candidates (blue), site (red)", photo),
     ]
+    if len(selection.modes):
+        clusters = cluster_colours(np.where(known, selection.cluster, np.int32(-1)))
+        layers.append((f"{len(selection.modes)} clusters, Quick Shift (Eq. 19)", clusters))
+    layers.append(("candidates (blue), site (red)", photo))
     shown: Any = None
     for axes in panels.ravel()[len(layers) :]:
         axes.set_visible(False)
@@ -148,7 +152,8 @@ def _paint(figure: Figure, panels: NDArray[Any], selection: Selection, view: Cos
     bar.set_label("higher is better", fontsize=8, color=_INK)
     bar.ax.tick_params(labelsize=7)
     bar.outline.set_visible(False)
-    _paint_modes(panels.ravel()[len(layers) - 2], view, selection)
+    if len(selection.modes):
+        _paint_modes(panels.ravel()[len(layers) - 2], view, selection)
     _paint_candidates(panels.ravel()[len(layers) - 1], view, photo, selection.candidates)
     rows, cols = seen_box(view)
     low, high = _corner(view, rows.start, cols.start), _corner(view, rows.stop, cols.stop)

@@ -27,7 +27,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.io.provenance import git_revision
 from touchdown.experiments.io.run_directory import whole_file
-from touchdown.scenes.api import Scene
+from touchdown.scenes.api import Scene, short_name
 from touchdown.scenes.truth.maps import truth_maps
 from touchdown.sim.api import VehicleModel
 from touchdown.sim.files.opening import no_file
@@ -131,7 +131,7 @@ def write_map(kept: KeptMap, folder: Path) -> Path:
         },
     }  # fmt: skip
     packed = np.packbits(truth.safe)
-    file = folder / f"{Path(kept.scene).stem}-{kept.seed}{SUFFIX}"
+    file = folder / f"{short_name(kept.scene)}-{kept.seed}{SUFFIX}"
     with whole_file(file) as partial, partial.open("wb") as opened:
         np.savez_compressed(opened, about=np.array(json.dumps(about)), safe=packed, **layers)
     return file

@@ -17,6 +17,7 @@ from scipy.ndimage import distance_transform_edt
 
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.benchmarks.selection.maps import (
+    SUFFIX,
     KeptMap,
     SafeGround,
     make_map,
@@ -388,7 +389,7 @@ def _mapped(function: Callable[[Any], Any], tasks: Sequence[Any], jobs: int) -> 
 
 def _name_of(place: Place) -> tuple[str, int]:
     if isinstance(place, Path):
-        stem = place.name.split(".")[0]
+        stem = place.name.removesuffix(SUFFIX)
         scene, _, seed = stem.rpartition("-")
         return scene, int(seed) if seed.isdecimal() else 0
     return place[:2]

@@ -18,10 +18,10 @@ from touchdown.experiments.benchmarks.selection.maps import (
     write_map,
 )
 from touchdown.experiments.errors import UsageError
-from touchdown.sim.api import VehicleModel
 from touchdown.sim.frames import Pose
 
 from support.command import Says
+from support.landing_support import make_rig
 
 CELL = 0.2
 PICKS = """
@@ -46,7 +46,7 @@ def build(params, rig):
 
 
 @pytest.fixture
-def kept(quadrotor: VehicleModel) -> KeptMap:
+def kept() -> KeptMap:
     """20 m x 20 m of level ground, all of it seen but for the last column; by the truth it is safe
     up to 4 m east."""
     shape = (100, 100)
@@ -66,7 +66,7 @@ def kept(quadrotor: VehicleModel) -> KeptMap:
         scene="crossroad", seed=4, profile="field", revision="abc",
         map_view=MapView(version=1, coarse=grid, fine=None),
         estimate=true_estimate(960, 1.0, Pose(np.eye(3), np.array([0.0, 0.0, 30.0]))),
-        vehicle=quadrotor,
+        vehicle=make_rig().vehicle,
         truth=SafeGround(origin_xy_m=np.array([-10.0, -10.0]), cell_m=0.1, safe=safe),
     )  # fmt: skip
 
@@ -101,7 +101,9 @@ def test_a_choice_is_judged_by_the_true_ground(
                   "--set", f"external.selector.x={x}", "--pictures", tmp_path / "worst",
                   "--worst", "1")  # fmt: skip
     (place,), total = found["places"], found["summary"]
-    assert place["chosen_safe"] is safe and place["clearance_m"] == pytest.approx(clearance, abs=0.11)
+    assert place["chosen_safe"] is safe and place["clearance_m"] == pytest.approx(
+        clearance, abs=0.11
+    )
     assert total["precision"] == float(safe) and place["best_clearance_m"] == 3.0
     assert total["regret_m"] == pytest.approx(3.0 - clearance, abs=0.11)
     assert place["cells"]["safe"] == 70 * 100
