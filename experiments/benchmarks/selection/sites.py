@@ -366,6 +366,8 @@ def _config(
     profile: str, selector: str | None, overrides: tuple[str, ...], scene: str, seed: int
 ) -> Config:
     chosen = [] if selector is None else [f"landing.selector={selector}"]
+    if not names_code(SLOTS["selector"], selector):  # parameters are for the one that is compared
+        overrides = tuple(one for one in overrides if not one.startswith("external.selector."))
     return load_config(
         None,
         ["sim.threads=1", *overrides, *chosen],
