@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 gymnasium = pytest.importorskip("gymnasium")
 pytest.importorskip("dm_control")
 
+import glfw  # noqa: E402
 from absl.testing import absltest  # noqa: E402
 from dm_env import test_utils  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
@@ -178,6 +179,10 @@ def test_the_suite_pushes_shows_and_names(lawn: str, monkeypatch: pytest.MonkeyP
         suite.load(lawn, "lnad")
     with pytest.raises(ValueError, match=r"did you mean 'crossroad'"):
         suite.load("crosroad", "land")
+    held = {glfw.KEY_UP, glfw.KEY_RIGHT, glfw.KEY_PAGE_DOWN, glfw.KEY_HOME, glfw.KEY_END}
+    monkeypatch.setattr(glfw, "get_key", lambda _window, key: int(key in held))
+    monkeypatch.setattr(glfw, "get_current_context", lambda: "window")
+    np.testing.assert_allclose(suite.Keyboard(0.5)(None), [0.5, -0.5, -0.5, 0.0])
     monkeypatch.setitem(sys.modules, "dm_control", None)
     with pytest.raises(UsageError, match=r"suite needs dm_control, which is not installed: pip"):
         require_dm_control("touchdown.suite")
