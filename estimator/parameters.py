@@ -181,6 +181,8 @@ class LivoParams(CalibratedParams):
     """the same for rotation"""
     use_intensity: bool = False
     """where no image measures the pose, the intensities of scans do"""
+    intensity_after_s: NotNegative = 0.5
+    """time without such an image from which on they do; 0: beside images, too"""
     keyframes: Count = 40
     """capacity; beyond it the most redundant one is marginalised"""
     track_keyframes: Count = 3

@@ -91,6 +91,7 @@ def fly_all(
     from touchdown.experiments.errors import UsageError
     from touchdown.experiments.flight.slots import check_parts_available
     from touchdown.experiments.flight.wiring import check_estimator_available
+    from touchdown.scenes.api import short_name
 
     if mode not in ("fly", "land"):
         raise UsageError(f"mode = '{mode}' must be 'fly' or 'land'")
@@ -109,7 +110,7 @@ def fly_all(
                 survey_only=mode == "fly",
             )
             check_parts_available(config)
-            name = f"{Path(scene).stem}-{estimator.replace(':', '.')}-s{seed}"
+            name = f"{short_name(scene)}-{estimator.replace(':', '.')}-s{seed}"
             tasks.append((config.model_dump_json(), str(out / name), mode))
     if jobs == 1 or len(tasks) == 1:
         return [_fly_one(task) for task in tasks]

@@ -87,7 +87,8 @@ def load_config(
         path = Path(file)
         for key, value in under_base(path, read_values(path), overrides or {}).items():
             values[key], sources[key] = value, str(file)
-        here = {*(overrides or {}), *(() if estimator is None else ("estimator",))}
+        named = {"scene": scene, "estimator": estimator}
+        here = {*(overrides or {}), *(key for key, value in named.items() if value is not None)}
         if not allow_code:
             check_named_code(path, ((key, v) for key, v in values.items() if key not in here))
     return _changed(values, sources, overrides, scene=scene, estimator=estimator, seed=seed)
@@ -102,16 +103,18 @@ def fly(
     overrides: Overrides | None = None,
     out: str | Path | None = None,
     progress: Progress = False,
+    live: str | None = None,
 ) -> RunResult:
     """Flies the survey alone and returns its result.
 
     ``scene`` is the name of a scene, the path of an MJCF file, or a configuration; the other
     arguments change it. With ``out`` the run directory appears there, and replaces an earlier one;
     without it nothing is written. ``{"record": False}`` in ``overrides`` leaves out the recording.
-    Raises UsageError for bad input before the flight.
+    ``live`` is the address of a Rerun viewer that shows the flight while it goes on, such as
+    ``rerun+http://127.0.0.1:9876/proxy``. Raises UsageError for bad input before the flight.
     """
     config = _flight_config(scene, estimator, seed, overrides, survey_only=True)
-    return _flown(config, out, progress)
+    return _flown(config, out, progress, live)
 
 
 @_by_keyword
@@ -123,6 +126,7 @@ def land(
     overrides: Overrides | None = None,
     out: str | Path | None = None,
     progress: Progress = False,
+    live: str | None = None,
 ) -> RunResult:
     """Takes off, surveys, maps, chooses a site, lands on it, and returns the result.
 
@@ -130,7 +134,7 @@ def land(
     exception.
     """
     config = _flight_config(scene, estimator, seed, overrides, survey_only=False)
-    return _flown(config, out, progress)
+    return _flown(config, out, progress, live)
 
 
 @_by_keyword
@@ -257,7 +261,9 @@ def _flight_config(
     )  # fmt: skip
 
 
-def _flown(config: Config, out: str | Path | None, progress: Progress) -> RunResult:
+def _flown(
+    config: Config, out: str | Path | None, progress: Progress, live: str | None
+) -> RunResult:
     _prepare()
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.sensor_log import FILE_NAME
@@ -269,7 +275,7 @@ def _flown(config: Config, out: str | Path | None, progress: Progress) -> RunRes
             f"'{folder}' holds {FILE_NAME}, and this run would replace it without one; give "
             "another `out`, or remove it"
         )
-    result = fly_with_usage_errors(config, folder, _progress(progress))
+    result = fly_with_usage_errors(config, folder, _progress(progress), live)
     end_progress(quiet=progress is not True)
     return result.found_at(folder)
 

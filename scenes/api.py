@@ -4,12 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+def names_function(scene: object) -> bool:
+    """True where a scene is MODULE:FUNCTION, not a name or the path of a file."""
+    if not isinstance(scene, str) or ":" not in scene:
+        return False
+    return "/" not in scene and not scene.endswith(".xml")
+
+
+def short_name(scene: str) -> str:
+    """The name of a scene in names of files: that of its file without folder and ending, or
+    ``my_lab.places.bowl`` of ``my_lab.places:bowl``."""
+    return scene.replace(":", ".") if names_function(scene) else Path(scene).stem
+
 
 LAND_CLASSES: tuple[str, ...] = ("lawn", "field", "path", "road", "building", "water", "trees")
 """The paper's seven-class scheme D_Land; a class id is an index into this tuple."""

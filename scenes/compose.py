@@ -87,6 +87,25 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
 
     Raises as `load_scene`.
     """
+    draft = _draft(name_or_path, seed)
+    prepare_spec(draft)
+    return draft.spec, draft
+
+
+def bare_spec(name_or_path: str, seed: int) -> Any:
+    """Returns the uncompiled MjSpec of a scene without the vehicle, with the site ``takeoff`` at
+    height 0. Raises as `load_scene`."""
+    draft = _draft(name_or_path, seed)
+    spec = draft.spec
+    _set_options(spec)
+    if spec.site("takeoff") is None:
+        half_yaw = 0.5 * draft.takeoff_yaw
+        quat = [np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)]
+        spec.worldbody.add_site(name="takeoff", pos=[*draft.takeoff_xy_m, 0.0], quat=quat)
+    return spec
+
+
+def _draft(name_or_path: str, seed: int) -> SceneDraft:
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
     is_path = name_or_path.endswith(".xml") or "/" in name_or_path
@@ -94,8 +113,7 @@ def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
     if is_path:
         light_file(draft.spec)
     set_sky(draft.spec)
-    prepare_spec(draft)
-    return draft.spec, draft
+    return draft
 
 
 def spec_of_scene(scene: Scene) -> Any:
@@ -109,14 +127,18 @@ def spec_of_scene(scene: Scene) -> Any:
 def prepare_spec(draft: SceneDraft) -> None:
     """Sets a draft's physics and visual options and puts the vehicle over its take-off spot."""
     spec = draft.spec
-    _set_physics(spec)
-    _set_visual(spec)
+    _set_options(spec)
     for geom in spec.geoms:
         # The vehicle's group, which sensors do not see.
         geom.group = 0 if geom.group == VEHICLE_GROUP else geom.group
         if geom.contype or geom.conaffinity:
             geom.contype, geom.conaffinity = 1, 0
     _attach_vehicle(spec, draft)
+
+
+def _set_options(spec: Any) -> None:
+    _set_physics(spec)
+    _set_visual(spec)
 
 
 def _set_physics(spec: Any) -> None:

@@ -76,7 +76,7 @@ class Livo:
             Shutter(rig.camera_readout_s), open_ticks=2 * rig.tick_hz,
             lidar_in_camera=(rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
         )  # fmt: skip
-        dark_ticks = rig.tick_hz // 2 if params.use_intensity else None
+        dark_ticks = round(params.intensity_after_s * rig.tick_hz) if params.use_intensity else None
         self._map = AnchoredMap(
             params, self._filter.imu_from_lidar.translation, dark_ticks, rig.tick_hz
         )  # fmt: skip

@@ -46,6 +46,7 @@ from touchdown.experiments.flight.replay import (
     run_estimator,
     seen_by,
 )
+from touchdown.scenes.api import short_name
 from touchdown.sim.frames import Pose, interpolate_pose
 
 Array = NDArray[np.float64]
@@ -422,7 +423,7 @@ def logged_survey(scene: str, seed: int, runs: Path, report: Report) -> Path:
     from touchdown.experiments.io.sensor_log import FILE_NAME
 
     limit_threads()
-    run = runs / f"{Path(scene).stem}-{seed}"
+    run = runs / f"{short_name(scene)}-{seed}"
     if not (run / FILE_NAME).is_file():
         config = flight_config(scene, seed)
         fly(config, run, lambda time_s, phase, _note: report(f"flying, {time_s:.0f} s, {phase}"))

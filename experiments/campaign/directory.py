@@ -32,6 +32,7 @@ from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import code_now
 from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links, shown
 from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
+from touchdown.scenes.api import names_function
 
 PLAN_FILE, SOURCE_FILE, LOCK_FILE = "campaign.json", "campaign.toml", ".lock"
 SHARE_FILE = ".share"
@@ -310,16 +311,18 @@ def parts_named(plan: Plan) -> list[tuple[str, str]]:
 
 
 def check_external_code(plan: Plan, directory: Path) -> None:
-    """Raises UsageError where finished runs were flown with other code of an external part than
-    there is now: they would not be flown again, and stand beside runs of another program. Runs that
-    do not say what they were flown with pass."""
-    now = {(kind, name): code_now(name, kind) for kind, name in parts_named(plan)}
+    """Raises UsageError where finished runs were flown with other code of an external part or of a
+    scene than there is now: they would not be flown again, and stand beside runs of another
+    program. Runs that do not say what they were flown with pass."""
+    scenes = sorted({str(run.values["scene"]) for run in plan.runs})
+    named = [*parts_named(plan), *(("scene", name) for name in filter(names_function, scenes))]
+    now = {(kind, name): code_now(name, kind) for kind, name in named}
     if not now or not (directory / PLAN_FILE).is_file():
         return
     rows = refresh(directory)
     for (kind, name), code in now.items():
-        own, sha = ("estimator", "estimator_sha")
-        if kind != "estimator":
+        own, sha = (kind, f"{kind}_sha")
+        if kind not in ("estimator", "scene"):
             own, sha = (f"parts.{kind}", f"parts_sha.{kind}")
         changed = [
             row["run_id"]

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.config.loading import OPTION_KEYS
 from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.io.foreign import is_plain_name
+from touchdown.scenes.api import short_name
 
 AXES: Mapping[str, str] = {
     "scene": "scene",
@@ -63,7 +63,7 @@ def is_run_name(name: object, values: Mapping[str, Any]) -> bool:
 
 def _start(values: Mapping[str, Any]) -> str:
     scene, estimator, seed = (values[key] for key in _FIRST)
-    return "-".join(map(_plain, (Path(str(scene)).stem, str(estimator), f"s{seed}")))
+    return "-".join(map(_plain, (short_name(str(scene)), str(estimator), f"s{seed}")))
 
 
 def _part(axis: str, value: Any) -> str:

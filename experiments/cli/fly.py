@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import click
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, PATH
 from touchdown.experiments.cli.console import print_result
 from touchdown.experiments.cli.replay import run_replay
+from touchdown.experiments.errors import UsageError
 from touchdown.experiments.terminal import end_progress, make_progress
 
 
@@ -33,6 +35,25 @@ class SiteType(click.ParamType):
         if not (math.isfinite(x) and math.isfinite(y)):
             self.fail(f"'{value}' must be two finite numbers", param, ctx)
         return x, y
+
+
+class LiveType(click.ParamType):
+    """``window``, ``web``, or the address of a viewer."""
+
+    name = "live"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        text = str(value)
+        if text not in ("auto", "window", "web") and not re.fullmatch(
+            r"rerun(\+https?)?://[^/\s]+/proxy", text
+        ):
+            self.fail(
+                f"'{text}' is none of window, web and an address such as "
+                "rerun+http://127.0.0.1:9876/proxy (give the scene before --live)",
+                param,
+                ctx,
+            )
+        return text
 
 
 _Command = Callable[..., int]
@@ -98,6 +119,11 @@ _FLIGHT_OPTIONS = (
         metavar="KIND@START[+SECONDS|*N]",
         help="A fault at START seconds, such as lidar_dropout@20+1 or fog@0. May be repeated.",
     ),
+    click.option(
+        "--scene-from",
+        metavar="MODULE:FUNCTION",
+        help="A function makes the scene: a PyMJCF root, a Composer entity or an MjSpec.",
+    ),
     click.option("--out", type=PATH, help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]"),
     click.option("--force", is_flag=True, help="Replace a run whose sensors.mcap would be lost."),
     click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
@@ -106,6 +132,15 @@ _FLIGHT_OPTIONS = (
         is_flag=True,
         default=None,
         help="Write sensors.mcap, every message of the sensors, for --replay and other tools.",
+    ),
+    click.option(
+        "--live",
+        type=LiveType(),
+        is_flag=False,
+        flag_value="auto",
+        metavar="[window|web|URL]",
+        help="Show the flight in the Rerun viewer while it goes on: in a window, on a page of this "
+        "machine, or in the viewer at URL.",
     ),
     click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object."),
     click.option("--quiet", is_flag=True, help="No progress on stderr."),
@@ -126,7 +161,7 @@ def _flight_options(command: _Command) -> _Command:
 
 
 @click.command()
-@click.argument("scene")
+@click.argument("scene", required=False)
 @_flight_options
 @click.option("--site", type=SiteType(), help="Land here (metres, world frame).")
 @click.option(
@@ -137,8 +172,8 @@ def _flight_options(command: _Command) -> _Command:
 def land(site: tuple[float, float] | None, emergency: str | None, **options: Any) -> int:
     """Take off, survey, map, choose a landing site and land on it.
 
-    SCENE is a name (see `touchdown scenes list`) or the path of an MJCF file. Exit code 0 means
-    landed on safe ground, 1 any other outcome, 2 bad input.
+    SCENE is a name (see `touchdown scenes list`), the path of an MJCF file, or MODULE:FUNCTION as
+    for --scene-from. Exit code 0 means landed on safe ground, 1 any other outcome, 2 bad input.
 
     Example: touchdown land crossroad --seed 3 --wind-kmh 20 --set landing.second_look=false
     """
@@ -155,8 +190,7 @@ def land(site: tuple[float, float] | None, emergency: str | None, **options: Any
     type=PATH,
     help="Run directory with sensors.mcap: its sensors replace the simulation.",
 )
-@click.pass_context
-def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
+def fly(replayed: Path | None, **options: Any) -> int:
     """Fly the survey alone and report the positioning error.
 
     With --replay, logged sensors go through an estimator without the simulator. The scene is that
@@ -165,10 +199,23 @@ def fly(context: click.Context, replayed: Path | None, **options: Any) -> int:
     Example: touchdown fly crossroad --estimator oracle --set survey.height_m=20
     """
     if replayed is not None:
+        _take_scene(options)
         return run_replay(replayed, options)
-    if options["scene"] is None:
-        raise click.MissingParameter(ctx=context, param_hint="'SCENE'", param_type="argument")
     return _run_flight(options, survey_only=True)
+
+
+def _take_scene(options: dict[str, Any]) -> None:
+    """Takes ``--scene-from`` as the scene."""
+    made = options.pop("scene_from")
+    if made is None:
+        return
+    if options["scene"] is not None:
+        raise UsageError(f"--scene-from makes the scene; leave out '{options['scene']}'")
+    from touchdown.scenes.api import names_function
+
+    if not names_function(made):
+        raise UsageError(f"--scene-from '{made}' is not of the form MODULE:FUNCTION")
+    options["scene"] = made
 
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
@@ -177,7 +224,12 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
+    from touchdown.experiments.viewing.processes import live_viewer
 
+    _take_scene(options)
+    if options["scene"] is None:
+        context = click.get_current_context()
+        raise click.MissingParameter(ctx=context, param_hint="'SCENE'", param_type="argument")
     quiet, out = options["quiet"], options["out"]
     config = load_config(
         options["config_file"],
@@ -194,11 +246,15 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         )
         out = default_out_dir(config.scene, config.estimator, config.seed, suffix)
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
-    with none_left():
-        result = fly_with_usage_errors(config, out, make_progress(quiet))
-    end_progress(quiet)
-    if options["as_json"]:
-        click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
-    else:
-        print_result(result, out)
+    with live_viewer(options["live"]) as view:
+        with none_left():
+            address = None if view is None else view.address
+            result = fly_with_usage_errors(config, out, make_progress(quiet), address)
+        end_progress(quiet)
+        if options["as_json"]:
+            click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
+        else:
+            print_result(result, out)
+        if view is not None:
+            view.stay()
     return EXIT_DONE if result.is_success else EXIT_FAILED

@@ -27,6 +27,7 @@ _FLOWN = {
     "config_file": "--config",
     "record": "--record",
     "log_sensors": "--log-sensors",
+    "live": "--live",
     "selector": "--selector",
     "lander": "--lander",
     "controller": "--controller",

@@ -96,6 +96,7 @@ def scenes_render(
     if every_scene == (scene is not None):
         raise click.UsageError("give either SCENE or --all")
     from touchdown.experiments.scene_tools import render as scene_tools
+    from touchdown.scenes.api import short_name
 
     if every_scene:
         folder = out or Path(f"scenes-{seed}")
@@ -103,11 +104,11 @@ def scenes_render(
         sheet = scene_tools.render_every_scene(seed, folder, notes, light)
         done = {"directory": str(folder), "contact_sheet": str(sheet)}
     elif scene is not None and all_views:
-        folder = out or Path(f"{Path(scene).stem}-{seed}")
+        folder = out or Path(f"{short_name(scene)}-{seed}")
         scene_tools.render_all_views(scene, seed, folder, light)
         done = {"directory": str(folder)}
     else:
-        target = out or Path(f"{Path(scene or '').stem}-{view}.png")
+        target = out or Path(f"{short_name(scene or '')}-{view}.png")
         scene_tools.render_view(scene or "", seed, view, target, light)
         done = {"picture": str(target)}
     say(json.dumps(done) if flags["as_json"] else "\n".join(done.values()))
@@ -166,8 +167,9 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
     python -m mujoco.viewer --mjcf=crossroad/scene.xml
     """
     from touchdown.experiments.scene_tools.render import export_scene_files
+    from touchdown.scenes.api import short_name
 
-    target = out or Path(f"{Path(scene).stem}-{seed}")
+    target = out or Path(f"{short_name(scene)}-{seed}")
     model_file = export_scene_files(scene, seed, target)
     say(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
     return EXIT_DONE

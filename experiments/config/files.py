@@ -11,6 +11,7 @@ from typing import Any
 
 from touchdown.experiments.config.slots import SLOTS, names_code
 from touchdown.experiments.errors import UsageError, input_message, is_text
+from touchdown.scenes.api import names_function
 from touchdown.sim.files.opening import no_file
 
 MOST_BYTES = 1 << 20
@@ -109,17 +110,19 @@ def came_with_results(file: Path) -> bool:
 
 
 def check_named_code(file: Path, named: Iterable[tuple[str, Any]]) -> None:
-    """Raises ``UsageError`` where a file that came with results names external code for a slot: the
-    module would be imported, and may lie beside them. ``named``: keys, or their axes, and
-    values."""
+    """Raises ``UsageError`` where a file that came with results names external code for a slot or
+    a scene: the module would be imported, and may lie beside them. ``named``: keys, or their axes,
+    and values."""
     if not came_with_results(file):
         return
     kinds = {name: kind for kind, slot in SLOTS.items() for name in (kind, slot.key)}
     for key, name in named:
-        kind = kinds.get(key, "")
-        if kind and names_code(SLOTS[kind], name):
+        kind = "scene" if key == "scene" else kinds.get(key, "")
+        option = "scene-from" if kind == "scene" else kind
+        of_scene = kind == "scene" and names_function(name)
+        if of_scene or (kind in SLOTS and names_code(SLOTS[kind], name)):
             raise UsageError(
                 f"'{file}' came with results and names code, {kind} '{name}': the module "
                 f"'{name.partition(':')[0]}' would be imported and run, from the current directory "
-                f"too; if you trust it, give --allow-code, or name the {kind} with --{kind}"
+                f"too; if you trust it, give --allow-code, or name the {kind} with --{option}"
             )

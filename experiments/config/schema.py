@@ -88,7 +88,7 @@ class Config(BaseModel):
     """how much is flown: ``short`` is one leg of 12 m at 15 m and a quick descent, by keys that
     override the profile and that all other sources override; ``whole`` sets none"""
     scene: str = "crossroad"
-    """name of a scene, or path of an MJCF file"""
+    """name of a scene, path of an MJCF file, or MODULE:FUNCTION that makes one"""
     seed: CountOrZero = 0
     """seed of the scene, the wind and all noise"""
     scene_seed: CountOrZero | None = None

@@ -18,6 +18,7 @@ require_dm_control("touchdown.suite")
 
 from dm_control.rl import control  # noqa: E402
 
+from touchdown.experiments.environments.keyboard import Keyboard as Keyboard  # noqa: E402
 from touchdown.experiments.environments.suite_task import Landing  # noqa: E402
 
 _ACTIONS = {"land": "rotors", "land_by_velocity": "velocity"}

@@ -27,6 +27,7 @@ from touchdown.experiments.io.results import (
     StageTimes,
     Timing,
 )
+from touchdown.scenes.api import names_function
 
 
 def make_result(
@@ -39,7 +40,9 @@ def make_result(
     """Returns the result of a finished flight."""
     code: dict[str, Any] = {**flown_code(config.estimator), **_parts(config)}
     origin = stack.scene.origin_m
-    moved: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
+    place: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
+    if names_function(config.scene):
+        place["scene_sha"] = imported_code(config.scene)
     record = stack.record()
     measured = observer.conditions.measured(record, stack.world.rig, stack.nominal_rig)
     conditions = judge_conditions(config, measured, record.faults, judgement.sim_s)
@@ -53,7 +56,7 @@ def make_result(
         profile=config.profile,
         preset=config.preset,
         wind_kmh=config.wind.mean_kmh,
-        **moved,
+        **place,
         position_error_m=judgement.position_error,
         span_s=judgement.span_s,
         trajectory_error_m=judgement.deviation.mean_m,

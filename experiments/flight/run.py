@@ -46,12 +46,17 @@ _STAGES = (
 )
 
 
-def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) -> RunResult:
+def fly(
+    config: Config,
+    out_dir: Path | None,
+    progress: Progress | None = None,
+    live: str | None = None,
+) -> RunResult:
     """Flies one configuration and returns its result.
 
     With ``out_dir`` the run directory appears there at once, complete, when the flight is over;
-    an earlier run of that name is replaced. Raises UsageError for bad input before anything is
-    written.
+    an earlier run of that name is replaced. ``live``, the address of a Rerun viewer, streams the
+    recording there while it flies. Raises UsageError for bad input before anything is written.
     """
     check_estimator_name(config.estimator)
     check_parts_available(config)
@@ -66,17 +71,27 @@ def fly(config: Config, out_dir: Path | None, progress: Progress | None = None) 
         stack.world.take_textures()
     _warn_of_inactive_faults(config, stack)
     if out_dir is None:
-        return fly_and_judge(config, stack, NullRecorder(), progress)
+        return fly_and_judge(config, stack, _only_live(config, stack, live), progress)
     with run_directory(out_dir) as partial:
         sensors = _sensor_log(partial, stack) if config.log.sensors else None
-        recorder = RunRecorder(partial, scene, stack.world.rig, config, sensors)
+        recorder = RunRecorder(partial, scene, stack.world.rig, config, sensors, live)
         result = fly_and_judge(config, stack, recorder, progress)
         (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
         (partial / "result.json").write_text(result.to_json(), encoding="utf-8")
     return result
 
 
-def fly_with_usage_errors(config: Config, out_dir: Path | None, progress: Progress) -> RunResult:
+def _only_live(config: Config, stack: FlightStack, live: str | None) -> Recorder:
+    if live is None:
+        return NullRecorder()
+    from touchdown.experiments.recording.rerun_recorder import RerunLog
+
+    return RerunLog(None, stack.scene, stack.world.rig, config, live)
+
+
+def fly_with_usage_errors(
+    config: Config, out_dir: Path | None, progress: Progress, live: str | None = None
+) -> RunResult:
     """As `fly`. A ValueError or OSError before the first control step is bad input and becomes a
     UsageError; a later one is a defect of the program and passes through."""
     airborne = False
@@ -87,7 +102,7 @@ def fly_with_usage_errors(config: Config, out_dir: Path | None, progress: Progre
         progress(time_s, phase, note)
 
     try:
-        return fly(config, out_dir, watch)
+        return fly(config, out_dir, watch, live)
     except (ValueError, OSError) as error:
         if airborne or isinstance(error, ExternalPartError):
             raise

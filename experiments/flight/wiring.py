@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,7 @@ from touchdown.experiments.flight.slots import (
     lander_rig,
 )
 from touchdown.landing.api import Lander
-from touchdown.scenes.api import LowSun, Scene
+from touchdown.scenes.api import LowSun, Scene, names_function
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import SensorRig, Truth, World, WorldParams
 from touchdown.sim.effects import WorldRecord
@@ -68,7 +68,14 @@ def build_scene(config: Config) -> Scene:
     from touchdown.scenes.cache import cached_scene
 
     seed = config.seed if config.scene_seed is None else config.scene_seed
-    scene = cached_scene(config.scene, seed, low_sun(config), config.light)
+    sun, light = low_sun(config), config.light
+    if names_function(config.scene):
+        from touchdown.experiments.external.places import place_file
+
+        with place_file(config.scene, seed) as file:
+            scene = replace(cached_scene(str(file), seed, sun, light), source=config.scene)
+    else:
+        scene = cached_scene(config.scene, seed, sun, light)
     if config.landing.site_xy_m is not None:
         _refuse_site_of_the_file(np.array(config.landing.site_xy_m), scene)
     return scene
@@ -320,7 +327,12 @@ def check_scene_name(name: str, where: str = "") -> None:
     ``where`` completes the message, such as " in FILE"."""
     from touchdown.scenes.compose import load_scene
 
-    if "/" in name or name.endswith(".xml"):
+    if names_function(name):
+        from touchdown.experiments.external.places import place_file
+
+        with place_file(name, 0) as file:
+            load_scene(str(file), 0)
+    elif "/" in name or name.endswith(".xml"):
         if reason := no_file(Path(name)):
             raise UsageError(f"scene file '{name}'{where} {reason}")
         try:
@@ -330,5 +342,5 @@ def check_scene_name(name: str, where: str = "") -> None:
     elif name not in (known := scene_names()):
         raise UsageError(
             f"unknown scene '{name}'{where}{nearest(name, known)}; known: {', '.join(known)}, or "
-            "the path of an MJCF file"
+            "the path of an MJCF file, or MODULE:FUNCTION that makes one"
         )

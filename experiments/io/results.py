@@ -227,6 +227,8 @@ class RunResult(_Part):
     outcome: str
     reason: str = ""
     scene: str
+    scene_sha: str | None = None
+    """hash of the code of a scene MODULE:FUNCTION"""
     seed: int = Field(ge=-_LARGEST_SEED, le=_LARGEST_SEED)
     estimator: str
     estimator_sha: str | None = None

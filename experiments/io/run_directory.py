@@ -17,6 +17,7 @@ from pathlib import Path
 
 from touchdown.experiments.errors import UsageError, system_message
 from touchdown.experiments.io.foreign import as_plain_name
+from touchdown.scenes.api import short_name
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 _PARTIAL = re.compile(r"\.(?P<name>.+?)\.partial-(?:(?P<host>.+)\.)?(?P<process>\d+)")
@@ -31,7 +32,7 @@ RUN_FILES = frozenset({
 
 def default_out_dir(scene: str, estimator: str, seed: int, ending: str = "") -> Path:
     """``runs/SCENE-ESTIMATOR-SEED`` and ``ending``, whatever a configuration file calls the two."""
-    name = f"{Path(scene).stem}-{estimator.replace(':', '.')}-{seed}{ending}"
+    name = f"{short_name(scene)}-{estimator.replace(':', '.')}-{seed}{ending}"
     return Path("runs") / as_plain_name(name)
 
 

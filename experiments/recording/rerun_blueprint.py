@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
@@ -35,15 +37,41 @@ def flight_blueprint(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Blu
             _plot("plots/estimator", "Estimator"),
             active_tab=0,
         ),
-        rrb.TextLogView(
-            origin="log",
-            name="Phases, estimator, faults",
-            columns=rrb.TextLogColumns(
-                timeline_columns=[TIMELINE], text_log_columns=[rrb.encodings.TextLogColumn("Body")]
-            ),
-        ),
+        _text_log(),
         column_shares=[3, 3, 3],
     )
+    return _laid_out(top, bottom)
+
+
+def pair_blueprint(
+    centre_xy_m: NDArray[np.float64], span_m: float, labels: Mapping[str, str]
+) -> rrb.Blueprint:
+    """As `flight_blueprint`, of two flights: ``labels`` by the names below which their entities
+    stand. The map and the scans are those of the first."""
+    _, *others = labels
+    hidden = [f"- /world/{name}/{what}" for name in others for what in ("map/**", "scan")]
+    images = [
+        rrb.Vertical(
+            rrb.Spatial2DView(origin=f"world/{name}/vehicle/camera", name=label),
+            rrb.Spatial2DView(origin=f"costmap/{name}", name="Map and landing cost"),
+        )
+        for name, label in labels.items()
+    ]
+    top = rrb.Horizontal(
+        _world_view(centre_xy_m, span_m, tuple(f"{name}/" for name in labels), hidden),
+        rrb.Horizontal(*images),
+        column_shares=[1, 1],
+    )
+    bottom = rrb.Horizontal(
+        _plot("plots/pair/error", "Position error [m]"),
+        _plot("plots/pair", "Distance between the flights [m]", ["- $origin/error/**"]),
+        rrb.Tabs(*(_text_log(f"log/{name}", label) for name, label in labels.items())),
+        column_shares=[3, 3, 3],
+    )
+    return _laid_out(top, bottom)
+
+
+def _laid_out(top: rrb.Container, bottom: rrb.Container) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Vertical(top, bottom, row_shares=[3, 1]),
         rrb.BlueprintPanel(state="collapsed"),
@@ -55,15 +83,37 @@ def flight_blueprint(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Blu
     )
 
 
-def _plot(origin: str, name: str) -> rrb.TimeSeriesView:
+def _text_log(origin: str = "log", name: str = "Phases, estimator, faults") -> rrb.TextLogView:
+    return rrb.TextLogView(
+        origin=origin,
+        name=name,
+        columns=rrb.TextLogColumns(
+            timeline_columns=[TIMELINE], text_log_columns=[rrb.encodings.TextLogColumn("Body")]
+        ),
+    )
+
+
+def _plot(origin: str, name: str, but: Sequence[str] = ()) -> rrb.TimeSeriesView:
     """Plot of the whole flight; by default the viewer follows the cursor."""
     whole = rrb.TimeRange(
         start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite()
     )
-    return rrb.TimeSeriesView(origin=origin, name=name, axis_x=rrb.TimeAxis(view_range=whole))
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        contents=["$origin/**", *but],
+        axis_x=rrb.TimeAxis(view_range=whole),
+    )
 
 
-def _world_view(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Spatial3DView:
+def _world_view(
+    centre_xy_m: NDArray[np.float64],
+    span_m: float,
+    flights: Sequence[str] = ("",),
+    but: Sequence[str] = (),
+) -> rrb.Spatial3DView:
+    """``flights``: beginnings of the entities of each flight, below the world; ``but``: entities
+    that are not shown."""
     everything = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
         start=rrb.TimeRangeBoundary.infinite(),
@@ -78,7 +128,7 @@ def _world_view(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Spatial3
     return rrb.Spatial3DView(
         origin="world",
         name="Flight",
-        contents=["$origin/**"],
+        contents=["$origin/**", *but],
         background=rrb.Background(color=[24, 28, 36], kind=rrb.BackgroundKind.SolidColor),
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(
@@ -87,5 +137,8 @@ def _world_view(centre_xy_m: NDArray[np.float64], span_m: float) -> rrb.Spatial3
             look_target=[x, y, 5.0],
             eye_up=[0.0, 0.0, 1.0],
         ),
-        overrides={**{f"world/path/{name}": everything for name in PATHS}, "world/scan": recent},
+        overrides={
+            **{f"world/{one}path/{name}": everything for one in flights for name in PATHS},
+            **{f"world/{one}scan": recent for one in flights},
+        },
     )

@@ -7,6 +7,7 @@ changed.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 from collections import deque
@@ -42,7 +43,9 @@ Array = NDArray[np.float64]
 _POSE_HZ = 20.0
 _SCALAR_HZ = 10.0
 _PATH_HZ = 5.0
-_FLUSH_S = 2.0
+_FLUSH_S, _LIVE_FLUSH_S = 2.0, 0.5
+_PATIENCE_S = 10.0
+"""for a viewer that does not take the rest of a flight"""
 _MAP_POINT_M = 0.11
 _SPAN_M = 75.0
 _RING_M, _POLE_M = 1.5, 12.0
@@ -68,10 +71,20 @@ _FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 64
 
 
 class RerunLog:
-    """A ``Recorder`` that writes one ``.rrd`` file with a blueprint in it. ``close`` raises OSError
-    if the file is incomplete."""
+    """A ``Recorder`` that writes one ``.rrd`` file with a blueprint in it, streams the same to a
+    viewer, or both. ``close`` raises OSError if the file is incomplete; a viewer that goes away is
+    no error."""
 
-    def __init__(self, path: Path, scene: Scene, rig: SensorRig, config: Config) -> None:
+    def __init__(
+        self,
+        path: Path | None,
+        scene: Scene,
+        rig: SensorRig,
+        config: Config,
+        live: str | None = None,
+    ) -> None:
+        """``path``: of the file; ``live``: address of a viewer, such as
+        ``rerun+http://127.0.0.1:9876/proxy``."""
         self._scene = scene
         self._rig = rig
         self._params = config.log
@@ -80,13 +93,16 @@ class RerunLog:
         )
         middle = scene.takeoff_xy_m + _survey_middle(scene, config)
         self._path = path
-        self._stream.save(path, default_blueprint=flight_blueprint(middle, _SPAN_M))
+        sinks: list[rr.FileSink | rr.GrpcSink] = [] if path is None else [rr.FileSink(path)]
+        sinks += [] if live is None else [rr.GrpcSink(live)]
+        self._stream.set_sinks(*sinks, default_blueprint=flight_blueprint(middle, _SPAN_M))
         self._poses, self._paths = PoseBatch(), PathBatch()
         self._scalars = ScalarBatch()
         self._tiles = MapTiles()
         self._track = OdomTrack()
         self._pose_due, self._scalar_due = Every(_POSE_HZ), Every(_SCALAR_HZ)
-        self._path_due, self._flush_due = Every(_PATH_HZ), Every(1.0 / _FLUSH_S)
+        self._path_due = Every(_PATH_HZ)
+        self._flush_due = Every(1.0 / (_FLUSH_S if live is None else _LIVE_FLUSH_S))
         self._scan_due = Every(self._params.scan_hz)
         self._camera_due = Every(self._params.camera_hz)
         self._map_due = Every(1.0 / self._params.map_period_s)
@@ -127,8 +143,11 @@ class RerunLog:
             truth, estimate, map_view = self._last
             self._log_map(truth.time_s, estimate, map_view, everything=True)
         self._flush()
-        self._stream.flush()
+        with contextlib.suppress(RuntimeError):  # of a viewer that went away
+            self._stream.flush(timeout_sec=_PATIENCE_S)
         self._stream.disconnect()
+        if self._path is None:
+            return
         # The writer thread of Rerun does not report a full disk.
         with self._path.open("rb") as file:
             file.seek(max(0, os.fstat(file.fileno()).st_size - _FOOTER_BYTES))

@@ -42,7 +42,7 @@ class NullRecorder:
 class RunRecorder:
     """Fills a run directory: ``truth.tum``, ``estimate.tum``, ``reference.tum``, ``map.ply``,
     ``costmap.png`` and, with ``config.record``, ``flight.rrd``; with ``sensors``,
-    also the sensor log and ``odometry.tum``.
+    also the sensor log and ``odometry.tum``. ``live``: see `RerunLog`.
 
     ``out_dir`` must exist. Files are complete after ``close``; memory does not grow with the
     flight.
@@ -55,6 +55,7 @@ class RunRecorder:
         rig: SensorRig,
         config: Config,
         sensors: SensorLog | None = None,
+        live: str | None = None,
     ) -> None:
         self._out_dir = out_dir
         self._sensors = sensors
@@ -69,10 +70,11 @@ class RunRecorder:
         self._costmap_id = 0
         self._marks = survey_marks(scene.takeoff_xy_m, scene.takeoff_yaw, config.survey)
         self._recording: Recorder = NullRecorder()
-        if config.record:
+        if config.record or live is not None:
             from touchdown.experiments.recording.rerun_recorder import RerunLog
 
-            self._recording = RerunLog(out_dir / "flight.rrd", scene, rig, config)
+            path = out_dir / "flight.rrd" if config.record else None
+            self._recording = RerunLog(path, scene, rig, config, live)
 
     def tick(self, step: StepRecord) -> None:
         estimate, lander_view = step.estimate, step.lander_view

@@ -28,6 +28,7 @@ from touchdown.experiments.reporting.tables import (
     name_cell,
     ordered_cells,
 )
+from touchdown.scenes.api import short_name
 
 _ERROR = "position_error_m.mean"
 
@@ -71,7 +72,7 @@ def condition_of(row: Row) -> str:
     scene, method and seed; "" for a name of another form."""
     if isinstance(found := row.get("condition"), str):
         return found
-    start = f"{Path(row['scene']).stem}-{row['estimator'].replace(':', '.')}-s{row['seed']}"
+    start = f"{short_name(row['scene'])}-{row['estimator'].replace(':', '.')}-s{row['seed']}"
     name = Path(str(row["run_id"])).name
     return name.removeprefix(start).strip("-") if name.startswith(start) else ""
 

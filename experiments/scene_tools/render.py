@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.contact_sheet import contact_sheet, thumbnails
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.external.places import place_file
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.views import VIEWS, Image, SceneViews, write_image
-from touchdown.scenes.api import Light, Scene
+from touchdown.scenes.api import Light, Scene, names_function
 from touchdown.scenes.compose import spec_of_scene
 from touchdown.scenes.export import export_spec
 from touchdown.scenes.registry import scene_names
@@ -68,6 +70,9 @@ def export_scene_files(name: str, seed: int, out: Path) -> Path:
         raise UsageError(f"--out {out} exists; name a new directory")
     scene = load_configured_scene(load_config(scene=name, seed=seed, profile_default="ideal"))
     _make_folder(out)
+    if names_function(name):
+        with place_file(name, seed) as file:
+            return export_spec(spec_of_scene(replace(scene, source=str(file))), out)
     return export_spec(spec_of_scene(scene), out)
 
 

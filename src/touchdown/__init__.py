@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if TYPE_CHECKING:
     from touchdown.estimator.api import Estimate, Estimator
     from touchdown.experiments.config.schema import Config
-    from touchdown.experiments.environments import suite
+    from touchdown.experiments.environments import suite as suite
     from touchdown.experiments.errors import UsageError
     from touchdown.experiments.io.results import RunResult
     from touchdown.experiments.python_api import (
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         load_runs,
         replay,
     )
+    from touchdown.experiments.scene_tools import pymjcf as pymjcf
     from touchdown.sim.api import Observation, SensorNeeds, SensorRig
     from touchdown.sim.frames import Pose
 
@@ -49,7 +50,6 @@ __all__ = [
     "load_config",
     "load_runs",
     "replay",
-    "suite",
 ]
 
 _HOMES = {
@@ -62,11 +62,13 @@ _HOMES = {
     "SensorNeeds": "sim.api",
     "SensorRig": "sim.api",
     "UsageError": "experiments.errors",
-    "suite": "experiments.environments.suite",
 }
 """Module of each name; the others are in `experiments.python_api`."""
-_MODULES = frozenset({"suite"})
-"""Names that are modules themselves."""
+_MODULES = {
+    "pymjcf": "experiments.scene_tools.pymjcf",
+    "suite": "experiments.environments.suite",
+}
+"""Modules by name; they need dm_control, and ``import *`` leaves them alone."""
 
 
 def __getattr__(name: str) -> Any:
@@ -76,12 +78,15 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("touchdown")
+    if name in _MODULES:
+        module = globals()[name] = importlib.import_module(f"touchdown.{_MODULES[name]}")
+        return module
     if name not in __all__:
         raise AttributeError(f"module 'touchdown' has no attribute '{name}'")
     home = importlib.import_module(f"touchdown.{_HOMES.get(name, 'experiments.python_api')}")
-    value = globals()[name] = home if name in _MODULES else getattr(home, name)
+    value = globals()[name] = getattr(home, name)
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__"})
+    return sorted({*globals(), *__all__, *_MODULES, "__version__"})

@@ -81,7 +81,7 @@ def test_mistakes_raise_one_line(call: Any, words: str) -> None:
 def test_flights_are_configured_by_their_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
     flown: list[tuple[Config, Path | None]] = []
 
-    def fly(config: Config, out: Path | None, _progress: Any) -> RunResult:
+    def fly(config: Config, out: Path | None, _progress: Any, _live: Any) -> RunResult:
         flown.append((config, out))
         return RunResult(outcome="COMPLETED", scene=config.scene, seed=0, estimator="gps")
 

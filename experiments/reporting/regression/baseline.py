@@ -17,6 +17,7 @@ from touchdown.experiments.io.foreign import read_object, shown
 from touchdown.experiments.io.results import PartNames
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.reporting.flights import Row, number
+from touchdown.scenes.api import short_name
 from touchdown.sim.files.opening import no_file
 
 FORMAT = "touchdown-baseline-1"
@@ -108,7 +109,7 @@ def _variant(row: Row) -> str:
     """The variant of a run: "land" for landings, the preset of a flight that is not whole, then the
     further axes at the end of its name, or the parts that are not those by default."""
     name = str(row["run_id"]).rpartition("/")[2]
-    start = f"{Path(row['scene']).stem}-{row['estimator']}-s{row['seed']}-"
+    start = f"{short_name(row['scene'])}-{row['estimator']}-s{row['seed']}-"
     parts = ["land"] if row["mode"] == "land" else []
     preset = row.get("preset") or WHOLE
     if preset != WHOLE:

@@ -45,7 +45,7 @@ def _one_line(error: str) -> bool:
 def _flight(ends: Callable[[Path], None]) -> Callable[..., RunResult]:
     """A flight that writes half of its files and then fails."""
 
-    def fly(config: Config, out: Path, progress: Any) -> RunResult:
+    def fly(config: Config, out: Path, progress: Any, _live: Any) -> RunResult:
         with run_directory(out) as partial:
             progress(0.0, "TAKEOFF", "")
             (partial / "truth.tum").write_text("0 0 0")

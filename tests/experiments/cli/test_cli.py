@@ -106,7 +106,7 @@ def test_exit_code_follows_the_outcome(
     result: RunResult, code: int, monkeypatch: pytest.MonkeyPatch,
     run_cli: RunCli,
 ) -> None:  # fmt: skip
-    def fly(_config: Any, _out: Path, progress: Any) -> RunResult:
+    def fly(_config: Any, _out: Path, progress: Any, _live: Any) -> RunResult:
         progress(0.0, "TAKEOFF", "climbing")
         return result
 

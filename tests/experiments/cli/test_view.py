@@ -10,6 +10,7 @@ import pytest
 
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.cli import view
+from touchdown.experiments.viewing.processes import free_port
 
 from support.campaign_flights import wait_for
 from support.command import Says
@@ -67,8 +68,8 @@ def test_a_port_in_use_is_replaced_by_a_free_one() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        assert view._free_port(port) != port
-    assert view._free_port(port) == port
+        assert free_port(port) != port
+    assert free_port(port) == port
 
 
 def _default_signals() -> None:

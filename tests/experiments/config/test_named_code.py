@@ -23,6 +23,8 @@ MODULE = "payload_of_a_stranger"
 NAME = f"{MODULE}:build"
 CAMPAIGN = f'name = "test"\n[axes]\nscene = ["flat"]\nestimator = ["{NAME}"]\n'
 
+CAMPAIGN_SCENE = {"estimator": 'scene = ["flat"]\n', "scene": ""}
+
 
 @pytest.fixture
 def unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
@@ -95,10 +97,16 @@ def test_a_file_of_the_user_names_code(unpacked: Path, capsys: pytest.CaptureFix
     assert "the end of the import" in capsys.readouterr().err
 
 
-def test_a_toml_beside_results_is_theirs(unpacked: Path) -> None:
-    (unpacked / "run" / "flight.toml").write_text(f'estimator = "{NAME}"\n')
-    with pytest.raises(UsageError, match="came with results and names code"):
-        load_config(unpacked / "run" / "flight.toml")
+@pytest.mark.parametrize("key", ["estimator", "scene"])
+def test_a_toml_beside_results_is_theirs(unpacked: Path, key: str) -> None:
+    file, plan = unpacked / "run" / "flight.toml", unpacked / "campaign.toml"
+    file.write_text(f'{key} = "{NAME}"\n')
+    plan.write_text(f'name = "test"\n[axes]\n{CAMPAIGN_SCENE[key]}{key} = ["{NAME}"]\n')
+    for read in (load_config, touchdown.load_config, load_plan):
+        with pytest.raises(UsageError, match=f"came with results and names code, {key}"):
+            read(plan if read is load_plan else file)
+    assert not (unpacked / "imported").exists()
+    assert load_config(file, **{key: "gps" if key == "estimator" else "flat"})
 
 
 def test_python(unpacked: Path) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 gymnasium = pytest.importorskip("gymnasium")
 pytest.importorskip("dm_control")
 
+import glfw  # noqa: E402
 from absl.testing import absltest  # noqa: E402
 from dm_env import test_utils  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
@@ -121,15 +122,21 @@ class TestSuite(test_utils.EnvironmentTestMixin, absltest.TestCase):  # type: ig
             yield np.zeros(4, dtype=np.float32)
 
 
-def test_a_descent_of_the_suite_is_gymnasiums(lawn: str, make_task: MakeTask) -> None:
+@pytest.mark.parametrize(("place", "worth"), [
+    ("lawn", 10.0 * (1.0 - 0.5 * 0.3 * 2.5 / 1.5)), ("road", -2.0),
+])  # fmt: skip
+def test_a_descent_of_the_suite_is_gymnasiums(
+    place: str, worth: float, make_task: MakeTask, request: pytest.FixtureRequest
+) -> None:
     """The reward built of tolerances is the one that Gymnasium gives; the same seed gives the same
     time steps to the bit; the physics is the world itself, in step with its position."""
     kwargs = {"random": 3, "layout": 0, "start_spread_m": 1.0, "start_height_m": 4.0, **SMALL}
-    both = [suite.load(lawn, "land_by_velocity", kwargs) for _ in range(2)]
-    task = make_task(lawn, action="velocity")
+    scene = request.getfixturevalue(place)
+    both = [suite.load(scene, "land_by_velocity", kwargs) for _ in range(2)]
+    task = make_task(scene, action="velocity")
     task.reset(0, np.random.default_rng(np.random.RandomState(3).randint(2**31)))
     steps = [env.reset() for env in both]
-    physics, down = both[0].physics, np.array([0.0, 0.0, -0.3, 0.0], dtype=np.float32)
+    physics, down = both[0].physics, np.array([0.1, 0.0, -0.3, 0.0], dtype=np.float32)
     assert physics.data.ptr is both[0].task.landing.world.data
     while not steps[0].last():
         steps, other = [env.step(down) for env in both], task.step(down)
@@ -140,9 +147,10 @@ def test_a_descent_of_the_suite_is_gymnasiums(lawn: str, make_task: MakeTask) ->
         at = physics.named.data.xpos["vehicle/quadrotor"]
         np.testing.assert_allclose(at, physics.data.qpos[:3], atol=1e-12)
     assert (steps[0].discount, both[0].task.info["outcome"]) == (0.0, "LANDED")
-    assert steps[0].reward == pytest.approx(10.0 * (1.0 - 0.5 * 0.3 * 2.5 / 1.5), abs=0.7)
-    picture = physics.render(60, 80, camera_id="vehicle/camera")
-    assert picture.std() > 2.0 and picture[..., 1].mean() > picture[..., 0].mean() + 10  # lawn
+    assert steps[0].reward == pytest.approx(worth, abs=0.7)
+    assert physics.render(60, 80, camera_id=-1).std() > 10.0
+    below = physics.render(60, 80, camera_id="vehicle/camera").mean(axis=(0, 1))
+    assert (below[1] > below[0] + 10) == (place == "lawn")
     for env in both:
         env.close()
 
@@ -171,6 +179,10 @@ def test_the_suite_pushes_shows_and_names(lawn: str, monkeypatch: pytest.MonkeyP
         suite.load(lawn, "lnad")
     with pytest.raises(ValueError, match=r"did you mean 'crossroad'"):
         suite.load("crosroad", "land")
+    held = {glfw.KEY_UP, glfw.KEY_RIGHT, glfw.KEY_PAGE_DOWN, glfw.KEY_HOME, glfw.KEY_END}
+    monkeypatch.setattr(glfw, "get_key", lambda _window, key: int(key in held))
+    monkeypatch.setattr(glfw, "get_current_context", lambda: "window")
+    np.testing.assert_allclose(suite.Keyboard(0.5)(None), [0.5, -0.5, -0.5, 0.0])
     monkeypatch.setitem(sys.modules, "dm_control", None)
     with pytest.raises(UsageError, match=r"suite needs dm_control, which is not installed: pip"):
         require_dm_control("touchdown.suite")

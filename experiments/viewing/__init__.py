@@ -1,0 +1,1 @@
+"""The Rerun viewer: its processes, a flight in progress, two flights in one recording."""
