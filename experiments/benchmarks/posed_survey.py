@@ -103,7 +103,12 @@ def posed_survey(
 
 
 def observe(
-    survey: PosedSurvey, path: Any, *, start_s: float, period_s: float, watch: Watch | None = None
+    survey: PosedSurvey,
+    path: Any,
+    *,
+    start_s: float,
+    period_s: float = LOOK_PERIOD_S,
+    watch: Watch | None = None,
 ) -> Iterator[tuple[Estimate, MapView]]:
     """Moves the sensors along ``path`` from ``start_s`` on and yields after every scan. The camera
     is free again at the end."""
@@ -129,7 +134,7 @@ def observe(
             track = PoseTrack(
                 times_s=body.times_s, positions_odom=body.positions, quats_wxyz=body.quats_wxyz
             )
-            estimate = _true_estimate(obs, body.last_pose, track)
+            estimate = true_estimate(obs.tick, obs.time_s, body.last_pose, track)
             if watch is not None:
                 watch(rig, obs, estimate)
             yield estimate, survey.mapper.update(obs, estimate)
@@ -137,10 +142,11 @@ def observe(
         sensors.close()
 
 
-def _true_estimate(obs: Observation, pose: Pose, track: PoseTrack) -> Estimate:
+def true_estimate(tick: int, time_s: float, pose: Pose, track: PoseTrack | None = None) -> Estimate:
+    """An estimate that is the true ``pose``, at rest, without doubt."""
     return Estimate(
-        tick=obs.tick,
-        time_s=obs.time_s,
+        tick=tick,
+        time_s=time_s,
         odom_from_body=pose,
         world_from_odom=Pose.identity(),
         velocity_odom=np.zeros(3),

@@ -14,6 +14,7 @@ from touchdown.experiments.cli.common import (
     EXIT_DONE,
     EXIT_FAILED,
     JSON,
+    OVERRIDES,
     PATH,
     QUIET,
     SEED,
@@ -173,30 +174,88 @@ def bench_landing(reference: bool, threads: int, as_json: bool, **options: Any) 
 @bench.command("selector")
 @click.argument("scenes", nargs=-1)
 @click.option("--seeds", default="0-24", show_default=True, help="Such as 0-24 or 100,101.")
-@click.option("--selector", type=click.Choice(["risk", "zou2024"]), default=None, help="  [risk]")
+@click.option("--maps", type=PATH, default=None, metavar="DIR",
+              help="Take the maps that `touchdown maps make` kept in DIR.")  # fmt: skip
+@click.option("--selector", "selectors", multiple=True, metavar="NAME",
+              help="risk, zou2024, or MODULE:FUNCTION, which both are compared with. May be "
+              "repeated.  [risk]")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
 @click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these maps.")
 @click.option("--pictures", type=PATH, default=None, metavar="DIR",
               help="Draw the steps to each site (Fig. 11 of the paper) into DIR.")  # fmt: skip
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
+@click.option("--worst", type=click.IntRange(1), default=None, metavar="N",
+              help="Draw the N places of the largest regret alone.")  # fmt: skip
+@OVERRIDES
 @JSON
-def bench_selector(scenes: tuple[str, ...], as_json: bool, **options: Any) -> int:
-    """Choose sites without flying and compare them with the true maps: precision, recall, regret
-    and calibration. The sensors take the planned poses of the survey without a flight. SCENES: by
-    default all scenes but flat and open_water.
+def bench_selector(
+    scenes: tuple[str, ...],
+    seeds: str,
+    maps: Path | None,
+    selectors: tuple[str, ...],
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Choose sites without flying and compare them with the true ground: precision, recall, regret,
+    time and calibration. The sensors take the planned poses of the survey. SCENES: by default all
+    scenes but flat and open_water.
 
-    Example: touchdown bench selector crossroad lake --seeds 0-4
+    Example: touchdown bench selector --maps maps --selector examples.flat_disc:build
     """
     from touchdown.experiments.benchmarks.selection import sites as selector_check
+    from touchdown.experiments.errors import UsageError
 
+    if maps is not None and scenes:
+        raise UsageError("SCENES and --maps exclude each other: maps are of their own scenes")
+    named = list(selectors)
+    if any(":" in name for name in named):
+        named += [name for name in ("risk", "zou2024") if name not in named]
+    posed = selector_check.Posed(scenes or selector_check.SCENES, seeds)
     figures = usage_errors(
         lambda: selector_check.run(
-            scenes or selector_check.SCENES,
+            posed if maps is None else maps,
+            named,
             report=lambda result: say(selector_check.row(result), err=as_json),
             **options,
         )
     )
     return answer(figures, as_json, lambda figures: say(selector_check.text(figures)))
+
+
+@click.group(cls=CommandGroup)
+def maps() -> int:
+    """Keep maps of surveys with their true ground.
+
+    Example: touchdown maps make crossroad --seeds 0-4 --out maps
+    """
+    return EXIT_DONE
+
+
+@maps.command("make")
+@click.argument("scenes", nargs=-1)
+@click.option("--seeds", default="0-11", show_default=True, help="Such as 0-24 or 100,101.")
+@click.option("--profile", type=click.Choice(["ideal", "field", "harsh"]), default="field",
+              show_default=True)  # fmt: skip
+@click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder of the maps.")
+@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
+@OVERRIDES
+@JSON
+def maps_make(
+    scenes: tuple[str, ...], seeds: str, profile: str, out: Path, as_json: bool, **options: Any
+) -> int:
+    """Survey SCENES at their planned poses, without a flight, and keep each map with its true
+    ground as DIR/SCENE-SEED.map.npz. SCENES: by default all scenes but flat and open_water.
+
+    Example: touchdown maps make --out maps --jobs 2
+    """
+    from touchdown.experiments.benchmarks.selection import sites as selector_check
+
+    source = selector_check.Posed(scenes or selector_check.SCENES, seeds, profile)
+    files = usage_errors(
+        lambda: selector_check.make_maps(
+            source, out, report=lambda file: say(str(file), err=as_json), **options
+        )
+    )
+    return answer({"maps": [str(file) for file in files]}, as_json, lambda _figures: None)
 
 
 @bench.command("endurance")

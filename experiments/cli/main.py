@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.bench import bench
+from touchdown.experiments.cli.bench import bench, maps
 from touchdown.experiments.cli.bench_all import bench_all, bench_compare, bench_profile
 from touchdown.experiments.cli.bench_odometry import bench_estimator, bench_imu, bench_limit
 from touchdown.experiments.cli.calibrate import calibrate
@@ -65,6 +65,7 @@ cli.add_command(reproduce)
 cli.add_command(results)
 cli.add_command(scenes)
 cli.add_command(bench)
+cli.add_command(maps)
 bench.add_command(bench_estimator)
 bench.add_command(bench_imu)
 bench.add_command(bench_limit)

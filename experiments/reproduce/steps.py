@@ -143,12 +143,9 @@ def _sites(job: Job) -> Done:
 
     with filled_folder(job.folder / PICTURES) as partial_folder:
         found = selector_check.run(
-            tuple(SITES),
-            seeds="0",
-            selector="zou2024",
+            selector_check.Posed(tuple(SITES), "0"),
+            ["zou2024"],
             jobs=min(job.jobs, len(SITES)),
-            fit_model=False,
-            overrides=(),
             report=lambda place: job.notes(selector_check.row(place)),
             pictures=partial_folder,
         )

@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.costmap_image import seen_box
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import Candidate, CostmapView, Selection
@@ -80,8 +79,8 @@ def steps_figure(selection: Selection, title: str) -> Colours:
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def write_steps(path: Path, config: Config, selection: Selection) -> None:
-    """Writes `steps_figure` of a selection with ``config`` as JPEG of at most 250 kB.
+def write_steps(path: Path, place: str, selection: Selection) -> None:
+    """Writes `steps_figure` of a selection over ``place`` as JPEG of at most 250 kB.
 
     Raises ValueError as `steps_figure`, and OSError where the file cannot be written."""
     site = chosen(selection.candidates)
@@ -89,21 +88,21 @@ def write_steps(path: Path, config: Config, selection: Selection) -> None:
     if site is not None:
         east, north = site.position_odom[:2]
         verdict = f"site at ({east:.1f}, {north:.1f}) m, {site.reason}"
-    title = f"{config.scene}, seed {config.seed}\n{verdict}"
+    title = f"{place}\n{verdict}"
     path.write_bytes(jpeg(steps_figure(selection, title)))
 
 
-def figure_files(configs: Sequence[Config], folder: Path) -> list[Path]:
-    """Creates ``folder`` and returns a file in it for each scene, such as ``site_turf.jpg``, with
-    the seed in the name where there are several. Raises UsageError."""
+def figure_files(places: Sequence[tuple[str, int]], folder: Path) -> list[Path]:
+    """Creates ``folder`` and returns a file in it for each scene and seed, such as
+    ``site_turf.jpg``, with the seed in the name where there are several. Raises UsageError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"--pictures: '{folder}' cannot be created: {error.strerror}") from error
-    several = len({config.seed for config in configs}) > 1
+    several = len({seed for _, seed in places}) > 1
     return [
-        folder / f"site_{short_name(config.scene)}{f'_{config.seed}' if several else ''}.jpg"
-        for config in configs
+        folder / f"site_{short_name(scene)}{f'_{seed}' if several else ''}.jpg"
+        for scene, seed in places
     ]
 
 
@@ -128,16 +127,19 @@ def jpeg(image: Colours, most_bytes: int = MOST_BYTES) -> bytes:
 def _paint(figure: Figure, panels: NDArray[Any], selection: Selection, view: CostmapView) -> None:
     photo = _photo(view)
     known = np.isfinite(view.flatness)
+    if not known.any():  # the terms of Eqs. 14 to 18 are those of the shipped selectors
+        known = view.rgb.any(axis=2) | np.isfinite(view.value)
     passed = np.where(known, selection.allowed.astype(np.float32), np.float32(np.nan))
-    clusters = cluster_colours(np.where(known, selection.cluster, np.int32(-1)))
     layers: list[tuple[str, Layer]] = [
         ("map, from above", photo),
         *(_over_its_range(term.name, np.where(known, term.value, np.nan)) for term in view.terms),
         _over_its_range("score", view.value),
         ("gates", passed),
-        (f"{len(selection.modes)} clusters, Quick Shift (Eq. 19)", clusters),
-        ("candidates (blue), site (red)", photo),
     ]
+    if len(selection.modes):
+        clusters = cluster_colours(np.where(known, selection.cluster, np.int32(-1)))
+        layers.append((f"{len(selection.modes)} clusters, Quick Shift (Eq. 19)", clusters))
+    layers.append(("candidates (blue), site (red)", photo))
     shown: Any = None
     for axes in panels.ravel()[len(layers) :]:
         axes.set_visible(False)
@@ -150,7 +152,8 @@ def _paint(figure: Figure, panels: NDArray[Any], selection: Selection, view: Cos
     bar.set_label("higher is better", fontsize=8, color=_INK)
     bar.ax.tick_params(labelsize=7)
     bar.outline.set_visible(False)
-    _paint_modes(panels.ravel()[len(layers) - 2], view, selection)
+    if len(selection.modes):
+        _paint_modes(panels.ravel()[len(layers) - 2], view, selection)
     _paint_candidates(panels.ravel()[len(layers) - 1], view, photo, selection.candidates)
     rows, cols = seen_box(view)
     low, high = _corner(view, rows.start, cols.start), _corner(view, rows.stop, cols.stop)

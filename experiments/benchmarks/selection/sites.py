@@ -1,11 +1,13 @@
-"""Benchmark of site selection without flights: posed surveys of many scenes, judged by the
-ground-truth maps."""
+"""Benchmark of site selection without flights: the maps of surveys, judged by the true ground."""
 
 from __future__ import annotations
 
+import functools
 import multiprocessing
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,28 +15,37 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from touchdown.experiments.benchmarks.posed_survey import Surveyed, posed_survey
+from touchdown.estimator.api import GridMap
+from touchdown.experiments.benchmarks.selection.maps import (
+    SUFFIX,
+    KeptMap,
+    SafeGround,
+    make_map,
+    map_files,
+    read_map,
+    write_map,
+)
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
+from touchdown.experiments.config.slots import SLOTS, names_code, params_of
+from touchdown.experiments.external.parts import ExternalSelector
+from touchdown.experiments.flight.slots import check_parts_available
 from touchdown.experiments.flight.wiring import check_scene_name
-from touchdown.landing.api import CostmapView
+from touchdown.landing.api import CostmapView, Selection, SelectorInput, SelectorRig
+from touchdown.landing.selection.selector import select_sites
 from touchdown.landing.selection.terms import probability as risk
-from touchdown.scenes.api import TruthMaps
-from touchdown.scenes.truth.maps import truth_maps
+from touchdown.sim.api import VehicleModel
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Report = Callable[[dict[str, Any]], None]
 
 SCENES = (
     "cottage", "crossroad", "footbridge", "forest", "houses", "lake", "pools", "rooftop_parking",
     "turf",
 )  # fmt: skip
 """all scenes except ``flat`` and ``open_water``, which offer no choice"""
-TRUTH_CELL_M = 0.1
-AROUND_M = 15.0
-"""width of the judged area beside the path: more than the field of view ahead, less than half of it
-aside"""
 SAMPLES = 4000
 """cells of a scene by which calibration is judged"""
 _CELL_KEYS = ("safe", "allowed", "both")
@@ -42,40 +53,36 @@ CLEARANCE_CAP_M = 3.0
 """distance to unsafe ground from which the clearance no longer rises"""
 
 
-def check_scene(config: Config, figure: Path | None = None) -> dict[str, Any]:
-    """Judges the selection in one scene by the ground-truth map. Raises ValueError as
-    `posed_survey`.
+def check_map(kept: KeptMap, config: Config, figure: Path | None = None) -> dict[str, Any]:
+    """Judges the configured selector on one map by its true ground.
 
     Draws the steps of the selection into the file ``figure``, if given. Returns:
 
     ``chosen_safe`` (None where nothing was accepted), ``accepted`` and ``accepted_safe`` sites;
     ``cells``: numbers of surveyed cells that are safe, allowed, and both; ``clearance_m`` of the
     chosen site and ``best_clearance_m``: distance to the nearest unsafe ground, at most 3 m;
-    ``sample``: predicted probabilities and truth of evenly spread cells, with their features.
+    ``seconds`` of processor time; ``sample``: predicted probabilities and truth of evenly spread
+    cells, with their features, None for a selector from outside.
     """
-    surveyed = posed_survey(config)
-    truth = truth_maps(surveyed.scene, TRUTH_CELL_M, _region(surveyed))
-    selection, costmap = surveyed.selection, surveyed.selection.costmap
-    accepted = [site for site in selection.candidates if site.accepted]
-    verdicts = [_value_at(truth, truth.safe_geometry, site.position_odom[:2]) for site in accepted]
-    clearance = np.minimum(
-        distance_transform_edt(truth.safe_geometry) * TRUTH_CELL_M, CLEARANCE_CAP_M
-    )
+    choose = chooser(config, kept.vehicle)
+    started = time.process_time()
+    selection = choose(kept)
+    seconds = time.process_time() - started
+    costmap, truth = selection.costmap, kept.truth
     if costmap is None:
-        raise ValueError(f"scene '{config.scene}': the survey mapped nothing")
+        raise ValueError(f"scene '{kept.scene}': the selector shows no costmap")
+    accepted = [site for site in selection.candidates if site.accepted]
+    verdicts = [_value_at(truth, truth.safe, site.position_odom[:2]) for site in accepted]
+    clearance = np.minimum(distance_transform_edt(truth.safe) * truth.cell_m, CLEARANCE_CAP_M)
     if figure is not None:
         from touchdown.experiments.benchmarks.selection.figures import write_steps
 
-        write_steps(figure, config, selection)
+        write_steps(figure, f"{kept.scene}, seed {kept.seed}", selection)
     safe, judged = _on_grid(truth, costmap)
-    seen = judged & np.isfinite(costmap.flatness)
-    features = risk.features_of(surveyed.map_view, surveyed.estimate, config.landing)
-    rows, cols = np.nonzero(seen & features.open)
-    spread = np.s_[:: max(1, rows.size // SAMPLES)]
-    rows, cols = rows[spread], cols[spread]
+    seen = judged & _seen(kept.map_view.coarse, costmap)
     return {
-        "scene": config.scene,
-        "seed": config.seed,
+        "scene": kept.scene,
+        "seed": kept.seed,
         "chosen_safe": bool(verdicts[0]) if verdicts else None,
         "accepted": len(accepted),
         "accepted_safe": sum(map(bool, verdicts)),
@@ -88,12 +95,51 @@ def check_scene(config: Config, figure: Path | None = None) -> dict[str, Any]:
         if accepted
         else 0.0,
         "best_clearance_m": float(clearance.max()),
-        "sample": {
-            "predicted": selection.probability[rows, cols],
-            "safe": safe[rows, cols],
-            "features": features.values[rows, cols],
-        },
+        "seconds": seconds,
+        "sample": None if _from_outside(config) else _sample(kept, config, selection, safe & seen),
     }
+
+
+def _sample(kept: KeptMap, config: Config, selection: Selection, safe: Mask) -> dict[str, Any]:
+    features = risk.features_of(kept.map_view, kept.estimate, config.landing)
+    costmap = selection.costmap
+    assert costmap is not None
+    _, judged = _on_grid(kept.truth, costmap)
+    rows, cols = np.nonzero(judged & np.isfinite(costmap.flatness) & features.open)
+    spread = np.s_[:: max(1, rows.size // SAMPLES)]
+    rows, cols = rows[spread], cols[spread]
+    return {
+        "predicted": selection.probability[rows, cols],
+        "safe": safe[rows, cols],
+        "features": features.values[rows, cols],
+    }
+
+
+def _from_outside(config: Config) -> bool:
+    return names_code(SLOTS["selector"], config.landing.selector)
+
+
+def chooser(config: Config, vehicle: VehicleModel) -> Callable[[KeptMap], Selection]:
+    """The configured selector as it is asked at the end of a survey. One from outside is built
+    once for each configuration."""
+    if not _from_outside(config):
+        return lambda kept: select_sites(
+            kept.map_view,
+            kept.estimate,
+            config.landing,
+            footprint_radius_m=vehicle.footprint_radius_m,
+        )
+    key = config.model_dump_json()
+    if key not in _BUILT:
+        rig = SelectorRig(vehicle=vehicle, landing=config.landing)
+        _BUILT[key] = ExternalSelector(config.landing.selector, params_of(config, "selector"), rig)
+    outside = _BUILT[key]
+    return lambda kept: outside.select(
+        SelectorInput(map_view=kept.map_view, estimate=kept.estimate)
+    )
+
+
+_BUILT: dict[str, ExternalSelector] = {}
 
 
 def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -102,16 +148,15 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
     ``precision``: share of chosen sites that are safe; ``precision_sites``: of all accepted ones;
     ``precision_cells`` and ``recall_cells`` of the cells; ``found``: share of scenes with safe
     ground where a site was accepted; ``regret_m``: mean loss of clearance relative to the best safe
-    site; ``calibration_error`` and ``reliability``: see
-    `landing.selection.terms.probability.calibration`."""
+    site; ``ms``: mean processor time of a choice; ``calibration_error`` and ``reliability``: see
+    `landing.selection.terms.probability.calibration`, None for a selector from outside."""
     chosen = [place["chosen_safe"] for place in places if place["chosen_safe"] is not None]
     offered = [place for place in places if place["best_clearance_m"] > 0.0]
     cells = {key: sum(place["cells"][key] for place in places) for key in _CELL_KEYS}
-    predicted, safe = (
-        np.concatenate([place["sample"][key] for place in places]) for key in ("predicted", "safe")
-    )
-    error, rows = risk.calibration(predicted, safe)
-    regrets = [place["best_clearance_m"] - _chosen_clearance(place) for place in offered]
+    error, rows = None, None
+    if all(place["sample"] is not None for place in places):
+        error, rows = risk.calibration(_gathered(places, "predicted"), _gathered(places, "safe"))
+    regrets = [_regret(place) for place in offered]
     return {
         "places": len(places),
         "precision": _share(sum(chosen), len(chosen)),
@@ -123,25 +168,14 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "recall_cells": _share(cells["both"], cells["safe"]),
         "found": _share(sum(place["accepted"] > 0 for place in offered), len(offered)),
         "regret_m": float(np.mean(regrets)) if regrets else None,
+        "ms": 1e3 * float(np.mean([place["seconds"] for place in places])),
         "calibration_error": error,
         "reliability": rows,
     }
 
 
-def check_scenes(
-    configs: Sequence[Config],
-    jobs: int,
-    report: Callable[[dict[str, Any]], None],
-    pictures: Sequence[Path | None] | None = None,
-) -> list[dict[str, Any]]:
-    """Returns `check_scene` of each, in ``jobs`` processes; calls ``report`` in the order given."""
-    files = pictures or [None] * len(configs)
-    if jobs == 1:
-        pairs = zip(configs, files, strict=True)
-        return [_reported(check_scene(config, file), report) for config, file in pairs]
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        return [_reported(place, report) for place in pool.map(check_scene, configs, files)]
+def _regret(place: dict[str, Any]) -> float:
+    return float(place["best_clearance_m"]) - _chosen_clearance(place)
 
 
 def fit(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -177,89 +211,190 @@ def _share(part: int, whole: int) -> float | None:
     return part / whole if whole else None
 
 
-def _reported(place: dict[str, Any], report: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
-    report(place)
-    return place
-
-
-def _region(surveyed: Surveyed) -> Array:
-    """Returns [[x_min, y_min], [x_max, y_max]] of the judged area."""
-    path = surveyed.survey.path
-    track = np.array([path.sample(t)[0][:2] for t in np.linspace(0.0, path.duration_s, 73)])
-    bounds = np.asarray(surveyed.scene.bounds_xy_m)
-    low = np.maximum(track.min(axis=0) - AROUND_M, bounds[0])
-    high = np.minimum(track.max(axis=0) + AROUND_M, bounds[1])
-    return np.array([low, high])
-
-
-def _value_at(truth: TruthMaps, raster: NDArray[Any], xy: Array) -> Any:
+def _value_at(truth: SafeGround, raster: NDArray[Any], xy: Array) -> Any:
     """Returns the raster's value at a point; False outside."""
     col, row = np.floor((xy - truth.origin_xy_m) / truth.cell_m).astype(int)
     inside = 0 <= row < raster.shape[0] and 0 <= col < raster.shape[1]
     return raster[row, col] if inside else False
 
 
-def _on_grid(truth: TruthMaps, costmap: CostmapView) -> tuple[Mask, Mask]:
-    """Returns the true safety at the centres of the cells, and the mask where it is known."""
+def _on_grid(ground: SafeGround, costmap: CostmapView) -> tuple[Mask, Mask]:
+    """Returns ``ground.safe`` at the centres of the costmap's cells, and the mask where it is
+    known."""
     rows, cols = costmap.total.shape
     x = costmap.origin_xy_m[0] + (np.arange(cols) + 0.5) * costmap.cell_m
     y = costmap.origin_xy_m[1] + (np.arange(rows) + 0.5) * costmap.cell_m
-    col = np.floor((x - truth.origin_xy_m[0]) / truth.cell_m).astype(int)
-    row = np.floor((y - truth.origin_xy_m[1]) / truth.cell_m).astype(int)
-    height, width = truth.safe_geometry.shape
+    col = np.floor((x - ground.origin_xy_m[0]) / ground.cell_m).astype(int)
+    row = np.floor((y - ground.origin_xy_m[1]) / ground.cell_m).astype(int)
+    height, width = ground.safe.shape
     inside = ((row >= 0) & (row < height))[:, None] & ((col >= 0) & (col < width))[None, :]
     near = np.ix_(np.clip(row, 0, height - 1), np.clip(col, 0, width - 1))
-    return truth.safe_geometry[near] & inside, inside
+    return ground.safe[near] & inside, inside
+
+
+def _seen(grid: GridMap, costmap: CostmapView) -> Mask:
+    """Cells of the costmap with returns."""
+    seen = SafeGround(origin_xy_m=grid.origin_xy_m, cell_m=grid.cell_m, safe=grid.count > 0)
+    return _on_grid(seen, costmap)[0]
 
 
 # ------------------------------------------------------------------------------- the command
 
 
-def run(
-    scenes: Sequence[str],
-    *,
-    seeds: str,
-    selector: str | None,
-    jobs: int,
-    fit_model: bool,
-    overrides: Sequence[str],
-    report: Callable[[dict[str, Any]], None],
-    pictures: Path | None = None,
-) -> dict[str, Any]:
-    """Checks every scene with every seed. Returns ``{"selector", "places": [...], "summary",
-    "fit"}``, the last one with ``fit_model`` only.
+@dataclass(frozen=True, slots=True)
+class Posed:
+    """Surveys without a flight, made for this comparison, in ``profile``."""
 
-    ``pictures``: folder for a figure of each scene. Raises UsageError for invalid seeds or a folder
-    that cannot be created, and as `load_config`."""
-    for name in scenes:
-        check_scene_name(name)
-    given = ["sim.threads=1", *overrides, *([f"landing.selector={selector}"] if selector else [])]
-    configs = [
-        load_config(
-            None,
-            given,
-            profile_default="ideal",
-            scene=scene,
-            seed=seed,
-            estimator="oracle",
-            record=False,
-        )
-        for scene in scenes
-        for seed in parse_seeds(seeds, "--seeds")
+    scenes: tuple[str, ...]
+    seeds: str
+    profile: str = "ideal"
+
+    def places(self) -> Iterator[tuple[str, int]]:
+        """Scene and seed of each. Raises UsageError for an unknown scene and invalid seeds."""
+        for scene in self.scenes:
+            check_scene_name(scene)
+        yield from ((s, n) for s in self.scenes for n in parse_seeds(self.seeds, "--seeds"))
+
+
+Place = tuple[str, int, str] | Path
+"""Scene, seed and profile of a survey; or the file of a kept map."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    place: Place
+    selectors: tuple[str | None, ...]
+    overrides: tuple[str, ...]
+    figure: Path | None = None
+
+
+def make_maps(
+    source: Posed, out: Path, jobs: int, overrides: Sequence[str], report: Callable[[Path], None]
+) -> list[Path]:
+    """Makes a map of each place and keeps it in the folder ``out``; calls ``report`` with each
+    file. Raises UsageError."""
+    tasks = [
+        (_config(source.profile, None, tuple(overrides), scene, seed), out)
+        for scene, seed in source.places()
     ]
-    files = None
+    out.mkdir(parents=True, exist_ok=True)
+    files = []
+    for file in _mapped(_make_and_write, tasks, jobs):
+        report(file)
+        files.append(file)
+    return files
+
+
+def _make_and_write(task: tuple[Config, Path]) -> Path:
+    config, out = task
+    return write_map(make_map(config), out)
+
+
+def run(
+    source: Posed | Path,
+    selectors: Sequence[str],
+    *,
+    jobs: int = 1,
+    fit_model: bool = False,
+    overrides: Sequence[str] = (),
+    report: Report,
+    pictures: Path | None = None,
+    worst: int | None = None,
+) -> dict[str, Any]:
+    """Checks the selectors on every place of ``source``: surveys to be made, or a folder of maps.
+
+    Returns ``{"selector", "places": [...], "summary", "beside", "fit"}``: the first four of the
+    first selector, `summary` of the others by name, and with ``fit_model`` the fit. ``pictures``:
+    folder for figures of the choices of the first one, of all places or of the ``worst`` by regret.
+    Raises UsageError for bad input, and as `load_config`."""
+    names: tuple[str | None, ...] = tuple(selectors) or (None,)
+    given = tuple(overrides)
+    for name in names:
+        check_parts_available(_config("field", name, given, "flat", 0))
+    places: list[Place] = (
+        list(map_files(source))
+        if isinstance(source, Path)
+        else [(scene, seed, source.profile) for scene, seed in source.places()]
+    )
+    files: dict[Place, Path] = {}
     if pictures is not None:
         from touchdown.experiments.benchmarks.selection.figures import figure_files
 
-        files = figure_files(configs, pictures)
-    places = check_scenes(configs, jobs, report, files)
-    figures: dict[str, Any] = {"selector": configs[0].landing.selector, "summary": summary(places)}
+        files = dict(zip(places, figure_files(list(map(_name_of, places)), pictures), strict=True))
+    first = files if worst is None else {}
+    tasks = [_Task(place, names, given, first.get(place)) for place in places]
+    found: list[list[dict[str, Any]]] = []
+    for results in _mapped(_checked, tasks, jobs):
+        report(results[0])
+        found.append(results)
+    if worst is not None:
+        order = sorted(range(len(places)), key=lambda n: _regret(found[n][0]), reverse=True)
+        drawn = [_Task(places[n], names[:1], given, files.get(places[n])) for n in order[:worst]]
+        list(_mapped(_checked, drawn, jobs))
+    mine = [results[0] for results in found]
+    chosen = names[0] or _config("field", None, given, "flat", 0).landing.selector
+    figures: dict[str, Any] = {"selector": chosen, "summary": summary(mine)}
+    if len(names) > 1:
+        figures["beside"] = {
+            str(name): summary([results[n] for results in found])
+            for n, name in enumerate(names[1:], start=1)
+        }
     if fit_model:
-        figures["fit"] = fit(places)
+        figures["fit"] = fit(mine)
     figures["places"] = [
-        {key: value for key, value in place.items() if key != "sample"} for place in places
+        {key: value for key, value in place.items() if key != "sample"} for place in mine
     ]
     return figures
+
+
+def _checked(task: _Task) -> list[dict[str, Any]]:
+    """`check_map` of one place by each selector."""
+    if isinstance(task.place, Path):
+        kept = read_map(task.place)
+    else:
+        scene, seed, profile = task.place
+        kept = make_map(_config(profile, None, task.overrides, scene, seed))
+    results = []
+    for number, name in enumerate(task.selectors):
+        config = _config(kept.profile, name, task.overrides, kept.scene, kept.seed)
+        results.append(check_map(kept, config, None if number else task.figure))
+    return results
+
+
+@functools.lru_cache(maxsize=256)
+def _config(
+    profile: str, selector: str | None, overrides: tuple[str, ...], scene: str, seed: int
+) -> Config:
+    chosen = [] if selector is None else [f"landing.selector={selector}"]
+    if not names_code(SLOTS["selector"], selector):  # parameters are for the one that is compared
+        overrides = tuple(one for one in overrides if not one.startswith("external.selector."))
+    return load_config(
+        None,
+        ["sim.threads=1", *overrides, *chosen],
+        profile_default=profile,
+        scene=scene,
+        seed=seed,
+        estimator="oracle",
+        record=False,
+    )
+
+
+def _mapped(function: Callable[[Any], Any], tasks: Sequence[Any], jobs: int) -> Iterator[Any]:
+    """Results in the order of ``tasks``, by ``jobs`` processes."""
+    if jobs == 1:
+        yield from map(function, tasks)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        yield from pool.map(function, tasks)
+
+
+def _name_of(place: Place) -> tuple[str, int]:
+    if isinstance(place, Path):
+        stem = place.name.removesuffix(SUFFIX)
+        scene, _, seed = stem.rpartition("-")
+        return scene, int(seed) if seed.isdecimal() else 0
+    return place[:2]
 
 
 def row(place: dict[str, Any]) -> str:
@@ -280,17 +415,24 @@ def row(place: dict[str, Any]) -> str:
 
 def text(figures: dict[str, Any]) -> str:
     """Returns the summary as text."""
-    total = figures["summary"]
+    rows = {figures["selector"]: figures["summary"], **figures.get("beside", {})}
+    width = max(map(len, (*rows, "selector")))
     lines = [
-        f"selector {figures['selector']}, {total['places']} scenes: precision of the chosen site "
-        f"{_percent(total['precision'])}, of all sites {_percent(total['precision_sites'])}, "
-        f"of cells {_percent(total['precision_cells'])}; recall of cells "
-        f"{_percent(total['recall_cells'])}; a site found in {_percent(total['found'])}",
-        f"regret {total['regret_m'] or 0.0:.2f} m; calibration error "
-        f"{total['calibration_error']:.4f}",
+        f"{'selector':{width}}  places  chosen safe  sites safe  cells safe  recall  found  "
+        "regret m    ms"
     ]
-    lines += [f"  predicted {mean:.3f}  safe {share:.3f}  ({number})"
-              for mean, share, number in total["reliability"]]  # fmt: skip
+    for name, total in rows.items():
+        shares = ("precision", "precision_sites", "precision_cells", "recall_cells", "found")
+        cells = [_percent(total[key]) for key in shares]
+        lines.append(
+            f"{name:{width}}  {total['places']:6}  {cells[0]:>11}  {cells[1]:>10}  {cells[2]:>10}"
+            f"  {cells[3]:>6}  {cells[4]:>5}  {total['regret_m'] or 0.0:8.2f}  {total['ms']:4.0f}"
+        )
+    total = figures["summary"]
+    if total["calibration_error"] is not None:
+        lines.append(f"calibration error of {figures['selector']} {total['calibration_error']:.4f}")
+        lines += [f"  predicted {mean:.3f}  safe {share:.3f}  ({number})"
+                  for mean, share, number in total["reliability"]]  # fmt: skip
     if "fit" in figures:
         weights = ", ".join(f"{weight:.2f}" for weight in figures["fit"]["weights"])
         lines.append(f"landing.risk_weights=[{weights}]")

@@ -1,0 +1,239 @@
+"""Maps of surveys kept with their true ground, one small file each, for selectors to be tried on.
+
+A survey without a flight makes a map in seconds; a selector needs milliseconds on it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.estimator.api import Estimate, GridMap, MapView
+from touchdown.experiments.benchmarks.posed_survey import (
+    build_posed_survey,
+    observe,
+    true_estimate,
+)
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.wiring import build_scene
+from touchdown.experiments.io.provenance import git_revision
+from touchdown.experiments.io.run_directory import whole_file
+from touchdown.scenes.api import Scene, short_name
+from touchdown.scenes.truth.maps import truth_maps
+from touchdown.sim.api import VehicleModel
+from touchdown.sim.files.opening import no_file
+from touchdown.sim.frames import Pose
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SUFFIX = ".map.npz"
+TRUTH_CELL_M = 0.1
+AROUND_M = 15.0
+"""width of the judged area beside the path: more than the field of view ahead, less than half of it
+aside"""
+_MARGIN_CELLS = 8
+"""kept around what was seen"""
+_STEPS = {
+    "count": 1e-3, "missing": 1e-3, "last_seen_s": 0.1, "rgb": 1.0, "intensity": 1.0,
+    "height_m": 1e-3, "height_std_m": 1e-3, "min_height_m": 1e-3, "max_height_m": 1e-3,
+    "histogram_base_m": 1e-3,
+}  # fmt: skip
+"""Layers that are kept as whole numbers of these; the noise of the LIDAR is 20 mm."""
+_UNKNOWN = np.int32(-(2**31))
+_VERSION = 1
+_MOST_BYTES = 1 << 29
+"""of the layers of one file, unpacked"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SafeGround:
+    """Where a touchdown is safe by the true geometry, world frame, which is the odom frame here."""
+
+    origin_xy_m: Array
+    """(2,) lower left corner"""
+    cell_m: float
+    safe: Mask
+    """(rows, cols)"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class KeptMap:
+    """One place as a survey at true poses mapped it, and its true ground."""
+
+    scene: str
+    seed: int
+    profile: str
+    revision: str | None
+    map_view: MapView
+    estimate: Estimate
+    """at the end of the survey"""
+    vehicle: VehicleModel
+    truth: SafeGround
+
+
+def make_map(config: Config) -> KeptMap:
+    """Surveys the configured scene without a flight. Raises ValueError as `build_scene`, and where
+    nothing was mapped."""
+    scene = build_scene(config)
+    survey = build_posed_survey(config, scene)
+    *_, (estimate, view) = observe(survey, survey.path, start_s=0.0)
+    if not view.coarse.count.any():
+        raise ValueError(f"scene '{config.scene}': the survey mapped nothing")
+    track = np.array(
+        [survey.path.sample(t)[0][:2] for t in np.linspace(0.0, survey.path.duration_s, 73)]
+    )
+    return KeptMap(
+        scene=config.scene,
+        seed=config.seed,
+        profile=config.profile,
+        revision=git_revision(),
+        map_view=MapView(version=view.version, coarse=_cropped(view.coarse), fine=None),
+        estimate=true_estimate(estimate.tick, estimate.time_s, estimate.odom_from_body),
+        vehicle=survey.rig.vehicle,
+        truth=_safe_ground(scene, track),
+    )
+
+
+def write_map(kept: KeptMap, folder: Path) -> Path:
+    """Writes ``SCENE-SEED.map.npz`` into ``folder``; returns its path."""
+    grid, truth = kept.map_view.coarse, kept.truth
+    layers: dict[str, Any] = {
+        name: _whole(layer, step)
+        for name, step in _STEPS.items()
+        if (layer := getattr(grid, name)) is not None
+    }
+    if grid.histogram is not None:
+        layers["histogram"] = grid.histogram
+    pose = kept.estimate.odom_from_body
+    about = {
+        "version": _VERSION,
+        **{key: getattr(kept, key) for key in ("scene", "seed", "profile", "revision")},
+        "map": {"origin_xy_m": grid.origin_xy_m.tolist(), "cell_m": grid.cell_m},
+        "truth": {
+            "origin_xy_m": truth.origin_xy_m.tolist(), "cell_m": truth.cell_m,
+            "shape": truth.safe.shape,
+        },
+        "pose": {"rotation": pose.rotation.tolist(), "translation": pose.translation.tolist()},
+        "time": [kept.estimate.tick, kept.estimate.time_s],
+        "vehicle": {
+            field.name: np.asarray(getattr(kept.vehicle, field.name)).tolist()
+            for field in dataclasses.fields(kept.vehicle)
+        },
+    }  # fmt: skip
+    packed = np.packbits(truth.safe)
+    file = folder / f"{short_name(kept.scene)}-{kept.seed}{SUFFIX}"
+    with whole_file(file) as partial, partial.open("wb") as opened:
+        np.savez_compressed(opened, about=np.array(json.dumps(about)), safe=packed, **layers)
+    return file
+
+
+def read_map(file: Path) -> KeptMap:
+    """Reads a file of `write_map`. Raises UsageError, one line, where it is none."""
+    if reason := no_file(file):
+        raise UsageError(f"'{file}' {reason}")
+    try:
+        with zipfile.ZipFile(file) as archive:
+            if sum(part.file_size for part in archive.infolist()) > _MOST_BYTES:
+                raise ValueError("it is too large")
+        with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as layers:
+            return _kept(json.loads(str(layers["about"])), {k: layers[k] for k in layers.files})
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise UsageError(
+            f"'{file}' is no map of `touchdown maps make`: {' '.join(str(error).split())}"
+        ) from error
+
+
+def map_files(folder: Path) -> list[Path]:
+    """The maps in ``folder``, by name. Raises UsageError where there is none."""
+    found = sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
+    if not found:
+        raise UsageError(
+            f"'{folder}' holds no map; make some by `touchdown maps make --out {folder}`"
+        )
+    return found
+
+
+def _kept(about: dict[str, Any], layers: dict[str, NDArray[Any]]) -> KeptMap:
+    if about["version"] != _VERSION:
+        raise ValueError(f"it is of version {about['version']}, and {_VERSION} is read")
+    shape = layers["count"].shape
+    if len(shape) != 2:
+        raise ValueError("its layers are no rasters")
+    for name, layer in layers.items():
+        if name not in ("about", "safe") and layer.shape[:2] != shape:
+            raise ValueError(f"its layer {name} has another size")
+    grid = GridMap(
+        origin_xy_m=np.array(about["map"]["origin_xy_m"], dtype=float).reshape(2),
+        cell_m=float(about["map"]["cell_m"]),
+        histogram=layers.get("histogram"),
+        **{name: _floats(layers[name], step) for name, step in _STEPS.items() if name in layers},
+    )
+    rows, cols = (int(n) for n in about["truth"]["shape"])
+    safe = np.unpackbits(layers["safe"], count=rows * cols).reshape(rows, cols).astype(bool)
+    pose = Pose(
+        np.array(about["pose"]["rotation"], dtype=float).reshape(3, 3),
+        np.array(about["pose"]["translation"], dtype=float).reshape(3),
+    )
+    vehicle: dict[str, Any] = {
+        key: np.array(value, dtype=float) if isinstance(value, list) else float(value)
+        for key, value in about["vehicle"].items()
+    }
+    tick, time_s = about["time"]
+    return KeptMap(
+        scene=str(about["scene"]),
+        seed=int(about["seed"]),
+        profile=str(about["profile"]),
+        revision=about["revision"],
+        map_view=MapView(version=1, coarse=grid, fine=None),
+        estimate=true_estimate(int(tick), float(time_s), pose),
+        vehicle=VehicleModel(**vehicle),
+        truth=SafeGround(
+            origin_xy_m=np.array(about["truth"]["origin_xy_m"], dtype=float).reshape(2),
+            cell_m=float(about["truth"]["cell_m"]),
+            safe=safe,
+        ),
+    )
+
+
+def _whole(layer: NDArray[np.float32], step: float) -> NDArray[np.int32]:
+    known = np.isfinite(layer)
+    return np.where(known, np.round(np.where(known, layer, 0.0) / step), _UNKNOWN).astype(np.int32)
+
+
+def _floats(layer: NDArray[np.int32], step: float) -> NDArray[np.float32]:
+    return np.where(layer == _UNKNOWN, np.nan, layer * step).astype(np.float32)
+
+
+def _cropped(grid: GridMap) -> GridMap:
+    """The part of the map that was seen, with a margin."""
+    seen = np.argwhere((grid.count > 0) | (grid.missing > 0))
+    low = np.maximum(seen.min(axis=0) - _MARGIN_CELLS, 0)
+    high = seen.max(axis=0) + 1 + _MARGIN_CELLS
+    box = (slice(low[0], high[0]), slice(low[1], high[1]))
+    layers = {
+        field.name: getattr(grid, field.name)[box].copy()
+        for field in dataclasses.fields(grid)
+        if isinstance(getattr(grid, field.name), np.ndarray) and field.name != "origin_xy_m"
+    }
+    origin = grid.origin_xy_m + grid.cell_m * low[::-1]
+    return dataclasses.replace(grid, origin_xy_m=origin, **layers)
+
+
+def _safe_ground(scene: Scene, track_xy: Array) -> SafeGround:
+    bounds = np.asarray(scene.bounds_xy_m)
+    low = np.maximum(track_xy.min(axis=0) - AROUND_M, bounds[0])
+    high = np.minimum(track_xy.max(axis=0) + AROUND_M, bounds[1])
+    truth = truth_maps(scene, TRUTH_CELL_M, np.array([low, high]))
+    return SafeGround(
+        origin_xy_m=np.asarray(truth.origin_xy_m), cell_m=truth.cell_m, safe=truth.safe_geometry
+    )

@@ -1,0 +1,144 @@
+"""Kept maps of surveys, and selectors judged on them: known answers on maps made by hand."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.estimator.api import GridMap, MapView
+from touchdown.experiments.benchmarks.posed_survey import true_estimate
+from touchdown.experiments.benchmarks.selection.maps import (
+    KeptMap,
+    SafeGround,
+    map_files,
+    read_map,
+    write_map,
+)
+from touchdown.experiments.errors import UsageError
+from touchdown.sim.frames import Pose
+
+from support.command import Says
+from support.landing_support import make_rig
+
+CELL = 0.2
+PICKS = """
+import numpy as np
+from touchdown.landing import api
+
+class Picks:
+    def __init__(self, params):
+        self.x = params["x"]
+    def select(self, seen):
+        grid = seen.map_view.coarse
+        east = grid.origin_xy_m[0] + (np.arange(grid.count.shape[1]) + 0.5) * grid.cell_m
+        value = np.where(grid.count > 0, 0.0, np.nan) - np.abs(east - self.x)
+        layer = api.TermLayer(name="near", value=value, quantity=value)
+        term = api.ScoreTerm(name="near", value=0.0, quantity=0.0, unit="")
+        site = api.Site(position_odom=np.array([self.x, 0.1]), terms=(term,))
+        return api.RankedSites(sites=(site,), layers=(layer,))
+
+def build(params, rig):
+    return Picks(params)
+"""
+
+
+@pytest.fixture
+def kept() -> KeptMap:
+    """20 m x 20 m of level ground, all of it seen but for the last column; by the truth it is safe
+    up to 4 m east."""
+    shape = (100, 100)
+    zeros = np.zeros(shape, dtype=np.float32)
+    grid = GridMap(
+        origin_xy_m=np.array([-10.0, -10.0]), cell_m=CELL, count=zeros + 5.0, height_m=zeros + 0.25,
+        height_std_m=zeros + 0.012, min_height_m=zeros - 0.5, max_height_m=zeros + 0.5,
+        rgb=np.full((*shape, 3), 90.0, dtype=np.float32), intensity=zeros + 30.0,
+        missing=zeros, last_seen_s=zeros + 7.5,
+    )  # fmt: skip
+    for layer in (grid.height_m, grid.height_std_m, grid.rgb):
+        layer[:, -1] = np.nan
+    grid.count[:, -1] = 0.0
+    safe = np.zeros((200, 200), dtype=bool)
+    safe[:, :140] = True
+    return KeptMap(
+        scene="crossroad", seed=4, profile="field", revision="abc",
+        map_view=MapView(version=1, coarse=grid, fine=None),
+        estimate=true_estimate(960, 1.0, Pose(np.eye(3), np.array([0.0, 0.0, 30.0]))),
+        vehicle=make_rig().vehicle,
+        truth=SafeGround(origin_xy_m=np.array([-10.0, -10.0]), cell_m=0.1, safe=safe),
+    )  # fmt: skip
+
+
+def test_a_map_is_read_as_it_was_written(kept: KeptMap, tmp_path: Path) -> None:
+    file = write_map(kept, tmp_path)
+    assert file.name == "crossroad-4.map.npz" and map_files(tmp_path) == [file]
+    again = read_map(file)
+    for field in dataclasses.fields(GridMap):
+        ours, theirs = (getattr(m.map_view.coarse, field.name) for m in (kept, again))
+        if ours is not None:
+            np.testing.assert_allclose(theirs, ours, atol=5e-4)
+    np.testing.assert_array_equal(again.truth.safe, kept.truth.safe)
+    np.testing.assert_array_equal(again.vehicle.rotor_xy_m, kept.vehicle.rotor_xy_m)
+    assert again.vehicle.mass_kg == kept.vehicle.mass_kg
+    assert (again.scene, again.seed, again.profile, again.revision) == (
+        "crossroad", 4, "field", "abc",
+    )  # fmt: skip
+    assert again.estimate.odom_from_body.translation.tolist() == [0.0, 0.0, 30.0]
+
+
+@pytest.mark.parametrize(("x", "safe", "clearance"), [(0.1, True, 3.0), (2.5, True, 1.5),
+                                                      (6.0, False, 0.0)])  # fmt: skip
+def test_a_choice_is_judged_by_the_true_ground(
+    x: float, safe: bool, clearance: float, kept: KeptMap, tmp_path: Path, says: Says,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    (tmp_path / "picks.py").write_text(PICKS)
+    monkeypatch.syspath_prepend(tmp_path)
+    write_map(kept, tmp_path)
+    found = _json(says, "bench", "selector", "--maps", tmp_path, "--selector", "picks:build",
+                  "--set", f"external.selector.x={x}", "--pictures", tmp_path / "worst",
+                  "--worst", "1")  # fmt: skip
+    (place,), total = found["places"], found["summary"]
+    assert place["chosen_safe"] is safe and place["clearance_m"] == pytest.approx(
+        clearance, abs=0.11
+    )
+    assert total["precision"] == float(safe) and place["best_clearance_m"] == 3.0
+    assert total["regret_m"] == pytest.approx(3.0 - clearance, abs=0.11)
+    assert place["cells"]["safe"] == 70 * 100
+    assert total["calibration_error"] is None and total["ms"] > 0.0
+    assert found["beside"].keys() == {"risk", "zou2024"}
+    assert [file.name for file in (tmp_path / "worst").iterdir()] == ["site_crossroad.jpg"]
+
+
+def _json(says: Says, *arguments: Any) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(says(0, *arguments, "--json").out)
+    return found
+
+
+def test_wrong_maps_are_one_line(kept: KeptMap, tmp_path: Path, says: Says) -> None:
+    err = says(2, "bench", "selector", "--maps", tmp_path).err
+    assert "holds no map; make some by `touchdown maps make" in err
+    file = write_map(kept, tmp_path)
+    whole = file.read_bytes()
+    for content in (b"", b"PK", whole[: len(whole) // 2]):
+        file.write_bytes(content)
+        with pytest.raises(UsageError, match="is no map of `touchdown maps make`"):
+            read_map(file)
+    np.savez(file.with_suffix(""), about=np.array('{"version": 9}'))
+    with pytest.raises(UsageError, match="no map"):
+        read_map(file)
+    assert "exclude each other" in says(2, "bench", "selector", "flat", "--maps", tmp_path).err
+
+
+def test_a_survey_is_kept_with_its_true_ground(tmp_path: Path, says: Says) -> None:
+    short = ("survey.legs=1", "survey.leg_length_m=8", "survey.duration_s=5", "survey.height_m=12")
+    sets = [part for one in short for part in ("--set", one)]
+    says(0, "maps", "make", "crossroad", "--seeds", "2", "--out", tmp_path, *sets)
+    kept = read_map(tmp_path / "crossroad-2.map.npz")
+    grid = kept.map_view.coarse
+    assert 0.2 < (grid.count > 0).mean() < 1.0 and grid.histogram is not None
+    assert 0.2 < kept.truth.safe.mean() < 1.0
+    found = _json(says, "bench", "selector", "--maps", tmp_path, *sets)
+    assert found["summary"]["precision"] == 1.0 and found["selector"] == "risk"
