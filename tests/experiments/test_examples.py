@@ -1,0 +1,39 @@
+"""The examples that are files of their own run as their page says."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import touchdown
+
+ROOT = Path(__file__).parents[2]
+
+
+def example(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, name, module)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_odometry_keeps_the_contract(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("small_gicp")
+    assert touchdown.check_estimator(example("gicp_odometry", monkeypatch).build) == []
+
+
+def test_a_policy_is_trained_and_judged_before_and_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("stable_baselines3")
+    given = ["--steps", "256", "--episodes", "1", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", ["train_ppo.py", *given])
+    example("train_ppo", monkeypatch).main()
+    before, after, saved = capsys.readouterr().out.splitlines()[-3:]
+    assert before.startswith("before: mean return ") and after.startswith("after: mean return ")
+    assert before.split(": ")[1] != after.split(": ")[1]  # the policy has changed
+    assert Path(saved).stat().st_size > 10_000
