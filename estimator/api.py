@@ -207,8 +207,22 @@ class MapView:
     fine: GridMap | None
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MapperRig:
+    """What a mapper knows before the flight."""
+
+    sensors: SensorRig
+    """calibration and data sheets, as an estimator knows them"""
+    mapper: MapperParams
+    """keys ``mapper.*``: cells and extents of both maps, and below which height the fine one is
+    wanted"""
+
+
 class Mapper(Protocol):
-    """``update`` is called once a control step with the arrived messages and the estimate."""
+    """``update`` is called once a control step with the arrived messages and the estimate. Scans
+    and images arrive ``compute_latency_ticks`` late; the map that is returned is used at once. It
+    must be deterministic, must not modify its input, and must not change a map that it has
+    returned before but for filling it further."""
 
     needs: SensorNeeds
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal, Protocol
@@ -18,7 +19,7 @@ from touchdown.landing.parameters import SelectorParams as SelectorParams
 from touchdown.landing.parameters import SurveyParams as SurveyParams
 from touchdown.landing.parameters import TermName as TermName
 from touchdown.landing.parameters import Zou2024SelectorParams as Zou2024SelectorParams
-from touchdown.sim.api import Observation, SensorNeeds, VehicleModel
+from touchdown.sim.api import Observation, SensorNeeds, SensorRig, VehicleModel
 
 Array = NDArray[np.float64]
 
@@ -273,8 +274,24 @@ class GroundPrediction:
     """(N,) False where an image lies far from the training data"""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ClassifierRig:
+    """What a ground classifier knows before the flight."""
+
+    classes: tuple[str, ...]
+    """of the ground, in the order of probabilities: ``scenes.api.LAND_CLASSES``"""
+    patch_m: float
+    """side of the square of ground that an image shows, metres"""
+    landing: LandingParams
+    """keys ``landing.*``: the classes that are landed on and more"""
+
+
 class GroundClassifier(Protocol):
-    """Predicts the class of the ground in square aerial images."""
+    """Predicts the class of the ground in square aerial images. ``classify`` is called at a
+    decision with patches around candidate sites, ``landing.classifier_batch`` at most, and at the
+    second look with one; each call takes ``landing.classifier_batch_latency_s`` of simulated time
+    at a decision. Images are level and along the axes of the camera, without haze and lens
+    distortion. It must be deterministic and must not modify its input."""
 
     @property
     def image_size(self) -> int:
@@ -288,14 +305,29 @@ class GroundClassifier(Protocol):
         """Returns the predictions for images (N, S, S, 3) RGB with S = ``image_size``."""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LanderRig:
+    """What a lander knows before the flight."""
+
+    sensors: SensorRig
+    """calibration and data sheets, as an estimator knows them; with the take-off pose"""
+    landing: LandingParams
+    """keys ``landing.*``: speeds, limits, ``survey_only`` and more"""
+    survey: SurveyParams
+    """keys ``survey.*``: what is to be surveyed"""
+    select: Callable[[SelectorInput], Selection]
+    """the flight's selector, shipped or external"""
+    classifier: GroundClassifier | None
+    """the flight's ground classifier; None without one"""
+
+
 class Lander(Protocol):
-    """Flies the mission: turns estimates and maps into setpoints."""
+    """Flies the mission: turns estimates and maps into setpoints. The phase of ``view`` tells the
+    referee what is flown: SURVEY is judged, a touchdown counts from DESCEND on and in RETURN,
+    and in DONE the flight is over once the vehicle is at rest. It must be deterministic and must
+    not modify its input; what it decides takes no simulated time but what it hovers for."""
 
     needs: SensorNeeds
-
-    @property
-    def phase(self) -> Phase:
-        """Current phase of the mission."""
 
     def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:
         """Returns the setpoint of this control step; called once a step."""

@@ -22,7 +22,10 @@ AXES: Mapping[str, str] = {
 """Short names of axes and the keys that they set; any other key is an axis by its own name."""
 
 _FIRST = ("scene", "estimator", "seed")
-_LABELS = {"wind_kmh": "w", "faults.events": "", "profile": "", "harsh_effects": "", "preset": ""}
+_LABELS = {
+    "wind_kmh": "w", "faults.events": "", "profile": "", "harsh_effects": "", "preset": "",
+    **{name: "" for slot in SLOTS.values() for name in (slot.kind, slot.key)},
+}  # fmt: skip
 """Prefixes of the values of an axis in run names, where it is not the last part of its key."""
 
 

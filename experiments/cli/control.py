@@ -32,12 +32,15 @@ def control_margins(config_file: Path | None, overrides: tuple[str, ...], as_jso
     import dataclasses
 
     from touchdown.controller.design import loop_margins
+    from touchdown.experiments.config.files import check_named_code
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.flight.wiring import build_scene
     from touchdown.sim.airframe.vehicle import vehicle_model
 
     # No estimator is built.
     config = load_config(config_file, overrides, allow_code=True)
+    if config_file is not None:
+        check_named_code(config_file, [("scene", config.scene)])
     scene = usage_errors(lambda: build_scene(config))
     margins = loop_margins(vehicle_model(scene.model), config.control)
     rows = [dataclasses.asdict(margin) for margin in margins]

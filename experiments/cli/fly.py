@@ -220,6 +220,7 @@ def _take_scene(options: dict[str, Any]) -> None:
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.config.slots import external_parts
     from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
@@ -240,6 +241,9 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     )
     if out is None:
         suffix = "" if config.preset == "whole" else f"-{config.preset}"
+        suffix += "".join(
+            f"-{n.replace(':', '.')}" for k, n in external_parts(config) if k != "estimator"
+        )
         out = default_out_dir(config.scene, config.estimator, config.seed, suffix)
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
     with live_viewer(options["live"]) as view:

@@ -180,6 +180,8 @@ def _part(kind: str, name: str, overrides: tuple[str, ...]) -> Findings:
         )
     limit_threads()
     chosen: dict[str, Any] = {kind: name}
+    if kind == "lander":
+        chosen["preset"] = "short"  # its mission is flown to the end
     config = load_config(None, overrides, **chosen)
     build = external_builder(name, kind)
     return EXAMINERS[kind](build, RIGS[kind](config, synthetic_rig()), params_of(config, kind))

@@ -40,8 +40,8 @@ class Findings:
 
 
 class LatencyWatch:
-    """Wall times of calls, each measured in a ``with`` of its own. The first call is left out of
-    the mean: it may compile, or load a file."""
+    """Wall times of calls, each measured in a ``with`` of its own. The longest of each hundred, one
+    at least, are left out of the mean: they may compile, or load a file."""
 
     def __init__(self) -> None:
         self._times: list[float] = []
@@ -55,13 +55,14 @@ class LatencyWatch:
 
     @property
     def mean_s(self) -> float:
-        """Of all calls but the first; of that where there is no other; 0 without calls."""
-        times = self._times[1:] or self._times or [0.0]
-        return sum(times) / len(times)
+        """Of all calls but the longest; of that where there is no other; 0 without calls."""
+        times = sorted(self._times)
+        kept = times[: -1 - len(times) // 100] or times or [0.0]
+        return sum(kept) / len(kept)
 
     def text(self) -> str:
         """Such as "0.31 ms a call, 6.2 ms the longest (200 calls)"."""
-        longest = max(self._times[1:] or self._times or [0.0])
+        longest = max(self._times, default=0.0)
         mean_ms, longest_ms = 1e3 * self.mean_s, 1e3 * longest
         return (
             f"{mean_ms:.3g} ms a call, {longest_ms:.3g} ms the longest ({len(self._times)} calls)"

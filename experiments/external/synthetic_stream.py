@@ -314,8 +314,8 @@ class SyntheticStream:
         )
 
 
-def _ground(xy: Array) -> Array:
-    """(N,) heights of the ground under (N, 2)."""
+def ground_height(xy: Array) -> Array:
+    """(N,) heights of the synthetic ground under (N, 2), world frame."""
     x, y = xy[:, 0], xy[:, 1]
     return np.asarray(0.06 * np.sin(0.9 * x + 0.3) * np.cos(0.7 * y) - 0.06)
 
@@ -327,5 +327,5 @@ def _ranges_to_ground(origins: Array, rays: Array) -> Array:
     distances = -height / rays[:, 2]
     for _ in range(6):
         at = origins + distances[:, None] * rays
-        distances = (_ground(at[:, :2]) - height) / rays[:, 2]
+        distances = (ground_height(at[:, :2]) - height) / rays[:, 2]
     return np.asarray(distances)

@@ -72,7 +72,8 @@ class Trial:
         if reason := wrong_signature(self._build):
             self.note("builds", reason)
             return None
-        before, rig = digest(self.rig), copy.deepcopy(self.rig)
+        rig = copy.deepcopy(self.rig)
+        before = digest(rig)
         part, error = call(self._build, copy.deepcopy(dict(self._params)), rig)
         if error is not None:
             self.note("builds", f"build raised {describe_error(error)}", trace_of(error))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, Estimator, ImageThinning, spare_sensors
 from touchdown.experiments.api import Outcome
+from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.config.keys import is_external_key
 from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_values
 from touchdown.experiments.config.schema import Config
@@ -137,7 +138,10 @@ def replay_config(
         return not fresh and is_key(key) and (same or not is_external_key(key))
 
     file = run / "config.json"
-    config = load_config(file, overrides, take, allow_code=allow_code, estimator=estimator)
+    config = load_config(file, overrides, take, allow_code=True, estimator=estimator)
+    set_here = {text.partition("=")[0].strip() for text in overrides}
+    if not allow_code and estimator is None and "estimator" not in set_here:
+        check_named_code(file, [("estimator", config.estimator)])  # a scene of code is not made
     if gone and not fresh:
         warnings.warn(f"'{run}' has parameters that are gone: {', '.join(gone)}", stacklevel=2)
     return config

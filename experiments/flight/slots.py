@@ -3,15 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from touchdown.controller.api import ControllerRig
+from touchdown.estimator.api import MapperRig
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import external_parts, params_of
 from touchdown.experiments.external.loading import check_external
-from touchdown.experiments.external.parts import ExternalController, ExternalSelector
+from touchdown.experiments.external.parts import (
+    ExternalClassifier,
+    ExternalController,
+    ExternalLander,
+    ExternalMapper,
+    ExternalSelector,
+)
 from touchdown.experiments.external.wrapper import ExternalPart
-from touchdown.landing.api import SelectorRig
+from touchdown.landing.api import (
+    ClassifierRig,
+    GroundClassifier,
+    LanderRig,
+    Selection,
+    SelectorInput,
+    SelectorRig,
+)
+from touchdown.landing.selection.selector import shipped_selection
+from touchdown.scenes.api import LAND_CLASSES
 from touchdown.sim.api import SensorRig
 
 
@@ -25,10 +42,39 @@ def _controller_rig(config: Config, sensors: SensorRig) -> ControllerRig:
     )
 
 
+def _classifier_rig(config: Config, _sensors: SensorRig) -> ClassifierRig:
+    params = config.landing
+    return ClassifierRig(classes=LAND_CLASSES, patch_m=params.classifier_patch_m, landing=params)
+
+
+def _mapper_rig(config: Config, sensors: SensorRig) -> MapperRig:
+    return MapperRig(sensors=sensors, mapper=config.mapper)
+
+
+def lander_rig(
+    config: Config,
+    sensors: SensorRig,
+    select: Callable[[SelectorInput], Selection] | None,
+    classifier: GroundClassifier | None,
+) -> LanderRig:
+    """The rig of a lander; without ``select`` with the shipped selector."""
+    shipped = partial(shipped_selection, rig=_selector_rig(config, sensors))
+    return LanderRig(
+        sensors=sensors,
+        landing=config.landing,
+        survey=config.survey,
+        select=select or shipped,
+        classifier=classifier,
+    )
+
+
 RIGS: Mapping[str, Callable[[Config, SensorRig], Any]] = {
     "estimator": lambda _config, sensors: sensors,
     "selector": _selector_rig,
     "controller": _controller_rig,
+    "classifier": _classifier_rig,
+    "mapper": _mapper_rig,
+    "lander": lambda config, sensors: lander_rig(config, sensors, None, None),
 }
 """What a part of each kind is built with, from the configuration and the rig as the estimator knows
 it."""
@@ -55,6 +101,31 @@ def external_controller(config: Config, sensors: SensorRig) -> ExternalControlle
     return ExternalController(
         name, params_of(config, "controller"), _controller_rig(config, sensors)
     )
+
+
+def external_classifier(config: Config, sensors: SensorRig) -> ExternalClassifier | None:
+    """The configured classifier; None for a shipped one, for a survey alone, and for a selector
+    without the gate ``class``."""
+    name = external_name(config, "classifier")
+    gated = "class" in config.landing.chosen_selector.gates
+    if name is None or config.landing.survey_only or not gated:
+        return None
+    rig = _classifier_rig(config, sensors)
+    return ExternalClassifier(name, params_of(config, "classifier"), rig)
+
+
+def external_mapper(config: Config, sensors: SensorRig) -> ExternalMapper | None:
+    """The configured mapper; None for a shipped one, and where no map is wanted."""
+    name = external_name(config, "mapper")
+    if name is None or not config.mapper.enabled:
+        return None
+    return ExternalMapper(name, params_of(config, "mapper"), _mapper_rig(config, sensors))
+
+
+def external_lander(config: Config, rig: LanderRig) -> ExternalLander | None:
+    """The configured lander; None for a shipped one."""
+    name = external_name(config, "lander")
+    return None if name is None else ExternalLander(name, params_of(config, "lander"), rig)
 
 
 def external_of(*built: Any) -> tuple[ExternalPart, ...]:

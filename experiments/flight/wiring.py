@@ -20,7 +20,16 @@ from touchdown.experiments.external.loading import check_external, is_external
 from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalPart
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
 from touchdown.experiments.flight.estimator_calibration import nominal_rig
-from touchdown.experiments.flight.slots import external_controller, external_of, external_selector
+from touchdown.experiments.flight.slots import (
+    external_classifier,
+    external_controller,
+    external_lander,
+    external_mapper,
+    external_name,
+    external_of,
+    external_selector,
+    lander_rig,
+)
 from touchdown.landing.api import Lander
 from touchdown.scenes.api import LowSun, Scene, names_function
 from touchdown.scenes.registry import scene_names
@@ -99,19 +108,22 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     from touchdown.landing.mission.lander import SiteLander
 
     make_estimator = _estimator_factory(config)
-    classifier = build_classifier(config)
+    network = build_classifier(config)
     world = make_world(config, scene)
     try:
         rig = nominal_rig(world.rig, config)
         own_estimator = make_estimator(rig, world.truth)
         selector, controller = external_selector(config, rig), external_controller(config, rig)
+        own_classifier, own_mapper = external_classifier(config, rig), external_mapper(config, rig)
+        classifier = own_classifier or network
+        select = None if selector is None else selector.select
+        own_lander = external_lander(config, lander_rig(config, rig, select, classifier))
     except ValueError:
         world.close()
         raise
     estimator = _biased(own_estimator, config)
-    mapper = _mapper(config, rig)
-    select = None if selector is None else selector.select
-    lander = SiteLander(rig, config.landing, config.survey, classifier, select)
+    mapper = own_mapper or _mapper(config, rig)
+    lander = own_lander or SiteLander(rig, config.landing, config.survey, classifier, select)
     needs = estimator.needs
     if config.mapper.enabled:
         needs = needs | mapper.needs | lander.needs
@@ -126,16 +138,21 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         record=world.record,
         nominal_rig=rig,
         network=None if classifier is None else classifier.description(),
-        external=external_of(own_estimator, selector, controller),
+        external=external_of(
+            own_estimator, selector, controller, own_classifier, own_mapper, own_lander
+        ),
     )
 
 
 def classifier_file(config: Config) -> Path | None:
     """The network file of the ground classifier. None for ``off``, for a survey alone, for a
-    selector without the gate ``class``, and for ``auto`` without a shipped network."""
+    selector without the gate ``class``, for ``auto`` without a shipped network, and for an external
+    classifier."""
     from touchdown.landing.classification.onboard import SHIPPED
 
     wanted, gates = config.landing.classifier, config.landing.chosen_selector.gates
+    if external_name(config, "classifier") is not None:
+        return None
     if wanted == "off" or config.landing.survey_only or "class" not in gates:
         return None
     if wanted != "auto":

@@ -35,7 +35,7 @@ class SiteLander:
 
     @property
     def phase(self) -> Phase:
-        """As `landing.api.Lander.phase`."""
+        """Current phase of the mission."""
         return self._mission.phase
 
     def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:

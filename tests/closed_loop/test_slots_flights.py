@@ -8,7 +8,10 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.run import fly
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = {"selector": "flat_disc", "controller": "lqr"}
+EXAMPLES = {
+    "selector": "flat_disc", "lander": "straight_in", "controller": "lqr", "mapper": "plain_map",
+    "classifier": "colours",
+}  # fmt: skip
 
 
 @pytest.mark.slow
@@ -24,7 +27,6 @@ def test_an_example_lands_and_the_result_names_it(
     assert result.parts is not None and result.parts_sha is not None
     assert result.parts.model_dump(exclude_none=True) == {kind: name}
     assert len(getattr(result.parts_sha, kind)) == 12
-    assert result.choice is not None
     if kind == "selector":
-        assert result.choice.selector == name
+        assert result.choice is not None and result.choice.selector == name
         assert [term.name for term in result.choice.candidates[0].terms] == ["disc", "distance"]

@@ -27,6 +27,7 @@ from touchdown.experiments.benchmarks.limit.information import (
     motion_information,
 )
 from touchdown.experiments.benchmarks.limit.surface import TruePath, TrueSurface
+from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay, replay_config
 from touchdown.experiments.io.provenance import git_revision
@@ -186,6 +187,7 @@ def build(run: Path) -> Problem:
     """Reads a logged survey. Raises UsageError."""
     logged = open_run(run)
     config = replay_config(run)
+    check_named_code(run / "config.json", [("scene", config.scene)])
     rig = logged.sensors.rig
     if not np.isfinite(logged.from_s):
         raise UsageError(f"'{run}' never took off: fly a survey with --log-sensors")

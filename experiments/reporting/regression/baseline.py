@@ -14,6 +14,7 @@ from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.config.profiles import PRESETS, WHOLE
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.foreign import read_object, shown
+from touchdown.experiments.io.results import PartNames
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.reporting.flights import Row, number
 from touchdown.scenes.api import short_name
@@ -106,7 +107,7 @@ def _trial_of(seed: int, row: Row) -> Trial:
 
 def _variant(row: Row) -> str:
     """The variant of a run: "land" for landings, the preset of a flight that is not whole, then the
-    further axes at the end of its name."""
+    further axes at the end of its name, or the parts that are not those by default."""
     name = str(row["run_id"]).rpartition("/")[2]
     start = f"{short_name(row['scene'])}-{row['estimator']}-s{row['seed']}-"
     parts = ["land"] if row["mode"] == "land" else []
@@ -116,6 +117,9 @@ def _variant(row: Row) -> str:
     if name.startswith(start):
         further = [p for p in name.removeprefix(start).split("-") if p not in PRESETS]
         parts += ["-".join(further)] if further else []
+    else:
+        named = (row.get(f"parts.{kind}") for kind in PartNames.model_fields)
+        parts += [str(part) for part in named if part]
     return " ".join(parts)
 
 

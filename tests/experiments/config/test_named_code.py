@@ -107,6 +107,11 @@ def test_a_toml_beside_results_is_theirs(unpacked: Path, key: str) -> None:
             read(plan if read is load_plan else file)
     assert not (unpacked / "imported").exists()
     assert load_config(file, **{key: "gps" if key == "estimator" else "flat"})
+    (unpacked / "run" / "config.json").write_text(dump_config(load_config(scene=NAME)))
+    if key == "scene":
+        assert replay_config(unpacked / "run").scene == NAME  # which a replay does not make
+        assert cli.main(["control", "margins", "--config", "run/config.json"]) == 2
+        assert not (unpacked / "imported").exists()
 
 
 def test_python(unpacked: Path) -> None:

@@ -14,24 +14,43 @@ import pytest
 from touchdown.experiments.campaign.directory import check_external_code, parts_named
 from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.config.loading import dump_config, load_config
-from touchdown.experiments.config.slots import SLOTS, params_of
+from touchdown.experiments.config.slots import SLOTS, other_parts, params_of
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.examine import EXAMINERS, RULES
 from touchdown.experiments.external.loading import external_builder
-from touchdown.experiments.external.parts import ExternalController, ExternalSelector
-from touchdown.experiments.external.synthetic_stream import synthetic_rig
+from touchdown.experiments.external.parts import (
+    ExternalClassifier,
+    ExternalController,
+    ExternalLander,
+    ExternalMapper,
+    ExternalSelector,
+)
+from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
+from touchdown.experiments.external.trial_classifier import textures
 from touchdown.experiments.external.trial_controller import setpoint_at
+from touchdown.experiments.external.trial_lander import FollowedSetpoints
+from touchdown.experiments.external.trial_mapper import true_estimate
 from touchdown.experiments.external.trial_selector import hovering, synthetic_map
 from touchdown.experiments.external.wrapper import LONGEST_CALL_S, ExternalPartError, slowness
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.slots import RIGS
+from touchdown.experiments.reporting.document import part_sentences
+from touchdown.experiments.reporting.regression.baseline import cells_of
 from touchdown.landing.api import SelectorInput, SelectorParams
+from touchdown.sim.api import SensorNeeds
 
 from support.command import Says
 
 ROOT = Path(__file__).parents[3]
 OTHERS = [kind for kind in SLOTS if kind != "estimator"]
-EXAMPLES = {"selector": "flat_disc", "controller": "lqr"}
+LAWN = """<mujoco><worldbody>
+<light pos="0 0 50" dir="0 0 -1"/>
+<geom name="lawn" type="plane" size="60 60 1"/>
+</worldbody></mujoco>"""
+EXAMPLES = {
+    "selector": "flat_disc", "lander": "straight_in", "controller": "lqr", "mapper": "plain_map",
+    "classifier": "colours",
+}  # fmt: skip
 """Modules of `examples/` by kind."""
 
 
@@ -56,7 +75,7 @@ def brought(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 
 
 def examined(kind: str, name: str, *overrides: str) -> Any:
-    config = load_config(None, overrides, **{kind: name})
+    config = load_config(None, ["preset=short", *overrides], **{kind: name})
     rig = RIGS[kind](config, synthetic_rig())
     return EXAMINERS[kind](external_builder(name, kind), rig, params_of(config, kind))
 
@@ -129,7 +148,7 @@ def test_finished_runs_of_other_code_stop_a_campaign(
     file = tmp_path / "plan.toml"
     file.write_text(f'name = "t"\n[axes]\nscene = ["flat"]\nselector = ["risk", "{name}"]\n')
     plan = load_plan(file)
-    assert [run.run_id for run in plan.runs][1].endswith(f"-selector{name.replace(':', '.')}")
+    assert [run.run_id for run in plan.runs][1].endswith(f"-s0-{name.replace(':', '.')}")
     row = {"run_id": "r", "estimator": "livo", "parts.selector": name, "parts_sha.selector": "0"}
     monkeypatch.setattr("touchdown.experiments.campaign.directory.refresh", lambda _: [row])
     (tmp_path / "campaign.json").write_text("{}")
@@ -181,11 +200,58 @@ BROKEN: list[tuple[str, str, str, str, str]] = [
     ("controller", "if not setpoint.motors_on", "if False", "stop", "left rotors turning"),
     ("controller", SPEEDS, "return Command(rotor_speed_radps=speeds + np.random.rand())",
      "deterministic", "differ"),
+    ("lander", "def view", "def state", "builds", "has no method view"),
+    ("lander", "needs = SensorNeeds(lidar=True)", "needs = None", "builds", "no SensorNeeds"),
+    ("lander", "return next(self.steps)", "return self.reference", "answers", "not Setpoint"),
+    ("lander", "return LanderView(", "return dict(", "answers", "dict, not LanderView"),
+    ("lander", "yaw_odom=self.heading", "yaw_odom=np.nan", "finite", "yaw_odom is not finite"),
+    ("lander", "np.zeros(3) if velocity", "np.zeros(2) if velocity", "shapes", "shape (2,)"),
+    ("lander", "self.obs, self", "estimate.acceleration_odom[:] += 1\n        self.obs, self",
+     "inputs", "modified"),
+    ("lander", "self.reference = start + way", "self.reference = start + way + [1, 0, 0]",
+     "continuity", "jumped by 1.00 m"),
+    ("lander", "low + 1.0], sinking)", "low - 0.5], 9.0)", "touchdown", "is touched with"),
+    ("lander", "self.phase, self.note = Phase.SURVEY", "_ = Phase.SURVEY", "mission", "surveyed"),
+    ("lander", "yaw_odom=self.heading", "yaw_odom=1e-9 * np.random.rand()",
+     "deterministic", "two runs differ"),
+    ("mapper", "def update", "def integrate", "builds", "has no method update"),
+    ("mapper", "SensorNeeds(lidar=True)", "SensorNeeds(camera_hz=12)", "builds", "camera_hz is 12"),
+    ("mapper", "return self.shown", "return self.coarse", "answers", "Grid, not MapView"),
+    ("mapper", 'layer.astype(np.float32)', "layer.astype(float)", "shapes", "no float32 array"),
+    ("mapper", "origin_xy_m=self.origin,", "origin_xy_m=np.full(2, np.nan),", "finite", "origin"),
+    ("mapper", "back = scan.ranges > 0.0", "back = scan.ranges > 0.0\n        scan.ranges[0] = 1",
+     "inputs", "modified"),
+    ("mapper", "points = self.sensors.body_from_lidar.apply(", "points = (", "heights", "m off"),
+    ("mapper", "version = self.shown.version + 1", "version = 0", "version", "after 3 s of scans"),
+    ("mapper", "self.poses.append", "1 / len(obs.scans)\n        self.poses.append",
+     "missing data", "ZeroDivisionError"),
+    ("mapper", "points = np.einsum", "points += np.random.rand()\n        points = np.einsum",
+     "deterministic", "two runs differ"),
+    ("classifier", "def classify", "def predict", "builds", "has no method classify"),
+    ("classifier", "image_size = 32", "image_size = 0", "builds", "image_size is 0"),
+    ("classifier", "min_probability = 0.6", "min_probability = 60", "builds", "min_probability is"),
+    ("classifier", "return GroundPrediction(", "return dict(", "answers", "dict, not Ground"),
+    ("classifier", "likelihood / likelihood.sum(axis=1, keepdims=True)", "likelihood[:, :3]",
+     "shapes", "not (5, 7)"),
+    ("classifier", "likelihood = np.exp(", "likelihood = np.nan * (", "finite", "not finite"),
+    ("classifier", "likelihood / likelihood.sum(axis=1, keepdims=True)", "likelihood + 1.0",
+     "probabilities", "do not add up to 1"),
+    ("classifier", "means = images", "images[:] = 0\n        means = images", "inputs", "modified"),
+    ("classifier", "offsets = self", "means -= means.mean(axis=0)\n        offsets = self",
+     "batch", "alone has probabilities"),
+    ("classifier", "offsets = self.features(means)", "offsets = self.features(0 * means)",
+     "images", "the same probabilities"),
+    ("classifier", "means = images", "assert images.max()\n        means = images",
+     "missing data", "AssertionError"),
+    ("classifier", "offsets = self", "means += np.random.rand()\n        offsets = self",
+     "deterministic", "two runs differ"),
     ("controller", ASK, ASK + "1 / float(estimate.healthy)\n        ", "missing data", "ZeroDivi"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("kind", "old", "new", "rule", "words"), BROKEN)
+@pytest.mark.parametrize(
+    ("kind", "old", "new", "rule", "words"), BROKEN, ids=[f"{row[0]}-{row[3]}" for row in BROKEN]
+)
 def test_each_bad_habit_is_reported_with_its_reason(
     brought: Callable[..., str], kind: str, old: str, new: str, rule: str, words: str
 ) -> None:
@@ -214,6 +280,16 @@ def asked(kind: str, name: str) -> Any:
     rig, params = RIGS[kind](config, synthetic_rig()), params_of(config, kind)
     if kind == "controller":
         return ExternalController(name, params, rig).update(hovering(), setpoint_at(1.0))
+    if kind == "classifier":
+        classifier = ExternalClassifier(name, params, rig)
+        return classifier.classify(textures(classifier.image_size))
+    if kind == "lander":
+        lander = ExternalLander(name, params, rig)
+        return lander.update(*FollowedSetpoints(rig).seen()), lander.view()
+    if kind == "mapper":
+        mapper, stream = ExternalMapper(name, params, rig), SyntheticStream(
+            rig.sensors, SensorNeeds(lidar=True), 0.4)  # fmt: skip
+        return [mapper.update(obs, true_estimate(stream, obs, 600)) for obs in stream][-1]
     seen = SelectorInput(map_view=synthetic_map(), estimate=hovering())
     return ExternalSelector(name, params, rig).select(seen)
 
@@ -253,3 +329,27 @@ def test_a_selectors_terms_are_its_candidates_and_its_costmap(brought: Callable[
     near = dataclasses.replace(seen, reach_m=99.0, emergency=True)
     assert selector.select(near).candidates[0].accepted
     assert not json.loads(json.dumps(selector.part.slowness()))
+
+
+def test_a_flight_that_a_part_ends_leaves_nothing(brought: Callable[..., str], says: Says) -> None:
+    name = brought("controller", ASK, ASK + "1 / (estimate.time_s < 0.05)\n        ")
+    Path("lawn.xml").write_text(LAWN)
+    short = ["--profile", "ideal", "--no-record", "--quiet", "--out", "flown/one"]
+    output = says(2, "land", "lawn.xml", "--estimator", "oracle", "--controller", name, *short).err
+    assert output.count("\n") == 1 and f"controller '{name}': at 0.050 s update raised" in output
+    assert "(rule 'answers')" in output and list(Path("flown").iterdir()) == []
+
+
+def test_results_and_reports_name_the_parts_that_flew() -> None:
+    config = load_config(selector="zou2024", controller="a.b:c")
+    assert other_parts(config) == {"selector": "zou2024", "controller": "a.b:c"}
+    survey = load_config(selector="zou2024", mapper="a.b:c", survey_only=True)
+    assert other_parts(survey) == {"mapper": "a.b:c"} and other_parts(load_config()) == {}
+    rows: list[dict[str, Any]] = [{"parts.mapper": "a.b:c"}, {"parts.selector": "zou2024"}]
+    assert part_sentences([*rows, {**rows[0], **rows[1]}]) == [
+        "Selector: `zou2024`, and that by default. Mapper: `a.b:c`, and that by default."
+    ]
+    same = {"scene": "flat", "estimator": "livo", "seed": 0, "mode": "land", "outcome": "LANDED"}
+    cells = cells_of([{**same, **row, "run_id": f"flat-livo-0-{n}"} for n, row in enumerate(rows)])
+    assert [variant for _, _, variant in cells] == ["land a.b:c", "land zou2024"]
+    assert part_sentences([rows[0]]) == ["Mapper: `a.b:c`."] and part_sentences([{}]) == []
