@@ -94,8 +94,8 @@ def require_references() -> None:
         import small_gicp  # noqa: F401
     except ImportError as error:
         raise UsageError(
-            f"{error.name} is not installed; pip install 'touchdown[bench]' installs what the "
-            "comparison needs"
+            f"{error.name} is not installed; pip install -c constraints.txt -e '.[bench]' "
+            "installs what the comparison needs"
         ) from error
 
 

@@ -1,6 +1,6 @@
 """Runs of a campaign on a Ray cluster: an actor a worker, each with the supervisor of
-`experiments.campaign.executor`. Needs ``pip install touchdown[ray]`` and a file system that all
-nodes share, which is proved before the first flight and at each task of an actor."""
+`experiments.campaign.executor`. Needs the extra ``ray`` and a file system that all nodes share,
+which is proved before the first flight and at each task of an actor."""
 
 from __future__ import annotations
 
@@ -70,7 +70,8 @@ class RayEngine:
             import ray
         except ImportError:
             raise UsageError(
-                "--engine ray needs Ray: pip install 'touchdown[ray]', or use --engine local"
+                "--engine ray needs Ray: pip install -c constraints.txt -e '.[ray]', or use "
+                "--engine local"
             ) from None
         address = address or os.environ.get("RAY_ADDRESS") or "local"
         if address != "local" and not ray.is_initialized():

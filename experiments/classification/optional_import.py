@@ -21,5 +21,5 @@ def training_libraries() -> Iterator[None]:
         if missing not in LIBRARIES:
             raise
         raise UsageError(
-            f"this needs {missing}: install it with pip install 'touchdown[train]'"
+            f"this needs {missing}: install it with pip install -c constraints.txt -e '.[train]'"
         ) from error

@@ -51,17 +51,19 @@ class OriginType(click.ParamType):
 @click.option(
     "--format",
     "kind",
-    type=click.Choice(["mcap", "ply", "tum", "csv"]),
+    type=click.Choice(["mcap", "ply", "tum", "csv", "euroc", "kitti"]),
     required=True,
-    help="mcap: a rosbag2 folder; ply: a cloud; tum: a trajectory; csv: a table of time steps.",
+    help="mcap: a rosbag2 folder; ply: a cloud; tum: a trajectory; csv: a table of time steps; "
+    "euroc, kitti: folders of these data sets.",
 )
-@click.option("--out", type=PATH, help="The file or folder.  [RUN.FORMAT, RUN-bag]")
+@click.option("--out", type=PATH, help="The file or folder.  [RUN.FORMAT, RUN-bag, RUN-euroc]")
 @click.option(
     "--poses",
     type=click.Choice(["estimate", "truth", "reference"]),
     default="estimate",
     show_default=True,
-    help="tum: the trajectory; mcap, ply: the poses of the vehicle.",
+    help="tum: the trajectory; mcap, ply: the poses of the vehicle; kitti: those that undo its "
+    "motion within a scan.",
 )
 @click.option(
     "--points",
@@ -104,7 +106,7 @@ class OriginType(click.ParamType):
 def export(run: Path, kind: str, out: Path | None, as_json: bool, **choices: Any) -> int:
     """Write RUN, a run directory, in a format of other tools.
 
-    Sensor data (mcap, and ply of scans) needs a flight with --log-sensors.
+    Sensor data (mcap, euroc, kitti, and ply of scans) needs a flight with --log-sensors.
 
     Example: touchdown export runs/crossroad-livo-0 --format mcap
     """
@@ -119,6 +121,8 @@ def export(run: Path, kind: str, out: Path | None, as_json: bool, **choices: Any
         raise UsageError("--poses reference is for --format tum alone")
     if kind == "csv" and choices["poses"] != "estimate":
         raise UsageError("--poses is not for --format csv: it holds all trajectories")
+    if kind == "euroc" and choices["poses"] != "estimate":
+        raise UsageError("--poses is not for --format euroc: its ground truth is the truth")
     if kind == "ply" and choices["points"] == "map" and choices["poses"] != "estimate":
         raise UsageError("--poses is for --points scans: the map is a file of the run")
     if kind == "ply" and choices["points"] == "map" and choices["every"] != 1:

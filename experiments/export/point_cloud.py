@@ -59,7 +59,7 @@ def _write_map(flown: FlownRun, path: Path) -> Exported:
 def _write_scans(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
     log = SensorLogReader(flown.sensors())
     rig = log.rig
-    track = _Track(flown.file(f"{options.poses}.tum"))
+    track = Track(flown.file(f"{options.poses}.tum"))
     images: deque[CameraImage] = deque(maxlen=_KEPT_IMAGES)
     late = 0
     with path.open("wb") as file:
@@ -71,7 +71,7 @@ def _write_scans(flown: FlownRun, path: Path, options: ExportOptions) -> Exporte
                 if around is None:
                     late += 1
                     continue
-                points, intensity = _placed(scan, around, rig.body_from_lidar, options.every)
+                points, intensity = placed_returns(scan, around, rig.body_from_lidar, options.every)
                 colours = _grey(intensity)
                 _paint(points, colours, scan, images, track, rig.body_from_camera, rig.camera)
                 cloud.add(points, colours, intensity)
@@ -82,7 +82,7 @@ def _write_scans(flown: FlownRun, path: Path, options: ExportOptions) -> Exporte
     return done
 
 
-class _Track:
+class Track:
     """Trajectory that is read as needed; its last seconds are kept."""
 
     def __init__(self, path: Path) -> None:
@@ -124,7 +124,7 @@ class _Track:
         )
 
 
-def _placed(
+def placed_returns(
     scan: LidarScan, track: PoseTrack, body_from_lidar: Pose, every: int
 ) -> tuple[Array, NDArray[np.float32]]:
     """(N, 3) world points of a scan's returns, each from the pose at its own time, and (N,)
@@ -148,7 +148,7 @@ def _paint(
     colours: Colours,
     scan: LidarScan,
     images: deque[CameraImage],
-    track: _Track,
+    track: Track,
     body_from_camera: Pose,
     camera: CameraIntrinsics,
 ) -> None:

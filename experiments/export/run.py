@@ -22,12 +22,13 @@ from touchdown.experiments.io.run_directory import (
 from touchdown.experiments.io.sensor_log_checks import damage_reported
 
 BAG_METADATA = "metadata.yaml"
-FORMATS = ("mcap", "ply", "tum", "csv")
+FORMATS = ("mcap", "ply", "tum", "csv", "euroc", "kitti")
+FOLDERS = ("mcap", "euroc", "kitti")
 
 
 def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Exported:
-    """Writes ``run`` as one file of format ``kind`` (mcap: one rosbag2 folder), whole or not at
-    all; an earlier export of that name is replaced.
+    """Writes ``run`` as one file of format ``kind`` (mcap, euroc, kitti: one folder), whole or not
+    at all; an earlier file or bag of that name is replaced, an earlier folder of a data set is not.
 
     ``out``: by default beside the run directory. Raises UsageError before anything is written if
     ``run`` is no run directory or lacks what the format needs, or if ``out`` is something else.
@@ -35,12 +36,14 @@ def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Ex
     flown = open_flown(run)
     if out is None:
         named = run if run.name not in ("", "..") else run.resolve()
-        ending = {"mcap": "-bag", "tum": f"-{options.poses}.tum"}.get(kind, f".{kind}")
+        endings = {"mcap": "-bag", "tum": f"-{options.poses}.tum"}
+        ending = endings.get(kind, f"-{kind}" if kind in FOLDERS else f".{kind}")
         out = named.with_name(f"{named.name}{ending}")
     check_out_file(out, kind, run)
     _check_inputs(flown, kind, options)
     try:
-        making = whole_folder(out, _bag_files(out)) if kind == "mcap" else whole_file(out)
+        own = _bag_files(out) if kind == "mcap" else ()
+        making = whole_folder(out, own) if kind in FOLDERS else whole_file(out)
         with making as partial, damage_reported(_source(flown, kind, options)):
             done = _write(flown, kind, partial, options)
     except OSError as error:
@@ -51,12 +54,12 @@ def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Ex
 
 
 def _files(path: Path) -> list[Path]:
-    return [path] if path.is_file() else sorted(path.iterdir())
+    return [path] if path.is_file() else [one for one in path.rglob("*") if one.is_file()]
 
 
 def _source(flown: FlownRun, kind: str, options: ExportOptions) -> Path:
     """The source of an export, to be named where it is damaged."""
-    logged = kind == "mcap" or (kind == "ply" and options.points == "scans")
+    logged = kind in FOLDERS or (kind == "ply" and options.points == "scans")
     return flown.sensors() if logged else flown.path
 
 
@@ -65,10 +68,11 @@ def _check_inputs(flown: FlownRun, kind: str, options: ExportOptions) -> None:
     if kind == "ply" and options.points == "map":
         flown.file("map.ply")
         return
-    if kind in ("mcap", "ply"):
+    if kind in (*FOLDERS, "ply"):
         flown.sensors()
-    names = ("truth", "estimate") if kind == "mcap" else (options.poses,)
-    for name in ("truth",) if kind == "csv" else names:
+    names = {"mcap": ("truth", "estimate"), "csv": ("truth",), "euroc": ("truth",),
+             "kitti": ("truth", options.poses)}.get(kind, (options.poses,))  # fmt: skip
+    for name in names:
         flown.file(f"{name}.tum")
 
 
@@ -77,6 +81,14 @@ def _write(flown: FlownRun, kind: str, path: Path, options: ExportOptions) -> Ex
         from touchdown.experiments.export.ros2_bag import write_bag
 
         return write_bag(flown, path, options)
+    if kind == "euroc":
+        from touchdown.experiments.export.datasets import write_euroc
+
+        return write_euroc(flown, path, options)
+    if kind == "kitti":
+        from touchdown.experiments.export.datasets import write_kitti
+
+        return write_kitti(flown, path, options)
     if kind == "ply":
         from touchdown.experiments.export.point_cloud import write_cloud
 
@@ -88,9 +100,11 @@ def check_out_file(out: Path, kind: str, run: Path) -> None:
     """Raises UsageError unless ``out`` is new or an earlier export of that kind."""
     if out.name in RUN_FILES and out.resolve().parent == run.resolve():
         raise UsageError(f"--out {out}: is a file of the run itself; name another file")
-    if kind == "mcap" and out.is_file():
-        raise UsageError(f"--out {out}: is a file; a bag is a folder")
-    if kind != "mcap" and out.is_dir():
+    if kind in FOLDERS and out.is_file():
+        raise UsageError(f"--out {out}: is a file; a bag or data set is a folder")
+    if kind in FOLDERS[1:] and out.exists() and any(out.iterdir()):
+        raise UsageError(f"--out {out}: is a folder that holds something; name a new one")
+    if kind not in FOLDERS and out.is_dir():
         raise UsageError(f"--out {out}: is a directory; name a file")
     if out.exists() and not _is_export(out, kind):
         raise UsageError(
@@ -100,7 +114,7 @@ def check_out_file(out: Path, kind: str, run: Path) -> None:
 
 def _is_export(path: Path, kind: str) -> bool:
     try:
-        if kind == "mcap":
+        if kind in FOLDERS:
             return not any(path.iterdir()) or _is_our_bag(path)
         with path.open("rb") as file:
             head = file.read(400)

@@ -163,7 +163,7 @@ def _check_libraries(todo: Sequence[Part]) -> None:
     if needed and missing:
         raise UsageError(
             f"the part {needed[0]} needs {missing[0]}: install it with pip install "
-            f"'touchdown[train]', or leave the part out with --skip {needed[0]}"
+            f"-c constraints.txt -e '.[train]', or leave the part out with --skip {needed[0]}"
         )
 
 

@@ -68,7 +68,9 @@ def installed(python: str) -> dict[str, str]:
 def missing_line(method: str) -> str:
     """What to do about a method whose package is not installed."""
     package = METHODS[method].package
-    return f"{method} is not installed; pip install 'touchdown[lio]' installs {package}"
+    return (
+        f"{method} is not installed; pip install -c constraints.txt -e '.[lio]' installs {package}"
+    )
 
 
 def settings(method: str) -> Iterator[dict[str, Any]]:

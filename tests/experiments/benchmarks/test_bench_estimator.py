@@ -129,7 +129,7 @@ def test_missing_references_are_one_line(monkeypatch: pytest.MonkeyPatch, says: 
         monkeypatch.setitem(sys.modules, package, None)
     captured = says(2, "bench", "estimator", "crossroad")
     assert captured.out == "" and captured.err.count("\n") == 1
-    assert "is not installed; pip install 'touchdown[bench]'" in captured.err
+    assert "is not installed; pip install -c constraints.txt -e '.[bench]'" in captured.err
     assert cli.main(["bench", "estimator", "--seconds", "-3"]) == 2
 
 

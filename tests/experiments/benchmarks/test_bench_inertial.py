@@ -183,7 +183,7 @@ def test_quaternions_are_those_of_tum(yaw: float) -> None:
 
 def test_missing_packages_are_named_with_their_extra() -> None:
     assert comparison.missing_line("rko_lio") == (
-        "rko_lio is not installed; pip install 'touchdown[lio]' installs rko-lio"
+        "rko_lio is not installed; pip install -c constraints.txt -e '.[lio]' installs rko-lio"
     )
     with pytest.raises(UsageError, match="LIO_PYTHON: '/no/python' is no Python interpreter"):
         comparison.installed("/no/python")

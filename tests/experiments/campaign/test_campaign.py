@@ -110,7 +110,7 @@ def test_a_signal_costs_no_finished_flight(number: int, tmp_path: Path, undistur
 
 def test_missing_ray_is_reported_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(UsageError, match=r"pip install 'touchdown\[ray\]'"):
+    with pytest.raises(UsageError, match=r"constraints.txt -e '\.\[ray\]'"):
         make_engine("ray", None)
     with pytest.raises(UsageError, match="--engine ray"):
         make_engine("local", None, "auto")

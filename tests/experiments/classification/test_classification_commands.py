@@ -180,7 +180,9 @@ def test_commands_say_what_is_missing(
     monkeypatch.setitem(sys.modules, "torch", None)
     arguments = ["train", "--data", str(folder), "--out", str(tmp_path / "out")]
     output = says(2, *arguments).err
-    assert "this needs torch: install it with pip install 'touchdown[train]'" in output
+    assert (
+        "this needs torch: install it with pip install -c constraints.txt -e '.[train]'" in output
+    )
     assert not (tmp_path / "out").exists()
 
 

@@ -67,7 +67,7 @@ def test_default_output_is_beside_the_run_and_is_replaced(run: Path, run_cli: Ru
     (["{run}", "--format", "csv", "--out", "{tmp}"], "is a directory"),
     (["{run}", "--format", "mcap", "--out", "{tmp}"], "no earlier export"),
     (["{run}", "--format", "mcap", "--out", "{run}"], "no earlier export"),
-    (["{run}", "--format", "mcap", "--out", "{tmp}/note.txt"], "a bag is a folder"),
+    (["{run}", "--format", "mcap", "--out", "{tmp}/note.txt"], "a bag or data set is a folder"),
     (["{run}", "--format", "csv", "--out", "{tmp}/note.txt"], "no earlier export"),
     (["{run}", "--format", "tum", "--out", "{tmp}/note.tum"], "no earlier export"),
     (["{run}", "--format", "mcap", "--out", "{run}/sensors.mcap"], "file of the run itself"),
