@@ -92,7 +92,7 @@ class GicpOdometry:
             acceleration_odom=state.acceleration,
             position_covariance=0.5 * (position + position.T),
             rotation_covariance=0.5 * (state.covariance[R, R] + state.covariance[R, R].T),
-            healthy=bool(np.trace(position) < 1.0),
+            healthy=bool(np.trace(position) < 4.0),
             diagnostics={"inliers": float(self.inliers)},
         )
 

@@ -34,7 +34,7 @@ def test_flights_are_compared_and_not_flown_twice(tmp_path: Path) -> None:
         "--flights", "2", "--jobs", "1", "--out", str(tmp_path),
     ]  # fmt: skip
     first = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert "livo: 0." in first and "gps: 0." in first and "2 of 2" in first
+    assert "livo: 0.0" in first and "gps: 1." in first and "2 of 2" in first
     assert (tmp_path / "errors.png").stat().st_size > 5_000
     flown = [(tmp_path / name / "result.json").stat().st_mtime for name in ("livo-0", "gps-0")]
     assert subprocess.run(command, capture_output=True, text=True, check=True).returncode == 0

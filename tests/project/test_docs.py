@@ -83,7 +83,8 @@ def _in_nav(entries: Any) -> Iterator[str]:
 def test_the_site_has_every_page_once() -> None:
     site = yaml.safe_load(text_of("mkdocs.yml"))
     hooks = _site_hooks()
-    written = {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
+    files = [p for kind in ("md", "ipynb") for p in (ROOT / "docs").rglob(f"*.{kind}")]
+    written = {str(p.relative_to(ROOT / "docs")) for p in files}
     added = {*hooks.ROOT_PAGES.values(), hooks.COMMANDS_PAGE, hooks.CONFIGURATION_PAGE}
     assert not written & added, "pages that the site adds would hide pages of docs/"
     assert sorted(_in_nav(site["nav"])) == sorted(written | added)
