@@ -195,8 +195,10 @@ def _stream(number: int, errors: str) -> io.TextIOWrapper:
 
 
 def watched(start: Callable[[], None]) -> End:
-    """Forks, runs ``start`` in the child, and kills it past the limits."""
+    """Forks, runs ``start`` in the child, and kills it past the limits. Memory is what the child
+    takes beside the pages that this process had."""
     adopt_orphans()
+    inherited = memory_bytes([os.getpid()])
     others = frozenset(descendants(os.getpid()))
     began = time.monotonic()
     pid = os.fork()
@@ -214,6 +216,7 @@ def watched(start: Callable[[], None]) -> End:
         if done:
             break
         memory, cpu_s = _use([one for one in descendants(os.getpid()) if one not in others])
+        memory -= inherited
         peak = max(peak, memory)
         if cpu_s > moved[1] + 0.01 * (now - moved[0]):
             moved = (now, cpu_s)
