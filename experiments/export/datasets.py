@@ -74,7 +74,7 @@ def write_euroc(flown: FlownRun, folder: Path, _options: ExportOptions) -> Expor
     with ExitStack() as opened:
         imu = _opened(opened, imu_folder / "data.csv", _IMU_HEAD)
         lists = [
-            _opened(opened, _camera(root / f"cam{n}", rig, mount) / "data.csv",
+            _opened(opened, write_camera(root / f"cam{n}", rig, mount) / "data.csv",
                     "#timestamp [ns],filename\n")
             for n, mount in enumerate(cameras)
         ]  # fmt: skip
@@ -116,7 +116,8 @@ def _write_truth(flown: FlownRun, root: Path, rig: SensorRig) -> int:
     return count
 
 
-def _camera(folder: Path, rig: SensorRig, body_from_camera: Pose) -> Path:
+def write_camera(folder: Path, rig: SensorRig, body_from_camera: Pose) -> Path:
+    """Makes the folder of a camera with its ``sensor.yaml``; returns it."""
     camera = rig.camera
     k1, k2, p1, p2, k3 = camera.distortion.tolist()
     (folder / "data").mkdir(parents=True)

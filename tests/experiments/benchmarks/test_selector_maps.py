@@ -47,8 +47,8 @@ def build(params, rig):
 
 @pytest.fixture
 def kept() -> KeptMap:
-    """20 m x 20 m of level ground, all of it seen but for the last column; by the truth it is safe
-    up to 4 m east."""
+    """20 m x 20 m of level ground, all of it seen but for the first column; by the truth it is
+    safe up to 4 m east."""
     shape = (100, 100)
     zeros = np.zeros(shape, dtype=np.float32)
     grid = GridMap(
@@ -58,8 +58,8 @@ def kept() -> KeptMap:
         missing=zeros, last_seen_s=zeros + 7.5,
     )  # fmt: skip
     for layer in (grid.height_m, grid.height_std_m, grid.rgb):
-        layer[:, -1] = np.nan
-    grid.count[:, -1] = 0.0
+        layer[:, 0] = np.nan
+    grid.count[:, 0] = 0.0
     safe = np.zeros((200, 200), dtype=bool)
     safe[:, :140] = True
     return KeptMap(
@@ -106,7 +106,7 @@ def test_a_choice_is_judged_by_the_true_ground(
     )
     assert total["precision"] == float(safe) and place["best_clearance_m"] == 3.0
     assert total["regret_m"] == pytest.approx(3.0 - clearance, abs=0.11)
-    assert place["cells"]["safe"] == 70 * 100
+    assert place["cells"]["safe"] == 69 * 100
     assert total["calibration_error"] is None and total["ms"] > 0.0
     assert found["beside"].keys() == {"risk", "zou2024"}
     assert [file.name for file in (tmp_path / "worst").iterdir()] == ["site_crossroad.jpg"]

@@ -1,5 +1,6 @@
 """Exports in the formats of EuRoC and KITTI, compared with the log."""
 
+import dataclasses
 from pathlib import Path
 
 import cv2
@@ -7,11 +8,12 @@ import numpy as np
 import yaml
 from plyfile import PlyData
 
+from touchdown.experiments.export.datasets import write_camera
 from touchdown.experiments.export.flown_run import ExportOptions
 from touchdown.experiments.export.run import export
 from touchdown.experiments.external.synthetic_stream import SyntheticStream
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
-from touchdown.sim.frames import matrix_from_quat_wxyz
+from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, rotation_from_yaw
 
 from support.command import Says
 from support.export_support import ALL, SECONDS
@@ -87,3 +89,13 @@ def test_a_data_set_replaces_nothing(run: Path, tmp_path: Path, says: Says) -> N
     assert "not for --format euroc" in says(2, "export", run, "--format", "euroc", "--poses",
                                             "truth").err  # fmt: skip
     assert [file.name for file in tmp_path.iterdir()] == ["own.txt"]
+
+
+def test_mounts_of_euroc_are_on_the_imu(run: Path, tmp_path: Path) -> None:
+    rig = SensorLogReader(run / "sensors.mcap").rig
+    turned = Pose(rotation_from_yaw(0.3), np.array([0.1, -0.2, 0.05]))
+    rig = dataclasses.replace(rig, body_from_imu=turned)
+    folder = write_camera(tmp_path / "cam0", rig, rig.body_from_camera)
+    about = yaml.safe_load((folder / "sensor.yaml").read_text())
+    found = turned.matrix() @ np.array(about["T_BS"]["data"]).reshape(4, 4)
+    np.testing.assert_allclose(found, rig.body_from_camera.matrix(), atol=1e-12)
