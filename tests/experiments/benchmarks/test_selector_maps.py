@@ -47,7 +47,7 @@ def build(params, rig):
 
 @pytest.fixture
 def kept() -> KeptMap:
-    """20 m x 20 m of level ground, all of it seen but for the first column; by the truth it is
+    """20 m x 20 m of level ground, all of it seen but for one column; by the truth it is
     safe up to 4 m east."""
     shape = (100, 100)
     zeros = np.zeros(shape, dtype=np.float32)
@@ -58,8 +58,8 @@ def kept() -> KeptMap:
         missing=zeros, last_seen_s=zeros + 7.5,
     )  # fmt: skip
     for layer in (grid.height_m, grid.height_std_m, grid.rgb):
-        layer[:, 0] = np.nan
-    grid.count[:, 0] = 0.0
+        layer[:, 20] = np.nan
+    grid.count[:, 20] = 0.0
     safe = np.zeros((200, 200), dtype=bool)
     safe[:, :140] = True
     return KeptMap(
