@@ -41,6 +41,7 @@ def view(run: Path, other: Path | None, web: bool, save: Path | None) -> int:
     from touchdown.experiments.viewing.two_flights import write_two_flights
 
     if save is not None:
+        _check_recording(save)
         with whole_file(save) as partial:
             write_two_flights((run, other), partial)
         return EXIT_DONE
@@ -48,6 +49,17 @@ def view(run: Path, other: Path | None, web: bool, save: Path | None) -> int:
         recording = Path(folder) / "two_flights.rrd"
         write_two_flights((run, other), recording)
         return _open(run, recording, web)
+
+
+def _check_recording(save: Path) -> None:
+    """Raises UsageError where ``save`` exists and is no recording, which would be lost."""
+    if save.is_dir():
+        raise UsageError(f"--save {save}: is a directory; name a file, such as pair.rrd")
+    if not save.exists():
+        return
+    with save.open("rb") as file:
+        if file.read(3) != b"RRF":
+            raise UsageError(f"--save {save}: is no recording, and would be lost; name another")
 
 
 def _open(run: Path, recording: Path, web: bool) -> int:

@@ -22,8 +22,9 @@ class LandingPhysics(dm_mujoco.Physics):  # type: ignore[misc]
     ``step`` flies the world with its rotors, wind and sensors, not MuJoCo alone, and leaves all
     that depends on ``qpos`` in step with it. A wrench that is set in
     ``named.data.xfrc_applied["vehicle/quadrotor"]`` between two steps, newtons and newton metres in
-    world axes at the centre of mass, pushes the vehicle during the next one: so the viewer's mouse
-    drags it. Before the first reset it holds the scene at rest.
+    world axes at the centre of mass, pushes the vehicle during the next one, as the viewer's mouse
+    does; with ``land_by_velocity`` the controller holds against it. Before the first reset it holds
+    the scene at rest.
     """
 
     vehicle: int

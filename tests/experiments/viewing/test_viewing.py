@@ -50,6 +50,10 @@ def _run(folder: Path, side_mps: float, **result: Any) -> Path:
 def test_two_flights_stand_side_by_side_and_part_where_they_do(tmp_path: Path, says: Says) -> None:
     runs = _run(tmp_path / "one", 0.0), _run(tmp_path / "two", 0.5)
     assert says(0, "view", *runs, "--save", tmp_path / "pair.rrd").out == ""
+    (tmp_path / "own.rrd").write_text("mine")
+    assert "is no recording" in says(2, "view", *runs, "--save", tmp_path / "own.rrd").err
+    assert (tmp_path / "own.rrd").read_text() == "mine"
+    assert says(0, "view", *runs, "--save", tmp_path / "pair.rrd").err == ""
     found = RrdReader(tmp_path / "pair.rrd").stream().to_chunks()
     chunks = {c.entity_path: c for c in sorted(found, key=lambda c: not c.is_static)}
     assert chunks.keys() >= {
