@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.landing.api import Candidate, GroundClassifier, LandingParams, Selection
+from touchdown.landing.api import (
+    Candidate,
+    GroundClassifier,
+    LandingParams,
+    Selection,
+    SemanticView,
+)
+from touchdown.landing.classification.semantic_map import SemanticMap
 from touchdown.landing.classification.snow import as_snow, is_snow
 from touchdown.landing.classification.survey_images import SurveyImages
 from touchdown.landing.selection.ground.landable import Refusal
@@ -34,6 +41,8 @@ _INDEPENDENT = 20.0
 """largest number of pulses that count as independent"""
 _TRAFFIC_RATIO = 20.0
 """likelihood ratio of motion on a road and on other ground"""
+_CLOSE = 2.0
+"""weight of a view from the height of the second look"""
 _WATER, _ROAD = LAND_CLASSES.index("water"), LAND_CLASSES.index("road")
 
 
@@ -65,14 +74,22 @@ class SiteClassCheck:
         self._params = params
         self._min_probability = params.classifier_min_probability or classifier.min_probability
         self.images = SurveyImages(rig, params.classifier_images)
+        mapped = params.semantic_patches > 0 and "ground" in params.chosen_selector.terms
+        self._semantics = SemanticMap(classifier, params) if mapped else None
         self.batches = 0
         """number of batches classified so far"""
         self._class_by_position: dict[bytes, SiteClass] = {}
         """by position of the site, of the last call of ``judge``"""
 
-    def update(self, obs: Observation, estimate: Estimate) -> None:
+    def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> None:
         """Takes over the images of a control step; called once a step."""
         self.images.update(obs, estimate)
+        if self._semantics is not None and estimate.healthy and obs.images:
+            self._semantics.update(self.images, map_view, estimate.time_s)
+
+    def semantic_view(self) -> SemanticView | None:
+        """Returns the semantic map; None without one, and while nothing was seen."""
+        return None if self._semantics is None else self._semantics.view()
 
     def judge(
         self,
@@ -106,12 +123,13 @@ class SiteClassCheck:
         """Returns the class of the site at ``position_odom`` (3,), seen from closer.
 
         Uses the images of the last seconds, or older ones where those do not show it; None where
-        no image does. The prediction ``before``, from above, has half of the weight."""
+        no image does. A close view has the weight of ``_CLOSE`` others in the semantic map; without
+        one the prediction ``before``, from above, has half of the weight."""
         for since in (now_s - _RECENT_S, -np.inf):
-            (site_class,) = self._classify([position_odom], map_view, None, since)
+            (site_class,) = self._classify([position_odom], map_view, None, since, _CLOSE)
             if site_class is not None:
                 break
-        if site_class is None or before is None:
+        if site_class is None or before is None or self._semantics is not None:
             return site_class
         return SiteClass(
             0.5 * (site_class.probabilities + before.probabilities), site_class.in_distribution
@@ -172,8 +190,10 @@ class SiteClassCheck:
         map_view: MapView,
         selection: Selection | None,
         since_s: float = -np.inf,
+        reliability: float = 1.0,
     ) -> list[SiteClass | None]:
-        """Returns the class of each site, from one batch; None where no image shows it."""
+        """Returns the class of each site, from one batch and the semantic map; None where no image
+        shows it."""
         size, side = self._classifier.image_size, self._params.classifier_patch_m
         patches = [self.images.patch(site, side, size, since_s) for site in sites]
         shown = [patch for patch in patches if patch is not None]
@@ -187,6 +207,8 @@ class SiteClassCheck:
             missing, hits = pulses_around(map_view, sites[number], 0.5 * side)
             traffic_zone = selection is not None and in_traffic_zone(selection, sites[number])
             predicted = prediction.probabilities[row]
+            if self._semantics is not None:
+                predicted = self._semantics.with_view(sites[number][:2], predicted, reliability)
             if is_snow(map_view, sites[number], 0.5 * side):
                 predicted = as_snow(predicted)
             probabilities = fuse_lidar_evidence(predicted, missing, hits, traffic_zone)
