@@ -284,7 +284,7 @@ def test_in_the_dark_the_class_is_left_to_the_second_look() -> None:
     night = photograph(rig, pose, black, 1.0, noise=10.0)
     for second_look in (True, False):
         check = SiteClassCheck(ByColour(), rig, LandingParams(second_look=second_look))
-        check.update(make_obs(600, images=(night,)), make_estimate(600, pose))
+        check.update(make_obs(600, images=(night,)), make_estimate(600, pose), FLAT)
         (judged,) = check.judge(_sites((-9, 0)), FLAT)
         assert judged.accepted is second_look and judged.class_predicted is None
         assert ("too dark" in judged.reason) is second_look
