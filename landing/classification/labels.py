@@ -53,8 +53,7 @@ def _table(text: str) -> dict[str, Meaning]:
     rows = [line.split() for line in text.strip().splitlines()]
     return {
         name: Meaning(
-            *(None if cell in "-?" else cell for cell in (land, scene)),
-            unclear="?" in (land, scene),
+            None if land in "-?" else land, None if scene == "-" else scene, unclear=land == "?"
         )
         for name, land, scene in rows
     }
