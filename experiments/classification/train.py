@@ -41,7 +41,6 @@ def train_network(
     *,
     start: Path | None = None,
     compiled: bool = False,
-    left_out: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Trains to the end; an interrupted training in ``out`` is resumed. Returns the report.
 
@@ -64,7 +63,7 @@ def train_network(
     chosen = training.chosen_device(device)
     if chosen.type == "cpu":
         keep_freed_memory()
-    catalogues = [read_catalogue(argument, params.labels, left_out) for argument in data]
+    catalogues = [read_catalogue(argument, params.labels, params.left_out) for argument in data]
     train, seen = (
         load_images(catalogues, split, params.labels, params.image_size, progress, others=True)
         for split in ("train", "val")

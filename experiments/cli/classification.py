@@ -184,7 +184,6 @@ def train(
     device: str,
     threads: int | None,
     compiled: bool,
-    left_out: tuple[str, ...],
     as_json: bool,
     quiet: bool,
     **options: Any,
@@ -212,7 +211,6 @@ def train(
                 make_notes(quiet),
                 start=start,
                 compiled=compiled,
-                left_out=left_out,
             )
         )
     if as_json:

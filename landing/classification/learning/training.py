@@ -35,9 +35,9 @@ _WARM_UP = 0.05
 """share of all steps in which the learning rate rises from 0"""
 _BETTER = 1e-4
 """least gain of macro F1 of a better epoch"""
-_MAY_CHANGE = ("epochs", "patience", "start_share", "miss_costs")
+_MAY_CHANGE = ("epochs", "patience", "start_share", "miss_costs", "left_out")
 """parameters that may change when a training resumes: they affect the length of the schedule and
-the final weights only"""
+the final weights only, or the images, which are compared themselves"""
 _SIZES, _SIZE_STEP = 4, 16
 """number of sizes of growing images, and the number of pixels that a size is a multiple of"""
 
@@ -67,6 +67,8 @@ class TrainParams:
     """share of `weather.weathered`, relative to its own"""
     frozen: int = 0
     """first layers of the network that keep their initial weights"""
+    left_out: tuple[str, ...] = ()
+    """sources whose photographs are all for the test"""
     start_share: float = 0.0
     """share of the initial weights in the final ones: the mean may generalise better than either
     (Wortsman et al., CVPR 2022, Eq. 1)"""
