@@ -8,12 +8,18 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.io.results import CandidateSite, Choice, EarlierDecision, SiteTerm
+from touchdown.experiments.io.results import (
+    CandidateSite,
+    Choice,
+    EarlierDecision,
+    MissedGround,
+    SiteTerm,
+)
 from touchdown.landing.api import Candidate, Decision
 
 
-def choice_of(decisions: tuple[Decision, ...]) -> Choice | None:
-    """Returns the choice of a flight with these decisions; None without one."""
+def choice_of(decisions: tuple[Decision, ...], missed: MissedGround | None = None) -> Choice | None:
+    """Returns the choice of a flight with these decisions, and what it missed; None without one."""
     if not decisions:
         return None
     *earlier, last = decisions
@@ -38,6 +44,7 @@ def choice_of(decisions: tuple[Decision, ...]) -> Choice | None:
             )
             for decision in earlier
         ],
+        missed=missed,
     )
 
 

@@ -154,6 +154,51 @@ class EarlierDecision(_Part):
     """reason why its site was given up; empty where it had none"""
 
 
+class RefusingRule(_Part):
+    """A rule that refused candidates of a flight."""
+
+    rule: str
+    candidates: int
+    safe: int
+    """of these, by the truth"""
+    key: str | None = None
+    """of the configuration, that decides what the rule refuses"""
+
+
+class GivenUpSite(_Part):
+    """A site that a closer look refused."""
+
+    time_s: float
+    reason: str
+    safe: bool
+    """by the truth"""
+
+
+class MissedGround(_Part):
+    """What a flight that found no site, or gave one up, refused."""
+
+    safe_m2: Figure = None
+    """area that the survey mapped and that is safe by the truth, class included"""
+    rules: list[RefusingRule] = []
+    """of all decisions, most candidates first"""
+    given_up: list[GivenUpSite] = []
+
+    def sentence(self) -> str:
+        """Such as ``120 m2 of mapped ground were safe; refused: 9 uncertain ground (7 safe,
+        landing.unknown_ground); given up: a safe site, at 10 m: ...``."""
+        rules = [
+            f"{one.candidates} {one.rule.replace('_', ' ')} ({one.safe} safe"
+            + (f", {one.key})" if one.key else ")")
+            for one in self.rules
+        ]
+        looks = [f"{'a safe' if one.safe else 'an unsafe'} site, {one.reason}"
+                 for one in self.given_up]  # fmt: skip
+        parts = [f"{self.safe_m2 or 0.0:.0f} m2 of mapped ground were safe"]
+        parts += [f"refused: {', '.join(rules)}"] if rules else []
+        parts += [f"given up: {'; '.join(looks)}"] if looks else []
+        return "; ".join(parts)
+
+
 class Choice(_Part):
     """The last decision of a flight, and those before it."""
 
@@ -167,6 +212,8 @@ class Choice(_Part):
     candidates: list[CandidateSite] = []
     """in the order of rank"""
     earlier: list[EarlierDecision] = []
+    missed: MissedGround | None = None
+    """of a flight without a site, or that gave one up"""
 
 
 class LevelnessError(_Part):

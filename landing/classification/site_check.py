@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import Candidate, GroundClassifier, LandingParams, Selection
 from touchdown.landing.classification.snow import as_snow, is_snow
-from touchdown.landing.classification.survey_images import SurveyImages
+from touchdown.landing.classification.survey_images import SurveyImages, detail_share
 from touchdown.landing.selection.ground.landable import Refusal
 from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES
 from touchdown.sim.api import Observation, SensorRig
@@ -34,6 +34,8 @@ _INDEPENDENT = 20.0
 """largest number of pulses that count as independent"""
 _TRAFFIC_RATIO = 20.0
 """likelihood ratio of motion on a road and on other ground"""
+_BLURRED = 0.5
+"""share of detail below which an image does not tell familiar ground from strange"""
 _WATER, _ROAD = LAND_CLASSES.index("water"), LAND_CLASSES.index("road")
 
 
@@ -45,6 +47,8 @@ class SiteClass:
     """(7,) of ``scenes.api.LAND_CLASSES``, LIDAR evidence included"""
     in_distribution: bool
     """False where the image lies far from the training data"""
+    detail: float = 1.0
+    """share of the fine detail of a sharp picture, `survey_images.detail_share`"""
 
     @property
     def name(self) -> str:
@@ -106,15 +110,20 @@ class SiteClassCheck:
         """Returns the class of the site at ``position_odom`` (3,), seen from closer.
 
         Uses the images of the last seconds, or older ones where those do not show it; None where
-        no image does. The prediction ``before``, from above, has half of the weight."""
+        no image does. The prediction ``before``, from above, has half of the weight, more where the
+        closer image is blurred and shows no ground of another kind: then it adds little."""
         for since in (now_s - _RECENT_S, -np.inf):
             (site_class,) = self._classify([position_odom], map_view, None, since)
             if site_class is not None:
                 break
         if site_class is None or before is None:
             return site_class
+        against = site_class.name not in (before.name, *self._params.allowed_classes)
+        weight = 0.5 if against else 0.5 * site_class.detail  # water and roofs are smooth, too
+        clearer = before if weight < _BLURRED * 0.5 else site_class
         return SiteClass(
-            0.5 * (site_class.probabilities + before.probabilities), site_class.in_distribution
+            weight * site_class.probabilities + (1.0 - weight) * before.probabilities,
+            clearer.in_distribution,
         )
 
     def class_of(self, site: Candidate) -> SiteClass | None:
@@ -125,6 +134,23 @@ class SiteClassCheck:
         """Returns the reason against landing there; None where it is safe."""
         if site_class is None:
             return Refusal("no_image", "no image shows what kind of ground it is")
+        refusal = self._refusal_of_class(site_class, allow_risky)
+        if refusal is not None and self._params.unknown_ground == "geometry":
+            sure = self._sure(site_class, allow_risky)
+            if sure > 1.0 - self._params.unknown_unsafe_probability:
+                return None
+        return refusal
+
+    def _sure(self, site_class: SiteClass, allow_risky: bool) -> float:
+        """Probability of the allowed classes together."""
+        allowed = {*self._params.allowed_classes, *(RISKY_CLASSES if allow_risky else ())}
+        return sum(
+            float(probability)
+            for name, probability in zip(LAND_CLASSES, site_class.probabilities, strict=True)
+            if name in allowed
+        )
+
+    def _refusal_of_class(self, site_class: SiteClass, allow_risky: bool) -> Refusal | None:
         what = f"{site_class.name} with probability {site_class.probability:.2f}"
         if not site_class.in_distribution:
             text = f"it looks like no known ground, most like {what}"
@@ -132,11 +158,7 @@ class SiteClassCheck:
         allowed = {*self._params.allowed_classes, *(RISKY_CLASSES if allow_risky else ())}
         if site_class.name not in allowed:
             return Refusal("unsafe_ground", f"it looks like {what}")
-        sure = sum(
-            float(probability)
-            for name, probability in zip(LAND_CLASSES, site_class.probabilities, strict=True)
-            if name in allowed
-        )
+        sure = self._sure(site_class, allow_risky)
         if sure < self._min_probability:
             return Refusal(
                 "uncertain_ground",
@@ -190,7 +212,8 @@ class SiteClassCheck:
             if is_snow(map_view, sites[number], 0.5 * side):
                 predicted = as_snow(predicted)
             probabilities = fuse_lidar_evidence(predicted, missing, hits, traffic_zone)
-            found[number] = SiteClass(probabilities, bool(prediction.in_distribution[row]))
+            known, detail = bool(prediction.in_distribution[row]), detail_share(shown[row])
+            found[number] = SiteClass(probabilities, known, detail)
         return found
 
 
