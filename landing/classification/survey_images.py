@@ -238,7 +238,7 @@ class SurveyImages:
 
 def detail_share(patch: Image) -> float:
     """Share of the fine detail of a sharp picture that a patch (H, W, 3) has, 0 to 1: by the
-    contrast below two pixels over that of up to eight. Of photographs of ground 98 % have all of it;
+    contrast below two pixels over that of up to eight. Photographs of ground mostly have all of it;
     enlarged twice, half of them have less than 0.7, four times less than 0.3."""
     grey = patch.mean(axis=2, dtype=np.float32)
     fine, coarse = (cv2.GaussianBlur(grey, (0, 0), sigma) for sigma in (1.0, 4.0))

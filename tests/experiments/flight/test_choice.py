@@ -4,9 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from touchdown.experiments.flight.choice import choice_of
+from touchdown.experiments.flight.choice import choice_of, missed_ground
 from touchdown.experiments.flight.metrics import GroundMap
-from touchdown.experiments.flight.missed import missed_ground
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.reporting.run_table import missed_lines
 from touchdown.landing.api import Candidate, Decision, ScoreTerm, SiteRule
