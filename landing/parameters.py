@@ -331,6 +331,12 @@ class LandingParams:
     """of the processor, for classification"""
     allowed_classes: tuple[LandClass, ...] = ("lawn", "field", "path")
     """classes of ground that the gate ``class`` lets pass"""
+    unknown_ground: Literal["refuse", "geometry"] = "refuse"
+    """ground that classification knows neither as safe nor as unsafe: ``refuse`` it, or land on it
+    by its ``geometry``, where another class has less than ``unknown_unsafe_probability``"""
+    unknown_unsafe_probability: Fraction = 0.3
+    """probability of all classes but the allowed ones together above which ground is unsafe rather
+    than unknown"""
     allow_risky: bool = False
     """accept roads and roofs too; such a landing is judged by geometry"""
 

@@ -47,6 +47,9 @@ _SMOOTHING_PX = 1.0
 """of a dim patch"""
 _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111)
 """of kept images: half the memory, with an error of half a level"""
+_BLURRED, _SHARP = 0.2, 0.5
+"""contrast of the finest structures over that of the next ones: of a picture enlarged more than
+four times, and what 98 % of sharp pictures of ground exceed"""
 _HEIGHT_WEIGHT = 0.01
 """weight of a metre of height relative to the tangent of the viewing angle"""
 
@@ -279,6 +282,16 @@ class SurveyImages:
         if count != pixels:
             found = cv2.resize(found, (pixels, pixels), interpolation=cv2.INTER_AREA)
         return brightened(np.asarray(found, np.uint8)) if kept.dim else np.asarray(found, np.uint8)
+
+
+def detail_share(patch: Image) -> float:
+    """Share of the fine detail of a sharp picture that a patch (H, W, 3) has, 0 to 1: by the
+    contrast below two pixels over that of up to eight. Photographs of ground mostly have all of it;
+    enlarged twice, half of them have less than 0.7, four times less than 0.3."""
+    grey = patch.mean(axis=2, dtype=np.float32)
+    fine, coarse = (cv2.GaussianBlur(grey, (0, 0), sigma) for sigma in (1.0, 4.0))
+    ratio = float((grey - fine).std()) / max(float((fine - coarse).std()), 1.0)
+    return float(np.clip((ratio - _BLURRED) / (_SHARP - _BLURRED), 0.0, 1.0))
 
 
 def is_dim(rgb: Image) -> bool:

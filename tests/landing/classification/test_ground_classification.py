@@ -162,6 +162,24 @@ def test_configuration_overrides_the_limit() -> None:
     assert "(at least 1.00)" in site.reason and not site.accepted
 
 
+@pytest.mark.parametrize(
+    ("sure", "known", "policy", "accepted"),
+    [
+        (0.8, True, "refuse", False), (0.8, True, "geometry", True),
+        (0.8, False, "geometry", True), (0.5, True, "geometry", False),
+    ],
+)  # fmt: skip
+def test_unknown_ground_is_landed_on_by_its_geometry_alone_if_wished(
+    sure: float, known: bool, policy: str, accepted: bool
+) -> None:
+    """Where classes that are not allowed have less than 0.3 together (of the 0.2 and 0.5 that
+    `lawn` leaves, a third is of `field` and `path`); what looks like water is refused by any."""
+    check = _check(ByColour(sure, known), unknown_ground=policy)
+    assert check.judge(_sites((9, 0)), FLAT)[0].accepted is accepted
+    check = _check(ByColour(0.8), plain("water"), unknown_ground="geometry")
+    assert not check.judge(_sites((9, 0)), FLAT)[0].accepted
+
+
 def test_site_without_an_image_is_refused() -> None:
     classifier = ByColour()
     (site,) = _check(classifier).judge(_sites((60, 0)), FLAT)
@@ -190,6 +208,26 @@ def test_second_look_has_the_weight_of_the_first() -> None:
     assert check.refusal(site_class, False) is not None
     again = _check(ByColour()).reclassify(before, np.array([9.0, 0, 0]), FLAT, 2.0)
     assert again is not None and check.refusal(again, False) is None
+
+
+def test_a_blurred_closer_look_adds_little() -> None:
+    """Painted ground without fine detail: unsure and strange from closer, it keeps the first
+    prediction; with detail it halves it. Smooth water refuses all the same."""
+    before = SiteClass(_chances(lawn=0.99), True)
+    unsure = ByColour(0.6, in_distribution=False)
+    grain = np.random.default_rng(0).normal(0.0, 60.0, (4000,))
+
+    def grainy(x: Array, y: Array) -> Array:
+        return plain("lawn")(x, y) + grain[(97 * x + 61 * y).astype(int)][..., None]
+
+    for paint, share, known in ((plain("lawn"), 0.0, True), (grainy, 0.5, False)):
+        unsure.image_size = 64
+        seen = _check(unsure, paint).reclassify(before, np.zeros(3), FLAT, 2.0)
+        assert seen is not None and seen.in_distribution is known
+        lawn = (1.0 - share) * 0.99 + share * 0.6
+        assert seen.probabilities[D_LAND.index("lawn")] == pytest.approx(lawn, abs=0.03)
+    smooth = _check(ByColour(0.97), plain("water")).reclassify(before, np.zeros(3), FLAT, 2.0)
+    assert smooth is not None and smooth.probabilities[D_LAND.index("water")] > 0.45
 
 
 def test_an_emergency_takes_the_least_bad() -> None:
