@@ -61,14 +61,13 @@ def load_classifier(network: Path, engine: str, threads: int) -> Classifier:
         return footprint.load_classifier(network, engine, threads)
 
 
-def shipped_network(onboard_one: bool = True) -> Path:
-    """Returns the network that is shipped with the project, the one that flies or the one that was
-    trained. Raises UsageError without one."""
+def shipped_network() -> Path:
+    """Returns the network that is shipped with the project. Raises UsageError without one."""
     if not onboard.SHIPPED.is_file():
         raise UsageError(
             "no network is shipped with touchdown: give --network, a file of `touchdown train`"
         )
-    return onboard.SHIPPED if onboard_one else onboard.TRAINED
+    return onboard.SHIPPED
 
 
 def evaluate_network(
@@ -135,7 +134,7 @@ def _others(scores: Any, images: LabelledImages, facts: NetworkFacts) -> dict[st
 
 def _size_mb(network: Path) -> float:
     """Size of the file; of the one that is shipped, with those of its weights."""
-    apart = weights_apart(network) if network == onboard.SHIPPED else []
+    apart = weights_apart(network) if network.parent == onboard.ZOU2024.parent else []
     return sum(file.stat().st_size for file in (network, *apart)) / 1e6
 
 

@@ -283,7 +283,7 @@ def evaluate(
     with progress_bar(quiet) as progress:
         report = usage_errors(
             lambda: evaluate_network(
-                network or shipped_network(params.engine == "onnx"),
+                network or shipped_network(),
                 data,
                 split,
                 progress,
@@ -325,7 +325,7 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
     with progress_bar(quiet) as progress:
         report = usage_errors(
             lambda: quantize_network(
-                network or shipped_network(False), out, progress=progress, **options
+                network or shipped_network(), out, progress=progress, **options
             )
         )
     if as_json:
@@ -374,9 +374,7 @@ def classify(
     rows = usage_errors(
         lambda: classify_images(
             images,
-            classifier=load_classifier(
-                network or shipped_network(engine == "onnx"), engine, threads
-            ),
+            classifier=load_classifier(network or shipped_network(), engine, threads),
             notes=make_notes(quiet),
             **options,
         )

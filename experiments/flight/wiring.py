@@ -154,8 +154,8 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
 def classifier_file(config: Config) -> Path | None:
     """The network file of the ground classifier. None for ``off``, for a survey alone, for a
     selector without the gate ``class``, for ``auto`` without a shipped network, and for an external
-    classifier."""
-    from touchdown.landing.classification.onboard import SHIPPED
+    classifier. With the paper's selector ``auto`` is the paper's network."""
+    from touchdown.landing.classification import onboard
 
     wanted, gates = config.landing.classifier, config.landing.chosen_selector.gates
     if external_name(config, "classifier") is not None:
@@ -164,7 +164,8 @@ def classifier_file(config: Config) -> Path | None:
         return None
     if wanted != "auto":
         return Path(wanted)
-    return SHIPPED if SHIPPED.is_file() else None
+    shipped = onboard.ZOU2024 if config.landing.selector == "zou2024" else onboard.SHIPPED
+    return shipped if shipped.is_file() else None
 
 
 def build_classifier(config: Config) -> OnnxGroundClassifier | None:

@@ -15,10 +15,11 @@ from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.scores import probabilities
 from touchdown.landing.classification.weights import checksum_file
 
-TRAINED = Path(__file__).with_name("trained") / "network.onnx"
+SHIPPED = Path(__file__).with_name("trained") / "efficientnet_lite0.onnx"
 """the network that is shipped with the project, as `touchdown train` wrote it"""
-SHIPPED = TRAINED.with_name("onboard.onnx")
-"""the same in int8, for flights; its weights lie in files beside it"""
+ZOU2024 = SHIPPED.with_name("onboard.onnx")
+"""a ResNet50 with CBAM, that of Zou, Sun and Kong (2024), in int8, for flights with their selector;
+its weights lie in files beside it. ``network.onnx`` is the same as trained"""
 _LABELS = "d_land"
 
 

@@ -13,11 +13,13 @@ import pytest
 
 from touchdown.experiments.classification.patches import scene_patches
 from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_layout
+from touchdown.experiments.flight.wiring import build_classifier
 from touchdown.landing.classification import engine, onboard
 from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES
 
 from support.command import Says
+from support.worlds import load_ideal_config
 
 SEED = 900_004
 """of no data set, and one that leaves 4 when divided by 5"""
@@ -29,17 +31,18 @@ def classifier() -> onboard.OnnxGroundClassifier:
     return onboard.load_onboard_classifier(onboard.SHIPPED)
 
 
-def test_flights_use_the_trained_network_in_int8(
+def test_the_network_of_the_paper_in_int8_is_the_trained_one(
     classifier: onboard.OnnxGroundClassifier, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     patches = scene_patches("houses", SEED, PICTURES, classifier.image_size, variation=0)
     shown = np.stack([patch.rgb for patch in patches])
-    trained = onboard.OnnxGroundClassifier(onboard.TRAINED)
-    assert classifier.min_probability == trained.min_probability
-    found, wanted = (one.classify(shown).probabilities for one in (classifier, trained))
+    small = onboard.OnnxGroundClassifier(onboard.ZOU2024)
+    trained = onboard.OnnxGroundClassifier(onboard.ZOU2024.with_name("network.onnx"))
+    assert small.min_probability == trained.min_probability
+    found, wanted = (one.classify(shown).probabilities for one in (small, trained))
     assert np.abs(found - wanted).mean() < 0.02
     copy = tmp_path / "own" / "onboard.onnx"
-    shutil.copytree(onboard.SHIPPED.parent, copy.parent)
+    shutil.copytree(onboard.ZOU2024.parent, copy.parent)
     with pytest.raises(ValueError, match="lie in another file"):
         OnnxClassifier(copy)
     monkeypatch.setattr(engine, "_TRAINED", copy.parent.resolve())
@@ -47,6 +50,14 @@ def test_flights_use_the_trained_network_in_int8(
         weights.write(b"?")
     with pytest.raises(ValueError, match=r"onnx\.2', weights of 'onboard\.onnx', is missing"):
         OnnxClassifier(copy)
+
+
+def test_the_selector_of_the_paper_flies_its_network() -> None:
+    for selector, network in (("risk", "efficientnet_lite0"), ("zou2024", "resnet50_cbam")):
+        chosen = build_classifier(load_ideal_config(None, [f"landing.selector={selector}"]))
+        assert chosen is not None and chosen.description()["network"] == network
+    assert onboard.SHIPPED.stat().st_size < 20_000_000
+    assert "Apache" in onboard.SHIPPED.with_name("efficientnet_lite0.LICENSE").read_text()
 
 
 @pytest.mark.parametrize("scene", [
@@ -75,10 +86,8 @@ def test_commands_without_a_network_use_the_shipped_one(tmp_path: Path, says: Sa
         cv2.imwrite(str(home / patch.land_class / f"{number}.png"), patch.rgb[..., ::-1])
     whole = ["evaluate", "--data", str(home), "--split", "train", "--no-cost", "--quiet", "--json"]
     report = json.loads(says(0, *whole).out)
-    assert report["network"] == "resnet50_cbam" and report["image_size"] == 128
-    files = onboard.SHIPPED.parent.glob("onboard.onnx*")
-    size = sum(file.stat().st_size for file in files if file.suffix != ".sha256")
-    assert report["rom_mb"] == pytest.approx(size / 1e6)
+    assert report["network"] == "efficientnet_lite0" and report["image_size"] == 128
+    assert report["rom_mb"] == pytest.approx(onboard.SHIPPED.stat().st_size / 1e6)
     assert 0 < report["pictures"] <= len(patches)
     picture = next(home.glob("*/*.png"))
     out = tmp_path / "classes"
