@@ -68,6 +68,10 @@ OPTION_KEYS: Mapping[str, str] = {
     **{kind: slot.key for kind, slot in SLOTS.items() if kind != "estimator"},
     "survey_only": "landing.survey_only",
     "fault": "faults.events",
+    "px4": "px4.path",
+    "px4_port": "px4.port",
+    "px4_connect": "px4.connect",
+    "px4_aid": "px4.aid",
 }
 """Explicit options of ``load_config`` and the keys that they set."""
 BY_DEFAULT = "the defaults"
