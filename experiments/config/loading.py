@@ -117,7 +117,7 @@ def load_config(
     if KEY not in values:
         values[KEY], sources[KEY] = profile_default, BY_DEFAULT
     if file is not None and not allow_code:
-        keys = ("scene", *(slot.key for slot in SLOTS.values()))
+        keys = ("scene", "px4.path", *(slot.key for slot in SLOTS.values()))
         check_named_code(
             file, ((key, values.get(key)) for key in keys if sources.get(key) == str(file))
         )

@@ -143,9 +143,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         estimator=estimator,
         mapper=mapper,
         lander=lander,
-        controller=controller
-        or autopilot
-        or CascadeController(world.rig.vehicle, config.control),
+        controller=controller or autopilot or CascadeController(world.rig.vehicle, config.control),
         record=world.record,
         nominal_rig=rig,
         network=None if classifier is None else classifier.description(),

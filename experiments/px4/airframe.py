@@ -27,8 +27,8 @@ columns of its allocation matrix so; a unit of yaw changes it by the whole range
 class Motors:
     """PX4's motors as rotors: motor ``order[i]`` of PX4's list is our rotor ``i``.
 
-    A quadrotor X in PX4's order: front right and rear left, which turn counter-clockwise, then front
-    left and rear right. Raises Px4Error for a vehicle of another shape.
+    A quadrotor X in PX4's order: front right and rear left, which turn counter-clockwise, then
+    front left and rear right. Raises Px4Error for a vehicle of another shape.
     """
 
     def __init__(self, vehicle: VehicleModel) -> None:

@@ -18,7 +18,6 @@ from touchdown.experiments.px4.errors import Px4Error
 from touchdown.experiments.px4.link import (
     FREE_STEP_S,
     CommandLink,
-    Ports,
     SimulatorLink,
     accept,
     reserve,
@@ -30,6 +29,9 @@ from touchdown.sim.api import Command, Observation, SensorNeeds, SensorRig
 
 _OFF = np.zeros(4)
 _OFF.setflags(write=False)
+_READ_LOG_STEPS = 40
+_ENDS_S = 1.0
+"""wall time in which a PX4 that broke off ends"""
 
 
 def check_px4(config: Config) -> None:
@@ -62,9 +64,7 @@ class Px4Autopilot:
         self._parameters = parameters(rig, config.px4, config.control.max_tilt_deg)
         self._motors = Motors(rig.vehicle)
         self._messages = Messages(rig)
-        self.needs = SensorNeeds(
-            barometer=True, magnetometer=True, gps=config.px4.aid == "gps"
-        )
+        self.needs = SensorNeeds(barometer=True, magnetometer=True, gps=config.px4.aid == "gps")
         self._site_m = rig.nav.barometer.site_elevation_m
         control_hz = config.control.control_hz
         self._odometry_steps = control_hz // self._params.odometry_hz
@@ -77,6 +77,7 @@ class Px4Autopilot:
         self._commander: Commander | None = None
         self._was_healthy, self._resets = True, 0
         self._armed = False
+        self._process: Px4Process | None = None
 
     def keep_in(self, folder: Path) -> None:
         """PX4 works below ``folder``, and leaves its log there."""
@@ -110,7 +111,11 @@ class Px4Autopilot:
             self._link, self._commander = self._start()
         obs, commander = self._obs, self._commander
         assert obs is not None
-        speeds = self._exchange(self._link, obs)
+        try:
+            speeds = self._exchange(self._link, obs)
+        except Px4Error as error:
+            reason = self._ended(_ENDS_S)
+            raise Px4Error(f"{error}; {reason}" if reason else str(error)) from error
         if not commander.heard and self._link.in_lockstep:
             time.sleep(FREE_STEP_S)  # PX4 starts in wall time
         self._send_estimate(self._link, estimate)
@@ -118,25 +123,30 @@ class Px4Autopilot:
             commander.send_setpoint(setpoint, obs.time_s, estimate)
         commander.step(obs.time_s, setpoint, self._armed)
         self._step += 1
-        return Command(rotor_speed_radps=speeds, events=commander.events())
+        said = commander.events()
+        if self._process is not None and self._step % _READ_LOG_STEPS == 0:
+            said += tuple(f"PX4: {text}" for text in self._process.warnings())
+        return Command(rotor_speed_radps=speeds, events=said)
 
     def close(self) -> None:
         """Ends PX4 where it was started here."""
         self._closing.close()
 
+    def _ended(self, wait_s: float) -> str:
+        return "" if self._process is None else self._process.ended(wait_s)
+
     def _start(self) -> tuple[SimulatorLink, Commander]:
         params = self._params
         ports = reserve(params.port, exactly=params.connect)
         self._closing.callback(ports.close)
-        ended = lambda: ""  # noqa: E731
         if not params.connect:
             folder = self._keep_in
             if folder is None:
                 folder = Path(self._closing.enter_context(tempfile.TemporaryDirectory()))
             process = Px4Process(params, ports, folder / "px4", self._parameters)
             self._closing.callback(process.close, self._keep_in, params.ulog)
-            ended = process.ended
-        connection = accept(ports, params.start_s, ended)
+            self._process = process
+        connection = accept(ports, params.start_s, self._ended)
         link = SimulatorLink(connection, params.start_s, params.answer_s)
         self._closing.callback(link.close)
         return link, Commander(CommandLink(ports), self._messages, params)
@@ -160,7 +170,7 @@ class Px4Autopilot:
         if estimate.healthy and not self._was_healthy:
             self._resets += 1
         self._was_healthy = estimate.healthy
-        if estimate.healthy and self._step % self._odometry_steps == 0 and link.in_lockstep:
+        if estimate.healthy and self._step and self._step % self._odometry_steps == 0:
             link.send(self._messages.odometry(estimate, self._resets))
 
 

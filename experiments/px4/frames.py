@@ -49,8 +49,8 @@ def ned_covariance(covariance: Array) -> Array:
 
 
 def geodetic(enu: Array) -> tuple[float, float]:
-    """Latitude and longitude, degrees, of a place (3,) m: the inverse of PX4's azimuthal equidistant
-    projection about the world's origin."""
+    """Latitude and longitude, degrees, of a place (3,) m: the inverse of PX4's azimuthal
+    equidistant projection about the world's origin."""
     east, north, _ = enu.tolist()
     lat0, lon0 = math.radians(HOME_LATITUDE_DEG), math.radians(HOME_LONGITUDE_DEG)
     arc = math.hypot(east, north) / _EARTH_RADIUS_M

@@ -196,15 +196,15 @@ class SimulatorLink:
                 self._pending.append(message)
 
 
-def accept(ports: Ports, wait_s: float, ended: Callable[[], str]) -> socket.socket:
+def accept(ports: Ports, wait_s: float, ended: Callable[[float], str]) -> socket.socket:
     """Waits for PX4 to connect. ``ended`` gives the reason where it will not. Raises Px4Error."""
     deadline = time.monotonic() + wait_s
     while time.monotonic() < deadline:
-        if reason := ended():
-            raise Px4Error(reason)
         if select.select([ports.server], [], [], 0.1)[0]:
             connection, _ = ports.server.accept()
             return connection
+        if reason := ended(0.0):
+            raise Px4Error(reason)
     port = ports.server.getsockname()[1]
     raise Px4Error(f"no PX4 connected to port {port} in {wait_s:g} s (px4.start_s)")
 

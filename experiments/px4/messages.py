@@ -108,8 +108,8 @@ class Messages:
         )
 
     def odometry(self, estimate: Estimate, resets: int) -> Any:
-        """ODOMETRY: pose and velocity in the odom frame, as north, east, down. ``resets``: how often
-        the estimate has been lost and found."""
+        """ODOMETRY: pose and velocity in the odom frame, as north, east, down. ``resets``: how
+        often the estimate has been lost and found."""
         pose = estimate.odom_from_body
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = ned_covariance(estimate.position_covariance)

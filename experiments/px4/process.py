@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from touchdown.experiments.api import Px4Params
+from touchdown.experiments.errors import visible
 from touchdown.experiments.px4.errors import Px4Error
 from touchdown.experiments.px4.link import Ports
 
@@ -24,11 +26,15 @@ _GUARD = "touchdown.experiments.campaign.guard"
 _SUPERVISOR = "TOUCHDOWN_SUPERVISOR"
 _PATIENCE_S = 5.0
 _LOG_BYTES = 1 << 20
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+_WARNING = re.compile(r"(?:WARN|ERROR)\s+\[(\w+)\] (.*)")
+_OF_START = ("param", "simulator_mavlink")
+"""modules of PX4 whose warnings are of parameters that a build lacks, and of waiting for us"""
 
 
 def find_px4(params: Px4Params) -> tuple[Path, Path]:
-    """The program px4 of a SITL build and the folder of its start scripts. Raises Px4Error, with what
-    to do."""
+    """The program px4 of a SITL build and the folder of its start scripts. Raises Px4Error, with
+    what to do."""
     named = params.path or os.environ.get(VARIABLE)
     if not named:
         raise Px4Error(
@@ -57,6 +63,7 @@ class Px4Process:
         program, scripts = find_px4(params)
         folder.mkdir(parents=True)
         self._folder = folder
+        self._read = 0
         lines = [f"param set {name} {value}" for name, value in parameters.items()]
         # PX4's start script reads both from the first folder of PATH that has them.
         (folder / "px4-rc.params").write_text("\n".join(lines) + "\n")
@@ -81,16 +88,28 @@ class Px4Process:
                 start_new_session=True,
             )
 
-    def ended(self) -> str:
-        """The reason why it has ended, with the last line that it printed; "" while it runs."""
-        if self._process.poll() is None:
+    def ended(self, wait_s: float) -> str:
+        """The reason why it has ended, with the last line that it printed; "" where it still runs
+        after ``wait_s``."""
+        try:
+            self._process.wait(wait_s)
+        except subprocess.TimeoutExpired:
             return ""
         lines = [line.strip() for line in self._log().splitlines() if line.strip()]
         last = f": {lines[-1][:200]}" if lines else ""
         return f"PX4 has ended with code {self._process.returncode}{last}"
 
+    def warnings(self) -> list[str]:
+        """What PX4 has printed as a warning or an error since the last call, in flight: the reasons
+        of failsafes are there, and in no MAVLink message that is text."""
+        lines = self._log(self._read).split("\n")
+        self._read += sum(len(line.encode()) + 1 for line in lines[:-1])
+        found = (_WARNING.match(_COLOUR.sub("", line)) for line in lines[:-1])
+        return [f"{m[1]}: {visible(m[2].strip())}" for m in found if m and m[1] not in _OF_START]
+
     def close(self, keep_in: Path | None, ulog: bool) -> None:
-        """Ends it and removes its folder; its log goes to ``keep_in``, with ``ulog`` the ULog too."""
+        """Ends it and removes its folder; its log goes to ``keep_in``, with ``ulog`` its own log of
+        the flight too."""
         # The guard ends all that PX4 has started.
         for number in (signal.SIGTERM, signal.SIGKILL):
             with contextlib.suppress(ProcessLookupError):
@@ -105,7 +124,8 @@ class Px4Process:
                 shutil.move(newest, keep_in / ULOG_FILE)
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _log(self) -> str:
+    def _log(self, start: int = 0) -> str:
         with contextlib.suppress(OSError), open(self._folder / LOG_FILE, "rb") as log:
+            log.seek(start)
             return log.read(_LOG_BYTES).decode("utf-8", errors="replace")
         return ""
