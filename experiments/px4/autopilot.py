@@ -120,8 +120,8 @@ class Px4Autopilot:
             time.sleep(FREE_STEP_S)  # PX4 starts in wall time
         self._send_estimate(self._link, estimate)
         if self._step % self._setpoint_steps == 0:
-            commander.send_setpoint(setpoint, obs.time_s, estimate)
-        commander.step(obs.time_s, setpoint, self._armed)
+            commander.send_setpoint(setpoint, estimate)
+        commander.step(estimate, setpoint, self._armed)
         self._step += 1
         said = commander.events()
         if self._process is not None and self._step % _READ_LOG_STEPS == 0:

@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate
@@ -14,9 +13,8 @@ from touchdown.experiments.api import Px4Params
 from touchdown.experiments.errors import visible
 from touchdown.experiments.px4.errors import Px4Error
 from touchdown.experiments.px4.link import CommandLink
+from touchdown.experiments.px4.local_frame import LocalFrame
 from touchdown.experiments.px4.messages import Messages
-
-Array = NDArray[np.float64]
 
 _ASK_AGAIN_S = 0.5
 _SPOOLED_S = 0.6
@@ -63,7 +61,7 @@ class Commander:
         self._said: dict[str, float] = {}
         self._reasons: list[str] = []
         self._events: list[str] = []
-        self._position_ned: Array | None = None
+        self._frame = LocalFrame(moves=params.aid == "gps")
 
     @property
     def waits(self) -> bool:
@@ -75,18 +73,15 @@ class Commander:
         """True once PX4's MAVLink is up."""
         return self._mode is not None
 
-    @property
-    def position_ned(self) -> Array | None:
-        """(3,) m, where PX4 believes to be; None before it says so."""
-        return self._position_ned
-
     def events(self) -> tuple[str, ...]:
         """What has been said since the last call."""
         said, self._events = tuple(self._events), []
         return said
 
-    def step(self, time_s: float, setpoint: Setpoint, armed: bool) -> None:
+    def step(self, estimate: Estimate, setpoint: Setpoint, armed: bool) -> None:
         """One control step: reads what has come, asks for what the lander wants."""
+        time_s = estimate.time_s
+        self._frame.note(estimate)
         for message in self._link.receive():
             self._take(message, time_s)
         self._follow_arming(time_s, armed)
@@ -102,8 +97,9 @@ class Commander:
             self._next_ask = time_s + _ASK_AGAIN_S
             self._command("MAV_CMD_COMPONENT_ARM_DISARM", 0.0, _FORCE)
 
-    def send_setpoint(self, setpoint: Setpoint, time_s: float, estimate: Estimate) -> None:
+    def send_setpoint(self, setpoint: Setpoint, estimate: Estimate) -> None:
         """Sends a setpoint; without motors that of resting here."""
+        time_s = estimate.time_s
         if not setpoint.motors_on:
             here = estimate.odom_from_body.translation
             setpoint = Setpoint(
@@ -113,7 +109,7 @@ class Commander:
                 yaw_odom=setpoint.yaw_odom,
                 thrust_limit=0.0,
             )
-        self._link.send(self._messages.setpoint(setpoint, time_s))
+        self._link.send(self._messages.setpoint(setpoint, time_s, self._frame.offset_ned))
 
     def _want_flight(self, time_s: float) -> None:
         if self._wanted_at is None:
@@ -123,7 +119,7 @@ class Commander:
         offboard = self._mode is not None and self._mode >> 16 & 0xFF == _MAIN_OFFBOARD
         if self._armed and offboard and self._armed_at is not None:
             self._released = self._flown = time_s >= self._armed_at + _SPOOLED_S
-        elif time_s >= self._next_ask and self.heard:
+        elif time_s >= self._next_ask and self.heard and self._frame.known:
             self._next_ask = time_s + _ASK_AGAIN_S
             custom = self._common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             self._command("MAV_CMD_DO_SET_MODE", custom, _MAIN_OFFBOARD)
@@ -153,7 +149,7 @@ class Commander:
         elif kind == "STATUSTEXT":
             self._say(message, time_s)
         elif kind == "LOCAL_POSITION_NED":
-            self._position_ned = np.array([message.x, message.y, message.z])
+            self._frame.take(message)
         elif kind == "EXTENDED_SYS_STATE" and message.landed_state != self._landed:
             self._landed = message.landed_state
             if self._landed in _LANDED:

@@ -7,6 +7,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate
@@ -27,6 +28,8 @@ from touchdown.sim.api import (
     MagnetometerSample,
     SensorRig,
 )
+
+Array = NDArray[np.float64]
 
 _IMU, _MAGNETOMETER, _BAROMETER = 0x3F, 0x1C0, 0x1A00
 _TEMPERATURE_C = 15.0
@@ -130,9 +133,10 @@ class Messages:
             common.MAV_ESTIMATOR_TYPE_VIO,
         )
 
-    def setpoint(self, setpoint: Setpoint, time_s: float) -> Any:
+    def setpoint(self, setpoint: Setpoint, time_s: float, offset_ned: Array) -> Any:
         """SET_POSITION_TARGET_LOCAL_NED with position, velocity, acceleration, yaw and its rate.
-        With a limit on the thrust the vertical axis is the acceleration that the limit means."""
+        With a limit on the thrust the vertical axis is the acceleration that the limit means.
+        ``offset_ned`` (3,) m: of PX4's local frame from the odom frame."""
         mask = 0
         acceleration = ned(setpoint.acceleration_odom)
         if setpoint.thrust_limit is not None:
@@ -144,7 +148,7 @@ class Messages:
             0,
             self.common.MAV_FRAME_LOCAL_NED,
             mask,
-            *ned(setpoint.position_odom),
+            *(np.array(ned(setpoint.position_odom)) + offset_ned).tolist(),
             *ned(setpoint.velocity_odom),
             *acceleration,
             ned_yaw(setpoint.yaw_odom),

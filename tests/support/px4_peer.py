@@ -53,6 +53,7 @@ class Peer:
         kind, _, step = os.environ.get("PEER_FAULT", "").partition("@")
         self.fault, self.fault_step = kind, int(step or 0)
         self.steps = self.received = 0
+        self.seen_at = self.resets = 0
         self.armed, self.mode = False, 0
         self.rotation: Any = None
         self.position = self.velocity = np.zeros(3)
@@ -84,6 +85,8 @@ class Peer:
         self.received += 1
         self._predict(sensors)
         self._read_commands()
+        if self.received == self.seen_at + 100:
+            self._warn("no vision")
         if self.received % 200 == SILENT_STEPS + 1:
             self._say(self._heartbeat())
         if self.received <= SILENT_STEPS:
@@ -122,6 +125,10 @@ class Peer:
     def _say(self, message: Any) -> None:
         self.udp.sendto(message.pack(self.mav), self.computer)
 
+    def _warn(self, text: str) -> None:
+        severity = common.MAV_SEVERITY_WARNING
+        self._say(common.MAVLink_statustext_message(severity, text.encode()))
+
     def _heartbeat(self) -> Any:
         armed = common.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0
         return common.MAVLink_heartbeat_message(2, common.MAV_AUTOPILOT_PX4, armed, self.mode, 3, 3)
@@ -147,11 +154,10 @@ class Peer:
             known = self.target is not None and self.rotation is not None
             ready = self.mode == OFFBOARD and known
             if command.param1 == 1.0 and not (ready and self.fault != "deny"):
-                text = b"Arming denied: no valid position"
                 print(
                     "\x1b[33mWARN  [commander] Arming denied\x1b[0m\nERROR [param] none", flush=True
                 )
-                self._say(common.MAVLink_statustext_message(common.MAV_SEVERITY_CRITICAL, text))
+                self._warn("Arming denied: no valid position")
             else:
                 self.armed = command.param1 == 1.0
 
@@ -170,6 +176,10 @@ class Peer:
         self.rotation = self.rotation @ np.array([[1, -z, y], [z, 1, -x], [-y, x, 1]])
 
     def _take_odometry(self, message: Any) -> None:
+        self.seen_at = self.received
+        if message.reset_counter != self.resets:
+            self.resets = message.reset_counter
+            self._warn(f"vision reset {self.resets}")
         w, x, y, z = message.q
         self.rotation = np.array([
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

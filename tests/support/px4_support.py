@@ -36,12 +36,13 @@ def observation(tick: int) -> Observation:
     )  # fmt: skip
 
 
-def estimate(tick: int) -> Estimate:
+def estimate(tick: int, healthy: bool = True) -> Estimate:
     return Estimate(
         tick=tick, time_s=tick / 600, odom_from_body=Pose.identity(),
         world_from_odom=Pose.identity(), velocity_odom=np.zeros(3),
         angular_velocity_body=np.zeros(3), acceleration_odom=np.zeros(3),
         position_covariance=1e-4 * np.eye(3), rotation_covariance=1e-6 * np.eye(3),
+        healthy=healthy,
     )  # fmt: skip
 
 
@@ -52,12 +53,19 @@ def setpoint(motors_on: bool) -> Setpoint:
     )  # fmt: skip
 
 
-def rest(pilot: Px4Autopilot, steps: int, motors_on: bool = False) -> list[str]:
-    """Stands still for so many control steps; returns the events."""
+def rest(
+    pilot: Px4Autopilot,
+    steps: int,
+    motors_on: bool = False,
+    lost: range = range(0),
+) -> list[str]:
+    """Stands still for so many control steps; returns the events. In the steps ``lost`` the
+    estimate is not healthy."""
     events: list[str] = []
     for step in range(steps):
         pilot.sense(observation(3 * step))
-        events += pilot.update(estimate(3 * step), setpoint(motors_on)).events
+        known = estimate(3 * step, healthy=step not in lost)
+        events += pilot.update(known, setpoint(motors_on)).events
     return events
 
 

@@ -10,13 +10,24 @@ from typing import Any
 
 import pytest
 
+from touchdown.controller.api import Setpoint
 from touchdown.experiments.api import Px4Params
 from touchdown.experiments.px4 import link
 from touchdown.experiments.px4.errors import Px4Error
 from touchdown.experiments.px4.process import VARIABLE, find_px4
+from touchdown.sim.api import SensorNeeds
 
 from support.px4_peer import SILENT_STEPS, make_build
-from support.px4_support import all_gone, autopilot, kill, rest, running
+from support.px4_support import (
+    all_gone,
+    autopilot,
+    estimate,
+    kill,
+    observation,
+    rest,
+    running,
+    setpoint,
+)
 
 pytest.importorskip("pymavlink")
 
@@ -43,6 +54,44 @@ def test_each_step_has_one_answer_and_what_is_said_becomes_events(
     assert steps == answers and 700 < steps < 800 - SILENT_STEPS
     assert events == ["PX4: mode mode 0", "PX4: mode OFFBOARD", "PX4: armed"]
     assert [file.name for file in (tmp_path / "run").iterdir()] == ["px4.log"]
+
+
+def test_an_unhealthy_estimate_is_not_sent_and_its_return_is_a_reset(build: Path) -> None:
+    pilot = autopilot(build)
+    try:
+        events = rest(pilot, 700, lost=range(300, 450))
+    finally:
+        pilot.close()
+    said = [text for text in events if "vision" in text]
+    assert said == ["PX4: no vision", "PX4: vision reset 1"]
+
+
+class _Asked:
+    """A lander that counts."""
+
+    needs = SensorNeeds()
+    times = 0
+
+    def update(self, *_seen: Any) -> Setpoint:
+        self.times += 1
+        return setpoint(motors_on=True)
+
+
+def test_the_lander_waits_until_px4_has_armed(build: Path) -> None:
+    pilot, lander = autopilot(build), _Asked()
+    held: Any = pilot.holding(lander)  # type: ignore[arg-type]
+    asked = []
+    try:
+        for step in range(600):
+            wanted = held.update(None, None, None)
+            pilot.sense(observation(3 * step))
+            pilot.update(estimate(3 * step), wanted)
+            asked.append(lander.times)
+    finally:
+        pilot.close()
+    # Steps before PX4 has connected, 0.5 s to OFFBOARD, 0.5 s to arm, 0.6 s to spool up.
+    waited = asked.count(asked[200])
+    assert 200 < waited < 450 and asked[-1] == 600 - waited + 1
 
 
 def test_warnings_that_px4_prints_become_events(

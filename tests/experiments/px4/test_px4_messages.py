@@ -1,5 +1,6 @@
 """What PX4 is told: frames, units, order and spin of the motors, gains."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from touchdown.experiments.external.synthetic_stream import synthetic_rig
 from touchdown.experiments.px4 import airframe, frames
 from touchdown.experiments.px4.commander import mode_name, version_text
 from touchdown.experiments.px4.errors import Px4Error
+from touchdown.experiments.px4.local_frame import LocalFrame
 from touchdown.experiments.px4.messages import Messages, dialect
 from touchdown.sim.api import BarometerSample, GpsFix, ImuSample, MagnetometerSample
 from touchdown.sim.frames import Pose, rotation_from_yaw
@@ -89,9 +91,9 @@ def test_a_setpoint_has_feed_forward_and_a_limit_on_thrust_is_an_acceleration() 
         position_odom=np.array([1.0, 2.0, 3.0]), velocity_odom=np.array([0.1, 0.2, 0.3]),
         acceleration_odom=np.array([0.4, 0.5, 0.6]), yaw_odom=0.0, yaw_rate=0.1,
     )  # fmt: skip
-    message = Messages(RIG).setpoint(wanted, 1.0)
+    message = Messages(RIG).setpoint(wanted, 1.0, np.array([100.0, 10.0, 1.0]))
     assert message.type_mask == 0
-    assert (message.x, message.y, message.z) == (2.0, 1.0, -3.0)
+    assert (message.x, message.y, message.z) == (102.0, 11.0, -2.0)
     assert (message.vx, message.vy, message.vz) == (0.2, 0.1, -0.3)
     assert (message.afx, message.afy, message.afz) == (0.5, 0.4, -0.6)
     assert (message.yaw, message.yaw_rate) == pytest.approx((0.5 * np.pi, -0.1))
@@ -99,8 +101,29 @@ def test_a_setpoint_has_feed_forward_and_a_limit_on_thrust_is_an_acceleration() 
         position_odom=wanted.position_odom, velocity_odom=wanted.velocity_odom,
         acceleration_odom=wanted.acceleration_odom, yaw_odom=0.0, thrust_limit=0.4,
     )  # fmt: skip
-    message = Messages(RIG).setpoint(limited, 1.0)
+    message = Messages(RIG).setpoint(limited, 1.0, np.zeros(3))
     assert message.type_mask == 4 + 32 and message.afz == pytest.approx(0.6 * 9.81)
+
+
+def test_with_satellites_setpoints_follow_px4s_frame() -> None:
+    """PX4 says where it was 20 ms ago; since then the vehicle has moved."""
+    frame, alone = LocalFrame(moves=True), LocalFrame(moves=False)
+    assert alone.known and not frame.known
+    for step in range(5):
+        there = replace(estimate(), time_s=1.0 + 0.005 * step, odom_from_body=Pose(
+            np.eye(3), np.array([0.1 * step, 2.0, 3.0])))  # fmt: skip
+        frame.note(there)
+    said = dialect().MAVLink_local_position_ned_message(1005, 52.0, 20.1, -3.5, 0, 0, 0)
+    frame.take(said)
+    alone.take(said)
+    assert frame.offset_ned == pytest.approx([50.0, 20.0, -0.5])
+    assert alone.offset_ned.tolist() == [0.0, 0.0, 0.0]
+    said.x = 52.5
+    frame.take(said)
+    assert 50.0 < frame.offset_ned[0] < 50.1, "smoothed"
+    said.x = 60.0
+    frame.take(said)
+    assert frame.offset_ned[0] == pytest.approx(58.0), "a reset"
 
 
 def wrench_of(thrust: float, roll: float, pitch: float, yaw: float) -> np.ndarray:
@@ -140,8 +163,6 @@ def test_motors_are_px4s_by_place_and_spin() -> None:
     assert airframe.Motors(VEHICLE).speeds([0.0, 0.0, 1.0, -1.0]).tolist() == [565.0, 80, 80, 80]
     assert (PARAMETERS["CA_ROTOR0_PX"], PARAMETERS["CA_ROTOR0_PY"]) == (0.24, 0.24)
     assert PARAMETERS["CA_ROTOR0_KM"] == pytest.approx(1.6e-6 / 6.5e-5)
-    from dataclasses import replace
-
     with pytest.raises(Px4Error, match="counter-clockwise at front right"):
         airframe.Motors(replace(VEHICLE, rotor_spin=-VEHICLE.rotor_spin))
     with pytest.raises(Px4Error, match="quadrotor X"):
