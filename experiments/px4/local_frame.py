@@ -24,8 +24,8 @@ _SMOOTHING = 0.02
 class LocalFrame:
     """Offset of PX4's local frame, north, east, down, from the odom frame.
 
-    On vision alone both are the same. With satellites PX4 puts its origin where the first fix was, and
-    follows them: setpoints are given where they are meant against the estimate of the same time.
+    On vision alone both are the same. With satellites PX4 puts its origin where the first fix was,
+    and follows them: setpoints are given where they are meant against the estimate of that time.
     """
 
     def __init__(self, moves: bool) -> None:
