@@ -117,6 +117,8 @@ def _warn_of_inactive_faults(config: Config, stack: FlightStack) -> None:
     needs = stack.estimator.needs
     if config.mapper.enabled:
         needs = needs | stack.mapper.needs | stack.lander.needs
+    if stack.autopilot is not None:
+        needs = needs | stack.autopilot.needs
     for sentence in inactive_faults(config, needs):
         warnings.warn(sentence, stacklevel=3)
 
