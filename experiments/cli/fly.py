@@ -138,6 +138,17 @@ _FLIGHT_OPTIONS = (
         metavar="MODULE:FUNCTION",
         help="A function makes the scene: a PyMJCF root, a Composer entity or an MjSpec.",
     ),
+    click.option(
+        "--as-is",
+        is_flag=True,
+        default=None,
+        help="Take the scene of a file as it is: nothing is dressed or guessed.",
+    ),
+    click.option(
+        "--classes",
+        metavar="FILE",
+        help="Classes of a file's geoms: TOML by name, or a PNG from above.",
+    ),
     click.option("--out", type=PATH, help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]"),
     click.option("--force", is_flag=True, help="Replace a run whose sensors.mcap would be lost."),
     click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
@@ -163,7 +174,8 @@ _FLIGHT_OPTIONS = (
 
 _CONFIG_OPTIONS = (
     "scene", "estimator", "seed", "profile", "preset", "light", "wind_kmh", "record",
-    "calibration", "log_sensors", "selector", "lander", "controller", "mapper", "classifier",
+    "calibration", "log_sensors", "as_is", "classes",
+    "selector", "lander", "controller", "mapper", "classifier",
     "px4", "px4_port", "px4_connect", "px4_aid",
 )  # fmt: skip
 """The options that `experiments.config.loading.load_config` takes."""

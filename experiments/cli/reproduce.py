@@ -29,8 +29,8 @@ from touchdown.experiments.cli.common import (
 @click.option("--skip", multiple=True, metavar="PART",
               help="Leave a part out, such as recognition. May be repeated.")  # fmt: skip
 @click.option("--photographs", multiple=True, metavar="[KIND=]DIR",
-              help="Labelled photographs for training and test beside rendered "
-              "images, as --data of touchdown train. May be repeated.")  # fmt: skip
+              help="Train the networks on these labelled photographs too, as --data of "
+              "touchdown train. May be repeated.")  # fmt: skip
 @click.option("--list", "only_list", is_flag=True,
               help="Print the parts, their tables and figures, and approximate times.")  # fmt: skip
 @JSON
@@ -64,7 +64,7 @@ def reproduce(
 
     jobs = jobs or default_jobs()
     if only_list:
-        _print_list(overview(quick=quick, jobs=jobs, skip=skip), as_json)
+        _print_list(overview(quick=quick, jobs=jobs, skip=skip, photographs=photographs), as_json)
         return EXIT_DONE
     if out is None:
         raise click.UsageError("missing option '--out'", click.get_current_context())

@@ -59,6 +59,8 @@ OPTION_KEYS: Mapping[str, str] = {
     "profile": "profile",
     "preset": "preset",
     "light": "light",
+    "as_is": "scene_as_is",
+    "classes": "scene_classes",
     "calibration": "calibration",
     "record": "record",
     "log_sensors": "log.sensors",

@@ -100,6 +100,10 @@ class Config(BaseModel):
     scene_seed: CountOrZero | None = None
     """seed of the scene alone, for flights over one scene in different wind and noise; none:
     ``seed``"""
+    scene_as_is: bool = False
+    """take the scene of a file as it is: nothing is dressed, guessed or moved"""
+    scene_classes: str | None = None
+    """path of a file of classes for the scene of a file, a PNG or TOML; none: names and guesses"""
     light: Light = "day"
     """light of the scene: ``day``, ``overcast``, ``dusk`` or ``night``"""
     estimator: str = "livo"

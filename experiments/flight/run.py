@@ -20,6 +20,7 @@ from touchdown.experiments.flight.referee import Referee
 from touchdown.experiments.flight.result import make_result
 from touchdown.experiments.flight.slots import check_parts_available
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
+from touchdown.experiments.flight.survey_fit import fitted
 from touchdown.experiments.flight.truth_lookup import TruthLookup
 from touchdown.experiments.flight.wiring import (
     FlightStack,
@@ -69,6 +70,7 @@ def fly(
     limit_threads()
     with set_up_memory():
         scene = build_scene(config)
+        config = fitted(config, scene)
         stack = build_flight_stack(config, scene)
         stack.world.take_textures()
     _warn_of_inactive_faults(config, stack)

@@ -31,7 +31,7 @@ from touchdown.experiments.flight.slots import (
     lander_rig,
 )
 from touchdown.landing.api import Lander
-from touchdown.scenes.api import LowSun, Scene, names_function
+from touchdown.scenes.api import LowSun, Readying, Scene, names_function
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import SensorRig, Truth, World, WorldParams
 from touchdown.sim.effects import WorldRecord
@@ -76,12 +76,19 @@ def build_scene(config: Config) -> Scene:
         from touchdown.experiments.external.places import place_file
 
         with place_file(config.scene, seed) as file:
-            scene = replace(cached_scene(str(file), seed, sun, light), source=config.scene)
+            scene = replace(
+                cached_scene(str(file), seed, sun, light, readying(config)), source=config.scene
+            )
     else:
-        scene = cached_scene(config.scene, seed, sun, light)
+        scene = cached_scene(config.scene, seed, sun, light, readying(config))
     if config.landing.site_xy_m is not None:
         _refuse_site_of_the_file(np.array(config.landing.site_xy_m), scene)
     return scene
+
+
+def readying(config: Config) -> Readying | None:
+    """How the scene of a file is made ready; None: it is taken as it is."""
+    return None if config.scene_as_is else Readying(classes=config.scene_classes or "")
 
 
 def _refuse_site_of_the_file(site: Array, scene: Scene) -> None:

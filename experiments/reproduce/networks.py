@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import math
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.run_directory import move_beside, write_text
 from touchdown.experiments.reproduce.plans import Recognition
+from touchdown.landing.classification.networks.registry import FIXED_SIZE
 from touchdown.sim.files.child import die_with_parent
 from touchdown.sim.files.opening import no_file
 
@@ -26,38 +30,37 @@ _KEPT = ("network", "labels", "split", "pictures", "loss", "macro_f1", "recall",
          "top1_interval", "rom_mb", "peak_ram_mb", "image_ms")  # fmt: skip
 _CHECK_INTERVAL_S = 5.0
 """Interval between two checks of the progress of the trainings."""
+_LEVEL = 0.01
+"""gain of macro F1 that is none"""
 
 
 @dataclass(frozen=True, slots=True)
 class Training:
     """One training of a network, picklable for the worker processes."""
 
-    network: str
-    labels: str
     folder: Path
     data: tuple[str, ...]
-    image_size: int
-    epochs: int
+    options: Mapping[str, Any]
+    """fields of ``TrainParams``"""
+
+    @property
+    def network(self) -> str:
+        return str(self.options["network"])
+
+    @property
+    def labels(self) -> str:
+        return str(self.options["labels"])
 
     @property
     def name(self) -> str:
-        return f"{self.network}, {self.labels}"
-
-    @property
-    def options(self) -> dict[str, Any]:
-        return {
-            "network": self.network,
-            "labels": self.labels,
-            "image_size": self.image_size,
-            "epochs": self.epochs,
-        }
+        return f"{self.network}, {self.labels}, seed {self.options['seed']}"
 
 
 def train_and_score(
     home: Path,
     size: Recognition,
     photographs: Sequence[str],
-    settings: dict[str, Any],
+    settings: Mapping[str, Any],
     jobs: int,
     notes: Notes,
 ) -> list[dict[str, Any]]:
@@ -68,20 +71,35 @@ def train_and_score(
     trainings made with other ``settings`` are set aside and made again.
     """
     _start_over_if_changed(home, settings)
-    if not (home / PICTURES).is_dir():
+    if size.images and not (home / PICTURES).is_dir():
         _render(home / PICTURES, size, jobs, notes)
-    data = (str(home / PICTURES), *photographs)
-    wanted = [
-        Training(network, labels, home / NETWORKS / f"{network}-{labels}", data,
-                 size.image_size, size.epochs)
-        for network in size.networks
-        for labels in size.labels
-    ]  # fmt: skip
+    data = (*([str(home / PICTURES)] if size.images else []), *photographs)
+    wanted = list(_trainings(home / NETWORKS, size, data))
     _train([one for one in wanted if _known_scores(one.folder / SCORES, one) is None], jobs, notes)
     return [_score(training, notes) for training in wanted]
 
 
-def _start_over_if_changed(home: Path, settings: dict[str, Any]) -> None:
+def _trainings(home: Path, size: Recognition, data: tuple[str, ...]) -> Iterator[Training]:
+    """Every network under every label scheme; those repeated once more for each further seed."""
+    rates = dict(size.learning_rates)
+    for network in size.networks:
+        for labels in size.labels:
+            again = network in size.repeated and labels == "d_land"
+            for seed in size.seeds if again else size.seeds[:1]:
+                options = {
+                    "network": network, "labels": labels, "seed": seed,
+                    "image_size": size.image_size, "first_size": size.first_size,
+                    "epochs": size.epochs, "patience": size.patience,
+                }  # fmt: skip
+                if network in rates:
+                    options["learning_rate"] = rates[network]
+                if network in FIXED_SIZE:
+                    options["first_size"] = None
+                name = f"{network}-{labels}" + (f"-{seed}" if seed != size.seeds[0] else "")
+                yield Training(home / name, data, options)
+
+
+def _start_over_if_changed(home: Path, settings: Mapping[str, Any]) -> None:
     """Sets ``home`` aside if its images and trainings were made with other settings."""
     file, text = home / SETTINGS, json.dumps(settings, indent=1) + "\n"
     if not no_file(file) and file.read_text(encoding="utf-8") != text:
@@ -146,7 +164,7 @@ def _epochs(training: Training) -> str:
 
     curves = training.folder / CURVES
     ended = 0 if no_file(curves) else len(curves.read_text(encoding="utf-8").splitlines()) - 1
-    return f"{min(ended + 1, training.epochs)} of {training.epochs}"
+    return f"{min(ended + 1, training.options['epochs'])} of {training.options['epochs']}"
 
 
 def _begin_worker(parent: int) -> None:
@@ -192,30 +210,44 @@ def _known_scores(file: Path, training: Training) -> dict[str, Any] | None:
         known = read_object(file)
     except (OSError, ValueError):
         return None
-    same = (known.get("network"), known.get("labels")) == (training.network, training.labels)
+    named = ("network", "labels", "seed")
+    same = all(known.get(key, 0) == training.options[key] for key in named)
     whole = all(isinstance(known.get(split), dict) for split in ("val", "test"))
     return known if same and whole else None
 
 
 def _score(training: Training, notes: Notes) -> dict[str, Any]:
     """Returns the validation and test scores of a trained network."""
-    from touchdown.experiments.classification.evaluate import evaluate_network
+    from touchdown.experiments.classification.evaluate import EvaluateParams, evaluate_network
 
     file = training.folder / SCORES
     if (known := _known_scores(file, training)) is not None:
         return known
     notes(f"scoring {training.name}")
-    scores: dict[str, Any] = {"network": training.network, "labels": training.labels}
+    scores: dict[str, Any] = {key: training.options[key] for key in ("network", "labels", "seed")}
+    scores |= _course(training)
     for split in ("val", "test"):
         found = evaluate_network(
             training.folder / "network.onnx",
             training.data,
-            split=split,
-            measure=split == "test",
-            engine="onnx",
-            threads=1,
-            progress=_ignore_progress,
+            split,
+            _ignore_progress,
+            options=EvaluateParams(measure=split == "test"),
         )
         scores[split] = {key: found[key] for key in _KEPT if key in found}
     write_text(file, json.dumps(scores, indent=1) + "\n")
     return scores
+
+
+def _course(training: Training) -> dict[str, Any]:
+    """Epochs of a training, and whether it converged: it ended early, or macro F1 on the validation
+    images rose by less than 0.01 from the last but one tenth of its epochs to the last."""
+    from touchdown.experiments.classification.train import CURVES
+
+    with (training.folder / CURVES).open(encoding="utf-8", newline="") as file:
+        course = [float(row["val_macro_f1"]) for row in csv.DictReader(file)]
+    tenth = math.ceil(training.options["epochs"] / 10)
+    last, before = course[-tenth:], course[-2 * tenth : -tenth]
+    early = len(course) < training.options["epochs"]
+    level = bool(before) and fmean(last) - fmean(before) < _LEVEL
+    return {"epochs": len(course), "converged": early or level}

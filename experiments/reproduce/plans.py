@@ -24,6 +24,7 @@ class Recognition:
     """Size of the rendered data set, and the networks trained on it."""
 
     images: int
+    """0: none are rendered"""
     pixels: int
     per_seed: int
     scenes: tuple[str, ...]
@@ -32,6 +33,17 @@ class Recognition:
     labels: tuple[str, ...]
     image_size: int
     epochs: int
+    """at most; the learning rate falls to 0 over so many"""
+    patience: int = 8
+    """epochs without a better macro F1 on the validation images after which a network has
+    converged"""
+    first_size: int | None = None
+    learning_rates: tuple[tuple[str, float], ...] = ()
+    """of networks that do not learn at the common one"""
+    repeated: tuple[str, ...] = ()
+    """networks that are trained with each of ``seeds`` under ``d_land``, the others with the first
+    alone"""
+    seeds: tuple[int, ...] = (0,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +52,7 @@ class Extent:
 
     quick: bool
     photographs: tuple[str, ...] = ()
-    """further labelled images for ground classification, as ``--data`` of `touchdown train`"""
+    """labelled images of the part ``photographs``, as ``--data`` of `touchdown train`"""
 
     @property
     def edition(self) -> Edition:
@@ -57,8 +69,26 @@ class Edition:
     rounds: int
     """repetitions of the timed site selection"""
     recognition: Recognition
+    photographs: Recognition
+    """trained on photographs alone"""
 
 
+# Without normalisation VGG19 does not begin to learn at the rate of the others.
+PHOTOGRAPHS = Recognition(
+    images=0,
+    pixels=0,
+    per_seed=0,
+    scenes=(),
+    networks=tuple(NETWORK_NAMES),
+    labels=("d_scene", "d_land"),
+    image_size=64,
+    first_size=48,
+    epochs=80,
+    patience=20,
+    learning_rates=(("vgg19", 2e-4),),
+    repeated=("resnet50", "resnet50_cbam"),
+    seeds=(0, 1, 2),
+)
 WHOLE = Edition(
     name="whole",
     poses=12,
@@ -73,6 +103,7 @@ WHOLE = Edition(
         image_size=96,
         epochs=6,
     ),
+    photographs=PHOTOGRAPHS,
 )
 # A separate name: results of CPU and GPU trainings are never in one table.
 WHOLE_ON_GPU = replace(
@@ -95,7 +126,9 @@ QUICK = Edition(
         image_size=64,
         epochs=6,
     ),
-)
+    photographs=replace(PHOTOGRAPHS, networks=("resnet18",), labels=("d_land",), repeated=(),
+                        seeds=(0,), epochs=6),
+)  # fmt: skip
 
 
 def edition(*, quick: bool) -> Edition:

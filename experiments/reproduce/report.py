@@ -25,6 +25,7 @@ from touchdown.experiments.reproduce.networks import PICTURES
 from touchdown.experiments.reproduce.steps import FLIGHTS, PARTS, VEHICLE, Part
 from touchdown.experiments.reproduce.tables import (
     calibration_table,
+    claim_table,
     network_tables,
     rig_table,
     site_table,
@@ -99,6 +100,8 @@ def _summary_text(done: Reproduction) -> list[str]:
         content = f"`{part.name}` ({shows})" if shows else f"`{part.name}`"
         if state is None:
             why = "by `--skip`" if part.name in done.skipped else "not done yet"
+            if part.needs_photographs:
+                why = "which `--photographs` names images for"
             lines.append(f"{content} is left out, {why}.")
         elif state.error:
             lines.append(f"{content} ended with an error: {state.error}.")
@@ -116,6 +119,8 @@ def _section(
     """Section of a part; the flights of its campaign are added to ``rows``."""
     revision = f"at revision `{state.git_revision}`" if state.git_revision else "of no revision"
     purpose = f"For {', '.join(part.shows)}" if part.shows else "Beside the paper's own system"
+    if part.needs_photographs:
+        purpose = "Beside the networks of Tables 3 and 4"
     text = [f"{purpose}, by the part `{part.name}`, {state.edition} edition, ended {revision}."]
     if state.why or state.error:
         text.append(f"Not successful: {state.error or state.why}.")
@@ -219,10 +224,8 @@ def _fill_speed(section: Section, figures: Figures, _folder: Path) -> None:
 def _fill_recognition(section: Section, figures: Figures, folder: Path) -> None:
     size = figures["size"]
     networks, schemes = len(size["networks"]), len(size["labels"])
-    names = [Path(argument.rpartition("=")[2]).name for argument in size["photographs"]]
-    also = f" and the photographs of {' and '.join(names)}" if names else ""
     section.words.append(
-        f"{size['images']} rendered images of {size['pixels']} pixels{also}; networks "
+        f"{size['images']} rendered images of {size['pixels']} pixels; networks "
         f"take {size['image_size']} pixels and train for at most {size['epochs']} epochs. "
         "The paper's images are photographs of UC Merced, AID and Places365, 81 970 for validation "
         "and 5000 for the test. Scores here are on other images and not comparable with these."
@@ -240,6 +243,22 @@ def _fill_recognition(section: Section, figures: Figures, folder: Path) -> None:
     )  # fmt: skip
 
 
+def _fill_photographs(section: Section, figures: Figures, _folder: Path) -> None:
+    size, networks = figures["size"], figures["networks"]
+    names = [Path(argument.rpartition("=")[2]).name for argument in size["photographs"]]
+    epochs = [one["epochs"] for one in networks]
+    converged = sum(one["converged"] for one in networks)
+    section.words.append(
+        f"Trained and tested on the photographs of {' and '.join(names)} alone, from random "
+        f"weights, at {size['image_size']} pixels, until macro F1 on the validation images had not "
+        f"risen for {size['patience']} epochs, for {min(epochs)} to {max(epochs)} epochs: "
+        f"{converged} of {len(networks)} trainings converged. The paper trains on more images, of "
+        "AID and Places365 too, at a size that it does not print."
+    )
+    for table in (*network_tables(networks), claim_table(networks)):
+        section.tables.append(replace(table, key=f"{section.key}_{table.key}"))
+
+
 _FILLERS: Mapping[str, Callable[[Section, Figures, Path], None]] = {
     "calibration": _fill_calibration,
     "edges": _fill_edges,
@@ -247,6 +266,7 @@ _FILLERS: Mapping[str, Callable[[Section, Figures, Path], None]] = {
     "sites": _fill_sites,
     "speed": _fill_speed,
     "recognition": _fill_recognition,
+    "photographs": _fill_photographs,
 }
 
 

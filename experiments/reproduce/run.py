@@ -58,7 +58,7 @@ def reproduce(
     from touchdown.experiments.io.provenance import UNRECORDED_REMEDY, git_revision
     from touchdown.experiments.reproduce.report import write_reproduction
 
-    skipped = tuple(part_named(name).name for name in skip)
+    skipped = _left_out(skip, photographs)
     wanted = [part for part in PARTS if part.name not in skipped]
     if not wanted:
         raise UsageError("--skip leaves nothing to do")
@@ -106,6 +106,13 @@ def reproduce(
         notes("writing the report")
         write_reproduction(done, out / REPORT)
     return done
+
+
+def _left_out(skip: Sequence[str], photographs: Sequence[str]) -> tuple[str, ...]:
+    """Names of the parts that are not run: those of ``skip``, and those without their images."""
+    named = [part_named(name).name for name in skip]
+    without = [part.name for part in PARTS if part.needs_photographs and not photographs]
+    return tuple(dict.fromkeys([*named, *without]))
 
 
 def _aside(todo: Sequence[Part], jobs: int) -> tuple[str, ...]:
@@ -206,9 +213,11 @@ def _locked(out: Path) -> Iterator[None]:
 # ------------------------------------------------------------------------------------------ plans
 
 
-def overview(*, quick: bool, jobs: int, skip: Sequence[str] = ()) -> list[dict[str, Any]]:
+def overview(
+    *, quick: bool, jobs: int, skip: Sequence[str] = (), photographs: Sequence[str] = ()
+) -> list[dict[str, Any]]:
     """Parts with their tables, figures and approximate times with ``jobs`` processes."""
-    skipped = {part_named(name).name for name in skip}
+    skipped = _left_out(skip, photographs)
     return [
         {
             "part": part.name,

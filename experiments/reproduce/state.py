@@ -120,13 +120,18 @@ def check_plain(out: Path) -> None:
         names += [part.name]
         names += [f"{part.name}/{name}" for name in (STATE, ERROR, PICTURES, FLIGHTS, *_EDITIONS)]
     for edition in _EDITIONS:
-        names += [f"recognition/{edition}/{name}" for name in (PICTURES, NETWORKS, SETTINGS)]
+        for part_name in ("recognition", "photographs"):
+            names += [f"{part_name}/{edition}/{name}" for name in (PICTURES, NETWORKS, SETTINGS)]
     refuse_links((out / name for name in names), "a reproduction")
     for folder in (out, *(out / part.name for part in PARTS)):
         if folder.is_dir():
             partials = (path for path in folder.iterdir() if path.name.startswith("."))
             refuse_links(partials, "a reproduction")
-    trained = (out / "recognition" / edition / NETWORKS for edition in _EDITIONS)
+    trained = (
+        out / part / edition / NETWORKS
+        for part in ("recognition", "photographs")
+        for edition in _EDITIONS
+    )
     for folder in filter(Path.is_dir, trained):
         refuse_links(folder.iterdir(), "a reproduction")
 

@@ -78,6 +78,7 @@ class Part:
     """measures no time and may run while flights are flown"""
     flies: bool = False
     needs_torch: bool = False
+    needs_photographs: bool = False
 
 
 # ------------------------------------------------------------------------------- sensors, pictures
@@ -196,20 +197,27 @@ def _speed(job: Job) -> Done:
 
 def _recognition(job: Job) -> Done:
     settings = _recognition_settings(job.extent)
-    scores = train_and_score(
-        job.folder / job.edition.name,
-        job.edition.recognition,
-        job.extent.photographs,
-        settings,
-        job.jobs,
-        job.notes,
-    )
+    home, size = job.folder / job.edition.name, job.edition.recognition
+    scores = train_and_score(home, size, (), settings, job.jobs, job.notes)
     return Done({"size": settings, "folder": job.edition.name, "networks": scores})
 
 
+def _photographs(job: Job) -> Done:
+    settings, extent = _photographs_settings(job.extent), job.extent
+    home, size = job.folder / job.edition.name, job.edition.photographs
+    scores = train_and_score(home, size, extent.photographs, settings, job.jobs, job.notes)
+    short = [f"{one['network']}, {one['labels']}" for one in scores if not one["converged"]]
+    why = f"not converged: {'; '.join(short)}" if short and not extent.quick else ""
+    return Done({"size": settings, "networks": scores}, why)
+
+
 def _recognition_settings(extent: Extent) -> dict[str, Any]:
+    return dataclasses.asdict(extent.edition.recognition)
+
+
+def _photographs_settings(extent: Extent) -> dict[str, Any]:
     photographs = list(extent.photographs)
-    return dataclasses.asdict(extent.edition.recognition) | {"photographs": photographs}
+    return dataclasses.asdict(extent.edition.photographs) | {"photographs": photographs}
 
 
 # ------------------------------------------------------------------------------------------- list
@@ -251,6 +259,14 @@ def _recognition_seconds(extent: Extent) -> float:
     return size.images / 6.0 + passes / (90.0 if extent.quick else 25.0)
 
 
+def _photographs_seconds(extent: Extent) -> float:
+    """Of about a thousand training images, as UC Merced has."""
+    size = extent.edition.photographs
+    trainings = len(size.networks) * len(size.labels)
+    trainings += len(size.repeated) * (len(size.seeds) - 1)
+    return trainings * size.epochs * 1000.0 / (90.0 if extent.quick else 50.0)
+
+
 PARTS: tuple[Part, ...] = (
     replace(
         _drawn("calibration", "Camera and LIDAR, calibrated", _calibration, 60.0, "Fig. 2"),
@@ -281,6 +297,16 @@ PARTS: tuple[Part, ...] = (
         run=_recognition,
         core_seconds=_recognition_seconds,
         needs_torch=True,
+    ),
+    Part(
+        name="photographs",
+        title="Ground classification of photographs",
+        shows=(),
+        settings=_photographs_settings,
+        run=_photographs,
+        core_seconds=_photographs_seconds,
+        needs_torch=True,
+        needs_photographs=True,
     ),
 )
 """In the order of work: parts that may run beside flights, flights, parts that are timed alone.

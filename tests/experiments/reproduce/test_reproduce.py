@@ -15,6 +15,7 @@ from touchdown.experiments.reproduce import plans
 from touchdown.experiments.reproduce import run as reproduce
 from touchdown.experiments.reproduce.items import ITEMS
 from touchdown.experiments.reproduce.steps import PARTS, part_named
+from touchdown.experiments.reproduce.tables import claim_table
 
 from support.command import Says
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 pytest_plugins = ("support.reproduce_world",)
 CAMPAIGNS = tuple(part.name for part in PARTS if part.flies)
+USUAL = tuple(part.name for part in PARTS if not part.needs_photographs)
 
 
 def run_quick(out: Path, **options: Any) -> reproduce.Reproduction:
@@ -41,9 +43,9 @@ def test_one_command_gives_every_table_and_figure(world: World, tmp_path: Path, 
     out = tmp_path / "deep" / "out"
     output = says(0, "reproduce", "--out", out, "--quick", "--jobs", "1", "--json")
     tree = json.loads(output.out)
-    assert [part["part"] for part in tree["parts"]] == [part.name for part in PARTS]
+    assert [part["part"] for part in tree["parts"]] == list(USUAL)
     assert tree["good"] and all(part["good"] for part in tree["parts"])
-    assert f"[1/{len(PARTS)}] calibration" in output.err
+    assert f"[1/{len(USUAL)}] calibration" in output.err
     text = Path(tree["files"]["md"]).read_text(encoding="utf-8")
     for number in range(1, 8):
         assert re.search(rf"^\*\*Table {number}:", text, re.MULTILINE), f"Table {number}"
@@ -90,7 +92,7 @@ def test_quick_becomes_whole_and_keeps_its_flights(world: World, tmp_path: Path)
     whole = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=kept)
     assert whole.successful
     assert {name: state.edition for name, state in whole.states.items()} == {
-        part.name: "quick" if part.name in (*kept, *_SAME) else "whole" for part in PARTS
+        name: "quick" if name in (*kept, *_SAME) else "whole" for name in USUAL
     }
     assert world.count("footbridge-livo-s0") == 1 and world.count("turf-livo-s4") == 1
     assert world.count("training") == 1 + 18
@@ -157,6 +159,42 @@ def test_trained_networks_are_kept(world: World, tmp_path: Path) -> None:
     assert world.count("pictures") == 2, "other settings start over"
     assert (home.with_name("quick-2") / "pictures").is_dir(), "nothing is deleted"
     assert (home / "networks" / "resnet18-d_land" / "scores.json").is_file()
+
+
+def test_photographs_train_every_network_until_it_has_converged(
+    world: World, tmp_path: Path
+) -> None:
+    skip = [name for name in USUAL if name != "speed"]
+    seeds = {"": (0.80, 0.70), "-1": (0.82, 0.70), "-2": (0.84, 0.70)}
+    for end, (with_block, without) in seeds.items():
+        world.top1 |= {
+            f"resnet50_cbam-d_land{end}": with_block,
+            f"resnet50-d_land{end}": without,
+        }
+    world.course = lambda epoch: 0.01 * min(epoch, 64)
+    done = reproduce.reproduce(
+        tmp_path, quick=False, jobs=1, skip=skip, photographs=["ucmerced=/pictures"]
+    )
+    state = done.states["photographs"]
+    assert not state.error and not state.why
+    assert state.figures["size"]["photographs"] == ["ucmerced=/pictures"]
+    assert world.count("training") == 9 * 2 + 2 * 2 and world.count("pictures") == 0
+    table = claim_table(state.figures["networks"])
+    cbam = table.numbers["cbam"]
+    assert cbam["differences"] == pytest.approx([0.10, 0.12, 0.14])
+    # Student's t of 2 degrees of freedom, 4.303, times 0.02 over the root of 3
+    assert (cbam["mean"], cbam["half_width"]) == pytest.approx((0.12, 4.303 * 0.02 / 3**0.5), 1e-3)
+    assert len(table.numbers["d_land"]["differences"]) == 9
+    text = (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
+    assert "photographs of pictures alone" in text and "22 of 22 trainings converged" in text
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_network_that_still_improves_has_not_converged(world: World, tmp_path: Path) -> None:
+    world.course = lambda epoch: 0.01 * epoch
+    skip = [name for name in USUAL if name != "speed"]
+    done = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=skip, photographs=["x"])
+    assert done.states["photographs"].why.startswith("not converged: resnext50, d_scene; ")
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
