@@ -35,6 +35,19 @@ OTHER_CLASS_ID = 255
 """Objects that belong to no land class (a car, a lamp)."""
 
 
+CLASS_RGB: Mapping[str, tuple[int, int, int]] = {
+    "lawn": (124, 186, 92),
+    "field": (205, 180, 110),
+    "path": (232, 214, 190),
+    "road": (110, 110, 118),
+    "building": (196, 84, 70),
+    "water": (64, 132, 206),
+    "trees": (34, 94, 52),
+    "other": (190, 70, 190),
+}
+"""colours of the classes in pictures"""
+
+
 Light = Literal["day", "overcast", "dusk", "night"]
 LIGHT_LUX: Mapping[str, float] = {"day": 80e3, "overcast": 10e3, "dusk": 400.0, "night": 0.002}
 """Illuminance of level ground: sun and clear sky; a typical overcast noon; sunset on a clear day;
@@ -69,6 +82,14 @@ class LowSun:
     elevation_deg: float
     azimuth_deg: float | None = None
     """of the sun, counter-clockwise from east; None: drawn from the scene's seed"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Readying:
+    """How a scene from a file is made ready to be flown over (`scenes.importers.ready`)."""
+
+    classes: str = ""
+    """file of classes (`scenes.importers.class_files`) that overrules names and guesses"""
 
 
 DETAILS: tuple[str, ...] = (
@@ -133,6 +154,12 @@ class Scene:
     """(3,) of the world's origin in the coordinates of that file: add it to get back to them"""
     light: Light = "day"
     """the light that the model is drawn in; its strength is in `LIGHT_LUX`"""
+    ready: Readying | None = None
+    """how the file was made ready"""
+    guessed: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    """of a file: class of geoms whose names say nothing, and what it is guessed by"""
+    dressed: tuple[str, ...] = ()
+    """of a file: geoms of featureless ground that were given texture and relief"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import mujoco
 
-from touchdown.scenes.api import Light, LowSun, Scene
+from touchdown.scenes.api import Light, LowSun, Readying, Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
 
@@ -34,12 +34,14 @@ _MODEL, _REST = "model.mjb", "scene.pickle"
 _LIBRARIES = ("mujoco", "numpy", "scipy", "opencv-contrib-python-headless", "numba")
 
 
-def cached_scene(name_or_path: str, seed: int, sun: LowSun | None, light: Light) -> Scene:
+def cached_scene(
+    name_or_path: str, seed: int, sun: LowSun | None, light: Light, ready: Readying | None = None
+) -> Scene:
     """As `load_scene`, from the disk where the scene was loaded before. A scene from a file is read
     anew each time. Raises as `load_scene`; a cache that cannot be read or written is none."""
 
     def load() -> Scene:
-        return load_scene(name_or_path, seed, sun, light)
+        return load_scene(name_or_path, seed, sun, light, ready)
 
     folder = _folder() if name_or_path in scene_names() and seed >= 0 else None
     if folder is None:

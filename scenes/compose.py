@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Light, LowSun, Scene
+from touchdown.scenes.api import Light, LowSun, Readying, Scene
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.light import light_file
 from touchdown.scenes.authoring.sky import lit_by, set_sky
@@ -41,7 +41,11 @@ mujoco.set_mju_user_warning(_warn)
 
 
 def load_scene(
-    name_or_path: str, seed: int, sun: LowSun | None = None, light: Light = "day"
+    name_or_path: str,
+    seed: int,
+    sun: LowSun | None = None,
+    light: Light = "day",
+    ready: Readying | None = None,
 ) -> Scene:
     """Loads the scene ``name_or_path`` with the vehicle on its take-off spot.
 
@@ -49,13 +53,14 @@ def load_scene(
     a slash or ends in .xml). seed: non-negative; the same seed gives the same model to the byte.
     A scene from a file does not depend on it. sun: replaces the scene's own; named scenes bake
     their shadows with it, scenes from files have no baked shadows. light: of the sky; ``sun`` is
-    that of ``day``. Neither changes what stands where.
+    that of ``day``. Neither changes what stands where. ready: how a scene from a file is made ready
+    for a flight; None takes the file as it is.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
     with lit_by(light, sun):
-        spec, draft = compose_spec(name_or_path, seed)
+        spec, draft = compose_spec(name_or_path, seed, ready)
     scene = compile_scene(spec, draft, Path(name_or_path).stem, seed, name_or_path)
-    return replace(scene, light=light)
+    return replace(scene, light=light, ready=ready)
 
 
 def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> Scene:
@@ -78,16 +83,20 @@ def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: st
         moving=draft.moving,
         source=source,
         origin_m=draft.origin_m,
+        guessed=draft.guessed,
+        dressed=draft.dressed,
     )
 
 
-def compose_spec(name_or_path: str, seed: int) -> tuple[Any, SceneDraft]:
+def compose_spec(
+    name_or_path: str, seed: int, ready: Readying | None = None
+) -> tuple[Any, SceneDraft]:
     """Returns the uncompiled MjSpec, with the vehicle at height 0 over the take-off spot, and its
     draft.
 
     Raises as `load_scene`.
     """
-    draft = _draft(name_or_path, seed)
+    draft = _draft(name_or_path, seed, ready)
     prepare_spec(draft)
     return draft.spec, draft
 
@@ -105,11 +114,11 @@ def bare_spec(name_or_path: str, seed: int) -> Any:
     return spec
 
 
-def _draft(name_or_path: str, seed: int) -> SceneDraft:
+def _draft(name_or_path: str, seed: int, ready: Readying | None = None) -> SceneDraft:
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
     is_path = name_or_path.endswith(".xml") or "/" in name_or_path
-    draft = read_mjcf(Path(name_or_path)) if is_path else scene_generator(name_or_path)(seed)
+    draft = read_mjcf(Path(name_or_path), ready) if is_path else scene_generator(name_or_path)(seed)
     if is_path:
         light_file(draft.spec)
     set_sky(draft.spec)
@@ -119,7 +128,7 @@ def _draft(name_or_path: str, seed: int) -> SceneDraft:
 def spec_of_scene(scene: Scene) -> Any:
     """Returns the MjSpec of a scene of `load_scene`, composed anew from its source and seed; the
     vehicle stands where the scene starts it."""
-    spec, _ = compose_spec(scene.source or scene.name, scene.seed)
+    spec, _ = compose_spec(scene.source or scene.name, scene.seed, scene.ready)
     spec.body(VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(VEHICLE_BODY).id]
     return spec
 

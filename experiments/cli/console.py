@@ -104,6 +104,8 @@ def _print_choice(result: RunResult, console: Console) -> None:
     if choice.candidates:
         console.print(table)
     console.print(choice.why, soft_wrap=True)
+    if choice.missed is not None:
+        console.print(f"missed: {choice.missed.sentence()}", soft_wrap=True)
     for earlier in choice.earlier:
         end = f"given up: {earlier.given_up}" if earlier.given_up else earlier.why
         console.print(f"before, at {earlier.time_s:.1f} s: {end}", soft_wrap=True)
@@ -264,6 +266,8 @@ def print_place(row: Mapping[str, Any]) -> None:
         ("safe ground", f"{facts['safe_share']:.0%} of the surveyed view"),
         ("safe but for its class", f"{facts['safe_geometry_share'] - facts['safe_share']:.0%}"),
         ("geoms without a class", ", ".join(facts["without_class"]) or "none"),
+        ("dressed ground", ", ".join(facts["dressed"]) or "none"),
+        *((f"guessed: {name}", f"{kind} ({why})") for name, kind, why in facts["guessed"]),
     ):
         table.add_row(label, text)
     console = make_console()

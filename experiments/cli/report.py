@@ -28,7 +28,8 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
 
     Of a campaign, or with --out: the paper's tables and figures, measured beside published, as
     report.html (one file, no network needed), report.md and report.json. Of any other directory: a
-    Markdown table of its runs, and a line on how they ended. Exit code 1 means that runs of a
+    Markdown table of its runs, a line on how they ended, and one for each that found no site or
+    gave one up: what was refused, and whether it was safe. Exit code 1 means that runs of a
     campaign has other outcomes than its file expects.
 
     Example: touchdown report campaigns/positioning
@@ -46,6 +47,7 @@ def _print_table(directory: Path, as_json: bool) -> int:
         LANDING_COLUMNS,
         as_rows,
         markdown_table,
+        missed_lines,
         summary,
         summary_line,
     )
@@ -57,6 +59,8 @@ def _print_table(directory: Path, as_json: bool) -> int:
     else:
         say(markdown_table(runs, LANDING_COLUMNS))
         say(f"\n{summary_line(totals)}")
+        for line in missed_lines(runs):
+            say(line)
     return EXIT_DONE
 
 

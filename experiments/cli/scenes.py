@@ -121,18 +121,23 @@ def scenes_render(
               help="Seeds of a named scene; a file has none.")  # fmt: skip
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE",
               help="Key of a file's survey, such as survey.legs=1. May be repeated.")  # fmt: skip
+@click.option("--as-is", is_flag=True, default=None, help="Check a file as it is.")
+@click.option("--classes", metavar="FILE",
+              help="Classes of a file's geoms: TOML by name, or a PNG from above.")  # fmt: skip
 @JSON
 @QUIET
 def scenes_check(
-    names: tuple[str, ...], seeds: int, overrides: tuple[str, ...], as_json: bool, quiet: bool
-) -> int:
+    names: tuple[str, ...], seeds: int, overrides: tuple[str, ...], as_json: bool, quiet: bool,
+    **more: Any,
+) -> int:  # fmt: skip
     """Check that seeds of scenes (all, unless named) build, differ and offer safe ground.
 
     Exit code 1 when a seed does not build or two seeds of a scene are equal. Seeds without a safe
     site under the survey are named.
 
-    An MJCF file is checked for a flight: take-off spot, ground under the survey, share of safe
-    ground, geoms without a class. Exit code 1 when it cannot be flown, with the reason.
+    An MJCF file is checked for a flight, as it is flown: take-off spot, ground under the survey,
+    share of safe ground, classes that are guessed. Exit code 1 when it cannot be flown, with the
+    reason and the keys that would change it.
 
     Example: touchdown scenes check crossroad --seeds 5
     """
@@ -142,7 +147,7 @@ def scenes_check(
 
     known = scene_names()
     chosen = names or tuple(known)
-    places = [check_scene_file(name, overrides) for name in chosen if name not in known]
+    places = [check_scene_file(name, overrides, **more) for name in chosen if name not in known]
     rows = check_scenes([n for n in chosen if n in known], seeds, make_notes(quiet))
     if as_json:
         click.echo(json.dumps({"scenes": rows, "places": places}, indent=2))

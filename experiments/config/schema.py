@@ -25,7 +25,13 @@ from touchdown.estimator.api import (
     StereoParams,
     Zou2024Params,
 )
-from touchdown.experiments.api import BiasParams, CalibrationErrorParams, RefereeParams, StartParams
+from touchdown.experiments.api import (
+    BiasParams,
+    CalibrationErrorParams,
+    Px4Params,
+    RefereeParams,
+    StartParams,
+)
 from touchdown.landing.api import LandingParams, SurveyParams
 from touchdown.scenes.api import Light
 from touchdown.sim.api import (
@@ -94,6 +100,10 @@ class Config(BaseModel):
     scene_seed: CountOrZero | None = None
     """seed of the scene alone, for flights over one scene in different wind and noise; none:
     ``seed``"""
+    scene_as_is: bool = False
+    """take the scene of a file as it is: nothing is dressed, guessed or moved"""
+    scene_classes: str | None = None
+    """path of a file of classes for the scene of a file, a PNG or TOML; none: names and guesses"""
     light: Light = "day"
     """light of the scene: ``day``, ``overcast``, ``dusk`` or ``night``"""
     estimator: str = "livo"
@@ -129,6 +139,7 @@ class Config(BaseModel):
     hybrid_flow: HybridFlowParams = Field(default_factory=HybridFlowParams)
     stereo_vo: StereoParams = Field(default_factory=StereoParams)
     control: ControlParams = Field(default_factory=ControlParams)
+    px4: Px4Params = Field(default_factory=Px4Params)
     survey: SurveyParams = Field(default_factory=SurveyParams)
     landing: LandingParams = Field(default_factory=LandingParams)
     referee: RefereeParams = Field(default_factory=RefereeParams)

@@ -1,4 +1,5 @@
-"""The choice of a site for the result: every candidate of the last decision, and why one won."""
+"""The choice of a site for the result: every candidate of the last decision, why one won, and what
+a flight that found no site, or gave one up, refused of the true ground."""
 
 from __future__ import annotations
 
@@ -8,12 +9,45 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.io.results import CandidateSite, Choice, EarlierDecision, SiteTerm
+from touchdown.experiments.flight.metrics import GroundMap
+from touchdown.experiments.io.results import (
+    CandidateSite,
+    Choice,
+    EarlierDecision,
+    GivenUpSite,
+    MissedGround,
+    RefusingRule,
+    SiteTerm,
+)
 from touchdown.landing.api import Candidate, Decision
+from touchdown.scenes.api import Scene
+
+Array = NDArray[np.float64]
+
+TRUTH_CELL_M = 0.2
+KEYS: dict[str, str] = {
+    "low_probability": "landing.min_safe_probability",
+    "steep": "landing.max_slope_deg",
+    "footprint_slope": "landing.max_slope_deg",
+    "step": "landing.max_step_m",
+    "object": "landing.max_step_m",
+    "rough": "landing.ground.rough_std_m",
+    "footprint_roughness": "landing.max_step_m",
+    "tall_neighbour": "landing.ground.tall_m",
+    "water": "landing.max_missing_ratio",
+    "few_returns": "landing.min_returns",
+    "not_seen": "survey.legs",
+    "map_edge": "survey.legs",
+    "near_refused_site": "landing.refused_radius_m",
+    "unsafe_ground": "landing.allowed_classes",
+    "uncertain_ground": "landing.unknown_ground",
+    "unfamiliar_ground": "landing.unknown_ground",
+}
+"""The key that decides what a rule refuses; rules without one follow from energy or images."""
 
 
-def choice_of(decisions: tuple[Decision, ...]) -> Choice | None:
-    """Returns the choice of a flight with these decisions; None without one."""
+def choice_of(decisions: tuple[Decision, ...], missed: MissedGround | None = None) -> Choice | None:
+    """Returns the choice of a flight with these decisions, and what it missed; None without one."""
     if not decisions:
         return None
     *earlier, last = decisions
@@ -38,6 +72,7 @@ def choice_of(decisions: tuple[Decision, ...]) -> Choice | None:
             )
             for decision in earlier
         ],
+        missed=missed,
     )
 
 
@@ -64,3 +99,61 @@ def _site(rank: int, candidate: Candidate, position: NDArray[np.float64]) -> Can
         class_predicted=candidate.class_predicted,
         class_probability=candidate.class_probability,
     )
+
+
+def missed_ground(
+    scene: Scene, decisions: tuple[Decision, ...], grid: GroundMap, *, no_site: bool
+) -> MissedGround | None:
+    """Judges by the truth what the decisions of a flight refused; None for a flight that landed on
+    its first site. ``grid``: the ground mapped at the end of the survey."""
+    given_up = [decision for decision in decisions if decision.given_up]
+    if not decisions or not (given_up or no_site):
+        return None
+    candidates = Counter[str]()
+    safe = Counter[str]()
+    judged: dict[tuple[float, float], bool] = {}
+    for decision in decisions:
+        for site, position in zip(decision.candidates, decision.positions_world, strict=True):
+            if not site.accepted:
+                candidates[site.rule] += 1
+                safe[site.rule] += _safe(scene, position, judged)
+    return MissedGround(
+        safe_m2=_safe_m2(scene, grid),
+        rules=[
+            RefusingRule(rule=rule, candidates=count, safe=safe[rule], key=KEYS.get(rule))
+            for rule, count in candidates.most_common()
+        ],
+        given_up=[
+            GivenUpSite(
+                time_s=decision.time_s, reason=decision.given_up,
+                safe=_safe(scene, decision.positions_world[0], judged),
+            )
+            for decision in given_up
+        ],
+    )  # fmt: skip
+
+
+def _safe(scene: Scene, position: Array, judged: dict[tuple[float, float], bool]) -> bool:
+    from touchdown.scenes.truth.maps import judge_touchdown
+
+    place = (float(position[0]), float(position[1]))
+    if place not in judged:
+        judged[place] = bool(judge_touchdown(scene, position[:2]).safe)
+    return judged[place]
+
+
+def _safe_m2(scene: Scene, grid: GroundMap) -> float:
+    """Area of the mapped cells that are safe by the truth."""
+    from touchdown.scenes.truth.maps import truth_maps
+
+    rows, cols = np.nonzero(grid.count > 0)
+    if rows.size == 0:
+        return 0.0
+    first, last = np.array([cols.min(), rows.min()]), np.array([cols.max(), rows.max()]) + 1
+    region = grid.origin_xy_m + np.stack([first, last]) * grid.cell_m
+    truth = truth_maps(scene, TRUTH_CELL_M, region)
+    centres = grid.origin_xy_m + (np.stack([cols, rows], axis=1) + 0.5) * grid.cell_m
+    cell = np.floor((centres - truth.origin_xy_m) / truth.cell_m).astype(int)
+    inside = ((cell >= 0) & (cell < np.array(truth.safe.shape)[::-1])).all(axis=1)
+    col, row = cell[inside].T
+    return float(truth.safe[row, col].sum()) * grid.cell_m**2

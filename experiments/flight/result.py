@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import external_parts, other_parts
 from touchdown.experiments.external.loading import flown_code, imported_code
-from touchdown.experiments.flight.choice import choice_of
+from touchdown.experiments.flight.choice import choice_of, missed_ground
 from touchdown.experiments.flight.happened import as_json, judge_conditions
 from touchdown.experiments.flight.metrics import GroundMap, levelness_error_deg
 from touchdown.experiments.flight.observers import StepObserver
@@ -46,6 +47,8 @@ def make_result(
     record = stack.record()
     measured = observer.conditions.measured(record, stack.world.rig, stack.nominal_rig)
     conditions = judge_conditions(config, measured, record.faults, judgement.sim_s)
+    no_site = judgement.outcome == Outcome.NO_SITE
+    missed = missed_ground(stack.scene, observer.decisions, observer.judged_map, no_site=no_site)
     return RunResult(
         outcome=str(judgement.outcome),
         reason=judgement.reason,
@@ -65,7 +68,7 @@ def make_result(
         slowed_s=observer.slowed_s,
         nees=judgement.nees,
         landing=judgement.landing,
-        choice=choice_of(observer.decisions),
+        choice=choice_of(observer.decisions, missed),
         classifier=stack.network or "off",
         map=_map_figures(stack, judgement, observer.judged_map, config.seed),
         timing=_timing(clock, judgement.sim_s),

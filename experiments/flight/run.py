@@ -20,12 +20,14 @@ from touchdown.experiments.flight.referee import Referee
 from touchdown.experiments.flight.result import make_result
 from touchdown.experiments.flight.slots import check_parts_available
 from touchdown.experiments.flight.stage_timer import StageClock, Timed
+from touchdown.experiments.flight.survey_fit import fitted
 from touchdown.experiments.flight.truth_lookup import TruthLookup
 from touchdown.experiments.flight.wiring import (
     FlightStack,
     build_classifier,
     build_flight_stack,
     build_scene,
+    check_autopilot,
     check_estimator_name,
 )
 from touchdown.experiments.io.results import RunResult
@@ -61,18 +63,22 @@ def fly(
     check_estimator_name(config.estimator)
     check_parts_available(config)
     check_calibration(config)
+    check_autopilot(config)
     build_classifier(config)
     if out_dir is not None:
         check_out_dir(out_dir)
     limit_threads()
     with set_up_memory():
         scene = build_scene(config)
+        config = fitted(config, scene)
         stack = build_flight_stack(config, scene)
         stack.world.take_textures()
     _warn_of_inactive_faults(config, stack)
     if out_dir is None:
         return fly_and_judge(config, stack, _only_live(config, stack, live), progress)
     with run_directory(out_dir) as partial:
+        if stack.autopilot is not None:
+            stack.autopilot.keep_in(partial)
         sensors = _sensor_log(partial, stack) if config.log.sensors else None
         recorder = RunRecorder(partial, scene, stack.world.rig, config, sensors, live)
         result = fly_and_judge(config, stack, recorder, progress)
@@ -113,6 +119,8 @@ def _warn_of_inactive_faults(config: Config, stack: FlightStack) -> None:
     needs = stack.estimator.needs
     if config.mapper.enabled:
         needs = needs | stack.mapper.needs | stack.lander.needs
+    if stack.autopilot is not None:
+        needs = needs | stack.autopilot.needs
     for sentence in inactive_faults(config, needs):
         warnings.warn(sentence, stacklevel=3)
 
@@ -139,6 +147,8 @@ def fly_and_judge(
             referee=Timed(referee, "judge", "referee", clock),  # type: ignore[arg-type]
         )
     finally:
+        if stack.autopilot is not None:
+            stack.autopilot.close()
         stack.world.close()
         observer.close()
     for part in stack.external:

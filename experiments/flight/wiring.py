@@ -14,7 +14,7 @@ from touchdown.controller.api import Controller
 from touchdown.estimator.api import Estimator, Mapper
 from touchdown.experiments.config.keys import hint_for_value
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.config.slots import params_of
+from touchdown.experiments.config.slots import PX4, params_of
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.loading import check_external, is_external
 from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalPart
@@ -31,13 +31,14 @@ from touchdown.experiments.flight.slots import (
     lander_rig,
 )
 from touchdown.landing.api import Lander
-from touchdown.scenes.api import LowSun, Scene, names_function
+from touchdown.scenes.api import LowSun, Readying, Scene, names_function
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import SensorRig, Truth, World, WorldParams
 from touchdown.sim.effects import WorldRecord
 from touchdown.sim.files.opening import no_file
 
 if TYPE_CHECKING:
+    from touchdown.experiments.px4.autopilot import Px4Autopilot
     from touchdown.landing.classification.onboard import OnnxGroundClassifier
 
 Array = NDArray[np.float64]
@@ -61,6 +62,8 @@ class FlightStack:
     """the network of the ground classifier, for the result; None without one"""
     external: tuple[ExternalPart, ...] = ()
     """the parts that code from outside fills"""
+    autopilot: Px4Autopilot | None = None
+    """the controller where it is a program of its own, to be closed after the flight"""
 
 
 def build_scene(config: Config) -> Scene:
@@ -73,12 +76,19 @@ def build_scene(config: Config) -> Scene:
         from touchdown.experiments.external.places import place_file
 
         with place_file(config.scene, seed) as file:
-            scene = replace(cached_scene(str(file), seed, sun, light), source=config.scene)
+            scene = replace(
+                cached_scene(str(file), seed, sun, light, readying(config)), source=config.scene
+            )
     else:
-        scene = cached_scene(config.scene, seed, sun, light)
+        scene = cached_scene(config.scene, seed, sun, light, readying(config))
     if config.landing.site_xy_m is not None:
         _refuse_site_of_the_file(np.array(config.landing.site_xy_m), scene)
     return scene
+
+
+def readying(config: Config) -> Readying | None:
+    """How the scene of a file is made ready; None: it is taken as it is."""
+    return None if config.scene_as_is else Readying(classes=config.scene_classes or "")
 
 
 def _refuse_site_of_the_file(site: Array, scene: Scene) -> None:
@@ -118,13 +128,19 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         classifier = own_classifier or network
         select = None if selector is None else selector.select
         own_lander = external_lander(config, lander_rig(config, rig, select, classifier))
+        autopilot = _autopilot(config, rig)
     except ValueError:
         world.close()
         raise
     estimator = _biased(own_estimator, config)
     mapper = own_mapper or _mapper(config, rig)
-    lander = own_lander or SiteLander(rig, config.landing, config.survey, classifier, select)
+    lander: Lander = own_lander or SiteLander(
+        rig, config.landing, config.survey, classifier, select
+    )
     needs = estimator.needs
+    if autopilot is not None:
+        estimator, lander = autopilot.listening(estimator), autopilot.holding(lander)
+        needs = needs | autopilot.needs
     if config.mapper.enabled:
         needs = needs | mapper.needs | lander.needs
     world.require(needs)
@@ -134,14 +150,32 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         estimator=estimator,
         mapper=mapper,
         lander=lander,
-        controller=controller or CascadeController(world.rig.vehicle, config.control),
+        controller=controller or autopilot or CascadeController(world.rig.vehicle, config.control),
         record=world.record,
         nominal_rig=rig,
         network=None if classifier is None else classifier.description(),
         external=external_of(
             own_estimator, selector, controller, own_classifier, own_mapper, own_lander
         ),
+        autopilot=autopilot,
     )
+
+
+def check_autopilot(config: Config) -> None:
+    """Raises UsageError, one line with what to do, where PX4 is to control and cannot."""
+    if config.control.controller == PX4:
+        from touchdown.experiments.px4.autopilot import check_px4
+
+        check_px4(config)
+
+
+def _autopilot(config: Config, rig: SensorRig) -> Px4Autopilot | None:
+    """PX4 where it is the controller."""
+    if config.control.controller != PX4:
+        return None
+    from touchdown.experiments.px4.autopilot import Px4Autopilot
+
+    return Px4Autopilot(config, rig)
 
 
 def classifier_file(config: Config) -> Path | None:

@@ -11,15 +11,23 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import (
-    AliasChoices,
     BaseModel,
-    ConfigDict,
     Field,
     PrivateAttr,
     ValidationError,
 )
 
 from touchdown.experiments.errors import UsageError, input_message, plain_fault, reason_of
+from touchdown.experiments.io.choice_parts import CandidateSite as CandidateSite
+from touchdown.experiments.io.choice_parts import Choice as Choice
+from touchdown.experiments.io.choice_parts import EarlierDecision as EarlierDecision
+from touchdown.experiments.io.choice_parts import GivenUpSite as GivenUpSite
+from touchdown.experiments.io.choice_parts import MissedGround as MissedGround
+from touchdown.experiments.io.choice_parts import Part as _Part
+from touchdown.experiments.io.choice_parts import PointXY as PointXY
+from touchdown.experiments.io.choice_parts import PointXYZ as PointXYZ
+from touchdown.experiments.io.choice_parts import RefusingRule as RefusingRule
+from touchdown.experiments.io.choice_parts import SiteTerm as SiteTerm
 from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.measured import Figure, Measured
 from touchdown.experiments.io.part_names import PartNames as PartNames
@@ -30,19 +38,6 @@ LANDED = "LANDED"
 JUDGED_BY_CLASS, JUDGED_BY_GEOMETRY = "geometry and class", "geometry"
 _FILE = "result.json"
 _LARGEST_SEED = 2**63 - 1
-
-
-PointXY = Annotated[tuple[float, float] | None, Field(strict=False)]
-"""World x and y in metres; None where the run has no such point."""
-
-PointXYZ = Annotated[tuple[float, float, float] | None, Field(strict=False)]
-"""x, y and z in metres; None where the run has no such point."""
-
-
-class _Part(BaseModel):
-    """Part of a result. Keys of other versions and of other tools are kept as they are."""
-
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
 
 
 class PositionError(_Part):
@@ -109,64 +104,6 @@ class Landing(_Part):
     def ground_safe(self) -> bool | None:
         """See `ground_safe`."""
         return ground_safe(self.judged_on, safe=self.safe, safe_geometry=self.safe_geometry)
-
-
-class SiteTerm(_Part):
-    """A term of a site's value; see `landing.api.ScoreTerm`."""
-
-    name: str
-    value: Figure = None
-    quantity: Figure = None
-    unit: str = ""
-
-
-class CandidateSite(_Part):
-    """A candidate site; see `landing.api.Candidate`."""
-
-    rank: int
-    position_m: PointXYZ = None
-    """world frame, by the estimate of the decision's moment; None where its height is unknown"""
-    accepted: bool
-    rule: str
-    reason: str
-    value: Figure = None
-    terms: list[SiteTerm] = []
-    cluster_bonus: Figure = None
-    c_sum: Figure = None
-    slope_deg: Figure = None
-    roughness_m: Figure = None
-    step_m: Figure = None
-    clearance_m: Figure = None
-    safe_probability: Figure = None
-    class_predicted: str | None = None
-    class_probability: Figure = None
-
-
-class EarlierDecision(_Part):
-    """A decision that led to no landing."""
-
-    time_s: float
-    candidates: int
-    rules: dict[str, int] = {}
-    """number of candidates that each rule refused"""
-    why: str = ""
-    given_up: str = ""
-    """reason why its site was given up; empty where it had none"""
-
-
-class Choice(_Part):
-    """The last decision of a flight, and those before it."""
-
-    time_s: float
-    selector: str = Field(validation_alias=AliasChoices("selector", "scorer"))
-    """``scorer`` in results of earlier versions"""
-    why: str
-    """why the first candidate won, or why there was none"""
-    given_up: str = ""
-    """reason why the site was given up from closer; empty where it was not"""
-    candidates: list[CandidateSite] = []
-    """in the order of rank"""
-    earlier: list[EarlierDecision] = []
 
 
 class LevelnessError(_Part):
@@ -266,14 +203,14 @@ class RunResult(_Part):
     """the network of the ground classifier, or ``off``"""
     map: MapFigures | None = None
     timing: Timing | None = None
-    versions: dict[str, str] = {}
+    versions: dict[str, str] = Field(default_factory=dict)
     git_revision: str | None = None
-    events: list[Event] = []
+    events: list[Event] = Field(default_factory=list)
     event_count: int = 0
-    phases: list[PhaseStart] = []
-    faults: list[dict[str, Any]] = []
+    phases: list[PhaseStart] = Field(default_factory=list)
+    faults: list[dict[str, Any]] = Field(default_factory=list)
     measured: Measured | None = None
-    conditions: list[dict[str, Any]] = []
+    conditions: list[dict[str, Any]] = Field(default_factory=list)
     """verdicts of `experiments.flight.happened`"""
     _path: Path | None = PrivateAttr(None)
     _settings: dict[str, Any] = PrivateAttr(default_factory=dict)

@@ -129,3 +129,12 @@ def summary_line(totals: Mapping[str, Any]) -> str:
     counts = ", ".join(f"{name} {count}" for name, count in sorted(totals["outcomes"].items()))
     line = f"{runs} run{'s' * (runs != 1)}: {counts}"
     return line + (f"; {unsafe} unsafe touchdown{'s' * (unsafe != 1)}" if unsafe else "")
+
+
+def missed_lines(runs: Mapping[str, RunResult]) -> list[str]:
+    """A line for each run without a site, or that gave one up: what it refused, by the truth."""
+    return [
+        f"{name}: {run.outcome}: {run.choice.missed.sentence()}"
+        for name, run in runs.items()
+        if run.choice is not None and run.choice.missed is not None
+    ]

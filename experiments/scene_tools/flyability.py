@@ -8,20 +8,26 @@ from typing import Any
 
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.flight.survey_fit import (
+    CLEARANCE_M,
+    ENOUGH_SHARE,
+    Fit,
+    fit_survey,
+    may_fit,
+)
 from touchdown.experiments.scene_tools.render import load_configured_scene
 from touchdown.experiments.scene_tools.survey_facts import scene_facts, survey_facts
 from touchdown.landing.api import SurveyParams
 
-ENOUGH_SHARE = 0.95
-"""Least share of the survey with ground below"""
 STEP_M = 1.0
 """Height difference of the take-off spot to the ground around it that gives a remark"""
-CLEARANCE_M = 2.0
-"""Least clearance between the survey's legs and objects below them"""
 _ODD_TAKEOFF = ("building", "trees", "water")
 
 
-def check_scene_file(file: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
+def check_scene_file(
+    file: str, overrides: Sequence[str] = (), *, as_is: bool | None = None,
+    classes: str | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Builds the scene of an MJCF file once and checks the requirements of the configured survey.
 
     ``place``: the file; ``problems``: reasons why it cannot be flown, one sentence each;
@@ -29,8 +35,13 @@ def check_scene_file(file: str, overrides: Sequence[str] = ()) -> dict[str, Any]
     ground of `scenes.truth.survey_facts.SurveyFacts`. Raises UsageError for a file that cannot be
     read.
     """
-    config = load_config(None, list(overrides), scene=file, profile_default="ideal")
+    config = load_config(
+        None, list(overrides), scene=file, profile_default="ideal", as_is=as_is, classes=classes
+    )
     scene = load_configured_scene(config)
+    fit = fit_survey(config, scene) if may_fit(config, scene) else None
+    if fit is not None:
+        config = config.model_copy(update={"survey": fit.survey})
     facts = {
         **dataclasses.asdict(scene_facts(config, scene)),
         **dataclasses.asdict(survey_facts(config, scene)),
@@ -38,9 +49,16 @@ def check_scene_file(file: str, overrides: Sequence[str] = ()) -> dict[str, Any]
     return {
         "place": file,
         "problems": _problems(facts, config),
-        "remarks": _remarks(facts),
+        "remarks": _fit_remark(fit) + _remarks(facts),
         "facts": facts,
     }
+
+
+def _fit_remark(fit: Fit | None) -> list[str]:
+    if fit is None or not fit.changed:
+        return []
+    keys = " ".join(f"--set {key}={value:g}" for key, value in fit.changed.items())
+    return [f"the survey is fitted to the ground, as by {keys}"]
 
 
 def _problems(facts: dict[str, Any], config: Config) -> list[str]:
@@ -59,9 +77,19 @@ def _problems(facts: dict[str, Any], config: Config) -> list[str]:
     if not facts["safe_sites"]:
         found.append(
             "no safe ground where the survey looks: none is level, free and of a safe class "
-            "(lawn, field, path)"
+            "(lawn, field, path)" + _key_for_class(facts)
         )
     return found
+
+
+def _key_for_class(facts: dict[str, Any]) -> str:
+    share = facts["safe_geometry_share"]
+    if share <= 0.0:
+        return ""
+    return (
+        f"; {share:.0%} is level and free: give its class by --classes, or land on roads and roofs "
+        "with landing.allow_risky=true"
+    )
 
 
 def _remarks(facts: dict[str, Any]) -> list[str]:

@@ -15,7 +15,7 @@ from touchdown.experiments.drawing.map_axes import PAPER, MapFrame, survey_marks
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
-from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene, TruthMaps
+from touchdown.scenes.api import CLASS_RGB, LAND_CLASSES, OTHER_CLASS_ID, Scene, TruthMaps
 from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.maps import truth_maps as scene_truth_maps
 
@@ -24,16 +24,6 @@ Image = NDArray[np.uint8]
 
 HOVER_HEIGHT_M = 30.0
 LIDAR_SECONDS = 1.0
-CLASS_RGB: Mapping[str, tuple[int, int, int]] = {
-    "lawn": (124, 186, 92),
-    "field": (205, 180, 110),
-    "path": (232, 214, 190),
-    "road": (110, 110, 118),
-    "building": (196, 84, 70),
-    "water": (64, 132, 206),
-    "trees": (34, 94, 52),
-    "other": (190, 70, 190),
-}
 _MAP_PIXELS = 1000
 _FINEST_CELL_M, _COARSEST_CELL_M = 0.1, 0.25
 _STEEPEST_DEG = 20.0

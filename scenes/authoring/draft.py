@@ -30,3 +30,7 @@ class SceneDraft:
     moving: tuple[MovingBody, ...] = field(default=())
     origin_m: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) of the world's origin in the coordinates of the file that the scene was read from"""
+    guessed: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """class of geoms whose names say nothing, and what it is guessed by"""
+    dressed: tuple[str, ...] = ()
+    """geoms of featureless ground that were given texture and relief"""

@@ -30,7 +30,7 @@ Image = NDArray[np.uint8]
 
 TEMPLATE = Path(__file__).with_name("dem.xml")
 WINDOW_M = 200.0
-MIN_WINDOW_M = 90.0
+MIN_WINDOW_M = 30.0
 AHEAD_M, LEFT_M, AROUND_M = 70.0, 44.0, 8.0
 """What the survey needs ahead and to the left of the take-off spot, and behind and beside it."""
 MAX_HOLES = 0.5
@@ -67,7 +67,7 @@ def import_dem(
     flattest spot from which the survey stays inside; the height there is 0. Heading is east.
 
     Raises FileNotFoundError, and ValueError for what is not an elevation model or not an image,
-    for a model below 90 m, more than half holes, or a folder that is not empty.
+    for a model below 30 m, more than half holes, or a folder that is not empty.
     """
     if land_class not in LAND_CLASSES:
         raise ValueError(f"class '{land_class}' is none of {', '.join(LAND_CLASSES)}")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
-from touchdown.scenes.api import LAND_CLASSES, Surface
+from touchdown.scenes.api import LAND_CLASSES, Readying, Surface
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.importers.mjcf_limits import check_mjcf, check_spec
 from touchdown.scenes.importers.model_check import check_model
@@ -20,6 +21,7 @@ from touchdown.scenes.importers.origin import (
     infinite_planes,
     move_world,
 )
+from touchdown.scenes.importers.ready import made_ready
 from touchdown.scenes.importers.trial import TRIAL_BYTES, check_compiles
 from touchdown.sim.files.opening import check_file, printable, quiet_libraries
 
@@ -61,17 +63,21 @@ def surface_of_name(name: str) -> Surface | None:
     else None."""
     for land_class in LAND_CLASSES:
         if name.lower().startswith(land_class):
-            return Surface(
-                land_class=land_class,
-                reflectivity=REFLECTIVITY_905NM[land_class],
-                porosity=0.35 if land_class == "trees" else 0.0,
-                water=land_class == "water",
-            )
+            return _surface(land_class)
     return None
 
 
-def read_mjcf(path: Path) -> SceneDraft:
-    """Reads an MJCF file as a scene.
+def _surface(land_class: str) -> Surface:
+    return Surface(
+        land_class=land_class,
+        reflectivity=REFLECTIVITY_905NM[land_class],
+        porosity=0.35 if land_class == "trees" else 0.0,
+        water=land_class == "water",
+    )
+
+
+def read_mjcf(path: Path, ready: Readying | None = None) -> SceneDraft:
+    """Reads an MJCF file as a scene, as it is or made ``ready`` (`scenes.importers.ready`).
 
     The take-off spot is the site or body named ``takeoff``, else the position of the vehicle in a
     file written by `scenes.export`, else the origin. Classes follow from names
@@ -99,14 +105,14 @@ def read_mjcf(path: Path) -> SceneDraft:
     if _remove_vehicle(spec):
         model, data = _compiled(spec, path)
     origin_xy = far_origin(model, data, None if takeoff is None else takeoff.xy_m)
-    xy, yaw = takeoff or _Takeoff(origin_xy, 0.0)
+    xy, yaw = takeoff or _Takeoff(_amid(model, data, origin_xy) if ready else origin_xy, 0.0)
     if coarse := coarse_meshes(model):
         _warn_once(
             path,
             f"meshes are read in single precision ({', '.join(coarse[:4])}); subtract a common "
             "offset from their vertices and give it to the geoms as pos",
         )
-    ground = _ground_height(model, data, xy)
+    ground = _ground_height(model, data, xy, needed=ready is None or takeoff is not None)
     origin = np.array([*origin_xy, ground if abs(ground) > _MAX_GROUND_M else 0.0])
     if origin.any():
         move_world(spec, -origin)
@@ -121,15 +127,24 @@ def read_mjcf(path: Path) -> SceneDraft:
             name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=[-0.4, 0.3, -0.86],
             diffuse=[0.62, 0.60, 0.55], ambient=[0.20, 0.20, 0.22], castshadow=False,
         )  # fmt: skip
-    return SceneDraft(
+    surfaces, unknown = _surfaces(spec)
+    if ready is None:
+        _warn_of_unknown(path, unknown)
+    draft = SceneDraft(
         spec=spec,
         takeoff_xy_m=xy - origin_xy,
         takeoff_yaw=yaw,
         bounds_xy_m=_bounds(model, data, xy, path) - origin_xy,
-        surfaces=_surfaces(spec, path),
+        surfaces=surfaces,
         ground=None,
         origin_m=origin,
     )
+    if ready is None:
+        return draft
+    return made_ready(
+        draft, unknown, ready,
+        named=takeoff is not None, surface=_surface, say=partial(_warn_once, path),
+    )  # fmt: skip
 
 
 def remove_motion(spec: Any, path: Path) -> None:
@@ -218,12 +233,22 @@ def _blame_asset(spec: Any, path: Path) -> None:
                 )
 
 
-def _ground_height(model: Any, data: Any, xy_m: np.ndarray) -> float:
-    """World height of the highest surface at (2,) ``xy_m``."""
+def _amid(model: Any, data: Any, xy_m: np.ndarray) -> np.ndarray:
+    """The point (2,) where it lies amid the scene, else the middle of everything."""
+    box = finite_box(model, data)
+    if box is None or infinite_planes(model).any() or ((box[0] <= xy_m) & (xy_m <= box[1])).all():
+        return xy_m
+    return np.asarray(box.mean(axis=0))
+
+
+def _ground_height(model: Any, data: Any, xy_m: np.ndarray, *, needed: bool) -> float:
+    """World height of the highest surface at (2,) ``xy_m``; 0 where nothing is ``needed`` there."""
     top = float(np.max(data.geom_xpos[:, 2] + model.geom_rbound, initial=0.0)) + 1.0
     start, down = np.array([*xy_m, top]), np.array([0.0, 0.0, -1.0])
     hit = np.full(1, -1, np.int32)
     distance = mujoco.mj_ray(model, data, start, down, None, 1, -1, hit)
+    if distance < 0.0 and not needed:
+        return 0.0
     if distance < 0.0:
         raise ValueError(
             f"no ground under the take-off spot {np.round(xy_m, 2).tolist()}: add a floor, or a "
@@ -268,7 +293,8 @@ def _takeoff(model: Any, data: Any) -> _Takeoff | None:
     return None
 
 
-def _surfaces(spec: Any, path: Path) -> dict[str, Surface]:
+def _surfaces(spec: Any) -> tuple[dict[str, Surface], list[str]]:
+    """The surface of each geom, all of which are named, and the geoms without a class."""
     surfaces: dict[str, Surface] = {}
     unknown: list[str] = []
     taken = {geom.name for geom in spec.geoms if geom.name}
@@ -284,6 +310,10 @@ def _surfaces(spec: Any, path: Path) -> dict[str, Surface]:
         if found is None:
             unknown.append(geom.name)
         surfaces[geom.name] = found or DEFAULT_SURFACE
+    return surfaces, unknown
+
+
+def _warn_of_unknown(path: Path, unknown: list[str]) -> None:
     if unknown:
         shown = ", ".join(printable(name) for name in unknown[:4])
         names = shown + (" ..." if len(unknown) > 4 else "")
@@ -295,7 +325,6 @@ def _surfaces(spec: Any, path: Path) -> dict[str, Surface]:
             f"{DEFAULT_SURFACE.reflectivity}; begin a material's or geom's name with one of "
             f"{', '.join(LAND_CLASSES)}",
         )
-    return surfaces
 
 
 def _bounds(model: Any, data: Any, takeoff_xy_m: np.ndarray, path: Path) -> np.ndarray:

@@ -42,6 +42,37 @@ class SceneFacts:
     """the highest object within `_CLEAR_OF_LEGS_M` of that rectangle, above the take-off spot"""
     without_class: tuple[str, ...]
     """names of geoms that count as ``other``"""
+    guessed: tuple[tuple[str, str, str], ...]
+    """name, class and reason of geoms whose class is guessed"""
+    dressed: tuple[str, ...]
+    """names of geoms of featureless ground that were given texture and relief"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SurveyGround:
+    """Ground around a take-off spot, in its axes."""
+
+    local: Array
+    """(rows, cols, 2) metres along and to the left of the take-off heading"""
+    height_m: Array
+    """(rows, cols) above the take-off spot; NaN where there is none"""
+
+    def share(self, length_m: float, width_m: float) -> float:
+        """Share of the legs' rectangle with ground below."""
+        inside = _distance_from_box(self.local, length_m, width_m) == 0.0
+        return float(np.isfinite(self.height_m[inside]).mean())
+
+    def highest_m(self, length_m: float, width_m: float) -> float:
+        """The highest object within 3 m of that rectangle, above the take-off spot."""
+        near = _distance_from_box(self.local, length_m, width_m) <= _CLEAR_OF_LEGS_M
+        return float(np.nanmax(self.height_m[near]))
+
+
+def survey_ground(scene: Scene, length_m: float, width_m: float) -> SurveyGround:
+    """Samples the ground below legs of up to ``length_m`` that cover up to ``width_m``."""
+    local, heights, _ = _around_the_legs(scene, np.array([length_m, width_m]), _AROUND_M[1])
+    start = np.argmin(np.hypot(*np.moveaxis(local, -1, 0)))
+    return SurveyGround(local=local, height_m=heights - float(heights.flat[start]))
 
 
 def scene_facts(
@@ -78,6 +109,8 @@ def scene_facts(
             geom for geom, surface in scene.surfaces.items()
             if surface.land_class not in LAND_CLASSES
         ),
+        guessed=tuple((geom, *found) for geom, found in scene.guessed.items()),
+        dressed=scene.dressed,
     )  # fmt: skip
 
 

@@ -207,7 +207,7 @@ def _invalid(tmp_path: Path, kind: str) -> Path:
         heights[::3] = 1.0
         write_tiff(path, heights)
     elif kind == "small":
-        write_tiff(path, np.zeros((50, 70)))
+        write_tiff(path, np.zeros((25, 70)))
     elif kind == "cut":
         path.write_bytes(write_tiff(path, ramp()).read_bytes()[:5000])
     elif kind == "pixels":
@@ -218,7 +218,7 @@ def _invalid(tmp_path: Path, kind: str) -> Path:
 @pytest.mark.parametrize(("kind", "message"), [
     ("text", "is not a TIFF file"), ("empty", "is not a TIFF file"),
     ("mostly", "66 % of the window are holes"),
-    ("small", "at least 90 m"), ("cut", "damaged TIFF file"), ("pixels", "damaged TIFF file"),
+    ("small", "at least 30 m"), ("cut", "damaged TIFF file"), ("pixels", "damaged TIFF file"),
 ])  # fmt: skip
 def test_invalid_models_are_one_clear_line(tmp_path: Path, kind: str, message: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:

@@ -103,7 +103,7 @@ def test_an_arena_is_as_its_episode_begins(says: Says) -> None:
 
 
 def test_roots_and_specs_are_scenes() -> None:
-    models = [build_scene(load_config(scene=f"my_places:{name}", seed=4)).model
+    models = [build_scene(load_config(scene=f"my_places:{name}", seed=4, as_is=True)).model
               for name in ("root", "spec")]  # fmt: skip
     assert height(models[0], 9, 0) == 0.0
     assert height(models[1], 9, 0) == np.random.RandomState(4).randint(100) + 1.0

@@ -1,10 +1,15 @@
 import json
+import tempfile
+from pathlib import Path
 
 import numpy as np
 
-from touchdown.experiments.flight.choice import choice_of
+from touchdown.experiments.flight.choice import choice_of, missed_ground
+from touchdown.experiments.flight.metrics import GroundMap
 from touchdown.experiments.io.results import RunResult
+from touchdown.experiments.reporting.run_table import missed_lines
 from touchdown.landing.api import Candidate, Decision, ScoreTerm, SiteRule
+from touchdown.scenes.compose import load_scene
 
 
 def _candidate(rule: SiteRule, value: float, accepted: bool) -> Candidate:
@@ -46,6 +51,45 @@ def test_last_decision_is_listed_in_full_and_earlier_ones_by_rule() -> None:
     (earlier,) = choice.earlier
     assert (earlier.time_s, earlier.candidates, earlier.given_up) == (50.0, 4, "a wire")
     assert earlier.rules == {"step": 2, "water": 1}
+
+
+def test_what_a_flight_missed_is_told_by_the_truth() -> None:
+    """A slab 0.4 m high from x = 20 m on, of a class that is refused rightly, makes the lawn unsafe
+    from 18.5 m on; the map holds 10 x 10 m elsewhere."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "place.xml"
+        path.write_text(
+            '<mujoco><worldbody><geom name="lawn" type="box" size="30 30 1" pos="10 20 -1"/>'
+            '<geom name="road" type="box" size="2 20 .2" pos="22 20 .2"/></worldbody></mujoco>'
+        )
+        scene = load_scene(str(path), 0)
+    grid = GroundMap(
+        np.array([-2.0, 18.0]), 1.0, np.zeros((20, 20), np.float32), np.zeros((20, 20))
+    )
+    grid.count[:10, :10] = 5.0
+    unsure = _candidate("uncertain_ground", 0.5, False)
+    good = _candidate("highest_value", 1.0, True)
+    refusals = [unsure] * 11 + [_candidate("unsafe_ground", 0.4, False)]  # x from 10 to 21 m
+    none = _decision(80.0, *refusals)
+    assert missed_ground(scene, (_decision(50.0, good),), grid, no_site=False) is None
+    first = _decision(50.0, good, given_up="at 10 m: unsure")
+    missed = missed_ground(scene, (first, none), grid, no_site=True)
+    assert missed is not None and missed.safe_m2 == 100.0
+    rules = [(one.rule, one.candidates, one.safe, one.key) for one in missed.rules]
+    assert rules == [
+        ("uncertain_ground", 11, 9, "landing.unknown_ground"),
+        ("unsafe_ground", 1, 0, "landing.allowed_classes"),
+    ]
+    assert [(look.safe, look.reason) for look in missed.given_up] == [(True, "at 10 m: unsure")]
+    assert missed.sentence() == (
+        "100 m2 of mapped ground were safe; refused: 11 uncertain ground (9 safe, "
+        "landing.unknown_ground), 1 unsafe ground (0 safe, landing.allowed_classes); "
+        "given up: a safe site, at 10 m: unsure"
+    )
+    result = RunResult(
+        outcome="NO_SITE", scene="x", seed=1, estimator="gps", choice=choice_of((none,), missed)
+    )
+    assert missed_lines({"run": result}) == [f"run: NO_SITE: {missed.sentence()}"]
 
 
 def test_choice_survives_the_file() -> None:

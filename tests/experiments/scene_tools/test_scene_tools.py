@@ -168,7 +168,7 @@ SMALL_LAWN = '<geom name="lawn" type="box" size="20 20 1" pos="0 0 -1"/>'
 def test_a_file_is_judged_by_what_a_survey_needs(
     geoms: str, problem: str, remark: str, tmp_path: Path
 ) -> None:
-    row = check_scene_file(write_place(tmp_path, geoms))
+    row = check_scene_file(write_place(tmp_path, geoms), as_is=True)
     for found, expected in ((row["problems"], problem), (row["remarks"], remark)):
         assert len(found) == bool(expected), found
         assert expected in "".join(found)
@@ -179,11 +179,11 @@ def test_the_check_of_a_file_is_a_table_and_an_exit_code(
 ) -> None:
     place = write_place(tmp_path, f'{SMALL_LAWN}<geom name="heap" size="1" pos="6 5 0"/>')
     with pytest.warns(UserWarning, match=r"1 geom has no known class \(heap\): it counts"):
-        assert cli.main(["scenes", "check", place, "--json"]) == 1
+        assert cli.main(["scenes", "check", place, "--as-is", "--json"]) == 1
     (row,) = json.loads(capsys.readouterr().out)["places"]
     assert row["facts"]["without_class"] == ["heap"]
     assert row["facts"]["legs_share"] == pytest.approx(0.2, abs=0.01)
-    short = ["--set", "survey.legs=1", "--set", "survey.leg_length_m=12"]
+    short = ["--as-is", "--set", "survey.legs=1", "--set", "survey.leg_length_m=12"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # the heap was reported already
         assert cli.main(["scenes", "check", place, *short]) == 0

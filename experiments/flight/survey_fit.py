@@ -1,0 +1,132 @@
+"""Fits the standard survey to the ground of a file's scene: smaller where ground ends, higher where
+something stands."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.experiments.config.checks import survey_problem
+from touchdown.experiments.config.schema import Config
+from touchdown.landing.api import SurveyParams
+from touchdown.scenes.api import Scene
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ENOUGH_SHARE = 0.95
+"""Least share of the survey with ground below"""
+CLEARANCE_M = 2.0
+"""Least clearance between the survey's legs and objects below them"""
+_ROOM_M = 6.0
+"""clearance of a survey that is raised"""
+_HIGHEST_M = 60.0
+_LOW_M = 20.0
+"""height over a place that holds one short leg"""
+_SHORTEST_M, _STEP_M = 8.0, 2.0
+_SWATH_M = 20.0
+"""what a leg sees to both sides, for the comparison of two surveys"""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Fit:
+    """A survey that fits, and the keys that differ from those configured."""
+
+    survey: SurveyParams
+    search_legs: int
+    changed: dict[str, Any]
+
+
+def fitted(config: Config, scene: Scene) -> Config:
+    """Returns ``config`` with the survey of `fit_survey` and warns of what differs. Only the
+    standard survey over a file that is made ready is fitted."""
+    fit = fit_survey(config, scene) if may_fit(config, scene) else None
+    if fit is None or not fit.changed:
+        return config
+    keys = ", ".join(f"{key}={value:g}" for key, value in fit.changed.items())
+    warnings.warn(f"{scene.source}: the survey is fitted to the ground: {keys}", stacklevel=3)
+    landing = dataclasses.replace(config.landing, search_legs=fit.search_legs)
+    return config.model_copy(update={"survey": fit.survey, "landing": landing})
+
+
+def may_fit(config: Config, scene: Scene) -> bool:
+    """True for the standard survey over a scene from a file that is not taken as it is."""
+    standard = SurveyParams()
+    turned = dataclasses.replace(standard, climb_turn_deg=config.survey.climb_turn_deg)
+    return scene.ready is not None and config.survey == turned
+
+
+def fit_survey(config: Config, scene: Scene) -> Fit | None:
+    """The largest survey of no more than the configured size with ground below; None where not even
+    a leg of 8 m has."""
+    from touchdown.scenes.truth.scene_facts import survey_ground
+
+    survey = config.survey
+    width = survey.legs * survey.leg_spacing_m
+    ground = survey_ground(scene, survey.leg_length_m, width)
+    for one in sorted(_surveys(survey), key=lambda one: (-_seen_m2(one), one.legs)):
+        if ground.share(one.leg_length_m, _width(one)) < ENOUGH_SHARE:
+            continue
+        highest = ground.highest_m(one.leg_length_m, _width(one))
+        height = one.height_m
+        if highest > height - CLEARANCE_M:
+            height = min(float(np.ceil(highest + _ROOM_M)), _HIGHEST_M)
+        one = dataclasses.replace(one, height_m=height)
+        next_leg = ground.share(one.leg_length_m, one.legs * one.leg_spacing_m)
+        legs = config.landing.search_legs if next_leg >= ENOUGH_SHARE else 0
+        return Fit(one, legs, _changed(survey, one, config.landing.search_legs, legs))
+    return None
+
+
+def _surveys(survey: SurveyParams) -> Iterator[SurveyParams]:
+    yield survey
+    lengths = np.arange(survey.leg_length_m, _SHORTEST_M - 0.1, -_STEP_M)
+    for legs in range(survey.legs, 0, -1):
+        for spacing in (survey.leg_spacing_m, 15.0, 10.0)[: 3 if legs > 1 else 1]:
+            for length in lengths.tolist():
+                one = dataclasses.replace(
+                    survey, legs=legs, leg_spacing_m=spacing, leg_length_m=length
+                )
+                if one != survey:
+                    yield _timed(one, survey)
+
+
+def _timed(one: SurveyParams, standard: SurveyParams) -> SurveyParams:
+    """A survey at the speed of the standard one, slower where it would need too much."""
+    low = min(_LOW_M, one.height_m) if one.legs == 1 and one.leg_length_m < 24.0 else one.height_m
+    seconds = max(standard.duration_s * _way_m(one) / _way_m(standard), 5.0)
+    one = dataclasses.replace(
+        one, duration_s=float(np.ceil(seconds)), height_m=low,
+        min_height_m=min(one.min_height_m, low),
+    )  # fmt: skip
+    while survey_problem(one):
+        one = dataclasses.replace(one, duration_s=one.duration_s + 2.0)
+    return one
+
+
+def _way_m(survey: SurveyParams) -> float:
+    return survey.legs * survey.leg_length_m + _width(survey)
+
+
+def _width(survey: SurveyParams) -> float:
+    return (survey.legs - 1) * survey.leg_spacing_m
+
+
+def _seen_m2(survey: SurveyParams) -> float:
+    return survey.leg_length_m * (_width(survey) + 2.0 * _SWATH_M)
+
+
+def _changed(
+    before: SurveyParams, after: SurveyParams, search_before: int, search_after: int
+) -> dict[str, Any]:
+    found = {
+        f"survey.{field.name}": getattr(after, field.name)
+        for field in dataclasses.fields(SurveyParams)
+        if getattr(after, field.name) != getattr(before, field.name)
+    }
+    return found | ({"landing.search_legs": search_after} if search_after != search_before else {})

@@ -1,0 +1,135 @@
+"""What of a file's geoms is seen from above, before the vehicle stands among them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from touchdown.sim.geometry.quadrics import ShapeTable
+from touchdown.sim.geometry.ray_target import RayTarget, geom_pose
+from touchdown.sim.geometry.tessellation import geom_mesh
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+
+CELL_M = 0.5
+STEP_M = 0.35
+"""Between neighbouring cells of one ground: a kerb, a slab, a slope of 35 degrees."""
+_HIDDEN_GROUP = 3
+_TOP_M = 1000.0
+_REACH_M = 250.0
+
+
+class FromAbove(NamedTuple):
+    """Cells of ``cell_m``, rows along y, cell (0, 0) at ``origin_xy_m``, world frame."""
+
+    origin_xy_m: Array
+    cell_m: float
+    height_m: Array
+    """(rows, cols) of the top surface, NaN where nothing is"""
+    geom: Ids
+    """(rows, cols) seen there, -1 for none"""
+
+    def centres(self) -> Array:
+        """(rows, cols, 2) world."""
+        row, col = np.indices(self.geom.shape)
+        return self.origin_xy_m + (np.stack([col, row], axis=-1) + 0.5) * self.cell_m
+
+    def cell_of(self, xy_m: Array) -> tuple[int, int]:
+        """Row and column of the cell at (2,) ``xy_m``, clipped to the raster."""
+        col, row = np.floor((xy_m - self.origin_xy_m) / self.cell_m).astype(int)
+        rows, cols = self.geom.shape
+        return min(max(int(row), 0), rows - 1), min(max(int(col), 0), cols - 1)
+
+
+def is_seen(model: Any, geom: int) -> bool:
+    """True for a geom that sensors see."""
+    material = int(model.geom_matid[geom])
+    alpha = model.mat_rgba[material, 3] if material >= 0 else model.geom_rgba[geom, 3]
+    return bool(model.geom_group[geom] < _HIDDEN_GROUP and alpha > 0.0)
+
+
+def from_above(
+    model: Any, data: Any, bounds_xy_m: Array, cell_m: float = CELL_M, only: int | None = None
+) -> FromAbove:
+    """Casts rays down at the geoms that are seen, or at one of them, within [[x_min, y_min],
+    [x_max, y_max]]."""
+    low, high = bounds_xy_m
+    cols, rows = np.maximum(np.ceil((high - low) / cell_m - 1e-9).astype(int), 1)
+    middle = np.array([*(0.5 * (low + high)), 0.0])
+    shapes = ShapeTable.empty(model.ngeom)
+    blocks: list[tuple[Any, Any, int]] = []
+    for geom in range(model.ngeom):
+        if not is_seen(model, geom) or only not in (None, geom):
+            continue
+        pose = geom_pose(data, geom)
+        around = pose.inverse().apply(middle)
+        mesh = geom_mesh(model, geom, _REACH_M, None, (around[0], around[1]))
+        if mesh is None or not len(mesh[1]):
+            continue
+        blocks.append((pose.apply(mesh[0]), mesh[1], geom))
+        shapes.add(model, geom, pose)
+    found = FromAbove(
+        low.copy(), cell_m, np.full((rows, cols), np.nan), np.full((rows, cols), -1, np.int32)
+    )
+    if blocks:
+        vertices, triangles, geoms = (list(part) for part in zip(*blocks, strict=True))
+        rays = np.zeros((rows * cols, 6), np.float32)
+        rays[:, :2] = found.centres().reshape(-1, 2)
+        rays[:, 2], rays[:, 5] = _TOP_M, -1.0
+        hits = RayTarget(vertices, triangles, geoms, shapes).cast(rays)
+        met = hits.geom >= 0
+        found.height_m.ravel()[met] = _TOP_M - hits.distance[met].astype(np.float64)
+        found.geom.ravel()[:] = hits.geom
+    return found
+
+
+def grounds(seen: FromAbove) -> NDArray[np.int32]:
+    """(rows, cols) number of the connected surface of each cell, -1 for none: neighbours belong
+    together where their heights differ by no more than `STEP_M`."""
+    height = seen.height_m
+    number = np.arange(height.size).reshape(height.shape)
+    pairs = []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        near = np.abs(height[a] - height[b]) <= STEP_M  # of NaN: False
+        pairs.append(np.stack([number[a][near], number[b][near]]))
+    first, second = np.concatenate(pairs, axis=1)
+    graph = coo_matrix((np.ones(first.size, np.int8), (first, second)), (height.size,) * 2)
+    labels = connected_components(graph, directed=False)[1].reshape(height.shape)
+    return np.where(np.isfinite(height), labels, -1).astype(np.int32)
+
+
+def largest(labels: NDArray[np.int32]) -> int:
+    """The number of the ground with the most cells; -1 where there is none."""
+    known = labels[labels >= 0]
+    return int(np.bincount(known).argmax()) if known.size else -1
+
+
+def level_cells(seen: FromAbove, radius_m: float, most_m: float) -> Mask:
+    """Cells around which heights differ by no more than ``most_m`` within ``radius_m``, all of them
+    known."""
+    reach = int(np.ceil(radius_m / seen.cell_m))
+    row, col = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disc = np.hypot(row, col) * seen.cell_m <= radius_m + 1e-9
+    known = np.where(np.isfinite(seen.height_m), seen.height_m, 1e9)
+    kind = {"footprint": disc, "mode": "constant", "cval": 1e9}
+    spread = ndimage.maximum_filter(known, **kind) - ndimage.minimum_filter(known, **kind)
+    return np.asarray(spread <= most_m) & (known < 1e9)
+
+
+def upright(data: Any, geom: int) -> bool:
+    """True where a geom's z axis is the world's, to a degree."""
+    return bool(data.geom_xmat[geom].reshape(3, 3)[2, 2] > np.cos(np.deg2rad(1.0)))
+
+
+def flat_top(model: Any, data: Any, geom: int) -> bool:
+    """True for an upright plane or box."""
+    flat = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX)
+    return int(model.geom_type[geom]) in flat and upright(data, geom)

@@ -1,0 +1,49 @@
+"""The standard survey over small places and over tall things."""
+
+import warnings
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.flight.survey_fit import fitted
+from touchdown.experiments.flight.wiring import build_scene
+from touchdown.landing.api import SurveyParams
+
+TAKEOFF = '<site name="takeoff" pos="0 0 0"/>'
+PLANE = f'<geom name="lawn" type="plane" size="0 0 1"/>{TAKEOFF}'
+
+
+def fit(tmp_path: Path, body: str, *overrides: str, **more: bool) -> tuple[SurveyParams, int, str]:
+    path = tmp_path / "place.xml"
+    path.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    config = load_config(None, overrides, scene=str(path), profile_default="ideal", **more)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene = build_scene(config)
+        caught.clear()
+        config = fitted(config, scene)
+    return config.survey, config.landing.search_legs, "".join(str(w.message) for w in caught)
+
+
+def test_a_wide_place_has_the_standard_survey(tmp_path: Path) -> None:
+    assert fit(tmp_path, PLANE) == (SurveyParams(), 1, "")
+
+
+def test_a_small_place_has_a_small_survey(tmp_path: Path) -> None:
+    """Of a yard of 40 m the take-off in its middle has 20 m ahead and 20 m to the left, and no room
+    for another leg; what differs is said as keys."""
+    yard = f'<geom name="lawn" type="box" size="20 20 1" pos="0 0 -1"/>{TAKEOFF}'
+    survey, search_legs, said = fit(tmp_path, yard)
+    assert (survey.legs, survey.leg_spacing_m, survey.leg_length_m) == (2, 20.0, 20.0)
+    assert (survey.height_m, search_legs) == (30.0, 0) and survey.duration_s < 16.0
+    assert "survey.legs=2, " in said and "survey.leg_length_m=20, " in said
+    kept = fit(tmp_path, yard, "survey.legs=2")[0]
+    assert (kept.legs, kept.leg_length_m) == (2, 50.0)
+    assert fit(tmp_path, yard, as_is=True)[0] == SurveyParams()
+
+
+def test_a_tall_thing_raises_the_survey(tmp_path: Path) -> None:
+    mast = '<geom name="building" type="box" size="1 1 16" pos="30 20 16"/>'
+    survey, _, said = fit(tmp_path, PLANE + mast)
+    assert survey.height_m == pytest.approx(39.0, abs=1.01) and "survey.height_m=" in said
