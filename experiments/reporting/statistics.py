@@ -61,8 +61,8 @@ def _tail(flights: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure over ``flights`` flights; ``low`` and ``high`` are None for fewer than three: of two,
-    resampling draws nothing but the two and their mean."""
+    """A figure over ``flights`` flights; ``low`` and ``high`` are None for fewer than three: of
+    two, resampling draws nothing but the two and their mean."""
 
     value: float
     low: float | None
