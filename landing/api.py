@@ -202,6 +202,20 @@ class SelectorRig:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class SemanticView:
+    """The semantic map: nodes (rows, cols) of a grid, odom frame."""
+
+    origin_xy_m: Array
+    """(2,) of the first node"""
+    spacing_m: float
+    probabilities: NDArray[np.float32]
+    """(rows, cols, 7) of ``scenes.api.LAND_CLASSES``, fused over all views; uniform where nothing
+    was seen"""
+    weight: NDArray[np.float32]
+    """(rows, cols) reliable views of a node; 0 without one"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class SelectorInput:
     """What a selector knows at a decision; positions in the odom frame."""
 
@@ -218,6 +232,8 @@ class SelectorInput:
     """(N, 3) those of them that were refused for the kind of their ground"""
     wind_mps: float = 0.0
     """estimated wind speed"""
+    semantics: SemanticView | None = None
+    """class of the ground as all views so far show it; None without ground classification"""
     emergency: bool = False
     """the first site in reach is taken even where none is accepted"""
 
@@ -308,10 +324,11 @@ class ClassifierRig:
 
 class GroundClassifier(Protocol):
     """Predicts the class of the ground in square aerial images. ``classify`` is called at a
-    decision with patches around candidate sites, ``landing.classifier_batch`` at most, and at the
-    second look with one; each call takes ``landing.classifier_batch_latency_s`` of simulated time
-    at a decision. Images are level and along the axes of the camera, without haze and lens
-    distortion. It must be deterministic and must not modify its input."""
+    decision with patches around candidate sites, ``landing.classifier_batch`` at most, each call
+    taking ``landing.classifier_batch_latency_s`` of simulated time, at the second look with one,
+    and for the semantic map with ``landing.semantic_patches`` every tenth of a second. Images are
+    level and along the axes of the camera, without haze and lens distortion. It must be
+    deterministic and must not modify its input."""
 
     @property
     def image_size(self) -> int:

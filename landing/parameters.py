@@ -36,7 +36,15 @@ class SurveyParams:
 
 
 TermName = Literal[
-    "probability", "flatness", "smoothness", "distance", "room", "level", "traffic", "plants"
+    "probability",
+    "flatness",
+    "smoothness",
+    "distance",
+    "room",
+    "level",
+    "traffic",
+    "plants",
+    "ground",
 ]
 """Terms of the score of a site, a module each in `landing.selection.terms`."""
 
@@ -56,7 +64,7 @@ class SelectorParams:
     __pydantic_config__ = FORBID_EXTRA
 
     terms: tuple[TermName, ...] = (
-        "probability", "distance", "room", "level", "traffic", "plants",
+        "probability", "distance", "room", "level", "traffic", "plants", "ground",
     )  # fmt: skip
     """terms that are added"""
     gates: tuple[GateName, ...] = ("probability", "reach", "class")
@@ -86,6 +94,9 @@ class SelectorParams:
     weight_plants: NotNegative = 0.15
     """taken away among low plants, whose ground is inferred from few returns: more than the
     difference between two good sites on bare ground, less than ``weight_traffic``"""
+    weight_ground: NotNegative = 0.3
+    """taken away on ground that is of no allowed class by the semantic map; without the term
+    ``ground`` there is no semantic map"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -313,6 +324,9 @@ class LandingParams:
     """largest number of survey images that are kept for classification"""
     classifier_batch_latency_s: NotNegative = 0.1
     """simulated compute time of each batch"""
+    semantic_patches: CountOrZero = 0
+    """squares of ground that are classified for the semantic map every tenth of a second; 0: no
+    semantic map"""
     classifier_threads: Count = 1
     """of the processor, for classification"""
     allowed_classes: tuple[LandClass, ...] = ("lawn", "field", "path")

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,9 @@ from touchdown.experiments.classification.image_folders import (
     read_catalogue,
 )
 from touchdown.experiments.classification.optional_import import training_libraries
+from touchdown.experiments.classification.reliability import draw_reliability, reliability
 from touchdown.experiments.classification.splits import HELD_OUT_SCENES
+from touchdown.experiments.classification.train import of_classes
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.statistics import share_interval
 from touchdown.landing.api import LabelledImages
@@ -32,6 +34,22 @@ from touchdown.landing.classification.weights import NetworkFacts, weights_apart
 Progress = Callable[[int, int, str], None]
 _BATCH = 32
 _REPEATS = 30
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EvaluateParams:
+    """How a network is scored."""
+
+    engine: str = "onnx"
+    threads: int = 1
+    measure: bool = True
+    """memory and time for one image too, in a process of its own"""
+    miss_costs: Sequence[tuple[str, float]] = ()
+    """in place of those of the file"""
+    left_out: Sequence[str] = ()
+    """sources whose photographs are all for the test"""
+    diagram: Path | None = None
+    """a PNG file for reliability diagrams, by data set"""
 
 
 def load_classifier(network: Path, engine: str, threads: int) -> Classifier:
@@ -57,24 +75,29 @@ def evaluate_network(
     network: Path,
     data: Sequence[str],
     split: str,
-    engine: str,
-    threads: int,
-    measure: bool,
     progress: Progress,
-    miss_costs: Sequence[tuple[str, float]] = (),
+    *,
+    options: EvaluateParams,
 ) -> dict[str, Any]:
     """Returns the scores on the images of ``split``, overall, by data set and by scene, with the
     size of the file (ROM), peak memory (RAM) and inference time.
 
-    ``miss_costs`` replace those of the file. Raises UsageError and ValueError for bad input.
+    Raises UsageError and ValueError for bad input.
     """
-    classifier = load_classifier(network, engine, threads)
-    if miss_costs:
-        classifier.facts = replace(classifier.facts, miss_costs=tuple(miss_costs))
+    engine = options.engine
+    classifier = load_classifier(network, engine, options.threads)
+    if options.miss_costs:
+        classifier.facts = replace(classifier.facts, miss_costs=tuple(options.miss_costs))
     facts = classifier.facts
-    catalogues = [read_catalogue(argument, facts.labels) for argument in data]
-    images = load_images(catalogues, split, facts.labels, facts.image_size, progress)
-    scores = all_scores(classifier, images, progress)
+    catalogues = [read_catalogue(argument, facts.labels, options.left_out) for argument in data]
+    shown = load_images(catalogues, split, facts.labels, facts.image_size, progress, others=True)
+    found = all_scores(classifier, shown, progress)
+    images, scores = of_classes(shown), found[shown.labels >= 0]
+    by_source = {
+        name: images.source == number
+        for number, name in enumerate(images.sources)
+        if (images.source == number).any()
+    }
     report: dict[str, Any] = {
         "network": facts.network,
         "labels": facts.labels,
@@ -86,15 +109,28 @@ def evaluate_network(
         "rom_mb": _size_mb(network),
         **_summary(scores, images.labels, facts),
         "by_source": {
-            name: _summary(scores[of], images.labels[of], facts)
-            for number, name in enumerate(images.sources)
-            for of in [images.source == number]
+            name: _summary(scores[of], images.labels[of], facts) for name, of in by_source.items()
         },
+        "none of the classes": _others(found, shown, facts),
         "by_scene": _by_scene(scores, images.labels, entries_of(catalogues, split), facts),
     }
-    if measure:
+    if options.diagram is not None:
+        groups = {"all": images.source >= 0, **(by_source if len(by_source) > 1 else {})}
+        draw_reliability(
+            options.diagram,
+            {name: reliability(scores[of], images.labels[of]) for name, of in groups.items()},
+        )
+    if options.measure:
         report |= measured_footprint(network, engine)
     return report
+
+
+def _others(scores: Any, images: LabelledImages, facts: NetworkFacts) -> dict[str, Any] | None:
+    """Returns what happens to images of no class: how many count as safe ground."""
+    of = images.labels < 0
+    if facts.labels != "d_land" or not of.any():
+        return None
+    return decision_summary(scores[of], images.labels[of], facts.limits)
 
 
 def _size_mb(network: Path) -> float:

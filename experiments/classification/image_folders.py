@@ -1,5 +1,5 @@
-"""Reading of labelled image folders: rendered patches, UC Merced, AID, Places365, and plain folders
-named as the classes."""
+"""Reading of labelled image folders: rendered patches, UC Merced, AID, Places365, plain folders
+named as the classes, and photographs from the air."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TextIO
 
 import numpy as np
 
+from touchdown.experiments.classification.photographs import ALL, KINDS, View, photographs
 from touchdown.experiments.classification.render_dataset import COLUMNS, MANIFEST
 from touchdown.experiments.classification.splits import SPLITS, split_of_file, split_of_ucmerced
 from touchdown.experiments.errors import UsageError, nearest
@@ -22,6 +23,8 @@ from touchdown.landing.classification import labels
 
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 RENDERED = "rendered"
+_WITH_OTHERS = ("ucmerced",)
+"""kinds of which images of no class of a scheme show what must not be taken for one"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +33,14 @@ class Entry:
 
     file: Path
     label: int
-    """index into the classes of the scheme"""
+    """index into the classes of the scheme; ``NO_LABEL`` for what is none of them"""
     split: str
     source: str
     """kind of the data set"""
     scene: str = ""
     """scene of a rendered image"""
+    view: View = ALL
+    """what is taken of the file"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +53,14 @@ class Catalogue:
     """images whose class the scheme leaves out"""
 
 
-def read_catalogue(argument: str, scheme: str) -> Catalogue:
+def read_catalogue(argument: str, scheme: str, left_out: Sequence[str] = ()) -> Catalogue:
     """Returns the images of ``[KIND=]DIR``; without KIND it follows from the names of the folders.
 
-    KIND is rendered, ucmerced, aid, places365 or d_land. Raises UsageError for a missing folder, a
-    folder without images, a folder that is not a class, or a manifest of another kind.
+    KIND is rendered, ucmerced, aid, places365, d_land, aerial, caliterra or textures. All
+    photographs of the sources ``left_out`` are for the test. Raises UsageError for a missing
+    folder, one without images, one that is not a class, or a manifest of another kind.
     """
-    kinds = (RENDERED, *labels.SOURCES)
+    kinds = (RENDERED, *labels.SOURCES, *KINDS)
     kind, _, rest = argument.rpartition("=")
     folder = Path(rest)
     if kind and kind not in kinds:
@@ -65,6 +71,8 @@ def read_catalogue(argument: str, scheme: str) -> Catalogue:
         raise UsageError(f"--data: '{folder}' is not a folder")
     if kind == RENDERED or (not kind and _is_rendered(folder)):
         return _rendered(folder, scheme)
+    if kind in KINDS:
+        return _photographs(kind, folder, scheme, left_out)
     folders = sorted(path.name for path in folder.iterdir() if path.is_dir())
     if not folders:
         raise UsageError(f"--data: '{folder}' is empty: it has no folder for any class")
@@ -123,6 +131,16 @@ def _rendered(folder: Path, scheme: str) -> Catalogue:
     return _checked(Catalogue(RENDERED, tuple(entries), left_out), folder)
 
 
+def _photographs(kind: str, folder: Path, scheme: str, left_out: Sequence[str]) -> Catalogue:
+    found = photographs(kind, folder, left_out)
+    entries = [
+        Entry(p.file, p.meaning.label(scheme), p.split, p.source, view=p.view)
+        for p in found
+        if not p.meaning.unclear
+    ]
+    return _checked(Catalogue(kind, tuple(entries), len(found) - len(entries)), folder)
+
+
 def _of_folders(
     folder: Path, kind: str, meanings: dict[str, labels.Meaning], scheme: str
 ) -> Catalogue:
@@ -132,7 +150,7 @@ def _of_folders(
             path for path in (folder / name).iterdir() if path.suffix.lower() in _SUFFIXES
         )
         label = meaning.label(scheme)
-        if label < 0:
+        if label < 0 and kind not in _WITH_OTHERS:
             left_out += len(files)
             continue
         for file in files:
@@ -159,17 +177,20 @@ def load_images(
     scheme: str,
     pixels: int,
     progress: Callable[[int, int, str], None] = lambda done, total, note: None,
+    *,
+    others: bool = False,
 ) -> LabelledImages:
-    """Returns all images of a split, scaled to ``pixels``, in the order of the catalogues.
+    """Returns all images of a split, scaled to ``pixels``, in the order of the catalogues; with
+    ``others`` those of no class too, with the label ``NO_LABEL``.
 
     Raises UsageError as ``read_picture``, and where the split has no image.
     """
-    entries = entries_of(catalogues, split)
+    entries = entries_of(catalogues, split, others=others)
     if not entries:
         raise UsageError(f"--data: no image is in the split '{split}': give more data")
     images = np.empty((len(entries), pixels, pixels, 3), np.uint8)
     for number, entry in enumerate(entries):
-        images[number] = squared(read_picture(entry.file), pixels)
+        images[number] = squared(entry.view.of(read_picture(entry.file)), pixels)
         progress(number + 1, len(entries), f"reading ({split})")
     sources = tuple(dict.fromkeys(entry.source for entry in entries))
     return LabelledImages(
@@ -181,8 +202,11 @@ def load_images(
     )
 
 
-def entries_of(catalogues: Sequence[Catalogue], split: str) -> list[Entry]:
+def entries_of(catalogues: Sequence[Catalogue], split: str, *, others: bool = False) -> list[Entry]:
     """Returns the entries of one split, in the order of ``load_images``."""
     return [
-        entry for catalogue in catalogues for entry in catalogue.entries if entry.split == split
+        entry
+        for catalogue in catalogues
+        for entry in catalogue.entries
+        if entry.split == split and (others or entry.label >= 0)
     ]

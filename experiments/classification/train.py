@@ -18,6 +18,7 @@ from touchdown.experiments.classification.image_folders import load_images, read
 from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import whole_file, write_text
+from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification.decision import fitted_limits
 from touchdown.landing.classification.engine import apply_miss_costs
 from touchdown.landing.classification.labels import SCHEMES
@@ -62,11 +63,12 @@ def train_network(
     chosen = training.chosen_device(device)
     if chosen.type == "cpu":
         keep_freed_memory()
-    catalogues = [read_catalogue(argument, params.labels) for argument in data]
-    train, val = (
-        load_images(catalogues, split, params.labels, params.image_size, progress)
+    catalogues = [read_catalogue(argument, params.labels, params.left_out) for argument in data]
+    train, seen = (
+        load_images(catalogues, split, params.labels, params.image_size, progress, others=True)
         for split in ("train", "val")
     )
+    val = of_classes(seen)
     with _new_folder(out):
         lock = _locked(out)
         trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
@@ -82,7 +84,9 @@ def train_network(
     best = trainer.best()
     weighted = apply_miss_costs(best.scores, facts)
     if params.labels == "d_land":
-        limits = fitted_limits(weighted, val.labels)
+        claims = training.predict(best.network, seen.images, training.chosen_device("cpu"))
+        scaled = apply_miss_costs((claims / best.temperature).astype("f4"), facts)
+        limits = fitted_limits(scaled, seen.labels)
         facts = replace(facts, limits=limits)
     export.export_network(out / NETWORK, best.network, best.temperature, facts)
     record_curves(out / RECORDING, best.history)
@@ -104,6 +108,17 @@ def train_network(
     write_text(out / REPORT, json.dumps(report, indent=2) + "\n")
     os.close(lock)
     return report
+
+
+def of_classes(images: LabelledImages) -> LabelledImages:
+    """Returns those of ``images`` that are of a class."""
+    known = images.labels >= 0
+    return replace(
+        images,
+        images=images.images[known],
+        labels=images.labels[known],
+        source=images.source[known],
+    )
 
 
 @contextlib.contextmanager

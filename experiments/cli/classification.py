@@ -54,8 +54,13 @@ _DATA = click.option(
     required=True,
     metavar="[KIND=]DIR",
     help="Of `touchdown dataset render`, UC Merced, AID, Places365, or folders named as the "
-    "classes of D_Land. May be repeated.",
+    "classes of D_Land; aerial=, caliterra= and textures= for such folders of photographs. May be "
+    "repeated.",
 )
+_LEFT_OUT = click.option(
+    "--left-out", multiple=True, metavar="SOURCE",
+    help="Photographs of this source are all for the test. May be repeated.",
+)  # fmt: skip
 
 
 def _miss_cost(default: str) -> Callable[[Any], Any]:
@@ -128,14 +133,14 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
 @click.command()
 @click.option("--network", default="resnet50_cbam", show_default=True,
               help="resnet18, resnet34, resnet50, resnet101, resnet50_cbam, resnext50, vgg19, "
-              "mobilenet_v3_large or inception_v4.")  # fmt: skip
+              "mobilenet_v3_large, inception_v4 or efficientnet_lite0.")  # fmt: skip
 @click.option("--labels", type=click.Choice(SCHEMES), default="d_land", show_default=True)
 @_DATA
 @click.option("--out", type=PATH, required=True,
               help="Folder; an interrupted training in it is resumed.")  # fmt: skip
 @click.option("--start-from", "start", type=PATH, metavar="PATH",
               help="Folder of another training, or a network's file, with the initial "
-              "weights.  [random]")  # fmt: skip
+              "weights, or imagenet for those of efficientnet_lite0.  [random]")  # fmt: skip
 @click.option("--start-share", type=Number(0.0, 1.0, max_open=True), default=0.0,
               show_default=True,
               help="Share of the weights of --start-from in the final ones: the mean may "
@@ -155,6 +160,12 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
               help="Share of images with painted lines, as of lanes and bays.")  # fmt: skip
 @click.option("--blending", type=Number(0.0, 1.0), default=0.0, show_default=True,
               help="Strength of the blending of images with one another.")  # fmt: skip
+@click.option("--weather", type=Number(0.0, 2.0), default=0.0, show_default=True,
+              help="Share of coarse, hazy, wet, snowy, shaded, over- and underexposed "
+              "images.")  # fmt: skip
+@click.option("--frozen", type=click.IntRange(0), default=0, show_default=True,
+              help="First layers that keep the weights of --start-from.")  # fmt: skip
+@_LEFT_OUT
 @_miss_cost("[1 each]")
 @click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
               help="Epochs without a better validation score before training ends.")  # fmt: skip
@@ -239,9 +250,19 @@ def _limit_torch(threads: int) -> None:
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
 @click.option("--cost/--no-cost", "measure", default=True, show_default=True,
               help="Measure RAM and run time in a process of its own.")  # fmt: skip
+@_LEFT_OUT
+@click.option("--reliability", "diagram", type=PATH, metavar="PNG",
+              help="Write reliability diagrams.")  # fmt: skip
 @JSON
 @QUIET
-def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
+def evaluate(
+    network: Path | None,
+    data: tuple[str, ...],
+    split: str,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> int:
     """Score NETWORK, a file of `touchdown train`, on images that it was not trained on.
 
     Without NETWORK: the one that is shipped with touchdown.
@@ -251,15 +272,22 @@ def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -
 
     Example: touchdown evaluate trained/network.onnx --data patches
     """
-    from touchdown.experiments.classification.evaluate import evaluate_network, shipped_network
+    from touchdown.experiments.classification.evaluate import (
+        EvaluateParams,
+        evaluate_network,
+        shipped_network,
+    )
     from touchdown.experiments.terminal import progress_bar
 
+    params = EvaluateParams(**options)
     with progress_bar(quiet) as progress:
         report = usage_errors(
             lambda: evaluate_network(
-                network or shipped_network(options["engine"] == "onnx"),
-                progress=progress,
-                **options,
+                network or shipped_network(params.engine == "onnx"),
+                data,
+                split,
+                progress,
+                options=params,
             )
         )
     return answer(report, as_json, print_evaluation)
@@ -273,6 +301,10 @@ def evaluate(network: Path | None, as_json: bool, quiet: bool, **options: Any) -
 @click.option("--out", type=PATH, required=True, help="A file *.onnx.")
 @click.option("--pictures", type=click.IntRange(1), default=256, show_default=True,
               help="Number of training images for the ranges of int8 activations.")  # fmt: skip
+@click.option("--false-safe", type=Number(0.0, 1.0), default=0.01, show_default=True,
+              help="Share of unsafe ground that may count as safe.")  # fmt: skip
+@click.option("--confidence", type=Number(0.0, 1.0, max_open=True), default=0.95,
+              show_default=True, help="That the share is not larger.")  # fmt: skip
 @JSON
 @QUIET
 def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:

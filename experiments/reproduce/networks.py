@@ -218,7 +218,7 @@ def _known_scores(file: Path, training: Training) -> dict[str, Any] | None:
 
 def _score(training: Training, notes: Notes) -> dict[str, Any]:
     """Returns the validation and test scores of a trained network."""
-    from touchdown.experiments.classification.evaluate import evaluate_network
+    from touchdown.experiments.classification.evaluate import EvaluateParams, evaluate_network
 
     file = training.folder / SCORES
     if (known := _known_scores(file, training)) is not None:
@@ -230,11 +230,9 @@ def _score(training: Training, notes: Notes) -> dict[str, Any]:
         found = evaluate_network(
             training.folder / "network.onnx",
             training.data,
-            split=split,
-            measure=split == "test",
-            engine="onnx",
-            threads=1,
-            progress=_ignore_progress,
+            split,
+            _ignore_progress,
+            options=EvaluateParams(measure=split == "test"),
         )
         scores[split] = {key: found[key] for key in _KEPT if key in found}
     write_text(file, json.dumps(scores, indent=1) + "\n")

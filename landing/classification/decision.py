@@ -21,10 +21,9 @@ Float32 = NDArray[np.float32]
 Labels = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-LARGEST_MISTAKE = 0.0025
-"""largest share of images of unsafe ground that may count as safe when limits are fitted. It is
-lower than acceptable in flight: errors are more frequent in scenes that were never trained on than
-in the validation images."""
+FALSE_SAFE, CONFIDENCE = 0.01, 0.95
+"""share of images of unsafe ground that may count as safe, and the confidence with which limits are
+fitted to stay below it"""
 LEAST = 0.5
 """lower bound of ``Limits.min_probability``"""
 STRANGE = 0.005
@@ -63,17 +62,45 @@ def taken_for_safe(scores: Float32, limits: Limits) -> Mask:
     return sure & safe[chance.argmax(axis=1)] & (energies(scores) >= limits.min_energy)
 
 
-def fitted_limits(scores: Float32, labels: Labels) -> Limits:
-    """Returns the limits at which at most ``LARGEST_MISTAKE`` of the unsafe images count as safe.
+def largest_share(count: int, of: int, confidence: float = CONFIDENCE) -> float:
+    """Returns the upper bound of a share of which ``count`` of ``of`` were seen (Clopper and
+    Pearson, Biometrika 26, 1934; one-sided); 1 of none."""
+    from scipy.special import betaincinv
 
-    ``labels`` (N,) of images that the network was not trained on."""
+    if count >= of:
+        return 1.0
+    return float(betaincinv(count + 1.0, float(of - count), confidence))
+
+
+def allowed_mistakes(unsafe: int, false_safe: float, confidence: float) -> int:
+    """Returns how many of ``unsafe`` images may count as safe for the share to be below
+    ``false_safe`` with ``confidence``; -1 where they are too few to show that."""
+    count = -1
+    while count + 1 < unsafe and largest_share(count + 1, unsafe, confidence) <= false_safe:
+        count += 1
+    return count
+
+
+def fitted_limits(
+    scores: Float32,
+    labels: Labels,
+    false_safe: float = FALSE_SAFE,
+    confidence: float = CONFIDENCE,
+) -> Limits:
+    """Returns the lowest limits at which the share of unsafe images that count as safe is at most
+    ``false_safe`` with ``confidence``; where there are too few to show that, those at which none
+    does.
+
+    ``labels`` (N,) of images that the network was not trained on; negative ones, of what is no
+    class, are unsafe."""
     energy = energies(scores)
     safe = class_mask()
-    min_energy = float(np.quantile(energy, STRANGE, method="lower"))
+    unsafe = is_unsafe(labels)
+    min_energy = float(np.quantile(energy[labels >= 0], STRANGE, method="lower"))
     chance = probabilities(scores)
     passing = safe[chance.argmax(axis=1)] & (energy >= min_energy)
-    tempting = chance[~safe[labels] & passing][:, safe].sum(axis=1)
-    allowed = int(LARGEST_MISTAKE * (~safe[labels]).sum())
+    tempting = chance[unsafe & passing][:, safe].sum(axis=1)
+    allowed = max(0, allowed_mistakes(int(unsafe.sum()), false_safe, confidence))
     least = LEAST
     if tempting.size > allowed:
         # just above the first one that is not allowed
@@ -81,14 +108,21 @@ def fitted_limits(scores: Float32, labels: Labels) -> Limits:
     return Limits(min_probability=min(least, 1.0), min_energy=min_energy)
 
 
+def is_unsafe(labels: Labels) -> Mask:
+    """Returns the mask (N,) of images of no safe class."""
+    return np.asarray((labels < 0) | ~class_mask()[labels])
+
+
 def decision_summary(scores: Float32, labels: Labels, limits: Limits) -> dict[str, Any]:
     """Returns the counts of unsafe images taken for safe and of safe images refused."""
-    taken, safe = taken_for_safe(scores, limits), class_mask()[labels]
+    taken, safe = taken_for_safe(scores, limits), ~is_unsafe(labels)
+    mistakes, unsafe = int((~safe & taken).sum()), int((~safe).sum())
     return {
         "min_probability": limits.min_probability,
         "min_energy": limits.min_energy if np.isfinite(limits.min_energy) else None,
-        "unsafe": int((~safe).sum()),
-        "unsafe_taken_for_safe": int((~safe & taken).sum()),
+        "unsafe": unsafe,
+        "unsafe_taken_for_safe": mistakes,
+        "unsafe_share_at_most": largest_share(mistakes, unsafe),
         "safe": int(safe.sum()),
         "safe_refused": int((safe & ~taken).sum()),
     }

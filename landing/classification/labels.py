@@ -38,6 +38,8 @@ class Meaning:
 
     d_land: str | None
     d_scene: str | None
+    unclear: bool = False
+    """True for a class that may be any of several"""
 
     def label(self, scheme: str) -> int:
         """Returns the index into ``SCHEMES[scheme]``, or ``NO_LABEL``."""
@@ -46,10 +48,14 @@ class Meaning:
 
 
 def _table(text: str) -> dict[str, Meaning]:
-    """Parses rows of class, D_Land, D_Scene; ``-`` leaves the class out."""
+    """Parses rows of class, D_Land, D_Scene; ``-`` is no class of the scheme, ``?`` leaves the
+    images out."""
     rows = [line.split() for line in text.strip().splitlines()]
     return {
-        name: Meaning(*(None if cell == "-" else cell for cell in cells)) for name, *cells in rows
+        name: Meaning(
+            None if land in "-?" else land, None if scene == "-" else scene, unclear=land == "?"
+        )
+        for name, land, scene in rows
     }
 
 
@@ -117,6 +123,52 @@ viaduct             road      viaduct
 PLACES365 = _table(places.OUTDOOR) | dict.fromkeys(places.INDOOR.split(), Meaning(None, None))
 """Zhou et al. (2018), 365 classes. Everything indoors is left out, by the data set's own list, and
 so are outdoor scenes that show no one kind of ground."""
+
+AIR = _table("""
+grass               lawn      -
+sparse_grass        field     -
+sparse_grass_soil   field     -
+bare_soil           field     -
+field_soil          field     -
+field_green         field     -
+field_stubble_dry   field     -
+crop_green          field     -
+road_asphalt        road      -
+building_roof       building  -
+water               water     -
+trees               trees     -
+shrubs              trees     -
+gravel_track        ?         -
+pipes               -         -
+machine             -         -
+vehicle             -         -
+""")
+"""Squares of photographs from the air. A haul road of gravel is a road to who builds there and bare
+soil to a camera: it is left out. Things on the ground are no kind of ground."""
+
+TEXTURES = _table("""
+grass               lawn      -
+moss                lawn      -
+soil                field     -
+ground              field     -
+sand_gravel         field     -
+snow                field     -
+forest_floor        field     -
+scatteredleaves     field     -
+woodchips           field     -
+concrete            path      -
+paving              path      -
+gravel              path      -
+asphalt             road      -
+road                road      -
+roof                building  -
+roofingtiles        building  -
+thatchedroof        building  -
+rock                ?         -
+rocks               ?         -
+rock_grass          ?         -
+""")
+"""Textures of ground. Rock is safe where it is flat, which a texture does not show."""
 
 LAND_FOLDERS = {name: Meaning(name, None) for name in D_LAND}
 """plain folders named as the classes of D_Land"""

@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.landing.api import Candidate, GroundClassifier, LandingParams, Selection
+from touchdown.landing.api import (
+    Candidate,
+    GroundClassifier,
+    LandingParams,
+    Selection,
+    SemanticView,
+)
+from touchdown.landing.classification.semantic_map import SemanticMap
 from touchdown.landing.classification.snow import as_snow, is_snow
 from touchdown.landing.classification.survey_images import SurveyImages, detail_share
 from touchdown.landing.selection.ground.landable import Refusal
@@ -34,6 +41,8 @@ _INDEPENDENT = 20.0
 """largest number of pulses that count as independent"""
 _TRAFFIC_RATIO = 20.0
 """likelihood ratio of motion on a road and on other ground"""
+_CLOSE = 2.0
+"""weight of a sharp view from the height of the second look"""
 _BLURRED = 0.5
 """share of detail below which an image does not tell familiar ground from strange"""
 _WATER, _ROAD = LAND_CLASSES.index("water"), LAND_CLASSES.index("road")
@@ -69,14 +78,22 @@ class SiteClassCheck:
         self._params = params
         self._min_probability = params.classifier_min_probability or classifier.min_probability
         self.images = SurveyImages(rig, params.classifier_images)
+        mapped = params.semantic_patches > 0 and "ground" in params.chosen_selector.terms
+        self._semantics = SemanticMap(classifier, params) if mapped else None
         self.batches = 0
         """number of batches classified so far"""
         self._class_by_position: dict[bytes, SiteClass] = {}
         """by position of the site, of the last call of ``judge``"""
 
-    def update(self, obs: Observation, estimate: Estimate) -> None:
+    def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> None:
         """Takes over the images of a control step; called once a step."""
         self.images.update(obs, estimate)
+        if self._semantics is not None and estimate.healthy and obs.images:
+            self._semantics.update(self.images, map_view, estimate.time_s)
+
+    def semantic_view(self) -> SemanticView | None:
+        """Returns the semantic map; None without one, and while nothing was seen."""
+        return None if self._semantics is None else self._semantics.view()
 
     def judge(
         self,
@@ -110,13 +127,14 @@ class SiteClassCheck:
         """Returns the class of the site at ``position_odom`` (3,), seen from closer.
 
         Uses the images of the last seconds, or older ones where those do not show it; None where
-        no image does. The prediction ``before``, from above, has half of the weight, more where the
-        closer image is blurred and shows no ground of another kind: then it adds little."""
+        no image does. With a semantic map the close view has the weight of ``_CLOSE`` others.
+        Without one the prediction ``before``, from above, has half of the weight. Where the closer
+        image is blurred and shows no ground of another kind, it adds little."""
         for since in (now_s - _RECENT_S, -np.inf):
-            (site_class,) = self._classify([position_odom], map_view, None, since)
+            (site_class,) = self._classify([position_odom], map_view, None, since, closer=True)
             if site_class is not None:
                 break
-        if site_class is None or before is None:
+        if site_class is None or before is None or self._semantics is not None:
             return site_class
         against = site_class.name not in (before.name, *self._params.allowed_classes)
         weight = 0.5 if against else 0.5 * site_class.detail  # water and roofs are smooth, too
@@ -194,9 +212,12 @@ class SiteClassCheck:
         map_view: MapView,
         selection: Selection | None,
         since_s: float = -np.inf,
+        closer: bool = False,
     ) -> list[SiteClass | None]:
-        """Returns the class of each site, from one batch; None where no image shows it."""
+        """Returns the class of each site, from one batch and the semantic map; None where no image
+        shows it."""
         size, side = self._classifier.image_size, self._params.classifier_patch_m
+        reliability = _CLOSE if closer else 1.0
         patches = [self.images.patch(site, side, size, since_s) for site in sites]
         shown = [patch for patch in patches if patch is not None]
         found: list[SiteClass | None] = [None] * len(sites)
@@ -208,11 +229,15 @@ class SiteClassCheck:
         for row, number in enumerate(seen):
             missing, hits = pulses_around(map_view, sites[number], 0.5 * side)
             traffic_zone = selection is not None and in_traffic_zone(selection, sites[number])
-            predicted = prediction.probabilities[row]
+            predicted, detail = prediction.probabilities[row], detail_share(shown[row])
+            if self._semantics is not None:
+                against = LAND_CLASSES[int(predicted.argmax())] not in self._params.allowed_classes
+                counted = reliability * (1.0 if against or not closer else detail)
+                predicted = self._semantics.with_view(sites[number][:2], predicted, counted)
             if is_snow(map_view, sites[number], 0.5 * side):
                 predicted = as_snow(predicted)
             probabilities = fuse_lidar_evidence(predicted, missing, hits, traffic_zone)
-            known, detail = bool(prediction.in_distribution[row]), detail_share(shown[row])
+            known = bool(prediction.in_distribution[row])
             found[number] = SiteClass(probabilities, known, detail)
         return found
 

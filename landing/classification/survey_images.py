@@ -78,6 +78,24 @@ class _KeptImage:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class View:
+    """The newest image, for the semantic map."""
+
+    image: _KeptImage
+    position: Array
+    """(3,) of the camera, odom frame"""
+    height_m: float
+    ground_odom_m: float
+    """height of the ground of the take-off, odom frame"""
+    pixel_rad: float
+
+    @property
+    def dim(self) -> bool:
+        """Taken in too little light."""
+        return self.image.dim
+
+
 class SurveyImages:
     """At most ``limit`` images, at least a fifth of their height apart, and the newest image."""
 
@@ -180,6 +198,36 @@ class SurveyImages:
             heights = np.array([kept.height_m for kept in self._kept])
             self._haze = estimate_haze(heights, np.array([kept.darkest for kept in self._kept]))
         return self._haze
+
+    def newest_view(self) -> View | None:
+        """Returns the newest image where it is high enough to show a square of ground."""
+        newest = self._newest
+        if newest is None or newest.height_m < _LOWEST_M:
+            return None
+        position = newest.odom_from_camera.translation
+        return View(
+            newest,
+            position,
+            newest.height_m,
+            float(position[2]) - newest.height_m,
+            1.0 / self._rig.camera.fx,
+        )
+
+    def shows(self, view: View, sites_odom: Array, side_m: float) -> NDArray[np.bool_]:
+        """Returns the mask of ``sites_odom`` (N, 3) of which the image shows all of the square."""
+        camera = self._rig.camera
+        pose = view.image.odom_from_camera
+        steps = np.array([-0.5, 0.5])
+        square = _ground_points(pose, np.zeros(3), side_m, steps).reshape(4, 3)
+        corners = sites_odom[:, None, :] + square
+        pixels, ahead = project(camera, pose.inverse().apply(corners.reshape(-1, 3)))
+        limit = np.array([camera.width - 1, camera.height - 1])
+        inside = ahead & (pixels >= 0.0).all(axis=-1) & (pixels <= limit).all(axis=-1)
+        return np.asarray(inside.reshape(-1, 4).all(axis=1) & (view.position[2] > sites_odom[:, 2]))
+
+    def extract(self, view: View, site_odom: Array, side_m: float, pixels: int) -> Image:
+        """Returns (pixels, pixels, 3) RGB of the square around ``site_odom`` (3,) in the image."""
+        return self._extract(view.image, site_odom, side_m, pixels)
 
     def patch(
         self, site_odom: Array, side_m: float, pixels: int, since_s: float = -np.inf

@@ -88,6 +88,7 @@ def _select(mission: Mission, avoid_odom: Sequence[Array]) -> Selection:
         avoid_odom=np.reshape([*mission.refused_odom, *avoid_odom], (-1, 3)),
         unsafe_ground_odom=np.reshape(mission.unsafe_ground_odom, (-1, 3)),
         wind_mps=mission.wind.speed_mps,
+        semantics=None if mission.class_check is None else mission.class_check.semantic_view(),
         emergency=mission.in_emergency,
     )
     selection = mission.select(seen)

@@ -122,7 +122,7 @@ class Mission:
         self.obs, self.estimate, self.map_view = obs, estimate, map_view
         self.events = []
         if self.class_check is not None:
-            self.class_check.update(obs, estimate)
+            self.class_check.update(obs, estimate, map_view)
         if self.takeoff_s is not None and self.phase is not Phase.TOUCHDOWN:
             self.wind.update(obs, estimate)
             if self.params.slow_in_wind:

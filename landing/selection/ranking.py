@@ -18,6 +18,7 @@ _BETTER: dict[str, str] = {
     "level": "more level",
     "traffic": "not near traffic",
     "plants": "not among plants",
+    "ground": "surer kind of ground",
 }
 _YES_OR_NO = ("traffic", "plants")
 _NOTABLE = 0.002

@@ -14,6 +14,7 @@ from touchdown.landing.api import LandingParams, ScoreTerm, TermLayer, TermName
 from touchdown.landing.selection.terms import (
     distance,
     flatness,
+    ground,
     level,
     plants,
     probability,
@@ -35,6 +36,7 @@ TERMS: Mapping[TermName, Callable[[Inputs], TermLayer]] = {
     "level": level.term,
     "traffic": traffic.term,
     "plants": plants.term,
+    "ground": ground.term,
 }
 
 

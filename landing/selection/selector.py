@@ -17,6 +17,7 @@ from touchdown.landing.api import (
     Selection,
     SelectorInput,
     SelectorRig,
+    SemanticView,
     SiteRule,
     TermLayer,
 )
@@ -34,6 +35,7 @@ from touchdown.landing.selection.ranking import ranked
 from touchdown.landing.selection.score import c_sum, layers_of, score_of, terms_at
 from touchdown.landing.selection.terms.distance import distance
 from touchdown.landing.selection.terms.flatness import flatness_of
+from touchdown.landing.selection.terms.ground import allowed_ground
 from touchdown.landing.selection.terms.inputs import Inputs
 from touchdown.landing.selection.terms.probability import safe_probability
 from touchdown.landing.selection.terms.room import cluster_bonus
@@ -66,6 +68,8 @@ class SelectionLimits:
     """(3,) each, sites refused for their kind of ground: the surfaces they lie on rank lower"""
     wind_mps: float = 0.0
     """estimated wind speed"""
+    semantics: SemanticView | None = None
+    """the semantic map"""
     least_bad: bool = False
     """accept the most probable site where none is good enough"""
 
@@ -138,6 +142,7 @@ def shipped_selection(seen: SelectorInput, rig: SelectorRig) -> Selection:
         avoid_odom=tuple(seen.avoid_odom),
         unsafe_ground_odom=tuple(seen.unsafe_ground_odom),
         wind_mps=seen.wind_mps,
+        semantics=seen.semantics,
         least_bad=seen.emergency,
     )
     return select_sites(
@@ -226,6 +231,7 @@ def _assess(
         probability=predicted,
         traffic=zone | surfaces_of_sites(raster, limits.unsafe_ground_odom, params),
         plants=plants,
+        ground=allowed_ground(limits.semantics, raster, params),
         clearance_m=nothing,
     )
     allowed = passing(site)

@@ -63,7 +63,7 @@ def bench_landing(
         assert classifier is not None
         if not checks:
             checks.append(SiteClassCheck(classifier, rig, config.landing))
-        checks[0].update(obs, estimate)
+        checks[0].images.update(obs, estimate)
 
     watch = None if classifier is None else remember
     surveyed = posed_survey(config, period_s=SCAN_PERIOD_S, watch=watch)

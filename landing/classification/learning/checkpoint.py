@@ -14,10 +14,13 @@ import torch
 from torch import Tensor, nn
 
 from touchdown.landing.classification.learning.weights_file import load_weights, read_weights
+from touchdown.landing.classification.networks.registry import load_pretrained
 from touchdown.landing.classification.weights import SUFFIX
 from touchdown.sim.files.opening import no_file
 
 LAST, BEST = "last.pt", "best.pt"
+IMAGENET = Path("imagenet")
+"""in place of a folder: the weights for ImageNet that a package brings"""
 MAX_BYTES = 4 << 30
 _OTHER = {"data": "other images", "start": "other weights to begin with"}
 
@@ -104,10 +107,13 @@ def read_best(folder: Path) -> dict[str, Any]:
 
 def begin_with(network: nn.Module, name: str, classes: tuple[str, ...], start: Path) -> None:
     """Loads the best weights of the training in the folder ``start``, or those of the network's
-    file ``start``.
+    file ``start``, or those for ImageNet where it is ``IMAGENET``.
 
     ``name`` and ``classes`` are of ``network``. Raises ValueError as ``read_best`` and
     ``read_weights``, and for weights of another network or of other classes."""
+    if start == IMAGENET:
+        load_pretrained(network, name)
+        return
     other = ValueError(f"'{start}' holds weights of another network or of other classes")
     try:
         if start.suffix != SUFFIX:
@@ -122,7 +128,10 @@ def begin_with(network: nn.Module, name: str, classes: tuple[str, ...], start: P
 
 
 def fingerprint(start: Path) -> int:
-    """Returns the CRC-32 of the best weights in a folder, or of a network's file."""
+    """Returns the CRC-32 of the best weights in a folder, or of a network's file; 0 for those for
+    ImageNet."""
+    if start == IMAGENET:
+        return 0
     return crc32((start if start.suffix == SUFFIX else start / BEST).read_bytes())
 
 

@@ -20,6 +20,7 @@ from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import scores
 from touchdown.landing.classification.learning import checkpoint
 from touchdown.landing.classification.learning.augment import as_input, augmented, blended
+from touchdown.landing.classification.learning.weather import weathered
 from touchdown.landing.classification.networks.registry import (
     FIXED_SIZE,
     build_network,
@@ -34,9 +35,9 @@ _WARM_UP = 0.05
 """share of all steps in which the learning rate rises from 0"""
 _BETTER = 1e-4
 """least gain of macro F1 of a better epoch"""
-_MAY_CHANGE = ("epochs", "patience", "start_share", "miss_costs")
+_MAY_CHANGE = ("epochs", "patience", "start_share", "miss_costs", "left_out")
 """parameters that may change when a training resumes: they affect the length of the schedule and
-the final weights only"""
+the final weights only, or the images, which are compared themselves"""
 _SIZES, _SIZE_STEP = 4, 16
 """number of sizes of growing images, and the number of pixels that a size is a multiple of"""
 
@@ -62,6 +63,12 @@ class TrainParams:
     """share of images with lines painted on them (`augment.marked`)"""
     blending: float = 0.0
     """strength of `augment.blended`, up to 1; 0: no blending"""
+    weather: float = 0.0
+    """share of `weather.weathered`, relative to its own"""
+    frozen: int = 0
+    """first layers of the network that keep their initial weights"""
+    left_out: tuple[str, ...] = ()
+    """sources whose photographs are all for the test"""
     start_share: float = 0.0
     """share of the initial weights in the final ones: the mean may generalise better than either
     (Wortsman et al., CVPR 2022, Eq. 1)"""
@@ -129,13 +136,17 @@ class Trainer:
         self.network = build_network(params.network, len(train.classes), params.image_size)
         if start is not None:
             self._load_start(self.network, start)
+        self._still = list(self.network.children())[: params.frozen]
+        for layer in self._still:
+            layer.requires_grad_(False)
         self.network.to(device)
         # as tensor cores want them, and the vector units of a processor
         nn.utils.convert_conv2d_weight_memory_format(self.network, torch.channels_last)
         self._compiled = torch.compile(self.network, dynamic=False) if compiled else None
         self._average = copy.deepcopy(self.network).eval().requires_grad_(False)
         self._optimizer = _optimizer(self.network, params)
-        self._scaler = torch.amp.GradScaler(device.type, enabled=_precision(device) is torch.half)
+        self._precision = _precision(device, params.network)
+        self._scaler = torch.amp.GradScaler(device.type, enabled=self._precision is torch.half)
         self.history: list[dict[str, float]] = []
         self.best_epoch = -1
         self._identity = asdict(params) | {
@@ -182,6 +193,8 @@ class Trainer:
         torch.manual_seed(self._key("dropout", epoch))
         generator = torch.Generator().manual_seed(self._key("augment", epoch))
         self.network.train()
+        for layer in self._still:
+            layer.eval()
         total = 0.0
         for step in range(self.steps):
             # Two images at least: of one, batch norm may find nothing to divide by.
@@ -189,7 +202,7 @@ class Trainer:
             batch = draws[first : (step + 1) * self.params.batch_size]
             total += self._step(epoch * self.steps + step, batch, generator)
             progress(step + 1, self.steps, f"epoch {epoch + 1} of {self.params.epochs}")
-        with _autocast(self._device):
+        with _autocast(self._device, self.params.network):
             seen = predict(self._average, self._val.images, self._device)
         found = scores.summary(seen, self._val.labels, self._val.classes)
         row = {
@@ -229,7 +242,9 @@ class Trainer:
         images = as_input(torch.from_numpy(self._train.images[batch]).to(self._device))
         labels = torch.from_numpy(self._train.labels[batch]).to(self._device)
         images = augmented(images, generator, self.params.variation, self.params.markings)
-        targets = functional.one_hot(labels, len(self._train.classes)).float()
+        if self.params.weather > 0.0:
+            images = weathered(images, generator, self.params.weather)
+        targets = class_targets(labels, len(self._train.classes))
         if self.params.blending > 0.0:
             images, targets = blended(images, targets, generator, self.params.blending)
         size = size_of_epoch(self.params, step // self.steps)
@@ -238,7 +253,7 @@ class Trainer:
         # the last images of an epoch are too few to be worth compiling for
         whole = len(batch) == self.params.batch_size
         network = self._compiled if self._compiled is not None and whole else self.network
-        with _autocast(self._device):
+        with _autocast(self._device, self.params.network):
             loss = functional.cross_entropy(
                 network(normalised(images)), targets, label_smoothing=self.params.label_smoothing
             )
@@ -293,12 +308,19 @@ def schedule(step: int, steps: int) -> float:
     return 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, steps - warm)))
 
 
+def class_targets(labels: Tensor, classes: int) -> Tensor:
+    """Returns class probabilities (B, C) of labels (B,): one class, or for ``NO_LABEL`` all alike,
+    so that what is none of the classes is not taken for one (Hendrycks et al., ICLR 2019)."""
+    known = functional.one_hot(labels.clamp(min=0), classes).float()
+    return torch.where((labels >= 0)[:, None], known, 1.0 / classes)
+
+
 def balanced_order(pictures: LabelledImages, seed: int, epoch: int) -> NDArray[np.int64]:
     """Returns the image numbers (N,) of an epoch, in random order.
 
     An image is drawn with a weight of the inverse root of the number of images of its class in its
     data set, by systematic resampling."""
-    group = pictures.labels * len(pictures.sources) + pictures.source
+    group = (pictures.labels + 1) * len(pictures.sources) + pictures.source
     weights = 1.0 / np.sqrt(np.bincount(group)[group])
     count = len(weights)
     rng = np.random.default_rng([seed, crc32(b"training order"), epoch])
@@ -328,8 +350,9 @@ def predict(
 
 def _optimizer(network: nn.Module, params: TrainParams) -> torch.optim.AdamW:
     """Returns AdamW with weight decay for matrices and filters, not for biases and norms."""
-    large = [p for p in network.parameters() if p.ndim >= 2]
-    small = [p for p in network.parameters() if p.ndim < 2]
+    learnt = [p for p in network.parameters() if p.requires_grad]
+    large = [p for p in learnt if p.ndim >= 2]
+    small = [p for p in learnt if p.ndim < 2]
     groups = [
         {"params": large, "weight_decay": params.weight_decay},
         {"params": small, "weight_decay": 0.0},
@@ -337,17 +360,20 @@ def _optimizer(network: nn.Module, params: TrainParams) -> torch.optim.AdamW:
     return torch.optim.AdamW(groups, lr=params.learning_rate, fused=True)
 
 
-def _precision(device: torch.device) -> torch.dtype | None:
+def _precision(device: torch.device, network: str) -> torch.dtype | None:
     """Returns the type of mixed precision: bfloat16 where the GPU or processor supports it, float16
-    on other GPUs, None on other processors."""
+    on other GPUs, None on other processors, and on any for a network of single-channel filters,
+    whose gradients take three times as long in it."""
+    if device.type != "cuda" and network == "efficientnet_lite0":
+        return None
     if device.type != "cuda":
         able = torch.cpu.get_capabilities()
         return torch.bfloat16 if able.get("avx512_bf16") or able.get("amx_bf16") else None
     return torch.bfloat16 if torch.cuda.is_bf16_supported() else torch.half
 
 
-def _autocast(device: torch.device) -> torch.autocast:
-    precision = _precision(device)
+def _autocast(device: torch.device, network: str) -> torch.autocast:
+    precision = _precision(device, network)
     return torch.autocast(device.type, dtype=precision or torch.bfloat16, enabled=bool(precision))
 
 

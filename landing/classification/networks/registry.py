@@ -20,7 +20,10 @@ _BUILDERS = {
     "vgg19": "vgg:vgg19",
     "mobilenet_v3_large": "mobilenet:mobilenet_v3_large",
     "inception_v4": "inception:inception_v4",
+    "efficientnet_lite0": "efficientnet:efficientnet_lite0",
 }
+PRETRAINED = ("efficientnet_lite0",)
+"""networks whose weights for ImageNet a package brings"""
 _SMALLEST = {"inception_v4": 75}
 """image size below which a convolution without padding has no input left"""
 _SMALLEST_OF_OTHERS = 32
@@ -53,3 +56,13 @@ def build_network(name: str, classes: int, image_size: int) -> nn.Module:
         classes, image_size
     )
     return network
+
+
+def load_pretrained(network: nn.Module, name: str) -> None:
+    """Loads the weights for ImageNet into the network ``name``, all but those of its last layer.
+
+    Raises ValueError for a network without any, ImportError without their package."""
+    if name not in PRETRAINED:
+        raise ValueError(f"there are no weights for ImageNet of {name}, only of {PRETRAINED[0]}")
+    module = importlib.import_module(f"{_HOME}.{_BUILDERS[name].partition(':')[0]}")
+    module.load_imagenet(network)

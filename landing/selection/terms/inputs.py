@@ -37,5 +37,7 @@ class Inputs:
     """near a surface with traffic, or on one whose class was refused"""
     plants: Mask
     """stands of low plants"""
+    ground: Float32
+    """probability of ground of an allowed class, by the semantic map"""
     clearance_m: Float32
     """distance to the nearest cell that does not pass the gates"""

@@ -69,3 +69,38 @@ def test_shares_of_blended_pictures_are_beta_distributed(torch: Any, strength: f
     draws = np.array([_beta(strength, generator) for _ in range(4000)])
     assert draws.mean() == pytest.approx(0.5, abs=0.025)
     assert draws.var() == pytest.approx(1.0 / (8.0 * strength + 4.0), rel=0.06)
+
+
+def test_weather_falls_on_shares_of_the_pictures(torch: Any) -> None:
+    from touchdown.landing.classification.learning import weather
+
+    plain = torch.full((400, 3, 32, 32), 0.4)
+    changed = weather.weathered(plain, torch.Generator().manual_seed(5))
+    assert float(changed.min()) >= 0.0 and float(changed.max()) <= 1.0
+    left = ((changed - plain).abs().amax(dim=(1, 2, 3)) < 1e-5).float().mean()
+    shares = [share for name, share in weather._SHARES.items() if name != "coarse"]
+    expected = float(np.prod([1.0 - share for share in shares]))
+    assert float(left) == pytest.approx(expected, abs=3.0 * np.sqrt(expected / 400))
+    again = weather.weathered(plain, torch.Generator().manual_seed(5))
+    assert torch.equal(changed, again)
+    assert torch.equal(weather.weathered(plain, torch.Generator().manual_seed(5), 0.0), plain)
+
+
+def test_effects_of_weather_by_their_kind(torch: Any) -> None:
+    """Haze loses contrast, wet ground light, coarse pictures detail, and snow is bright."""
+    from touchdown.landing.classification.learning import weather
+
+    checks = (torch.arange(32) % 2).float()
+    board = (0.2 + 0.4 * (checks[:, None] - checks).abs()).expand(8, 3, 32, 32).clone()
+
+    def after(name: str) -> Any:
+        return weather._EFFECTS[name](board, torch.Generator().manual_seed(3))
+
+    assert float(after("haze").std()) < float(board.std()) and float(after("haze").mean()) > 0.42
+    assert float(after("wet").mean()) < 0.9 * float(board.mean())
+    assert float(after("coarse").std()) < 0.3 * float(board.std())
+    assert float(after("snow").mean()) > float(board.mean())
+    assert float(after("shadows").mean()) < float(board.mean())
+    warm = after("low sun").mean(dim=(0, 2, 3))
+    assert warm[0] > warm[1] > warm[2]
+    assert float(after("lamp")[..., 0, 0].mean()) < float(after("lamp")[..., 16, 16].mean())

@@ -127,7 +127,7 @@ class Lawn(ByColour):
 
 
 def check_with(classifier: ByColour, *views: tuple[float, float, str]) -> site_check.SiteClassCheck:
-    check = site_check.SiteClassCheck(classifier, small_rig(), LandingParams())
+    check = site_check.SiteClassCheck(classifier, small_rig(), LandingParams(semantic_patches=0))
     check.images = images_of(*views)
     return check
 

@@ -62,16 +62,23 @@ def test_safe_classes_count_together() -> None:
     assert not decision.taken_for_safe(scores, strange).any()
 
 
-def test_limits_accept_a_quarter_of_a_percent_of_unsafe_images() -> None:
-    """800 images of water, claimed to be lawn with 0.5 to 0.9: two of them may pass."""
+def test_limits_are_set_by_an_interval_of_the_share_of_unsafe_images() -> None:
+    """None of 299 shows, with 95 %, that less than a hundredth passes: 0.99^299 = 0.0496. 800
+    images of water, claimed to be lawn with 0.5 to 0.9: three of them may pass, since the binomial
+    chance of at most three of 800 at 0.01 is 0.041, and of at most four 0.098."""
+    assert decision.largest_share(0, 299) == pytest.approx(1.0 - 0.05 ** (1.0 / 299.0))
+    allowed = [decision.allowed_mistakes(n, 0.01, 0.95) for n in (298, 299, 472, 473, 800)]
+    assert allowed == [-1, 0, 0, 1, 3]
     claims = np.linspace(0.5, 0.9, 800)
     rows = [_chances(lawn=float(claim)) for claim in claims]
     labels = np.full(800, D_LAND.index("water"))
     limits = decision.fitted_limits(_scores(*rows), labels)
     taken = decision.taken_for_safe(_scores(*rows), limits)
-    assert np.flatnonzero(taken).tolist() == [798, 799]
+    assert np.flatnonzero(taken).tolist() == [797, 798, 799]
     found = decision.decision_summary(_scores(*rows), labels, limits)
-    assert (found["unsafe"], found["unsafe_taken_for_safe"], found["safe"]) == (800, 2, 0)
+    assert (found["unsafe"], found["unsafe_taken_for_safe"], found["safe"]) == (800, 3, 0)
+    nothing = decision.fitted_limits(_scores(*rows, rows[-1]), np.append(labels[:-1], [-1, 0]))
+    assert nothing.min_probability > 0.899, "what is of no class is unsafe"
     easy = decision.fitted_limits(_scores(_chances(lawn=SURE)), np.array([D_LAND.index("lawn")]))
     assert easy.min_probability == decision.LEAST
 
@@ -99,21 +106,21 @@ def _sites(*xy: tuple[float, float]) -> list[Candidate]:
     ]  # fmt: skip
 
 
+FLAT = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
+
+
 def _west_is_water(x: Array, y: Array) -> Array:
     return np.where((x < 0.0)[..., None], COLOURS["water"], COLOURS["lawn"]).astype(float)
 
 
 def _check(classifier: Any, paint: Any = _west_is_water, **params: Any) -> SiteClassCheck:
     rig = small_rig()
-    check = SiteClassCheck(classifier, rig, LandingParams(**params))
+    check = SiteClassCheck(classifier, rig, LandingParams(**{"semantic_patches": 0} | params))
     obs = make_obs(
         600, images=(photograph(rig, Pose(np.eye(3), np.array([0, 0, 40.0])), paint, 1.0),)
     )
-    check.update(obs, make_estimate(600, Pose(np.eye(3), np.array([0, 0, 40.0]))))
+    check.update(obs, make_estimate(600, Pose(np.eye(3), np.array([0, 0, 40.0]))), FLAT)
     return check
-
-
-FLAT = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
 
 
 def test_water_is_refused_and_the_first_safe_batch_ends_it() -> None:
@@ -315,7 +322,7 @@ def test_in_the_dark_the_class_is_left_to_the_second_look() -> None:
     night = photograph(rig, pose, black, 1.0, noise=10.0)
     for second_look in (True, False):
         check = SiteClassCheck(ByColour(), rig, LandingParams(second_look=second_look))
-        check.update(make_obs(600, images=(night,)), make_estimate(600, pose))
+        check.update(make_obs(600, images=(night,)), make_estimate(600, pose), FLAT)
         (judged,) = check.judge(_sites((-9, 0)), FLAT)
         assert judged.accepted is second_look and judged.class_predicted is None
         assert ("too dark" in judged.reason) is second_look

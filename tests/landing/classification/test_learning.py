@@ -160,3 +160,58 @@ def test_a_training_may_begin_with_the_weights_of_a_file(torch: Any, tmp_path: P
         Trainer(other, train, val, tmp_path, cpu, start=file)
     with pytest.raises(FileNotFoundError, match="does not exist; name a network"):
         Trainer(params, train, val, tmp_path, cpu, start=tmp_path / "none.onnx")
+
+
+def test_what_is_no_class_is_learnt_as_none(torch: Any) -> None:
+    """Hendrycks et al. (2019): all classes alike; a known class by itself."""
+    from touchdown.landing.classification.learning.training import class_targets
+
+    targets = class_targets(torch.tensor([1, -1]), 4)
+    torch.testing.assert_close(targets, torch.tensor([[0.0, 1.0, 0.0, 0.0], [0.25] * 4]))
+
+
+def test_frozen_layers_keep_their_weights_and_statistics(torch: Any, tmp_path: Path) -> None:
+    from touchdown.landing.classification.learning.training import Trainer, TrainParams
+
+    train, val, cpu = coloured(12, 1), coloured(6, 2), torch.device("cpu")
+    params = TrainParams(
+        network="efficientnet_lite0", image_size=32, epochs=1, batch_size=6, frozen=6, weather=1.0
+    )
+    trainer = Trainer(params, train, val, tmp_path, cpu)
+    before = copy.deepcopy(trainer.network.state_dict())
+    trainer.run_epoch(lambda done, total, note: None)
+    for name, value in trainer.network.state_dict().items():
+        kept = int(name.split(".")[0]) < 6
+        assert torch.equal(value, before[name]) is kept, name
+
+
+def test_weights_for_imagenet_go_where_they_belong(
+    torch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first filters take half as much of inputs twice as wide; the last layer has classes of
+    its own. Padding is more at the far edge: one bright pixel in the near corner is seen by the
+    first filter's first column, not its second."""
+    from touchdown.landing.classification.networks import efficientnet
+    from touchdown.landing.classification.networks.registry import build_network, load_pretrained
+
+    torch.manual_seed(1)
+    theirs = build_network("efficientnet_lite0", 1000, 64)
+    torch.save(theirs.state_dict(), tmp_path / "weights.pth")
+    monkeypatch.setattr(efficientnet, "imagenet_file", lambda: tmp_path / "weights.pth")
+    ours: Any = build_network("efficientnet_lite0", 7, 64)
+    own = ours[-1].weight.clone()
+    load_pretrained(ours, "efficientnet_lite0")
+    images = torch.rand(2, 3, 64, 64)
+    with torch.no_grad():
+        features = [net.eval()[:-1](x) for net, x in ((ours, 2.0 * images), (theirs, images))]
+    torch.testing.assert_close(*features)
+    assert torch.equal(ours[-1].weight, own)
+    with pytest.raises(ValueError, match="no weights for ImageNet of resnet18"):
+        load_pretrained(ours, "resnet18")
+    stem = ours[0]
+    with torch.no_grad():
+        stem[1].weight[:] = torch.arange(9.0).reshape(3, 3)
+        corner = torch.zeros(1, 3, 8, 8)
+        corner[0, :, 0, 0] = 1.0
+        seen = stem[1](stem[0](corner))[0, 0, 0, 0]
+    assert float(seen) == 0.0

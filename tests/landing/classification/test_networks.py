@@ -13,7 +13,7 @@ from touchdown.landing.classification.networks.registry import NETWORKS, build_n
 PUBLISHED = {
     "resnet18": 11_689_512, "resnet34": 21_797_672, "resnet50": 25_557_032, "resnet101": 44_549_160,
     "resnext50": 25_028_904, "vgg19": 143_667_240, "mobilenet_v3_large": 5_483_032,
-    "inception_v4": 42_679_816, "resnet50_cbam": 28_089_624,
+    "inception_v4": 42_679_816, "resnet50_cbam": 28_089_624, "efficientnet_lite0": 4_652_008,
 }  # fmt: skip
 """weights for 1000 classes; Woo et al. print 28.09 M for the last one"""
 

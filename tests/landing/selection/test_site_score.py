@@ -79,7 +79,15 @@ def test_terms_of_risk_by_hand() -> None:
     view, params = view_of(make_grid(_ground(2.0), sigma=0.0)), LandingParams()
     site = select_sites(view, FAR, params, footprint_radius_m=0.5).candidates[0]
     terms = _by_name(site)
-    assert list(terms) == ["probability", "distance", "room", "level", "traffic", "plants"]
+    assert list(terms) == [
+        "probability",
+        "distance",
+        "room",
+        "level",
+        "traffic",
+        "plants",
+        "ground",
+    ]
     assert terms["probability"].value == pytest.approx(site.safe_probability, abs=1e-7)
     assert terms["level"].value == pytest.approx(-0.2 * 2.0 / 5.0, abs=1e-3)
     assert (terms["level"].quantity, terms["level"].unit) == (pytest.approx(2.0, abs=0.02), "deg")
@@ -94,7 +102,7 @@ def test_terms_of_risk_by_hand() -> None:
     here = np.linalg.norm(site.position_odom - [-30.0, 8.0, 30.0])
     share = (here - metres.min()) / (metres.max() - metres.min())
     assert terms["distance"].value == pytest.approx(-0.05 * share, abs=1e-3)
-    assert terms["traffic"].value == terms["plants"].value == 0.0
+    assert terms["traffic"].value == terms["plants"].value == terms["ground"].value == 0.0
     assert site.step_m == pytest.approx(np.tan(np.deg2rad(2.0)) * 0.4, abs=2e-3)
 
 
