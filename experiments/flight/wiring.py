@@ -370,7 +370,7 @@ def check_scene_name(name: str, where: str = "") -> None:
         if reason := no_file(Path(name)):
             raise UsageError(f"scene file '{name}'{where} {reason}")
         try:
-            load_scene(name, 0)
+            load_scene(name, 0, ready=Readying())
         except (OSError, ValueError) as error:
             raise UsageError(f"scene{where}: {error}") from error
     elif name not in (known := scene_names()):
