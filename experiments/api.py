@@ -1,14 +1,14 @@
-"""Outcomes of flights, and parameters of referee, bias and calibration error."""
+"""Outcomes of flights, and parameters of referee, bias, calibration error and PX4."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from touchdown.sim.api import FORBID_EXTRA, NotNegative, Positive
+from touchdown.sim.api import FORBID_EXTRA, Count, NotNegative, Positive
 
 
 class Outcome(StrEnum):
@@ -97,3 +97,35 @@ class CalibrationErrorParams:
     """relative, of the camera's readout time"""
     lever_sigma_m: NotNegative = 0.0
     """of the places of the satellite antenna and the rangefinder on the body, along each axis"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Px4Params:
+    """PX4's SITL where ``control.controller`` is ``px4``."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    path: str | None = None
+    """PX4's SITL: its build folder, or the program px4 in it; none: that of the environment
+    variable ``TOUCHDOWN_PX4``"""
+    connect: bool = False
+    """wait for a PX4 that somebody else starts, instead of starting one"""
+    port: Annotated[int, Interval(ge=4560, le=4659)] = 4560
+    """TCP port on which the simulator waits for PX4: 4560 and the number of its instance; taken
+    ones are passed over, but with ``connect``"""
+    aid: Literal["none", "gps"] = "none"
+    """what PX4 is given beside the estimate: ``none``, or ``gps``, the satellite receiver"""
+    odometry_hz: Count = 50
+    """rate at which the estimate is sent"""
+    setpoint_hz: Count = 50
+    """rate at which setpoints are sent"""
+    start_s: Positive = 60.0
+    """wall time for PX4 to connect, and then to answer for the first time"""
+    answer_s: Positive = 10.0
+    """wall time for the answer of one step"""
+    arm_s: Positive = 60.0
+    """simulated time for PX4 to arm"""
+    parameters: tuple[str, ...] = ()
+    """further parameters of PX4, NAME=NUMBER each"""
+    ulog: bool = False
+    """keep PX4's own log of the flight, ``px4.ulg``"""

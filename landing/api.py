@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal, Protocol
@@ -47,6 +47,26 @@ SiteRule = Literal[
 ]  # fmt: skip
 """Rules that prefer a site (first line), or refuse it by map, plane or class of the ground, or for
 a reason of an external selector's own."""
+
+RULE_KEYS: Mapping[str, str] = {
+    "low_probability": "landing.min_safe_probability",
+    "steep": "landing.max_slope_deg",
+    "footprint_slope": "landing.max_slope_deg",
+    "step": "landing.max_step_m",
+    "object": "landing.max_step_m",
+    "rough": "landing.ground.rough_std_m",
+    "footprint_roughness": "landing.max_step_m",
+    "tall_neighbour": "landing.ground.tall_m",
+    "water": "landing.max_missing_ratio",
+    "few_returns": "landing.min_returns",
+    "not_seen": "survey.legs",
+    "map_edge": "survey.legs",
+    "near_refused_site": "landing.refused_radius_m",
+    "unsafe_ground": "landing.allowed_classes",
+    "uncertain_ground": "landing.unknown_ground",
+    "unfamiliar_ground": "landing.unknown_ground",
+}
+"""The key that decides what a rule refuses; rules without one follow from energy or images."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -349,6 +349,8 @@ class Command:
     """Demanded rotor speeds, (4,) rad/s; 0 switches a motor off."""
 
     rotor_speed_radps: Array
+    events: tuple[str, ...] = ()
+    """Messages of the controller since its last command, for the result."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -68,10 +68,24 @@ _FLIGHT_OPTIONS = (
         for kind, text, default in (
             ("selector", "What chooses the site: risk, zou2024 (Zou, Sun and Kong 2024)", "risk"),
             ("lander", "What flies the mission: site", "site"),
-            ("controller", "What turns setpoints into rotor speeds: cascade", "cascade"),
+            ("controller", "What turns setpoints into rotor speeds: cascade, px4", "cascade"),
             ("mapper", "What makes the map: grid", "grid"),
             ("classifier", "What tells the class of ground: auto, off, a network's file", "auto"),
         )
+    ),
+    click.option(
+        "--px4",
+        metavar="PATH",
+        help="PX4's SITL build for --controller px4.  [TOUCHDOWN_PX4]",
+    ),
+    click.option("--px4-port", type=int, help="Port on which PX4 finds its simulator.  [4560]"),
+    click.option(
+        "--px4-connect", is_flag=True, default=None, help="Wait for a PX4 that you start."
+    ),
+    click.option(
+        "--px4-aid",
+        type=click.Choice(["none", "gps"]),
+        help="What PX4 is given beside the estimate.  [none]",
     ),
     click.option("--seed", type=int, help="Varies the scene, the wind and all noise.  [0]"),
     click.option(
@@ -162,6 +176,7 @@ _CONFIG_OPTIONS = (
     "scene", "estimator", "seed", "profile", "preset", "light", "wind_kmh", "record",
     "calibration", "log_sensors", "as_is", "classes",
     "selector", "lander", "controller", "mapper", "classifier",
+    "px4", "px4_port", "px4_connect", "px4_aid",
 )  # fmt: skip
 """The options that `experiments.config.loading.load_config` takes."""
 

@@ -119,6 +119,11 @@ def check_named_code(file: Path, named: Iterable[tuple[str, Any]]) -> None:
     for key, name in named:
         kind = "scene" if key == "scene" else kinds.get(key, "")
         option = "scene-from" if kind == "scene" else kind
+        if key == "px4.path" and name is not None:
+            raise UsageError(
+                f"'{file}' came with results and names a program, px4.path = '{name}', which would "
+                "be run; if you trust it, give --allow-code, or name yours with --px4"
+            )
         of_scene = kind == "scene" and names_function(name)
         if of_scene or (kind in SLOTS and names_code(SLOTS[kind], name)):
             raise UsageError(

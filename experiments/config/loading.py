@@ -70,6 +70,10 @@ OPTION_KEYS: Mapping[str, str] = {
     **{kind: slot.key for kind, slot in SLOTS.items() if kind != "estimator"},
     "survey_only": "landing.survey_only",
     "fault": "faults.events",
+    "px4": "px4.path",
+    "px4_port": "px4.port",
+    "px4_connect": "px4.connect",
+    "px4_aid": "px4.aid",
 }
 """Explicit options of ``load_config`` and the keys that they set."""
 BY_DEFAULT = "the defaults"
@@ -115,7 +119,7 @@ def load_config(
     if KEY not in values:
         values[KEY], sources[KEY] = profile_default, BY_DEFAULT
     if file is not None and not allow_code:
-        keys = ("scene", *(slot.key for slot in SLOTS.values()))
+        keys = ("scene", "px4.path", *(slot.key for slot in SLOTS.values()))
         check_named_code(
             file, ((key, values.get(key)) for key in keys if sources.get(key) == str(file))
         )

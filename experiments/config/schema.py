@@ -25,7 +25,13 @@ from touchdown.estimator.api import (
     StereoParams,
     Zou2024Params,
 )
-from touchdown.experiments.api import BiasParams, CalibrationErrorParams, RefereeParams, StartParams
+from touchdown.experiments.api import (
+    BiasParams,
+    CalibrationErrorParams,
+    Px4Params,
+    RefereeParams,
+    StartParams,
+)
 from touchdown.landing.api import LandingParams, SurveyParams
 from touchdown.scenes.api import Light
 from touchdown.sim.api import (
@@ -133,6 +139,7 @@ class Config(BaseModel):
     hybrid_flow: HybridFlowParams = Field(default_factory=HybridFlowParams)
     stereo_vo: StereoParams = Field(default_factory=StereoParams)
     control: ControlParams = Field(default_factory=ControlParams)
+    px4: Px4Params = Field(default_factory=Px4Params)
     survey: SurveyParams = Field(default_factory=SurveyParams)
     landing: LandingParams = Field(default_factory=LandingParams)
     referee: RefereeParams = Field(default_factory=RefereeParams)

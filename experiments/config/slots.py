@@ -27,13 +27,16 @@ class Slot:
     """the path of a file may stand there too"""
 
 
+PX4 = "px4"
+"""the controller that is a program of its own"""
+
 SLOTS: Mapping[str, Slot] = {
     slot.kind: slot
     for slot in (
         Slot("estimator", "estimator", "livo"),
         Slot("selector", "landing.selector", "risk", ("risk", "zou2024")),
         Slot("lander", "landing.lander", "site", ("site",)),
-        Slot("controller", "control.controller", "cascade", ("cascade",)),
+        Slot("controller", "control.controller", "cascade", ("cascade", PX4)),
         Slot("mapper", "mapper.mapper", "grid", ("grid",)),
         Slot("classifier", "landing.classifier", "auto", ("auto", "off"), takes_file=True),
     )

@@ -368,6 +368,7 @@ def _configuration(options: TaskOptions) -> Config:
             f"camera.fov_y_deg={fov[1]}",
             f"wind.mean_kmh={options.wind_kmh}",
             "sim.threads=1",
+            "scene_as_is=true",
         ],
         scene=options.scene,
         estimator="oracle",

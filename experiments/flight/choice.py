@@ -19,31 +19,12 @@ from touchdown.experiments.io.results import (
     RefusingRule,
     SiteTerm,
 )
-from touchdown.landing.api import Candidate, Decision
+from touchdown.landing.api import RULE_KEYS, Candidate, Decision
 from touchdown.scenes.api import Scene
 
 Array = NDArray[np.float64]
 
 TRUTH_CELL_M = 0.2
-KEYS: dict[str, str] = {
-    "low_probability": "landing.min_safe_probability",
-    "steep": "landing.max_slope_deg",
-    "footprint_slope": "landing.max_slope_deg",
-    "step": "landing.max_step_m",
-    "object": "landing.max_step_m",
-    "rough": "landing.ground.rough_std_m",
-    "footprint_roughness": "landing.max_step_m",
-    "tall_neighbour": "landing.ground.tall_m",
-    "water": "landing.max_missing_ratio",
-    "few_returns": "landing.min_returns",
-    "not_seen": "survey.legs",
-    "map_edge": "survey.legs",
-    "near_refused_site": "landing.refused_radius_m",
-    "unsafe_ground": "landing.allowed_classes",
-    "uncertain_ground": "landing.unknown_ground",
-    "unfamiliar_ground": "landing.unknown_ground",
-}
-"""The key that decides what a rule refuses; rules without one follow from energy or images."""
 
 
 def choice_of(decisions: tuple[Decision, ...], missed: MissedGround | None = None) -> Choice | None:
@@ -120,7 +101,7 @@ def missed_ground(
     return MissedGround(
         safe_m2=_safe_m2(scene, grid),
         rules=[
-            RefusingRule(rule=rule, candidates=count, safe=safe[rule], key=KEYS.get(rule))
+            RefusingRule(rule=rule, candidates=count, safe=safe[rule], key=RULE_KEYS.get(rule))
             for rule, count in candidates.most_common()
         ],
         given_up=[

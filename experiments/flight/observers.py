@@ -77,6 +77,7 @@ class StepObserver:
         time_s, phase = step.truth.time_s, str(step.lander_view.phase)
         self.events.add(step.estimate.time_s, step.estimate.events)
         self.events.add(time_s, step.lander_view.events)
+        self.events.add(time_s, step.command.events)
         self.slowed_s = step.lander_view.slowed_s
         self.decisions = step.lander_view.decisions
         self.phases.add(time_s, phase)

@@ -27,6 +27,7 @@ from touchdown.experiments.flight.wiring import (
     build_classifier,
     build_flight_stack,
     build_scene,
+    check_autopilot,
     check_estimator_name,
 )
 from touchdown.experiments.io.results import RunResult
@@ -62,6 +63,7 @@ def fly(
     check_estimator_name(config.estimator)
     check_parts_available(config)
     check_calibration(config)
+    check_autopilot(config)
     build_classifier(config)
     if out_dir is not None:
         check_out_dir(out_dir)
@@ -75,6 +77,8 @@ def fly(
     if out_dir is None:
         return fly_and_judge(config, stack, _only_live(config, stack, live), progress)
     with run_directory(out_dir) as partial:
+        if stack.autopilot is not None:
+            stack.autopilot.keep_in(partial)
         sensors = _sensor_log(partial, stack) if config.log.sensors else None
         recorder = RunRecorder(partial, scene, stack.world.rig, config, sensors, live)
         result = fly_and_judge(config, stack, recorder, progress)
@@ -115,6 +119,8 @@ def _warn_of_inactive_faults(config: Config, stack: FlightStack) -> None:
     needs = stack.estimator.needs
     if config.mapper.enabled:
         needs = needs | stack.mapper.needs | stack.lander.needs
+    if stack.autopilot is not None:
+        needs = needs | stack.autopilot.needs
     for sentence in inactive_faults(config, needs):
         warnings.warn(sentence, stacklevel=3)
 
@@ -141,6 +147,8 @@ def fly_and_judge(
             referee=Timed(referee, "judge", "referee", clock),  # type: ignore[arg-type]
         )
     finally:
+        if stack.autopilot is not None:
+            stack.autopilot.close()
         stack.world.close()
         observer.close()
     for part in stack.external:

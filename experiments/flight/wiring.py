@@ -14,7 +14,7 @@ from touchdown.controller.api import Controller
 from touchdown.estimator.api import Estimator, Mapper
 from touchdown.experiments.config.keys import hint_for_value
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.config.slots import params_of
+from touchdown.experiments.config.slots import PX4, params_of
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.loading import check_external, is_external
 from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalPart
@@ -38,6 +38,7 @@ from touchdown.sim.effects import WorldRecord
 from touchdown.sim.files.opening import no_file
 
 if TYPE_CHECKING:
+    from touchdown.experiments.px4.autopilot import Px4Autopilot
     from touchdown.landing.classification.onboard import OnnxGroundClassifier
 
 Array = NDArray[np.float64]
@@ -61,6 +62,8 @@ class FlightStack:
     """the network of the ground classifier, for the result; None without one"""
     external: tuple[ExternalPart, ...] = ()
     """the parts that code from outside fills"""
+    autopilot: Px4Autopilot | None = None
+    """the controller where it is a program of its own, to be closed after the flight"""
 
 
 def build_scene(config: Config) -> Scene:
@@ -125,13 +128,19 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         classifier = own_classifier or network
         select = None if selector is None else selector.select
         own_lander = external_lander(config, lander_rig(config, rig, select, classifier))
+        autopilot = _autopilot(config, rig)
     except ValueError:
         world.close()
         raise
     estimator = _biased(own_estimator, config)
     mapper = own_mapper or _mapper(config, rig)
-    lander = own_lander or SiteLander(rig, config.landing, config.survey, classifier, select)
+    lander: Lander = own_lander or SiteLander(
+        rig, config.landing, config.survey, classifier, select
+    )
     needs = estimator.needs
+    if autopilot is not None:
+        estimator, lander = autopilot.listening(estimator), autopilot.holding(lander)
+        needs = needs | autopilot.needs
     if config.mapper.enabled:
         needs = needs | mapper.needs | lander.needs
     world.require(needs)
@@ -141,14 +150,32 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         estimator=estimator,
         mapper=mapper,
         lander=lander,
-        controller=controller or CascadeController(world.rig.vehicle, config.control),
+        controller=controller or autopilot or CascadeController(world.rig.vehicle, config.control),
         record=world.record,
         nominal_rig=rig,
         network=None if classifier is None else classifier.description(),
         external=external_of(
             own_estimator, selector, controller, own_classifier, own_mapper, own_lander
         ),
+        autopilot=autopilot,
     )
+
+
+def check_autopilot(config: Config) -> None:
+    """Raises UsageError, one line with what to do, where PX4 is to control and cannot."""
+    if config.control.controller == PX4:
+        from touchdown.experiments.px4.autopilot import check_px4
+
+        check_px4(config)
+
+
+def _autopilot(config: Config, rig: SensorRig) -> Px4Autopilot | None:
+    """PX4 where it is the controller."""
+    if config.control.controller != PX4:
+        return None
+    from touchdown.experiments.px4.autopilot import Px4Autopilot
+
+    return Px4Autopilot(config, rig)
 
 
 def classifier_file(config: Config) -> Path | None:
@@ -344,7 +371,7 @@ def check_scene_name(name: str, where: str = "") -> None:
         if reason := no_file(Path(name)):
             raise UsageError(f"scene file '{name}'{where} {reason}")
         try:
-            load_scene(name, 0)
+            load_scene(name, 0, ready=Readying())
         except (OSError, ValueError) as error:
             raise UsageError(f"scene{where}: {error}") from error
     elif name not in (known := scene_names()):

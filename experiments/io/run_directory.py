@@ -25,7 +25,7 @@ _PARTIAL = re.compile(r"\.(?P<name>.+?)\.partial-(?:(?P<host>.+)\.)?(?P<process>
 write them."""
 RUN_FILES = frozenset({
     "config.json", "costmap.png", "estimate.tum", "flight.rrd", "map.ply", "odometry.tum",
-    "reference.tum", "result.json", "sensors.mcap", "truth.tum",
+    "px4.log", "px4.ulg", "reference.tum", "result.json", "sensors.mcap", "truth.tum",
 })  # fmt: skip
 """Names of all files that a flight or a replay writes into its run directory."""
 

@@ -61,7 +61,8 @@ def _tail(flights: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure over ``flights`` flights; ``low`` and ``high`` are None for fewer than two."""
+    """A figure over ``flights`` flights; ``low`` and ``high`` are None for fewer than three: of
+    two, resampling draws nothing but the two and their mean."""
 
     value: float
     low: float | None
@@ -115,7 +116,7 @@ def variance_interval(means: Sequence[float], variances: Sequence[float]) -> Est
 
 
 def _interval(value: float, drawn: Array, flights: int) -> Estimate:
-    if flights < 2:
+    if flights < 3:
         return Estimate(value, None, None, flights)
     tail = _tail(flights)
     low, high = np.quantile(drawn, (tail, 1.0 - tail))

@@ -18,7 +18,7 @@ class SiteLander:
     Implements ``landing.api.Lander``. The sequence is ``landing.mission.phases.run_phases``, a
     generator that is resumed once a control step."""
 
-    needs = SensorNeeds(camera_hz=10, lidar=True)
+    needs = SensorNeeds(camera_hz=5, lidar=True)
 
     def __init__(
         self,

@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from touchdown.landing.api import Candidate, ScoreTerm
+from touchdown.landing.api import RULE_KEYS, Candidate, ScoreTerm
 
 _BETTER: dict[str, str] = {
     "probability": "higher probability of a safe touchdown",
@@ -86,12 +86,14 @@ def _advantage(a: ScoreTerm, b: ScoreTerm) -> str:
 
 
 def _refused(sites: Sequence[Candidate]) -> str:
-    """Such as "12 candidates refused: 7 step, 5 water"."""
+    """Such as "12 candidates refused: 7 step, 5 near refused site; keys: landing.max_step_m"."""
     if len(sites) == 1:
         return f"the only candidate is {sites[0].reason}"
     rules = Counter(site.rule for site in sites)
     counts = ", ".join(f"{count} {_words(rule)}" for rule, count in rules.most_common())
-    return f"{len(sites)} candidates refused: {counts}"
+    told = dict.fromkeys(RULE_KEYS[rule] for rule, _ in rules.most_common() if rule in RULE_KEYS)
+    keys = f"; keys: {', '.join(told)}" if told else ""
+    return f"{len(sites)} candidates refused: {counts}{keys}"
 
 
 def _words(rule: str) -> str:

@@ -8,7 +8,7 @@ that thin things on it stay seen. A height field keeps its heights and gets the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import cv2
@@ -36,6 +36,7 @@ _WAVES_M = 9.0
 _NODE_M = 0.4
 _MESH_NODE_M = 0.25
 _MOST_NODES, _MOST_TEXELS = 801, 5120
+"""along a side of one; the texels of all textures together are no more than a square of these"""
 _BACKDROP_M = 0.3
 """Depth of what is seen of an endless plane beyond the part that is dressed"""
 _THIN_M = 0.15
@@ -55,6 +56,14 @@ MATERIALS: dict[str, tuple[Ground, ...]] = {
 """Of a class: what most of it is painted as, and what patches of it are."""
 
 
+class Chosen(NamedTuple):
+    """How a geom is to be dressed."""
+
+    land_class: str
+    share: float
+    """of the texels that all have together"""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Dressed:
     """What was done to a geom."""
@@ -65,29 +74,29 @@ class Dressed:
 
 
 def dress(
-    spec: Any, model: Any, data: Any, chosen: dict[int, str], bounds_xy_m: Array
+    spec: Any, model: Any, data: Any, chosen: dict[int, Chosen], bounds_xy_m: Array
 ) -> list[Dressed]:
-    """Dresses the geoms ``chosen``, with their classes, of ``spec``, whose geoms all have names, as
+    """Dresses the geoms ``chosen`` of ``spec``, whose geoms all have names, as
     far as they lie in [[x_min, y_min], [x_max, y_max]]. ``model`` and ``data`` are its compiled
     form. The same file gives the same bytes."""
     done = []
-    for geom, land_class in chosen.items():
-        if land_class not in MATERIALS:
+    for geom, look in chosen.items():
+        if look.land_class not in MATERIALS:
             continue
         name, kind = model.geom(geom).name, int(model.geom_type[geom])
         relief = True
         if kind == int(mujoco.mjtGeom.mjGEOM_HFIELD):
             size = 2.0 * model.hfield_size[model.geom_dataid[geom]][:2]
             own = spec.geom(name)
-            own.material, own.rgba = _material(spec, name, land_class, size), _UNTINTED
+            own.material, own.rgba = _material(spec, name, look, size), _UNTINTED
             relief = False
         elif flat_top(model, data, geom):
             if kind == int(mujoco.mjtGeom.mjGEOM_BOX) and model.geom_size[geom, 2] < _THIN_M:
                 continue
-            _replace_flat(spec, model, data, geom, land_class, bounds_xy_m)
-        elif not _replace_mesh(spec, model, data, geom, land_class, bounds_xy_m):
+            _replace_flat(spec, model, data, geom, look, bounds_xy_m)
+        elif not _replace_mesh(spec, model, data, geom, look, bounds_xy_m):
             continue
-        done.append(Dressed(name=name, land_class=land_class, relief=relief))
+        done.append(Dressed(name=name, land_class=look.land_class, relief=relief))
     return done
 
 
@@ -106,7 +115,7 @@ def touchable(spec: Any, model: Any, data: Any, geom: int, bounds_xy_m: Array) -
 
 
 def _replace_flat(
-    spec: Any, model: Any, data: Any, geom: int, land_class: str, bounds_xy_m: Array
+    spec: Any, model: Any, data: Any, geom: int, look: Chosen, bounds_xy_m: Array
 ) -> None:
     """Puts a height field in place of a plane or box."""
     name, size = model.geom(geom).name, model.geom_size[geom].copy()
@@ -131,19 +140,19 @@ def _replace_flat(
     spec.worldbody.add_geom(
         name=name, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=field,
         pos=centre + rotation @ offset, quat=_quat(rotation),
-        material=_material(spec, name, land_class, extent),
+        material=_material(spec, name, look, extent),
         contype=int(touches), conaffinity=int(touches),
     )  # fmt: skip
     if beyond:
         spec.worldbody.add_geom(
-            name=f"{land_class}_beyond_{name}", type=mujoco.mjtGeom.mjGEOM_PLANE, size=size,
+            name=f"{look.land_class}_beyond_{name}", type=mujoco.mjtGeom.mjGEOM_PLANE, size=size,
             pos=centre - _BACKDROP_M * rotation[:, 2], quat=_quat(rotation),
             material=_tiled(spec, name, extent), contype=0, conaffinity=0,
         )  # fmt: skip
 
 
 def _replace_mesh(
-    spec: Any, model: Any, data: Any, geom: int, land_class: str, bounds_xy_m: Array
+    spec: Any, model: Any, data: Any, geom: int, look: Chosen, bounds_xy_m: Array
 ) -> bool:
     """Puts a height field in place of a mesh or another shape. False where it is full of holes."""
     terrain = _sampled(model, data, geom, bounds_xy_m)
@@ -152,7 +161,7 @@ def _replace_mesh(
     heights, low, high = terrain
     name = model.geom(geom).name
     spec.delete(spec.geom(name))
-    material = _material(spec, name, land_class, high - low)
+    material = _material(spec, name, look, high - low)
     _field(spec, name, heights, low, high, material=material)
     return True
 
@@ -216,9 +225,9 @@ def _relief(name: str, shape: tuple[int, int], extent: Array) -> Array:
     return np.clip(0.5 + 0.2 * noise, 0.0, 1.0).astype(np.float64)
 
 
-def _material(spec: Any, name: str, land_class: str, extent: Array) -> str:
+def _material(spec: Any, name: str, look: Chosen, extent: Array) -> str:
     """Adds a material that lies once over a level rectangle of ``extent`` (2,) metres."""
-    add_texture(spec, f"{name}_dressed", painted(name, land_class, extent))
+    add_texture(spec, f"{name}_dressed", painted(name, look, extent))
     return _textured(spec, f"{name}_dressed", f"{name}_dressed", texuniform=False)
 
 
@@ -237,15 +246,16 @@ def _textured(spec: Any, name: str, texture: str, **more: Any) -> str:
     return name
 
 
-def painted(name: str, land_class: str, extent: Array) -> Image:
+def painted(name: str, look: Chosen, extent: Array) -> Image:
     """(rows, cols, 3): ground of a class over ``extent`` (2,) metres, top row first, in patches of
     three materials."""
     rng = np.random.default_rng([crc32(b"scenes.dress.colour"), crc32(name.encode())])
     side = float(extent.max())
-    texels = int(np.clip(round(side / TEXEL_M), 256, _MOST_TEXELS)) // 4 * 4
+    most = max(_MOST_TEXELS * float(np.sqrt(look.share)), 256.0)
+    texels = int(np.clip(round(side / TEXEL_M), 256, most)) // 4 * 4
     canvas = Canvas.of_size(0.5 * side, texels)
     few = texels // 4
-    main, *others = MATERIALS[land_class]
+    main, *others = MATERIALS[look.land_class]
     layer = np.full((few, few), int(main), np.uint8)
     for material, blot_m in zip(others, _BLOTS_M, strict=True):
         blots = fractal_noise(rng, (few, few), blot_m * few / side, 4, 0.6)

@@ -141,10 +141,13 @@ def read_mjcf(path: Path, ready: Readying | None = None) -> SceneDraft:
     )
     if ready is None:
         return draft
-    return made_ready(
-        draft, unknown, ready,
-        named=takeoff is not None, surface=_surface, say=partial(_warn_once, path),
-    )  # fmt: skip
+    say = partial(_warn_once, path)
+    try:
+        return made_ready(
+            draft, unknown, ready, named=takeoff is not None, surface=_surface, say=say
+        )
+    except (MemoryError, RuntimeError, mujoco.FatalError) as error:
+        raise ValueError(f"{path}: it cannot be made ready: {_one_line(error)}") from error
 
 
 def remove_motion(spec: Any, path: Path) -> None:

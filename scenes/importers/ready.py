@@ -28,9 +28,9 @@ from touchdown.scenes.importers.class_files import (
     read_class_picture,
     read_class_table,
 )
-from touchdown.scenes.importers.dress import LEAST_M2, MATERIALS, MOST, dress, touchable
+from touchdown.scenes.importers.dress import LEAST_M2, MATERIALS, MOST, Chosen, dress, touchable
 from touchdown.scenes.importers.guess import Guess, guess_classes, look_of, names_of
-from touchdown.sim.files.opening import printable
+from touchdown.sim.files.opening import printable, quiet_libraries
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
@@ -222,8 +222,8 @@ def _share_ahead(known: Array, cell_m: float) -> Array:
 
 def _featureless(
     model: Any, data: Any, seen: FromAbove, surfaces: dict[str, Surface]
-) -> dict[int, str]:
-    """Ground without features and its class, the widest first."""
+) -> dict[int, Chosen]:
+    """Ground without features, the widest first."""
     area = np.bincount(seen.geom[seen.geom >= 0], minlength=model.ngeom) * seen.cell_m**2
     found: dict[int, str] = {}
     for geom in np.argsort(-area, kind="stable").tolist():
@@ -232,11 +232,12 @@ def _featureless(
             break
         if land_class in MATERIALS and look_of(model, geom).plain:
             found[geom] = land_class
-    return found
+    whole = sum(area[geom] for geom in found)
+    return {geom: Chosen(kind, float(area[geom] / whole)) for geom, kind in found.items()}
 
 
 def _stand_on_meshes(
-    spec: Any, compiled: _Compiled, seen: FromAbove, dressed: dict[int, str], bounds: Array
+    spec: Any, compiled: _Compiled, seen: FromAbove, dressed: dict[int, Chosen], bounds: Array
 ) -> None:
     """Ground meshes that keep their look are touched where they are seen, not at their hull."""
     model, data = compiled
@@ -268,7 +269,8 @@ def _name_takeoff(spec: Any, xy: Array, yaw: float) -> None:
 
 
 def _compile(spec: Any) -> _Compiled:
-    model = spec.copy().compile()
+    with quiet_libraries():
+        model = spec.copy().compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return _Compiled(model, data)

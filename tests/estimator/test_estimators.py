@@ -83,7 +83,7 @@ def test_estimators_survive_and_report(module: Any, kind: str) -> None:
     last_s = module.FLIGHT[-1].time_s
     event = f"{kind}@{0.6 * last_s:g}*{2 if kind == 'timestamp_swap' else 1}"
     if kind.endswith("dropout"):
-        event = f"{kind}@{0.3 * last_s:g}+0.6"
+        event = f"{kind}@{0.3 * last_s:g}+0.8"
     injector = FaultInjector(FaultParams(events=(event,)), 600)
     estimates = module.fly([injector.apply(observation) for observation in module.FLIGHT])
     events = [text for estimate in estimates for text in estimate.events]

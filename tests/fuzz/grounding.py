@@ -33,12 +33,12 @@ def _reach(*_arguments: Any, **_options: Any) -> Any:
     raise Reached
 
 
-def _compose_spec(name_or_path: str, seed: int) -> Any:
+def _compose_spec(name_or_path: str, seed: int, ready: Any = None) -> Any:
     """Composes scenes of files; built-in ones take seconds and read nothing."""
     from touchdown.scenes import compose
 
     if name_or_path.endswith(".xml") or "/" in name_or_path or seed < 0:
-        return _REAL["touchdown.scenes.compose", "compose_spec"](name_or_path, seed)
+        return _REAL["touchdown.scenes.compose", "compose_spec"](name_or_path, seed, ready)
     compose.scene_generator(name_or_path)
     raise Reached
 

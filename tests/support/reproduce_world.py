@@ -172,6 +172,8 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     )
     for slow in ("campaign.worker.release_memory", "reproduce.networks._use_one_thread"):
         monkeypatch.setattr(f"touchdown.experiments.{slow}", lambda: None)
+    # copies of the sources without git are tested, too
+    monkeypatch.setattr("touchdown.experiments.io.provenance.git_revision", lambda: "0123abc")
     monkeypatch.setattr("touchdown.experiments.reproduce.run._check_libraries", lambda parts: None)
     return found
 

@@ -54,7 +54,13 @@ def write(folder: Path, name: str, geoms: str) -> Path:
 
 def config_for(path: Path, *more: str) -> Config:
     return load_config(
-        None, [*SHORT_SURVEY, *more], scene=str(path), seed=100, estimator="oracle", record=False
+        None,
+        [*SHORT_SURVEY, *more],
+        scene=str(path),
+        seed=100,
+        estimator="oracle",
+        record=False,
+        as_is=True,
     )
 
 

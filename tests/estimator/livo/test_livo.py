@@ -118,7 +118,7 @@ def test_returns_of_long_ago_are_not_extended(monkeypatch: pytest.MonkeyPatch) -
 )  # fmt: skip
 def test_parts_can_be_left_out(change: dict[str, bool]) -> None:
     livo = Livo(RIG, LivoParams(**change))
-    assert livo.needs.camera_hz == (0 if change == {"use_vision": False} else 10)
+    assert livo.needs.camera_hz == (0 if change == {"use_vision": False} else 5)
     last = [livo.update(obs) for obs in FLIGHT][-1]
     error = last.world_from_body.translation - position_at(last.time_s)
     # over a plane the LIDAR holds height only

@@ -211,7 +211,7 @@ def test_a_flight_that_it_ends_leaves_nothing(lab: Callable[..., str], says: Say
     name = f"{lab(_spoilt('return None if obs.time_s > 0.05 else estimate'))}:build"
     Path("lawn.xml").write_text(LAWN)
     short = ["--profile", "ideal", "--no-record", "--quiet", "--out", "flown/one"]
-    output = says(2, "fly", "lawn.xml", "--estimator", name, *short).err
+    output = says(2, "fly", "lawn.xml", "--as-is", "--estimator", name, *short).err
     assert output.count("\n") == 1 and "at 0.055 s update returned NoneType" in output
     assert list(Path("flown").iterdir()) == []
 

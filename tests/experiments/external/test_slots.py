@@ -334,7 +334,7 @@ def test_a_selectors_terms_are_its_candidates_and_its_costmap(brought: Callable[
 def test_a_flight_that_a_part_ends_leaves_nothing(brought: Callable[..., str], says: Says) -> None:
     name = brought("controller", ASK, ASK + "1 / (estimate.time_s < 0.05)\n        ")
     Path("lawn.xml").write_text(LAWN)
-    short = ["--profile", "ideal", "--no-record", "--quiet", "--out", "flown/one"]
+    short = ["--profile", "ideal", "--no-record", "--quiet", "--out", "flown/one", "--as-is"]
     output = says(2, "land", "lawn.xml", "--estimator", "oracle", "--controller", name, *short).err
     assert output.count("\n") == 1 and f"controller '{name}': at 0.050 s update raised" in output
     assert "(rule 'answers')" in output and list(Path("flown").iterdir()) == []

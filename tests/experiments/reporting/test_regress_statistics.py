@@ -36,6 +36,14 @@ def test_fisher_by_hand() -> None:
     assert statistics.fisher_p(0, 10, 0, 10) == 1.0
 
 
+def test_two_flights_have_no_interval() -> None:
+    for flights in (1, 2):
+        found = statistics.mean_interval([0.1, 0.3][:flights])
+        assert found is not None and found.low is None and found.high is None
+    three = statistics.mean_interval([0.1, 0.2, 0.3])
+    assert three is not None and three.low is not None and three.low == pytest.approx(0.1)
+
+
 def test_wilson_by_hand() -> None:
     """10 of 10: lower end n / (n + z^2)."""
     share = statistics.share_interval(10, 10)

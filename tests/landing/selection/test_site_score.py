@@ -249,7 +249,10 @@ def test_reason_names_refused_sites_of_a_higher_score() -> None:
 def test_reason_without_a_site() -> None:
     step, water = (_site(0.9, rule, accepted=False) for rule in ("step", "water"))
     assert why_chosen(()) == "No site: nothing is mapped"
-    assert why_chosen([step, water, step]) == "No site: 3 candidates refused: 2 step, 1 water"
+    assert why_chosen([step, water, step]) == (
+        "No site: 3 candidates refused: 2 step, 1 water; "
+        "keys: landing.max_step_m, landing.max_missing_ratio"
+    )
     assert why_chosen([step]) == "No site: the only candidate is because of step"
     taken = dataclasses.replace(step, accepted=True, rule="least_bad")
     assert why_chosen([taken]) == "Site 1 won as because of step"

@@ -1,0 +1,1 @@
+"""PX4's SITL as the controller of a flight: the world is its simulator over MAVLink."""
