@@ -77,8 +77,7 @@ def test_limits_are_set_by_an_interval_of_the_share_of_unsafe_images() -> None:
     assert np.flatnonzero(taken).tolist() == [797, 798, 799]
     found = decision.decision_summary(_scores(*rows), labels, limits)
     assert (found["unsafe"], found["unsafe_taken_for_safe"], found["safe"]) == (800, 3, 0)
-    nothing = decision.fitted_limits(_scores(*rows, rows[-1]), np.append(labels[:-1], [-1, 0]))
-    assert nothing.min_probability > 0.899, "what is of no class is unsafe"
+    assert decision.is_unsafe(np.array([-1, 0, 5])).tolist() == [True, False, True]
     easy = decision.fitted_limits(_scores(_chances(lawn=SURE)), np.array([D_LAND.index("lawn")]))
     assert easy.min_probability == decision.LEAST
 
