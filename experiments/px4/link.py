@@ -104,6 +104,7 @@ class SimulatorLink:
         self._start_s = start_s
         self._first_us = 0
         """time of the first step in lockstep; 0: none yet"""
+        self._before_us = 0
         self._pending: list[Any] = []
         self.steps = self.answers = 0
         """in lockstep"""
@@ -124,7 +125,8 @@ class SimulatorLink:
     def exchange(self, sensors: Any) -> Answer | None:
         """The answer to a HIL_SENSOR; None before the first one. Raises Px4Error for one that does
         not come, comes twice, or is of another time or not a number."""
-        now = int(sensors.time_usec)
+        now, before = int(sensors.time_usec), self._before_us
+        self._before_us = now
         at = f"at {1e-6 * now:.3f} s PX4"
         self._refuse_more(at)
         self.send(sensors)
@@ -144,6 +146,8 @@ class SimulatorLink:
             answer = self._receive(self._answer_s, at)  # to a step of the start
         if answer is None:
             raise Px4Error(f"{at} gave no answer in {self._answer_s:g} s (px4.answer_s)")
+        if answer.time_usec == before:
+            raise _twice(at)
         if answer.time_usec != now:
             raise Px4Error(
                 f"{at} answered for another time, {1e-6 * answer.time_usec:.3f} s: it does not run "
@@ -164,7 +168,7 @@ class SimulatorLink:
             self._read(0.0, at)
         late = [m for m in self._pending if m.time_usec >= self._first_us]
         if late:
-            raise Px4Error(f"{at} had answered the step before twice: it does not run in lockstep")
+            raise _twice(at)
 
     def _checked(self, message: Any, at: str) -> Answer:
         controls = [float(value) for value in message.controls[:4]]
@@ -196,6 +200,10 @@ class SimulatorLink:
         for message in self._mav.parse_buffer(data) or ():
             if message.get_msgId() == wanted:
                 self._pending.append(message)
+
+
+def _twice(at: str) -> Px4Error:
+    return Px4Error(f"{at} had answered the step before twice: it does not run in lockstep")
 
 
 def accept(ports: Ports, wait_s: float, ended: Callable[[float], str]) -> socket.socket:
