@@ -93,7 +93,8 @@ def dress(
         elif flat_top(model, data, geom):
             if kind == int(mujoco.mjtGeom.mjGEOM_BOX) and model.geom_size[geom, 2] < _THIN_M:
                 continue
-            _replace_flat(spec, model, data, geom, look, bounds_xy_m)
+            if not _replace_flat(spec, model, data, geom, look, bounds_xy_m):
+                continue
         elif not _replace_mesh(spec, model, data, geom, look, bounds_xy_m):
             continue
         done.append(Dressed(name=name, land_class=look.land_class, relief=relief))
@@ -116,8 +117,9 @@ def touchable(spec: Any, model: Any, data: Any, geom: int, bounds_xy_m: Array) -
 
 def _replace_flat(
     spec: Any, model: Any, data: Any, geom: int, look: Chosen, bounds_xy_m: Array
-) -> None:
-    """Puts a height field in place of a plane or box."""
+) -> bool:
+    """Puts a height field in place of a plane or box. False where less than a metre of it lies
+    within the bounds."""
     name, size = model.geom(geom).name, model.geom_size[geom].copy()
     rotation, centre = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom].copy()
     plane = int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -126,7 +128,7 @@ def _replace_flat(
     local = (corners - centre[:2]) @ rotation[:2, :2]
     low, high = np.maximum(local.min(axis=0), -half), np.minimum(local.max(axis=0), half)
     if (high - low < 1.0).any():
-        return
+        return False
     beyond = plane and (half > np.maximum(np.abs(low), np.abs(high)) + 1.0).any()
     middle, extent = 0.5 * (low + high), high - low
     top = 0.0 if plane else float(size[2])
@@ -149,6 +151,7 @@ def _replace_flat(
             pos=centre - _BACKDROP_M * rotation[:, 2], quat=_quat(rotation),
             material=_tiled(spec, name, extent), contype=0, conaffinity=0,
         )  # fmt: skip
+    return True
 
 
 def _replace_mesh(

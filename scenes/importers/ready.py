@@ -1,5 +1,5 @@
 """Makes the scene of a file ready to be flown over: a take-off where none is named, classes where
-names say nothing, and ground that sensors can hold on to. What is done is said, a line each."""
+names say nothing, and ground that sensors can hold on to. What is done is said, in one line."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ def made_ready(
     say: Say,
 ) -> SceneDraft:
     """Returns ``draft`` with its spec changed. ``unknown``: the geoms without a class; ``named``: a
-    take-off is; ``surface``: that of a class; ``say`` takes each line. Raises ValueError and
-    FileNotFoundError for a file of classes that cannot be used."""
+    take-off is; ``surface``: that of a class; ``say`` takes one line on what was done. Raises
+    ValueError and FileNotFoundError for a file of classes that cannot be used."""
     spec = draft.spec
     model, data = _compile(spec)
     seen = from_above(model, data, draft.bounds_xy_m)
@@ -72,13 +72,13 @@ def made_ready(
             "no ground under the take-off spot: add a floor, or a site named 'takeoff' above the "
             "ground"
         )
-    xy = draft.takeoff_xy_m
+    xy, told = draft.takeoff_xy_m, list[str]()
     if not named:
         xy = takeoff_spot(_with_small_things(seen, model, data), xy)
         if np.hypot(*(xy - draft.takeoff_xy_m)) > 0.1:
-            say(
-                f"no take-off is named and the origin is none: it is {xy[0]:.1f}, {xy[1]:.1f}; "
-                "name a site 'takeoff' for another"
+            told.append(
+                f"no take-off is named and the origin is none: it is {xy[0]:.1f}, {xy[1]:.1f} "
+                "(name a site 'takeoff' for another)"
             )
     start = int(seen.geom[seen.cell_of(xy)])
     ids = [model.geom(name).id for name in unknown]
@@ -89,7 +89,7 @@ def made_ready(
     found = {geom: guess.land_class for geom, guess in guesses.items()} | given.classes
     for geom, land_class in found.items():
         surfaces[model.geom(geom).name] = surface(land_class)
-    _say_guesses(guesses, say)
+    told += _of_guesses(guesses)
     chosen = _featureless(model, data, seen, surfaces)
     _stand_on_meshes(spec, _Compiled(model, data), seen, chosen, draft.bounds_xy_m)
     done = dress(spec, model, data, chosen, draft.bounds_xy_m)
@@ -101,10 +101,12 @@ def made_ready(
         surfaces.setdefault(geom.name, surface("other"))
     if done:
         kinds = ", ".join(f"{printable(one.name)} as {one.land_class}" for one in done[:4])
-        say(
+        told.append(
             f"featureless ground is dressed ({kinds}{' ...' if len(done) > 4 else ''}): a texture "
-            "of real ground and a relief of centimetres; --as-is keeps the file as it is"
+            "of real ground and a relief of centimetres (--as-is keeps the file as it is)"
         )
+    if told:
+        say("; ".join(told))
     if not named:
         _name_takeoff(spec, xy, draft.takeoff_yaw)
     guessed = {model.geom(geom).name: guess for geom, guess in guesses.items()}
@@ -251,16 +253,16 @@ def _stand_on_meshes(
             touchable(spec, model, data, geom, bounds)
 
 
-def _say_guesses(guesses: dict[int, Guess], say: Say) -> None:
+def _of_guesses(guesses: dict[int, Guess]) -> list[str]:
     if not guesses:
-        return
+        return []
     count = Counter(guess.land_class for guess in guesses.values())
     kinds = ", ".join(f"{number} {name}" for name, number in count.most_common())
     one = len(guesses) == 1
-    say(
+    return [
         f"the class of {len(guesses)} {'geom is' if one else 'geoms are'} guessed by name, shape "
-        f"and colour ({kinds}): `touchdown scenes check` lists them, --classes sets them"
-    )
+        f"and colour ({kinds}; `touchdown scenes check` lists them, --classes sets them)"
+    ]
 
 
 def _name_takeoff(spec: Any, xy: Array, yaw: float) -> None:

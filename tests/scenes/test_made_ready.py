@@ -172,6 +172,14 @@ def test_a_user_s_classes_count(tmp_path: Path) -> None:
         load(path, Readying(classes=str(picture)))
 
 
+def test_what_is_done_is_said_in_one_line(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="is dressed") as caught:
+        load_scene(str(PLACES["checker"](tmp_path)), 0, ready=Readying())
+    (said,) = [str(w.message) for w in caught if "joints" not in str(w.message)]
+    for part in ("no take-off is named", "of 9 geoms are guessed", "dressed (floor as lawn)"):
+        assert part in said
+
+
 def test_a_file_is_made_ready_the_same_every_time(tmp_path: Path) -> None:
     path = PLACES["boxes"](tmp_path)
     first, again = load(path).model, load(path).model
