@@ -64,7 +64,7 @@ def test_each_key_has_its_own_entry(loads: list[Any], monkeypatch: pytest.Monkey
     ]  # fmt: skip
     for _ in range(2):
         assert [cached_scene(*key).model.ngeom for key in keys] == [1, 2, 3, 4, 5]
-    assert loads == keys
+    assert loads == [(*key, None) for key in keys]  # not made ready
     monkeypatch.setattr(cache, "_sources", lambda: "other sources")
     assert cached_scene(*keys[0]).model.ngeom == 6
 

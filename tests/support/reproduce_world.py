@@ -155,7 +155,9 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
         return {"epochs": options["epochs"]}
 
     @replaced("classification.evaluate.evaluate_network", "scores")
-    def _(network: Path, data: list[str], split: str, **options: Any) -> dict[str, Any]:
+    def _(
+        network: Path, data: list[str], split: str, progress: Any, **options: Any
+    ) -> dict[str, Any]:
         assert network.is_file()
         own = {"top1": found.top1.get(network.parent.name, SCORES["top1"])}
         return {"split": split, "pictures": 90, "rom_mb": 22.4, "image_ms": 3.0, **SCORES, **own}

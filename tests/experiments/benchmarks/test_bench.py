@@ -38,7 +38,7 @@ def lawn_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def lawn(lawn_file: Path) -> Scene:
-    return build_scene(load_config(scene=str(lawn_file)))
+    return build_scene(load_config(scene=str(lawn_file), as_is=True))
 
 
 @pytest.fixture(scope="module")
