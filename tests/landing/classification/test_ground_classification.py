@@ -225,7 +225,9 @@ def test_a_blurred_closer_look_adds_little() -> None:
         assert seen is not None and seen.in_distribution is known
         lawn = (1.0 - share) * 0.99 + share * 0.6
         assert seen.probabilities[D_LAND.index("lawn")] == pytest.approx(lawn, abs=0.03)
-    smooth = _check(ByColour(0.97), plain("water")).reclassify(before, np.zeros(3), FLAT, 2.0)
+    water = ByColour(0.97)
+    water.image_size = 64
+    smooth = _check(water, plain("water")).reclassify(before, np.zeros(3), FLAT, 2.0)
     assert smooth is not None and smooth.probabilities[D_LAND.index("water")] > 0.45
 
 
