@@ -125,7 +125,7 @@ class LivoParams(CalibratedParams):
     accel_bias_walk: NotNegative = 0.0
     """as in ``FlownImuParams``"""
     camera_hz: Count = 5
-    """image rate; a divisor of the camera's clock. At 10 a flight costs a third more, and
+    """image rate; a divisor of the camera's clock. At 10 a flight costs a quarter more, and
     positions are no better within their spread"""
     voxel_m: Positive = 1.0
     """side of the plane map's voxels"""

@@ -14,6 +14,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reproduce import plans
 from touchdown.experiments.reproduce import run as reproduce
 from touchdown.experiments.reproduce.items import ITEMS
+from touchdown.experiments.reproduce.networks import _trainings
 from touchdown.experiments.reproduce.steps import PARTS, part_named
 from touchdown.experiments.reproduce.tables import claim_table
 
@@ -187,6 +188,12 @@ def test_photographs_train_every_network_until_it_has_converged(
     assert len(table.numbers["d_land"]["differences"]) == 9
     text = (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
     assert "photographs of pictures alone" in text and "22 of 22 trainings converged" in text
+
+
+def test_vgg19_learns_more_slowly_and_sees_one_size(tmp_path: Path) -> None:
+    found = {one.network: one.options for one in _trainings(tmp_path, plans.PHOTOGRAPHS, ())}
+    assert found["vgg19"]["learning_rate"] == 2e-4 and found["vgg19"]["first_size"] is None
+    assert "learning_rate" not in found["resnet50"] and found["resnet50"]["first_size"] == 48
 
 
 @pytest.mark.usefixtures("no_report")
