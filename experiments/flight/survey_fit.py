@@ -72,6 +72,7 @@ def fit_survey(config: Config, scene: Scene) -> Fit | None:
     for one in sorted(_surveys(survey), key=lambda one: (-_seen_m2(one), one.legs)):
         if ground.share(one.leg_length_m, _width(one)) < ENOUGH_SHARE:
             continue
+        one = one if one == survey else _timed(one, survey)
         highest = ground.highest_m(one.leg_length_m, _width(one))
         height = one.height_m
         if highest > height - CLEARANCE_M:
@@ -84,6 +85,7 @@ def fit_survey(config: Config, scene: Scene) -> Fit | None:
 
 
 def _surveys(survey: SurveyParams) -> Iterator[SurveyParams]:
+    """``survey`` and smaller ones, at its duration."""
     yield survey
     lengths = np.arange(survey.leg_length_m, _SHORTEST_M - 0.1, -_STEP_M)
     for legs in range(survey.legs, 0, -1):
@@ -93,7 +95,7 @@ def _surveys(survey: SurveyParams) -> Iterator[SurveyParams]:
                     survey, legs=legs, leg_spacing_m=spacing, leg_length_m=length
                 )
                 if one != survey:
-                    yield _timed(one, survey)
+                    yield one
 
 
 def _timed(one: SurveyParams, standard: SurveyParams) -> SurveyParams:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -149,14 +148,18 @@ def _quintic(first: State, second: State, duration: float) -> Array:
 def peaks(trajectory: PiecewiseTrajectory, per_segment: int = 64) -> tuple[float, float]:
     """Returns the largest speed (m/s) and acceleration (m/s^2) of ``per_segment`` samples of each
     segment."""
-    speed = acceleration = 0.0
-    breaks = trajectory.breaks_s
-    for start, end in pairwise(breaks):
-        for t in np.linspace(start, end, per_segment):
-            _, v, a = trajectory.sample(float(t))
-            speed = max(speed, float(np.sqrt(v @ v)))
-            acceleration = max(acceleration, float(np.sqrt(a @ a)))
-    return speed, acceleration
+    starts, coefficients = trajectory.breaks_s, trajectory.coefficients
+    times = np.linspace(starts[:-1], starts[1:], per_segment)
+    index = np.minimum(np.searchsorted(starts, times, side="right"), len(coefficients)) - 1
+    local = (times - starts[index])[..., None]
+    position, velocity, acceleration = np.zeros((3, *times.shape, 3))
+    for power in range(5, -1, -1):  # Horner's scheme, as in `sample_quintics`
+        acceleration = acceleration * local + 2.0 * velocity
+        velocity = velocity * local + position
+        position = position * local + coefficients[index, power]
+    squares = np.square([velocity, acceleration]).sum(axis=-1)
+    speed, acceleration = np.sqrt(squares.max(axis=(1, 2)))
+    return float(speed), float(acceleration)
 
 
 # ------------------------------------------------------------------------------------- survey
