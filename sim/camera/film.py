@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -220,7 +220,7 @@ def _lamp_up(
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _show(
-    drawn: Bytes, depth: Float32, far: float, per_level: float, shifts: Array,
+    drawn: NDArray[Any], depth: Float32, far: float, per_level: float, shifts: Array,
     x: Float32, y: Float32, bent: bool,
     noise: NDArray[np.int8], first_row: int, first: int, unit: float, tone: Tone, out: Bytes,
 ) -> None:  # fmt: skip
