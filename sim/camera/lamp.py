@@ -67,7 +67,7 @@ def _exponent(params: LampParams) -> float:
     return math.log(0.5) / math.log(math.cos(math.radians(0.5 * params.beam_deg)))
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True, error_model="numpy")
 def lamp_row(
     levels: Float32, far: float, per_level: float, field: LampField, row: int, lux: Float32
 ) -> None:
