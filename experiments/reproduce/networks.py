@@ -32,6 +32,9 @@ _CHECK_INTERVAL_S = 5.0
 """Interval between two checks of the progress of the trainings."""
 _LEVEL = 0.01
 """gain of macro F1 that is none"""
+_FALLING = 0.05
+"""relative fall of the training loss from one tenth of the epochs to the next of a network that is
+still learning"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,14 +245,26 @@ def _score(training: Training, notes: Notes) -> dict[str, Any]:
 
 
 def _course(training: Training) -> dict[str, Any]:
-    """Epochs of a training, and whether it converged: it ended early, or macro F1 on the validation
-    images rose by less than 0.01 from the last but one tenth of its epochs to the last."""
+    """Epochs of a training, and whether it converged.
+
+    It did where it ended early, or macro F1 on the validation images rose by less than 0.01 from
+    the last but one tenth of its epochs to the last; but not while the loss on the training images
+    still fell by a twentieth between the two: few validation images make patience end by chance."""
     from touchdown.experiments.classification.train import CURVES
 
     with (training.folder / CURVES).open(encoding="utf-8", newline="") as file:
-        course = [float(row["val_macro_f1"]) for row in csv.DictReader(file)]
+        rows = list(csv.DictReader(file))
     tenth = math.ceil(training.options["epochs"] / 10)
-    last, before = course[-tenth:], course[-2 * tenth : -tenth]
-    early = len(course) < training.options["epochs"]
-    level = bool(before) and fmean(last) - fmean(before) < _LEVEL
-    return {"epochs": len(course), "converged": early or level}
+    means = {
+        key: [fmean(float(row[key]) for row in part) for part in _parts(rows, tenth)]
+        for key in ("val_macro_f1", "train_loss")
+    }
+    early, long = len(rows) < training.options["epochs"], len(rows) > tenth
+    level = long and means["val_macro_f1"][1] - means["val_macro_f1"][0] < _LEVEL
+    learning = long and means["train_loss"][1] < (1.0 - _FALLING) * means["train_loss"][0]
+    return {"epochs": len(rows), "converged": (early or level) and not learning}
+
+
+def _parts(rows: Sequence[Any], count: int) -> tuple[Sequence[Any], Sequence[Any]]:
+    """The last but one ``count`` rows, and the last."""
+    return rows[-2 * count : -count] or rows, rows[-count:]

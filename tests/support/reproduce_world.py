@@ -48,6 +48,10 @@ class World:
     broken: str = ""
     course: Callable[[int], float] = lambda _epoch: 0.6
     """macro F1 of each epoch of a training"""
+    loss: Callable[[int], float] = lambda _epoch: 1.0
+    """of each epoch, on the training images"""
+    ended: int = 0
+    """epoch after which trainings ended early; 0: none did"""
     top1: Mapping[str, float] = dataclasses.field(default_factory=dict)
     """of trainings, by the name of their folder"""
     interrupted: str = ""
@@ -150,8 +154,9 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     def _(data: list[str], out: Path, options: dict[str, Any], *rest: Any) -> dict[str, Any]:
         out.mkdir(parents=True, exist_ok=True)
         (out / "network.onnx").write_text("weights")
-        rows = "".join(f"{found.course(epoch)}\n" for epoch in range(options["epochs"]))
-        (out / "curves.csv").write_text(f"val_macro_f1\n{rows}")
+        epochs = range(found.ended or options["epochs"])
+        rows = "".join(f"{found.course(epoch)},{found.loss(epoch)}\n" for epoch in epochs)
+        (out / "curves.csv").write_text(f"val_macro_f1,train_loss\n{rows}")
         return {"epochs": options["epochs"]}
 
     @replaced("classification.evaluate.evaluate_network", "scores")

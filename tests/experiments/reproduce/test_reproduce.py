@@ -214,6 +214,18 @@ def test_a_network_that_still_improves_has_not_converged(world: World, tmp_path:
     assert done.states["photographs"].why.startswith("not converged: resnext50, d_scene; ")
 
 
+@pytest.mark.usefixtures("no_report")
+@pytest.mark.parametrize(("fall", "converged"), [(0.04, True), (0.06, False)])
+def test_patience_that_ends_while_a_network_learns_is_no_convergence(
+    world: World, tmp_path: Path, fall: float, converged: bool
+) -> None:
+    world.ended = 40
+    world.loss = lambda epoch: 1.0 - fall * (epoch >= 32)  # the last tenth of 80 epochs
+    skip = [name for name in USUAL if name != "speed"]
+    done = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=skip, photographs=["x"])
+    assert ("not converged" in done.states["photographs"].why) is not converged
+
+
 @pytest.mark.parametrize(("arguments", "message"), [
     (["--quick"], "missing option '--out'"),
     (["--out", "OUT", "--skip", "calibraton"], "did you mean 'calibration'"),
