@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.gl import InverseDepth
-from touchdown.sim.camera.lamp import LampField, lamp_lux
+from touchdown.sim.camera.lamp import LampField, lamp_row
 from touchdown.sim.camera.optics import NOISE_MARGIN, Lens
 from touchdown.sim.camera.shutter import sample_row, trace_row
 from touchdown.sim.typing import Array, Bytes, Float32
@@ -60,6 +60,10 @@ _EVEN = Tone(np.float32(1.0), np.float32(1.0), *2 * ((np.float32(0.0),) * (len(_
 """levels as drawn, with the noise as it is"""
 _QUIET_GAIN = 2.0
 """Up to this gain noise is small against the light, so that its effect on grey levels is linear"""
+_LEVELS: Float32 = np.arange(256, dtype=np.float32)
+_BRIGHTER: Float32 = ((1.0 + np.arange(257) / 256.0) ** (1.0 / GAMMA)).astype(np.float32)
+"""grey levels under the ambient light and up to as much again, over those under it alone"""
+_NO_LAMP = LampField(np.zeros((1, 1), np.float32), 1.0, 1.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -108,7 +112,7 @@ class Film:
         `optics.noise_tile`."""
         image = np.empty(self._shape, dtype=np.uint8)
         _show(
-            drawn, depth.levels, depth.far, depth.per_level, shifts, self._x, self._y, self._bent,
+            drawn, *buffers_of(depth), shifts, self._x, self._y, self._bent,
             noise, place.row, 3 * place.col, float(place.sign), _EVEN, image,
         )  # fmt: skip
         return image
@@ -125,35 +129,46 @@ class Film:
         """(H, W, 3) image of rows whose exposures are the mean of K instants with the (H, K, 12)
         coefficients ``shifts``; noise of `sensor_noise`."""
         image = np.empty(self._shape, dtype=np.uint8)
-        if shifts.shape[1] == 1 and light.lamp is None and light.gain <= _QUIET_GAIN:
+        share = light.electrons_per_lux / light.electrons
+        quiet = shifts.shape[1] == 1 and light.gain <= _QUIET_GAIN
+        if quiet and (light.lamp is None or share * most_lux(depth, light.lamp) < 1.0):
+            shown: Bytes | Float32 = drawn
+            if light.lamp is not None:
+                shown = np.empty(drawn.shape, dtype=np.float32)
+                _lamp_up(drawn, _LEVELS, *buffers_of(depth), light.lamp, share, False, shown)
             _show(
-                drawn, depth.levels, depth.far, depth.per_level, shifts, self._x, self._y,
-                self._bent, noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT,
-                quiet_tone(light), image,
+                shown, *buffers_of(depth), shifts, self._x, self._y, self._bent,
+                noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT, quiet_tone(light), image,
             )  # fmt: skip
             return image
         lit = np.empty(drawn.shape, dtype=np.float32)
-        _light_up(drawn, _LIGHT, lit)
-        lamp = light.lamp or LampField(np.zeros((1, 1), np.float32), 1.0, 1.0, 0.0, 0.0)
-        share = light.electrons_per_lux / light.electrons if light.lamp else 0.0
+        if light.lamp is None:
+            _light_up(drawn, _LIGHT, lit)
+        else:
+            _lamp_up(drawn, _LIGHT, *buffers_of(depth), light.lamp, share, True, lit)
         _expose(
-            lit, depth.levels, depth.far, depth.per_level, shifts, self._x, self._y, self._bent,
+            lit, *buffers_of(depth), shifts, self._x, self._y, self._bent,
             noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT,
-            _DISPLAY, light.electrons, light.full_well, light.read_noise**2, light.gain,
-            lamp.beam, lamp.fx, lamp.fy, lamp.cx, lamp.cy, share, image,
+            _DISPLAY, light.electrons, light.full_well, light.read_noise**2, light.gain, image,
         )  # fmt: skip
         return image
 
 
+def buffers_of(depth: InverseDepth) -> tuple[Float32, float, float]:
+    """As the kernels take it."""
+    return depth.levels, depth.far, depth.per_level
+
+
+def most_lux(depth: InverseDepth, lamp: LampField) -> float:
+    """No surface gets more from the lamp."""
+    inverse = depth.far + depth.per_level * float(depth.levels.max())
+    return float(lamp.beam.max()) * inverse**2
+
+
 def mean_light(drawn: Bytes, depth: InverseDepth, lamp: LampField | None, ambient: float) -> float:
     """Mean of linear light times illuminance over every eighth pixel, in lux of white."""
-    field = lamp or LampField(np.zeros((1, 1), np.float32), 1.0, 1.0, 0.0, 0.0)
-    return float(
-        _meter(
-            drawn, depth.levels, depth.far, depth.per_level, _LIGHT, ambient, lamp is not None,
-            field.beam, field.fx, field.fy, field.cx, field.cy,
-        )
-    )  # fmt: skip
+    field = lamp or _NO_LAMP
+    return float(_meter(drawn, *buffers_of(depth), _LIGHT, ambient, lamp is not None, field))
 
 
 def quiet_tone(light: Exposed) -> Tone:
@@ -185,8 +200,27 @@ def _light_up(drawn: Bytes, light: Float32, lit: Float32) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _lamp_up(
+    drawn: Bytes, light: Float32, depth: Float32, far: float, per_level: float,
+    field: LampField, share: float, linear: bool, lit: Float32,
+) -> None:  # fmt: skip
+    """``lit``: ``light`` of grey levels with the lamp, whose lux are worth ``share`` of the ambient
+    light each; in linear light or in grey levels."""
+    rows, cols = depth.shape
+    lux = np.empty(cols, np.float32)
+    one, half, steps = np.float32(1.0), np.float32(0.5), np.float32(len(_BRIGHTER) - 1)
+    for i in range(rows):
+        lamp_row(depth, far, per_level, field, rows - 1 - i, lux)
+        for j in range(cols):
+            more = np.float32(share) * lux[j]
+            factor = one + more if linear else _BRIGHTER[np.intp(min(more, one) * steps + half)]
+            for c in range(3):
+                lit[i, j, c] = factor * light[drawn[i, j, c]]
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _show(
-    drawn: Bytes, depth: Float32, far: float, per_level: float, shifts: Array,
+    drawn: NDArray[Any], depth: Float32, far: float, per_level: float, shifts: Array,
     x: Float32, y: Float32, bent: bool,
     noise: NDArray[np.int8], first_row: int, first: int, unit: float, tone: Tone, out: Bytes,
 ) -> None:  # fmt: skip
@@ -222,8 +256,7 @@ def _expose(
     x: Float32, y: Float32, bent: bool,
     noise: NDArray[np.int8], first_row: int, first: int, unit: float,
     display: Bytes, electrons: float, full_well: float, read_variance: float,
-    gain: float,
-    beam: Float32, fx: float, fy: float, cx: float, cy: float, lamp_share: float, out: Bytes,
+    gain: float, out: Bytes,
 ) -> None:  # fmt: skip
     height, width = out.shape[0], out.shape[1]
     instants = shifts.shape[1]
@@ -247,15 +280,8 @@ def _expose(
                 sx, sy,
             )  # fmt: skip
             sample_row(lit, sx, sy, light)
-            if lamp_share > 0.0:
-                for j in range(width):
-                    lux = lamp_lux(depth, far, per_level, beam, fx, fy, cx, cy, sx[j], sy[j])
-                    share = per_instant * np.float32(1.0 + lamp_share * lux)
-                    for channel in range(3 * j, 3 * j + 3):
-                        total[channel] += share * light[channel]
-            else:
-                for j in range(3 * width):
-                    total[j] += per_instant * light[j]
+            for j in range(3 * width):
+                total[j] += per_instant * light[j]
         grain, target = noise[first_row + i, first : first + 3 * width], lines[i]
         for j in range(3 * width):
             collected = min(total[j], well)
@@ -267,17 +293,17 @@ def _expose(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _meter(
     drawn: Bytes, depth: Float32, far: float, per_level: float, light: Float32, ambient: float,
-    lit: bool, beam: Float32, fx: float, fy: float, cx: float, cy: float,
+    lit: bool, field: LampField,
 ) -> float:  # fmt: skip
     rows, cols = depth.shape
     total, count = 0.0, 0
+    lux = np.zeros(cols, np.float32)
     for row in range(4, rows, 8):
+        if lit:
+            lamp_row(depth, far, per_level, field, row, lux)
         for col in range(4, cols, 8):
             pixel = drawn[rows - 1 - row, col]
             mean = light[pixel[0]] + light[pixel[1]] + light[pixel[2]]
-            lux = ambient
-            if lit:
-                lux += lamp_lux(depth, far, per_level, beam, fx, fy, cx, cy, col, row)
-            total += mean / 3.0 * lux
+            total += mean / 3.0 * (ambient + lux[col])
             count += 1
     return total / max(count, 1)

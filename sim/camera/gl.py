@@ -257,9 +257,25 @@ def _mujoco_context(
     finally:
         quality.offsamples, quality.shadowsize, buffer.offwidth, buffer.offheight = kept
     context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+    if samples == 0:
+        _leave_out_stencil(context, pinhole)
     _filter_by_the_nearest_level(context)
     _select(context)
     return context
+
+
+def _leave_out_stencil(context: mujoco.MjrContext, pinhole: CameraIntrinsics) -> None:
+    """The stencil beside each depth, for reflections, which are not drawn, costs a rasterizer in
+    software a sixth of its time, and reading depths a conversion."""
+    from OpenGL import GL
+
+    target, buffer = GL.GL_FRAMEBUFFER, (GL.GL_RENDERBUFFER, context.offDepthStencil)
+    GL.glBindFramebuffer(target, context.offFBO)
+    GL.glBindRenderbuffer(*buffer)
+    size = pinhole.width, pinhole.height
+    GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, GL.GL_DEPTH_COMPONENT32F, *size)
+    GL.glFramebufferRenderbuffer(target, GL.GL_STENCIL_ATTACHMENT, GL.GL_RENDERBUFFER, 0)
+    GL.glFramebufferRenderbuffer(target, GL.GL_DEPTH_ATTACHMENT, *buffer)
 
 
 def _filter_by_the_nearest_level(context: mujoco.MjrContext) -> None:

@@ -10,7 +10,7 @@ camera are at one place, so that no shadow of the lamp is seen.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -25,8 +25,7 @@ _PATCH = 8
 """the height is the median over the middle part of the raster, 1 / 8 of its width and height"""
 
 
-@dataclass(frozen=True, slots=True)
-class LampField:
+class LampField(NamedTuple):
     """The lamp over a raster: a surface across the axis at the depth z = 1 / rho gets
     ``beam * rho**2`` lux, with the lens's own angles to axis and surface in ``beam`` (h, W)."""
 
@@ -68,32 +67,28 @@ def _exponent(params: LampParams) -> float:
     return math.log(0.5) / math.log(math.cos(math.radians(0.5 * params.beam_deg)))
 
 
-@njit(cache=True, nogil=True, inline="always")
-def lamp_lux(
-    levels: Float32,
-    far: float,
-    per_level: float,
-    beam: Float32,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    x: float,
-    y: float,
-) -> float:
-    """Illuminance by the lamp of what the raster shows at (x, y). ``levels``: bottom row first."""
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True, error_model="numpy")
+def lamp_row(
+    levels: Float32, far: float, per_level: float, field: LampField, row: int, lux: Float32
+) -> None:
+    """Writes (W,) illuminance by the lamp of what row ``row`` of the raster shows. ``levels``:
+    bottom row first."""
     rows, cols = levels.shape
-    col = min(max(int(x + 0.5), 2), cols - 3)
-    row = min(max(int(y + 0.5), 2), rows - 3)
+    row = min(max(row, 2), rows - 3)
     up = rows - 1 - row
-    here = levels[up, col]
-    # the smaller of both one-sided slopes: the other may cross an edge
-    right, left = levels[up, col + 2] - here, here - levels[up, col - 2]
-    low, high = levels[up - 2, col] - here, here - levels[up + 2, col]
-    du = right if abs(right) < abs(left) else left
-    dv = low if abs(low) < abs(high) else high
-    rho = far + per_level * here
-    slope_u, slope_v = 0.5 * per_level * du, 0.5 * per_level * dv
-    nz = rho - slope_u * (col - cx) - slope_v * (row - cy)
-    normal = np.sqrt((fx * slope_u) ** 2 + (fy * slope_v) ** 2 + nz * nz)
-    return beam[row, col] * rho * rho * rho / normal
+    line, before, behind, beam = levels[up], levels[up - 2], levels[up + 2], field.beam[row]
+    base, rise, half = np.float32(far), np.float32(per_level), np.float32(0.5 * per_level)
+    fx, fy = np.float32(field.fx), np.float32(field.fy)
+    cx, dy = np.float32(field.cx), np.float32(row - field.cy)
+    for col in range(2, cols - 2):
+        here = line[col]
+        # the smaller of both one-sided slopes: the other may cross an edge
+        right, left = line[col + 2] - here, here - line[col - 2]
+        low, high = before[col] - here, here - behind[col]
+        u = half * (right if abs(right) < abs(left) else left)
+        v = half * (low if abs(low) < abs(high) else high)
+        rho = base + rise * here
+        nz = rho - u * (np.float32(col) - cx) - v * dy
+        normal = np.sqrt((fx * u) ** 2 + (fy * v) ** 2 + nz * nz)
+        lux[col] = beam[col] * rho * rho * rho / normal
+    lux[:2], lux[cols - 2 :] = lux[2], lux[cols - 3]

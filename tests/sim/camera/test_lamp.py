@@ -8,7 +8,7 @@ import pytest
 from touchdown.scenes.api import LIGHT_LUX
 from touchdown.sim.api import CameraIntrinsics, CameraParams, LampParams
 from touchdown.sim.camera.gl import InverseDepth
-from touchdown.sim.camera.lamp import LampField, lamp_field, lamp_lux, peak_candela, shines
+from touchdown.sim.camera.lamp import LampField, lamp_field, lamp_row, peak_candela, shines
 from touchdown.sim.camera.optics import intrinsics_of
 
 LAMP = LampParams(below_m=12.0)
@@ -26,12 +26,9 @@ def plane(depth_m: float, tilt_rad: float = 0.0) -> InverseDepth:
 
 
 def lux(depth: InverseDepth, x: float, y: float) -> float:
-    f = FIELD
-    return float(
-        lamp_lux(
-            depth.levels, depth.far, depth.per_level, f.beam, f.fx, f.fy, f.cx, f.cy, x, y
-        )
-    )  # fmt: skip
+    row = np.empty(RASTER.width, np.float32)
+    lamp_row(depth.levels, depth.far, depth.per_level, FIELD, round(y), row)
+    return float(row[round(x)])
 
 
 def test_the_whole_flux_leaves_the_lamp() -> None:
