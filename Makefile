@@ -19,7 +19,7 @@ export MUJOCO_GL ?= egl
 PROFILE ?= field
 
 .DEFAULT_GOAL := help
-.PHONY: help land test check mutation regress bench results docs format clean
+.PHONY: help land test check mutation regress bench results network docs format clean
 
 help:
 	@echo "make land    set everything up, fly over crossroad and land"
@@ -29,6 +29,7 @@ help:
 	@echo "make mutation changes algorithms one statement at a time; the tests must see it"
 	@echo "make bench   real-time factor and the time of each stage"
 	@echo "make results fly what README and the results pages print; write their tables"
+	@echo "make network train the ground classifier that flights use, DATA=folder of photographs"
 	@echo "make docs    the pages as a site, in site/"
 	@echo "make format  put the sources in order"
 	@echo "make clean   remove the environment and what was built"
@@ -60,6 +61,28 @@ bench: $(READY)
 # PROFILE=ideal flies and writes the second set.
 results: $(READY)
 	$(BIN)/touchdown results --profile $(PROFILE) --out runs/results --write
+
+# Goes on where an earlier call stopped; docs/ground-classification.md names the folders of DATA.
+NETWORK := runs/network
+RENDER = test -d $(NETWORK)/$(1) || $(BIN)/touchdown dataset render --jobs 2 --out $(NETWORK)/$(1)
+SCENES := $(addprefix --scene ,cottage crossroad dunes flat forest houses lake open_water \
+    rooftop_parking snow turf)
+PHOTOGRAPHS = $(foreach kind,ucmerced textures aerial caliterra,--data $(kind)=$(DATA)/$(kind))
+PATCHES := $(addprefix --data $(NETWORK)/,patches coloured-8 coloured-10 coloured-11 coloured-12)
+
+network: $(READY_TO_TEST)
+	@test -d "$(DATA)" || { echo "make network DATA=FOLDER: no such folder" >&2; exit 2; }
+	$(PIP) --editable ".[train]"
+	$(call RENDER,patches) --images 2400 --seed 6
+	$(call RENDER,coloured-8) --images 1320 --seed 8 --new-colours 0.5 $(SCENES)
+	$(call RENDER,coloured-10) --images 3300 --seed 10 --new-colours 0.5 $(SCENES)
+	$(call RENDER,coloured-11) --images 3300 --seed 11 --new-colours 0.5 $(SCENES)
+	$(call RENDER,coloured-12) --images 3300 --seed 12 --new-colours 0.5 $(SCENES)
+	$(BIN)/touchdown train --network efficientnet_lite0 --start-from imagenet --frozen 6 \
+	    --image-size 128 --epochs 16 --learning-rate 1e-3 --weather 0.6 --variation 0.6 \
+	    --miss-cost water=3 --threads 2 --out $(NETWORK)/trained $(PHOTOGRAPHS) $(PATCHES)
+	$(BIN)/touchdown quantize $(NETWORK)/trained/network.onnx --type float16 --false-safe 0.02 \
+	    --out $(NETWORK)/efficientnet_lite0.onnx $(PHOTOGRAPHS) $(PATCHES)
 
 docs: $(READY_FOR_DOCS)
 	NO_MKDOCS_2_WARNING=1 PATH=$(abspath $(BIN)):$$PATH $(BIN)/mkdocs build

@@ -148,6 +148,20 @@ class Decision:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class SemanticView:
+    """The semantic map: nodes (rows, cols) of a grid, odom frame."""
+
+    origin_xy_m: Array
+    """(2,) of the first node"""
+    spacing_m: float
+    probabilities: NDArray[np.float32]
+    """(rows, cols, 7) of ``scenes.api.LAND_CLASSES``, fused over all views; uniform where nothing
+    was seen"""
+    weight: NDArray[np.float32]
+    """(rows, cols) reliable views of a node; 0 without one"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class CostmapView:
     """The costmaps of one selection, for figures and recordings: rasters (rows, cols) float32 in
     [0, 1], higher is better, NaN where unknown, with ``origin_xy_m`` and ``cell_m`` (odom
@@ -167,6 +181,8 @@ class CostmapView:
     """cells that the selector accepts as sites"""
     terms: tuple[TermLayer, ...] = ()
     """of the selector"""
+    semantics: SemanticView | None = None
+    """the semantic map that the selector read"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -199,20 +215,6 @@ class SelectorRig:
     landing: LandingParams
     """keys ``landing.*``: what ground is safe to land on, such as ``max_slope_deg``, and how many
     candidates are examined"""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SemanticView:
-    """The semantic map: nodes (rows, cols) of a grid, odom frame."""
-
-    origin_xy_m: Array
-    """(2,) of the first node"""
-    spacing_m: float
-    probabilities: NDArray[np.float32]
-    """(rows, cols, 7) of ``scenes.api.LAND_CLASSES``, fused over all views; uniform where nothing
-    was seen"""
-    weight: NDArray[np.float32]
-    """(rows, cols) reliable views of a node; 0 without one"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -324,7 +324,7 @@ class LandingParams:
     """largest number of survey images that are kept for classification"""
     classifier_batch_latency_s: NotNegative = 0.1
     """simulated compute time of each batch"""
-    semantic_patches: CountOrZero = 0
+    semantic_patches: CountOrZero = 2
     """squares of ground that are classified for the semantic map every tenth of a second; 0: no
     semantic map"""
     classifier_threads: Count = 1

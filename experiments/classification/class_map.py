@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.experiments.drawing.class_image import CLASS_RGB, UNSURE_RGB
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, write_png
 from touchdown.landing.classification.engine import Classifier, class_probabilities
@@ -18,17 +19,7 @@ from touchdown.landing.classification.windows import class_map
 
 Image = NDArray[np.uint8]
 
-LAND_COLOURS = {
-    "lawn": (120, 200, 80),
-    "field": (230, 200, 90),
-    "path": (235, 160, 200),
-    "road": (110, 110, 125),
-    "building": (205, 80, 60),
-    "water": (50, 110, 225),
-    "trees": (20, 100, 50),
-}
 UNSURE = "unsure"
-_UNSURE_RGB = (255, 255, 255)
 _COVER = 0.5
 """opacity of the class colours"""
 _LEGEND_PX = 34
@@ -114,8 +105,8 @@ def class_chances(image: Image, classifier: Classifier, window: int) -> NDArray[
 
 def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
     """Returns the RGB colour of each class: fixed for D_Land, else around the colour wheel."""
-    if set(classes) == set(LAND_COLOURS):
-        return {name: LAND_COLOURS[name] for name in classes}
+    if set(classes) == set(CLASS_RGB):
+        return {name: CLASS_RGB[name] for name in classes}
     wheel = {}
     for number, name in enumerate(classes):
         hue, value = number / len(classes), 0.95 if number % 2 else 0.65
@@ -146,7 +137,7 @@ def class_overlay(
 ) -> Image:
     """Returns the image in the colours of its classes, white where unsure, with a legend below:
     (H + legend, W, 3)."""
-    colours = class_colours(classes) | {UNSURE: _UNSURE_RGB}
+    colours = class_colours(classes) | {UNSURE: UNSURE_RGB}
     palette = np.array(list(colours.values()), np.float32)
     numbers = _numbers(chance, least)
     mixed = np.empty_like(image)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,13 @@ from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import onboard
 from touchdown.landing.classification.decision import decision_summary
 from touchdown.landing.classification.engine import Classifier
-from touchdown.landing.classification.scores import summary
+from touchdown.landing.classification.scores import fitted_temperature, summary
 from touchdown.landing.classification.weights import NetworkFacts, weights_apart
 
 Progress = Callable[[int, int, str], None]
 _BATCH = 32
 _REPEATS = 30
+_HEIGHTS_M = (0.0, 15.0, 25.0, 35.0, 60.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -81,7 +83,8 @@ def evaluate_network(
     """Returns the scores on the images of ``split``, overall, by data set and by scene, with the
     size of the file (ROM), peak memory (RAM) and inference time.
 
-    Raises UsageError and ValueError for bad input.
+    ``weight`` is the factor of the log-odds at which their loss is least: above 1 the network could
+    claim more, below it claims too much. Raises UsageError and ValueError for bad input.
     """
     engine = options.engine
     classifier = load_classifier(network, engine, options.threads)
@@ -112,6 +115,7 @@ def evaluate_network(
         },
         "none of the classes": _others(found, shown, facts),
         "by_scene": _by_scene(scores, images.labels, entries_of(catalogues, split), facts),
+        "by_height": _by_height(scores, images.labels, entries_of(catalogues, split), facts),
     }
     if options.diagram is not None:
         groups = {"all": images.source >= 0, **(by_source if len(by_source) > 1 else {})}
@@ -155,6 +159,19 @@ def _by_scene(
     }
 
 
+def _by_height(
+    scores: Any, labels: Any, entries: Sequence[Entry], facts: NetworkFacts
+) -> dict[str, dict[str, Any]]:
+    """Returns the scores of rendered images by the height that they were seen from."""
+    height_m = np.array([entry.height_m for entry in entries])
+    found = {}
+    for low, high in pairwise(_HEIGHTS_M):
+        of = (height_m >= low) & (height_m < high)
+        if of.any():
+            found[f"{low:g} to {high:g} m"] = _summary(scores[of], labels[of], facts)
+    return found
+
+
 def all_scores(classifier: Classifier, images: LabelledImages, progress: Progress) -> Any:
     """Returns the scores (N, C) of all images, computed batch by batch."""
     parts, count = [], len(images.labels)
@@ -168,6 +185,7 @@ def _summary(scores: Any, labels: Any, facts: NetworkFacts) -> dict[str, Any]:
     found = summary(scores, labels, facts.classes)
     interval = share_interval(found["hits"], found["pictures"])
     found["top1_interval"] = [interval.low, interval.high]
+    found["weight"] = 1.0 / fitted_temperature(scores, labels)
     if facts.labels == "d_land":
         found["decision"] = decision_summary(scores, labels, facts.limits)
     return found

@@ -39,6 +39,8 @@ class Entry:
     """kind of the data set"""
     scene: str = ""
     """scene of a rendered image"""
+    height_m: float = float("nan")
+    """of the camera above the ground, of a rendered image"""
     view: View = ALL
     """what is taken of the file"""
 
@@ -123,11 +125,12 @@ def _rendered(folder: Path, scheme: str) -> Catalogue:
                 label = classes.index(row[scheme])
                 try:
                     image, split = inside(folder, row["file"]), row["split"]
+                    height_m = float(row["height_m"])
                 except ValueError as error:
                     raise UsageError(
                         f"--data: '{folder / MANIFEST}', line {number}: {error}"
                     ) from None
-                entries.append(Entry(image, label, split, RENDERED, row["scene"]))
+                entries.append(Entry(image, label, split, RENDERED, row["scene"], height_m))
     return _checked(Catalogue(RENDERED, tuple(entries), left_out), folder)
 
 

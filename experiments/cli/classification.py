@@ -389,19 +389,20 @@ def classify(
 
 
 def print_evaluation(report: Mapping[str, Any]) -> None:
-    """Prints tables: scores overall, by data set and by scene, and the confusion matrix."""
+    """Prints tables: scores overall, by data set, scene and height, and the confusion matrix."""
     console = make_console()
     title = f"{report['network']}, {report['labels']}, {report['split']}"
-    heads = ("n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE")
+    heads = ("n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE", "weight")
     table = make_table(title, "images of", *heads)
     rows = {"all": report} | (report["by_source"] if len(report["by_source"]) > 1 else {})
-    rows |= report["by_scene"]
+    rows |= report["by_scene"] | report["by_height"]
     for name, row in rows.items():
         low, high = row["top1_interval"]
         numbers = [f"{row[key]:.3f}" for key in ("loss", "macro_f1", "recall", "top1")]
         table.add_row(
-            name, str(row["pictures"]), *numbers, f"{low:.3f}-{high:.3f}", f"{row['ece']:.3f}"
-        )
+            name, str(row["pictures"]), *numbers, f"{low:.3f}-{high:.3f}", f"{row['ece']:.3f}",
+            f"{row['weight']:.2f}",
+        )  # fmt: skip
     console.print(table)
     console.print(_confusion_table(report))
     if "decision" in report:

@@ -48,18 +48,8 @@ def write_costmap(
     """Writes the image of `costmap_image` with ticks in metres of the world frame, take-off
     point, the survey's rectangle, a key of its colours and a table of the candidates' terms."""
     costmap = costmap_of(view)
-    rows, cols = seen_box(costmap)
     panels = _maps(costmap)
-    corner = costmap.origin_xy_m + costmap.cell_m * np.array([cols.start, rows.start])
-    size_m = costmap.cell_m * np.array([cols.stop - cols.start, rows.stop - rows.start])
-    # The frames differ by a rotation of a fraction of a degree: exact in the middle of the map,
-    # approximate elsewhere.
-    middle = np.array([*(corner + 0.5 * size_m), 0.0])
-    west, south = (corner + (world_from_odom.apply(middle) - middle)[:2]).tolist()
-    scale = panels[0].shape[1] / 800.0
-    frame = MapFrame(
-        west_m=west, south_m=south, pixels_per_m=_zoom(rows, cols) / costmap.cell_m, scale=scale
-    )
+    frame = frame_of(costmap, world_from_odom)
     for panel in panels:
         frame.draw_marks(panel, marks)
     _draw_candidates(panels, view, site_odom)
@@ -67,11 +57,29 @@ def write_costmap(
     image = frame.below(image, _key(frame, costmap, image.shape[1]))
     if view.decisions:
         table = choice_table(
-            view.decisions[-1], image.shape[1], scale, chosen=site_odom is not None
+            view.decisions[-1], image.shape[1], frame.scale, chosen=site_odom is not None
         )
         image = np.vstack([image, table])
     if not cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
         raise OSError(f"{path} cannot be written")
+
+
+def frame_of(costmap: CostmapView, world_from_odom: Pose) -> MapFrame:
+    """Returns the frame, in the world, of maps that show the seen part of ``costmap``."""
+    rows, cols = seen_box(costmap)
+    corner = costmap.origin_xy_m + costmap.cell_m * np.array([cols.start, rows.start])
+    size_m = costmap.cell_m * np.array([cols.stop - cols.start, rows.stop - rows.start])
+    # The frames differ by a rotation of a fraction of a degree: exact in the middle of the map,
+    # approximate elsewhere.
+    middle = np.array([*(corner + 0.5 * size_m), 0.0])
+    west, south = (corner + (world_from_odom.apply(middle) - middle)[:2]).tolist()
+    zoom = _zoom(rows, cols)
+    return MapFrame(
+        west_m=west,
+        south_m=south,
+        pixels_per_m=zoom / costmap.cell_m,
+        scale=zoom * (cols.stop - cols.start) / 800.0,
+    )
 
 
 def seen_box(view: CostmapView) -> tuple[slice, slice]:
@@ -129,12 +137,20 @@ def costmap_of(view: LanderView) -> CostmapView:
 def _maps(costmap: CostmapView) -> tuple[Colours, Colours]:
     """Coloured map and score, (H, W, 3) RGB each."""
     rows, cols = seen_box(costmap)
+    score = score_colours(costmap)[rows, cols]
+    return enlarged(photo_of(costmap), costmap), enlarged(score, costmap)
+
+
+def photo_of(costmap: CostmapView) -> Colours:
+    """Returns the colours (H, W, 3) of the seen part of the map, south first."""
+    rows, cols = seen_box(costmap)
     photo = costmap.rgb[rows, cols].copy()
     photo[~np.isfinite(costmap.total[rows, cols]) & ~photo.any(axis=2)] = _UNKNOWN_RGB
-    return _enlarged(photo, costmap), _enlarged(score_colours(costmap)[rows, cols], costmap)
+    return photo
 
 
-def _enlarged(source: Colours, costmap: CostmapView) -> Colours:
+def enlarged(source: Colours, costmap: CostmapView) -> Colours:
+    """Returns a map of the seen part with whole pixels for a cell, north up."""
     zoom = _zoom(*seen_box(costmap))
     return np.ascontiguousarray(np.repeat(np.repeat(source[::-1], zoom, axis=0), zoom, axis=1))
 

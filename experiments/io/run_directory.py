@@ -24,8 +24,9 @@ _PARTIAL = re.compile(r"\.(?P<name>.+?)\.partial-(?:(?P<host>.+)\.)?(?P<process>
 """Names of unfinished files and folders: of what they become, and the machine and the process that
 write them."""
 RUN_FILES = frozenset({
-    "config.json", "costmap.png", "estimate.tum", "flight.rrd", "map.ply", "odometry.tum",
-    "px4.log", "px4.ulg", "reference.tum", "result.json", "sensors.mcap", "truth.tum",
+    "classes.png", "config.json", "costmap.png", "estimate.tum", "flight.rrd", "map.ply",
+    "odometry.tum", "px4.log", "px4.ulg", "reference.tum", "result.json", "sensors.mcap",
+    "truth.tum",
 })  # fmt: skip
 """Names of all files that a flight or a replay writes into its run directory."""
 

@@ -41,7 +41,7 @@ class NullRecorder:
 
 class RunRecorder:
     """Fills a run directory: ``truth.tum``, ``estimate.tum``, ``reference.tum``, ``map.ply``,
-    ``costmap.png`` and, with ``config.record``, ``flight.rrd``; with ``sensors``,
+    ``costmap.png``, ``classes.png`` and, with ``config.record``, ``flight.rrd``; with ``sensors``,
     also the sensor log and ``odometry.tum``. ``live``: see `RerunLog`.
 
     ``out_dir`` must exist. Files are complete after ``close``; memory does not grow with the
@@ -135,3 +135,7 @@ class RunRecorder:
         site = view.site_world
         site_odom = None if site is None else world_from_odom.inverse().apply(np.asarray(site))
         write_costmap(self._out_dir / "costmap.png", view, site_odom, world_from_odom, self._marks)
+        if view.costmap is not None and view.costmap.semantics is not None:
+            from touchdown.experiments.drawing.class_image import write_classes
+
+            write_classes(self._out_dir / "classes.png", view.costmap, world_from_odom, self._marks)

@@ -81,7 +81,7 @@ def train_and_score(
 
 def _trainings(home: Path, size: Recognition, data: tuple[str, ...]) -> Iterator[Training]:
     """Every network under every label scheme; those repeated once more for each further seed."""
-    rates = dict(size.learning_rates)
+    rates, sizes = dict(size.learning_rates), dict(size.image_sizes)
     for network in size.networks:
         for labels in size.labels:
             again = network in size.repeated and labels == "d_land"
@@ -93,7 +93,9 @@ def _trainings(home: Path, size: Recognition, data: tuple[str, ...]) -> Iterator
                 }  # fmt: skip
                 if network in rates:
                     options["learning_rate"] = rates[network]
-                if network in FIXED_SIZE:
+                if network in sizes:
+                    options["image_size"] = sizes[network]
+                if network in FIXED_SIZE or network in sizes:
                     options["first_size"] = None
                 name = f"{network}-{labels}" + (f"-{seed}" if seed != size.seeds[0] else "")
                 yield Training(home / name, data, options)

@@ -40,6 +40,8 @@ class Recognition:
     first_size: int | None = None
     learning_rates: tuple[tuple[str, float], ...] = ()
     """of networks that do not learn at the common one"""
+    image_sizes: tuple[tuple[str, int], ...] = ()
+    """of networks that the common one is too small for"""
     repeated: tuple[str, ...] = ()
     """networks that are trained with each of ``seeds`` under ``d_land``, the others with the first
     alone"""
@@ -73,7 +75,8 @@ class Edition:
     """trained on photographs alone"""
 
 
-# Without normalisation VGG19 does not begin to learn at the rate of the others.
+# Without normalisation VGG19 does not begin to learn at the rate of the others. Inception has no
+# input left below 75 pixels.
 PHOTOGRAPHS = Recognition(
     images=0,
     pixels=0,
@@ -86,6 +89,7 @@ PHOTOGRAPHS = Recognition(
     epochs=80,
     patience=20,
     learning_rates=(("vgg19", 2e-4),),
+    image_sizes=(("inception_v4", 80),),
     repeated=("resnet50", "resnet50_cbam"),
     seeds=(0, 1, 2),
 )

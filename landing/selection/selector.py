@@ -126,7 +126,7 @@ def select_sites(
     ]
     return Selection(
         candidates=ranked(candidates),
-        costmap=_shown(found),
+        costmap=_shown(found, limits.semantics),
         allowed=found.allowed,
         probability=site.probability,
         cluster=clusters.label,
@@ -257,7 +257,7 @@ def _assess(
     )
 
 
-def _shown(found: Assessed) -> CostmapView:
+def _shown(found: Assessed, semantics: SemanticView | None = None) -> CostmapView:
     """Returns the costmap with what ranks the sites."""
     site = found.site
     return CostmapView(
@@ -271,6 +271,7 @@ def _shown(found: Assessed) -> CostmapView:
         value=found.score,
         allowed=found.allowed,
         terms=found.layers,
+        semantics=semantics,
     )
 
 

@@ -122,20 +122,22 @@ def test_evaluating_by_command(
     assert "true class by row, predicted class by column" in capsys.readouterr().out
 
 
-def test_rendered_pictures_are_scored_by_scene(
+def test_rendered_pictures_are_scored_by_scene_and_height(
     trained: Path, tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rows = [("lake", 4), ("lake", 9), ("pools", 0), ("flat", 4)]
+    rows = [("lake", 4, 15.0), ("lake", 9, 14.9), ("pools", 0, 20.0), ("flat", 4, 40.0)]
     lines = [",".join(COLUMNS)]
-    for number, (scene, seed) in enumerate(rows):
+    for number, (scene, seed, height) in enumerate(rows):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((32, 32, 3), 40 * number, np.uint8))
-        lines.append(f"{number}.png,lawn,pond,{scene},{seed},test,20.0,6.0,1.000")
+        lines.append(f"{number}.png,lawn,pond,{scene},{seed},test,{height},6.0,1.000")
     (tmp_path / MANIFEST).write_text("\n".join(lines) + "\n")
     arguments = ["evaluate", str(trained), "--data", str(tmp_path), "--no-cost", "--quiet"]
-    by_scene = json.loads(says(0, *arguments, "--json").out)["by_scene"]
-    assert {name: row["pictures"] for name, row in by_scene.items()} == {
+    report = json.loads(says(0, *arguments, "--json").out)
+    assert {name: row["pictures"] for name, row in report["by_scene"].items()} == {
         "flat": 1, "lake": 2, "pools": 1, "scenes trained on": 3, "scenes never trained on": 1
     }  # fmt: skip
+    counts = {name: row["pictures"] for name, row in report["by_height"].items()}
+    assert counts == {"0 to 15 m": 1, "15 to 25 m": 2, "35 to 60 m": 1}
     assert cli.main(arguments) == 0 and "scenes never trained on" in capsys.readouterr().out
 
 

@@ -1,12 +1,16 @@
 """The picture of a choice: colours of the score, signs of the candidates, places of the ranks."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from touchdown.experiments.drawing import candidate_signs as signs
+from touchdown.experiments.drawing.class_image import class_numbers
 from touchdown.experiments.drawing.costmap_image import costmap_image, score_colours
-from touchdown.landing.api import Candidate, CostmapView, Phase, ScoreTerm
+from touchdown.landing.api import Candidate, CostmapView, Phase, ScoreTerm, SemanticView
+from touchdown.scenes.api import LAND_CLASSES
 
 from support.flight_fakes import make_view
 
@@ -61,3 +65,26 @@ def test_image_shows_the_winner_beside_the_other_candidates() -> None:
     assert not (nobody == signs.CHOSEN_RGB).all(axis=2).any()
     with pytest.raises(ValueError, match="no costmap"):
         costmap_image(make_view(Phase.SELECT), None)
+
+
+def test_semantic_map_is_drawn_where_it_lies() -> None:
+    chance = np.full((5, 4, 7), 0.1 / 6, np.float32)
+    chance[:, :2, LAND_CLASSES.index("water")] = 0.9  # nodes at x = 12 and 18
+    chance[:, 2:, LAND_CLASSES.index("lawn")] = 0.9  # at 24 and 30
+    chance[4] = 1 / 7  # at y = 29
+    weight = np.ones((5, 4), np.float32)
+    weight[0] = 0.0  # at y = 5
+    semantics = SemanticView(
+        origin_xy_m=np.array([12.0, 5.0]), spacing_m=6.0, probabilities=chance, weight=weight
+    )
+    # the seen part of the map begins at x = 2: what is unknown but for a margin of 8 m is left out
+    found = class_numbers(replace(_costmap(), semantics=semantics))
+    assert found.shape == (40, 38)
+    unsure, unseen = len(LAND_CLASSES), len(LAND_CLASSES) + 1
+    at = {(15, 13): "water", (15, 20): "water", (15, 21): "lawn", (15, 32): "lawn"}
+    for (y, x), name in at.items():
+        assert found[y, x - 2] == LAND_CLASSES.index(name), (y, x)
+    assert found[29, 18] == unsure and found[5, 18] == unseen
+    assert found[15, 6] == found[15, 36] == unseen, "unknown ground, and ground beyond the nodes"
+    with pytest.raises(ValueError, match="no semantic map"):
+        class_numbers(_costmap())

@@ -16,7 +16,7 @@ from touchdown.experiments.recording.map_tiles import MapTiles
 from touchdown.experiments.recording.run_recorder import RunRecorder
 from touchdown.experiments.recording.scan_deskew import scan_points_odom
 from touchdown.experiments.recording.step_record import StepRecord
-from touchdown.landing.api import Candidate, CostmapView, Phase
+from touchdown.landing.api import Candidate, CostmapView, Phase, SemanticView
 from touchdown.scenes.api import MovingBody, Scene, Surface
 from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw
@@ -174,7 +174,10 @@ def _fly(recorder: Any, steps: int = 400) -> None:
     costmap = CostmapView(
         origin_xy_m=grid.origin_xy_m, cell_m=grid.cell_m, total=total, flatness=total,
         smoothness=total, distance=total, rgb=np.full((160, 160, 3), 90, np.uint8), value=total,
-        allowed=grid.count > 0,
+        allowed=grid.count > 0, semantics=SemanticView(
+            origin_xy_m=np.zeros(2), spacing_m=3.2, weight=np.ones((4, 4), np.float32),
+            probabilities=np.full((4, 4, 7), 1 / 7, np.float32),
+        ),
     )  # fmt: skip
     image = np.full((48, 64, 3), 127, np.uint8)
     command = Command(rotor_speed_radps=np.full(4, 500.0))
@@ -213,6 +216,7 @@ def test_run_directory_holds_all_files(tmp_path: Path, scene: Scene, rig: Sensor
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
         "truth.tum", "estimate.tum", "reference.tum", "flight.rrd", "map.ply", "costmap.png",
+        "classes.png",
     }  # fmt: skip
     times, truth, _ = read_tum(tmp_path / "truth.tum")
     _, estimate, _ = read_tum(tmp_path / "estimate.tum")

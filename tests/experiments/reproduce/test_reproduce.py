@@ -17,6 +17,7 @@ from touchdown.experiments.reproduce.items import ITEMS
 from touchdown.experiments.reproduce.networks import _trainings
 from touchdown.experiments.reproduce.steps import PARTS, part_named
 from touchdown.experiments.reproduce.tables import claim_table
+from touchdown.landing.classification.networks.registry import check_network
 
 from support.command import Says
 
@@ -194,6 +195,15 @@ def test_vgg19_learns_more_slowly_and_sees_one_size(tmp_path: Path) -> None:
     found = {one.network: one.options for one in _trainings(tmp_path, plans.PHOTOGRAPHS, ())}
     assert found["vgg19"]["learning_rate"] == 2e-4 and found["vgg19"]["first_size"] is None
     assert "learning_rate" not in found["resnet50"] and found["resnet50"]["first_size"] == 48
+
+
+def test_every_network_of_every_edition_can_see_its_images(tmp_path: Path) -> None:
+    training = pytest.importorskip("touchdown.landing.classification.learning.training")
+    for edition in (plans.QUICK, plans.WHOLE, plans.WHOLE_ON_GPU):
+        for size in (edition.recognition, edition.photographs):
+            for one in _trainings(tmp_path, size, ()):
+                check_network(one.network, one.options["image_size"])
+                training.check_growth(training.TrainParams(**one.options))
 
 
 @pytest.mark.usefixtures("no_report")
