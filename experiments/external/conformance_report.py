@@ -100,7 +100,7 @@ def _pieces(value: Any) -> Iterable[bytes]:
             yield from _pieces(getattr(value, field.name))
     elif isinstance(value, np.ndarray):
         data = np.ascontiguousarray(value)
-        yield f"{data.dtype}{data.shape}{crc32(data.view(np.uint8).data)}".encode()
+        yield f"{data.dtype.str}{data.shape}{crc32(data.view(np.uint8).data)}".encode()
     elif isinstance(value, tuple | list):
         yield str(len(value)).encode()
         for item in value:

@@ -13,6 +13,7 @@ as large as itself (a mip level), blended between neighbours where the texel is 
 from __future__ import annotations
 
 import functools
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -280,10 +281,10 @@ def grain(name: str) -> Bytes:
 def pyramid(names: tuple[str, ...]) -> Pyramid:
     """Mip levels of the grains of ``names``."""
     held = _held()
-    for name in names:
-        if name not in held.names:
-            held.texels = np.concatenate([held.texels, *_levels(grain(name))])
-            held.names.append(name)
+    if new := [name for name in names if name not in held.names]:
+        levels = (level for name in new for level in _levels(grain(name)))
+        held.texels = _filed([held.texels, *levels])
+        held.names += new
     sizes = [(SIDE_PX >> step) ** 2 for step in range(LEVELS)]
     first = np.array([held.names.index(name) for name in names], np.int64) * sum(sizes)
     return Pyramid(held.texels, first[:, None] + np.cumsum([0, *sizes[:-1]]))
@@ -298,6 +299,18 @@ class _Held:
 @functools.cache  # the same for every world
 def _held() -> _Held:
     return _Held([], np.zeros(0, np.uint32))
+
+
+def _filed(parts: list[NDArray[np.uint32]]) -> NDArray[np.uint32]:
+    """``parts`` one after the other, in a file without a name where there is room for it."""
+    try:
+        with tempfile.TemporaryFile() as file:
+            for part in parts:
+                part.tofile(file)
+            file.flush()
+            return np.asarray(np.memmap(file, np.uint32, "c"))
+    except OSError:
+        return np.concatenate(parts)
 
 
 def _levels(image: Bytes) -> Iterator[NDArray[np.uint32]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -166,18 +166,17 @@ class TerrainTiles:
         tiles = _tiles(*vertices.shape[:2])
         points = vertices.reshape(-1, 3)
         nodes = np.concatenate(_triangles(*vertices.shape[:2]))
-        normals = _normals(points, nodes)
+        normals, corners = _normals(points, nodes)
         self._lists = GL.glGenLists(len(tiles))
         self._boxes, radii = np.empty((len(tiles), 2, 3)), np.empty(len(tiles))
         GL.glPushClientAttrib(GL.GL_CLIENT_VERTEX_ARRAY_BIT)
         GL.glEnableClientState(GL.GL_VERTEX_ARRAY)
         GL.glEnableClientState(GL.GL_NORMAL_ARRAY)
         for k, triangles in enumerate(tiles):
-            corners = np.concatenate([points[nodes[triangles]], normals[triangles]], axis=2)
-            used, order = np.unique(corners.reshape(-1, 6), axis=0, return_inverse=True)
-            own = np.ascontiguousarray(used[:, :3])
+            _, first, order = np.unique(corners[triangles], return_index=True, return_inverse=True)
+            own = points[nodes[triangles].ravel()[first]]
             GL.glVertexPointer(3, GL.GL_FLOAT, 0, own)
-            GL.glNormalPointer(GL.GL_FLOAT, 0, np.ascontiguousarray(used[:, 3:]))
+            GL.glNormalPointer(GL.GL_FLOAT, 0, normals[triangles].reshape(-1, 3)[first])
             GL.glNewList(self._lists + k, GL.GL_COMPILE)
             order = order.ravel().astype(np.uint32)
             GL.glDrawElements(GL.GL_TRIANGLES, len(order), GL.GL_UNSIGNED_INT, order)
@@ -220,10 +219,18 @@ def _vertices(heights: Float32, size: Array) -> Float32:
     return np.dstack([*np.meshgrid(x, y), heights]).astype(np.float32)
 
 
-def _normals(points: Float32, nodes: Indices) -> Float32:
-    """(T, 3, 3) unit normals at the corners of triangles (T, 3) of ``points``: the mean of the
-    triangles around a node, or the triangle's own where it differs much from that, as MuJoCo
-    does."""
+class _Normals(NamedTuple):
+    """At the corners of triangles."""
+
+    units: Float32
+    """(T, 3, 3)"""
+    corners: Indices
+    """(T, 3) numbers, the same where point and normal are the same node's"""
+
+
+def _normals(points: Float32, nodes: Indices) -> _Normals:
+    """Normals of triangles (T, 3) of ``points``: the mean of the triangles around a node, or the
+    triangle's own where it differs much from that, as MuJoCo does."""
     a, b, c = np.moveaxis(points[nodes].astype(np.float64), 1, 0)
     own = np.cross(b - a, c - a)
     own /= np.linalg.norm(own, axis=1, keepdims=True)
@@ -232,7 +239,10 @@ def _normals(points: Float32, nodes: Indices) -> Float32:
     total /= np.linalg.norm(total, axis=1, keepdims=True)
     mean = total[nodes]
     smooth = np.einsum("tkc,tc->tk", mean, own) > _SMOOTH_COSINE
-    return np.where(smooth[..., None], mean, own[:, None]).astype(np.float32)
+    units = np.where(smooth[..., None], mean, own[:, None]).astype(np.float32)
+    return _Normals(
+        units, np.where(smooth, nodes, len(points) + np.arange(nodes.size).reshape(-1, 3))
+    )
 
 
 def _triangles(rows: int, cols: int) -> tuple[Indices, Indices]:

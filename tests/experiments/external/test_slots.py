@@ -52,6 +52,10 @@ EXAMPLES = {
     "classifier": "colours",
 }  # fmt: skip
 """Modules of `examples/` by kind."""
+LOW = (
+    "preset=short", "survey.height_m=5", "survey.min_height_m=5", "survey.leg_length_m=4",
+    "survey.duration_s=3",
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -75,7 +79,7 @@ def brought(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 
 
 def examined(kind: str, name: str, *overrides: str) -> Any:
-    config = load_config(None, ["preset=short", *overrides], **{kind: name})
+    config = load_config(None, [*LOW, *overrides], **{kind: name})
     rig = RIGS[kind](config, synthetic_rig())
     return EXAMINERS[kind](external_builder(name, kind), rig, params_of(config, kind))
 

@@ -63,9 +63,10 @@ def test_the_flight_follows_the_estimate_not_the_truth() -> None:
     x, y = load_scene("flat", 0).takeoff_xy_m.tolist()
     site = (x, y)
     result = run(
-        None, "survey.height_m=9.0", "survey.leg_length_m=4.0", "survey.duration_s=3.0",
-        "landing.second_look=false", "bias.xy_m=[0.3, -0.4]", estimator="oracle", scene="flat",
-        seed=0, site=site,
+        None, "preset=short", "survey.height_m=9.0", "survey.min_height_m=9.0",
+        "survey.leg_length_m=4.0", "survey.duration_s=3.0", "landing.second_look=false",
+        "landing.touchdown_speed_mps=0.3", "bias.xy_m=[0.3, -0.4]", estimator="oracle",
+        scene="flat", seed=0, site=site,
     )  # fmt: skip
     assert result["outcome"] == "LANDED", result["reason"]
     moved = np.array(result["landing"]["touchdown_xy_m"]) - site
