@@ -16,6 +16,7 @@ from touchdown.landing.parameters import GateName as GateName
 from touchdown.landing.parameters import GroundParams as GroundParams
 from touchdown.landing.parameters import LandingParams as LandingParams
 from touchdown.landing.parameters import SelectorParams as SelectorParams
+from touchdown.landing.parameters import SemanticMapParams as SemanticMapParams
 from touchdown.landing.parameters import SurveyParams as SurveyParams
 from touchdown.landing.parameters import TermName as TermName
 from touchdown.landing.parameters import Zou2024SelectorParams as Zou2024SelectorParams
@@ -328,7 +329,7 @@ class GroundClassifier(Protocol):
     """Predicts the class of the ground in square aerial images. ``classify`` is called at a
     decision with patches around candidate sites, ``landing.classifier_batch`` at most, each call
     taking ``landing.classifier_batch_latency_s`` of simulated time, at the second look with one,
-    and for the semantic map with ``landing.semantic_patches`` every tenth of a second. Images are
+    and for the semantic map with ``landing.semantics.squares`` every tenth of a second. Images are
     level and along the axes of the camera, without haze and lens distortion. It must be
     deterministic and must not modify its input."""
 

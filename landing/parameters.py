@@ -163,6 +163,32 @@ class GroundParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class SemanticMapParams:
+    """The semantic map of the ground, and how much each view of it counts."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    squares: CountOrZero = 2
+    """of ground that are classified every tenth of a second of the flight; 0: no semantic map"""
+    most_views: Positive = 1.5
+    """independent views that all views of a place count as at most: views of one network over one
+    ground share its errors"""
+    full_pixel_m: Positive = 0.12
+    """width of a pixel on the ground up to which a view is fully reliable: that of the camera from
+    60 m, up to which the weight of least loss is 0.88 to 1.05 (``touchdown evaluate``)"""
+    half_slant: Positive = 0.5
+    """tangent of the viewing angle at which a view is half as reliable as from above"""
+    dim: Fraction = 0.5
+    """reliability of a view in dim light"""
+    unfamiliar: Fraction = 0.2
+    """reliability of a view that looks like no known ground"""
+    apart: Positive = 0.15
+    """distance between two cameras, relative to their height, from which their views differ"""
+    close: Positive = 2.0
+    """weight of a sharp view from the height of the second look"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class LandingParams:
     __pydantic_config__ = FORBID_EXTRA
 
@@ -174,6 +200,7 @@ class LandingParams:
     risk: SelectorParams = field(default_factory=SelectorParams)
     zou2024: Zou2024SelectorParams = field(default_factory=Zou2024SelectorParams)
     ground: GroundParams = field(default_factory=GroundParams)
+    semantics: SemanticMapParams = field(default_factory=SemanticMapParams)
     min_safe_probability: Fraction = 0.95
     """a site with a lower probability of a safe touchdown does not pass the gate probability"""
     gust_drift_s: NotNegative = 0.02
@@ -324,9 +351,6 @@ class LandingParams:
     """largest number of survey images that are kept for classification"""
     classifier_batch_latency_s: NotNegative = 0.1
     """simulated compute time of each batch"""
-    semantic_patches: CountOrZero = 2
-    """squares of ground that are classified for the semantic map every tenth of a second; 0: no
-    semantic map"""
     classifier_threads: Count = 1
     """of the processor, for classification"""
     allowed_classes: tuple[LandClass, ...] = ("lawn", "field", "path")

@@ -5,7 +5,7 @@ their predictions are added up in log-odds at nodes of a grid. A view counts by 
 the size of its pixels on the ground and its steepness, half in dim light, little where the image
 looks like no known ground, and less where it was taken from nearly the same place as the one
 before. Views of one network over one ground share its errors: together they count as
-``MOST_VIEWS`` at most.
+``landing.semantics.most_views`` at most.
 """
 
 from __future__ import annotations
@@ -16,7 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapView
-from touchdown.landing.api import GroundClassifier, LandingParams, SemanticView
+from touchdown.landing.api import (
+    GroundClassifier,
+    LandingParams,
+    SemanticMapParams,
+    SemanticView,
+)
 from touchdown.landing.classification.survey_images import SurveyImages, View
 from touchdown.scenes.api import LAND_CLASSES
 
@@ -24,19 +29,10 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-MOST_VIEWS = 1.5
-"""independent views that all views of a node count as at most"""
 _PERIOD_S = 0.1
 _JITTER_S = 1e-3
 _NODES = 96
 """along each side of the grid, around the take-off"""
-_FULL_PIXEL_M, _STEEPEST = 0.12, 0.5
-"""size of a pixel on the ground up to which a view is fully reliable, and tangent of the viewing
-angle at which it is half as reliable"""
-_DIM, _UNFAMILIAR = 0.5, 0.2
-"""reliability of views in dim light and of what looks like no known ground"""
-_APART = 0.15
-"""distance between two cameras, relative to their height, from which their views differ"""
 _FLOOR = 1e-4
 """least probability of a class in one view"""
 
@@ -62,14 +58,14 @@ class SemanticMap:
     def __init__(self, classifier: GroundClassifier, params: LandingParams) -> None:
         self._classifier = classifier
         self._side_m = params.classifier_patch_m
-        self._batch = params.semantic_patches
+        self._params = params.semantics
         self._next_s = -np.inf
         self._grid: _Grid | None = None
 
     def update(self, images: SurveyImages, map_view: MapView, now_s: float) -> None:
         """Classifies a few squares of the newest image, every tenth of a second."""
         view = images.newest_view()
-        if self._batch == 0 or view is None or now_s < self._next_s:
+        if self._params.squares == 0 or view is None or now_s < self._next_s:
             return
         self._next_s = now_s + _PERIOD_S - _JITTER_S
         grid = self._around(view)
@@ -84,7 +80,7 @@ class SemanticMap:
         for (row, col), chance, known, weight in zip(
             nodes, found.probabilities, found.in_distribution, weights, strict=True
         ):
-            counted = float(weight) if known else _UNFAMILIAR * float(weight)
+            counted = float(weight) if known else self._params.unfamiliar * float(weight)
             grid.evidence[row, col] += counted * log_odds(chance)
             grid.weight[row, col] += counted
             grid.seen_from[row, col] = view.position
@@ -96,7 +92,7 @@ class SemanticMap:
         return SemanticView(
             origin_xy_m=self._grid.origin_xy_m,
             spacing_m=self._grid.spacing_m,
-            probabilities=fused(self._grid.evidence, self._grid.weight).astype(np.float32),
+            probabilities=self._fused(self._grid.evidence, self._grid.weight).astype(np.float32),
             weight=self._grid.weight.astype(np.float32),
         )
 
@@ -109,7 +105,10 @@ class SemanticMap:
             if 0 <= row < _NODES and 0 <= col < _NODES:
                 evidence = evidence + self._grid.evidence[row, col]
                 weight += float(self._grid.weight[row, col])
-        return fused(evidence[None], np.array([weight]))[0]
+        return self._fused(evidence[None], np.array([weight]))[0]
+
+    def _fused(self, evidence: Array, weight: Array) -> Array:
+        return fused(evidence, weight, self._params.most_views)
 
     def _around(self, view: View) -> _Grid:
         if self._grid is None:
@@ -146,9 +145,10 @@ class SemanticMap:
         sites = self._sites(grid, nodes, view, map_view)
         shown = images.shows(view, sites, self._side_m)
         before = grid.seen_from[nodes[:, 0], nodes[:, 1]]
-        weights = shown * reliability(view, sites) * novelty(view, before)
+        weights = shown * reliability(view, sites, self._params)
+        weights *= novelty(view, before, self._params.apart)
         gain = weights / (1.0 + grid.weight[nodes[:, 0], nodes[:, 1]])
-        best = np.argsort(-gain, kind="stable")[: self._batch]
+        best = np.argsort(-gain, kind="stable")[: self._params.squares]
         best = best[weights[best] > 0.05]
         return nodes[best], weights[best]
 
@@ -174,27 +174,29 @@ def log_odds(chance: Array) -> Array:
     return np.asarray(logs - logs.mean(axis=-1, keepdims=True))
 
 
-def fused(evidence: Array, weight: Array) -> Array:
+def fused(evidence: Array, weight: Array, most: float) -> Array:
     """Returns the probabilities (..., 7) of sums of weighted log-odds (..., 7); ``weight`` (...) is
-    the sum of their weights, of which at most ``MOST_VIEWS`` counts. Uniform without any."""
-    share = np.minimum(1.0, MOST_VIEWS / np.maximum(weight, 1e-9))
+    the sum of their weights, of which at most ``most`` counts. Uniform without any."""
+    share = np.minimum(1.0, most / np.maximum(weight, 1e-9))
     odds = evidence * share[..., None]
     grown = np.exp(odds - odds.max(axis=-1, keepdims=True))
     return np.asarray(grown / grown.sum(axis=-1, keepdims=True))
 
 
-def reliability(view: View, sites: Array) -> Array:
+def reliability(view: View, sites: Array, params: SemanticMapParams) -> Array:
     """Returns how much a view counts at ``sites`` (N, 3), 0 to 1."""
     away = view.position - sites
     depth = np.maximum(away[:, 2], 0.1)
     pixel = depth * view.pixel_rad
     slant = np.hypot(away[:, 0], away[:, 1]) / depth
-    sharp = 1.0 / (1.0 + np.maximum(pixel / _FULL_PIXEL_M - 1.0, 0.0))
-    return np.asarray((_DIM if view.dim else 1.0) * sharp / (1.0 + (slant / _STEEPEST) ** 2))
+    sharp = 1.0 / (1.0 + np.maximum(pixel / params.full_pixel_m - 1.0, 0.0))
+    return np.asarray(
+        (params.dim if view.dim else 1.0) * sharp / (1.0 + (slant / params.half_slant) ** 2)
+    )
 
 
-def novelty(view: View, before: Array) -> Array:
+def novelty(view: View, before: Array, apart: float) -> Array:
     """Returns 1 for nodes not seen before, else less the nearer the camera was, ``before`` (N, 3)
     or NaN, 0 in the same place."""
     away = np.linalg.norm(view.position - before, axis=1) / max(view.height_m, 1.0)
-    return np.where(np.isnan(away), 1.0, 1.0 - np.exp(-((np.nan_to_num(away) / _APART) ** 2)))
+    return np.where(np.isnan(away), 1.0, 1.0 - np.exp(-((np.nan_to_num(away) / apart) ** 2)))

@@ -41,8 +41,6 @@ _INDEPENDENT = 20.0
 """largest number of pulses that count as independent"""
 _TRAFFIC_RATIO = 20.0
 """likelihood ratio of motion on a road and on other ground"""
-_CLOSE = 2.0
-"""weight of a sharp view from the height of the second look"""
 _BLURRED = 0.5
 """share of detail below which an image does not tell familiar ground from strange"""
 _WATER, _ROAD = LAND_CLASSES.index("water"), LAND_CLASSES.index("road")
@@ -78,7 +76,7 @@ class SiteClassCheck:
         self._params = params
         self._min_probability = params.classifier_min_probability or classifier.min_probability
         self.images = SurveyImages(rig, params.classifier_images)
-        mapped = params.semantic_patches > 0 and "ground" in params.chosen_selector.terms
+        mapped = params.semantics.squares > 0 and "ground" in params.chosen_selector.terms
         self._semantics = SemanticMap(classifier, params) if mapped else None
         self.batches = 0
         """number of batches classified so far"""
@@ -127,7 +125,8 @@ class SiteClassCheck:
         """Returns the class of the site at ``position_odom`` (3,), seen from closer.
 
         Uses the images of the last seconds, or older ones where those do not show it; None where
-        no image does. With a semantic map the close view has the weight of ``_CLOSE`` others.
+        no image does. With a semantic map the close view has the weight of
+        ``landing.semantics.close`` others.
         Without one the prediction ``before``, from above, has half of the weight. Where the closer
         image is blurred and shows no ground of another kind, it adds little."""
         for since in (now_s - _RECENT_S, -np.inf):
@@ -217,7 +216,7 @@ class SiteClassCheck:
         """Returns the class of each site, from one batch and the semantic map; None where no image
         shows it."""
         size, side = self._classifier.image_size, self._params.classifier_patch_m
-        reliability = _CLOSE if closer else 1.0
+        reliability = self._params.semantics.close if closer else 1.0
         patches = [self.images.patch(site, side, size, since_s) for site in sites]
         shown = [patch for patch in patches if patch is not None]
         found: list[SiteClass | None] = [None] * len(sites)

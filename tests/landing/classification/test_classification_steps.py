@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.landing.api import Candidate, GroundPrediction, LandingParams
+from touchdown.landing.api import Candidate, GroundPrediction, LandingParams, SemanticMapParams
 from touchdown.landing.classification import engine, site_check
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.scores import probabilities
@@ -127,7 +127,9 @@ class Lawn(ByColour):
 
 
 def check_with(classifier: ByColour, *views: tuple[float, float, str]) -> site_check.SiteClassCheck:
-    check = site_check.SiteClassCheck(classifier, small_rig(), LandingParams(semantic_patches=0))
+    check = site_check.SiteClassCheck(
+        classifier, small_rig(), LandingParams(semantics=SemanticMapParams(squares=0))
+    )
     check.images = images_of(*views)
     return check
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.landing.api import Candidate, LandingParams, Selection
+from touchdown.landing.api import Candidate, LandingParams, Selection, SemanticMapParams
 from touchdown.landing.classification import decision, weights
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.site_check import (
@@ -114,7 +114,9 @@ def _west_is_water(x: Array, y: Array) -> Array:
 
 def _check(classifier: Any, paint: Any = _west_is_water, **params: Any) -> SiteClassCheck:
     rig = small_rig()
-    check = SiteClassCheck(classifier, rig, LandingParams(**{"semantic_patches": 0} | params))
+    check = SiteClassCheck(
+        classifier, rig, LandingParams(**{"semantics": SemanticMapParams(squares=0)} | params)
+    )
     obs = make_obs(
         600, images=(photograph(rig, Pose(np.eye(3), np.array([0, 0, 40.0])), paint, 1.0),)
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.landing.api import Candidate, LandingParams
+from touchdown.landing.api import Candidate, LandingParams, SemanticMapParams
 from touchdown.landing.classification import semantic_map
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.site_check import SiteClassCheck
@@ -20,6 +20,7 @@ from support.landing_support import make_estimate, make_grid, make_obs, view_of
 Array = NDArray[np.float64]
 FLAT = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
 LAWN, WATER = D_LAND.index("lawn"), D_LAND.index("water")
+MAPPED = LandingParams(semantics=SemanticMapParams(squares=2))
 
 
 def _chances(**given: float) -> Array:
@@ -55,35 +56,35 @@ def test_views_add_up_in_log_odds() -> None:
     lawn = semantic_map.log_odds(_chances(lawn=0.8))
     for views in (1.0, 1.5, 4.0):
         odds = 24.0 ** min(views, 1.5)
-        (found,) = semantic_map.fused(views * lawn[None], np.array([views]))
+        (found,) = semantic_map.fused(views * lawn[None], np.array([views]), 1.5)
         assert found[LAWN] == pytest.approx(odds / (odds + 6.0))
     water = semantic_map.log_odds(_chances(water=0.8))
-    (both,) = semantic_map.fused((lawn + water)[None], np.array([2.0]))
+    (both,) = semantic_map.fused((lawn + water)[None], np.array([2.0]), 1.5)
     assert both[LAWN] == pytest.approx(both[WATER]) and both[LAWN] > 0.3
-    nothing = semantic_map.fused(np.zeros((1, 7)), np.zeros(1))
+    nothing = semantic_map.fused(np.zeros((1, 7)), np.zeros(1), 1.5)
     np.testing.assert_allclose(nothing, 1.0 / 7.0)
 
 
 def test_reliability_falls_with_pixel_slant_and_darkness() -> None:
-    check = SiteClassCheck(ByColour(), small_rig(), LandingParams(semantic_patches=2))
+    check = SiteClassCheck(ByColour(), small_rig(), MAPPED)
     _fly(check, plain("lawn"), (0.0, 0.0, 15.0))
     seen = check.images.newest_view()
     assert seen is not None and seen.height_m == pytest.approx(15.0, abs=1.0)
     below, aside = seen.position - [0, 0, 10.0], seen.position - [5.0, 0, 10.0]
     far = seen.position - [0, 0, 2.0 * 0.12 / seen.pixel_rad]
-    found = semantic_map.reliability(seen, np.array([below, aside, far]))
+    found = semantic_map.reliability(seen, np.array([below, aside, far]), SemanticMapParams())
     np.testing.assert_allclose(found, [1.0, 0.5, 0.5], rtol=1e-6)
     dim = dataclasses.replace(seen, image=dataclasses.replace(seen.image, dim=True))
-    assert semantic_map.reliability(dim, below[None]) == pytest.approx(0.5)
+    assert semantic_map.reliability(dim, below[None], SemanticMapParams()) == pytest.approx(0.5)
     before = np.array([seen.position, seen.position + [0.15 * seen.height_m, 0, 0], [np.nan] * 3])
     np.testing.assert_allclose(
-        semantic_map.novelty(seen, before), [0.0, 1.0 - np.exp(-1.0), 1.0], atol=1e-6
+        semantic_map.novelty(seen, before, 0.15), [0.0, 1.0 - np.exp(-1.0), 1.0], atol=1e-6
     )
 
 
 def test_a_flight_maps_what_it_sees_and_sites_prefer_it() -> None:
     classifier = ByColour()
-    check = SiteClassCheck(classifier, small_rig(), LandingParams(semantic_patches=2))
+    check = SiteClassCheck(classifier, small_rig(), MAPPED)
     assert check.semantic_view() is None
     _fly(check, _west_is_water, (0.0, 0.0, 30.0), (0.0, 6.0, 20.0))
     assert max(classifier.batches) == 2
@@ -112,7 +113,7 @@ def test_a_flight_maps_what_it_sees_and_sites_prefer_it() -> None:
 
 def test_a_site_is_judged_by_all_that_was_seen_of_it() -> None:
     """Views of 0.8 each are surer together than one; one of lawn does not undo several of water."""
-    check = SiteClassCheck(ByColour(sure=0.8), small_rig(), LandingParams(semantic_patches=2))
+    check = SiteClassCheck(ByColour(sure=0.8), small_rig(), MAPPED)
     _fly(check, plain("water"), (0.0, 0.0, 20.0), (0.0, 4.0, 20.0), (0.0, -4.0, 20.0))
     found = check.reclassify(None, np.zeros(3), FLAT, 6.0)
     assert found is not None and found.name == "water" and found.probability > 0.94
@@ -126,7 +127,7 @@ def test_a_site_is_judged_by_all_that_was_seen_of_it() -> None:
 def test_without_the_term_there_is_no_map() -> None:
     """As in the selector of Zou, Sun and Kong, and where no squares are classified."""
     for selector, squares in (("zou2024", 2), ("risk", 0)):
-        params = LandingParams(selector=selector, semantic_patches=squares)
+        params = LandingParams(selector=selector, semantics=SemanticMapParams(squares=squares))
         classifier = ByColour()
         check = SiteClassCheck(classifier, small_rig(), params)
         _fly(check, plain("lawn"), (0.0, 0.0, 30.0))
