@@ -98,13 +98,16 @@ class SemanticMap:
 
     def with_view(self, xy_odom: Array, chance: Array, reliability: float = 1.0) -> Array:
         """Returns the probabilities (7,) at ``xy_odom`` (2,) of the map and of one more view of it,
-        ``chance`` (7,)."""
+        ``chance`` (7,). However often the map saw it, all its views count as ``most_views``
+        beside the new one: many from afar do not outvote one from close by."""
         evidence, weight = reliability * log_odds(chance), reliability
         if self._grid is not None:
             row, col = np.rint(self._at(self._grid, xy_odom)).astype(int)
             if 0 <= row < _NODES and 0 <= col < _NODES:
-                evidence = evidence + self._grid.evidence[row, col]
-                weight += float(self._grid.weight[row, col])
+                seen = float(self._grid.weight[row, col])
+                counted = min(seen, self._params.most_views)
+                evidence = evidence + self._grid.evidence[row, col] * (counted / max(seen, 1e-9))
+                weight += counted
         return self._fused(evidence[None], np.array([weight]))[0]
 
     def _fused(self, evidence: Array, weight: Array) -> Array:

@@ -11,7 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.landing.api import GroundClassifier, LanderView, LandingParams, Phase
+from touchdown.landing.api import (
+    GroundClassifier,
+    LanderView,
+    LandingParams,
+    Phase,
+    SemanticMapParams,
+)
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.mission.lander import SiteLander
 from touchdown.sim.api import Observation
@@ -29,13 +35,15 @@ from support.lander_support import ORIGIN, PARAMS, QUICK, Puppet, flat_map, fly
 
 Array = NDArray[np.float64]
 _PICTURE_TICKS = 120
+UNMAPPED = dataclasses.replace(PARAMS, semantics=SemanticMapParams(squares=0))
+"""without a semantic map: each site is judged by its own patches"""
 
 
 class Photographer(SiteLander):
     """A lander with images of painted ground at 5 Hz."""
 
     def __init__(
-        self, paint: Paint, classifier: GroundClassifier | None, params: LandingParams = PARAMS
+        self, paint: Paint, classifier: GroundClassifier | None, params: LandingParams = UNMAPPED
     ) -> None:
         self._rig = small_rig()
         super().__init__(self._rig, params, QUICK, classifier)
@@ -99,7 +107,7 @@ def test_further_rounds_find_a_site_of_lower_score() -> None:
     grid.intensity[:] = 20.0
     col, row = np.meshgrid(*(ORIGIN[0] + 0.2 * (np.arange(280) + 0.5),) * 2)
     grid.intensity[(col > 18.0) & (row > 8.0)] = 60.0
-    few = dataclasses.replace(PARAMS, classifier_rounds=1, search_legs=0)
+    few = dataclasses.replace(UNMAPPED, classifier_rounds=1, search_legs=0)
     _, without = fly(Puppet(Photographer(corner, ByColour(), few), grid))
     _, found = fly(Puppet(Photographer(corner, ByColour()), grid))
     assert without.no_site and not found.no_site
@@ -125,9 +133,12 @@ class _ChangesItsMind(ByColour):
         return prediction
 
 
-def test_second_look_causes_a_go_around() -> None:
+@pytest.mark.parametrize(
+    ("params", "why"), [(UNMAPPED, "unsure what it is"), (PARAMS, "it looks like water")]
+)
+def test_second_look_causes_a_go_around(params: LandingParams, why: str) -> None:
     classifier = _ChangesItsMind()
-    lander = Photographer(plain("lawn"), classifier)
+    lander = Photographer(plain("lawn"), classifier, params)
     puppet = Puppet(lander, flat_map())
     notes = []
     for view, _ in puppet.run(200.0):
@@ -137,7 +148,7 @@ def test_second_look_causes_a_go_around() -> None:
             break
     assert view.no_site
     around = next(note for note in notes if note.startswith("going around"))
-    assert "at 10 m: unsure what it is" in around
+    assert f"at 10 m: {why}" in around
 
 
 def test_emergency_lands_on_unsafe_ground() -> None:
