@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from touchdown.experiments.classification import evaluate
 from touchdown.experiments.classification.render_dataset import COLUMNS, MANIFEST
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.io.images import read_picture
@@ -120,6 +121,15 @@ def test_evaluating_by_command(
     assert list(report["by_source"]) == ["d_land"]
     assert cli.main([*arguments[:-1], "--no-cost", "--engine", "torch"]) == 0
     assert "true class by row, predicted class by column" in capsys.readouterr().out
+
+
+def test_weight_undoes_what_a_network_claims_too_much() -> None:
+    """Right in four of five, which log-odds of ln 4 say; these claim twice as much."""
+    scores = np.full((100, len(D_LAND)), -50.0, np.float32)
+    scores[:, :2] = 2.0 * np.log(4.0), 0.0
+    labels = (np.arange(100) >= 80).astype(int)
+    facts = weights.NetworkFacts(network="resnet18", labels="d_land", image_size=32, classes=D_LAND)
+    assert evaluate._summary(scores, labels, facts)["weight"] == pytest.approx(0.5, rel=0.01)
 
 
 def test_rendered_pictures_are_scored_by_scene_and_height(
