@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import mmap
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -55,6 +56,13 @@ _UNKNOWN_AT_FIRST = (
 """layers without a value where nothing was seen"""
 
 
+def _blank(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """Zeros that take memory where they are written: `numpy.zeros` may use memory again, and clears
+    all of it."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    return np.frombuffer(mmap.mmap(-1, size), dtype).reshape(shape)
+
+
 class _TimedPose(NamedTuple):
     time_s: float
     position_odom: Array
@@ -73,9 +81,9 @@ class _Grid:
             name: np.full(shape, np.nan, np.float32) for name in _UNKNOWN_AT_FIRST
         }
         for name in ("count", "rgb_count", "missing"):
-            self.layers[name] = np.zeros(shape, np.float32)
+            self.layers[name] = _blank(shape, np.float32)
         self.layers["rgb"] = np.full((*shape, 3), np.nan, np.float32)
-        self.layers["histogram"] = np.zeros((*shape, HEIGHT_BINS), np.uint8)
+        self.layers["histogram"] = _blank((*shape, HEIGHT_BINS), np.uint8)
         self.layers["last_seen_s"] = np.full(shape, -np.inf, np.float32)
 
     def view(self) -> GridMap:

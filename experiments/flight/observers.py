@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from touchdown.estimator.api import GridMap
+from touchdown.experiments.external.processes import release_pages
 from touchdown.experiments.flight.conditions import ConditionsObserver
 from touchdown.experiments.flight.metrics import GroundMap
 from touchdown.experiments.io.results import Event, PhaseStart
@@ -19,6 +20,8 @@ Progress = Callable[[float, str, str], None]
 _MAX_EVENTS = 200
 """Events and phases that a result keeps."""
 _PROGRESS_PERIOD_S = 0.5
+_RELEASE_PERIOD_S = 5.0
+"""Free memory between what a flight keeps would grow by 10 MB a minute"""
 
 
 class EventLog:
@@ -51,7 +54,8 @@ class PhaseLog:
 
 
 class StepObserver:
-    """Passes every step on to the recorder, keeps events, phases and maps, reports progress."""
+    """Passes every step on to the recorder, keeps events, phases and maps, reports progress, and
+    has free memory given back."""
 
     def __init__(
         self,
@@ -69,6 +73,7 @@ class StepObserver:
         self._recorder = recorder
         self._progress = progress
         self._next_s = 0.0
+        self._release_s = 0.0
         self._latest_map: GridMap | None = None
         self._survey_map: GroundMap | None = None
 
@@ -87,6 +92,9 @@ class StepObserver:
             self._next_s = time_s + _PROGRESS_PERIOD_S
             self._progress(time_s, phase, step.lander_view.note)
         self._recorder.tick(step)
+        if time_s >= self._release_s:
+            self._release_s = time_s + _RELEASE_PERIOD_S
+            release_pages()
 
     def end_survey(self) -> None:
         """Keeps the ground of the map as it is now."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from touchdown.sim.frames import Pose
+from touchdown.sim.geometry.open3d_core import load_open3d
 from touchdown.sim.geometry.quadrics import ShapeTable, rays_behind, settle
 from touchdown.sim.typing import Array, Float32, Indices, Int32
 
@@ -77,10 +77,7 @@ class RayTarget:
         self.center = 0.5 * (points.min(axis=0) + points.max(axis=0)).astype(np.float64)
         self.radius = float(np.linalg.norm(points - self.center, axis=1).max())
         self.triangle_count = len(self._geom_of_triangle)
-        # It would otherwise probe for a display when it is first imported.
-        os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
-        import open3d as o3d
-
+        o3d = load_open3d()
         self._tensor = o3d.core.Tensor.from_numpy
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(

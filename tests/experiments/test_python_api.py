@@ -113,14 +113,19 @@ def test_folders_that_vanish_or_are_closed_hold_no_results(
     assert result_files(tmp_path) == [tmp_path / n / "result.json" for n in ("a", "b")]
 
 
-def test_fly_load_runs_and_replay(tmp_path: Path) -> None:
+def test_fly_load_runs_and_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     phases: list[str] = []
+    released: list[int] = []
+    watched = "touchdown.experiments.flight.observers.release_pages"
+    monkeypatch.setattr(watched, lambda: released.append(1))
     out = tmp_path / "runs" / "one"
     result = touchdown.fly(
         "flat", estimator="gps", seed=2, overrides=SHORT | {"log.sensors": True}, out=out,
         progress=lambda _time_s, phase, _note: phases.append(phase),
     )  # fmt: skip
     assert result.outcome == "COMPLETED" and "SURVEY" in phases
+    assert result.timing is not None
+    assert len(released) == 1 + int(result.timing.sim_s // 5.0), "free memory is given back"
     assert touchdown.load_runs(tmp_path) == [result]
     key, path = "gps_estimator.baro_sigma_m", out.with_name("two")
     again = touchdown.replay(out, overrides={key: 1.0}, out=path)

@@ -6,11 +6,11 @@
 import numpy as np
 import pytest
 
-from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
 from touchdown.scenes.truth.maps import truth_maps
 from touchdown.scenes.truth.raycast import cast_points
 
+from support.places import cached_scene
 from support.truth_rays import SingleRays
 
 BESIDE_M = np.array([1.37e-4, 2.11e-4])
@@ -21,7 +21,7 @@ MOST_EDGES = 0.003
 
 @pytest.mark.parametrize("name", ["forest"])
 def test_heights_are_those_of_single_rays(name: str) -> None:
-    scene = load_scene(name, 2)
+    scene = cached_scene(name, 2)
     points = np.random.default_rng(11).uniform(*scene.bounds_xy_m, (1000, 2))
     wrong, edges = SingleRays(scene).disagreements(points + BESIDE_M, cast_points(scene, points)[0])
     assert wrong.size == 0, points[wrong]
@@ -33,7 +33,7 @@ def test_heights_are_those_of_single_rays(name: str) -> None:
 def test_truth_maps_are_those_of_single_rays(name: str) -> None:
     """10,000 random cells of the map. A cell that holds something narrower than itself has that
     thing's height, not the one at its centre: counted as well."""
-    scene = load_scene(name, 0)
+    scene = cached_scene(name, 0)
     maps = truth_maps(scene, 0.1)
     rng = np.random.default_rng(12)
     cells = np.stack([rng.integers(0, count, 10_000) for count in maps.height_m.shape[::-1]], 1)

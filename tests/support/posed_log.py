@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, Estimator
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraParams,
@@ -29,6 +28,8 @@ from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp, so3_log
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.posed_sensors import PosedSensors
 from touchdown.sim.world import MujocoWorld
+
+from support.places import cached_scene
 
 Array = NDArray[np.float64]
 
@@ -74,7 +75,7 @@ def _path(start: Array, t: float) -> Pose:
 
 def make_log(scene: str, seed: int) -> PosedLog:
     """The same log each time for a scene and a seed."""
-    loaded = load_scene(scene, seed)
+    loaded = cached_scene(scene, seed)
     world = MujocoWorld(loaded, PARAMS, seed, NEEDS)
     rig = world.rig
     world.close()

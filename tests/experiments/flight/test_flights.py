@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.flight.run import fly
-from touchdown.scenes.compose import load_scene
 
+from support.places import cached_scene
 from support.worlds import load_ideal_config as load_config
 
 SHORT = (
@@ -60,7 +60,7 @@ def test_same_seed_same_beginning_to_the_byte_on_any_number_of_threads(
 def test_the_flight_follows_the_estimate_not_the_truth() -> None:
     """A bias of half a metre in the estimate moves the true touchdown by its negative. All of the
     ground is level; the site is the take-off spot."""
-    x, y = load_scene("flat", 0).takeoff_xy_m.tolist()
+    x, y = cached_scene("flat").takeoff_xy_m.tolist()
     site = (x, y)
     result = run(
         None, "preset=short", "survey.height_m=9.0", "survey.min_height_m=9.0",
