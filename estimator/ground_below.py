@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +13,9 @@ from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.sim.api import RangefinderSample, SensorRig
 
 Array = NDArray[np.float64]
+
+_REMEMBERED = 32
+"""echoes that ``spot`` looks among: more than half a second"""
 
 
 class GroundBelow:
@@ -27,6 +31,17 @@ class GroundBelow:
         start = rig.world_from_body_start.translation
         self.height_m = float(start[2]) - rig.vehicle.leg_height_m
         self._time_s = -math.inf
+        self._nearest_s = 1.5 * rig.nav.rangefinder.period_ticks / rig.tick_hz
+        self._echoes: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
+
+    def spot(self, time_s: float) -> Array | None:
+        """(3,) point of the ground that the beam met at ``time_s``, in the IMU frame then; None
+        without an echo within 1.5 periods of the rangefinder."""
+        near = min(self._echoes, key=lambda echo: abs(echo[0] - time_s), default=None)
+        if near is None or abs(near[0] - time_s) > self._nearest_s:
+            return None
+        spot: Array = self._mount + near[1] * self._down
+        return spot
 
     def take(self, samples: Sequence[RangefinderSample], state: NavState) -> None:
         """Updates by the ``samples`` since the last call, up to the filter's state."""
@@ -34,6 +49,7 @@ class GroundBelow:
         for sample in samples:
             if not sample.range_m > 0.0 or not math.isfinite(sample.range_m):
                 continue
+            self._echoes.append((sample.time_s, sample.range_m))
             age_s = now_s - sample.time_s
             start = state.position - age_s * state.velocity + state.rotation @ self._mount
             hit = start + sample.range_m * (state.rotation @ self._down)

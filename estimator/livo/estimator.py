@@ -7,8 +7,9 @@ order, LIDAR before vision, and the sequential update follow FAST-LIVO (Zheng et
 Landmarks are anchored to cloned keyframe poses, not to a map without errors, so that a later view
 of the same ground closes the loop.
 
-While no scans come, new features are assumed on the ground below the rangefinder, and parallax
-moves them (``assumed_depth``).
+While no scans come, new features are assumed on the ground below the rangefinder, parallax moves
+them (``assumed_depth``), and the rangefinder gives the way since their keyframe its length
+(``range_scale``).
 
 Scans and images arrive late. The filter's state is at measurement time; the estimate is that state
 propagated over the buffered IMU samples to the present.
@@ -167,7 +168,10 @@ class Livo:
         levels = grey_levels(self._undistort.grey(image.rgb))
         delay_s = image.time_s - eskf.state.tick / self._rig.tick_hz
         vision.measure_open_keyframes(eskf, recent, image.tick)
-        report = vision.update(eskf, levels, delay_s, self._params.image_calibration_gain)
+        report = vision.update(
+            eskf, levels, delay_s, self._params.image_calibration_gain,
+            spot=self._ground.spot(image.time_s),
+        )  # fmt: skip
         if report.used:
             self._vision_tick = image.tick
             self._filter.trail.follow(eskf.state)

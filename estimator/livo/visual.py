@@ -46,6 +46,7 @@ from touchdown.estimator.filtering.reprojection import (
 from touchdown.estimator.livo.assumed_depth import assume_level_ground, move_along_rays
 from touchdown.estimator.livo.patch_tracker import Grey, track
 from touchdown.estimator.livo.plane_extension import extend_plane
+from touchdown.estimator.livo.range_scale import SeenGround, measure_way
 from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
 from touchdown.sim.frames import Pose
 
@@ -210,11 +211,12 @@ class VisualFrontEnd:
     # ------------------------------------------------------------------------ update
 
     def update(
-        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], delay_s: float = 0.0, share: float = 1.0
-    ) -> VisualReport:
+        self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], delay_s: float = 0.0,
+        share: float = 1.0, spot: Array | None = None,
+    ) -> VisualReport:  # fmt: skip
         """Iterated update by one image whose stamp is ``delay_s`` after the filter's state; nothing
         is changed if fewer than 15 landmarks are found. ``share``: of the correction that mounts
-        and lens take."""
+        and lens take; ``spot`` (3,): the ground that the rangefinder's beam meets, IMU frame."""
         middle = self._shutter.middle_s
         mount = corrected_camera(self._imu_from_camera, eskf.state.calibration)
         every = list(range(len(self.keyframes)))
@@ -241,6 +243,8 @@ class VisualFrontEnd:
         used, rms = self._iterate(IteratedUpdate(eskf, share), eskf, tracks, delay_s)
         if used:
             self._refine_depths(eskf, tracks, delay_s)
+            if spot is not None:
+                self._scale_way(eskf, tracks, delay_s, spot)
         return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=best)
 
     def _exposed(
@@ -312,6 +316,22 @@ class VisualFrontEnd:
                 track_.by(calibration[: eskf.shared]), (Frame.of(now), Frame.of(clone)),
                 eskf.twist, (mount, lens), params.assumed_depth_floor, noise,
             )  # fmt: skip
+
+    def _scale_way(self, eskf: Eskf, tracks: list[_Track], delay_s: float, spot: Array) -> None:
+        """Corrects the filter by the range to the ``spot`` where depths are assumed."""
+        tracks = [t for t in tracks if self.keyframes[t.keyframe].assumed[t.which].any()]
+        calibration = eskf.state.calibration
+        camera = corrected_camera(self._imu_from_camera, calibration).inverse()
+        *clones, now = self._exposed(eskf, [track.keyframe for track in tracks], delay_s)
+        seen = []
+        for clone, track_ in zip(clones, tracks, strict=True):
+            k, features = track_.keyframe, track_.which
+            assumed = self.keyframes[k].assumed[features]
+            moved = self._track(eskf, k, features[assumed], track_.views.pixels[assumed])
+            landmarks = moved.by(calibration[: eskf.shared]).landmarks
+            points = (camera @ now.inverse() @ clone).apply(landmarks)
+            seen.append(SeenGround(k, now.translation - clone.translation, points))
+        measure_way(eskf, seen, camera.apply(spot), self._params.range_scale_sigma)
 
     def _accumulate(
         self, eskf: Eskf, tracks: list[_Track], delay_s: float, gate_px: float

@@ -35,6 +35,7 @@ from touchdown.sim.api import (
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, rotation_from_yaw
 
 Array = NDArray[np.float64]
+Reals = NDArray[np.floating[Any]]
 
 CONTROL_TICKS = 3
 REST_S = 0.6
@@ -100,7 +101,7 @@ class SyntheticStream:
         self._seconds, self._turn_rad = seconds, turn_rad
         self._start = rig.world_from_body_start
         tiles = np.random.default_rng([seed, 1]).integers(30, 226, (256, 256, 3))
-        self._tiles = tiles.astype(np.float64)
+        self._tiles = tiles.astype(np.float32)
 
     def __iter__(self) -> Iterator[Observation]:
         rng = np.random.default_rng([self._seed, 2])
@@ -264,9 +265,11 @@ class SyntheticStream:
         columns, rows = np.meshgrid(np.arange(k.width), np.arange(k.height))
         rays = np.stack([(columns - k.cx) / k.fx, (rows - k.cy) / k.fy, np.ones_like(rows)], -1)
         camera = self.true_pose(tick) @ mount
-        rays = rays.reshape(-1, 3) @ camera.rotation.T
-        distances = _ranges_to_ground(camera.translation, rays)
-        places = (camera.translation + distances[:, None] * rays)[:, :2] / _TILE_M
+        # Single precision and three steps leave less than a thousandth of a pixel.
+        rays = rays.reshape(-1, 3).astype(np.float32) @ camera.rotation.T.astype(np.float32)
+        eye = camera.translation.astype(np.float32)
+        distances = _ranges_to_ground(eye, rays, steps=3)
+        places = (eye + distances[:, None] * rays)[:, :2] / np.float32(_TILE_M)
         low = np.floor(places).astype(int)
         fraction = (places - low)[..., None]
         (x, y), (u, v) = (low & 255).T, np.moveaxis(fraction, 1, 0)
@@ -274,7 +277,7 @@ class SyntheticStream:
         tiles = self._tiles
         levels = (1 - u) * (1 - v) * tiles[y, x] + u * (1 - v) * tiles[y, x1]
         levels += (1 - u) * v * tiles[y1, x] + u * v * tiles[y1, x1]
-        levels += 1.5 * rng.standard_normal(levels.shape)
+        levels += np.float32(1.5) * rng.standard_normal(levels.shape, np.float32)
         return np.clip(np.rint(levels), 0, 255).astype(np.uint8).reshape(k.height, k.width, 3)
 
     def _gps(self, tick: int, rng: np.random.Generator) -> GpsFix:
@@ -314,18 +317,18 @@ class SyntheticStream:
         )
 
 
-def ground_height(xy: Array) -> Array:
+def ground_height(xy: Reals) -> Reals:
     """(N,) heights of the synthetic ground under (N, 2), world frame."""
     x, y = xy[:, 0], xy[:, 1]
     return np.asarray(0.06 * np.sin(0.9 * x + 0.3) * np.cos(0.7 * y) - 0.06)
 
 
-def _ranges_to_ground(origins: Array, rays: Array) -> Array:
+def _ranges_to_ground(origins: Reals, rays: Reals, steps: int = 6) -> Reals:
     """(N,) along downward ``rays`` (N, 3), in their length, by fixed-point steps: the slopes are
     gentle."""
     height = np.broadcast_to(origins, rays.shape)[:, 2]
     distances = -height / rays[:, 2]
-    for _ in range(6):
+    for _ in range(steps):
         at = origins + distances[:, None] * rays
         distances = (ground_height(at[:, :2]) - height) / rays[:, 2]
     return np.asarray(distances)

@@ -30,7 +30,7 @@ def test_a_policy_is_trained_and_judged_before_and_after(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("stable_baselines3")
-    given = ["--steps", "256", "--episodes", "1", "--out", str(tmp_path)]
+    given = ["--steps", "64", "--episodes", "1", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", ["train_ppo.py", *given])
     example("train_ppo", monkeypatch).main()
     before, after, saved = capsys.readouterr().out.splitlines()[-3:]

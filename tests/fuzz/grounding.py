@@ -81,7 +81,9 @@ def _no_revision() -> str:
     return "abc"
 
 
-_STOPS: dict[str, dict[str, Callable[..., Any]]] = {
+_COARSE_TEXEL_M = 0.3
+"""Of ground that is dressed: what is read does not depend on how finely it is painted"""
+_STOPS: dict[str, dict[str, Any]] = {
     "concurrent.futures.process": {"ProcessPoolExecutor.__init__": _reach},
     "touchdown.experiments.benchmarks.all_measures": {"_run": _reach},
     "touchdown.experiments.campaign.executor": {"LocalEngine.run": _fly_some},
@@ -95,6 +97,7 @@ _STOPS: dict[str, dict[str, Callable[..., Any]]] = {
     "touchdown.landing.classification.learning.training": {"Trainer.run_epoch": _reach},
     "touchdown.landing.classification.trial": {"reason_against": _reason_against},
     "touchdown.scenes.compose": {"compose_spec": _compose_spec},
+    "touchdown.scenes.importers.dress": {"TEXEL_M": _COARSE_TEXEL_M},
     "touchdown.sim.posed_sensors": {"PosedSensors.__init__": _reach},
 }
 """By module, what is replaced in it."""

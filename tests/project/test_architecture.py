@@ -2,9 +2,11 @@
 
 import ast
 import functools
+import os
 import re
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -62,12 +64,20 @@ MAX_MODULES = 20
 MAX_PARAMETERS = 8
 PACKAGE = "touchdown"
 SOURCES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
-TEXTS = sorted(
-    path
-    for pattern in ("*.py", "*.md", "*.toml", "*.xml", "*.cff", "Makefile", "run")
-    for path in ROOT.rglob(pattern)
-    if not any(part in (".venv", ".git", "build", "runs", "src") for part in path.parts)
-)
+
+
+def _texts() -> Iterator[Path]:
+    """Files of the project; the many of its environment are not looked at."""
+    for folder, folders, names in os.walk(ROOT):
+        folders[:] = set(folders) - {".venv", ".git", "build", "runs", "src"}
+        for name in names:
+            if name in ("Makefile", "run") or name.endswith(
+                (".py", ".md", ".toml", ".xml", ".cff")
+            ):
+                yield Path(folder, name)
+
+
+TEXTS = sorted(_texts())
 STANDARD = sys.stdlib_module_names
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
+from touchdown.scenes.authoring import ground
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.compose import START_GAP_M, VEHICLE_BODY, load_scene, spec_of_scene
 from touchdown.scenes.export import export_spec
@@ -254,8 +255,11 @@ def test_imported_file_gets_classes_takeoff_and_one_warning(tmp_path: Path) -> N
     assert scene.name == "model"
 
 
-def test_export_opens_again_and_is_the_same_scene(tmp_path: Path) -> None:
-    scene = cached_scene("flat")
+def test_export_opens_again_and_is_the_same_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ground, "TEXELS", 1024)
+    scene = load_scene("flat", 0)
     path = export_spec(spec_of_scene(scene), tmp_path)
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.ngeom == scene.model.ngeom

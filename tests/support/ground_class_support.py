@@ -48,9 +48,9 @@ def photograph(
     col, row = np.meshgrid(np.arange(rig.camera.width), np.arange(rig.camera.height))
     beams = np.stack([(col - rig.camera.cx) / rig.camera.fx,
                       (row - rig.camera.cy) / rig.camera.fy, np.ones(col.shape)], -1)  # fmt: skip
-    ways = beams @ camera.rotation.T
-    reach = -camera.translation[2] / ways[..., 2]
-    x, y = (camera.translation[i] + reach * ways[..., i] for i in (0, 1))
+    ways = (beams @ camera.rotation.T).astype(np.float32)
+    reach = -float(camera.translation[2]) / ways[..., 2]
+    x, y = (float(camera.translation[i]) + reach * ways[..., i] for i in (0, 1))
     tick = round(600 * time_s)
     levels = paint(x, y) + np.random.default_rng(tick).normal(0.0, noise, (*x.shape, 3))
     rgb = np.round(np.clip(levels, 0, 255)).astype(np.uint8)

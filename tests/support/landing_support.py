@@ -124,11 +124,10 @@ def grid_of_returns(
     shape = known.shape
     histogram = np.zeros((*shape, HEIGHT_BINS), np.uint8)
     base = np.full(shape, np.nan, np.float32)
-    rows, cols = np.indices(shape)
+    rows, cols = np.nonzero(known)
+    x, y = origin[0] + (cols + 0.5) * cell_m, origin[1] + (rows + 0.5) * cell_m
     for heights in samples:
-        points = np.stack([
-            origin[0] + (cols + 0.5) * cell_m, origin[1] + (rows + 0.5) * cell_m, heights
-        ], axis=-1)[known].astype(np.float32)  # fmt: skip
+        points = np.stack([x, y, heights[known]], axis=-1).astype(np.float32)
         accumulate_heights(
             Pulses(points, np.zeros_like(points), np.ones(len(points), np.float32)),
             Grid(*origin, cell_m), HEIGHT_BIN_M, histogram, base,

@@ -2,6 +2,7 @@
 balance of forces needs: what a lander feels of the wind."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -41,23 +42,27 @@ def balance(vehicle: VehicleModel, through_air: Array, acceleration: Array) -> B
     """Solves Newton's second law for thrust axis and rotor speed: three equations, three unknown
     (the axis by its horizontal components)."""
     mass, weight = vehicle.mass_kg, vehicle.mass_kg * GRAVITY_MPS2
-    hover = np.sqrt(weight / (4.0 * vehicle.thrust_coefficient))
+    hover = math.sqrt(weight / (4.0 * vehicle.thrust_coefficient))
     per_rotor = vehicle.linear_drag / (4.0 * hover)
 
-    def excess(unknown: Array) -> Array:
-        x, y, share = unknown
-        axis = np.array([x, y, np.sqrt(max(1.0 - x * x - y * y, 1e-6))])
-        speed, along = share * hover, through_air @ axis
+    air_x, air_y, air_z = through_air.tolist()
+    wanted = (mass * acceleration + [0.0, 0.0, weight]).tolist()
+    body = vehicle.quadratic_drag * math.hypot(air_x, air_y, air_z)
+
+    def excess(unknown: Array) -> list[float]:
+        x, y, share = unknown.tolist()
+        z = math.sqrt(max(1.0 - x * x - y * y, 1e-6))
+        speed, along = share * hover, air_x * x + air_y * y + air_z * z
         thrust = vehicle.thrust_coefficient * speed**2 - vehicle.rotor_inflow * speed * along
-        drag = 4.0 * per_rotor * speed * (through_air - along * axis)
-        drag = drag + vehicle.quadratic_drag * np.linalg.norm(through_air) * through_air
-        force = 4.0 * thrust * axis - drag
-        return (force - mass * acceleration - np.array([0.0, 0.0, weight])) / weight
+        disc, lift = 4.0 * per_rotor * speed, 4.0 * thrust
+        return [
+            (lift * up - disc * (air - along * up) - body * air - force) / weight
+            for up, air, force in zip((x, y, z), (air_x, air_y, air_z), wanted, strict=True)
+        ]
 
     x, y, share = fsolve(excess, np.array([0.02 * through_air[0], 0.02 * through_air[1], 1.0]))
     z = np.array([x, y, np.sqrt(1.0 - x * x - y * y)])
-    left = np.cross(z, [1.0, 0.0, 0.0])
-    left /= np.linalg.norm(left)
+    left = np.array([0.0, z[2], -z[1]]) / math.hypot(z[1], z[2])
     return Balance(np.column_stack([np.cross(left, z), left, z]), float(share * hover))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -67,14 +68,7 @@ class StructuredEdges:
     def __init__(self, model_path: Path | str = SHIPPED_MODEL, full_energy: float = 0.4) -> None:
         self._full_energy = np.float32(full_energy)
         path = Path(model_path)
-        check_model(path)
-        try:
-            self._detector = cv2.ximgproc.createStructuredEdgeDetection(str(path))
-        except cv2.error as error:
-            raise ValueError(
-                f"structured edge model '{path}' is not one that OpenCV can read: "
-                f"{str(error).splitlines()[0]}"
-            ) from None
+        self._detector = _shipped() if path == SHIPPED_MODEL else _read(path)
 
     def __call__(self, rgb: Rgb) -> Float32:
         # the outermost patches overlap less and would give weaker edges: mirror the rim
@@ -84,6 +78,23 @@ class StructuredEdges:
         energy = self._detector.detectEdges(framed.astype(np.float32) / np.float32(255.0))
         inner = np.asarray(energy, np.float32)[RIM : RIM + height, RIM : RIM + width]
         return np.clip(inner / self._full_energy, 0.0, 1.0)
+
+
+def _read(path: Path) -> cv2.ximgproc.StructuredEdgeDetection:
+    check_model(path)
+    try:
+        return cv2.ximgproc.createStructuredEdgeDetection(str(path))
+    except cv2.error as error:
+        raise ValueError(
+            f"structured edge model '{path}' is not one that OpenCV can read: "
+            f"{str(error).splitlines()[0]}"
+        ) from None
+
+
+@cache
+def _shipped() -> cv2.ximgproc.StructuredEdgeDetection:
+    """Keeps nothing of the images it sees, so that one serves all flights of a process."""
+    return _read(SHIPPED_MODEL)
 
 
 def edge_detector(model: str) -> EdgeDetector:

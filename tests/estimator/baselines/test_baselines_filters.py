@@ -159,6 +159,19 @@ def test_ground_below_keeps_the_last_echo_over_water() -> None:
     assert ground.height_m == pytest.approx(expected)
 
 
+def test_the_spot_below_is_that_of_the_nearest_echo() -> None:
+    rig = make_rig()
+    ground = GroundBelow(rig, memory_s=0.5)
+    state = NavState(60, np.eye(3), np.array([0, 0, 20.0]), np.zeros(3), np.zeros(3), np.zeros(3))
+    assert ground.spot(0.1) is None
+    readings = ((0.08, 18.0), (0.10, 0.0), (0.12, 18.4))
+    ground.take([RangefinderSample(tick=60, time_s=t, range_m=r) for t, r in readings], state)
+    mount = np.array(rig.nav.rangefinder.position_body_m)
+    for time_s, range_m in ((0.099, 18.0), (0.104, 18.4), (0.149, 18.4)):
+        np.testing.assert_allclose(ground.spot(time_s), mount - [0.0, 0.0, range_m], atol=1e-12)
+    assert ground.spot(0.16) is None
+
+
 def test_following_anchor_is_where_the_fixes_are() -> None:
     anchor = FollowingAnchor(follow_s=0.2)
     anchor.take(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.5, 0.8]), 0.2)
@@ -180,8 +193,7 @@ def _anchor_errors(tau_s: float, seconds: float, runs: int) -> tuple[np.ndarray,
         anchor = WanderingAnchor(tau_s, 0.0, 1e-3, 0.1)
         for k in range(round(seconds / 0.2)):
             anchor.take(wander.step(), sigma, 0.2 * k)
-        for _ in range(1000):
-            anchor.step(0.1)
+        anchor.step(100.0)
         errors.append(anchor.offset)
         variance = np.diag(anchor.covariance)
     return np.array(errors), variance

@@ -385,6 +385,30 @@ def test_parallax_finds_the_depth_of_the_ground_and_no_more_than_the_floor(centr
     assert keyframe.sigmas.min() == pytest.approx(0.16 * keyframe.depth_m)
 
 
+@pytest.mark.parametrize(
+    ("spot", "assumed", "expected_m"),
+    [(None, 999, 3.88), ([0.0, 0.0, -18.0], 999, 4.0), ([0.0, 0.0, -18.0], 3, 3.88)],
+)
+def test_the_range_shows_a_way_that_parallax_alone_takes_for_3_percent_too_short(
+    spot: list[float] | None, assumed: int, expected_m: float
+) -> None:
+    """With every way 3 % too short, 18 m down looks like 17.46 m, and the images agree. Where but
+    three depths are assumed there is nothing to scale."""
+    start = imu_pose((0.0, 0.0, 18.0), (0.0, 0.0, 0.0))
+    vision, eskf, none = front_end(), filter_at(start), RecentReturns(scans=1, per_scan=10)
+    image = grey_levels(view(start @ IMU_FROM_CAMERA))
+    assert add_keyframe(vision, eskf, image, none, 0, ground_m=0.54)
+    for x in (1.0, 2.0, 4.0, 4.0):
+        eskf.state = filter_at(imu_pose((0.97 * x, 0.0, 18.0), (0.0, 0.0, 0.0))).state
+        if x == 4.0:
+            eskf.covariance[3, 3] = 0.3**2
+            vision.keyframes[0].assumed[assumed:] = False
+        image = grey_levels(view(imu_pose((x, 0.0, 18.0), (0.0, 0.0, 0.0)) @ IMU_FROM_CAMERA))
+        at = np.array(spot) if x == 4.0 and spot else None
+        assert vision.update(eskf, image, spot=at).used > 60
+    assert eskf.state.position[0] == pytest.approx(expected_m, abs=0.05)
+
+
 def test_a_wrong_depth_is_no_outlier_but_what_lies_beside_the_epipolar_line_is() -> None:
     """One landmark 10 m off of 20, after a move of 5 m along x; then the same error along y."""
     now, still = (

@@ -20,6 +20,7 @@ from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.io.results import load_result
 from touchdown.experiments.io.run_directory import default_out_dir
 from touchdown.experiments.scene_tools.flyability import check_scene_file
+from touchdown.scenes.authoring import ground
 from touchdown.scenes.compose import load_scene
 
 from support.command import Says
@@ -171,7 +172,10 @@ def test_entities_attach_to_our_scenes() -> None:
         pymjcf.scene("crosroad")
 
 
-def test_the_page_prints_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_prints_what_it_says(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     page = ROOT / "docs" / "dm-control.md"
+    monkeypatch.setattr(ground, "TEXELS", 1024)
     exec(blocks_of(page, "python")[1], {"__name__": "block"})
     assert f"It prints `{capsys.readouterr().out.strip()}`" in page.read_text()

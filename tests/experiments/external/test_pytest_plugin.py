@@ -91,10 +91,11 @@ def test_the_plugin_needs_nothing_but_pytest() -> None:
 
 
 def test_the_example_of_the_page_passes_as_it_is_printed(pytester: pytest.Pytester) -> None:
-    """But for the second seed, which is left out, and the height."""
+    """But for the second seed, which is left out, and the height and length."""
     block = blocks_of(ROOT / "docs" / "ci-regression.md", "python")[0]
     block = block.replace("seeds=range(2)", "seeds=range(1)")
-    block = block.replace('"survey.legs=1"', '"survey.legs=1", "preset=short"')
+    low = '"survey.height_m=5", "survey.min_height_m=5", "survey.leg_length_m=4", "preset=short"'
+    block = block.replace('"survey.legs=1"', f'"survey.legs=1", {low}, "survey.duration_s=3"')
     pytester.makepyfile(test_positioning=block)
     pytester.runpytest_subprocess("-q", "--touchdown-out=kept").assert_outcomes(passed=2)
     assert (pytester.path / "kept" / "flat-oracle-s0" / "result.json").is_file()
