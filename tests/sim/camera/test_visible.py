@@ -154,7 +154,8 @@ def test_a_context_used_before_in_another_thread_draws_the_same_and_keeps_nothin
         pictures.append(stage.colour(snapshot, 0, 0, PINHOLE.height).copy())
         stage.close()
         context = gl_context(8, 8)
-        left.append([GL.glIsList(n) for n in range(1, 2000)] + [GL.glIsTexture(n) for n in range(99)])
+        left.append([GL.glIsList(n) for n in range(1, 2000)])
+        left.append([GL.glIsTexture(n) for n in range(99)])
         put_back(context)
         contexts.add(id(context))
 
