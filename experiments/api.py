@@ -1,4 +1,5 @@
-"""Outcomes of flights, and parameters of referee, bias, calibration error and PX4."""
+"""Outcomes of flights, and parameters of referee, bias, calibration error, PX4 and the fit of the
+survey."""
 
 from __future__ import annotations
 
@@ -25,6 +26,31 @@ class Outcome(StrEnum):
     """the survey was over and the vehicle had not left the ground"""
     COMPLETED = "COMPLETED"
     """``fly``: the survey was flown to its end"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SurveyFitParams:
+    """How the standard survey is fitted to the scene of a file: made smaller until ground lies
+    below it, and raised over what stands there."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    ground_share: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.95
+    """least share of the survey with ground below"""
+    clearance_m: NotNegative = 2.0
+    """least clearance of the legs above objects; below it the survey is raised"""
+    room_m: NotNegative = 6.0
+    """clearance of a survey that is raised"""
+    highest_m: Positive = 60.0
+    """greatest height to which a survey is raised"""
+    low_m: Positive = 20.0
+    """height over a place that holds one leg of less than 24 m"""
+    shortest_m: Positive = 8.0
+    """shortest leg that is tried"""
+    step_m: Positive = 2.0
+    """difference of the lengths that are tried"""
+    swath_m: Positive = 20.0
+    """what a leg sees to either side, when two surveys are compared"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -31,6 +31,7 @@ from touchdown.experiments.api import (
     Px4Params,
     RefereeParams,
     StartParams,
+    SurveyFitParams,
 )
 from touchdown.landing.api import LandingParams, SurveyParams
 from touchdown.scenes.api import Light
@@ -141,6 +142,7 @@ class Config(BaseModel):
     control: ControlParams = Field(default_factory=ControlParams)
     px4: Px4Params = Field(default_factory=Px4Params)
     survey: SurveyParams = Field(default_factory=SurveyParams)
+    survey_fit: SurveyFitParams = Field(default_factory=SurveyFitParams)
     landing: LandingParams = Field(default_factory=LandingParams)
     referee: RefereeParams = Field(default_factory=RefereeParams)
     bias: BiasParams = Field(default_factory=BiasParams)

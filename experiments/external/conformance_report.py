@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 import traceback
-from collections.abc import Iterable
+from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 from zlib import crc32
 
 import numpy as np
@@ -91,23 +92,33 @@ def digests_of(obs: Observation) -> list[tuple[str, bytes]]:
 
 def digest(value: Any) -> bytes:
     """Bytes that are equal for values that are equal to the bit."""
-    return b"".join(_pieces(value))
+    pieces: list[bytes] = []
+    _add_pieces(value, pieces)
+    return b"".join(pieces)
 
 
-def _pieces(value: Any) -> Iterable[bytes]:
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        for field in dataclasses.fields(value):
-            yield from _pieces(getattr(value, field.name))
+@functools.cache
+def _field_names(kind: Hashable) -> tuple[str, ...] | None:
+    """Of a dataclass; None for another type."""
+    if not dataclasses.is_dataclass(kind):
+        return None
+    return tuple(field.name for field in dataclasses.fields(kind))
+
+
+def _add_pieces(value: Any, pieces: list[bytes]) -> None:
+    if (names := _field_names(cast(Hashable, type(value)))) is not None:
+        for name in names:
+            _add_pieces(getattr(value, name), pieces)
     elif isinstance(value, np.ndarray):
         data = np.ascontiguousarray(value)
-        yield f"{data.dtype.str}{data.shape}{crc32(data.view(np.uint8).data)}".encode()
+        pieces.append(f"{data.dtype.str}{data.shape}{crc32(data.view(np.uint8).data)}".encode())
     elif isinstance(value, tuple | list):
-        yield str(len(value)).encode()
+        pieces.append(str(len(value)).encode())
         for item in value:
-            yield from _pieces(item)
+            _add_pieces(item, pieces)
     elif hasattr(value, "items"):
         for name, item in value.items():
-            yield str(name).encode()
-            yield from _pieces(item)
+            pieces.append(str(name).encode())
+            _add_pieces(item, pieces)
     else:
-        yield repr(value).encode()
+        pieces.append(repr(value).encode())

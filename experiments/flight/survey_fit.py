@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.experiments.api import SurveyFitParams
 from touchdown.experiments.config.checks import survey_problem
 from touchdown.experiments.config.schema import Config
 from touchdown.landing.api import SurveyParams
@@ -18,19 +19,6 @@ from touchdown.scenes.api import Scene
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-ENOUGH_SHARE = 0.95
-"""Least share of the survey with ground below"""
-CLEARANCE_M = 2.0
-"""Least clearance between the survey's legs and objects below them"""
-_ROOM_M = 6.0
-"""clearance of a survey that is raised"""
-_HIGHEST_M = 60.0
-_LOW_M = 20.0
-"""height over a place that holds one short leg"""
-_SHORTEST_M, _STEP_M = 8.0, 2.0
-_SWATH_M = 20.0
-"""what a leg sees to both sides, for the comparison of two surveys"""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -63,31 +51,31 @@ def may_fit(config: Config, scene: Scene) -> bool:
 
 def fit_survey(config: Config, scene: Scene) -> Fit | None:
     """The largest survey of no more than the configured size with ground below; None where not even
-    a leg of 8 m has."""
+    the shortest leg has."""
     from touchdown.scenes.truth.scene_facts import survey_ground
 
-    survey = config.survey
+    survey, params = config.survey, config.survey_fit
     width = survey.legs * survey.leg_spacing_m
     ground = survey_ground(scene, survey.leg_length_m, width)
-    for one in sorted(_surveys(survey), key=lambda one: (-_seen_m2(one), one.legs)):
-        if ground.share(one.leg_length_m, _width(one)) < ENOUGH_SHARE:
+    for one in sorted(_surveys(survey, params), key=lambda one: (-_seen_m2(one, params), one.legs)):
+        if ground.share(one.leg_length_m, _width(one)) < params.ground_share:
             continue
-        one = one if one == survey else _timed(one, survey)
+        one = one if one == survey else _timed(one, survey, params)
         highest = ground.highest_m(one.leg_length_m, _width(one))
         height = one.height_m
-        if highest > height - CLEARANCE_M:
-            height = min(float(np.ceil(highest + _ROOM_M)), _HIGHEST_M)
+        if highest > height - params.clearance_m:
+            height = min(float(np.ceil(highest + params.room_m)), params.highest_m)
         one = dataclasses.replace(one, height_m=height)
         next_leg = ground.share(one.leg_length_m, one.legs * one.leg_spacing_m)
-        legs = config.landing.search_legs if next_leg >= ENOUGH_SHARE else 0
+        legs = config.landing.search_legs if next_leg >= params.ground_share else 0
         return Fit(one, legs, _changed(survey, one, config.landing.search_legs, legs))
     return None
 
 
-def _surveys(survey: SurveyParams) -> Iterator[SurveyParams]:
+def _surveys(survey: SurveyParams, params: SurveyFitParams) -> Iterator[SurveyParams]:
     """``survey`` and smaller ones, at its duration."""
     yield survey
-    lengths = np.arange(survey.leg_length_m, _SHORTEST_M - 0.1, -_STEP_M)
+    lengths = np.arange(survey.leg_length_m, params.shortest_m - 0.1, -params.step_m)
     for legs in range(survey.legs, 0, -1):
         for spacing in (survey.leg_spacing_m, 15.0, 10.0)[: 3 if legs > 1 else 1]:
             for length in lengths.tolist():
@@ -98,9 +86,11 @@ def _surveys(survey: SurveyParams) -> Iterator[SurveyParams]:
                     yield one
 
 
-def _timed(one: SurveyParams, standard: SurveyParams) -> SurveyParams:
+def _timed(one: SurveyParams, standard: SurveyParams, params: SurveyFitParams) -> SurveyParams:
     """A survey at the speed of the standard one, slower where it would need too much."""
-    low = min(_LOW_M, one.height_m) if one.legs == 1 and one.leg_length_m < 24.0 else one.height_m
+    low = one.height_m
+    if one.legs == 1 and one.leg_length_m < 24.0:
+        low = min(params.low_m, low)
     seconds = max(standard.duration_s * _way_m(one) / _way_m(standard), 5.0)
     one = dataclasses.replace(
         one, duration_s=float(np.ceil(seconds)), height_m=low,
@@ -119,8 +109,8 @@ def _width(survey: SurveyParams) -> float:
     return (survey.legs - 1) * survey.leg_spacing_m
 
 
-def _seen_m2(survey: SurveyParams) -> float:
-    return survey.leg_length_m * (_width(survey) + 2.0 * _SWATH_M)
+def _seen_m2(survey: SurveyParams, params: SurveyFitParams) -> float:
+    return survey.leg_length_m * (_width(survey) + 2.0 * params.swath_m)
 
 
 def _changed(

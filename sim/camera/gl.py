@@ -1,14 +1,8 @@
-"""Offscreen OpenGL: choice of a backend, and MuJoCo's renderer with a pinhole's frustum."""
+"""Offscreen OpenGL: MuJoCo's renderer with a pinhole's frustum."""
 
 from __future__ import annotations
 
 import contextlib
-import importlib
-import os
-import sys
-import traceback
-import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +11,10 @@ import numpy as np
 
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.cover import Cover
+from touchdown.sim.camera.gl_contexts import gl_context, put_back
 from touchdown.sim.camera.ground_picture import GroundPicture
 from touchdown.sim.camera.visible import Frustum, Terrain, TerrainTiles, VisibleGeoms
 from touchdown.sim.typing import Array, Bytes, Float32, Int32
-
-BACKENDS = ("egl", "osmesa", "glfw")
-"""In the order in which they are tried; GLFW needs a display."""
 
 _FIRST_HIDDEN_GROUP = 3
 _SEGMENT_FLAGS = (int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR))
@@ -156,10 +148,14 @@ class Stage:
     def close(self) -> None:
         """Frees context and buffers; call it in the thread that drew."""
         self._gl.make_current()
+        for tiles in self._tiles.values():
+            tiles.free()
+        for picture in filter(None, self._pictures.values()):
+            picture.free()
         if self._plain is not self._context:
             self._plain.free()
         self._context.free()
-        self._gl.free()
+        put_back(self._gl)
 
     def _new_context(self, samples: int) -> mujoco.MjrContext:
         with contextlib.ExitStack() as stack:
@@ -293,61 +289,3 @@ def _filter_by_the_nearest_level(context: mujoco.MjrContext) -> None:
 
 def _select(context: mujoco.MjrContext) -> None:
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
-
-
-def gl_context(width: int, height: int) -> Any:
-    """The first GL context that works: the one MUJOCO_GL names, else EGL, OSMesa, GLFW.
-
-    MuJoCo's library reads MUJOCO_GL when it loads its GL functions, so it is set for the choice.
-    RuntimeError, with what each backend said, when none works.
-    """
-    asked = os.environ.get("MUJOCO_GL", "").lower()
-    failures = []
-    with _without_words():
-        for backend in (asked,) if asked else BACKENDS:
-            os.environ["MUJOCO_GL"] = backend
-            try:
-                return _open(backend, width, height)
-            except Exception as failure:  # every backend fails in its own way
-                failures.append(f"{backend}: {failure}")
-                traceback.clear_frames(failure.__traceback__)  # drops a context that is half made
-                if not asked:
-                    _forget_opengl()
-    if not asked:
-        del os.environ["MUJOCO_GL"]
-    raise RuntimeError(
-        f"no offscreen rendering on this machine ({'; '.join(failures)}): install EGL "
-        "(Debian: libegl1 libgl1-mesa-dri) or OSMesa (libosmesa6), or set MUJOCO_GL to egl, osmesa "
-        "or glfw"
-    )
-
-
-@contextlib.contextmanager
-def _without_words() -> Iterator[None]:
-    """Drops what a backend that fails prints, also of its context that is half made. GLFW fails
-    with no more than a warning: it is raised."""
-    hook = sys.unraisablehook
-    sys.unraisablehook = lambda _fault: None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            warnings.filterwarnings("error", message=r"\(\d+\) b'")
-            yield
-    finally:
-        sys.unraisablehook = hook
-
-
-def _open(backend: str, width: int, height: int) -> Any:
-    context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
-    context.make_current()
-    if backend == "glfw" and not importlib.import_module("glfw").get_current_context():
-        raise RuntimeError("it opens no window, not even a hidden one: is there a display?")
-    return context
-
-
-def _forget_opengl() -> None:
-    """PyOpenGL ties itself to one platform at import; the next backend needs it afresh."""
-    os.environ.pop("PYOPENGL_PLATFORM", None)
-    tied = ("OpenGL", *(f"mujoco.{backend}" for backend in BACKENDS))
-    for name in [n for n in sys.modules if n.startswith(tied)]:
-        del sys.modules[name]

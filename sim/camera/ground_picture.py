@@ -105,7 +105,7 @@ class GroundPicture:
             part = self._parts.pop(key, None) or self._made(*key, box)
             self._parts[key] = part
             found.append(part.shown)
-        self._forget(len(found))
+        self._forget(len(found), _MOST_TEXELS)
         return np.array([*found, self._undo])
 
     def _made(self, geometry: int, first: int, count: int, box: Array) -> _Part:
@@ -150,13 +150,23 @@ class GroundPicture:
             GL.glEndList()
         return _Part(texture, shown, int(np.prod(end - start)))
 
-    def _forget(self, used: int) -> None:
-        """Drops parts, the longest unused first, but for the ``used`` last ones."""
+    def free(self) -> None:
+        """Deletes all parts."""
+        self._forget(0, 0)
+        if self._undo:
+            from OpenGL import GL
+
+            GL.glDeleteLists(self._undo, 1)
+            self._undo = 0
+
+    def _forget(self, used: int, most: int) -> None:
+        """Drops parts, the longest unused first, but for the ``used`` last ones, until ``most``
+        texels are left."""
         from OpenGL import GL
 
         total = sum(part.texels for part in self._parts.values())
         for key in list(self._parts)[: len(self._parts) - used]:
-            if total <= _MOST_TEXELS:
+            if total <= most:
                 return
             part = self._parts.pop(key)
             GL.glDeleteTextures([part.texture])

@@ -203,6 +203,10 @@ class TerrainTiles:
             GL.glCallLists(len(lists), GL.GL_UNSIGNED_INT, lists.astype(np.uint32))
         GL.glEndList()
 
+    def free(self) -> None:
+        """Deletes the tiles."""
+        self._gl.glDeleteLists(self._lists, len(self._boxes))
+
 
 def heights_of(model: mujoco.MjModel, field: int) -> Float32:
     """(rows, cols) of a height field, as a share of its size."""

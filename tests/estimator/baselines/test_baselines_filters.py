@@ -193,8 +193,7 @@ def _anchor_errors(tau_s: float, seconds: float, runs: int) -> tuple[np.ndarray,
         anchor = WanderingAnchor(tau_s, 0.0, 1e-3, 0.1)
         for k in range(round(seconds / 0.2)):
             anchor.take(wander.step(), sigma, 0.2 * k)
-        for _ in range(1000):
-            anchor.step(0.1)
+        anchor.step(100.0)
         errors.append(anchor.offset)
         variance = np.diag(anchor.covariance)
     return np.array(errors), variance

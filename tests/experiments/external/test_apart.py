@@ -96,7 +96,7 @@ def test_a_machine_that_cannot_render_is_one_line(tmp_path: Path) -> None:
 
 def test_a_backend_that_fails_says_nothing_beside_the_error() -> None:
     code = (
-        "from touchdown.sim.camera.gl import gl_context\n"
+        "from touchdown.sim.camera.gl_contexts import gl_context\n"
         "try: gl_context(8, 8)\n"
         "except RuntimeError as error: print(error)\n"
     )

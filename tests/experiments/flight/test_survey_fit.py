@@ -47,3 +47,5 @@ def test_a_tall_thing_raises_the_survey(tmp_path: Path) -> None:
     mast = '<geom name="building" type="box" size="1 1 16" pos="30 20 16"/>'
     survey, _, said = fit(tmp_path, PLANE + mast)
     assert survey.height_m == pytest.approx(39.0, abs=1.01) and "survey.height_m=" in said
+    for key, height in (("room_m=10", survey.height_m + 4.0), ("highest_m=35", 35.0)):
+        assert fit(tmp_path, PLANE + mast, f"survey_fit.{key}")[0].height_m == height

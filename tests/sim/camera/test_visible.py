@@ -1,5 +1,7 @@
 """What is left out of a picture does not show in it."""
 
+import os
+import threading
 from collections.abc import Iterator
 
 import mujoco
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera import ground_picture
 from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, Snapshot, Stage
+from touchdown.sim.camera.gl_contexts import gl_context, put_back
 from touchdown.sim.camera.visible import Terrain
 from touchdown.sim.frames import so3_exp
 
@@ -140,3 +143,29 @@ def test_terrain_that_is_tilted_or_shown_twice_is_left_to_mujoco() -> None:
             f"<mujoco>{field}<worldbody>{bodies}</worldbody></mujoco>"
         )
         assert set(Terrain.all_of(model)) == found
+
+
+def test_a_context_used_before_in_another_thread_draws_the_same_and_keeps_nothing() -> None:
+    from OpenGL import GL
+
+    def draw(left: list[list[int]], pictures: list[NDArray[np.uint8]]) -> None:
+        stage = Stage(make_model(), PINHOLE, 0)
+        snapshot = snapshot_at(stage._model, "low and slanted")
+        pictures.append(stage.colour(snapshot, 0, 0, PINHOLE.height).copy())
+        stage.close()
+        context = gl_context(8, 8)
+        left.append([GL.glIsList(n) for n in range(1, 2000)])
+        left.append([GL.glIsTexture(n) for n in range(99)])
+        put_back(context)
+        contexts.add(id(context))
+
+    contexts: set[int] = set()
+    left: list[list[int]] = []
+    pictures: list[NDArray[np.uint8]] = []
+    for _ in range(2):
+        thread = threading.Thread(target=draw, args=(left, pictures))
+        thread.start()
+        thread.join()
+    assert len(contexts) == 1 or os.environ.get("MUJOCO_GL", "egl") != "egl"
+    np.testing.assert_array_equal(*pictures)
+    assert not any(map(any, left)), "lists and textures"
