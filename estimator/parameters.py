@@ -162,7 +162,7 @@ class LivoParams(CalibratedParams):
     ground below the rangefinder, as new ones are while no scans come"""
     assumed_depth_floor: NotNegative = 0.16
     """the same at the least, however long parallax has shown their depth"""
-    range_scale_sigma: NotNegative = 0.01
+    range_scale_sigma: Positive = 0.01
     """while no scans come, the rangefinder scales the way since a keyframe: relative error of its
     range as the depth of the landmarks around, by relief"""
     ground_memory_s: NotNegative = 1.0

@@ -320,6 +320,8 @@ class VisualFrontEnd:
     def _scale_way(self, eskf: Eskf, tracks: list[_Track], delay_s: float, spot: Array) -> None:
         """Corrects the filter by the range to the ``spot`` where depths are assumed."""
         tracks = [t for t in tracks if self.keyframes[t.keyframe].assumed[t.which].any()]
+        if not tracks:  # as a rule while scans come
+            return
         calibration = eskf.state.calibration
         camera = corrected_camera(self._imu_from_camera, calibration).inverse()
         *clones, now = self._exposed(eskf, [track.keyframe for track in tracks], delay_s)

@@ -16,7 +16,7 @@ def load_open3d() -> Any:
     """The package ``open3d``; its ``visualization`` is imported at its first use. RuntimeError or
     ImportError as of the import."""
     if "open3d" in sys.modules:
-        return sys.modules["open3d"]
+        return importlib.import_module("open3d")  # whole, also if another thread imports it now
     # It would otherwise probe for a display when it is first imported.
     os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
     sys.modules[_VIEWERS] = ModuleType(_VIEWERS)  # found by the import, so not looked for
