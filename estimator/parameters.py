@@ -212,6 +212,9 @@ class Zou2024Params(CalibratedParams):
     """images correct the pose (PnP)"""
     use_colour_smoothness: bool = True
     """f_c contributes to the choice of edge and planar points (Eq. 7)"""
+    use_geodesic_depth: bool = True
+    """the returns around a landmark are weighed by the edges between (Eq. 12); if false, by their
+    distance in the image alone"""
     use_bundle: bool = True
     """bundle adjustment of the newest keyframes"""
     use_closures: bool = True
@@ -242,7 +245,7 @@ class Zou2024Params(CalibratedParams):
     """SIFT features of a keyframe"""
     brisk_features: CountOrZero = 300
     """BRISK features of a keyframe"""
-    sift_sigma_px: NotNegative = 1.0
+    sift_sigma_px: NotNegative = 1.4
     """standard deviation of a SIFT feature"""
     brisk_sigma_px: NotNegative = 0.8
     """standard deviation of a BRISK feature"""

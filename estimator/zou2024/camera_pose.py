@@ -117,7 +117,10 @@ class CameraPositioning:
             sightings = no_sightings()
         self._last_position = self._filter.eskf.state.position
         if self._worth_keeping(sightings):
-            self._remember(features, behind, sightings, energy())
+            edges = energy()
+            if not self._params.use_geodesic_depth:
+                edges = np.zeros_like(edges)
+            self._remember(features, behind, sightings, edges)
         self.diagnostics["keyframes"] = float(len(self._map.keyframes))
         self.diagnostics["closures"] = float(self._closures.closed)
         self.diagnostics |= self._question

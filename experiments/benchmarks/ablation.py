@@ -7,10 +7,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.benchmarks.odometry import logged_survey, measure, seeds_by_scene
+import numpy as np
+
+from touchdown.experiments.benchmarks.odometry import logged_survey, measure, seeds_of
 from touchdown.experiments.benchmarks.revisits import RevisitFigures
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay_config
+from touchdown.experiments.reporting.statistics import mean_interval
 
 VARIANTS: dict[str, tuple[str, dict[str, bool]]] = {
     "livo: tight, all on": ("livo", {}),
@@ -23,10 +26,14 @@ VARIANTS: dict[str, tuple[str, dict[str, bool]]] = {
     "zou2024: LIDAR only": ("zou2024", {"use_camera_pose": False}),
     "zou2024: camera only": ("zou2024", {"use_lidar_pose": False}),
     "zou2024: no f_c": ("zou2024", {"use_colour_smoothness": False}),
+    "zou2024: no Eq. 12": ("zou2024", {"use_geodesic_depth": False}),
     "zou2024: no bundle": ("zou2024", {"use_bundle": False}),
     "zou2024: no closures": ("zou2024", {"use_closures": False}),
 }
 """Estimator and changed parameters by name of the variant."""
+
+_FEWEST_LOGS = 3
+"""of an interval"""
 
 Report = Callable[[str], None]
 
@@ -37,12 +44,32 @@ def changes(variant: str) -> tuple[str, ...]:
     return tuple(f"{estimator}.{name}={str(value).lower()}" for name, value in values.items())
 
 
-def ablate_log(logged: LoggedRun, seconds: float | None, report: Report) -> dict[str, Any]:
-    """``{"error_m", "lost_s", "cpu_ms", "closures"}`` by variant; ``closures``: counts of
-    `RevisitFigures`."""
+def whole(variant: str) -> str:
+    """The variant with everything on that ``variant`` is compared with."""
+    return next(name for name, made in VARIANTS.items() if made == (VARIANTS[variant][0], {}))
+
+
+def variants(methods: Sequence[str]) -> list[str]:
+    """Those of the estimators or with the names in ``methods``; all for none. Raises UsageError."""
+    estimators = {estimator for estimator, _ in VARIANTS.values()}
+    for name in methods:
+        if name not in VARIANTS and name not in estimators:
+            one_of = ", ".join([*sorted(estimators), *VARIANTS])
+            raise UsageError(f"--ablate has no '{name}'; name one of: {one_of}")
+    chosen = [v for v in VARIANTS if v in methods or VARIANTS[v][0] in methods]
+    compared = {*chosen, *map(whole, chosen)}
+    return [v for v in VARIANTS if v in compared] if methods else list(VARIANTS)
+
+
+def ablate_log(
+    logged: LoggedRun, seconds: float | None, report: Report, methods: Sequence[str] = ()
+) -> dict[str, Any]:
+    """``{"error_m", "lost_s", "cpu_ms", "closures"}`` by variant of ``methods`` (`variants`);
+    ``closures``: counts of `RevisitFigures`."""
     end_s = math.inf if seconds is None else logged.from_s + seconds
     rows: dict[str, Any] = {}
-    for variant, (estimator, _) in VARIANTS.items():
+    for variant in variants(methods):
+        estimator, _ = VARIANTS[variant]
         report(variant)
         config = replay_config(logged.path, estimator, changes(variant), fresh=True)
         measured = measure(logged, config, end_s)
@@ -61,33 +88,53 @@ def ablate(
     seeds: Sequence[int],
     runs: Path,
     seconds: float | None = None,
+    methods: Sequence[str] = (),
     report: Report = lambda _text: None,
 ) -> dict[str, Any]:
-    """``{SCENE: {VARIANT: figures}}``, open loop: the vehicle flew on ``livo`` with all its parts,
-    and its path does not depend on the variant. Raises UsageError as `open_run`."""
+    """``{LOG: {VARIANT: figures}}``, open loop: the vehicle flew on ``livo`` with all its parts,
+    and its path does not depend on the variant. A log has the name of its scene, with its seed
+    where the scene is given more than once. Raises UsageError as `open_run` and `variants`."""
     if not scenes:
         raise UsageError("name at least one scene")
+    variants(methods)
     found: dict[str, Any] = {}
-    for scene, seed in seeds_by_scene(scenes, seeds).items():
-        report(f"{scene}: the log")
+    for scene, seed in seeds_of(scenes, seeds):
+        name = scene if scenes.count(scene) == 1 else f"{scene} {seed}"
+        report(f"{name}: the log")
         run = logged_survey(scene, seed, runs, report)
-        found[scene] = ablate_log(open_run(run), seconds, report)
+        found[name] = ablate_log(open_run(run), seconds, report, methods)
     return found
 
 
 def ablation_table(found: dict[str, Any]) -> str:
-    """Markdown table, one column per scene: mean error in metres, or the time of the loss; last
-    precision and recall of the closures of ``zou2024``."""
-    scenes = list(found)
-    lines = ["| variant | " + " | ".join(scenes) + " |", "|---|" + "---|" * len(scenes)]
-    for variant in VARIANTS:
-        cells = [_cell(found[scene][variant]) for scene in scenes]
+    """Markdown table, one column per log: mean error in metres, or the time of the loss; of three
+    logs and more what leaving the part out adds to the error, with its interval; last precision
+    and recall of the closures of ``zou2024``."""
+    logs = list(found)
+    rows = [variant for variant in VARIANTS if variant in found[logs[0]]]
+    heads = ["variant", *logs] + ["more error, 95 %"] * (len(logs) >= _FEWEST_LOGS)
+    lines = ["| " + " | ".join(heads) + " |", "|---|" + "---|" * (len(heads) - 1)]
+    for variant in rows:
+        cells = [_cell(found[log][variant]) for log in logs]
+        if len(logs) >= _FEWEST_LOGS:
+            cells.append(_more(found, variant))
         lines.append(f"| {variant} | " + " | ".join(cells) + " |")
-    counts = [found[scene].get("zou2024: all on", {}).get("closures") for scene in scenes]
+    counts = [found[log].get("zou2024: all on", {}).get("closures") for log in logs]
     if all(counts):
         cells = [_closures(RevisitFigures(**count)) for count in counts]
         lines.append("| `zou2024`: closures right / due ones made | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _more(found: dict[str, Any], variant: str) -> str:
+    """By how much the error over all logs exceeds that of the whole estimator."""
+    pairs = [(rows[variant], rows[whole(variant)]) for rows in found.values()]
+    if whole(variant) == variant or any(row["lost_s"] is not None for pair in pairs for row in pair):
+        return "–"
+    errors = np.array([[row["error_m"] for row in pair] for pair in pairs])
+    more = mean_interval(errors[:, 0] - errors[:, 1])
+    assert more is not None
+    return f"{more.value:+.3f} [{more.low:+.3f}, {more.high:+.3f}]"
 
 
 def _closures(count: RevisitFigures) -> str:

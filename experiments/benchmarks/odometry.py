@@ -404,12 +404,18 @@ def chosen_methods(methods: Sequence[str]) -> Sequence[str]:
     return methods or every
 
 
-def seeds_by_scene(scenes: Sequence[str], seeds: Sequence[int]) -> Mapping[str, int]:
-    """Seed by scene, of one for all or one each. Raises UsageError for another number of them."""
+def seeds_of(scenes: Sequence[str], seeds: Sequence[int]) -> list[tuple[str, int]]:
+    """Scenes, each with its seed, of one for all or one each. Raises UsageError for another number
+    of them."""
     if len(seeds) not in (1, len(scenes)):
         raise UsageError(f"{len(seeds)} seeds for {len(scenes)} scenes; give one, or one each")
     every = seeds if len(seeds) == len(scenes) else (*seeds,) * len(scenes)
-    return dict(zip(scenes, every, strict=True))
+    return list(zip(scenes, every, strict=True))
+
+
+def seeds_by_scene(scenes: Sequence[str], seeds: Sequence[int]) -> Mapping[str, int]:
+    """Seed by scene, see `seeds_of`."""
+    return dict(seeds_of(scenes, seeds))
 
 
 def _report_scene(report: Report, scene: str, text: str) -> None:

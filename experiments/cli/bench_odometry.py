@@ -34,7 +34,8 @@ from touchdown.experiments.terminal import say
     "--method",
     multiple=True,
     metavar="NAME",
-    help="Only this row of the table; may be given more than once.  [all]",
+    help="Only this row of the table, or with --ablate the rows of this estimator; may be given "
+    "more than once.  [all]",
 )
 @click.option(
     "--seconds",
@@ -64,8 +65,9 @@ def bench_estimator(
     log is replayed through livo, zou2024 and the reference implementations, these with the best of
     a grid of settings: KISS-ICP and small_gicp on the scans alone, and those of the extra lio on
     scans and IMU, run by the interpreter that TOUCHDOWN_LIO_PYTHON names. With --ablate the log is
-    replayed through livo and zou2024 with one part after the other left out. All of it is open
-    loop.
+    replayed through livo and zou2024 with one part after the other left out; then a scene may be
+    named more than once, with a seed each, and of three logs and more the table has an interval of
+    what each part is worth. All of it is open loop.
 
     Example: touchdown bench estimator crossroad --seconds 20 --runs runs/logged
     """
@@ -78,7 +80,9 @@ def bench_estimator(
     with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
         where: dict[str, Any] = {"seeds": seed, "runs": runs or Path(folder), "seconds": seconds}
         if ablate:
-            table = usage_errors(lambda: run_ablation(chosen, report=report, **where))
+            table = usage_errors(
+                lambda: run_ablation(chosen, report=report, methods=method, **where)
+            )
             text = json.dumps({"seed": list(seed), "seconds": seconds, "ablation": table}, indent=2)
             say(text if as_json else ablation_table(table))
             return EXIT_DONE

@@ -127,6 +127,19 @@ def test_landmarks_are_found_again_after_a_shift() -> None:
         assert len(np.unique(matched[good])) == len(good)
 
 
+def test_a_spot_is_a_landmark_at_its_centre() -> None:
+    centres = np.array([[90.25 * i, 80.5 * j] for i in range(1, 7) for j in range(1, 6)])
+    v, u = np.mgrid[0:480, 0:640]
+    away = (u[..., None] - centres[:, 0]) ** 2 + (v[..., None] - centres[:, 1]) ** 2
+    image = (40 + 180 * np.exp(-away / (2 * 8.0**2)).sum(axis=-1)).astype(np.uint8)
+    found = LandmarkDetector(300, 0)(image)[SIFT].pixels
+    offsets = found[:, None] - centres
+    nearest = np.linalg.norm(offsets, axis=2).argmin(axis=1)
+    near = offsets[np.arange(len(found)), nearest]
+    near = near[np.linalg.norm(near, axis=1) < 8.0]
+    assert len(near) >= 30 and np.abs(np.median(near, axis=0)).max() < 0.3
+
+
 def test_a_black_image_has_no_landmarks() -> None:
     features = LandmarkDetector(100, 100)(np.zeros((480, 640), np.uint8))
     assert [len(f) for f in features] == [0, 0]

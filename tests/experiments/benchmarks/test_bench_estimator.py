@@ -197,6 +197,34 @@ def test_ablation_replays_every_variant(run: Path, monkeypatch: pytest.MonkeyPat
     assert ablation.ablation_table({"here": rows}).endswith("| 0.80 (4 of 5) / 0.25 (2 of 8) |")
 
 
+def test_ablation_tells_by_how_much_each_part_lowers_the_error() -> None:
+    def rows(whole: float, without: float) -> dict[str, Any]:
+        figures = {"lost_s": None, "cpu_ms": 1.0}
+        return {
+            "zou2024: all on": {"error_m": whole, **figures},
+            "zou2024: no f_c": {"error_m": without, **figures},
+        }
+
+    found = {"a 1": rows(0.1, 0.12), "a 2": rows(0.2, 0.22), "b 1": rows(0.1, 0.12)}
+    lines = ablation.ablation_table(found).splitlines()
+    assert lines[0] == "| variant | a 1 | a 2 | b 1 | more error, 95 % |"
+    assert lines[2].endswith("| – |") and lines[3].endswith("| +0.020 [+0.020, +0.020] |")
+    found["b 1"]["zou2024: no f_c"]["lost_s"] = 3.0
+    assert ablation.ablation_table(found).endswith("| lost at 3 s | – |")
+    assert ablation.variants(["zou2024: no f_c"]) == ["zou2024: all on", "zou2024: no f_c"]
+    assert {v.split(":")[0] for v in ablation.variants(["livo"])} == {"livo"}
+    with pytest.raises(UsageError, match="--ablate has no 'flow'; name one of: livo, zou2024, "):
+        ablation.variants(["flow"])
+
+
+def test_ablation_names_logs_of_one_scene_by_their_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ablation, "logged_survey", lambda scene, seed, *_: Path(f"{scene}-{seed}"))
+    monkeypatch.setattr(ablation, "open_run", lambda run: run)
+    monkeypatch.setattr(ablation, "ablate_log", lambda run, *_: str(run))
+    found = ablation.ablate(("lake", "forest", "lake"), seeds=(1, 2, 3), runs=Path())
+    assert found == {"lake 1": "lake-1", "forest": "forest-2", "lake 3": "lake-3"}
+
+
 def test_closures_are_judged_by_the_ground_that_the_images_show() -> None:
     """Ground under a camera that looks straight down, by its shift in shares of the image."""
     width = START_Z * RIG.camera.width / RIG.camera.fx * RIG.body_from_camera.rotation[:, 0]
