@@ -129,7 +129,9 @@ def ablation_table(found: dict[str, Any]) -> str:
 def _more(found: dict[str, Any], variant: str) -> str:
     """By how much the error over all logs exceeds that of the whole estimator."""
     pairs = [(rows[variant], rows[whole(variant)]) for rows in found.values()]
-    if whole(variant) == variant or any(row["lost_s"] is not None for pair in pairs for row in pair):
+    if whole(variant) == variant or any(
+        row["lost_s"] is not None for pair in pairs for row in pair
+    ):
         return "–"
     errors = np.array([[row["error_m"] for row in pair] for pair in pairs])
     more = mean_interval(errors[:, 0] - errors[:, 1])
