@@ -34,8 +34,8 @@ from touchdown.sim.camera.optics import (
     through_lens,
     with_margin,
 )
-from touchdown.sim.camera.row_exposures import RowExposures, exposes_rows
-from touchdown.sim.camera.shutter import SHUTTER_MARGIN_PX, CameraMotion, camera_motion
+from touchdown.sim.camera.row_exposures import RowExposures, exposes_rows, takes_time
+from touchdown.sim.camera.shutter import CameraMotion, camera_motion, margin_px
 from touchdown.sim.dust import DustCloud
 from touchdown.sim.effects import Effects
 from touchdown.sim.moving import BodyTrack
@@ -91,7 +91,9 @@ class CameraSensor:
         """of air, optics, exposure and lamp on images"""
         self._rows: RowExposures | None = None
         if exposes_rows(params, scene.light):
-            self._lens = with_margin(self._lens, SHUTTER_MARGIN_PX)
+            exposure_s = params.exposure_max_s if takes_time(params, scene.light) else 0.0
+            margin = margin_px(self._lens.raster, params.readout_s, exposure_s)
+            self._lens = with_margin(self._lens, margin)
             key = [seed, crc32(b"electrons of " + camera_name.encode())]
             self._rows = RowExposures(self._lens, params, lamp or LampParams(), scene.light, key)
             self._rows.effects = self.effects

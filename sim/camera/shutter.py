@@ -10,6 +10,7 @@ readout: a row that is exposed dt later shows it too far back by its speed times
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,8 +24,9 @@ from touchdown.sim.frames import Pose, matrices_from_quats_wxyz
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Array, Float32
 
-SHUTTER_MARGIN_PX = 16
-"""The raster is wider by this at each side, so that shifted rows find pixels."""
+_MARGIN_RATE = 1.45
+"""rad/s, of view and ground against one another: faster in one of a hundred images of a flight"""
+_MOST_MARGIN_PX = 64
 
 _OPTICAL_FROM_GL = np.diag([1.0, -1.0, -1.0])
 _BLOCK = 16
@@ -45,6 +47,14 @@ class CameraMotion:
     """(M, 3) rad"""
     translations: Array
     """(M, 3) m, optical frame"""
+
+
+def margin_px(camera: CameraIntrinsics, readout_s: float, exposure_s: float) -> int:
+    """By how much a raster is wider at each side, so that shifted rows find pixels: the way of the
+    image from the instant that is drawn, in the middle of the readout, to the first row's longest
+    exposure."""
+    way = _MARGIN_RATE * (0.5 * readout_s + exposure_s)
+    return min(math.ceil(max(camera.fx, camera.fy) * way), _MOST_MARGIN_PX)
 
 
 def camera_motion(

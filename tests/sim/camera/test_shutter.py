@@ -64,6 +64,19 @@ def test_every_row_is_seen_from_its_own_pose(distortion: tuple[float, ...]) -> N
     assert np.median(displacement(truth, at_once)) > 3.0
 
 
+def test_the_drawing_reaches_as_far_as_its_rows_look() -> None:
+    """At 22 m/s backwards and a readout of 60 ms the outermost rows show what is up to 21 pixels
+    beyond the border of the instant that is drawn."""
+
+    def backwards(time_s: float) -> Pose:
+        return Pose(np.eye(3), np.array([-22.0 * time_s, 0.0, HEIGHT_M]))
+
+    truth, rows, _ = row_by_row(boxes_scene(), backwards, 0.06, (0.0,) * 5)
+    for edge in (slice(0, 4), slice(-4, None)):
+        assert truth[edge].std() > 20.0
+        assert np.abs(truth[edge].astype(int) - rows[edge]).mean() < 1.0
+
+
 def test_a_camera_at_rest_has_no_shutter() -> None:
     scene = boxes_scene()
     plain = CameraSensor(scene, CameraParams(noise_sigma=0.0), 0)
