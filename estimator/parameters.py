@@ -164,7 +164,17 @@ class LivoParams(CalibratedParams):
     """the same at the least, however long parallax has shown their depth"""
     range_scale_sigma: Positive = 0.01
     """while no scans come, the rangefinder scales the way since a keyframe: relative error of its
-    range as the depth of the landmarks around, by relief"""
+    range as the depth of the landmarks around, by relief. This and the next four by replay of two
+    landings without LIDAR, seeds 7303 and 7304 over ``crossroad``"""
+    range_scale_radius: Positive = 0.1
+    """rad about the rangefinder's beam, within which landmarks count as around"""
+    range_scale_landmarks: Count = 4
+    """fewest landmarks there"""
+    range_scale_way: NotNegative = 0.1
+    """shortest way over the depth: with a shorter one parallax is noise"""
+    range_scale_gate: Positive = 3.0
+    """standard deviations between range and depth, beyond which beam and landmarks are not on the
+    same surface"""
     ground_memory_s: NotNegative = 1.0
     """time constant of the ground's height below the rangefinder"""
     use_lidar: bool = True

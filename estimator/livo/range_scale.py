@@ -14,20 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.error_state import CLONE_DIM, POSITION
 from touchdown.estimator.filtering.eskf import Eskf
 
 Array = NDArray[np.float64]
 
-_NEAR = 0.1
-"""rad about the beam, within which landmarks count"""
-_FEWEST = 4
-"""landmarks there"""
-_LEAST_WAY = 0.1
-"""of the depth: with a shorter one parallax is noise"""
 _LEAST_DEPTH_M = 0.5
-_GATE = 3.0
-"""standard deviations of a ratio, beyond which beam and landmarks are not on the same surface"""
 _MAD = 1.4826
 """standard deviation of normal noise in its median absolute deviation"""
 
@@ -40,38 +33,40 @@ class SeenGround(NamedTuple):
     points: Array  # (N, 3) in the present camera frame
 
 
-def measure_way(eskf: Eskf, seen: list[SeenGround], spot: Array, sigma: float) -> bool:
+def measure_way(eskf: Eskf, seen: list[SeenGround], spot: Array, params: LivoParams) -> bool:
     """Corrects pose and clone of the keyframe with the longest way by the depth of the ``spot``
-    (3,), camera frame; False if nothing is near enough or it does not fit. ``sigma``: relative
-    error of the ratio, beside the scatter of the landmarks."""
+    (3,), camera frame; False if nothing is near enough or it does not fit (``range_scale_*``)."""
     if spot[2] < _LEAST_DEPTH_M:
         return False
-    known = [(ground, ratios) for ground in seen if len(ratios := _ratios(ground, spot)) > 0]
+    known = [
+        (ground, ratios) for ground in seen if len(ratios := _ratios(ground, spot, params)) > 0
+    ]
     if not known:
         return False
     (keyframe, way, _), ratios = max(known, key=lambda pair: float(np.linalg.norm(pair[0].way)))
     ratio = float(np.median(ratios))
     scatter = _MAD * float(np.median(np.abs(ratios - ratio)))
-    variance = sigma * sigma + scatter * scatter
+    variance = params.range_scale_sigma**2 + scatter * scatter
     touched = eskf.touched([keyframe])
     row = np.zeros(len(touched))
     row[POSITION] = way / (way @ way)
     row[len(row) - CLONE_DIM :][POSITION] = -row[POSITION]
     expected = row @ eskf.prior(touched).spread @ row + variance
-    if ratio * ratio > _GATE * _GATE * expected:
+    if ratio * ratio > params.range_scale_gate**2 * expected:
         return False
     information = np.outer(row, row) / variance
     eskf.apply(touched, information, row * (ratio / variance), eskf.gains(0.0))
     return True
 
 
-def _ratios(ground: SeenGround, spot: Array) -> Array:
+def _ratios(ground: SeenGround, spot: Array, params: LivoParams) -> Array:
     """Logarithms (N,) of the depth of the spot in that of the landmarks around it; none where they
     are few or the way is short."""
     points = ground.points[ground.points[:, 2] > _LEAST_DEPTH_M]
     aside = points[:, :2] / points[:, 2:] - spot[:2] / spot[2]
-    near = points[np.hypot(aside[:, 0], aside[:, 1]) < _NEAR]
-    if len(near) < _FEWEST or float(np.linalg.norm(ground.way)) < _LEAST_WAY * float(spot[2]):
+    near = points[np.hypot(aside[:, 0], aside[:, 1]) < params.range_scale_radius]
+    least_m = params.range_scale_way * float(spot[2])
+    if len(near) < params.range_scale_landmarks or float(np.linalg.norm(ground.way)) < least_m:
         return np.zeros(0)
     ratios: Array = np.log(spot[2] / near[:, 2])
     return ratios

@@ -333,7 +333,7 @@ class VisualFrontEnd:
             landmarks = moved.by(calibration[: eskf.shared]).landmarks
             points = (camera @ now.inverse() @ clone).apply(landmarks)
             seen.append(SeenGround(k, now.translation - clone.translation, points))
-        measure_way(eskf, seen, camera.apply(spot), self._params.range_scale_sigma)
+        measure_way(eskf, seen, camera.apply(spot), self._params)
 
     def _accumulate(
         self, eskf: Eskf, tracks: list[_Track], delay_s: float, gate_px: float
