@@ -164,8 +164,8 @@ class LivoParams(CalibratedParams):
     """the same at the least, however long parallax has shown their depth"""
     range_scale_sigma: Positive = 0.01
     """while no scans come, the rangefinder scales the way since a keyframe: relative error of its
-    range as the depth of the landmarks around, by relief. This and the next four by replay of two
-    landings without LIDAR, seeds 7303 and 7304 over ``crossroad``"""
+    range as the depth of the landmarks around, by relief. This and the next four by replay of a
+    landing without LIDAR, seed 7303 over ``crossroad``"""
     range_scale_radius: Positive = 0.1
     """rad about the rangefinder's beam, within which landmarks count as around"""
     range_scale_landmarks: Count = 4
