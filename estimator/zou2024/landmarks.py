@@ -63,7 +63,7 @@ class LandmarkDetector:
     def __init__(self, sift: int, brisk: int, border_px: float = 10.0) -> None:
         self._counts = (sift, brisk)
         self._border = border_px
-        # without the precise one, the doubling shifts features by a quarter of a pixel
+        # OpenCV's plain doubling shifts features by a quarter of a pixel of what it is given
         self._sift: cv2.Feature2D = cv2.SIFT.create(
             nfeatures=2 * sift, contrastThreshold=0.02, enable_precise_upscale=True
         )

@@ -122,6 +122,7 @@ def ablation_table(found: dict[str, Any]) -> str:
     counts = [found[log].get("zou2024: all on", {}).get("closures") for log in logs]
     if all(counts):
         cells = [_closures(RevisitFigures(**count)) for count in counts]
+        cells += ["–"] * (len(logs) >= _FEWEST_LOGS)
         lines.append("| `zou2024`: closures right / due ones made | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 

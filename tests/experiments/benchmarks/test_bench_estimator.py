@@ -209,6 +209,12 @@ def test_ablation_tells_by_how_much_each_part_lowers_the_error() -> None:
     lines = ablation.ablation_table(found).splitlines()
     assert lines[0] == "| variant | a 1 | a 2 | b 1 | more error, 95 % |"
     assert lines[2].endswith("| – |") and lines[3].endswith("| +0.020 [+0.020, +0.020] |")
+    for log in found.values():
+        log["zou2024: all on"]["closures"] = RevisitFigures(8, 5, 4, 2)._asdict()
+    lines = ablation.ablation_table(found).splitlines()
+    assert {line.count("|") for line in lines} == {6} and lines[-1].endswith(" | – |")
+    for log in found.values():
+        del log["zou2024: all on"]["closures"]
     found["b 1"]["zou2024: no f_c"]["lost_s"] = 3.0
     assert ablation.ablation_table(found).endswith("| lost at 3 s | – |")
     assert ablation.variants(["zou2024: no f_c"]) == ["zou2024: all on", "zou2024: no f_c"]
