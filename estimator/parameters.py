@@ -164,8 +164,8 @@ class LivoParams(CalibratedParams):
     """the same at the least, however long parallax has shown their depth"""
     range_scale_sigma: Positive = 0.01
     """while no scans come, the rangefinder scales the way since a keyframe: relative error of its
-    range as the depth of the landmarks around, by relief. This and the next four by replay of a
-    landing without LIDAR, seed 7303 over ``crossroad``"""
+    range as the depth of the landmarks around, by relief; chosen on five replays without LIDAR
+    (docs/results/field.md). The next four are assumed"""
     range_scale_radius: Positive = 0.1
     """rad about the rangefinder's beam, within which landmarks count as around"""
     range_scale_landmarks: Count = 4
@@ -256,7 +256,8 @@ class Zou2024Params(CalibratedParams):
     brisk_features: CountOrZero = 300
     """BRISK features of a keyframe"""
     sift_sigma_px: NotNegative = 1.4
-    """standard deviation of a SIFT feature"""
+    """standard deviation of a SIFT feature, which is found at a quarter of the image's size;
+    assumed"""
     brisk_sigma_px: NotNegative = 0.8
     """standard deviation of a BRISK feature"""
     max_keyframes: Count = 160

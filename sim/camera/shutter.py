@@ -25,7 +25,7 @@ from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Array, Float32
 
 _MARGIN_RATE = 1.45
-"""rad/s, of view and ground against one another: faster in one of a hundred images of a flight"""
+"""rad/s, of view and ground against one another: seldom more in the images of flights"""
 _MOST_MARGIN_PX = 64
 
 _OPTICAL_FROM_GL = np.diag([1.0, -1.0, -1.0])

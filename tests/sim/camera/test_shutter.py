@@ -1,5 +1,7 @@
 """Rolling shutter: rows out of one drawing against a drawing for every row."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -75,6 +77,19 @@ def test_the_drawing_reaches_as_far_as_its_rows_look() -> None:
     for edge in (slice(0, 4), slice(-4, None)):
         assert truth[edge].std() > 20.0
         assert np.abs(truth[edge].astype(int) - rows[edge]).mean() < 1.0
+
+
+def test_a_longer_exposure_takes_a_wider_drawing() -> None:
+    """625 px of focal length at 1.45 rad/s for half the readout and the longest exposure."""
+    scene = boxes_scene()
+
+    def width(**changes: Any) -> int:
+        camera = CameraSensor(scene, CameraParams(readout_s=0.03, **changes), 0)
+        return camera._lens.raster.width - CameraParams().width
+
+    assert width() == width(exposure_max_s=0.02) == 2 * 14
+    assert width(exposure=True, exposure_max_s=0.02) == 2 * 32
+    assert width(exposure=True, exposure_max_s=0.2) == 2 * 64
 
 
 def test_a_camera_at_rest_has_no_shutter() -> None:
