@@ -83,11 +83,11 @@ class Measured:
     """of estimators that tell in their diagnostics what they looked up"""
 
 
-def flight_config(scene: str, seed: int, overrides: Sequence[str] = ()) -> Config:
-    """Configuration of the logged survey. Raises UsageError."""
+def flight_config(scene: str, seed: int) -> Config:
+    """Configuration of the logged survey, in the default profile. Raises UsageError."""
     return load_config(
-        None, list(overrides), scene=scene, seed=seed, estimator="livo", record=False,
-        survey_only=True, log_sensors=True, profile_default="ideal",
+        None, scene=scene, seed=seed, estimator="livo", record=False, survey_only=True,
+        log_sensors=True,
     )  # fmt: skip
 
 

@@ -172,6 +172,11 @@ def test_ratios_are_of_the_best_reference_that_is_not_lost() -> None:
     assert odometry.summary(found)["ratio"]["inertial"] == {}
 
 
+def test_surveys_are_logged_in_the_profile_that_is_flown_by_default() -> None:
+    config = odometry.flight_config("lake", 3)
+    assert (config.profile, config.seed, config.estimator) == ("field", 3, "livo")
+
+
 def test_seeds_are_one_for_all_or_one_each() -> None:
     assert odometry.seeds_by_scene(("lake", "forest"), (4,)) == {"lake": 4, "forest": 4}
     assert odometry.seeds_by_scene(("lake", "forest"), (4, 5)) == {"lake": 4, "forest": 5}
