@@ -65,9 +65,10 @@ def bench_estimator(
     the default profile. Its log is replayed through livo, zou2024 and the reference
     implementations, these with the best of a grid of settings: KISS-ICP and small_gicp on the scans
     alone, and those of the extra lio on scans and IMU, run by the interpreter that
-    TOUCHDOWN_LIO_PYTHON names. With --ablate the log is replayed through livo and zou2024 with one part after the other left out; then a scene may be
-    named more than once, with a seed each, and of three logs and more the table has an interval of
-    what each part is worth. All of it is open loop.
+    TOUCHDOWN_LIO_PYTHON names. With --ablate the log is replayed through livo and zou2024 with one
+    part after the other left out; then a scene may be named more than once, with a seed each, and
+    of three logs and more the table has an interval of what each part is worth. All of it is open
+    loop.
 
     Example: touchdown bench estimator crossroad --seconds 20 --runs runs/logged
     """
