@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Interval
 
 from touchdown.sim.api import FORBID_EXTRA, Count, CountOrZero, Fraction, NotNegative, Positive
 
@@ -201,6 +204,10 @@ class LivoParams(CalibratedParams):
     """capacity; beyond it the most redundant one is marginalised"""
     track_keyframes: Count = 3
     """keyframes that each image is tracked from"""
+    track_scale: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.25
+    """least ratio of the distances from which keyframe and image see the ground, and of its
+    inverse: in a climb, few keyframes in a row lead from the start to survey height. Chosen on
+    seven replays (docs/results/positioning.md)"""
     features: Count = 220
     """corners of a keyframe"""
     pixel_sigma: NotNegative = 0.3

@@ -121,10 +121,11 @@ def overlaps(
     camera_poses: list[Pose],
     odom_from_camera: Pose,
     camera: CameraIntrinsics,
+    least_scale: float,
     min_visible: int = 20,
-    scale_range: tuple[float, float] = (0.5, 2.0),
 ) -> list[Overlap]:
-    """Overlaps of the keyframes (poses odom_from_camera) with a predicted view."""
+    """Overlaps of the keyframes (poses odom_from_camera) with a predicted view, of those whose
+    scale is between ``least_scale`` and its inverse."""
     found = []
     inverse, lens = odom_from_camera.inverse(), Pinhole.of(camera)
     x, y, _ = odom_from_camera.translation.tolist()
@@ -140,7 +141,7 @@ def overlaps(
         if visible < min_visible:
             continue
         scale = keyframe.depth_m / depth
-        if scale_range[0] < scale < scale_range[1]:
+        if least_scale < scale < 1.0 / least_scale:
             share = visible / np.count_nonzero(keyframe.valid)
             found.append(Overlap(index, visible, share, scale))
     return found
@@ -182,7 +183,7 @@ def choose(candidates: list[Overlap], variances: Array, most: int, min_share: fl
     with enough overlap, the one with the largest overlap, then the next by variance."""
     if not candidates:
         return []
-    fair = [c for c in candidates if c.share >= min_share and 0.7 < c.scale < 1.45]
+    fair = [c for c in candidates if c.share >= min_share]
     by_variance = sorted(fair or candidates, key=lambda c: (variances[c.index], c.index))
     largest = max(candidates, key=lambda c: (c.share * min(c.scale, 1.0 / c.scale), c.index))
     picked = [by_variance[0].index]

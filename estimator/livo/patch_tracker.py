@@ -32,6 +32,9 @@ _MOST = 64
 """pixels along either side of a warped patch"""
 _INSIDE = np.tile(np.arange(_ROW) < _SIDE, _SIDE).astype(np.float32)
 """1 for values of a flat patch, 0 for those to spare"""
+_COARSER = 0.4
+"""ratio of the areas of a patch in the image and in the keyframe, below which the keyframe's next
+coarser level has the right detail: between 1 and a quarter"""
 _ANY_ORDER = {"reassoc", "contract", "nsz", "arcp"}
 """of sums, so that the processor takes a vector of pixels at a time"""
 
@@ -243,15 +246,19 @@ def track(
         j10 = (h[1, 0] - uy * h[2, 0]) / pz * fy / fx
         j11 = (h[1, 1] - uy * h[2, 1]) / pz
         det = j00 * j11 - j01 * j10
-        if not (0.2 < det < 5.0):
+        # a keyframe that shows the ground much larger gives its patches from a level higher
+        coarser = 1 if det < _COARSER else 0
+        share = 1.0 / (1 << coarser)
+        if not (0.2 * share * share < det < 5.0):
             continue
-        warp[0, 0], warp[0, 1] = j11 / det, -j01 / det
-        warp[1, 0], warp[1, 1] = -j10 / det, j00 / det
+        warp[0, 0], warp[0, 1] = share * j11 / det, -share * j01 / det
+        warp[1, 0], warp[1, 1] = -share * j10 / det, share * j00 / det
         good, correlation = True, 0.0
         for level in range(top_level, -1, -1):
             scale = 1.0 / (1 << level)
             fine = level == 0
-            ok = _template(source[level], pixels[k, 0] * scale, pixels[k, 1] * scale, warp, patch)
+            at_u, at_v = pixels[k, 0] * scale * share, pixels[k, 1] * scale * share
+            ok = _template(source[level + coarser], at_u, at_v, warp, patch)
             if not ok:
                 good = not fine
                 continue

@@ -221,7 +221,7 @@ class VisualFrontEnd:
         mount = corrected_camera(self._imu_from_camera, eskf.state.calibration)
         every = list(range(len(self.keyframes)))
         *poses, now = (p @ mount for p in self._exposed(eskf, every, delay_s, middle))
-        candidates = overlaps(self.keyframes, poses, now, self._camera)
+        candidates = overlaps(self.keyframes, poses, now, self._camera, self._params.track_scale)
         if not self._params.use_closures:
             first = len(self.keyframes) - _LAST_FEW
             candidates = [c for c in candidates if c.index >= first]

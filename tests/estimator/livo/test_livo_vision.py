@@ -300,6 +300,27 @@ def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest(
     assert report.keyframes_tracked == 1
 
 
+@pytest.mark.parametrize(("least", "tracked"), [(0.35, 2), (0.6, 1), (0.9, 0)])
+def test_in_a_climb_images_are_tracked_from_keyframes_far_below(least: float, tracked: int) -> None:
+    """From 4 and 8 m, seen from 10 m; the pose is 6 cm and 0.2 degrees of heading off."""
+    vision, returns = front_end(track_scale=least), ground_returns()
+    eskf = filter_at(imu_pose((0, 0, 4), (0, 0, 0)))
+    for k, height_m in enumerate((4.0, 8.0)):
+        pose = imu_pose((0.0, 0.0, height_m), (0, 0, 0.6 * k))
+        eskf.state = filter_at(pose).state
+        assert add_keyframe(vision, eskf, grey_levels(view(pose @ IMU_FROM_CAMERA)), returns, k)
+    now = imu_pose((0.3, 0.0, 10.0), (0, 0, 0.9))
+    start = imu_pose((0.36, 0.0, 10.0), (0, 0, 0.9035))
+    eskf.state = filter_at(start).state
+    eskf.covariance[:6, :6] += np.diag([1e-4] * 3 + [1e-2] * 3)
+    report = vision.update(eskf, grey_levels(view(now @ IMU_FROM_CAMERA)))
+    assert report.keyframes_tracked == tracked
+    if tracked:
+        turn = so3_log(now.rotation.T @ eskf.state.rotation)
+        np.testing.assert_allclose(eskf.state.position, now.translation, atol=0.03)
+        assert np.degrees(abs(turn[2])) < 0.03
+
+
 def test_a_black_image_changes_nothing_and_is_counted() -> None:
     key = imu_pose((0, 0, 15), (0, 0, 0))
     vision, eskf = front_end(), filter_at(key)
