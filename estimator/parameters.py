@@ -160,6 +160,9 @@ class LivoParams(CalibratedParams):
     """height error shared by all planes and landmarks of a keyframe"""
     depth_sigma_m: NotNegative = 0.02
     """of a landmark along its ray"""
+    depth_shared_sigma_m: NotNegative = 0.0
+    """of an error in height that all landmarks of a keyframe share: plants, whose tips images show,
+    and the bias of the ranges. Needs ``use_calibration``"""
     assumed_depth_share: NotNegative = 0.4
     """standard deviation, relative to their distance, of features that are assumed to lie on level
     ground below the rangefinder, as new ones are while no scans come"""

@@ -14,6 +14,7 @@ from touchdown.estimator.filtering.error_state import (
     CENTER,
     CLONE_DIM,
     FOCAL,
+    MOUNT_TRANSLATION,
     POSE_DIM,
     POSITION,
     Frame,
@@ -91,6 +92,8 @@ class _Track:
         return self.views._replace(landmarks=self.views.landmarks + moved)
 
 
+_DEPTHS = POSE_DIM + MOUNT_TRANSLATION.stop - 1
+"""the LIDAR's height, with which the depths of all landmarks move alike"""
 _NO_IMAGE = np.zeros((0, 0), dtype=np.uint8)
 
 
@@ -356,11 +359,22 @@ class VisualFrontEnd:
                 Frame.of(camera), lens, PixelNoise(self._params.pixel_sigma, gate_px),
             )  # fmt: skip
             where = np.append(np.arange(head), np.arange(CLONE_DIM) + head + CLONE_DIM * slot)
-            information[where[:, None], where] += part.information
-            vector[where] += part.vector
+            own, pull = part.information, part.vector
+            if shared and self._params.depth_shared_sigma_m > 0.0:
+                own, pull = _without(own, pull, _DEPTHS, self._params.depth_shared_sigma_m)
+            information[where[:, None], where] += own
+            vector[where] += pull
             used += part.used
             total += part.used * part.rms * part.rms
         return NormalEquations(information, vector, used, float(np.sqrt(total / max(used, 1))))
+
+
+def _without(information: Array, vector: Array, which: int, sigma: float) -> tuple[Array, Array]:
+    """Normal equations after an error of the standard deviation ``sigma`` that acts as the
+    coordinate ``which`` does is marginalised."""
+    row = information[which]
+    gain = row / (row[which] + sigma**-2)
+    return information - gain[:, None] * row, vector - gain * vector[which]
 
 
 def _closeness(scale: float) -> float:

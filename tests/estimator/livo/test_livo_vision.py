@@ -275,6 +275,29 @@ def test_landmarks_follow_the_mount_that_is_found_after_them() -> None:
     np.testing.assert_allclose(eskf.state.position[:2], now.translation[:2], atol=0.015)
 
 
+@pytest.mark.parametrize(("shared_m", "moved_m"), [(0.0, -0.077), (0.3, 0.0)])
+def test_a_climb_is_not_measured_by_depths_that_share_an_error(
+    shared_m: float, moved_m: float
+) -> None:
+    """Returns from plants 0.1 m above the ground that the images show: from 4 to 7 m, whose depths
+    have the ratio 1.75, they would make a climb of 2.92 m."""
+    key, now = imu_pose((0, 0, 4), (0, 0, 0)), imu_pose((0.2, 0.0, 7.0), (0, 0, 0.2))
+    high = RecentReturns(scans=1, per_scan=60_000)
+    high.add(ground_returns().view()[0] + [0.0, 0.0, 0.1])
+    variances = np.full(STATE_DIM + CALIBRATION_DIM, 1e-10)
+    state = replace(filter_at(key).state, calibration=np.zeros(CALIBRATION_DIM))
+    eskf, vision = Eskf(state, variances), front_end(depth_shared_sigma_m=shared_m)
+    assert add_keyframe(vision, eskf, grey_levels(view(key @ IMU_FROM_CAMERA)), high, 0)
+    turned = now.rotation @ so3_exp(np.array([0.0, 0.0, 0.004]))
+    eskf.state = replace(state, rotation=turned, position=now.translation)
+    eskf.covariance[2, 2] += 1e-4
+    eskf.covariance[5, 5] += 0.05**2
+    assert vision.update(eskf, grey_levels(view(now @ IMU_FROM_CAMERA))).used > 50
+    assert eskf.state.position[2] - 7.0 == pytest.approx(moved_m, abs=0.015)
+    # the heading is measured all the same
+    assert np.degrees(abs(so3_log(now.rotation.T @ eskf.state.rotation)[2])) < 0.02
+
+
 def test_a_keyframe_has_a_height_error_of_its_own() -> None:
     vision, eskf = front_end(anchor_height_m=0.05), filter_at(imu_pose((0, 0, 15), (0, 0, 0)))
     vision.append(eskf, vision.new_anchor(eskf, 15.0, 0), None)
