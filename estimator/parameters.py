@@ -161,8 +161,8 @@ class LivoParams(CalibratedParams):
     depth_sigma_m: NotNegative = 0.02
     """of a landmark along its ray"""
     depth_shared_sigma_m: NotNegative = 0.0
-    """of an error in height that all landmarks of a keyframe share: plants, whose tips images show,
-    and the bias of the ranges. Needs ``use_calibration``"""
+    """of an error in height that all landmarks of a keyframe share, such as the bias of the ranges.
+    Needs ``use_calibration``"""
     assumed_depth_share: NotNegative = 0.4
     """standard deviation, relative to their distance, of features that are assumed to lie on level
     ground below the rangefinder, as new ones are while no scans come"""
@@ -210,7 +210,7 @@ class LivoParams(CalibratedParams):
     track_scale: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.25
     """least ratio of the distances from which keyframe and image see the ground, and of its
     inverse: in a climb, few keyframes in a row lead from the start to survey height. Chosen on
-    seven replays (docs/results/positioning.md)"""
+    seven replays (docs/results/field.md)"""
     features: Count = 220
     """corners of a keyframe"""
     pixel_sigma: NotNegative = 0.3
