@@ -70,6 +70,7 @@ def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: st
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise ValueError(f"scene '{source}' does not compile: {_one_line(error)}") from error
+    draft.fill_model(model)
     _stand_on_ground(model, draft)
     return Scene(
         name=name,
@@ -92,7 +93,7 @@ def compose_spec(
     name_or_path: str, seed: int, ready: Readying | None = None
 ) -> tuple[Any, SceneDraft]:
     """Returns the uncompiled MjSpec, with the vehicle at height 0 over the take-off spot, and its
-    draft.
+    draft, which holds the large textures (`SceneDraft.pictures`).
 
     Raises as `load_scene`.
     """
@@ -105,6 +106,7 @@ def bare_spec(name_or_path: str, seed: int) -> Any:
     """Returns the uncompiled MjSpec of a scene without the vehicle, with the site ``takeoff`` at
     height 0. Raises as `load_scene`."""
     draft = _draft(name_or_path, seed)
+    draft.fill()
     spec = draft.spec
     _set_options(spec)
     if spec.site("takeoff") is None:
@@ -128,7 +130,8 @@ def _draft(name_or_path: str, seed: int, ready: Readying | None = None) -> Scene
 def spec_of_scene(scene: Scene) -> Any:
     """Returns the MjSpec of a scene of `load_scene`, composed anew from its source and seed; the
     vehicle stands where the scene starts it."""
-    spec, _ = compose_spec(scene.source or scene.name, scene.seed, scene.ready)
+    spec, draft = compose_spec(scene.source or scene.name, scene.seed, scene.ready)
+    draft.fill()
     spec.body(VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(VEHICLE_BODY).id]
     return spec
 
