@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from touchdown.estimator.zou2024.structured_edges.forest import segment_edges
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.edges.forest import segment_edges
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.posed_views import (
     posed_sensors,

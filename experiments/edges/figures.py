@@ -4,6 +4,7 @@ selects by it (the paper's Fig. 4); precision over recall; the table of scores."
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.api import Zou2024Params
+from touchdown.estimator.filtering.deskew import screen_scan
+from touchdown.estimator.zou2024.depth_field import half_size_energy
+from touchdown.estimator.zou2024.lidar_pose import scan_features
+from touchdown.estimator.zou2024.projection import inside_image, project
 from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
@@ -20,10 +26,10 @@ from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.flight.wiring import build_scene, make_world
 from touchdown.experiments.scene_tools.posed_views import posed_sensors
 from touchdown.scenes.api import Scene
+from touchdown.sim.api import LidarScan, SensorRig
 from touchdown.sim.frames import Pose
 
 if TYPE_CHECKING:
-    from touchdown.estimator.zou2024.lidar_pose import StationaryFeatures
     from touchdown.sim.posed_sensors import PosedView
 
 Array = NDArray[np.float64]
@@ -203,11 +209,47 @@ def _write(path: Path, image: Image) -> None:
         raise UsageError(f"--out: '{path}' cannot be written: {reason_of(error)}") from error
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StationaryFeatures:
+    """Features of the N returns inside the image."""
+
+    energy: Float32
+    """(H/2, W/2) edge energy of the image"""
+    pixels: Array
+    """(N, 2) in the image"""
+    f_c: Array
+    """(N,) colour smoothness, Eq. 8"""
+    edge: NDArray[np.bool_]
+    """(N,) chosen as edge points"""
+    planar: NDArray[np.bool_]
+    """(N,) chosen as planar points"""
+
+
+def features_of_stationary_scan(
+    scan: LidarScan, rgb: NDArray[np.uint8], rig: SensorRig, params: Zou2024Params
+) -> StationaryFeatures:
+    """Returns the features of ``scan`` and ``rgb`` (H, W, 3), both taken from the same pose by a
+    camera without distortion."""
+    pulses = screen_scan(scan, rig.lidar)
+    points = scan.points[pulses].astype(np.float64)
+    in_camera = (rig.body_from_camera.inverse() @ rig.body_from_lidar).apply(points)
+    energy = half_size_energy(rgb, edge_detector(params.edge_model))
+    chosen, f_c = scan_features(points, points, in_camera, pulses, energy, rig.camera, params)
+    pixels, front = project(in_camera, rig.camera.matrix())
+    seen = inside_image(pixels, front, (rig.camera.width, rig.camera.height))
+    picked = np.zeros((2, len(points)), bool)
+    picked[0, chosen.edges] = True
+    picked[1, chosen.planes] = True
+    return StationaryFeatures(
+        energy=energy, pixels=pixels[seen], f_c=f_c[seen], edge=picked[0, seen],
+        planar=picked[1, seen],
+    )  # fmt: skip
+
+
 def still_features(
     config: Config, scene: Scene, world_from_body: Pose, time_s: float
 ) -> tuple[PosedView, StationaryFeatures]:
     """The view from a pose, and the features that `zou2024` finds in one scan from there."""
-    from touchdown.estimator.zou2024.lidar_pose import features_of_stationary_scan
     from touchdown.sim.moving import BodyTrack
 
     world = make_world(config, scene)

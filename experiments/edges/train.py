@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
-from touchdown.estimator.zou2024.structured_edges.model import check_target as check_edge_target
 from touchdown.experiments.edges.dataset import EdgeView, boundaries, edge_views
+from touchdown.experiments.edges.forest import ForestParams, TrainingImages, grow_forest
+from touchdown.experiments.edges.model_file import check_target, write_model
 from touchdown.experiments.edges.score import (
     Counts,
     Score,
@@ -44,7 +45,7 @@ _TIMED = 40
 
 def train(out: Path, seed: int, notes: Notes) -> dict[str, Any]:
     """Renders the images, grows the forest and writes it to ``out``."""
-    check_edge_target(out)
+    check_target(out)
     begin = time.process_time()
     seeds = tuple(s + seed for s in TRAIN_SEEDS)
     views = list(edge_views(TRAIN_SCENES, seeds, TRAIN_VIEWS, notes))
@@ -165,13 +166,6 @@ def train_edges(
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
     """Grows a structured forest from (image, segments), writes it and returns its size."""
-    from touchdown.estimator.zou2024.structured_edges.forest import (
-        ForestParams,
-        TrainingImages,
-        grow_forest,
-    )
-    from touchdown.estimator.zou2024.structured_edges.model import write_model
-
     params = ForestParams()
     trees = grow_forest(TrainingImages.of(*zip(*images, strict=True)), params, seed, progress)
     write_model(out, trees, params, notes)

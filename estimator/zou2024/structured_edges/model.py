@@ -1,121 +1,24 @@
-"""Structured forests on disk: gzipped YAML in the form that OpenCV's edge detector loads."""
+"""The check of structured forests: gzipped YAML that OpenCV's edge detector loads."""
 
 from __future__ import annotations
 
-import gzip
 import re
 import zlib
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from touchdown.estimator.zou2024.structured_edges import forest
 from touchdown.sim.files.inflating import gunzipped
 from touchdown.sim.files.opening import no_file
-
-Int32 = NDArray[np.int32]
 
 SHIPPED_MODEL = Path(__file__).with_name("structured_edges.yml.gz")
 """trained by ``touchdown edges train`` on images of this project's scenes"""
 
-_OPTIONS = ("stride", "patchSize", "patchInnerSize", "shrinkNumber", "numberOfTrees",
-            "numberOfTreesToEvaluate", "selfsimilarityGridSize", "numberOfGradientOrientations",
-            "gradientNormalizationRadius", "gradientSmoothingRadius", "regFeatureSmoothingRadius",
-            "ssFeatureSmoothingRadius")  # fmt: skip
-_SECTIONS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
+OPTIONS = ("stride", "patchSize", "patchInnerSize", "shrinkNumber", "numberOfTrees",
+           "numberOfTreesToEvaluate", "selfsimilarityGridSize", "numberOfGradientOrientations",
+           "gradientNormalizationRadius", "gradientSmoothingRadius", "regFeatureSmoothingRadius",
+           "ssFeatureSmoothingRadius")  # fmt: skip
+SECTIONS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
 _MAX_BYTES = 256 << 20
 """of a model unpacked; that of `touchdown edges train` has 10 MiB"""
-_LINE = 24
-"""numbers on a line; OpenCV's reader wants lines of moderate length"""
-
-
-def check_target(path: Path) -> None:
-    """Raises ValueError for a folder that does not exist, or a name that OpenCV would not read."""
-    if not path.parent.is_dir():
-        raise ValueError(f"folder '{path.parent}' does not exist: create it, or name another file")
-    if not path.name.endswith(".yml.gz"):
-        raise ValueError(f"model '{path}' must be named *.yml.gz: OpenCV goes by the ending")
-
-
-def write_model(
-    path: Path,
-    trees: Sequence[forest.Tree],
-    params: forest.ForestParams,
-    notes: Mapping[str, str] | None = None,
-) -> None:
-    """Writes a forest. The same forest gives the same bytes. ``notes`` become comments at the top.
-
-    Raises ValueError as `check_target`.
-    """
-    check_target(path)
-    text = "\n".join(_document(trees, params, notes or {})) + "\n"
-    draft = path.with_name(path.name + ".part")
-    draft.write_bytes(gzip.compress(text.encode("ascii"), 9, mtime=0))
-    draft.replace(path)
-
-
-def _document(
-    trees: Sequence[forest.Tree], params: forest.ForestParams, notes: Mapping[str, str]
-) -> list[str]:
-    values = (params.stride, forest.PATCH, forest.INNER, forest.SHRINK, len(trees),
-              params.trees_evaluated, forest.GRID, forest.ORIENTATIONS,
-              forest.NORMALISATION_RADIUS, forest.GRADIENT_SMOOTHING, forest.REGULAR_SMOOTHING,
-              forest.PAIR_SMOOTHING)  # fmt: skip
-    lines = ["%YAML:1.0", *(f"# {name}: {note}" for name, note in notes.items()), "---", "options:"]
-    lines += [f"   {name}: {value}" for name, value in zip(_OPTIONS, values, strict=True)]
-    nodes = max(len(tree.child) for tree in trees)
-    bounds, bins = _leaf_tables(trees, nodes)
-    tables: dict[str, Sequence[NDArray[Any]]] = {
-        "childs": [_padded(tree.child, nodes) for tree in trees],
-        "featureIds": [_padded(tree.feature, nodes) for tree in trees],
-        "thresholds": [_padded(tree.threshold, nodes) for tree in trees],
-        "edgeBoundaries": bounds,
-        "edgeBins": bins,
-    }
-    for section in _SECTIONS:
-        lines.append(f"{section}:")
-        for values_of_tree in tables[section]:
-            lines += _sequence(values_of_tree)
-    return lines
-
-
-def _padded(values: NDArray[Any], nodes: int) -> NDArray[Any]:
-    """OpenCV wants trees of one size; what is added is never reached."""
-    return np.pad(values, (0, nodes - len(values)))
-
-
-def _leaf_tables(trees: Sequence[forest.Tree], nodes: int) -> tuple[list[Int32], list[Int32]]:
-    """Start of each node's boundary pixels in the concatenated row, with one more entry at the end,
-    and these pixels, counted along columns first."""
-    bounds, bins, start = [], [], 0
-    for tree in trees:
-        counts = np.zeros(nodes, np.int64)
-        counts[: len(tree.leaf_bins)] = [len(leaf) for leaf in tree.leaf_bins]
-        ends = start + np.cumsum(counts)
-        bounds.append(np.concatenate([[start], ends[:-1]]).astype(np.int32))
-        flat = np.concatenate([np.zeros(0, np.int32), *tree.leaf_bins])
-        bins.append((flat % forest.INNER * forest.INNER + flat // forest.INNER).astype(np.int32))
-        start = int(ends[-1])
-    bounds[-1] = np.append(bounds[-1], np.int32(start))
-    return bounds, bins
-
-
-def _sequence(values: NDArray[Any]) -> list[str]:
-    """A YAML sequence within a sequence, in lines of a few numbers."""
-    floating = np.issubdtype(values.dtype, np.floating)
-    # YAML of OpenCV knows a real number by its point
-    words = [_real(float(v)) for v in values] if floating else [str(int(v)) for v in values]
-    rows = [", ".join(words[at : at + _LINE]) for at in range(0, len(words), _LINE)]
-    joined = ",\n      ".join(rows)
-    return f"   - [ {joined} ]".split("\n")
-
-
-def _real(value: float) -> str:
-    text = np.format_float_scientific(np.float32(value), precision=6, trim="0")
-    return str(text)
 
 
 def check_model(path: Path) -> None:
@@ -152,17 +55,17 @@ def _fault(text: str) -> str:
         return "it is not OpenCV's YAML"
     head = text[:4000]
     options = {}
-    for name in _OPTIONS:
+    for name in OPTIONS:
         found = re.search(rf"^\s+{name}:\s*(\d+)\s*$", head, re.MULTILINE)
         if not found:
             return f"it has no option {name}"
         options[name] = int(found.group(1))
-    starts = [text.find(f"\n{section}:") for section in _SECTIONS]
-    missing = [name for name, start in zip(_SECTIONS, starts, strict=True) if start < 0]
+    starts = [text.find(f"\n{section}:") for section in SECTIONS]
+    missing = [name for name, start in zip(SECTIONS, starts, strict=True) if start < 0]
     if missing or starts != sorted(starts):
         return f"it has no section {missing[0]}" if missing else "its sections are out of order"
     lengths = {}
-    for section, begin, end in zip(_SECTIONS, starts, [*starts[1:], len(text)], strict=True):
+    for section, begin, end in zip(SECTIONS, starts, [*starts[1:], len(text)], strict=True):
         # a sequence of n numbers has n - 1 commas
         lengths[section] = text.count(",", begin, end) + text.count("[", begin, end)
     nodes = lengths["childs"]

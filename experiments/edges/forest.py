@@ -8,7 +8,7 @@ decrease of the Gini impurity of these classes over a random choice of features.
 
 The features are those of OpenCV's ``ximgproc.RFFeatureGetter``: three colour channels, and gradient
 magnitude and four orientations at two scales; their values on a 16 x 16 grid, and differences of
-pairs on a 5 x 5 grid. ``model`` writes a forest for OpenCV's detector.
+pairs on a 5 x 5 grid. ``model_file`` writes a forest for OpenCV's detector.
 """
 
 from __future__ import annotations

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from touchdown.estimator.zou2024.structured_edges import forest, model
+from touchdown.estimator.zou2024.structured_edges import model
 from touchdown.estimator.zou2024.structured_edges.detector import (
     GradientEdges,
     StructuredEdges,
     edge_detector,
 )
 from touchdown.experiments.cli.main import cli
+from touchdown.experiments.edges import forest, model_file
 from touchdown.experiments.edges.dataset import boundaries, connected, without_specks
 from touchdown.experiments.edges.score import (
     Counts,
@@ -61,7 +62,7 @@ def test_opencv_reads_a_forest_as_it_was_written(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     trees = [_random_tree(rng, paired=number % 2 == 1) for number in range(4)]
     path = tmp_path / "small.yml.gz"
-    model.write_model(path, trees, forest.ForestParams(trees=4, trees_evaluated=2, stride=2))
+    model_file.write_model(path, trees, forest.ForestParams(trees=4, trees_evaluated=2, stride=2))
     model.check_model(path)
     rgb = cv2.GaussianBlur(rng.integers(0, 256, (48, 64, 3)).astype(np.uint8), (0, 0), 1.5)
     regular, paired = forest.channel_features(rgb)
@@ -126,7 +127,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("edges")
     paths = folder / "one.yml.gz", folder / "two.yml.gz"
     for path in paths:
-        model.write_model(path, forest.grow_forest(images, SMALL, seed=5), SMALL)
+        model_file.write_model(path, forest.grow_forest(images, SMALL, seed=5), SMALL)
     return paths
 
 
