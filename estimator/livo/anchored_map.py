@@ -18,7 +18,7 @@ from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.intensity_update import PhotometricUpdate
+from touchdown.estimator.livo.intensity_update import IntensityErrors, PhotometricUpdate
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,8 @@ class AnchoredMap:
         self.planes = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
         self.recent = RecentReturns()
         self.anchors = Anchors()
-        self.photometric = PhotometricUpdate(lever, dark_ticks)
+        errors = IntensityErrors(plane_height_m=params.dark_height_sigma_m)
+        self.photometric = PhotometricUpdate(lever, dark_ticks, errors)
 
     def extend(
         self, eskf: Eskf, scan: PlacedScan, intensity: NDArray[np.uint8], lever: Array

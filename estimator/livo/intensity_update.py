@@ -41,6 +41,7 @@ _ASIDE = slice(POSITION.start, POSITION.start + 2)
 """x and y of a pose"""
 _RETURNS = 4000
 """returns of a scan that are compared with images"""
+_HEIGHT = POSITION.stop - 1
 _PLANE_TILT = float(np.radians(0.05))
 """rad, information floor of roll and pitch by planes where intensities measure"""
 _ITERATIONS = 4
@@ -201,6 +202,8 @@ class IntensityErrors:
     image_rotation_rad: float = 5e-4
     least_sigma: float = 0.1
     """of a brightness"""
+    plane_height_m: float = 0.05
+    """least information floor of the height by planes where intensities measure"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -233,11 +236,13 @@ class PhotometricUpdate:
 
     def errors_of_planes(self, errors: ScanErrors, dark_ticks: int) -> ScanErrors:
         """Error model of the planes after ``dark_ticks`` without an image: intensities see the
-        ground, at which tilt and translation look the same, so that planes must separate them."""
+        ground, at which tilt and translation look the same, so that planes must separate them.
+        A scan measures the height with ``IntensityErrors.plane_height_m`` at best."""
         if not self._needed(dark_ticks):
             return errors
         floor = errors.floor_sigmas.copy()
         floor[:2] = np.minimum(floor[:2], _PLANE_TILT)
+        floor[_HEIGHT] = max(floor[_HEIGHT], self._errors.plane_height_m)
         return replace(errors, floor_sigmas=floor)
 
     def begin(self, eskf: Eskf, height_m: float, dark_ticks: int) -> None:
