@@ -60,7 +60,7 @@ def load_scene(
     with lit_by(light, sun):
         spec, draft = compose_spec(name_or_path, seed, ready)
     scene = compile_scene(spec, draft, Path(name_or_path).stem, seed, name_or_path)
-    return replace(scene, light=light, ready=ready)
+    return replace(scene, light=light, ready=ready if _is_file(name_or_path) else None)
 
 
 def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> Scene:
@@ -119,12 +119,17 @@ def bare_spec(name_or_path: str, seed: int) -> Any:
 def _draft(name_or_path: str, seed: int, ready: Readying | None = None) -> SceneDraft:
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
-    is_path = name_or_path.endswith(".xml") or "/" in name_or_path
-    draft = read_mjcf(Path(name_or_path), ready) if is_path else scene_generator(name_or_path)(seed)
-    if is_path:
+    if _is_file(name_or_path):
+        draft = read_mjcf(Path(name_or_path), ready)
         light_file(draft.spec)
+    else:
+        draft = scene_generator(name_or_path)(seed)
     set_sky(draft.spec)
     return draft
+
+
+def _is_file(name_or_path: str) -> bool:
+    return name_or_path.endswith(".xml") or "/" in name_or_path
 
 
 def spec_of_scene(scene: Scene) -> Any:
