@@ -71,9 +71,11 @@ def limit_threads() -> None:
 def keep_bitcode() -> None:
     """Kernels that Numba loads from its cache keep what other kernels are compiled from, which
     their machine code does not need, as the bytes of the file: parsed it takes 0.4 MB a kernel.
-    Holds for the rest of the process."""
+    Holds for the rest of the process. Does nothing for a Numba whose inside is another."""
     codegen: Any = importlib.import_module("numba.core.codegen")
-    kind = codegen.CPUCodeLibrary
+    kind: Any = getattr(codegen, "CPUCodeLibrary", None)
+    if not all(hasattr(kind, name) for name in ("_unserialize", "_get_module_for_linking")):
+        return
     loaded, linked = kind._unserialize.__func__, kind._get_module_for_linking
 
     def load(cls: Any, target: Any, state: Any) -> Any:
