@@ -263,9 +263,10 @@ class Zou2024Params(CalibratedParams):
     """distance after which an image is matched with the map"""
     keyframe_period_s: Positive = 0.5
     """images further apart than either are matched to the map"""
-    sift_features: CountOrZero = 350
-    """SIFT features of a keyframe"""
-    brisk_features: CountOrZero = 300
+    sift_features: CountOrZero = 600
+    """SIFT features of a keyframe; with more of both kinds five replays over the forest in `ideal`
+    err less, four surveys in `field` more"""
+    brisk_features: CountOrZero = 500
     """BRISK features of a keyframe"""
     sift_sigma_px: NotNegative = 1.4
     """standard deviation of a SIFT feature, which is found at a quarter of the image's size;
@@ -278,7 +279,7 @@ class Zou2024Params(CalibratedParams):
     """youngest keyframes that are adjusted together"""
     depth_sigma_m: NotNegative = 0.05
     """of a landmark's depth by Eq. 12"""
-    recent_keyframes: Count = 12
+    recent_keyframes: Count = 20
     """newest keyframes, whose landmarks give the odometry"""
     loop_threshold: Fraction = 0.11
     """probability of a revisit, 1 - p(new location), from which the best hypothesis is verified;
