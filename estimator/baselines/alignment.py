@@ -6,12 +6,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import MagnetometerParams, Observation, SensorRig
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 _DURATION_S = 0.25
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, GpsEstimatorParams
 from touchdown.estimator.baselines.aiding import update_velocity
@@ -19,8 +18,6 @@ from touchdown.estimator.baselines.navigator import Navigator
 from touchdown.estimator.baselines.world_anchor import FollowingAnchor, WanderingAnchor
 from touchdown.sim.api import GpsFix, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 _PATIENCE_S = 2.0
 """time without a fix after which the estimate is unhealthy"""

@@ -10,16 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.baselines.aiding import update
 from touchdown.estimator.filtering.error_state import CLONE_DIM, POSE_DIM, POSITION, ROTATION, after
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.keyframes import bearing_rays
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import skew
-
-Array = NDArray[np.float64]
 
 _MIN_DESCENT = 0.2
 """Directions flatter than this do not count as ground below."""

@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, ImageThinning
 from touchdown.estimator.baselines.aiding import BaroHeight, heading_of, update_heading
@@ -20,11 +19,9 @@ from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.rolling_shutter import at_middle_row
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.guard import InputGuard
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import GRAVITY_MPS2, MagnetometerSample, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, yaw_from_rotation
-
-Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
 
 _LOOSE_TILT = math.radians(10.0)
 """before the alignment"""

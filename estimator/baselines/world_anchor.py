@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array
 
 _UNKNOWN_M2 = 1e6
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     MOUNT_DIM,
@@ -18,10 +17,8 @@ from touchdown.estimator.filtering.error_state import (
     MOUNT_TRANSLATION,
     Frames,
 )
+from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 class AnchorFrames(NamedTuple):
@@ -30,7 +27,7 @@ class AnchorFrames(NamedTuple):
     moves: Frames  # that move stored planes to it
     clones: Frames  # odom_from_imu
     mount_changes: Array  # (K, 6) present mount less the mount when the clone was made
-    slots: NDArray[np.int64]
+    slots: Indices
     """(K,) place of each among the clones that are touched; -1: not touched"""
 
 

@@ -10,7 +10,6 @@ rotation about the vertical, which separates the two, corrects both (Titterton a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     ACCEL_BIAS,
@@ -20,10 +19,9 @@ from touchdown.estimator.filtering.error_state import (
     after,
 )
 from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import skew, so3_log
-
-Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, GRAVITY_MPS2])
 _ITERATIONS = 4

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     ACCEL_BIAS,
@@ -33,11 +32,9 @@ from touchdown.estimator.filtering.error_state import (
     STATE_DIM,
     VELOCITY,
 )
+from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.api import GRAVITY_MPS2, ImuSheet
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-
 
 _NO_ERRORS = np.zeros(IMU_DIM)
 
@@ -295,7 +292,7 @@ class ImuBuffer:
         """Returns the number of buffered samples at or before ``tick``."""
         return int(np.searchsorted(self._ticks[: self.count], tick, side="right"))
 
-    def samples(self, count: int) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.bool_]]:
+    def samples(self, count: int) -> tuple[Indices, Array, Array, Mask]:
         """Returns the oldest ``count``."""
         return (
             self._ticks[:count],
@@ -322,7 +319,7 @@ class Passage(NamedTuple):
 
 
 def propagate_nominal(
-    state: NavState, ticks: NDArray[np.int64], gyro: Array, force: Array, step_s: float
+    state: NavState, ticks: Indices, gyro: Array, force: Array, step_s: float
 ) -> Passage:
     """Propagates a state over N samples ((N, 3) raw gyro and specific force)."""
     gyro, force = state.corrected(gyro, force)

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, FlownImuParams, LivoParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan
@@ -46,6 +45,7 @@ from touchdown.estimator.filtering.imu_propagation import (
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist
 from touchdown.estimator.filtering.trail import ScanPath, Trail
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraImage,
@@ -56,8 +56,6 @@ from touchdown.sim.api import (
     SensorRig,
 )
 from touchdown.sim.frames import Pose, so3_exp, so3_log
-
-Array = NDArray[np.float64]
 
 _GRAVITY: Array = np.array([0.0, 0.0, GRAVITY_MPS2])
 _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)

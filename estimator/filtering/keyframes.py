@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame, Pinhole
 from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes, sort_first
+from touchdown.estimator.typing import Array, Grey, Mask
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
 
 
 @dataclass(slots=True)
@@ -28,13 +25,13 @@ class Keyframe:
     levels: tuple[Grey, Grey, Grey]
     pixels: Array
     """(N, 2)"""
-    valid: NDArray[np.bool_]
+    valid: Mask
     """(N,) True where the plane is known"""
     planes: Array
     """(N, 3) ``n . P = 1`` in this keyframe's camera frame"""
     sigmas: Array
     """(N,) m along the ray, of features on no plane; 0 for the others"""
-    assumed: NDArray[np.bool_]
+    assumed: Mask
     """(N,) True where no return has shown the depth"""
     depth_m: float
     """median depth of the landmarks"""
@@ -151,7 +148,7 @@ def overlaps(
 def _in_view(
     pixels: Array,
     planes: Array,
-    valid: NDArray[np.bool_],
+    valid: Mask,
     view_from_keyframe: Frame,
     lens: Pinhole,
     size: tuple[int, int],

@@ -22,7 +22,6 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import CalibratedParams
 from touchdown.estimator.filtering.error_state import (
@@ -47,10 +46,9 @@ from touchdown.estimator.filtering.error_state import (
     Pinhole,
 )
 from touchdown.estimator.filtering.imu_propagation import cross_into, exp_so3_each, rotate_into
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
-
-Array = NDArray[np.float64]
 
 
 def prior_sigmas(params: CalibratedParams) -> Array:

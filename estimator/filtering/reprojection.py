@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     CAMERA_ROTATION,
@@ -28,10 +27,9 @@ from touchdown.estimator.filtering.imu_propagation import (
     rotate_into,
 )
 from touchdown.estimator.filtering.information import NormalEquations
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,14 +13,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.imu_propagation import exp_so3_each
 from touchdown.estimator.filtering.keyframes import bearing_rays
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraImage, CameraIntrinsics, SensorRig
 from touchdown.sim.frames import Pose, cross
-
-Array = NDArray[np.float64]
 
 _NEAREST_M = 0.05
 _FARTHEST_HEIGHTS = 5.0

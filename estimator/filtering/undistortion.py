@@ -9,10 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from touchdown.estimator.typing import Bytes, Int32
 from touchdown.sim.api import SensorRig
-
-Image = NDArray[np.uint8]
-Indices = NDArray[np.int32]
 
 
 class Undistorter:
@@ -31,13 +29,13 @@ class Undistorter:
             self._maps = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
             self._table = _table(*self._maps)
 
-    def __call__(self, image: Image) -> Image:
+    def __call__(self, image: Bytes) -> Bytes:
         """Returns the undistorted image (H, W, 3)."""
         if self._maps is None:
             return image
         return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), dtype=np.uint8)
 
-    def grey(self, rgb: Image) -> Image:
+    def grey(self, rgb: Bytes) -> Bytes:
         """Returns the undistorted grey image (H, W), equal to the bit to that of OpenCV."""
         grey = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
         if self._maps is None:
@@ -50,9 +48,9 @@ class Undistorter:
 class _Table(NamedTuple):
     """Where each of the H W pixels comes from, in an image with a black border of one pixel."""
 
-    runs: Indices  # (R, 3) of pixels side by side that come so: the first, its source, their number
-    right: NDArray[np.uint8]  # (H W,) in 32nds of a pixel, from the source on
-    down: NDArray[np.uint8]
+    runs: Int32  # (R, 3) of pixels side by side that come so: the first, its source, their number
+    right: Bytes  # (H W,) in 32nds of a pixel, from the source on
+    down: Bytes
     stride: int  # pixels of a row with the border
 
 
@@ -72,7 +70,7 @@ def _table(whole: NDArray[np.int16], parts: NDArray[np.uint16]) -> _Table:
 
 
 @njit(cache=True, error_model="numpy")
-def _resample(padded: Image, table: _Table, out: Image) -> None:
+def _resample(padded: Bytes, table: _Table, out: Bytes) -> None:
     """Interpolates the pixels of ``padded``, flat, by the table into ``out`` (H W,)."""
     for k in range(table.runs.shape[0]):
         to, at, count = table.runs[k, 0], table.runs[k, 1], table.runs[k, 2]

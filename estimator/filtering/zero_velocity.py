@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     ACCEL_BIAS,
@@ -18,9 +17,8 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.api import GRAVITY_MPS2
-
-Array = NDArray[np.float64]
 
 _RATE_LIMIT = 2e-3
 """rad/s, of the mean rate once the gyroscope bias is known"""
@@ -49,7 +47,7 @@ class ZeroVelocityUpdate:
         self._step_s = step_s
         self._anchor: NavState | None = None
 
-    def holds(self, eskf: Eskf, gyro: Array, force: Array, stationary: NDArray[np.bool_]) -> bool:
+    def holds(self, eskf: Eskf, gyro: Array, force: Array, stationary: Mask) -> bool:
         """True if (N, 3) samples, all taken with the rotors too slow to lift, show no motion: mean
         rate and force within four standard deviations of those of a stationary vehicle."""
         if len(gyro) < 6 or not bool(stationary.all()):
@@ -66,7 +64,7 @@ class ZeroVelocityUpdate:
             and force.std(axis=0).max() < _SHAKE_LIMIT
         )
 
-    def update(self, eskf: Eskf, gyro: Array, force: Array, stationary: NDArray[np.bool_]) -> bool:
+    def update(self, eskf: Eskf, gyro: Array, force: Array, stationary: Mask) -> bool:
         """Applies the updates if ``holds``; returns True if so."""
         if not self.holds(eskf, gyro, force, stationary):
             self._anchor = None
@@ -91,7 +89,7 @@ class ZeroVelocityUpdate:
         return True
 
 
-def _derivatives(specific_force: Array, eskf: Eskf) -> tuple[Array, NDArray[np.int64]]:
+def _derivatives(specific_force: Array, eskf: Eskf) -> tuple[Array, Indices]:
     """Derivatives (12, D) of the residuals by the error coordinates (D,) that are returned beside.
 
     At rest the gyroscope shows its bias and its response to gravity. Which of the two it is shows

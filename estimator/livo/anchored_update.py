@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.degeneracy import (
@@ -19,8 +18,7 @@ from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.plane_map import PlaneMap
 from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_equations
-
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array
 
 _SAME_PLANE_M = 0.02
 """displacement of a return up to which its plane is not looked up again"""

@@ -18,7 +18,6 @@ propagated over the buffered IMU samples to the present.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, LivoParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, thin_out
@@ -40,10 +39,9 @@ from touchdown.estimator.livo.error_model import scan_diagnostics, scan_errors, 
 from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.shutter import Shutter
 from touchdown.estimator.livo.visual import VisualFrontEnd
+from touchdown.estimator.typing import Bytes
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, so3_log
-
-Array = NDArray[np.float64]
 
 _FEWEST_RETURNS = 50
 """minimum of a usable scan"""
@@ -139,7 +137,7 @@ class Livo:
         self._scan_track = self._filter.track_of(scan, self._scan_track)
         self._diagnostics |= scan_diagnostics(report, len(placed), self._map.planes.used)
 
-    def _update_with_scan(self, scan: PlacedScan, intensity: NDArray[np.uint8]) -> LidarReport:
+    def _update_with_scan(self, scan: PlacedScan, intensity: Bytes) -> LidarReport:
         params, photometric = self._params, self._map.photometric
         share = params.scan_calibration_gain * (self._height >= params.calibrate_above_m)
         report = LidarReport()

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.error_state import (
@@ -32,10 +31,9 @@ from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into, rotate_into
 from touchdown.estimator.filtering.information import limit_information
 from touchdown.estimator.livo.anchored_update import ScanErrors
-from touchdown.estimator.livo.intensity_image import FEWEST, Float32, IntensityImage, brightness
+from touchdown.estimator.livo.intensity_image import FEWEST, IntensityImage, brightness
 from touchdown.estimator.livo.plane_equations import Returns
-
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array, Bytes, Float32
 
 _ASIDE = slice(POSITION.start, POSITION.start + 2)
 """x and y of a pose"""
@@ -258,7 +256,7 @@ class PhotometricUpdate:
         if self.images:
             del self.images[k]
 
-    def extend(self, eskf: Eskf, points: Array, intensity: NDArray[np.uint8]) -> None:
+    def extend(self, eskf: Eskf, points: Array, intensity: Bytes) -> None:
         """Adds the returns of the scan just used, ``points`` (N, 3) in the IMU frame, to the newest
         image."""
         if self.images:
@@ -269,7 +267,7 @@ class PhotometricUpdate:
         self,
         eskf: Eskf,
         scan: PlacedScan,
-        intensity: NDArray[np.uint8],
+        intensity: Bytes,
         dark_ticks: int,
         share: float = 1.0,
     ) -> dict[str, float]:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.anchors import AnchorFrames
 from touchdown.estimator.filtering.error_state import (
@@ -25,8 +24,7 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into
 from touchdown.estimator.filtering.plane_map import PlaneMatches
-
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array, Indices
 
 # a residual's derivatives: pose, mount of the LIDAR, and the clone that the plane is anchored to
 _MOUNT, _CLONE = POSE_DIM, POSE_DIM + MOUNT_DIM
@@ -210,7 +208,7 @@ def _all_directions(weight: float, first: Array, second: Array, rotation: Array)
 
 @njit(cache=True, error_model="numpy")
 def _assembled(
-    blocks: Array, gradients: Array, slots: NDArray[np.int64], touched: int, shared: int
+    blocks: Array, gradients: Array, slots: Indices, touched: int, shared: int
 ) -> tuple[Array, Array]:
     """Sums the lower halves of the anchors' blocks into one matrix (D, D) and vector (D,)."""
     size = POSE_DIM + shared + POSE_DIM * touched

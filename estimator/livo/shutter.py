@@ -11,13 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import POSITION, ROTATION
 from touchdown.estimator.filtering.imu_propagation import exp_so3_each
+from touchdown.estimator.typing import Array
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

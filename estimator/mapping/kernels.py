@@ -5,13 +5,10 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
+from touchdown.estimator.typing import Bytes, Float32
 
 _BLOCK = 256
 """pulses whose pixel indices are computed before any pixel is read"""
@@ -26,7 +23,7 @@ def sample_colours(
     pulses: Pulses,
     window: tuple[int, int],
     skipped: tuple[int, int],
-    image: NDArray[np.uint8],
+    image: Bytes,
     camera_from_odom: Frame,
     lens: Lens,
     colours: Float32,
@@ -82,7 +79,7 @@ def sample_colours(
 def accumulate_returns(
     pulses: Pulses,
     colours: Float32,
-    intensities: NDArray[np.uint8],
+    intensities: Bytes,
     now: float,
     count_cap: float,
     extreme_memory: float,
@@ -157,7 +154,7 @@ def accumulate_returns(
 
 @numba.njit(cache=True, error_model="numpy")
 def accumulate_heights(
-    pulses: Pulses, grid: Grid, bin_m: float, histogram: NDArray[np.uint8], base: Float32
+    pulses: Pulses, grid: Grid, bin_m: float, histogram: Bytes, base: Float32
 ) -> None:
     """Counts returns in the histograms of their cells (layout of ``GridMap``).
 
@@ -198,7 +195,7 @@ def accumulate_heights(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _raise_by(counts: NDArray[np.uint8], up: int) -> None:
+def _raise_by(counts: Bytes, up: int) -> None:
     """Moves the returns of a histogram (bins,) up by ``up`` bins, except those of the first one,
     which are forgotten; the last bin keeps all that is higher."""
     bins = counts.shape[0]

@@ -31,6 +31,7 @@ from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.mapping import kernels
 from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses
+from touchdown.estimator.typing import Array, Float32
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import (
     Pose,
@@ -38,9 +39,6 @@ from touchdown.sim.frames import (
     matrix_from_quat_wxyz,
     quat_wxyz_from_matrix,
 )
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 _TRACK_LENGTH = 256
 """buffered poses: 1.28 s of control steps, more than a scan plus its delivery"""

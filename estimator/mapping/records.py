@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-Float32 = NDArray[np.float32]
+from touchdown.estimator.typing import Float32
 
 
 class Pulses(NamedTuple):

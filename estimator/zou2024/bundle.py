@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     POSE_DIM,
@@ -27,12 +26,10 @@ from touchdown.estimator.filtering.error_state import (
 from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into, rotate_into
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.filtering.reprojection import MountedCamera
+from touchdown.estimator.typing import Array, Indices
 from touchdown.estimator.zou2024.visual_map import MapKeyframe, Sightings, by_host, joined
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _PRIOR_SIGMAS = np.array([1e-3, 1e-3, 5e-3, 0.3, 0.3, 0.02])
 """rad and m: tilt and height as LIDAR and gravity have them, the rest nearly free"""

@@ -6,14 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame, Frames
 from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.plane_map import _EMPTY, _pack, _slot
+from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 NEIGHBOURS = 5
 """k of Algorithm 1"""
@@ -31,9 +29,9 @@ _NO_OWNER = -1
 class Voxels(NamedTuple):
     """The S slots of the hash table, as kernels take them."""
 
-    keys: NDArray[np.int64]  # (S,)
+    keys: Indices  # (S,)
     sums: Array  # (S, 7)
-    owners: NDArray[np.int64]  # (S,) clone of the filter that a voxel belongs to; -1: none
+    owners: Indices  # (S,) clone of the filter that a voxel belongs to; -1: none
 
 
 class Seen(NamedTuple):
@@ -47,9 +45,9 @@ class Seen(NamedTuple):
 class Nearest(NamedTuple):
     """The five nearest centroids of N points, nearest first."""
 
-    found: NDArray[np.bool_]  # (N,)
+    found: Mask  # (N,)
     near: Array  # (N, 5, 3) where their owners put them now
-    owners: NDArray[np.int64]  # (N,) of the nearest
+    owners: Indices  # (N,) of the nearest
     sensors: Array  # (N, 3) m, where the nearest was first seen from
 
 

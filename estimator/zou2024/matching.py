@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from touchdown.estimator.typing import Array, Bytes, Indices
 from touchdown.estimator.zou2024.landmarks import SIFT
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Indices = NDArray[np.int64]
 
 _BITS = np.array([bin(byte).count("1") for byte in range(256)], dtype=np.uint8)
 _TWIN_PX = 6.0

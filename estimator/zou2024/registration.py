@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
 from touchdown.estimator.filtering.degeneracy import weak_columns, without_directions
@@ -15,6 +14,7 @@ from touchdown.estimator.filtering.error_state import Frame, Frames, error_betwe
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.estimator.filtering.plane_map import smallest_eigen
+from touchdown.estimator.typing import Array, Mask
 from touchdown.estimator.zou2024.feature_map import FeatureMap, Seen
 from touchdown.estimator.zou2024.residuals import (
     NO_ANCHORS,
@@ -25,9 +25,6 @@ from touchdown.estimator.zou2024.residuals import (
     relative_equations,
 )
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 EIGENVALUE_RATIO = 3.0
 WEAK_SIGMAS = float(np.radians(0.3)), 0.1

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
 from touchdown.estimator.filtering.error_state import (
@@ -19,9 +18,7 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
 )
 from touchdown.estimator.filtering.imu_propagation import cross_into
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from touchdown.estimator.typing import Array, Indices, Mask
 
 # a residual's derivatives: pose, mount of the LIDAR, and the clone that the map point belongs to
 _MOUNT, _CLONE = POSE_DIM, POSE_DIM + MOUNT_DIM
@@ -35,7 +32,7 @@ class Matches(NamedTuple):
     near: Array  # (M, 5, 3) their neighbours p_1 ... p_5, odom frame, where they are now
     axes: Array  # (M, 3) directions of the lines, normals of the planes
     is_edge: Mask  # (M,)
-    owners: NDArray[np.int64]  # (M,) clone of the filter that p_1 belongs to; -1: none
+    owners: Indices  # (M,) clone of the filter that p_1 belongs to; -1: none
     sensors: Array  # (M, 3) where p_1 was seen from, odom frame
     weights: Array  # (M,) 0 to 1, of the neighbourhood's shape
     scatter: Array  # (M,) m^2, of the neighbours about their plane

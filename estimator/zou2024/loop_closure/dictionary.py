@@ -6,9 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
-Indices = NDArray[np.int64]
+from touchdown.estimator.typing import Bytes, Float32, Indices
 
 _NEW_WORD_RATIO = 0.8
 """of the distances to the nearest word and to the next (``Kp/NndrRatio`` of RTAB-Map)"""

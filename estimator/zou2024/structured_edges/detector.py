@@ -10,16 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.typing import Bytes, Float32
 from touchdown.estimator.zou2024.structured_edges.model import SHIPPED_MODEL, check_model
-
-Rgb = NDArray[np.uint8]
-Float32 = NDArray[np.float32]
 
 RIM = 8
 """pixels, even, that the structured detector sees beyond the image's border"""
 
 
-EdgeDetector = Callable[[Rgb], Float32]
+EdgeDetector = Callable[[Bytes], Float32]
 """(H, W, 3) uint8 RGB -> (H, W) float32 energy in [0, 1]; deterministic"""
 
 
@@ -37,7 +35,7 @@ class GradientEdges:
         self._full_gradient = full_gradient
         self._blur_sigma = blur_sigma
 
-    def __call__(self, rgb: Rgb) -> Float32:
+    def __call__(self, rgb: Bytes) -> Float32:
         fine = _gradient(cv2.GaussianBlur(rgb, (3, 3), 0.8))
         coarse = _gradient(cv2.GaussianBlur(rgb, (0, 0), self._blur_sigma))
         # a step loses about blur_sigma of its slope at the coarse scale
@@ -70,7 +68,7 @@ class StructuredEdges:
         path = Path(model_path)
         self._detector = _shipped() if path == SHIPPED_MODEL else _read(path)
 
-    def __call__(self, rgb: Rgb) -> Float32:
+    def __call__(self, rgb: Bytes) -> Float32:
         # the outermost patches overlap less and would give weaker edges: mirror the rim
         height, width = rgb.shape[:2]
         below, right = RIM + height % 2, RIM + width % 2
