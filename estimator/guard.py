@@ -137,7 +137,7 @@ class InputGuard:
             bad = floating if bad is None else bad | floating
             if np.count_nonzero(ranges[~bad] > 0.0) < _MIN_RETURNS_SHARE * count:
                 return None, "nothing but echoes of rain or fog"
-        if _equal(ranges, self._ranges):
+        if np.array_equal(ranges, self._ranges, equal_nan=True):
             return None, "the same as the one before"
         self._ranges = ranges
         if bad is None:
@@ -297,17 +297,6 @@ def _find_clutter(ranges: Float32, level: Bytes, floating: Mask) -> bool:
         return False
     for i in range(ranges.shape[0]):
         floating[i] |= 0.0 < ranges[i] < _CLUTTER_M and level[i] <= _CLUTTER_LEVEL
-    return True
-
-
-@njit([(_RANGES, _RANGES)], cache=True)
-def _equal(one: Float32, other: Float32) -> bool:
-    """True if (N,) and (M,) are equal; NaN equals NaN."""
-    if one.shape[0] != other.shape[0]:
-        return False
-    for i in range(one.shape[0]):
-        if one[i] != other[i] and not (np.isnan(one[i]) and np.isnan(other[i])):
-            return False
     return True
 
 

@@ -30,9 +30,8 @@ from touchdown.estimator.filtering.error_state import (
     STATE_DIM,
     VELOCITY,
     Frame,
-    error_between,
 )
-from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
+from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
 from touchdown.estimator.filtering.imu_propagation import (
     ImuBuffer,
@@ -275,18 +274,6 @@ class InertialFilter:
         inverse = np.linalg.inv(covariance)
         symmetric: Array = 0.5 * (inverse + inverse.T)
         return symmetric
-
-    def correct(
-        self, pose: Pose, information: Array, vector: Array, floors: Array | None = None
-    ) -> None:
-        """Updates the filter by a measured odom_from_imu with its information (6, 6); ``vector``
-        (6,): the remaining gradient at ``pose`` (zero where a solver has converged); ``floors``
-        (6,): see ``IteratedUpdate.step``."""
-        update = IteratedUpdate(self.eskf)
-        offset = error_between(self.eskf.state.pose, pose)
-        update.step([], information, vector + information @ offset, floors)
-        update.finish()
-        self.trail.follow(self.eskf.state)
 
     # ------------------------------------------------------------------------ output
 
