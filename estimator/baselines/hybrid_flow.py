@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from touchdown.estimator.api import Estimate, HybridFlowParams
-from touchdown.estimator.baselines.gps import SatelliteAiding
+from touchdown.estimator.baselines.gps import SatelliteAiding, WanderingAnchor
 from touchdown.estimator.baselines.ground_flow import (
     Displacement,
     level_directions,
@@ -22,7 +22,6 @@ from touchdown.estimator.baselines.ground_flow import (
 )
 from touchdown.estimator.baselines.navigator import Navigator
 from touchdown.estimator.baselines.phase_correlation import Shift, phase_shift
-from touchdown.estimator.baselines.world_anchor import WanderingAnchor
 from touchdown.estimator.filtering.rolling_shutter import (
     STATIONARY,
     CameraTwist,

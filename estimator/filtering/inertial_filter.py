@@ -32,7 +32,6 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
 )
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
 from touchdown.estimator.filtering.imu_propagation import (
     ImuBuffer,
     NavState,
@@ -43,7 +42,7 @@ from touchdown.estimator.filtering.imu_propagation import (
 )
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist
 from touchdown.estimator.filtering.trail import ScanPath, Trail
-from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
+from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate, align_with_gravity
 from touchdown.estimator.typing import Array
 from touchdown.sim.api import (
     GRAVITY_MPS2,
