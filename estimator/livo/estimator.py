@@ -31,13 +31,18 @@ from touchdown.estimator.filtering.online_calibration import (
     prior_sigmas,
 )
 from touchdown.estimator.filtering.reprojection import MountedCamera
+from touchdown.estimator.filtering.rolling_shutter import Shutter
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.ground_below import GroundBelow
 from touchdown.estimator.livo.anchored_map import AnchoredMap
-from touchdown.estimator.livo.anchored_update import DegeneracyWatch, LidarReport, update_with_scan
-from touchdown.estimator.livo.error_model import scan_diagnostics, scan_errors, visual_diagnostics
+from touchdown.estimator.livo.anchored_update import (
+    DegeneracyWatch,
+    LidarReport,
+    scan_diagnostics,
+    scan_errors,
+    update_with_scan,
+)
 from touchdown.estimator.livo.patch_tracker import grey_levels
-from touchdown.estimator.livo.shutter import Shutter
 from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.estimator.typing import Bytes
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
@@ -184,7 +189,7 @@ class Livo:
             )
             if keyframe is not None:
                 self._add_clone(keyframe)
-        self._diagnostics |= visual_diagnostics(report, len(vision.keyframes))
+        self._diagnostics |= report.diagnostics() | {"keyframes": float(len(vision.keyframes))}
         self._diagnostics |= calibration_diagnostics(eskf.state.calibration)
 
     # ------------------------------------------------------------------------ clones and map

@@ -47,7 +47,13 @@ _LEAST_OVERLAP = 0.3
 _MOST_IMAGES = 3
 _LEAST_CLEAR = 0.3
 """share of an image's squared gradients that is not noise; below, it has no texture"""
-_FIRST_SIGMA = 0.25
+_FIRST_SIGMA, _LEAST_SIGMA = 0.25, 0.1
+"""of a brightness"""
+_ASIDE_M, _ROTATION_RAD = 0.02, 5e-4
+"""errors of a measurement that do not average out over its returns: the noise of an image is the
+same for all scans compared with it"""
+_IMAGE_ASIDE_M, _IMAGE_ROTATION_RAD = 0.03, 5e-4
+"""errors of an image as a whole: the drift while it was made"""
 _GRADIENT_NOISE = 0.094
 """variance of a gradient by noise, in that of one return over their number and the cell's area: two
 neighbours of an image smoothed by 1, 2, 1"""
@@ -187,21 +193,6 @@ def photometry(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class IntensityErrors:
-    """Errors of a photometric measurement as a whole."""
-
-    aside_m: float = 0.02
-    """that do not average out over its returns: the noise of an image is the same for all scans
-    compared with it"""
-    rotation_rad: float = 5e-4
-    image_aside_m: float = 0.03
-    """of an image as a whole: the drift while it was made"""
-    image_rotation_rad: float = 5e-4
-    least_sigma: float = 0.1
-    """of a brightness"""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class IntensityReport:
     """Result of an update, for the recording."""
 
@@ -215,14 +206,11 @@ class IntensityReport:
 class PhotometricUpdate:
     """Images of all clones and the update by a scan; image k is of clone k."""
 
-    def __init__(
-        self, lever: Array, dark_ticks: int | None = 0, errors: IntensityErrors | None = None
-    ) -> None:
+    def __init__(self, lever: Array, dark_ticks: int | None = 0) -> None:
         """``lever`` (3,): the LIDAR in the IMU frame; ``dark_ticks``: scans measure only when for
         longer than this no image has; None: never, and no images are made."""
         self._lever = lever
         self._dark_ticks = dark_ticks
-        self._errors = errors or IntensityErrors()
         self._sigma = _FIRST_SIGMA
         self.images: list[IntensityImage] = []
 
@@ -246,10 +234,10 @@ class PhotometricUpdate:
         shared = eskf.state.calibration[: eskf.shared]
         self.images.append(IntensityImage.of(eskf.clones[-1].rotation, height_m, shared))
         if self._needed(dark_ticks):
-            errors, at = self._errors, eskf.clone_indices(len(eskf.clones) - 1)
+            at = eskf.clone_indices(len(eskf.clones) - 1)
             yaw, aside = at[ROTATION][2], at[_ASIDE]
-            eskf.covariance[yaw, yaw] += errors.image_rotation_rad**2
-            eskf.covariance[aside, aside] += errors.image_aside_m**2
+            eskf.covariance[yaw, yaw] += _IMAGE_ROTATION_RAD**2
+            eskf.covariance[aside, aside] += _IMAGE_ASIDE_M**2
 
     def drop(self, k: int) -> None:
         """Forgets the image of clone ``k``."""
@@ -314,8 +302,7 @@ class PhotometricUpdate:
         if not keys:
             return IntensityReport()
         update, sigmas = IteratedUpdate(eskf, share), np.full(len(keys), self._sigma)
-        own = self._errors
-        floor = np.array([*[own.rotation_rad] * 3, own.aside_m, own.aside_m, 0.0])
+        floor = np.array([*[_ROTATION_RAD] * 3, _ASIDE_M, _ASIDE_M, 0.0])
         floors = np.concatenate([floor, np.zeros(eskf.shared + CLONE_DIM * len(keys))])
         used, images, sigma = 0, 0, self._sigma
         for _ in range(_ITERATIONS):
@@ -359,7 +346,7 @@ class PhotometricUpdate:
                 returns, values, view, Frame.of(move), self._lever, float(sigmas[slot])
             )
             if part.used:
-                sigmas[slot] = max(part.spread, self._errors.least_sigma)
+                sigmas[slot] = max(part.spread, _LEAST_SIGMA)
             clear = 1.0 - part.noise_share
             if part.used < _LEAST_USED or clear < _LEAST_CLEAR:
                 continue

@@ -43,11 +43,11 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
+from touchdown.estimator.filtering.rolling_shutter import Shutter, rows_of_keyframe
 from touchdown.estimator.livo.assumed_depth import assume_level_ground, move_along_rays
 from touchdown.estimator.livo.patch_tracker import track
 from touchdown.estimator.livo.plane_extension import extend_plane
 from touchdown.estimator.livo.range_scale import SeenGround, measure_way
-from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
 from touchdown.estimator.typing import Array, Grey, Indices
 from touchdown.sim.frames import Pose
 
@@ -70,6 +70,13 @@ class VisualReport:
     keyframes_tracked: int = 0
     rms_px: float = 0.0
     best_share: float = 0.0
+
+    def diagnostics(self) -> dict[str, float]:
+        """The figures by the name of their plot."""
+        return {
+            "features_tracked": float(self.used), "visual_rms_px": self.rms_px,
+            "keyframes_tracked": float(self.keyframes_tracked), "overlap": self.best_share,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
