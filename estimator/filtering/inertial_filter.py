@@ -35,13 +35,12 @@ from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import (
     ImuBuffer,
     NavState,
-    cross_into,
-    exp_so3_into,
+    exp_so3,
     propagate_nominal,
-    rotate_back_into,
 )
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist
 from touchdown.estimator.filtering.trail import ScanPath, Trail
+from touchdown.estimator.filtering.vectors import cross, turned_back, xyz
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate, align_with_gravity
 from touchdown.estimator.typing import Array
 from touchdown.sim.api import (
@@ -347,12 +346,10 @@ class _Motion(NamedTuple):
 @njit(cache=True, error_model="numpy")
 def _motion_of_body(imu: _Motion, jump: Array, imu_from_body: Frame) -> _Motion:
     """The body's motion from that of the IMU with ``jump`` (15,) added."""
-    turn, lever, rate = np.empty((3, 3)), np.empty(3), np.empty(3)
-    exp_so3_into(jump[ROTATION], turn)
-    rotation = imu.rotation @ turn
+    rotation = imu.rotation @ exp_so3(jump[ROTATION])
     position, velocity = imu.position + jump[POSITION], imu.velocity + jump[VELOCITY]
-    cross_into(imu.rate, imu_from_body.translation, lever, 0)
-    rotate_back_into(imu_from_body.rotation, imu.rate, rate)
+    lever = np.array(cross(xyz(imu.rate), xyz(imu_from_body.translation)))
+    rate = np.array(turned_back(imu_from_body.rotation, xyz(imu.rate)))
     return _Motion(
         rotation @ imu_from_body.rotation,
         position + rotation @ imu_from_body.translation,

@@ -16,6 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from touchdown.estimator.filtering.anchors import (
+    ANCHORED_DIM,
+    CLONE_AT,
+    MOUNT_AT,
+    Sight,
+    derivatives_into,
+)
 from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.error_state import (
     CLONE_DIM,
@@ -28,8 +35,16 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
-from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into, rotate_into
 from touchdown.estimator.filtering.information import limit_information
+from touchdown.estimator.filtering.vectors import (
+    ZERO,
+    along,
+    cross,
+    dot,
+    turned,
+    turned_back,
+    xyz,
+)
 from touchdown.estimator.livo.anchored_update import ScanErrors
 from touchdown.estimator.livo.intensity_image import FEWEST, IntensityImage, brightness
 from touchdown.estimator.livo.plane_equations import Returns
@@ -57,11 +72,6 @@ _IMAGE_ASIDE_M, _IMAGE_ROTATION_RAD = 0.03, 5e-4
 _GRADIENT_NOISE = 0.094
 """variance of a gradient by noise, in that of one return over their number and the cell's area: two
 neighbours of an image smoothed by 1, 2, 1"""
-
-
-# derivatives of a brightness: present pose, mount of the LIDAR, and the clone of the image
-_MOUNT, _CLONE = POSE_DIM, POSE_DIM + MOUNT_DIM
-_WIDTH = _CLONE + POSE_DIM
 
 
 class Photometry(NamedTuple):
@@ -108,14 +118,11 @@ def photometry(
     means, weights, axes, cell, clone_rotation, w, shift = image
     rotation, translation = clone_from_imu
     rows, columns = means.shape
-    information, vector = np.zeros((_WIDTH, _WIDTH)), np.zeros(_WIDTH)
-    mean_row, row = np.zeros(_WIDTH), np.zeros(_WIDTH)
+    information, vector = np.zeros((ANCHORED_DIM, ANCHORED_DIM)), np.zeros(ANCHORED_DIM)
+    mean_row, row = np.zeros(ANCHORED_DIM), np.zeros(ANCHORED_DIM)
     total_weight, mean_residual = 0.0, 0.0
-    g, q, seen = np.zeros(3), np.zeros(3), np.zeros(3)
-    now, to_odom, arm = np.zeros(3), np.zeros(3), np.zeros(3)
-    level_p, level_beam = np.zeros(3), np.zeros(3)
-    up, up_now = clone_rotation[2].copy(), np.zeros(3)
-    rotate_back_into(rotation, up, up_now)
+    across, down = xyz(axes[0]), xyz(axes[1])
+    up, up_now = xyz(clone_rotation[2]), turned_back(rotation, xyz(clone_rotation[2]))
     level = 0.0  # mean height of the returns above the IMU, m
     for i in range(points.shape[0]):
         for a in range(3):
@@ -123,17 +130,11 @@ def photometry(
     squares, noise, absolute = 0.0, 0.0, 0.0
     used = 0
     for i in range(points.shape[0]):
-        p, beam = points[i], beams[i]
-        rotate_into(rotation, p, q)
-        for a in range(3):
-            q[a] += translation[a]
-            seen[a] = q[a] - lever[a]
-        u, v = 0.0, 0.0
-        cross_into(w, seen, arm, 0)
-        for a in range(3):
-            moved = q[a] - (arm[a] + shift[a])
-            u += axes[0, a] * moved
-            v += axes[1, a] * moved
+        p, beam = xyz(points[i]), xyz(beams[i])
+        q = along(turned(rotation, p), 1.0, xyz(translation))
+        seen = along(q, -1.0, xyz(lever))
+        moved = along(q, -1.0, along(cross(xyz(w), seen), 1.0, xyz(shift)))
+        u, v = dot(across, moved), dot(down, moved)
         u, v = u / cell + 0.5 * columns - 0.5, v / cell + 0.5 * rows - 0.5
         c, r = int(np.floor(u)), int(np.floor(v))
         if c < 1 or r < 1 or c >= columns - 2 or r >= rows - 2:
@@ -153,24 +154,13 @@ def photometry(
         scaled = residual / sigma
         weight = 1.0 / ((1.0 + 0.25 * scaled * scaled) * sigma * sigma)
         absolute += abs(residual)
-        for a in range(3):
-            g[a] = gu * axes[0, a] + gv * axes[1, a]
-        rotate_back_into(rotation, g, now)
-        rotate_into(clone_rotation, g, to_odom)
-        lift = up_now[0] * p[0] + up_now[1] * p[1] + up_now[2] * p[2] - level
-        for a in range(3):
-            level_p[a], level_beam[a] = p[a] - lift * up_now[a], beam[a] - lift * up_now[a]
-            q[a] -= lift * up[a]
-            seen[a] -= lift * up[a]
-        cross_into(level_p, now, row, ROTATION.start)
-        cross_into(g, q, row, _CLONE + ROTATION.start)
-        cross_into(level_beam, now, row, _MOUNT + MOUNT_ROTATION.start)
-        cross_into(seen, g, arm, 0)
-        for a in range(3):
-            row[_MOUNT + MOUNT_ROTATION.start + a] -= arm[a]
-            row[_MOUNT + MOUNT_TRANSLATION.start + a] = now[a] - g[a]
-            row[POSITION.start + a], row[_CLONE + POSITION.start + a] = to_odom[a], -to_odom[a]
-        for a in range(_WIDTH):
+        slope = along(along(ZERO, gu, across), gv, down)
+        in_odom, in_imu = turned(clone_rotation, slope), turned_back(rotation, slope)
+        lift = dot(up_now, p) - level
+        arm, reach = along(seen, -lift, up), along(q, -lift, up)
+        sight = Sight(along(p, -lift, up_now), along(beam, -lift, up_now), arm, reach)
+        derivatives_into(row, in_odom, in_imu, slope, sight, False)
+        for a in range(ANCHORED_DIM):
             vector[a] += weight * row[a] * residual
             mean_row[a] += weight * row[a]
             for b in range(a + 1):
@@ -182,7 +172,7 @@ def photometry(
         used += 1
     if used == 0:
         return Photometry(information, vector, 0, sigma, 1.0)
-    for a in range(_WIDTH):
+    for a in range(ANCHORED_DIM):
         vector[a] -= mean_row[a] * mean_residual / total_weight
         for b in range(a + 1):
             information[a, b] -= mean_row[a] * mean_row[b] / total_weight
@@ -352,10 +342,10 @@ class PhotometricUpdate:
                 continue
             start = POSE_DIM + shared + CLONE_DIM * slot
             where = np.r_[0:POSE_DIM, start : start + CLONE_DIM]
-            own = np.r_[0:POSE_DIM, _CLONE:_WIDTH]
+            own = np.r_[0:POSE_DIM, CLONE_AT:ANCHORED_DIM]
             if shared:
                 where = np.r_[where, POSE_DIM : POSE_DIM + MOUNT_DIM]
-                own = np.r_[own, _MOUNT:_CLONE]
+                own = np.r_[own, MOUNT_AT:CLONE_AT]
             # the noise of the gradients adds to the squares, not to the vector
             information[np.ix_(where, where)] += clear * part.information[np.ix_(own, own)]
             vector[where] += part.vector[own]

@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 
 from touchdown.estimator.filtering.error_state import Frame
-from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.vectors import along, turned, xyz
 from touchdown.estimator.typing import Array, Bytes, Float32, Indices, Int32
 from touchdown.estimator.zou2024.geodesic import (
     colour_smoothness,
@@ -94,11 +94,10 @@ def _nearest_per_pixel(
     shape: tuple[int, int],
 ) -> Float32:
     """Depth of the nearest return at every half-size pixel; 0 where there is none."""
-    depth, seen, offset = np.zeros(shape, np.float32), np.empty(3), camera_from_odom.translation
+    depth, offset = np.zeros(shape, np.float32), xyz(camera_from_odom.translation)
     for s in range(counts.shape[0]):
         for i in range(s * per_scan, s * per_scan + counts[s]):
-            rotate_into(camera_from_odom.rotation, points[i], seen)
-            x, y, z = seen[0] + offset[0], seen[1] + offset[1], seen[2] + offset[2]
+            x, y, z = along(turned(camera_from_odom.rotation, xyz(points[i])), 1.0, offset)
             if z < 0.1:
                 continue
             u = (matrix[0, 0] * x + matrix[0, 1] * y) / z + matrix[0, 2]
