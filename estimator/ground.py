@@ -17,14 +17,9 @@ from typing import Any, NamedTuple
 import cv2
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.parameters import HEIGHT_BIN_M
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
+from touchdown.estimator.typing import Array, Bytes, Float32, Mask
 
 ONE_SURFACE_STD_M = 0.04
 """spread of the returns of one surface: range noise of 2 to 3 cm and the slope within a cell"""

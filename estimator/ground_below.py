@@ -7,12 +7,10 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import RangefinderSample, SensorRig
-
-Array = NDArray[np.float64]
 
 _REMEMBERED = 32
 """echoes that ``spot`` looks among: more than half a second"""

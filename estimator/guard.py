@@ -16,9 +16,9 @@ from typing import TypeVar
 
 import numpy as np
 from numba import njit, types
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import image_defect, some_pixels
+from touchdown.estimator.typing import Bytes, Float32, Mask
 from touchdown.sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
 
 _CLUTTER_M = 10.0
@@ -53,8 +53,8 @@ class InputGuard:
         self._scans = _Stream("scan", rig.lidar_scan_ticks, rig.tick_hz)
         period = round(rig.tick_hz / camera_hz) if camera_hz else 0
         self._images = _Stream("image", period, rig.tick_hz)
-        self._ranges: NDArray[np.float32] = np.zeros(0, np.float32)
-        self._pixels: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._ranges: Float32 = np.zeros(0, np.float32)
+        self._pixels: Bytes = np.zeros(0, np.uint8)
         self._had_returns = False
         """True once a scan had a return"""
         self._clutter_ticks = round(_CLUTTER_MEMORY_S * rig.tick_hz)
@@ -119,7 +119,7 @@ class InputGuard:
             return None, "no pulses"
         ranges = scan.ranges
         total = float(ranges.sum() + scan.directions.sum() + scan.time_offsets.sum())
-        bad: NDArray[np.bool_] | None = None
+        bad: Mask | None = None
         if not np.isfinite(total):
             bad = ~(
                 np.isfinite(ranges)
@@ -137,7 +137,7 @@ class InputGuard:
             bad = floating if bad is None else bad | floating
             if np.count_nonzero(ranges[~bad] > 0.0) < _MIN_RETURNS_SHARE * count:
                 return None, "nothing but echoes of rain or fog"
-        if _equal(ranges, self._ranges):
+        if np.array_equal(ranges, self._ranges, equal_nan=True):
             return None, "the same as the one before"
         self._ranges = ranges
         if bad is None:
@@ -145,7 +145,7 @@ class InputGuard:
         what = "not a number" if floating is None else "echoes of rain or fog"
         return _without_pulses(scan, bad), f"{int(bad.sum())} of {count} pulses {what}"
 
-    def _clutter(self, scan: LidarScan) -> NDArray[np.bool_] | None:
+    def _clutter(self, scan: LidarScan) -> Mask | None:
         """Returns the mask (N,) of echoes of rain or fog; None if there is neither."""
         shows, floating = clutter_of(scan)
         self._cluttered = self._cluttered + 1 if shows else 0
@@ -261,7 +261,7 @@ def _unordered(stamps: list[int]) -> list[bool]:
     ]
 
 
-def clutter_of(scan: LidarScan) -> tuple[bool, NDArray[np.bool_]]:
+def clutter_of(scan: LidarScan) -> tuple[bool, Mask]:
     """Returns whether a scan shows rain or fog, and the mask (N,) of the echoes of either.
 
     Such echoes are near, weak and isolated: both neighbouring pulses in time return from elsewhere
@@ -278,9 +278,7 @@ _LEVELS = types.Array(types.uint8, 1, "A", readonly=True)
 
 
 @njit([(_RANGES, _LEVELS, types.boolean[::1])], cache=True)
-def _find_clutter(
-    ranges: NDArray[np.float32], level: NDArray[np.uint8], floating: NDArray[np.bool_]
-) -> bool:
+def _find_clutter(ranges: Float32, level: Bytes, floating: Mask) -> bool:
     """Computes `clutter_of` into ``floating`` (N,), which must be false."""
     near = weak = isolated_weak = 0
     for i in range(ranges.shape[0]):
@@ -302,18 +300,7 @@ def _find_clutter(
     return True
 
 
-@njit([(_RANGES, _RANGES)], cache=True)
-def _equal(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
-    """True if (N,) and (M,) are equal; NaN equals NaN."""
-    if one.shape[0] != other.shape[0]:
-        return False
-    for i in range(one.shape[0]):
-        if one[i] != other[i] and not (np.isnan(one[i]) and np.isnan(other[i])):
-            return False
-    return True
-
-
-def _without_pulses(scan: LidarScan, bad: NDArray[np.bool_]) -> LidarScan:
+def _without_pulses(scan: LidarScan, bad: Mask) -> LidarScan:
     """Returns the scan with ``bad`` (N,) pulses at range NaN along the boresight. They keep their
     position, because neighbours in a scan are found by index."""
     directions, ranges = scan.directions.copy(), scan.ranges.copy()

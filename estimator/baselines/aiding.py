@@ -10,19 +10,17 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import POSITION, ROTATION, VELOCITY
 from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.api import BarometerSample, GpsFix
 from touchdown.sim.frames import cross, skew, wrap_angle
-
-Array = NDArray[np.float64]
 
 
 def update(
     eskf: Eskf,
-    touched: NDArray[np.int64],
+    touched: Indices,
     jacobian: Array,
     residual: Array,
     covariance: Array,

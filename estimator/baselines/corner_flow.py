@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
+from touchdown.estimator.typing import Array, Grey, Indices
 
 _WINDOW = (15, 15)
 _LEVELS = 2
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.01)
 
 
-def follow(before: Grey, now: Grey, pixels: Array, guess: Array) -> tuple[NDArray[np.int64], Array]:
+def follow(before: Grey, now: Grey, pixels: Array, guess: Array) -> tuple[Indices, Array]:
     """Tracks corners ``pixels`` (N, 2) of ``before`` into ``now``, from ``guess`` (N, 2): returns
     the indices (M,) of those found, and their pixels (M, 2)."""
     if len(pixels) == 0:

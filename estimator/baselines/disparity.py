@@ -8,14 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import StereoParams
 from touchdown.estimator.baselines.corner_flow import follow
+from touchdown.estimator.typing import Array, Grey, Indices
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
 
 _MIN_DEPTH_M = 0.03
 _ROWS_PX = 1.0
@@ -24,7 +21,7 @@ _ROWS_PX = 1.0
 
 def disparities(
     left: Grey, right: Grey, pixels: Array, expected_m: Array, scale: float
-) -> tuple[NDArray[np.int64], Array]:
+) -> tuple[Indices, Array]:
     """Returns the indices (M,) of the matched corners (N, 2) of the left image and their sub-pixel
     disparities (M,). ``expected_m`` (N,): initial depths."""
     guess = pixels.copy()
@@ -88,7 +85,7 @@ class GroundHeight:
 
 
 def inverse_depths(
-    found: NDArray[np.int64], shifts: Array, ground_m: Array, scale: float, params: StereoParams
+    found: Indices, shifts: Array, ground_m: Array, scale: float, params: StereoParams
 ) -> tuple[Array, Array]:
     """(N,) inverse depths of corners and their variances: those of the ground ``ground_m`` (N,),
     updated by the disparities ``shifts`` (M,) of the corners ``found`` (M,), as far as these

@@ -10,16 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.baselines.aiding import update
 from touchdown.estimator.filtering.error_state import CLONE_DIM, POSE_DIM, POSITION, ROTATION, after
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.keyframes import bearing_rays
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import skew
-
-Array = NDArray[np.float64]
 
 _MIN_DESCENT = 0.2
 """Directions flatter than this do not count as ground below."""
@@ -73,15 +71,11 @@ def solve_displacement(
     now: Array,
     height_m: float,
     sigma: float,
-    *,
-    vertical_sigma_m: float = np.inf,
-    expected_vertical_m: float = 0.0,
     min_used: int = 8,
 ) -> Displacement | None:
     """The displacement that carries ground points seen along ``before`` (N, 2) to ``now`` (N, 2),
     level directions. ``height_m``: of the camera above the ground when the first was taken;
-    ``sigma``: of a direction's error; ``vertical_sigma_m``: standard deviation of the prior
-    ``expected_vertical_m`` of the vertical part.
+    ``sigma``: of a direction's error.
 
     Points X = h (x, y, -1) reappear at X + t, so that every direction gives two equations linear in
     t: ``X_x + t_x + x' (X_z + t_z) = 0`` and the same of y. Least squares with Cauchy weights,
@@ -95,10 +89,8 @@ def solve_displacement(
     rows[:, 0, 0] = rows[:, 1, 1] = 1.0
     rows[:, :, 2] = now
     target = -height_m * (before - now)
-    prior = np.diag([0.0, 0.0, 1.0 / vertical_sigma_m**2])
-    wanted = prior @ np.array([0.0, 0.0, expected_vertical_m])
     noise = sigma * height_m
-    translation = np.array([*np.median(target, axis=0), expected_vertical_m])
+    translation = np.array([*np.median(target, axis=0), 0.0])
     weights = np.ones(len(now))
     normal = np.eye(3)
     for _ in range(5):
@@ -106,8 +98,8 @@ def solve_displacement(
         scale = max(2.0 * float(np.median(residuals)), 2.0 * noise)
         weights = 1.0 / (1.0 + (residuals / scale) ** 2)
         weighted = weights[:, None, None] * rows / noise**2
-        normal = np.einsum("nij,nik->jk", weighted, rows) + prior
-        translation = np.linalg.solve(normal, np.einsum("nij,ni->j", weighted, target) + wanted)
+        normal = np.einsum("nij,nik->jk", weighted, rows)
+        translation = np.linalg.solve(normal, np.einsum("nij,ni->j", weighted, target))
     residuals = np.hypot(*(target - rows @ translation).T)
     scale = max(2.0 * float(np.median(residuals)), 2.0 * noise)
     agree = residuals < 2.0 * scale

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, HybridFlowParams
-from touchdown.estimator.baselines.gps import SatelliteAiding
+from touchdown.estimator.baselines.gps import SatelliteAiding, WanderingAnchor
 from touchdown.estimator.baselines.ground_flow import (
     Displacement,
     level_directions,
@@ -21,9 +20,8 @@ from touchdown.estimator.baselines.ground_flow import (
     solve_displacement,
     update_with_displacement,
 )
-from touchdown.estimator.baselines.navigator import Grey, Navigator
+from touchdown.estimator.baselines.navigator import Navigator
 from touchdown.estimator.baselines.phase_correlation import Shift, phase_shift
-from touchdown.estimator.baselines.world_anchor import WanderingAnchor
 from touchdown.estimator.filtering.rolling_shutter import (
     STATIONARY,
     CameraTwist,
@@ -31,10 +29,9 @@ from touchdown.estimator.filtering.rolling_shutter import (
     ground_depths,
 )
 from touchdown.estimator.ground_below import GroundBelow
+from touchdown.estimator.typing import Array, Grey, Mask
 from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
-
-Array = NDArray[np.float64]
 
 _GATE = 4.0
 _MIN_HEIGHT_M = 0.1
@@ -80,7 +77,7 @@ class LevelView:
         rays = (pixels - 0.5 * (self._size[0] - 1)) / self.focal
         return rays @ _LOOKING_DOWN[:2, :2].T
 
-    def seen(self, pixels: Array, world_from_camera: Array) -> NDArray[np.bool_]:
+    def seen(self, pixels: Array, world_from_camera: Array) -> Mask:
         """Mask (N,) of the pixels (N, 2) of the virtual camera that the real one covers."""
         real = pixels_of(self.directions(pixels), self._camera, world_from_camera)
         far = [self._camera.width - 4.0, self._camera.height - 4.0]

@@ -8,7 +8,6 @@ corrected by the magnetometer.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, OpticalFlowParams
 from touchdown.estimator.baselines.corner_flow import follow
@@ -18,7 +17,7 @@ from touchdown.estimator.baselines.ground_flow import (
     solve_displacement,
     update_with_displacement,
 )
-from touchdown.estimator.baselines.navigator import Grey, Navigator
+from touchdown.estimator.baselines.navigator import Navigator
 from touchdown.estimator.filtering.keyframes import detect_features
 from touchdown.estimator.filtering.rolling_shutter import (
     STATIONARY,
@@ -27,10 +26,9 @@ from touchdown.estimator.filtering.rolling_shutter import (
     ground_depths,
 )
 from touchdown.estimator.ground_below import GroundBelow
+from touchdown.estimator.typing import Array, Grey
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 _GATE = 4.0
 _PATIENCE_S = 1.5

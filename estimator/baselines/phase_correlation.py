@@ -11,10 +11,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
+from touchdown.estimator.typing import Array, Float32, Grey, Indices
 
 _MIN_RESPONSE = 0.05
 """share of the energy in the peak's neighbourhood below which a scale is rejected"""
@@ -60,9 +58,7 @@ def _half(image: Grey) -> Grey:
     return np.asarray(cv2.pyrDown(image), np.uint8)
 
 
-def _common(
-    before: Grey, now: Grey, shift: NDArray[np.int64]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+def _common(before: Grey, now: Grey, shift: Indices) -> tuple[Float32, Float32] | None:
     """Returns the common part of both images once ``now`` is moved back by ``shift``, without the
     mean; None if it is too small or has no contrast."""
     height, width = before.shape
@@ -77,6 +73,6 @@ def _common(
     return pair[0] - pair[0].mean(), pair[1] - pair[1].mean()
 
 
-def _window(shape: tuple[int, ...]) -> NDArray[np.float32]:
+def _window(shape: tuple[int, ...]) -> Float32:
     """Hann's window, which suppresses the image border in the spectrum."""
     return np.asarray(cv2.createHanningWindow((shape[1], shape[0]), cv2.CV_32F), np.float32)

@@ -11,20 +11,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, StereoParams
 from touchdown.estimator.baselines.corner_flow import follow
 from touchdown.estimator.baselines.disparity import GroundHeight, disparities, inverse_depths
-from touchdown.estimator.baselines.navigator import Grey, Navigator
+from touchdown.estimator.baselines.navigator import Navigator
 from touchdown.estimator.filtering.eskf import IteratedUpdate
 from touchdown.estimator.filtering.keyframes import bearing_rays, detect_features
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.estimator.filtering.rolling_shutter import STATIONARY, ShutterModel, ground_depths
+from touchdown.estimator.typing import Array, Bytes, Grey, Indices
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 _PATIENCE_S = 1.5
 _LEAST_USED = 15
@@ -85,7 +83,7 @@ class StereoEstimator:
             extra_covariance=drift,
         )
 
-    def _take_pair(self, image: CameraImage, right_rgb: NDArray[np.uint8]) -> None:
+    def _take_pair(self, image: CameraImage, right_rgb: Bytes) -> None:
         eskf = self._nav.eskf
         left, right = self._nav.grey(image.rgb), self._nav.grey(right_rgb)
         self._twist = self._nav.filter.camera_twist(image)
@@ -114,7 +112,7 @@ class StereoEstimator:
             self._update_depths(keyframe, found, reached)
         return used / len(keyframe.pixels)
 
-    def _update_depths(self, keyframe: _Keyframe, found: NDArray[np.int64], reached: Array) -> None:
+    def _update_depths(self, keyframe: _Keyframe, found: Indices, reached: Array) -> None:
         """Updates the corners' depths from the motion since the keyframe, by a scalar Kalman filter
         each: relief shows as parallax, while the scale stays that of the pair."""
         eskf, camera = self._nav.eskf, self._rig.camera

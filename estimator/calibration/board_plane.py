@@ -7,16 +7,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from touchdown.estimator.api import Chessboard
 from touchdown.estimator.calibration.normals import difference_of_normals, voxel_means
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from touchdown.estimator.typing import Array, Mask
 
 _VOXEL_M = 0.04
 _SMALL_RADIUS_M, _LARGE_RADIUS_M = 0.11, 0.28
@@ -73,7 +70,7 @@ def find_board(points: Array, board: Chessboard, rng: np.random.Generator) -> Bo
 
 def ransac_plane(
     points: Array, inlier_m: float, trials: int, rng: np.random.Generator
-) -> tuple[Array, float, NDArray[np.bool_]]:
+) -> tuple[Array, float, Mask]:
     """Fits the plane of most of ``points`` (N, 3) and refines it by least squares: returns the unit
     normal (3,) towards the origin, the distance from it, and the mask (N,) of inliers."""
     picks = rng.integers(0, len(points), (trials, 3))
@@ -171,7 +168,7 @@ def _cell_means(points: Array, places: Array) -> Array:
     return np.asarray(sums[full] / count[full, None])
 
 
-def _inside(places: Array, outline: Array, rim_m: float) -> NDArray[np.bool_]:
+def _inside(places: Array, outline: Array, rim_m: float) -> Mask:
     """Mask of the positions (N, 2) inside a convex outline (K, 2) by at least ``rim_m``."""
     edges = np.roll(outline, -1, axis=0) - outline
     edges /= np.linalg.norm(edges, axis=1, keepdims=True)

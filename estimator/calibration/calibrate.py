@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import CalibrationResult, CalibrationView, Chessboard
 from touchdown.estimator.calibration.board_plane import BoardPlane, find_board
@@ -21,8 +20,7 @@ from touchdown.estimator.calibration.extrinsics import (
     agreeing_views,
     solve_extrinsics,
 )
-
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array
 
 _MOST_APART_M = 0.5
 """between camera and LIDAR"""

@@ -10,14 +10,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Chessboard
+from touchdown.estimator.typing import Array, Bytes
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import skew, so3_exp, so3_right_jacobian
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 LENS_PARAMETERS = 9
 """fx, fy, cx, cy, k1, k2, p1, p2, k3"""
@@ -74,7 +71,7 @@ def board_corners(board: Chessboard) -> Array:
     return np.column_stack([x, y, np.zeros(x.size)])
 
 
-def find_corners(rgb: Image, board: Chessboard) -> Array | None:
+def find_corners(rgb: Bytes, board: Chessboard) -> Array | None:
     """(rows * columns, 2) pixels of the inner corners, pixel centres at integers, in the order of
     `board_corners`; None unless all of them are seen."""
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)

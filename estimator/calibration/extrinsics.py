@@ -7,14 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.calibration.board_plane import BoardPlane
 from touchdown.estimator.calibration.chessboard import CameraPlanes
+from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.frames import Pose, so3_exp
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FEWEST_VIEWS = 3
 _TRIALS = 300
@@ -49,7 +46,7 @@ def plane_residuals(
 
 def agreeing_views(
     planes: CameraPlanes, boards: Sequence[BoardPlane], rng: np.random.Generator
-) -> tuple[Pose, Ints]:
+) -> tuple[Pose, Indices]:
     """Returns a closed-form initial pose and the views consistent with it, by random triples of
     views.
 
@@ -79,7 +76,7 @@ def agreeing_views(
     raise ValueError(_too_few(len(best)))
 
 
-def closed_form(planes: CameraPlanes, normals: Array, distances: Array, views: Ints) -> Pose:
+def closed_form(planes: CameraPlanes, normals: Array, distances: Array, views: Indices) -> Pose:
     """Rotation from the normals (Wahba's problem, by SVD) and translation from the distances by
     least squares: with n_c = R n_l, Eq. 3 leaves n_c . t = d_l - d_c for every view."""
     in_camera = planes.normals[views]
@@ -91,7 +88,7 @@ def closed_form(planes: CameraPlanes, normals: Array, distances: Array, views: I
 
 
 def solve_extrinsics(
-    planes: CameraPlanes, boards: Sequence[BoardPlane], views: Ints, start: Pose
+    planes: CameraPlanes, boards: Sequence[BoardPlane], views: Indices, start: Pose
 ) -> ExtrinsicFit:
     """Solves Eq. 5 over ``views`` by Levenberg-Marquardt (Marquardt's damping of the diagonal),
     with an analytic Jacobian: every view has the same weight, however many points its board has."""
@@ -147,7 +144,7 @@ def _normal_equations(blocks: Sequence[_Block], pose: Pose) -> tuple[float, Arra
 
 
 def _covariance(
-    blocks: Sequence[_Block], pose: Pose, matrix: Array, planes: CameraPlanes, views: Ints
+    blocks: Sequence[_Block], pose: Pose, matrix: Array, planes: CameraPlanes, views: Indices
 ) -> Array:
     """Covariance (6, 6). The minimum moves by -H^-1 (J^T W e) with the errors e of the residuals:
     those of the LIDAR are independent from return to return, those of a camera plane are shared by
@@ -166,9 +163,7 @@ def _covariance(
     return inverse @ (from_lidar + from_camera) @ inverse
 
 
-def _agrees(
-    pose: Pose, planes: CameraPlanes, normals: Array, distances: Array
-) -> NDArray[np.bool_]:
+def _agrees(pose: Pose, planes: CameraPlanes, normals: Array, distances: Array) -> Mask:
     cosine = np.einsum("ij,ij->i", planes.normals, normals @ pose.rotation.T)
     offset = planes.normals @ pose.translation - (distances - planes.distances)
     return np.asarray((cosine > np.cos(_MAX_ANGLE)) & (np.abs(offset) < _MAX_OFFSET_M))

@@ -7,10 +7,9 @@ unorganized point clouds", 3DIMPVT 2012, which the paper applies to find the boa
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array, Indices, Mask
 
 FEWEST_NEIGHBOURS = 5
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -46,7 +45,7 @@ def difference_of_normals(
     return np.where(enough, difference, np.inf), small
 
 
-def _normals(points: Array, pairs: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
+def _normals(points: Array, pairs: Indices) -> tuple[Array, Mask]:
     """Normals (N, 3) of the planes through every point's neighbours (pairs hold every pair once)
     and itself, and the mask (N,) of points with enough neighbours."""
     size = len(points)

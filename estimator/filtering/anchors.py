@@ -10,18 +10,57 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numba import njit
 
 from touchdown.estimator.filtering.error_state import (
     MOUNT_DIM,
     MOUNT_ROTATION,
     MOUNT_TRANSLATION,
+    POSE_DIM,
+    POSITION,
+    ROTATION,
     Frames,
 )
+from touchdown.estimator.filtering.vectors import Vector, cross
+from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.frames import Pose
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+# derivatives of a residual: pose, mount of the LIDAR, and the clone that its part of the map is
+# anchored to
+MOUNT_AT, CLONE_AT = POSE_DIM, POSE_DIM + MOUNT_DIM
+ANCHORED_DIM = CLONE_AT + POSE_DIM
+
+
+class Sight(NamedTuple):
+    """A return of a scan and what of the map it is compared with."""
+
+    point: Vector  # IMU frame
+    beam: Vector  # IMU frame, from the LIDAR
+    arm: Vector  # frame of the clone, from where the map was seen
+    reach: Vector  # frame of the clone
+
+
+@njit(cache=True, error_model="numpy")
+def derivatives_into(
+    row: Array, direction: Vector, in_imu: Vector, in_clone: Vector, sight: Sight, alone: bool
+) -> None:
+    """Writes the derivatives of a distance along ``direction`` by the pose and, unless ``alone``,
+    by mount and clone into ``row`` (18,). ``in_imu``, ``in_clone``: the same direction there.
+
+    What the map shows was seen along a beam of its own, which turns with the LIDAR's mount as that
+    of the scan does, and moves with its clone."""
+    turn = cross(sight.point, in_imu)
+    for a in range(3):
+        row[ROTATION.start + a], row[POSITION.start + a] = turn[a], direction[a]
+    if alone:
+        return
+    mount, moment = cross(sight.beam, in_imu), cross(sight.arm, in_clone)
+    by_clone = cross(in_clone, sight.reach)
+    for a in range(3):
+        row[MOUNT_AT + MOUNT_ROTATION.start + a] = mount[a] - moment[a]
+        row[MOUNT_AT + MOUNT_TRANSLATION.start + a] = in_imu[a] - in_clone[a]
+        row[CLONE_AT + ROTATION.start + a] = by_clone[a]
+        row[CLONE_AT + POSITION.start + a] = -direction[a]
 
 
 class AnchorFrames(NamedTuple):
@@ -30,7 +69,7 @@ class AnchorFrames(NamedTuple):
     moves: Frames  # that move stored planes to it
     clones: Frames  # odom_from_imu
     mount_changes: Array  # (K, 6) present mount less the mount when the clone was made
-    slots: NDArray[np.int64]
+    slots: Indices
     """(K,) place of each among the clones that are touched; -1: not touched"""
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import POSE_DIM, POSITION, ROTATION
-
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array
 
 
 def weak_directions(

@@ -7,16 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.trail import ScanPath
+from touchdown.estimator.typing import Array, Float32, Indices
 from touchdown.sim.api import LidarScan, LidarSheet
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 _BLIND_SIGMAS = 4.0
 _BLIND_SHARE = 0.05
@@ -191,7 +187,7 @@ def moved(points: Array, chosen: Indices, frame: Frame) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def thin_out(points: Array, cell: float, table_bits: int) -> NDArray[np.int64]:
+def thin_out(points: Array, cell: float, table_bits: int) -> Indices:
     """Returns the indices of one point per occupied cube of side ``cell`` (the first), ascending.
 
     ``points`` (N, 3). Cubes are hashed into 2**table_bits buckets; distinct cubes rarely collide.

@@ -16,12 +16,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp, so3_log
-
-Array = NDArray[np.float64]
 
 # the navigation state; a pose, of the state, a clone or a measurement, has the first two
 ROTATION = slice(0, 3)

@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     ACCEL_BIAS,
@@ -39,10 +38,8 @@ from touchdown.estimator.filtering.imu_propagation import (
     transition,
 )
 from touchdown.estimator.filtering.information import square_root
+from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.frames import Pose, so3_exp
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _RATE_SAMPLES = 3
 """of the IMU, over which the angular rate is a mean: one alone is mostly vibration"""
@@ -133,7 +130,7 @@ class Eskf:
 
     # ------------------------------------------------------------------------ clones
 
-    def clone_indices(self, k: int) -> NDArray[np.int64]:
+    def clone_indices(self, k: int) -> Indices:
         """The six error coordinates of clone ``k``."""
         start = self.base + CLONE_DIM * k
         return np.arange(start, start + CLONE_DIM)
@@ -251,7 +248,7 @@ class Eskf:
             new_clones[k] = pose
         return moved, new_clones
 
-    def touched(self, clones: list[int]) -> NDArray[np.int64]:
+    def touched(self, clones: list[int]) -> Indices:
         """Error coordinates of pose, shared calibration and the given clones, (6 + S + 6m,)."""
         shared = np.arange(STATE_DIM, STATE_DIM + self.shared)
         own = [self.clone_indices(k) for k in clones]

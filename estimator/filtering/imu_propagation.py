@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     ACCEL_BIAS,
@@ -33,11 +32,10 @@ from touchdown.estimator.filtering.error_state import (
     STATE_DIM,
     VELOCITY,
 )
+from touchdown.estimator.filtering.vectors import Vector
+from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.api import GRAVITY_MPS2, ImuSheet
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-
 
 _NO_ERRORS = np.zeros(IMU_DIM)
 
@@ -95,7 +93,7 @@ def exp_so3(vector: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def exp_so3_into(vector: Array, out: Array) -> None:
+def exp_so3_into(vector: Array | Vector, out: Array) -> None:
     """Writes ``exp_so3`` of a vector into ``out``."""
     x, y, z = vector[0], vector[1], vector[2]
     angle2 = x * x + y * y + z * z
@@ -181,30 +179,6 @@ def _corrected(
             for b in range(3):
                 rates[i, a] -= by_force[a, b] * forces[i, b]
     return rates, forces
-
-
-@njit(cache=True, error_model="numpy")
-def cross_into(a: Array, b: Array, out: Array, at: int) -> None:
-    """Writes a x b into ``out`` from ``at`` on."""
-    out[at] = a[1] * b[2] - a[2] * b[1]
-    out[at + 1] = a[2] * b[0] - a[0] * b[2]
-    out[at + 2] = a[0] * b[1] - a[1] * b[0]
-
-
-@njit(cache=True, error_model="numpy")
-def rotate_into(rotation: Array, vector: Array, out: Array) -> None:
-    """Writes ``rotation @ vector`` into ``out``."""
-    x, y, z = vector[0], vector[1], vector[2]
-    for a in range(3):
-        out[a] = rotation[a, 0] * x + rotation[a, 1] * y + rotation[a, 2] * z
-
-
-@njit(cache=True, error_model="numpy")
-def rotate_back_into(rotation: Array, vector: Array, out: Array) -> None:
-    """Writes ``rotation.T @ vector`` into ``out``."""
-    x, y, z = vector[0], vector[1], vector[2]
-    for a in range(3):
-        out[a] = rotation[0, a] * x + rotation[1, a] * y + rotation[2, a] * z
 
 
 @njit(cache=True, error_model="numpy")
@@ -295,7 +269,7 @@ class ImuBuffer:
         """Returns the number of buffered samples at or before ``tick``."""
         return int(np.searchsorted(self._ticks[: self.count], tick, side="right"))
 
-    def samples(self, count: int) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.bool_]]:
+    def samples(self, count: int) -> tuple[Indices, Array, Array, Mask]:
         """Returns the oldest ``count``."""
         return (
             self._ticks[:count],
@@ -322,7 +296,7 @@ class Passage(NamedTuple):
 
 
 def propagate_nominal(
-    state: NavState, ticks: NDArray[np.int64], gyro: Array, force: Array, step_s: float
+    state: NavState, ticks: Indices, gyro: Array, force: Array, step_s: float
 ) -> Passage:
     """Propagates a state over N samples ((N, 3) raw gyro and specific force)."""
     gyro, force = state.corrected(gyro, force)

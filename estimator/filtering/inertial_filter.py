@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, FlownImuParams, LivoParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan
@@ -31,21 +30,19 @@ from touchdown.estimator.filtering.error_state import (
     STATE_DIM,
     VELOCITY,
     Frame,
-    error_between,
 )
-from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
-from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
+from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import (
     ImuBuffer,
     NavState,
-    cross_into,
-    exp_so3_into,
+    exp_so3,
     propagate_nominal,
-    rotate_back_into,
 )
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist
 from touchdown.estimator.filtering.trail import ScanPath, Trail
-from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
+from touchdown.estimator.filtering.vectors import cross, turned_back, xyz
+from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate, align_with_gravity
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraImage,
@@ -56,8 +53,6 @@ from touchdown.sim.api import (
     SensorRig,
 )
 from touchdown.sim.frames import Pose, so3_exp, so3_log
-
-Array = NDArray[np.float64]
 
 _GRAVITY: Array = np.array([0.0, 0.0, GRAVITY_MPS2])
 _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
@@ -279,18 +274,6 @@ class InertialFilter:
         symmetric: Array = 0.5 * (inverse + inverse.T)
         return symmetric
 
-    def correct(
-        self, pose: Pose, information: Array, vector: Array, floors: Array | None = None
-    ) -> None:
-        """Updates the filter by a measured odom_from_imu with its information (6, 6); ``vector``
-        (6,): the remaining gradient at ``pose`` (zero where a solver has converged); ``floors``
-        (6,): see ``IteratedUpdate.step``."""
-        update = IteratedUpdate(self.eskf)
-        offset = error_between(self.eskf.state.pose, pose)
-        update.step([], information, vector + information @ offset, floors)
-        update.finish()
-        self.trail.follow(self.eskf.state)
-
     # ------------------------------------------------------------------------ output
 
     def settle(self, changed: bool) -> None:
@@ -364,12 +347,10 @@ class _Motion(NamedTuple):
 @njit(cache=True, error_model="numpy")
 def _motion_of_body(imu: _Motion, jump: Array, imu_from_body: Frame) -> _Motion:
     """The body's motion from that of the IMU with ``jump`` (15,) added."""
-    turn, lever, rate = np.empty((3, 3)), np.empty(3), np.empty(3)
-    exp_so3_into(jump[ROTATION], turn)
-    rotation = imu.rotation @ turn
+    rotation = imu.rotation @ exp_so3(jump[ROTATION])
     position, velocity = imu.position + jump[POSITION], imu.velocity + jump[VELOCITY]
-    cross_into(imu.rate, imu_from_body.translation, lever, 0)
-    rotate_back_into(imu_from_body.rotation, imu.rate, rate)
+    lever = np.array(cross(xyz(imu.rate), xyz(imu_from_body.translation)))
+    rate = np.array(turned_back(imu_from_body.rotation, xyz(imu.rate)))
     return _Motion(
         rotation @ imu_from_body.rotation,
         position + rotation @ imu_from_body.translation,

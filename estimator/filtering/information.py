@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpstrf
 
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array
 
 _LEVEL = np.array([0, 1, 5])
 """rotation x, rotation y, position z: observable over level ground"""

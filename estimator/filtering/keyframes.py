@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame, Pinhole
-from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes, sort_first
+from touchdown.estimator.filtering.vectors import along, dot, turned, xyz
+from touchdown.estimator.typing import Array, Grey, Mask
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
 
 
 @dataclass(slots=True)
@@ -28,13 +25,13 @@ class Keyframe:
     levels: tuple[Grey, Grey, Grey]
     pixels: Array
     """(N, 2)"""
-    valid: NDArray[np.bool_]
+    valid: Mask
     """(N,) True where the plane is known"""
     planes: Array
     """(N, 3) ``n . P = 1`` in this keyframe's camera frame"""
     sigmas: Array
     """(N,) m along the ray, of features on no plane; 0 for the others"""
-    assumed: NDArray[np.bool_]
+    assumed: Mask
     """(N,) True where no return has shown the depth"""
     depth_m: float
     """median depth of the landmarks"""
@@ -151,7 +148,7 @@ def overlaps(
 def _in_view(
     pixels: Array,
     planes: Array,
-    valid: NDArray[np.bool_],
+    valid: Mask,
     view_from_keyframe: Frame,
     lens: Pinhole,
     size: tuple[int, int],
@@ -159,15 +156,13 @@ def _in_view(
     """How many of a keyframe's ``valid`` landmarks lie within a view of ``size`` pixels, and their
     median depth there."""
     margin, count = 12.0, 0
-    depths, ray, seen = np.empty(len(pixels)), np.ones(3), np.empty(3)
+    depths, place = np.empty(len(pixels)), xyz(view_from_keyframe.translation)
     for i in range(len(pixels)):
         if not valid[i]:
             continue
-        ray[0], ray[1] = (pixels[i, 0] - lens.cx) / lens.fx, (pixels[i, 1] - lens.cy) / lens.fy
-        rotate_into(view_from_keyframe.rotation, ray, seen)
-        depth = 1.0 / (ray[0] * planes[i, 0] + ray[1] * planes[i, 1] + planes[i, 2])
-        for a in range(3):
-            seen[a] = depth * seen[a] + view_from_keyframe.translation[a]
+        ray = ((pixels[i, 0] - lens.cx) / lens.fx, (pixels[i, 1] - lens.cy) / lens.fy, 1.0)
+        depth = 1.0 / dot(ray, xyz(planes[i]))
+        seen = along(place, depth, turned(view_from_keyframe.rotation, ray))
         if seen[2] <= 0.1:
             continue
         u, v = lens.fx * seen[0] / seen[2] + lens.cx, lens.fy * seen[1] / seen[2] + lens.cy

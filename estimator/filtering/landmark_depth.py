@@ -10,14 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.deskew import moved
 from touchdown.estimator.filtering.error_state import Frame
+from touchdown.estimator.typing import Array, Float32, Indices, Int32, Mask
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 _CLOSE = 0.4
 """share of the neighbourhood whose returns give the depth of a feature on no plane"""
@@ -57,7 +54,7 @@ class RecentReturns:
             return None
         return float(np.median(self._points[start : start + count : 8, 2]))
 
-    def view(self) -> tuple[Float32, NDArray[np.int64], int]:
+    def view(self) -> tuple[Float32, Indices, int]:
         """All slots (S * per_scan, 3), the number filled in each, and ``per_scan``."""
         return self._points, self._counts, self._per_scan
 
@@ -65,7 +62,7 @@ class RecentReturns:
 class _Cells(NamedTuple):
     """Returns sorted by image cell, in normalised units."""
 
-    starts: NDArray[np.int64]  # (rows * cols + 1,) first return of each cell
+    starts: Indices  # (rows * cols + 1,) first return of each cell
     seen: Float32  # (K, 3) x, y, 1 / depth
     width: float  # of the image on each side of its axis
     height: float
@@ -81,7 +78,7 @@ def _shape(width: float, height: float, side: float) -> tuple[int, int]:
 @njit(cache=True, error_model="numpy")
 def _sort_into_cells(
     rays: Array,
-    returns: tuple[Float32, NDArray[np.int64], int],
+    returns: tuple[Float32, Indices, int],
     camera_from_odom: Frame,
     width: float,
     height: float,
@@ -135,7 +132,7 @@ def _locate(
     camera_from_odom: Frame,
     view: tuple[float, float, float],
     cols: int,
-    cells: NDArray[np.int32],
+    cells: Int32,
 ) -> None:
     """Writes the cells (N,) of (N, 3) points, -1 for those out of ``view``: half width, half
     height, cells per unit. Block by block and without branches, the processor takes several points
@@ -185,7 +182,7 @@ def _gather(ray: Array, cells: _Cells, radius: float, near: Array) -> int:
 @njit(cache=True, error_model="numpy")
 def _fit_planes(
     rays: Array, cells: _Cells, radius: float, min_points: int, depth_tolerance: float
-) -> tuple[NDArray[np.bool_], Array]:
+) -> tuple[Mask, Array]:
     """Fits ``1 / z = a + b x + c y`` around each of (N, 2) rays; refuses depth steps."""
     valid = np.zeros(rays.shape[0], dtype=np.bool_)
     planes = np.zeros((rays.shape[0], 3))
@@ -244,7 +241,7 @@ def sort_first(values: Array, count: int) -> None:
 @njit(cache=True, error_model="numpy")
 def _rough_depths(
     rays: Array, cells: _Cells, radius: float, min_points: int, most_share: float
-) -> tuple[NDArray[np.bool_], Array, Array]:
+) -> tuple[Mask, Array, Array]:
     """Depth of the foremost returns within ``radius`` of (N, 2) rays, and their scatter."""
     valid = np.zeros(rays.shape[0], dtype=np.bool_)
     depths, sigmas = np.zeros(rays.shape[0]), np.zeros(rays.shape[0])
@@ -280,7 +277,7 @@ def feature_planes(
     radius: float,
     min_points: int = 6,
     depth_tolerance_m: float = 0.06,
-) -> tuple[NDArray[np.bool_], Array, Array]:
+) -> tuple[Mask, Array, Array]:
     """Planes of features seen along (N, 2) normalised ``rays`` (x / z, y / z).
 
     ``half_view``: the image's half extents in the same units; ``radius``: of the neighbourhood.

@@ -22,7 +22,6 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import CalibratedParams
 from touchdown.estimator.filtering.error_state import (
@@ -46,11 +45,20 @@ from touchdown.estimator.filtering.error_state import (
     Frames,
     Pinhole,
 )
-from touchdown.estimator.filtering.imu_propagation import cross_into, exp_so3_each, rotate_into
+from touchdown.estimator.filtering.imu_propagation import exp_so3_each
+from touchdown.estimator.filtering.vectors import (
+    UNIT,
+    ZERO,
+    Vector,
+    along,
+    cross,
+    dot,
+    turned,
+    xyz,
+)
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
-
-Array = NDArray[np.float64]
 
 
 def prior_sigmas(params: CalibratedParams) -> Array:
@@ -140,27 +148,18 @@ def landmark_jacobians(
     """
     out = np.zeros((len(rays), 3, SHARED_DIM))
     rotation = imu_from_camera.rotation
-    reach, far, beam, move = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    turn, plane = np.empty(3), np.empty(3)
     for i in range(len(rays)):
-        ray, n, jacobian = rays[i], planes[i], out[i]
-        along = ray[0] * n[0] + ray[1] * n[1] + ray[2] * n[2]
-        for a in range(3):
-            reach[a] = ray[a] / along
-            beam[a] = reach[a] - sensor[a]
-        rotate_into(rotation, reach, far)
+        ray, n, jacobian = xyz(rays[i]), xyz(planes[i]), out[i]
+        share = dot(ray, n)
+        reach = (ray[0] / share, ray[1] / share, ray[2] / share)
+        beam, far = along(reach, -1.0, xyz(sensor)), turned(rotation, reach)
         # the plane moves by n . (rotation x beam + translation), the landmark by as much along its
         # ray
-        cross_into(beam, n, move, 0)
-        rotate_into(rotation, move, turn)
-        rotate_into(rotation, n, plane)
+        turn, plane = turned(rotation, cross(beam, n)), turned(rotation, n)
         # from an earlier pose the ground lies further on: rotated and translated about the IMU
-        for a in range(3):
-            beam[a] = far[a] + imu_from_camera.translation[a]
-        cross_into(twist[ROTATION], beam, move, 0)
-        ahead = 0.0
-        for a in range(3):
-            ahead += plane[a] * (move[a] + twist[POSITION.start + a])
+        arm = along(far, 1.0, xyz(imu_from_camera.translation))
+        move = cross(xyz(twist[ROTATION]), arm)
+        ahead = dot(plane, along(move, 1.0, xyz(twist[POSITION])))
         for a in range(3):
             for b in range(3):
                 jacobian[a, MOUNT_ROTATION.start + b] = far[a] * turn[b]
@@ -169,33 +168,26 @@ def landmark_jacobians(
         # a ray that bends meets the same plane elsewhere
         for axis in range(2):
             f = lens.fx if axis == 0 else lens.fy
-            move[:] = 0.0
-            move[axis] = -reach[axis]
+            move = along(ZERO, -reach[axis], UNIT[axis])
             _meet(move, plane, far, rotation, jacobian, FOCAL.start + axis)
-            move[axis] = -1.0 / (f * along)
+            move = along(ZERO, -1.0 / (f * share), UNIT[axis])
             _meet(move, plane, far, rotation, jacobian, CENTER.start + axis)
         # so does one that turns about the camera, or starts beside it: axes of the IMU
         for axis in range(3):
-            cross_into(rotation[axis], reach, move, 0)
+            own = xyz(rotation[axis])
+            move = cross(own, reach)
             _meet(move, plane, far, rotation, jacobian, CAMERA_ROTATION.start + axis)
-            for a in range(3):
-                move[a] = rotation[axis, a]
-            _meet(move, plane, far, rotation, jacobian, CAMERA_TRANSLATION.start + axis)
+            _meet(own, plane, far, rotation, jacobian, CAMERA_TRANSLATION.start + axis)
     return out
 
 
 @njit(cache=True, error_model="numpy")
 def _meet(
-    move: Array, plane: Array, far: Array, rotation: Array, jacobian: Array, column: int
+    move: Vector, plane: Vector, far: Vector, rotation: Array, jacobian: Array, column: int
 ) -> None:
-    """Writes the motion of a landmark ``far`` (3,) on ``plane`` (3,), IMU frame, whose ray moves by
-    ``move`` (3,) there, camera frame, into a column."""
-    off = 0.0
+    """Writes the motion of a landmark ``far`` on ``plane``, IMU frame, whose ray moves by ``move``
+    there, camera frame, into a column."""
+    moved = turned(rotation, move)
+    moved = along(moved, -dot(plane, moved), far)
     for a in range(3):
-        moved = 0.0
-        for b in range(3):
-            moved += rotation[a, b] * move[b]
-        jacobian[a, column] = moved
-        off += plane[a] * moved
-    for a in range(3):
-        jacobian[a, column] -= off * far[a]
+        jacobian[a, column] = moved[a]

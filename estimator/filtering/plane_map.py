@@ -16,15 +16,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame
+from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 
 class PlaneMatches(NamedTuple):
     """Planes of the map found for N points."""
 
-    found: NDArray[np.bool_]  # (N,)
+    found: Mask  # (N,)
     normals: Array  # (N, 3) unit
     centres: Array  # (N, 3) m, a point on each plane
     variances: Array
@@ -38,7 +37,7 @@ class PlaneMatches(NamedTuple):
 class Voxels(NamedTuple):
     """The S slots of the hash table, as kernels take them."""
 
-    keys: NDArray[np.int64]  # (S,)
+    keys: Indices  # (S,)
     moments: Array  # (S, 10), in the order of ``_COUNT`` and the following
     owners: NDArray[np.int16]  # (S,) index of the anchor; -1: none
     seen_from: Array  # (S, 3) m
@@ -68,7 +67,7 @@ def _pack(ix: int, iy: int, iz: int) -> np.int64:
 
 
 @njit(cache=True, error_model="numpy")
-def _slot(keys: NDArray[np.int64], key: np.int64) -> int:
+def _slot(keys: Indices, key: np.int64) -> int:
     """Slot that holds ``key``, or the empty slot where it belongs (linear probing)."""
     mask = keys.shape[0] - 1
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
@@ -222,7 +221,7 @@ def _side(at: float, face: float) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _gather(
-    keys: NDArray[np.int64],
+    keys: Indices,
     moments: Array,
     x: float,
     y: float,

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     CAMERA_ROTATION,
@@ -21,17 +20,21 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
     Pinhole,
 )
-from touchdown.estimator.filtering.imu_propagation import (
-    cross_into,
-    exp_so3_into,
-    rotate_back_into,
-    rotate_into,
-)
+from touchdown.estimator.filtering.imu_propagation import exp_so3_into
 from touchdown.estimator.filtering.information import NormalEquations
+from touchdown.estimator.filtering.vectors import (
+    ZERO,
+    Vector,
+    along,
+    cross,
+    dot,
+    turned,
+    turned_back,
+    xyz,
+)
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,25 +90,20 @@ def reprojection_information(
 
 @njit(cache=True, error_model="numpy")
 def _see(
-    landmark: Array, poses: tuple[Frame, Frame], late_s: float, twist: Array,
-    camera_from_imu: Frame, offset: Array, turned: Array, seen: Array,
-) -> None:  # fmt: skip
-    """Writes the landmark of a keyframe in the present IMU frame (``offset``), the rotation until
-    its row ``late_s`` after the exposure (``turned``), and its position in the camera then
-    (``seen``). ``poses``: of the keyframe and now."""
-    world, turn = np.empty(3), np.empty(3)
+    landmark: Vector, poses: tuple[Frame, Frame], late_s: float, twist: Array,
+    camera_from_imu: Frame, until_row: Array,
+) -> tuple[Vector, Vector]:  # fmt: skip
+    """The landmark of a keyframe in the present IMU frame, and in the camera ``late_s`` after the
+    exposure, by the rotation ``until_row`` then, which it writes. ``poses``: of the keyframe and
+    now."""
     keyframe, now = poses
-    rotate_into(keyframe.rotation, landmark, world)
-    for a in range(3):
-        moved = now.translation[a] + late_s * twist[POSITION.start + a]
-        world[a] += keyframe.translation[a] - moved
-        turn[a] = -late_s * twist[ROTATION.start + a]
-    rotate_back_into(now.rotation, world, offset)
-    exp_so3_into(turn, turned)
-    rotate_into(turned, offset, turn)
-    rotate_into(camera_from_imu.rotation, turn, seen)
-    for a in range(3):
-        seen[a] += camera_from_imu.translation[a]
+    moved = along(xyz(now.translation), late_s, xyz(twist[POSITION]))
+    step = along(xyz(keyframe.translation), -1.0, moved)
+    world = along(turned(keyframe.rotation, landmark), 1.0, step)
+    offset = turned_back(now.rotation, world)
+    exp_so3_into(along(ZERO, -late_s, xyz(twist[ROTATION])), until_row)
+    seen = turned(camera_from_imu.rotation, turned(until_row, offset))
+    return offset, along(seen, 1.0, xyz(camera_from_imu.translation))
 
 
 @njit(cache=True, error_model="numpy")
@@ -119,16 +117,14 @@ def depth_corrections(
     A scalar Kalman filter each, with the poses as given; other arguments as in
     ``calibrated_information``. Landmarks off by ``gate_px`` and more stay.
     """
-    out, c, far = np.zeros((len(views.pixels), 2)), np.empty(3), np.empty(3)
-    offset, turned, further = np.empty(3), np.empty((3, 3)), np.empty(3)
+    out, until_row = np.zeros((len(views.pixels), 2)), np.empty((3, 3))
     poses = (keyframe, now)
     for i in range(len(views.pixels)):
         out[i, 1] = 1.0
-        for a in range(3):
-            further[a] = views.landmarks[i, a] + views.spreads[i, a]
-        late = views.row_times[i]
-        _see(views.landmarks[i], poses, late, twist, camera_from_imu, offset, turned, c)
-        _see(further, poses, late, twist, camera_from_imu, offset, turned, far)
+        landmark, late = xyz(views.landmarks[i]), views.row_times[i]
+        further = along(landmark, 1.0, xyz(views.spreads[i]))
+        _, c = _see(landmark, poses, late, twist, camera_from_imu, until_row)
+        _, far = _see(further, poses, late, twist, camera_from_imu, until_row)
         if c[2] < 1e-2 or far[2] < 1e-2:
             continue
         u, v = lens.fx * c[0] / c[2] + lens.cx, lens.fy * c[1] / c[2] + lens.cy
@@ -171,61 +167,55 @@ def calibrated_information(
     size = key + POSE_DIM
     # in units of their standard deviations, two for a landmark
     rows, residuals = np.empty((2 * len(pixels), size)), np.empty(2 * len(pixels))
-    jacobian, turned = np.zeros((2, size)), np.empty((3, 3))
-    mount, m = np.empty((2, 3)), np.empty((2, 3))
-    to_world, to_key = np.empty((2, 3)), np.empty((2, 3))
-    offset, turn, ray, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    jacobian, until_row = np.zeros((2, size)), np.empty((3, 3))
     used, squares, poses = 0, 0.0, (keyframe, now)
     for i in range(len(pixels)):
-        q, late = landmarks[i], row_times[i]
-        _see(q, poses, late, twists[0], camera_from_imu, offset, turned, c)
+        q = xyz(landmarks[i])
+        offset, c = _see(q, poses, row_times[i], twists[0], camera_from_imu, until_row)
         if c[2] < 1e-2:
             continue
         x, y = c[0] / c[2], c[1] / c[2]
         ru, rv = pixels[i, 0] - (fx * x + cx), pixels[i, 1] - (fy * y + cy)
-        for b in range(3):
-            mount[0, b] = fx / c[2] * (camera_rotation[0, b] - x * camera_rotation[2, b])
-            mount[1, b] = fy / c[2] * (camera_rotation[1, b] - y * camera_rotation[2, b])
-        for a in range(2):
-            rotate_back_into(turned, mount[a], m[a])
-            rotate_into(now.rotation, m[a], to_world[a])
-            rotate_back_into(keyframe.rotation, to_world[a], to_key[a])
+        ahead = xyz(camera_rotation[2])
+        right = along(xyz(camera_rotation[0]), -x, ahead)
+        down = along(xyz(camera_rotation[1]), -y, ahead)
+        # of the pixel by the point, in the IMU frames of its row and now, the world, the keyframe's
+        mount = along(ZERO, fx / c[2], right), along(ZERO, fy / c[2], down)
+        m = turned_back(until_row, mount[0]), turned_back(until_row, mount[1])
+        to_world = turned(now.rotation, m[0]), turned(now.rotation, m[1])
+        back = keyframe.rotation
+        to_key = turned_back(back, to_world[0]), turned_back(back, to_world[1])
         # an error of the landmark's depth moves its pixel along the epipolar line
-        du, dv = 0.0, 0.0
-        for k in range(3):
-            du += to_key[0, k] * spreads[i, k]
-            dv += to_key[1, k] * spreads[i, k]
+        spread = xyz(spreads[i])
+        du, dv = dot(to_key[0], spread), dot(to_key[1], spread)
         rest = 1.0 / (sigma_px * sigma_px + du * du + dv * dv)
         error2 = ru * ru + rv * rv - rest * (du * ru + dv * rv) ** 2
         if error2 > gate_px * gate_px:
             continue
         for a in range(2):
-            cross_into(m[a], offset, jacobian[a], ROTATION.start)
-            cross_into(q, to_key[a], jacobian[a], key + ROTATION.start)
+            by_turn, by_key_turn = cross(m[a], offset), cross(q, to_key[a])
             for b in range(3):
-                jacobian[a, POSITION.start + b] = -to_world[a, b]
-                jacobian[a, key + POSITION.start + b] = to_world[a, b]
+                jacobian[a, ROTATION.start + b] = by_turn[b]
+                jacobian[a, POSITION.start + b] = -to_world[a][b]
+                jacobian[a, key + ROTATION.start + b] = by_key_turn[b]
+                jacobian[a, key + POSITION.start + b] = to_world[a][b]
             for b in range(shared):
-                jacobian[a, calibration + b] = (
-                    to_key[a, 0] * jacobians[i, 0, b]
-                    + to_key[a, 1] * jacobians[i, 1, b]
-                    + to_key[a, 2] * jacobians[i, 2, b]
-                )
+                jacobian[a, calibration + b] = dot(to_key[a], xyz(jacobians[i, :, b]))
         if shared > 0:
             focal, center = calibration + FOCAL.start, calibration + CENTER.start
             jacobian[0, focal] += fx * x
             jacobian[1, focal + 1] += fy * y
             jacobian[0, center] += 1.0
             jacobian[1, center + 1] += 1.0
-            rotate_back_into(camera_rotation, c, ray)
+            ray = turned_back(camera_rotation, c)
             for a in range(2):
                 for b in range(POSE_DIM):
                     jacobian[a, calibration + CLOCK] -= jacobian[a, b] * twists[0, b]
                     jacobian[a, calibration + CLOCK] -= jacobian[a, key + b] * twists[1, b]
-                cross_into(mount[a], ray, turn, 0)
+                turn = cross(mount[a], ray)
                 for b in range(3):
                     jacobian[a, calibration + CAMERA_ROTATION.start + b] += turn[b]
-                    jacobian[a, calibration + CAMERA_TRANSLATION.start + b] -= mount[a, b]
+                    jacobian[a, calibration + CAMERA_TRANSLATION.start + b] -= mount[a][b]
         weight = 1.0 / ((1.0 + 4.0 * error2 / (gate_px * gate_px)) * sigma_px * sigma_px)
         # root of the weight: less along that line
         less = rest / (1.0 + np.sqrt(rest) * sigma_px)

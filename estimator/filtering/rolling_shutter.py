@@ -11,16 +11,16 @@ the filter's state and the image.
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.error_state import POSITION, ROTATION
 from touchdown.estimator.filtering.imu_propagation import exp_so3_each
 from touchdown.estimator.filtering.keyframes import bearing_rays
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraImage, CameraIntrinsics, SensorRig
 from touchdown.sim.frames import Pose, cross
-
-Array = NDArray[np.float64]
 
 _NEAREST_M = 0.05
 _FARTHEST_HEIGHTS = 5.0
@@ -109,3 +109,38 @@ class ShutterModel:
         for _ in range(2):
             found = found + pixels - self.to_instant(found, depths, twist)
         return found
+
+
+@dataclass(frozen=True, slots=True)
+class Shutter:
+    """Readout of an image whose last row is exposed at its stamp."""
+
+    readout_s: float = 0.0
+    """from the first row to the last; 0: all rows at once"""
+
+    @property
+    def middle_s(self) -> float:
+        """Instant of the middle row less the stamp."""
+        return -0.5 * self.readout_s
+
+    def row_times(self, rows: Array, height: int) -> Array:
+        """Instants (N,) of ``rows`` (N,), in pixels from the top, less the stamp."""
+        return self.readout_s * (rows / max(height - 1, 1) - 1.0)
+
+
+def rows_of_keyframe(
+    rays: Array, twist: Array, imu_from_camera: Pose, row_times: Array
+) -> tuple[Array, Array]:
+    """Returns rays (N, 3) and their starts (N, 3), each from the pose at its row's instant, in the
+    camera frame at the stamp.
+
+    ``rays`` (N, 3) in the camera frame of their own instants; ``twist`` (6,): angular rate and
+    velocity of the IMU in its own frame.
+    """
+    if not row_times.any():
+        return rays, np.zeros_like(rays)
+    to_camera, lever = imu_from_camera.rotation.T, imu_from_camera.translation
+    rate = to_camera @ twist[ROTATION]
+    velocity = to_camera @ (twist[POSITION] + np.cross(twist[ROTATION], lever))
+    rotations = exp_so3_each(row_times[:, None] * rate)
+    return np.einsum("nij,nj->ni", rotations, rays), row_times[:, None] * velocity

@@ -6,14 +6,12 @@ import copy
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import PoseTrack
 from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import LidarScan
 from touchdown.sim.frames import Pose, interpolate_pose, quat_wxyz_from_matrix
-
-Array = NDArray[np.float64]
 
 _STEPS = 128
 

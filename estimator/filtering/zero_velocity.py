@@ -1,12 +1,12 @@
-"""Zero-velocity update of the filter while the vehicle stands on the ground with slow rotors."""
+"""Updates of the filter while the vehicle stands on the ground with slow rotors."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     ACCEL_BIAS,
+    ACCEL_SCALE,
     GYRO_BIAS,
     GYRO_BY_FORCE,
     IMU_DIM,
@@ -18,9 +18,9 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.api import GRAVITY_MPS2
-
-Array = NDArray[np.float64]
+from touchdown.sim.frames import skew, so3_log
 
 _RATE_LIMIT = 2e-3
 """rad/s, of the mean rate once the gyroscope bias is known"""
@@ -35,6 +35,8 @@ _ROTATION_SIGMA = 1e-3
 _RATE_SIGMA = 1e-3
 """rad/s, beside the gyroscope's noise. These four are larger than a single update needs, because a
 light vehicle creeps on its feet in the wind, and this error repeats from update to update."""
+_UP = np.array([0.0, 0.0, GRAVITY_MPS2])
+_ITERATIONS = 4
 
 
 class ZeroVelocityUpdate:
@@ -49,7 +51,7 @@ class ZeroVelocityUpdate:
         self._step_s = step_s
         self._anchor: NavState | None = None
 
-    def holds(self, eskf: Eskf, gyro: Array, force: Array, stationary: NDArray[np.bool_]) -> bool:
+    def holds(self, eskf: Eskf, gyro: Array, force: Array, stationary: Mask) -> bool:
         """True if (N, 3) samples, all taken with the rotors too slow to lift, show no motion: mean
         rate and force within four standard deviations of those of a stationary vehicle."""
         if len(gyro) < 6 or not bool(stationary.all()):
@@ -66,7 +68,7 @@ class ZeroVelocityUpdate:
             and force.std(axis=0).max() < _SHAKE_LIMIT
         )
 
-    def update(self, eskf: Eskf, gyro: Array, force: Array, stationary: NDArray[np.bool_]) -> bool:
+    def update(self, eskf: Eskf, gyro: Array, force: Array, stationary: Mask) -> bool:
         """Applies the updates if ``holds``; returns True if so."""
         if not self.holds(eskf, gyro, force, stationary):
             self._anchor = None
@@ -91,7 +93,7 @@ class ZeroVelocityUpdate:
         return True
 
 
-def _derivatives(specific_force: Array, eskf: Eskf) -> tuple[Array, NDArray[np.int64]]:
+def _derivatives(specific_force: Array, eskf: Eskf) -> tuple[Array, Indices]:
     """Derivatives (12, D) of the residuals by the error coordinates (D,) that are returned beside.
 
     At rest the gyroscope shows its bias and its response to gravity. Which of the two it is shows
@@ -104,3 +106,37 @@ def _derivatives(specific_force: Array, eskf: Eskf) -> tuple[Array, NDArray[np.i
     response[9:] = np.kron(np.eye(3), specific_force)
     by_force = after(eskf.base - IMU_DIM, GYRO_BY_FORCE)
     return np.hstack([np.eye(12), response]), np.r_[touched, by_force]
+
+
+def align_with_gravity(eskf: Eskf, force: Array, sigma_mps2: float) -> None:
+    """Updates attitude and accelerometer bias by the mean specific force (3,) at rest, IMU frame.
+
+    ``sigma_mps2``: standard deviation of that mean. Roll and pitch may be off by tens of degrees.
+    At rest the force is gravity's reaction, scaled, plus the bias: a levelled attitude errs by the
+    bias over gravity. The update keeps that correlation, so that a later rotation about the
+    vertical, which separates the two, corrects both (Titterton and Weston, "Strapdown inertial
+    navigation technology", 2004, on alignment).
+    """
+    prior, clones = eskf.state, eskf.clones
+    touched = np.r_[ROTATION, ACCEL_BIAS]
+    if eskf.shared:  # the accelerometer's scale
+        touched = np.r_[touched, after(eskf.base - IMU_DIM, ACCEL_SCALE)]
+    information, gains = np.zeros((len(touched), len(touched))), eskf.gains(0.0)
+    for _ in range(_ITERATIONS):
+        state = eskf.state
+        reaction = state.rotation.T @ _UP
+        scale = state.imu_errors[ACCEL_SCALE]
+        by_error = np.hstack([skew(reaction), np.eye(3), np.diag(reaction)])[:, : len(touched)]
+        residual = force - (1.0 + scale) * reaction - state.accel_bias
+        information = by_error.T @ by_error / sigma_mps2**2
+        vector = by_error.T @ residual / sigma_mps2**2
+        moved = [
+            so3_log(prior.rotation.T @ state.rotation),
+            state.accel_bias - prior.accel_bias,
+            scale - prior.imu_errors[ACCEL_SCALE],
+        ]
+        offset = np.concatenate(moved)[: len(touched)]
+        vector = vector + information @ offset
+        delta = eskf.correction(touched, information, vector, gains)
+        eskf.state, eskf.clones = eskf.boxplus(prior, clones, delta)
+    eskf.update_covariance(touched, information, gains)

@@ -8,9 +8,6 @@ into the map, and a revisit, compared with it, would confirm that drift.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.deskew import PlacedScan, moved, thin_out
@@ -18,9 +15,8 @@ from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.intensity_update import IntensityErrors, PhotometricUpdate
-
-Array = NDArray[np.float64]
+from touchdown.estimator.livo.intensity_update import PhotometricUpdate
+from touchdown.estimator.typing import Array, Bytes
 
 _SPREAD = 0.12
 """of a voxel, between two points of a scan that are stored: close to the ground a scan would fill a
@@ -40,12 +36,10 @@ class AnchoredMap:
         self.planes = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
         self.recent = RecentReturns()
         self.anchors = Anchors()
-        errors = IntensityErrors(plane_height_m=params.dark_height_sigma_m)
-        self.photometric = PhotometricUpdate(lever, dark_ticks, errors)
+        height_m = params.dark_height_sigma_m
+        self.photometric = PhotometricUpdate(lever, dark_ticks, plane_height_m=height_m)
 
-    def extend(
-        self, eskf: Eskf, scan: PlacedScan, intensity: NDArray[np.uint8], lever: Array
-    ) -> None:
+    def extend(self, eskf: Eskf, scan: PlacedScan, intensity: Bytes, lever: Array) -> None:
         """Adds the scan just used, with its ``intensity`` (N,), at the present pose to the newest
         clone's part while that is open. ``lever`` (3,): of the LIDAR in the IMU frame."""
         state, age = eskf.state, eskf.state.tick - self._begun

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.degeneracy import (
     rotations_among,
@@ -19,8 +19,8 @@ from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.plane_map import PlaneMap
 from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_equations
-
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array
+from touchdown.sim.api import SensorRig
 
 _SAME_PLANE_M = 0.02
 """displacement of a return up to which its plane is not looked up again"""
@@ -146,3 +146,31 @@ class DegeneracyWatch:
         }
         lost = [f"{what} {n} {'axis' if n == 1 else 'axes'}" for what, n in counts.items() if n]
         return [f"the LIDAR does not measure {' and '.join(lost)}"]
+
+
+def scan_errors(rig: SensorRig, params: LivoParams) -> ScanErrors:
+    """The errors of a scan by the LIDAR's data and the parameters."""
+    tilt, yaw = np.radians([params.scan_tilt_sigma_deg, params.scan_yaw_sigma_deg])
+    aside, height = params.scan_lateral_sigma_m, params.scan_height_sigma_m
+    weak = float(np.radians(params.weak_sigma_deg)), params.weak_sigma_m
+    return ScanErrors(
+        range_sigma_m=rig.lidar.range_sigma_m,
+        angle_sigma_rad=float(np.radians(rig.lidar.angle_sigma_deg)),
+        plane_sigma_m=params.plane_sigma_m,
+        floor_sigmas=np.array([tilt, tilt, yaw, aside, aside, height]),
+        weak_sigmas=weak if params.use_degeneracy else None,
+    )
+
+
+def scan_diagnostics(report: LidarReport, returns: int, voxels: int) -> dict[str, float]:
+    """Figures of an update by one scan, by the name of their plot."""
+    return {
+        "scan_returns": float(returns),
+        "lidar_matched": float(report.matched),
+        "lidar_rms_m": report.rms_m,
+        "lidar_lateral_weakest": float(report.lateral_strength[0]),
+        "lidar_lateral_middle": float(report.lateral_strength[1]),
+        "lidar_weak_translation": float(report.weak_translation),
+        "lidar_weak_rotation": float(report.weak_rotation),
+        "map_voxels": float(voxels),
+    }

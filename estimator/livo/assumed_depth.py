@@ -12,7 +12,6 @@ as known better than to a floor.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame, Pinhole
 from touchdown.estimator.filtering.keyframes import Keyframe, bearing_rays
@@ -21,11 +20,9 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     depth_corrections,
 )
+from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _LEAST_HEIGHT_M = 0.5
 """of the camera above the ground; below it, the beam's error would be much of the depth"""

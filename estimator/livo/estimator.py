@@ -18,7 +18,6 @@ propagated over the buffered IMU samples to the present.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, LivoParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, thin_out
@@ -32,18 +31,22 @@ from touchdown.estimator.filtering.online_calibration import (
     prior_sigmas,
 )
 from touchdown.estimator.filtering.reprojection import MountedCamera
+from touchdown.estimator.filtering.rolling_shutter import Shutter
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.ground_below import GroundBelow
 from touchdown.estimator.livo.anchored_map import AnchoredMap
-from touchdown.estimator.livo.anchored_update import DegeneracyWatch, LidarReport, update_with_scan
-from touchdown.estimator.livo.error_model import scan_diagnostics, scan_errors, visual_diagnostics
+from touchdown.estimator.livo.anchored_update import (
+    DegeneracyWatch,
+    LidarReport,
+    scan_diagnostics,
+    scan_errors,
+    update_with_scan,
+)
 from touchdown.estimator.livo.patch_tracker import grey_levels
-from touchdown.estimator.livo.shutter import Shutter
 from touchdown.estimator.livo.visual import VisualFrontEnd
+from touchdown.estimator.typing import Bytes
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, so3_log
-
-Array = NDArray[np.float64]
 
 _FEWEST_RETURNS = 50
 """minimum of a usable scan"""
@@ -139,7 +142,7 @@ class Livo:
         self._scan_track = self._filter.track_of(scan, self._scan_track)
         self._diagnostics |= scan_diagnostics(report, len(placed), self._map.planes.used)
 
-    def _update_with_scan(self, scan: PlacedScan, intensity: NDArray[np.uint8]) -> LidarReport:
+    def _update_with_scan(self, scan: PlacedScan, intensity: Bytes) -> LidarReport:
         params, photometric = self._params, self._map.photometric
         share = params.scan_calibration_gain * (self._height >= params.calibrate_above_m)
         report = LidarReport()
@@ -186,7 +189,7 @@ class Livo:
             )
             if keyframe is not None:
                 self._add_clone(keyframe)
-        self._diagnostics |= visual_diagnostics(report, len(vision.keyframes))
+        self._diagnostics |= report.diagnostics() | {"keyframes": float(len(vision.keyframes))}
         self._diagnostics |= calibration_diagnostics(eskf.state.calibration)
 
     # ------------------------------------------------------------------------ clones and map

@@ -13,13 +13,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from touchdown.estimator.typing import Array, Bytes, Float32
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
 
 SIDE = 384
 """cells of a row"""
@@ -36,7 +32,7 @@ FEWEST = 1.5
 """returns that a smoothed cell needs (weighted mean over its neighbourhood)"""
 
 
-def brightness(intensity: NDArray[np.uint8]) -> Array:
+def brightness(intensity: Bytes) -> Array:
     """Returns the logarithm of intensities (N,)."""
     return _BRIGHTNESS[intensity]
 

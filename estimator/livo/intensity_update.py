@@ -15,8 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from touchdown.estimator.filtering.anchors import (
+    ANCHORED_DIM,
+    CLONE_AT,
+    MOUNT_AT,
+    Sight,
+    derivatives_into,
+)
 from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.error_state import (
     CLONE_DIM,
@@ -29,19 +35,26 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
-from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into, rotate_into
 from touchdown.estimator.filtering.information import limit_information
+from touchdown.estimator.filtering.vectors import (
+    ZERO,
+    along,
+    cross,
+    dot,
+    turned,
+    turned_back,
+    xyz,
+)
 from touchdown.estimator.livo.anchored_update import ScanErrors
-from touchdown.estimator.livo.intensity_image import FEWEST, Float32, IntensityImage, brightness
+from touchdown.estimator.livo.intensity_image import FEWEST, IntensityImage, brightness
 from touchdown.estimator.livo.plane_equations import Returns
-
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array, Bytes, Float32
 
 _ASIDE = slice(POSITION.start, POSITION.start + 2)
 """x and y of a pose"""
+_HEIGHT = POSITION.stop - 1
 _RETURNS = 4000
 """returns of a scan that are compared with images"""
-_HEIGHT = POSITION.stop - 1
 _PLANE_TILT = float(np.radians(0.05))
 """rad, information floor of roll and pitch by planes where intensities measure"""
 _ITERATIONS = 4
@@ -50,15 +63,16 @@ _LEAST_OVERLAP = 0.3
 _MOST_IMAGES = 3
 _LEAST_CLEAR = 0.3
 """share of an image's squared gradients that is not noise; below, it has no texture"""
-_FIRST_SIGMA = 0.25
+_FIRST_SIGMA, _LEAST_SIGMA = 0.25, 0.1
+"""of a brightness"""
+_ASIDE_M, _ROTATION_RAD = 0.02, 5e-4
+"""errors of a measurement that do not average out over its returns: the noise of an image is the
+same for all scans compared with it"""
+_IMAGE_ASIDE_M, _IMAGE_ROTATION_RAD = 0.03, 5e-4
+"""errors of an image as a whole: the drift while it was made"""
 _GRADIENT_NOISE = 0.094
 """variance of a gradient by noise, in that of one return over their number and the cell's area: two
 neighbours of an image smoothed by 1, 2, 1"""
-
-
-# derivatives of a brightness: present pose, mount of the LIDAR, and the clone of the image
-_MOUNT, _CLONE = POSE_DIM, POSE_DIM + MOUNT_DIM
-_WIDTH = _CLONE + POSE_DIM
 
 
 class Photometry(NamedTuple):
@@ -105,14 +119,11 @@ def photometry(
     means, weights, axes, cell, clone_rotation, w, shift = image
     rotation, translation = clone_from_imu
     rows, columns = means.shape
-    information, vector = np.zeros((_WIDTH, _WIDTH)), np.zeros(_WIDTH)
-    mean_row, row = np.zeros(_WIDTH), np.zeros(_WIDTH)
+    information, vector = np.zeros((ANCHORED_DIM, ANCHORED_DIM)), np.zeros(ANCHORED_DIM)
+    mean_row, row = np.zeros(ANCHORED_DIM), np.zeros(ANCHORED_DIM)
     total_weight, mean_residual = 0.0, 0.0
-    g, q, seen = np.zeros(3), np.zeros(3), np.zeros(3)
-    now, to_odom, arm = np.zeros(3), np.zeros(3), np.zeros(3)
-    level_p, level_beam = np.zeros(3), np.zeros(3)
-    up, up_now = clone_rotation[2].copy(), np.zeros(3)
-    rotate_back_into(rotation, up, up_now)
+    across, down = xyz(axes[0]), xyz(axes[1])
+    up, up_now = xyz(clone_rotation[2]), turned_back(rotation, xyz(clone_rotation[2]))
     level = 0.0  # mean height of the returns above the IMU, m
     for i in range(points.shape[0]):
         for a in range(3):
@@ -120,17 +131,11 @@ def photometry(
     squares, noise, absolute = 0.0, 0.0, 0.0
     used = 0
     for i in range(points.shape[0]):
-        p, beam = points[i], beams[i]
-        rotate_into(rotation, p, q)
-        for a in range(3):
-            q[a] += translation[a]
-            seen[a] = q[a] - lever[a]
-        u, v = 0.0, 0.0
-        cross_into(w, seen, arm, 0)
-        for a in range(3):
-            moved = q[a] - (arm[a] + shift[a])
-            u += axes[0, a] * moved
-            v += axes[1, a] * moved
+        p, beam = xyz(points[i]), xyz(beams[i])
+        q = along(turned(rotation, p), 1.0, xyz(translation))
+        seen = along(q, -1.0, xyz(lever))
+        moved = along(q, -1.0, along(cross(xyz(w), seen), 1.0, xyz(shift)))
+        u, v = dot(across, moved), dot(down, moved)
         u, v = u / cell + 0.5 * columns - 0.5, v / cell + 0.5 * rows - 0.5
         c, r = int(np.floor(u)), int(np.floor(v))
         if c < 1 or r < 1 or c >= columns - 2 or r >= rows - 2:
@@ -150,24 +155,13 @@ def photometry(
         scaled = residual / sigma
         weight = 1.0 / ((1.0 + 0.25 * scaled * scaled) * sigma * sigma)
         absolute += abs(residual)
-        for a in range(3):
-            g[a] = gu * axes[0, a] + gv * axes[1, a]
-        rotate_back_into(rotation, g, now)
-        rotate_into(clone_rotation, g, to_odom)
-        lift = up_now[0] * p[0] + up_now[1] * p[1] + up_now[2] * p[2] - level
-        for a in range(3):
-            level_p[a], level_beam[a] = p[a] - lift * up_now[a], beam[a] - lift * up_now[a]
-            q[a] -= lift * up[a]
-            seen[a] -= lift * up[a]
-        cross_into(level_p, now, row, ROTATION.start)
-        cross_into(g, q, row, _CLONE + ROTATION.start)
-        cross_into(level_beam, now, row, _MOUNT + MOUNT_ROTATION.start)
-        cross_into(seen, g, arm, 0)
-        for a in range(3):
-            row[_MOUNT + MOUNT_ROTATION.start + a] -= arm[a]
-            row[_MOUNT + MOUNT_TRANSLATION.start + a] = now[a] - g[a]
-            row[POSITION.start + a], row[_CLONE + POSITION.start + a] = to_odom[a], -to_odom[a]
-        for a in range(_WIDTH):
+        slope = along(along(ZERO, gu, across), gv, down)
+        in_odom, in_imu = turned(clone_rotation, slope), turned_back(rotation, slope)
+        lift = dot(up_now, p) - level
+        arm, reach = along(seen, -lift, up), along(q, -lift, up)
+        sight = Sight(along(p, -lift, up_now), along(beam, -lift, up_now), arm, reach)
+        derivatives_into(row, in_odom, in_imu, slope, sight, False)
+        for a in range(ANCHORED_DIM):
             vector[a] += weight * row[a] * residual
             mean_row[a] += weight * row[a]
             for b in range(a + 1):
@@ -179,7 +173,7 @@ def photometry(
         used += 1
     if used == 0:
         return Photometry(information, vector, 0, sigma, 1.0)
-    for a in range(_WIDTH):
+    for a in range(ANCHORED_DIM):
         vector[a] -= mean_row[a] * mean_residual / total_weight
         for b in range(a + 1):
             information[a, b] -= mean_row[a] * mean_row[b] / total_weight
@@ -187,23 +181,6 @@ def photometry(
     spread = 1.2533 * absolute / used
     noise *= spread * spread
     return Photometry(information, vector, used, spread, noise / max(squares, 1e-12))
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class IntensityErrors:
-    """Errors of a photometric measurement as a whole."""
-
-    aside_m: float = 0.02
-    """that do not average out over its returns: the noise of an image is the same for all scans
-    compared with it"""
-    rotation_rad: float = 5e-4
-    image_aside_m: float = 0.03
-    """of an image as a whole: the drift while it was made"""
-    image_rotation_rad: float = 5e-4
-    least_sigma: float = 0.1
-    """of a brightness"""
-    plane_height_m: float = 0.05
-    """least information floor of the height by planes where intensities measure"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -221,13 +198,13 @@ class PhotometricUpdate:
     """Images of all clones and the update by a scan; image k is of clone k."""
 
     def __init__(
-        self, lever: Array, dark_ticks: int | None = 0, errors: IntensityErrors | None = None
+        self, lever: Array, dark_ticks: int | None = 0, *, plane_height_m: float = 0.0
     ) -> None:
         """``lever`` (3,): the LIDAR in the IMU frame; ``dark_ticks``: scans measure only when for
-        longer than this no image has; None: never, and no images are made."""
+        longer than this no image has; None: never, and no images are made. ``plane_height_m``:
+        least information floor of the height by planes while they do."""
         self._lever = lever
-        self._dark_ticks = dark_ticks
-        self._errors = errors or IntensityErrors()
+        self._dark_ticks, self._plane_height_m = dark_ticks, plane_height_m
         self._sigma = _FIRST_SIGMA
         self.images: list[IntensityImage] = []
 
@@ -236,13 +213,12 @@ class PhotometricUpdate:
 
     def errors_of_planes(self, errors: ScanErrors, dark_ticks: int) -> ScanErrors:
         """Error model of the planes after ``dark_ticks`` without an image: intensities see the
-        ground, at which tilt and translation look the same, so that planes must separate them.
-        A scan measures the height with ``IntensityErrors.plane_height_m`` at best."""
+        ground, at which tilt and translation look the same, so that planes must separate them."""
         if not self._needed(dark_ticks):
             return errors
         floor = errors.floor_sigmas.copy()
         floor[:2] = np.minimum(floor[:2], _PLANE_TILT)
-        floor[_HEIGHT] = max(floor[_HEIGHT], self._errors.plane_height_m)
+        floor[_HEIGHT] = max(floor[_HEIGHT], self._plane_height_m)
         return replace(errors, floor_sigmas=floor)
 
     def begin(self, eskf: Eskf, height_m: float, dark_ticks: int) -> None:
@@ -253,17 +229,17 @@ class PhotometricUpdate:
         shared = eskf.state.calibration[: eskf.shared]
         self.images.append(IntensityImage.of(eskf.clones[-1].rotation, height_m, shared))
         if self._needed(dark_ticks):
-            errors, at = self._errors, eskf.clone_indices(len(eskf.clones) - 1)
+            at = eskf.clone_indices(len(eskf.clones) - 1)
             yaw, aside = at[ROTATION][2], at[_ASIDE]
-            eskf.covariance[yaw, yaw] += errors.image_rotation_rad**2
-            eskf.covariance[aside, aside] += errors.image_aside_m**2
+            eskf.covariance[yaw, yaw] += _IMAGE_ROTATION_RAD**2
+            eskf.covariance[aside, aside] += _IMAGE_ASIDE_M**2
 
     def drop(self, k: int) -> None:
         """Forgets the image of clone ``k``."""
         if self.images:
             del self.images[k]
 
-    def extend(self, eskf: Eskf, points: Array, intensity: NDArray[np.uint8]) -> None:
+    def extend(self, eskf: Eskf, points: Array, intensity: Bytes) -> None:
         """Adds the returns of the scan just used, ``points`` (N, 3) in the IMU frame, to the newest
         image."""
         if self.images:
@@ -274,7 +250,7 @@ class PhotometricUpdate:
         self,
         eskf: Eskf,
         scan: PlacedScan,
-        intensity: NDArray[np.uint8],
+        intensity: Bytes,
         dark_ticks: int,
         share: float = 1.0,
     ) -> dict[str, float]:
@@ -321,8 +297,7 @@ class PhotometricUpdate:
         if not keys:
             return IntensityReport()
         update, sigmas = IteratedUpdate(eskf, share), np.full(len(keys), self._sigma)
-        own = self._errors
-        floor = np.array([*[own.rotation_rad] * 3, own.aside_m, own.aside_m, 0.0])
+        floor = np.array([*[_ROTATION_RAD] * 3, _ASIDE_M, _ASIDE_M, 0.0])
         floors = np.concatenate([floor, np.zeros(eskf.shared + CLONE_DIM * len(keys))])
         used, images, sigma = 0, 0, self._sigma
         for _ in range(_ITERATIONS):
@@ -366,16 +341,16 @@ class PhotometricUpdate:
                 returns, values, view, Frame.of(move), self._lever, float(sigmas[slot])
             )
             if part.used:
-                sigmas[slot] = max(part.spread, self._errors.least_sigma)
+                sigmas[slot] = max(part.spread, _LEAST_SIGMA)
             clear = 1.0 - part.noise_share
             if part.used < _LEAST_USED or clear < _LEAST_CLEAR:
                 continue
             start = POSE_DIM + shared + CLONE_DIM * slot
             where = np.r_[0:POSE_DIM, start : start + CLONE_DIM]
-            own = np.r_[0:POSE_DIM, _CLONE:_WIDTH]
+            own = np.r_[0:POSE_DIM, CLONE_AT:ANCHORED_DIM]
             if shared:
                 where = np.r_[where, POSE_DIM : POSE_DIM + MOUNT_DIM]
-                own = np.r_[own, _MOUNT:_CLONE]
+                own = np.r_[own, MOUNT_AT:CLONE_AT]
             # the noise of the gradients adds to the squares, not to the vector
             information[np.ix_(where, where)] += clear * part.information[np.ix_(own, own)]
             vector[where] += part.vector[own]

@@ -12,13 +12,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame, Pinhole
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Grey = NDArray[np.uint8]
+from touchdown.estimator.typing import Array, Bytes, Float32, Grey, Mask
 
 HALF = 6
 """patches are 13 x 13"""
@@ -39,7 +35,7 @@ _ANY_ORDER = {"reassoc", "contract", "nsz", "arcp"}
 """of sums, so that the processor takes a vector of pixels at a time"""
 
 
-def grey_levels(image: NDArray[np.uint8]) -> tuple[Grey, Grey, Grey]:
+def grey_levels(image: Bytes) -> tuple[Grey, Grey, Grey]:
     """A grey image (H, W), or that of a coloured one, and its halves; a light blur first tames
     noise and texel steps."""
     plain = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
@@ -208,7 +204,7 @@ def track(
     lens: Pinhole,
     top_level: int = 1,
     min_correlation: float = 0.7,
-) -> tuple[NDArray[np.bool_], Array, Array]:
+) -> tuple[Mask, Array, Array]:
     """Tracks (N, 2) ``pixels`` of ``source`` into ``target``, images without distortion.
 
     ``planes`` (N, 3): the plane ``n . P = 1`` of each patch in the source camera's frame;

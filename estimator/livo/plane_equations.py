@@ -11,11 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.anchors import AnchorFrames
+from touchdown.estimator.filtering.anchors import (
+    ANCHORED_DIM,
+    CLONE_AT,
+    MOUNT_AT,
+    AnchorFrames,
+    Sight,
+    derivatives_into,
+)
 from touchdown.estimator.filtering.error_state import (
-    MOUNT_DIM,
     MOUNT_ROTATION,
     MOUNT_TRANSLATION,
     POSE_DIM,
@@ -23,14 +28,17 @@ from touchdown.estimator.filtering.error_state import (
     ROTATION,
     Frame,
 )
-from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into
 from touchdown.estimator.filtering.plane_map import PlaneMatches
-
-Array = NDArray[np.float64]
-
-# a residual's derivatives: pose, mount of the LIDAR, and the clone that the plane is anchored to
-_MOUNT, _CLONE = POSE_DIM, POSE_DIM + MOUNT_DIM
-_WIDTH = _CLONE + POSE_DIM
+from touchdown.estimator.filtering.vectors import (
+    Vector,
+    along,
+    cross,
+    dot,
+    turned,
+    turned_back,
+    xyz,
+)
+from touchdown.estimator.typing import Array, Indices
 
 
 class Returns(NamedTuple):
@@ -61,12 +69,14 @@ class PlaneEquations(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _moved(frame: Frame, point: Array, shift: float, out: Array) -> None:
-    """Writes ``rotation @ point + shift * translation`` into ``out``."""
-    for a in range(3):
-        out[a] = shift * frame.translation[a]
-        for b in range(3):
-            out[a] += frame.rotation[a, b] * point[b]
+def _placed(frame: Frame, point: Vector) -> Vector:
+    """``translation + rotation @ point``"""
+    (x, y, z), r, t = point, frame.rotation, frame.translation
+    return (
+        t[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z,
+        t[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z,
+        t[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z,
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -95,45 +105,40 @@ def plane_equations(
     all three directions does not depend on the normal; that of the normal is taken off.
     """
     count = anchors.slots.shape[0]
-    blocks, gradients = np.zeros((count + 1, _WIDTH, _WIDTH)), np.zeros((count + 1, _WIDTH))
+    blocks, gradients = (
+        np.zeros((count + 1, ANCHORED_DIM, ANCHORED_DIM)),
+        np.zeros((count + 1, ANCHORED_DIM)),
+    )
     normal_rows = np.zeros((POSE_DIM, POSE_DIM))
     normal_weight, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
-    row = np.zeros(_WIDTH)
-    n, x, c, sensor, reach = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    in_imu, arm, in_clone = np.zeros(3), np.zeros(3), np.zeros(3)
+    row = np.zeros(ANCHORED_DIM)
     used, total = 0, 0.0
     for i in range(scan.points.shape[0]):
         if not planes.found[i]:
             continue
-        p, beam, k = scan.points[i], scan.beams[i], planes.anchors[i]
-        for a in range(3):
-            n[a], c[a], sensor[a] = planes.normals[i, a], planes.centres[i, a], planes.sensors[i, a]
+        p, beam, k = xyz(scan.points[i]), xyz(scan.beams[i]), planes.anchors[i]
+        n, c, seen_from = (
+            xyz(planes.normals[i]), xyz(planes.centres[i]), xyz(planes.sensors[i])
+        )  # fmt: skip
         own = pose
         if k >= 0:
             move = Frame(anchors.moves.rotations[k], anchors.moves.translations[k])
             own = Frame(anchors.clones.rotations[k], anchors.clones.translations[k])
-            _moved(move, planes.normals[i], 0.0, n)
-            _moved(move, planes.centres[i], 1.0, c)
-            _moved(move, planes.sensors[i], 1.0, sensor)
-        rotate_back_into(pose.rotation, n, in_imu)
-        _moved(pose, p, 1.0, x)
-        height, along, length2 = 0.0, 0.0, 0.0
-        for a in range(3):
-            height += n[a] * (x[a] - c[a])
-            along += in_imu[a] * beam[a]
-            length2 += beam[a] * beam[a]
+            n, seen_from = turned(move.rotation, n), _placed(move, seen_from)
+            c = _placed(move, c)
+        x = _placed(pose, p)
         # the plane in the IMU frame of its clone, where it turns about the sensor with the mount
-        rotate_back_into(own.rotation, n, in_clone)
-        for a in range(3):
-            reach[a] = x[a] - sensor[a]
-        rotate_back_into(own.rotation, reach, arm)
+        in_imu, in_clone = turned_back(pose.rotation, n), turned_back(own.rotation, n)
+        arm = turned_back(own.rotation, along(x, -1.0, seen_from))
+        reach = turned_back(own.rotation, along(x, -1.0, xyz(own.translation)))
+        height = dot(n, along(x, -1.0, c))
         if k >= 0:
-            change = anchors.mount_changes[k]
-            cross_into(arm, in_clone, row, _MOUNT)
+            change, moment = anchors.mount_changes[k], cross(arm, in_clone)
             for a in range(3):
-                height -= row[_MOUNT + a] * change[MOUNT_ROTATION.start + a]
+                height -= moment[a] * change[MOUNT_ROTATION.start + a]
                 height -= in_clone[a] * change[MOUNT_TRANSLATION.start + a]
-        cosine2 = along * along / length2
+        towards, length2 = dot(in_imu, beam), dot(beam, beam)
+        cosine2 = towards * towards / length2
         own_noise = noise.range_sigma**2 * cosine2
         own_noise += noise.angle_sigma**2 * length2 * (1.0 - cosine2)
         variance = max(own_noise, planes.variances[i, 0]) + planes.variances[i, 1]
@@ -142,29 +147,9 @@ def plane_equations(
         if scaled2 > noise.gate * noise.gate:
             continue
         weight = 1.0 / ((1.0 + 4.0 * scaled2 / (noise.gate * noise.gate)) * variance)
-        cross_into(p, in_imu, row, ROTATION.start)
-        for a in range(3):
-            row[POSITION.start + a] = n[a]
-        if shared > 0:
-            cross_into(beam, in_imu, row, _MOUNT)
-            cross_into(arm, in_clone, reach, 0)
-            for a in range(3):
-                row[_MOUNT + MOUNT_ROTATION.start + a] -= reach[a]
-                row[_MOUNT + MOUNT_TRANSLATION.start + a] = in_imu[a] - in_clone[a]
-        else:
-            row[_MOUNT:_CLONE] = 0.0
-        if k >= 0:
-            # the plane turns and moves with its clone
-            for a in range(3):
-                reach[a] = x[a] - own.translation[a]
-            rotate_back_into(own.rotation, reach, arm)
-            cross_into(in_clone, arm, row, _CLONE + ROTATION.start)
-            for a in range(3):
-                row[_CLONE + POSITION.start + a] = -n[a]
-        else:
-            row[_CLONE:] = 0.0
+        derivatives_into(row, n, in_imu, in_clone, Sight(p, beam, arm, reach), False)
         block, gradient = blocks[k], gradients[k]  # -1 is the last: planes without an anchor
-        for a in range(_WIDTH):
+        for a in range(ANCHORED_DIM):
             scaled = weight * row[a]
             gradient[a] -= scaled * height
             for b in range(a + 1):
@@ -196,10 +181,9 @@ def _all_directions(weight: float, first: Array, second: Array, rotation: Array)
     from the weighted number of points and their moments."""
     out = np.zeros((POSE_DIM, POSE_DIM))
     square = second[0, 0] + second[1, 1] + second[2, 2]
-    column = np.zeros(3)
     for u in range(3):
         out[POSITION.start + u, POSITION.start + u] = weight
-        cross_into(first, rotation[u], column, 0)
+        column = cross(xyz(first), xyz(rotation[u]))
         for a in range(3):
             out[ROTATION.start + a, POSITION.start + u] = column[a]
             out[POSITION.start + u, ROTATION.start + a] = column[a]
@@ -210,19 +194,19 @@ def _all_directions(weight: float, first: Array, second: Array, rotation: Array)
 
 @njit(cache=True, error_model="numpy")
 def _assembled(
-    blocks: Array, gradients: Array, slots: NDArray[np.int64], touched: int, shared: int
+    blocks: Array, gradients: Array, slots: Indices, touched: int, shared: int
 ) -> tuple[Array, Array]:
     """Sums the lower halves of the anchors' blocks into one matrix (D, D) and vector (D,)."""
     size = POSE_DIM + shared + POSE_DIM * touched
     information, vector = np.zeros((size, size)), np.zeros(size)
-    columns = np.empty(_WIDTH, np.int64)
+    columns = np.empty(ANCHORED_DIM, np.int64)
     for k in range(blocks.shape[0]):
         slot = slots[k] if k < slots.shape[0] else -1
-        first = POSE_DIM + shared + POSE_DIM * slot - _CLONE if slot >= 0 else -_WIDTH
-        for a in range(_WIDTH):
-            own = -1 if shared == 0 and a >= _MOUNT else a
-            columns[a] = own if a < _CLONE else first + a
-        for a in range(_WIDTH):
+        first = POSE_DIM + shared + POSE_DIM * slot - CLONE_AT if slot >= 0 else -ANCHORED_DIM
+        for a in range(ANCHORED_DIM):
+            own = -1 if shared == 0 and a >= MOUNT_AT else a
+            columns[a] = own if a < CLONE_AT else first + a
+        for a in range(ANCHORED_DIM):
             u = columns[a]
             if u < 0:
                 continue

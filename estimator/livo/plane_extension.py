@@ -11,14 +11,12 @@ from __future__ import annotations
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.keyframes import Keyframe, bearing_rays
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 _LEAST_RETURNS = 150
 _CELL = 0.02

@@ -12,13 +12,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.error_state import CLONE_DIM, POSITION
 from touchdown.estimator.filtering.eskf import Eskf
-
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array
 
 _LEAST_DEPTH_M = 0.5
 _MAD = 1.4826

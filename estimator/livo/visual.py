@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.error_state import (
@@ -44,14 +43,13 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
+from touchdown.estimator.filtering.rolling_shutter import Shutter, rows_of_keyframe
 from touchdown.estimator.livo.assumed_depth import assume_level_ground, move_along_rays
-from touchdown.estimator.livo.patch_tracker import Grey, track
+from touchdown.estimator.livo.patch_tracker import track
 from touchdown.estimator.livo.plane_extension import extend_plane
 from touchdown.estimator.livo.range_scale import SeenGround, measure_way
-from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
+from touchdown.estimator.typing import Array, Grey, Indices
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 _GATES_PX = (12.0, 6.0, 3.0, 3.0)
 """of the iterations"""
@@ -73,13 +71,20 @@ class VisualReport:
     rms_px: float = 0.0
     best_share: float = 0.0
 
+    def diagnostics(self) -> dict[str, float]:
+        """The figures by the name of their plot."""
+        return {
+            "features_tracked": float(self.used), "visual_rms_px": self.rms_px,
+            "keyframes_tracked": float(self.keyframes_tracked), "overlap": self.best_share,
+        }  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class _Track:
     """Landmarks of one keyframe that were found in the present image."""
 
     keyframe: int
-    which: NDArray[np.int64]
+    which: Indices
     """(N,) of its features"""
     views: LandmarkViews
     """as created"""
@@ -261,7 +266,7 @@ class VisualFrontEnd:
         poses = [*(eskf.clones[k] for k in which), eskf.state.pose]
         return exposed(poses, twists, delays + after_s, eskf.state.calibration)
 
-    def _track(self, eskf: Eskf, k: int, which: NDArray[np.int64], pixels: Array) -> _Track:
+    def _track(self, eskf: Eskf, k: int, which: Indices, pixels: Array) -> _Track:
         """Landmarks of keyframe ``k`` as created, and their derivatives by the calibration."""
         keyframe, mount = self.keyframes[k], self._imu_from_camera
         twist = keyframe.twist.copy()

@@ -3,15 +3,60 @@ so that the same scans give the same map to the bit."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame
-from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses
+from touchdown.estimator.typing import Bytes, Float32
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
+
+class Pulses(NamedTuple):
+    """N pulses in the odom frame."""
+
+    origins: Float32  # (N, 3) m
+    beams: Float32  # (N, 3) unit
+    ranges: Float32  # (N,) m; 0: no return
+
+
+class Grid(NamedTuple):
+    """Where the cells of a grid lie."""
+
+    x: float  # m, of the corner
+    y: float
+    cell: float  # m
+
+
+class Lens(NamedTuple):
+    """A lens as OpenCV describes it."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
+
+
+class Layers(NamedTuple):
+    """Layers of a ``GridMap`` that returns are added to, (rows, cols) float32, ``rgb`` (rows, cols,
+    3), and the number of coloured returns."""
+
+    counts: Float32
+    height_m: Float32
+    height_std_m: Float32
+    min_height_m: Float32
+    max_height_m: Float32
+    rgb: Float32
+    rgb_count: Float32
+    intensity: Float32
+    missing: Float32
+    last_seen_s: Float32
+
 
 _BLOCK = 256
 """pulses whose pixel indices are computed before any pixel is read"""
@@ -26,7 +71,7 @@ def sample_colours(
     pulses: Pulses,
     window: tuple[int, int],
     skipped: tuple[int, int],
-    image: NDArray[np.uint8],
+    image: Bytes,
     camera_from_odom: Frame,
     lens: Lens,
     colours: Float32,
@@ -82,7 +127,7 @@ def sample_colours(
 def accumulate_returns(
     pulses: Pulses,
     colours: Float32,
-    intensities: NDArray[np.uint8],
+    intensities: Bytes,
     now: float,
     count_cap: float,
     extreme_memory: float,
@@ -157,7 +202,7 @@ def accumulate_returns(
 
 @numba.njit(cache=True, error_model="numpy")
 def accumulate_heights(
-    pulses: Pulses, grid: Grid, bin_m: float, histogram: NDArray[np.uint8], base: Float32
+    pulses: Pulses, grid: Grid, bin_m: float, histogram: Bytes, base: Float32
 ) -> None:
     """Counts returns in the histograms of their cells (layout of ``GridMap``).
 
@@ -198,7 +243,7 @@ def accumulate_heights(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _raise_by(counts: NDArray[np.uint8], up: int) -> None:
+def _raise_by(counts: Bytes, up: int) -> None:
     """Moves the returns of a histogram (bins,) up by ``up`` bins, except those of the first one,
     which are forgotten; the last bin keeps all that is higher."""
     bins = counts.shape[0]

@@ -7,6 +7,7 @@ averaged per cell in the odom frame (the coloured point cloud map of Zou, Sun, K
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 import mmap
@@ -22,6 +23,7 @@ from touchdown.estimator.api import (
     HEIGHT_BINS,
     Estimate,
     GridMap,
+    Mapper,
     MapperParams,
     MapView,
     PoseTrack,
@@ -30,7 +32,8 @@ from touchdown.estimator.filtering.deskew import Track, deskew
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.mapping import kernels
-from touchdown.estimator.mapping.records import Grid, Layers, Lens, Pulses
+from touchdown.estimator.mapping.kernels import Grid, Layers, Lens, Pulses
+from touchdown.estimator.typing import Array, Float32
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import (
     Pose,
@@ -38,9 +41,6 @@ from touchdown.sim.frames import (
     matrix_from_quat_wxyz,
     quat_wxyz_from_matrix,
 )
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 _TRACK_LENGTH = 256
 """buffered poses: 1.28 s of control steps, more than a scan plus its delivery"""
@@ -351,3 +351,20 @@ class GridMapper:
             pulses, place, HEIGHT_BIN_M, grid.layers["histogram"], grid.layers["histogram_base_m"]
         )
         kernels.accumulate_missing(spots, place, cap, layers.counts, layers.missing)
+
+
+class NoMap:
+    """Implements ``estimator.api.Mapper``: returns the view of ``mapper`` before its first scan."""
+
+    needs = SensorNeeds()
+
+    def __init__(self, mapper: Mapper) -> None:
+        self._mapper = mapper
+        self._view: MapView | None = None
+
+    def update(self, obs: Observation, estimate: Estimate) -> MapView:
+        """Returns the same empty view every time."""
+        if self._view is None:
+            blind = dataclasses.replace(obs, scans=(), images=())
+            self._view = self._mapper.update(blind, estimate)
+        return self._view

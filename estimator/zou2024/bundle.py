@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import (
     POSE_DIM,
@@ -24,15 +23,13 @@ from touchdown.estimator.filtering.error_state import (
     error_between,
     moved_by,
 )
-from touchdown.estimator.filtering.imu_propagation import cross_into, rotate_back_into, rotate_into
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.filtering.reprojection import MountedCamera
+from touchdown.estimator.filtering.vectors import along, cross, dot, turned, turned_back, xyz
+from touchdown.estimator.typing import Array, Indices
 from touchdown.estimator.zou2024.visual_map import MapKeyframe, Sightings, by_host, joined
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _PRIOR_SIGMAS = np.array([1e-3, 1e-3, 5e-3, 0.3, 0.3, 0.02])
 """rad and m: tilt and height as LIDAR and gravity have them, the rest nearly free"""
@@ -110,43 +107,36 @@ def _reduced_system(
         curvature[m] = 1.0 / depth_sigma**2
         slope[m] = (prior_depths[m] - depths[m]) / depth_sigma**2
     ends, j = np.empty(2, np.int64), np.zeros((2, 2 * POSE_DIM))
-    direction, in_host, world, ray = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    in_observer, c, j_depth = np.empty(3), np.empty(3), np.empty(2)
-    of_pixel, in_imu = np.zeros((2, 3)), np.empty((2, 3))
-    in_world, through_host = np.empty((2, 3)), np.empty((2, 3))
-    cost = 0.0
+    place, j_depth, cost = xyz(camera_position), np.empty(2), 0.0
     for o in range(landmarks.shape[0]):
         m, k, h = landmarks[o], observers[o], hosts[landmarks[o]]
-        rotate_into(camera_rotation, rays[m], direction)
-        for a in range(3):
-            in_host[a] = direction[a] * depths[m] + camera_position[a]
-        rotate_into(rotations[h], in_host, world)
-        for a in range(3):
-            world[a] += positions[h, a] - positions[k, a]
-        rotate_back_into(rotations[k], world, in_observer)
-        for a in range(3):
-            ray[a] = in_observer[a] - camera_position[a]
-        rotate_back_into(camera_rotation, ray, c)
+        direction = turned(camera_rotation, xyz(rays[m]))
+        in_host = along(place, depths[m], direction)
+        step = along(xyz(positions[h]), -1.0, xyz(positions[k]))
+        world = along(turned(rotations[h], in_host), 1.0, step)
+        in_observer = turned_back(rotations[k], world)
+        c = turned_back(camera_rotation, along(in_observer, -1.0, place))
         if c[2] < 0.05:
             continue
         ru = pixels[o, 0] - (fx * c[0] / c[2] + cx)
         rv = pixels[o, 1] - (fy * c[1] / c[2] + cy)
-        of_pixel[0, 0], of_pixel[0, 2] = fx / c[2], -fx * c[0] / (c[2] * c[2])
-        of_pixel[1, 1], of_pixel[1, 2] = fy / c[2], -fy * c[1] / (c[2] * c[2])
+        of_pixel = (
+            (fx / c[2], 0.0, -fx * c[0] / (c[2] * c[2])),
+            (0.0, fy / c[2], -fy * c[1] / (c[2] * c[2])),
+        )
         error2 = (ru * ru + rv * rv) / sigmas[o] ** 2
         weight = 1.0 / ((1.0 + error2 / scale**2) * sigmas[o] ** 2)
         cost += scale**2 * np.log(1.0 + error2 / scale**2)
         for a in range(2):
-            rotate_into(camera_rotation, of_pixel[a], in_imu[a])
-            rotate_into(rotations[k], in_imu[a], in_world[a])
-            rotate_back_into(rotations[h], in_world[a], through_host[a])
-            cross_into(in_imu[a], in_observer, j[a], ROTATION.start)
-            cross_into(in_host, through_host[a], j[a], POSE_DIM + ROTATION.start)
-            j_depth[a] = 0.0
+            in_imu = turned(camera_rotation, of_pixel[a])
+            in_world = turned(rotations[k], in_imu)
+            through_host = turned_back(rotations[h], in_world)
+            turn, host_turn = cross(in_imu, in_observer), cross(in_host, through_host)
+            j_depth[a] = dot(through_host, direction)
             for b in range(3):
-                j[a, POSITION.start + b] = -in_world[a, b]
-                j[a, POSE_DIM + POSITION.start + b] = in_world[a, b]
-                j_depth[a] += through_host[a, b] * direction[b]
+                j[a, ROTATION.start + b], j[a, POSITION.start + b] = turn[b], -in_world[b]
+                j[a, POSE_DIM + ROTATION.start + b] = host_turn[b]
+                j[a, POSE_DIM + POSITION.start + b] = in_world[b]
         ends[0], ends[1] = POSE_DIM * k, POSE_DIM * h
         for a in range(2 * POSE_DIM):
             row = ends[a // POSE_DIM] + a % POSE_DIM

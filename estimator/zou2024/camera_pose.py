@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Zou2024Params
 from touchdown.estimator.filtering.error_state import POSE
@@ -16,6 +15,7 @@ from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist, ShutterModel, ground_depths
+from touchdown.estimator.typing import Array, Float32, Indices
 from touchdown.estimator.zou2024.bundle import LocalisedImage, adjust_window
 from touchdown.estimator.zou2024.closures import Closures
 from touchdown.estimator.zou2024.depth_field import DepthField
@@ -34,10 +34,6 @@ from touchdown.estimator.zou2024.visual_map import (
 )
 from touchdown.sim.api import CameraImage, SensorRig
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 _LEAST_LANDMARKS = 30
 _QUERY_PERIOD_S = 1.0

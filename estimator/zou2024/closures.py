@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.imu_propagation import skew_of
+from touchdown.estimator.typing import Array
 from touchdown.estimator.zou2024.landmarks import BRISK_BYTES, SIFT_BYTES, Features
 from touchdown.estimator.zou2024.loop_closure.hypotheses import LoopFilter
 from touchdown.estimator.zou2024.loop_closure.memory import Memory, MemoryLimits
 from touchdown.estimator.zou2024.pose_graph import Edge, PoseGraph
 from touchdown.estimator.zou2024.visual_map import MapKeyframe
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_log
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 KINDS = ((SIFT_BYTES, False), (BRISK_BYTES, True))
 """of descriptors: bytes, and whether these are bits"""

@@ -6,11 +6,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame
-from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.filtering.vectors import along, turned, xyz
+from touchdown.estimator.typing import Array, Bytes, Float32, Indices, Int32
 from touchdown.estimator.zou2024.geodesic import (
     colour_smoothness,
     geodesic_depth,
@@ -22,17 +22,13 @@ from touchdown.estimator.zou2024.structured_edges.detector import EdgeDetector
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
-
 NEIGHBOURS = 6
 """k of Eqs. 8 and 12"""
 _SIMILARITY = 0.15
 """energy along a path at which depths count as unrelated"""
 
 
-def half_size_energy(rgb: NDArray[np.uint8], detector: EdgeDetector) -> Float32:
+def half_size_energy(rgb: Bytes, detector: EdgeDetector) -> Float32:
     """Edge energy (H/2, W/2) of an image."""
     half = cv2.resize(rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     return detector(np.asarray(half, dtype=np.uint8))
@@ -67,7 +63,7 @@ def scan_colour_smoothness(
 @njit(cache=True)
 def _pixels_inside(
     points: Array, matrix: Array, size: tuple[int, int], shape: tuple[int, int]
-) -> tuple[NDArray[np.int64], Int32, Int32]:
+) -> tuple[Indices, Int32, Int32]:
     """Which of (N, 3) points in the camera's frame an image of ``size`` (width, height) shows, and
     their rows and columns at half size, within ``shape``: `project`, `inside_image` and
     `_half_pixels` at once."""
@@ -91,18 +87,17 @@ def _pixels_inside(
 @njit(cache=True)
 def _nearest_per_pixel(
     points: Float32,
-    counts: NDArray[np.int64],
+    counts: Indices,
     per_scan: int,
     camera_from_odom: Frame,
     matrix: Array,
     shape: tuple[int, int],
 ) -> Float32:
     """Depth of the nearest return at every half-size pixel; 0 where there is none."""
-    depth, seen, offset = np.zeros(shape, np.float32), np.empty(3), camera_from_odom.translation
+    depth, offset = np.zeros(shape, np.float32), xyz(camera_from_odom.translation)
     for s in range(counts.shape[0]):
         for i in range(s * per_scan, s * per_scan + counts[s]):
-            rotate_into(camera_from_odom.rotation, points[i], seen)
-            x, y, z = seen[0] + offset[0], seen[1] + offset[1], seen[2] + offset[2]
+            x, y, z = along(turned(camera_from_odom.rotation, xyz(points[i])), 1.0, offset)
             if z < 0.1:
                 continue
             u = (matrix[0, 0] * x + matrix[0, 1] * y) / z + matrix[0, 2]

@@ -6,9 +6,6 @@ import dataclasses
 from collections import deque
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
 from touchdown.estimator.api import Estimate, PoseTrack, Zou2024Params
 from touchdown.estimator.filtering.error_state import POSITION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
@@ -16,15 +13,13 @@ from touchdown.estimator.filtering.intake import Intake
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.online_calibration import prior_sigmas
 from touchdown.estimator.filtering.undistortion import Undistorter
+from touchdown.estimator.typing import Float32
 from touchdown.estimator.zou2024.camera_pose import CameraPositioning
 from touchdown.estimator.zou2024.depth_field import half_size_energy
 from touchdown.estimator.zou2024.lidar_pose import LidarPositioning
 from touchdown.estimator.zou2024.projection import nearest_image
 from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 
 class Zou2024Estimator:

@@ -6,14 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame, Frames
-from touchdown.estimator.filtering.imu_propagation import rotate_into
 from touchdown.estimator.filtering.plane_map import _EMPTY, _pack, _slot
+from touchdown.estimator.filtering.vectors import along, turned, xyz
+from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 NEIGHBOURS = 5
 """k of Algorithm 1"""
@@ -31,9 +29,9 @@ _NO_OWNER = -1
 class Voxels(NamedTuple):
     """The S slots of the hash table, as kernels take them."""
 
-    keys: NDArray[np.int64]  # (S,)
+    keys: Indices  # (S,)
     sums: Array  # (S, 7)
-    owners: NDArray[np.int64]  # (S,) clone of the filter that a voxel belongs to; -1: none
+    owners: Indices  # (S,) clone of the filter that a voxel belongs to; -1: none
 
 
 class Seen(NamedTuple):
@@ -47,9 +45,9 @@ class Seen(NamedTuple):
 class Nearest(NamedTuple):
     """The five nearest centroids of N points, nearest first."""
 
-    found: NDArray[np.bool_]  # (N,)
+    found: Mask  # (N,)
     near: Array  # (N, 5, 3) where their owners put them now
-    owners: NDArray[np.int64]  # (N,) of the nearest
+    owners: Indices  # (N,) of the nearest
     sensors: Array  # (N, 3) m, where the nearest was first seen from
 
 
@@ -94,18 +92,17 @@ def _reassign(voxels: Voxels, gone: int, successor: int, move: Frame) -> None:
     """Gives the voxels of owner ``gone`` to ``successor``, moved by ``move``. Owners behind
     ``gone`` count one less."""
     keys, sums, owners = voxels
-    centre, sensor = np.empty(3), np.empty(3)
+    place = xyz(move.translation)
     for slot in range(keys.shape[0]):
         k = owners[slot]
         if keys[slot] == _EMPTY or k < gone:
             continue
         if k == gone:
             row = sums[slot]
-            rotate_into(move.rotation, row[_CENTRE], centre)
-            rotate_into(move.rotation, row[_SENSOR], sensor)
+            centre = along(turned(move.rotation, xyz(row[_CENTRE])), row[_COUNT], place)
+            sensor = along(turned(move.rotation, xyz(row[_SENSOR])), 1.0, place)
             for a in range(3):
-                row[_CENTRE.start + a] = centre[a] + row[_COUNT] * move.translation[a]
-                row[_SENSOR.start + a] = sensor[a] + move.translation[a]
+                row[_CENTRE.start + a], row[_SENSOR.start + a] = centre[a], sensor[a]
             k = successor
         owners[slot] = k - 1 if k > gone else k
 
@@ -150,7 +147,8 @@ def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int, moves: Fra
                     x, y, z = sums[slot, _X] / n, sums[slot, _Y] / n, sums[slot, _Z] / n
                     k = owners[slot]
                     if owned and k >= 0:
-                        x, y, z = _moved(moves, k, x, y, z)
+                        place = xyz(moves.translations[k])
+                        x, y, z = along(turned(moves.rotations[k], (x, y, z)), 1.0, place)
                     d2 = (x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2
                     if d2 >= worst:
                         continue
@@ -171,16 +169,6 @@ def _nearest(voxels: Voxels, points: Array, voxel: float, reach: int, moves: Fra
         if have > 0:
             whose[i], sensors[i] = owners[nearest], sums[nearest, _SENSOR]
     return Nearest(found, near, whose, sensors)
-
-
-@njit(cache=True, error_model="numpy")
-def _moved(moves: Frames, k: int, x: float, y: float, z: float) -> tuple[float, float, float]:
-    r, t = moves.rotations, moves.translations
-    return (
-        r[k, 0, 0] * x + r[k, 0, 1] * y + r[k, 0, 2] * z + t[k, 0],
-        r[k, 1, 0] * x + r[k, 1, 1] * y + r[k, 1, 2] * z + t[k, 1],
-        r[k, 2, 0] * x + r[k, 2, 1] * y + r[k, 2, 2] * z + t[k, 2],
-    )
 
 
 class FeatureMap:

@@ -11,11 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
+from touchdown.estimator.typing import Array, Float32, Int32
+
 Real = float | np.float32
 
 STEP_ENERGY = np.float32(0.02)

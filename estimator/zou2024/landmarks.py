@@ -11,11 +11,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
-Bytes = NDArray[np.uint8]
+from touchdown.estimator.typing import Array, Bytes, Grey, Indices
 
 SIFT, BRISK = 0, 1
 SIFT_BYTES, BRISK_BYTES = 128, 64
@@ -37,7 +34,7 @@ class Features:
 
 def spread(
     pixels: Array, responses: Array, size: tuple[int, int], cell_px: int, most: int
-) -> NDArray[np.int64]:
+) -> Indices:
     """Returns indices of up to ``most`` of (N, 2) keypoints, the strongest of every cell first,
     then the second of every cell, and so on: evenly spread over the image, and deterministic."""
     if len(pixels) == 0:

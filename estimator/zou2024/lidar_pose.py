@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Zou2024Params
 from touchdown.estimator.filtering.deskew import PlacedScan
@@ -12,6 +11,7 @@ from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.online_calibration import corrected_mount
+from touchdown.estimator.typing import Array, Float32, Indices
 from touchdown.estimator.zou2024.depth_field import scan_colour_smoothness
 from touchdown.estimator.zou2024.feature_map import FeatureMap
 from touchdown.estimator.zou2024.registration import (
@@ -31,9 +31,6 @@ from touchdown.estimator.zou2024.smoothness import (
 from touchdown.sim.api import CameraIntrinsics, LidarScan, SensorRig
 from touchdown.sim.frames import Pose
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-
 _LASERS = 6
 """of the Horizon, firing in turn"""
 _LONGEST_GAP = 8
@@ -48,7 +45,7 @@ def scan_features(
     beams: Array,
     beams_lidar: Array,
     points_camera: Array,
-    pulses: NDArray[np.int64],
+    pulses: Indices,
     energy: Float32 | None,
     camera: CameraIntrinsics,
     params: Zou2024Params,

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import error_between, moved_by
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
+from touchdown.estimator.typing import Array, Mask
 from touchdown.estimator.zou2024.projection import project
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _GATES_PX = (24.0, 12.0, 6.0, 4.0, 3.0, 3.0)
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
@@ -19,10 +18,8 @@ from touchdown.estimator.filtering.error_state import (
     moved_by,
 )
 from touchdown.estimator.filtering.imu_propagation import skew_of
+from touchdown.estimator.typing import Array
 from touchdown.sim.frames import Pose, so3_log
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(slots=True)

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.estimator.typing import Array, Mask
 from touchdown.sim.api import CameraImage
-
-Array = NDArray[np.float64]
 
 NEAREST_DEPTH_M = 0.05
 
 
-def project(points_camera: Array, matrix: Array) -> tuple[Array, NDArray[np.bool_]]:
+def project(points_camera: Array, matrix: Array) -> tuple[Array, Mask]:
     """Eq. 2: pixels (N, 2) of camera points (N, 3) by the intrinsic matrix K (3, 3), skew included.
 
     The paper leaves the division by depth implicit (its ``uv`` has a third component 1). Also
@@ -27,9 +25,7 @@ def project(points_camera: Array, matrix: Array) -> tuple[Array, NDArray[np.bool
     return rays @ matrix[:2].T, front
 
 
-def inside_image(
-    pixels: Array, front: NDArray[np.bool_], size: tuple[int, int], margin: float = 0.0
-) -> NDArray[np.bool_]:
+def inside_image(pixels: Array, front: Mask, size: tuple[int, int], margin: float = 0.0) -> Mask:
     """Mask (N,) of the pixels (N, 2) inside an image of ``size`` (width, height)."""
     u, v = pixels[:, 0], pixels[:, 1]
     inside = front & (u >= margin) & (v >= margin)

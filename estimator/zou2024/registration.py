@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
 from touchdown.estimator.filtering.degeneracy import weak_columns, without_directions
 from touchdown.estimator.filtering.error_state import Frame, Frames, error_between, moved_by
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.imu_propagation import cross_into
 from touchdown.estimator.filtering.plane_map import smallest_eigen
+from touchdown.estimator.filtering.vectors import along, cross, dot, xyz
+from touchdown.estimator.typing import Array, Mask
 from touchdown.estimator.zou2024.feature_map import FeatureMap, Seen
 from touchdown.estimator.zou2024.residuals import (
     NO_ANCHORS,
@@ -25,9 +25,6 @@ from touchdown.estimator.zou2024.residuals import (
     relative_equations,
 )
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 EIGENVALUE_RATIO = 3.0
 WEAK_SIGMAS = float(np.radians(0.3)), 0.1
@@ -159,16 +156,13 @@ def _flat_triangles(near: Array) -> Mask:
     """Mask (N,) of the neighbourhoods (N, 5, 3) whose p_1, p_k/2 and p_k span a plane."""
     out = np.zeros(near.shape[0], dtype=np.bool_)
     last, middle = near.shape[1] - 1, near.shape[1] // 2
-    a, b, cross = np.empty(3), np.empty(3), np.empty(3)
     for i in range(near.shape[0]):
-        cross2, a2, b2 = 0.0, 0.0, 0.0
-        for c in range(3):
-            a[c] = near[i, middle, c] - near[i, last, c]
-            b[c] = near[i, middle, c] - near[i, 0, c]
-        cross_into(a, b, cross, 0)
-        for c in range(3):
-            cross2, a2, b2 = cross2 + cross[c] ** 2, a2 + a[c] ** 2, b2 + b[c] ** 2
-        out[i] = cross2 > _LEAST_SINE**2 * a2 * b2 and cross2 > 1e-12
+        corner = xyz(near[i, middle])
+        a = along(corner, -1.0, xyz(near[i, last]))
+        b = along(corner, -1.0, xyz(near[i, 0]))
+        normal = cross(a, b)
+        square = dot(normal, normal)
+        out[i] = square > _LEAST_SINE**2 * dot(a, a) * dot(b, b) and square > 1e-12
     return out
 
 

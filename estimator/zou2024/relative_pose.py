@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.degeneracy import without_directions
@@ -38,11 +37,10 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
+from touchdown.estimator.typing import Array, Indices
 from touchdown.estimator.zou2024.registration import ScanPose
 from touchdown.estimator.zou2024.residuals import relative_equations
 from touchdown.estimator.zou2024.visual_map import LandmarkSet, MapKeyframe, Sightings, by_host
-
-Array = NDArray[np.float64]
 
 _GATES_PX = (12.0, 6.0, 6.0)
 _UNSEEN_SIGMAS = np.repeat([0.01, 0.1], 3)
@@ -61,7 +59,7 @@ class ImageModel:
     depth_sigma_m: float
 
     def views(
-        self, eskf: Eskf, host: MapKeyframe, landmarks: LandmarkSet, at: NDArray[np.int64],
+        self, eskf: Eskf, host: MapKeyframe, landmarks: LandmarkSet, at: Indices,
         pixels: Array,
     ) -> LandmarkViews:  # fmt: skip
         """Landmarks ``at`` (N,) of a keyframe with a clone, seen at ``pixels`` (N, 2)."""

@@ -6,26 +6,33 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
+from touchdown.estimator.filtering.anchors import (
+    ANCHORED_DIM,
+    CLONE_AT,
+    AnchorFrames,
+    Anchors,
+    Sight,
+    derivatives_into,
+)
 from touchdown.estimator.filtering.error_state import (
-    MOUNT_DIM,
     MOUNT_ROTATION,
     MOUNT_TRANSLATION,
     POSE_DIM,
-    POSITION,
-    ROTATION,
     Frame,
 )
-from touchdown.estimator.filtering.imu_propagation import cross_into
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-# a residual's derivatives: pose, mount of the LIDAR, and the clone that the map point belongs to
-_MOUNT, _CLONE = POSE_DIM, POSE_DIM + MOUNT_DIM
-_WIDTH = _CLONE + POSE_DIM
+from touchdown.estimator.filtering.vectors import (
+    UNIT,
+    ZERO,
+    Vector,
+    along,
+    cross,
+    dot,
+    turned,
+    turned_back,
+    xyz,
+)
+from touchdown.estimator.typing import Array, Indices, Mask
 
 
 class Matches(NamedTuple):
@@ -35,7 +42,7 @@ class Matches(NamedTuple):
     near: Array  # (M, 5, 3) their neighbours p_1 ... p_5, odom frame, where they are now
     axes: Array  # (M, 3) directions of the lines, normals of the planes
     is_edge: Mask  # (M,)
-    owners: NDArray[np.int64]  # (M,) clone of the filter that p_1 belongs to; -1: none
+    owners: Indices  # (M,) clone of the filter that p_1 belongs to; -1: none
     sensors: Array  # (M, 3) where p_1 was seen from, odom frame
     weights: Array  # (M,) 0 to 1, of the neighbourhood's shape
     scatter: Array  # (M,) m^2, of the neighbours about their plane
@@ -63,27 +70,17 @@ NO_ANCHORS = Anchors().frames([], np.zeros(0), np.zeros(0, np.int64))
 @njit(cache=True, error_model="numpy")
 def edge_distance(point: Array, first: Array, last: Array) -> float:
     """Eq. 10, d_eps: distance of ``point`` from the line through p_1 and p_k, each (3,)."""
-    square, length2 = 0.0, 0.0
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        cross = (point[b] - first[b]) * (point[c] - last[c])
-        cross -= (point[c] - first[c]) * (point[b] - last[b])
-        square += cross * cross
-        length2 += (first[a] - last[a]) ** 2
-    return np.sqrt(square / length2)
+    p, a, b = xyz(point), xyz(first), xyz(last)
+    normal, base = cross(along(p, -1.0, a), along(p, -1.0, b)), along(a, -1.0, b)
+    return np.sqrt(dot(normal, normal) / dot(base, base))
 
 
 @njit(cache=True, error_model="numpy")
 def plane_distance(point: Array, first: Array, middle: Array, last: Array) -> float:
     """Eq. 10, d_H: signed distance of ``point`` from the plane of p_1, p_k/2 and p_k, each (3,)."""
-    total, length2 = 0.0, 0.0
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        normal = (middle[b] - last[b]) * (middle[c] - first[c])
-        normal -= (middle[c] - last[c]) * (middle[b] - first[b])
-        total += (point[a] - first[a]) * normal
-        length2 += normal * normal
-    return total / np.sqrt(length2)
+    a, b, c = xyz(first), xyz(middle), xyz(last)
+    normal = cross(along(b, -1.0, c), along(b, -1.0, a))
+    return dot(along(xyz(point), -1.0, a), normal) / np.sqrt(dot(normal, normal))
 
 
 @njit(cache=True, error_model="numpy")
@@ -103,78 +100,16 @@ def distances(points: Array, near: Array, is_edge: Mask) -> Array:
 @njit(cache=True, error_model="numpy")
 def line_and_plane_axes(near: Array, is_edge: Mask) -> Array:
     """(N, 3) unit directions of the lines and normals of the planes."""
-    out, a, b = np.empty((near.shape[0], 3)), np.empty(3), np.empty(3)
-    last = near.shape[1] - 1
-    middle = near.shape[1] // 2
+    out, last, middle = np.empty((near.shape[0], 3)), near.shape[1] - 1, near.shape[1] // 2
     for i in range(near.shape[0]):
-        for c in range(3):
-            out[i, c] = near[i, last, c] - near[i, 0, c]
-            a[c] = near[i, middle, c] - near[i, last, c]
-            b[c] = near[i, middle, c] - near[i, 0, c]
+        first, then = xyz(near[i, 0]), xyz(near[i, middle])
+        axis = along(xyz(near[i, last]), -1.0, first)
         if not is_edge[i]:
-            cross_into(a, b, out[i], 0)
-        out[i] /= np.sqrt(out[i, 0] ** 2 + out[i, 1] ** 2 + out[i, 2] ** 2)
+            axis = cross(along(then, -1.0, xyz(near[i, last])), along(then, -1.0, first))
+        length = np.sqrt(dot(axis, axis))
+        for a in range(3):
+            out[i, a] = axis[a] / length
     return out
-
-
-Vector = tuple[float, float, float]
-_UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
-
-@njit(cache=True, error_model="numpy")
-def _vector(values: Array) -> Vector:
-    """Three numbers as a tuple, which stays in registers."""
-    return values[0], values[1], values[2]
-
-
-@njit(cache=True, error_model="numpy")
-def _along(start: Vector, length: float, direction: Vector) -> Vector:
-    return (
-        start[0] + length * direction[0],
-        start[1] + length * direction[1],
-        start[2] + length * direction[2],
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(cache=True, error_model="numpy")
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@njit(cache=True, error_model="numpy")
-def _turned(r: Array, v: Vector) -> Vector:
-    """``r @ v``"""
-    return (
-        r[0, 0] * v[0] + r[0, 1] * v[1] + r[0, 2] * v[2],
-        r[1, 0] * v[0] + r[1, 1] * v[1] + r[1, 2] * v[2],
-        r[2, 0] * v[0] + r[2, 1] * v[1] + r[2, 2] * v[2],
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def _turned_back(r: Array, v: Vector) -> Vector:
-    """``r.T @ v``"""
-    return (
-        r[0, 0] * v[0] + r[1, 0] * v[1] + r[2, 0] * v[2],
-        r[0, 1] * v[0] + r[1, 1] * v[1] + r[2, 1] * v[2],
-        r[0, 2] * v[0] + r[1, 2] * v[1] + r[2, 2] * v[2],
-    )
-
-
-class _Sight(NamedTuple):
-    """A point of the scan and what it is compared with, in the odom frame unless said."""
-
-    rotation: Array  # (3, 3) odom_from_imu of the scan
-    own: Array  # (3, 3) of the clone that the map point belongs to
-    point: Vector  # IMU frame
-    beam: Vector  # IMU frame, from the LIDAR
-    reach: Vector  # from the clone
-    arm: Vector  # to the map point, from where it was seen
 
 
 @njit(cache=True, error_model="numpy")
@@ -200,47 +135,48 @@ def relative_equations(
     head = POSE_DIM + shared
     size = head + POSE_DIM * touched
     alone = size == POSE_DIM
-    width = POSE_DIM if alone else _WIDTH
+    width = POSE_DIM if alone else ANCHORED_DIM
     information, vector = np.zeros((size, size)), np.zeros(size)
-    noise, row = np.zeros((POSE_DIM, POSE_DIM)), np.zeros(_WIDTH)
-    columns = np.arange(_WIDTH) if shared > 0 or alone else np.full(_WIDTH, -1)
+    noise, row = np.zeros((POSE_DIM, POSE_DIM)), np.zeros(ANCHORED_DIM)
+    columns = np.arange(ANCHORED_DIM) if shared > 0 or alone else np.full(ANCHORED_DIM, -1)
     columns[:POSE_DIM] = np.arange(POSE_DIM)
     last, middle = found.near.shape[1] - 1, found.near.shape[1] // 2
     for i in range(found.points.shape[0]):
-        p, axis = _vector(found.points[i]), _vector(found.axes[i])
+        p, axis = xyz(found.points[i]), xyz(found.axes[i])
         k, edge = found.owners[i], found.is_edge[i]
-        first = _vector(found.near[i, 0])
-        here = _along(_vector(pose.translation), 1.0, _turned(pose.rotation, p))
-        offset, arm = _along(here, -1.0, first), _along(first, -1.0, _vector(found.sensors[i]))
+        first = xyz(found.near[i, 0])
+        here = along(xyz(pose.translation), 1.0, turned(pose.rotation, p))
+        offset, arm = along(here, -1.0, first), along(first, -1.0, xyz(found.sensors[i]))
         own, slot, reach, apart = pose.rotation, -1, here, offset
         if k >= 0:
             # where the present mount would have put the map point
             own, slot = anchors.clones.rotations[k], anchors.slots[k]
-            reach = _along(here, -1.0, _vector(anchors.clones.translations[k]))
+            reach = along(here, -1.0, xyz(anchors.clones.translations[k]))
             change = anchors.mount_changes[k]
-            turn = _turned(own, _vector(change[MOUNT_ROTATION]))
-            apart = _along(offset, -1.0, _cross(turn, arm))
-            apart = _along(apart, -1.0, _turned(own, _vector(change[MOUNT_TRANSLATION])))
-        sight = _Sight(pose.rotation, own, p, _along(p, -1.0, _vector(lever)), reach, arm)
-        along, square = _dot(offset, axis), _dot(offset, offset)
-        square = square - along * along if edge else along * along
+            turn = turned(own, xyz(change[MOUNT_ROTATION]))
+            apart = along(offset, -1.0, cross(turn, arm))
+            apart = along(apart, -1.0, turned(own, xyz(change[MOUNT_TRANSLATION])))
+        beam = along(p, -1.0, xyz(lever))
+        sight = Sight(p, beam, turned_back(own, arm), turned_back(own, reach))
+        height, square = dot(offset, axis), dot(offset, offset)
+        square = square - height * height if edge else height * height
         variance = (sigmas[0] if edge else sigmas[1]) ** 2 + square / 9.0
-        slopes, pull = _UNIT, axis
+        slopes, pull = UNIT, axis
         if not edge:
-            slopes = _slopes(first, _vector(found.near[i, middle]), _vector(found.near[i, last]))
+            slopes = _slopes(first, xyz(found.near[i, middle]), xyz(found.near[i, last]))
             pull = slopes[0]
             for j in range(3):
-                part = _dot(offset, slopes[j])
+                part = dot(offset, slopes[j])
                 share = 1.0 + part if j == 0 else part
                 variance += found.scatter[i] * share * share
-                pull = _along(pull, part, slopes[j])
+                pull = along(pull, part, slopes[j])
         weight = found.weights[i] / variance
         for b in range(POSE_DIM):
-            columns[_CLONE + b] = head + POSE_DIM * slot + b if slot >= 0 else -1
+            columns[CLONE_AT + b] = head + POSE_DIM * slot + b if slot >= 0 else -1
         for c in range(3 if edge else 1):
-            direction = _along(_UNIT[c], -axis[c], axis) if edge else axis
-            residual = _dot(apart, direction)
-            _row_into(direction, sight, alone, row)
+            direction = along(UNIT[c], -axis[c], axis) if edge else axis
+            residual = dot(apart, direction)
+            _row_into(row, direction, pose.rotation, own, sight, alone)
             for a in range(width):
                 if columns[a] < 0:
                     continue
@@ -252,11 +188,11 @@ def relative_equations(
         if edge:
             continue
         for j in range(3 if with_noise else 0):
-            _row_into(slopes[j], sight, True, row)
+            _row_into(row, slopes[j], pose.rotation, own, sight, True)
             for a in range(POSE_DIM):
                 for b in range(POSE_DIM):
                     noise[a, b] += weight * found.scatter[i] * row[a] * row[b]
-        _row_into(pull, sight, alone, row)
+        _row_into(row, pull, pose.rotation, own, sight, alone)
         for a in range(width):
             if columns[a] >= 0:
                 vector[columns[a]] += weight * found.scatter[i] * row[a]
@@ -267,32 +203,20 @@ def relative_equations(
 
 
 @njit(cache=True, error_model="numpy")
-def _row_into(direction: Vector, sight: _Sight, alone: bool, row: Array) -> None:
-    """Writes the derivatives of a distance along ``direction`` by pose and, unless ``alone``, by
-    mount and clone into ``row``."""
-    turned = _turned_back(sight.rotation, direction)
-    by_rotation = _cross(sight.point, turned)
-    for a in range(3):
-        row[ROTATION.start + a], row[POSITION.start + a] = by_rotation[a], direction[a]
-    if alone:
-        return
-    then = _turned_back(sight.own, direction)
-    beam = _cross(sight.beam, turned)
-    moment = _turned_back(sight.own, _cross(sight.arm, direction))
-    by_clone = _turned_back(sight.own, _cross(sight.reach, direction))
-    for a in range(3):
-        row[_MOUNT + MOUNT_ROTATION.start + a] = beam[a] - moment[a]
-        row[_MOUNT + MOUNT_TRANSLATION.start + a] = turned[a] - then[a]
-        row[_CLONE + ROTATION.start + a] = -by_clone[a]
-        row[_CLONE + POSITION.start + a] = -direction[a]
+def _row_into(
+    row: Array, direction: Vector, imu: Array, clone: Array, sight: Sight, alone: bool
+) -> None:
+    """`derivatives_into`, with the direction turned to the frames ``imu`` and ``clone`` (3, 3)."""
+    in_imu, in_clone = turned_back(imu, direction), turned_back(clone, direction)
+    derivatives_into(row, direction, in_imu, in_clone, sight, alone)
 
 
 @njit(cache=True, error_model="numpy")
 def _slopes(first: Vector, middle: Vector, last: Vector) -> tuple[Vector, Vector, Vector]:
     """The gradients of the barycentric coordinates in a triangle, of each corner."""
-    side, other = _along(middle, -1.0, first), _along(last, -1.0, first)
-    normal, zero = _cross(side, other), (0.0, 0.0, 0.0)
-    size = 1.0 / _dot(normal, normal)
-    second = _along(zero, size, _cross(other, normal))
-    third = _along(zero, size, _cross(normal, side))
-    return _along(_along(zero, -1.0, second), -1.0, third), second, third
+    side, other = along(middle, -1.0, first), along(last, -1.0, first)
+    normal = cross(side, other)
+    size = 1.0 / dot(normal, normal)
+    second = along(ZERO, size, cross(other, normal))
+    third = along(ZERO, size, cross(normal, side))
+    return along(along(ZERO, -1.0, second), -1.0, third), second, third

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from touchdown.estimator.typing import Array, Indices, Mask
 
 _REACH = 5
 """neighbours on each side along the track of one laser"""
@@ -18,7 +16,7 @@ _REACH = 5
 @njit(cache=True)
 def lidar_smoothness(
     points: Array, pulses: Indices, lasers: int, max_gap: int
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Eq. 6: ``f_l = |sum_j (p_i - p_j)| / (|S| |p_i|)`` of (N, 3) points, seen from the sensor.
 
     ``pulses`` (N,): ascending number of each return's pulse in its scan; pulse k belongs to laser
@@ -82,7 +80,7 @@ class FeaturePoints:
 
 def sort_out_features(
     scores: Array,
-    shadowed: NDArray[np.bool_],
+    shadowed: Mask,
     directions: Array,
     *,
     cells: tuple[int, int],

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import POSE, POSE_DIM, Frame, Pinhole
 from touchdown.estimator.filtering.reprojection import (
@@ -15,14 +14,13 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
+from touchdown.estimator.typing import Array
 from touchdown.estimator.zou2024.closures import level_transform
 from touchdown.estimator.zou2024.landmarks import SIFT, Features
 from touchdown.estimator.zou2024.pnp import solve_pnp
 from touchdown.estimator.zou2024.relative_pose import ImageModel
 from touchdown.estimator.zou2024.visual_map import MapKeyframe, Sightings, VisualMap, by_host
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
 
 _ITERATIONS = 300
 """``Vis/Iterations`` of RTAB-Map"""

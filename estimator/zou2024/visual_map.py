@@ -8,15 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.estimator.typing import Array, Bytes, Indices
 from touchdown.estimator.zou2024.landmarks import Features
 from touchdown.estimator.zou2024.matching import match_near
 from touchdown.estimator.zou2024.projection import inside_image, project
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Indices = NDArray[np.int64]
 
 
 @dataclass(slots=True)

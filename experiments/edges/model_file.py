@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.zou2024.structured_edges.model import OPTIONS, SECTIONS
+from touchdown.estimator.zou2024.structured_edges.detector import OPTIONS, SECTIONS
 from touchdown.experiments.edges import forest
 
 Int32 = NDArray[np.int32]

@@ -223,8 +223,7 @@ def build_classifier(config: Config) -> OnnxGroundClassifier | None:
 
 
 def _mapper(config: Config, rig: SensorRig) -> Mapper:
-    from touchdown.estimator.mapping.mapper import GridMapper
-    from touchdown.estimator.mapping.no_map import NoMap
+    from touchdown.estimator.mapping.mapper import GridMapper, NoMap
 
     grid = GridMapper(rig, config.mapper)
     return grid if config.mapper.enabled else NoMap(grid)

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, GridMap
 from touchdown.estimator.ground import _Heights, _pool
-from touchdown.estimator.mapping.kernels import accumulate_heights
-from touchdown.estimator.mapping.records import Grid, Pulses
+from touchdown.estimator.mapping.kernels import Grid, Pulses, accumulate_heights
 
 from support.landing_support import grid_of_returns, make_grid
 

@@ -12,8 +12,8 @@ from touchdown.estimator.api import MapperParams, MapView, PoseTrack
 from touchdown.estimator.filtering.deskew import Track, deskew
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.mapping import kernels
+from touchdown.estimator.mapping.kernels import Grid, Lens, Pulses
 from touchdown.estimator.mapping.mapper import GridMapper
-from touchdown.estimator.mapping.records import Grid, Lens, Pulses
 from touchdown.sim.api import CameraImage, LidarScan
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp
 

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, Estimate, GridMap, MapView
-from touchdown.estimator.mapping.kernels import accumulate_heights
-from touchdown.estimator.mapping.records import Grid, Pulses
+from touchdown.estimator.mapping.kernels import Grid, Pulses, accumulate_heights
 from touchdown.sim.api import (
     CameraIntrinsics,
     ImuSample,

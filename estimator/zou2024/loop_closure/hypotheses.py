@@ -5,9 +5,8 @@ shows, or that it shows a new one (Labbé and Michaud 2013, section III-D, after
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from touchdown.estimator.typing import Array
 
 NEW_TO_NEW = 0.9
 """``Bayes/VirtualPlacePriorThr`` of RTAB-Map"""

@@ -12,16 +12,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from touchdown.estimator.typing import Array, Bytes, Indices
 from touchdown.estimator.zou2024.loop_closure.dictionary import Vocabulary
 from touchdown.estimator.zou2024.loop_closure.hypotheses import REACH
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Indices = NDArray[np.int64]
 
 _MOST_RETRIEVED = 2
 """at a time, ``Rtabmap/MaxRetrieved`` of RTAB-Map"""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import zlib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -10,16 +12,83 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.zou2024.structured_edges.model import SHIPPED_MODEL, check_model
+from touchdown.estimator.typing import Bytes, Float32
+from touchdown.sim.files.inflating import gunzipped
+from touchdown.sim.files.opening import no_file
 
-Rgb = NDArray[np.uint8]
-Float32 = NDArray[np.float32]
+SHIPPED_MODEL = Path(__file__).with_name("structured_edges.yml.gz")
+"""trained by ``touchdown edges train`` on images of this project's scenes"""
+
+OPTIONS = ("stride", "patchSize", "patchInnerSize", "shrinkNumber", "numberOfTrees",
+           "numberOfTreesToEvaluate", "selfsimilarityGridSize", "numberOfGradientOrientations",
+           "gradientNormalizationRadius", "gradientSmoothingRadius", "regFeatureSmoothingRadius",
+           "ssFeatureSmoothingRadius")  # fmt: skip
+SECTIONS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
+_MAX_BYTES = 256 << 20
+"""of a model unpacked; that of `touchdown edges train` has 10 MiB"""
+
+
+def check_model(path: Path) -> None:
+    """Raises FileNotFoundError or ValueError, one sentence, unless ``path`` holds a whole model:
+    OpenCV itself takes a truncated file for a smaller forest, or crashes."""
+    if reason := no_file(path):
+        raise FileNotFoundError(
+            f"structured edge model '{path}' {reason}: give the path of a trained model, or "
+            "'gradient' for edges without one"
+        )
+    try:
+        text = gunzipped(path, _MAX_BYTES)
+    except (OSError, EOFError, zlib.error) as error:
+        raise ValueError(
+            f"structured edge model '{path}' is damaged ({error}): restore it, or train one by "
+            "`touchdown edges train`"
+        ) from None
+    if len(text) > _MAX_BYTES:
+        raise ValueError(
+            f"structured edge model '{path}' has more than {_MAX_BYTES >> 20} MiB unpacked: train "
+            "one by `touchdown edges train`"
+        )
+    fault = _fault(text.decode("ascii", errors="replace"))
+    if fault:
+        raise ValueError(
+            f"structured edge model '{path}' is not one that OpenCV can use: {fault}; train one by "
+            "`touchdown edges train`"
+        )
+
+
+def _fault(text: str) -> str:
+    """Returns the defect of the model, or an empty string."""
+    if not text.startswith("%YAML"):
+        return "it is not OpenCV's YAML"
+    head = text[:4000]
+    options = {}
+    for name in OPTIONS:
+        found = re.search(rf"^\s+{name}:\s*(\d+)\s*$", head, re.MULTILINE)
+        if not found:
+            return f"it has no option {name}"
+        options[name] = int(found.group(1))
+    starts = [text.find(f"\n{section}:") for section in SECTIONS]
+    missing = [name for name, start in zip(SECTIONS, starts, strict=True) if start < 0]
+    if missing or starts != sorted(starts):
+        return f"it has no section {missing[0]}" if missing else "its sections are out of order"
+    lengths = {}
+    for section, begin, end in zip(SECTIONS, starts, [*starts[1:], len(text)], strict=True):
+        # a sequence of n numbers has n - 1 commas
+        lengths[section] = text.count(",", begin, end) + text.count("[", begin, end)
+    nodes = lengths["childs"]
+    trees = options["numberOfTrees"]
+    if trees < 1 or nodes % trees or lengths["featureIds"] != nodes:
+        return "its trees are not of one size"
+    if lengths["thresholds"] != nodes or lengths["edgeBoundaries"] != nodes + 1:
+        return "its sections do not fit together"
+    return ""
+
 
 RIM = 8
 """pixels, even, that the structured detector sees beyond the image's border"""
 
 
-EdgeDetector = Callable[[Rgb], Float32]
+EdgeDetector = Callable[[Bytes], Float32]
 """(H, W, 3) uint8 RGB -> (H, W) float32 energy in [0, 1]; deterministic"""
 
 
@@ -37,7 +106,7 @@ class GradientEdges:
         self._full_gradient = full_gradient
         self._blur_sigma = blur_sigma
 
-    def __call__(self, rgb: Rgb) -> Float32:
+    def __call__(self, rgb: Bytes) -> Float32:
         fine = _gradient(cv2.GaussianBlur(rgb, (3, 3), 0.8))
         coarse = _gradient(cv2.GaussianBlur(rgb, (0, 0), self._blur_sigma))
         # a step loses about blur_sigma of its slope at the coarse scale
@@ -70,7 +139,7 @@ class StructuredEdges:
         path = Path(model_path)
         self._detector = _shipped() if path == SHIPPED_MODEL else _read(path)
 
-    def __call__(self, rgb: Rgb) -> Float32:
+    def __call__(self, rgb: Bytes) -> Float32:
         # the outermost patches overlap less and would give weaker edges: mirror the rim
         height, width = rgb.shape[:2]
         below, right = RIM + height % 2, RIM + width % 2

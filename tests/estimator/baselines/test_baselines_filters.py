@@ -8,11 +8,10 @@ import pytest
 
 from touchdown.estimator.api import StereoParams
 from touchdown.estimator.baselines.aiding import BaroHeight, update, update_heading
-from touchdown.estimator.baselines.alignment import field_azimuth, level_attitude
 from touchdown.estimator.baselines.disparity import GroundHeight, disparities, inverse_depths
 from touchdown.estimator.baselines.epochs import EpochQueue
-from touchdown.estimator.baselines.navigator import Navigator
-from touchdown.estimator.baselines.world_anchor import FollowingAnchor, WanderingAnchor
+from touchdown.estimator.baselines.gps import FollowingAnchor, WanderingAnchor
+from touchdown.estimator.baselines.navigator import Navigator, field_azimuth, level_attitude
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.ground_below import GroundBelow

@@ -133,7 +133,7 @@ def test_update_finds_the_true_position_over_flat_ground():
 
 
 def test_scans_measure_in_the_dark_only():
-    update = PhotometricUpdate(LEVER, 300)
+    update = PhotometricUpdate(LEVER, 300, plane_height_m=0.05)
     pose = Pose(TRUE.rotation, TRUE.translation + [0.25, -0.2, 0.0])
     eskf = filter_at(pose, update)
     places = ground(4000, 3)

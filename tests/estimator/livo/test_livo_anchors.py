@@ -39,8 +39,7 @@ from touchdown.estimator.filtering.reprojection import (
     calibrated_information,
 )
 from touchdown.estimator.livo.anchored_map import AnchoredMap
-from touchdown.estimator.livo.anchored_update import ScanErrors, update_with_scan
-from touchdown.estimator.livo.error_model import scan_errors
+from touchdown.estimator.livo.anchored_update import ScanErrors, scan_errors, update_with_scan
 from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_equations
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log

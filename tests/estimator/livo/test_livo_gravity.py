@@ -5,8 +5,8 @@ import pytest
 
 from touchdown.estimator.filtering.error_state import ACCEL_BIAS, STATE_DIM, VELOCITY
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer
+from touchdown.estimator.filtering.zero_velocity import align_with_gravity
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import so3_exp
 

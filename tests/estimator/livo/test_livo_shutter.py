@@ -17,8 +17,8 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
+from touchdown.estimator.filtering.rolling_shutter import Shutter, rows_of_keyframe
 from touchdown.estimator.livo.patch_tracker import grey_levels
-from touchdown.estimator.livo.shutter import Shutter, rows_of_keyframe
 from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log

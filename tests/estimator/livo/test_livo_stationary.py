@@ -7,9 +7,8 @@ import pytest
 
 from touchdown.estimator.filtering.error_state import CALIBRATION_DIM, GYRO_BIAS, IMU_DIM, STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.gravity_alignment import align_with_gravity
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState
-from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate
+from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate, align_with_gravity
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import so3_exp, so3_log
 

@@ -28,8 +28,8 @@ from touchdown.estimator.filtering.reprojection import (
     depth_corrections,
     reprojection_information,
 )
+from touchdown.estimator.filtering.rolling_shutter import Shutter
 from touchdown.estimator.livo.patch_tracker import grey_levels, track
-from touchdown.estimator.livo.shutter import Shutter
 from touchdown.estimator.livo.visual import VisualFrontEnd, VisualReport
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log

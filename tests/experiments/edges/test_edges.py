@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from touchdown.estimator.zou2024.structured_edges import model
 from touchdown.estimator.zou2024.structured_edges.detector import (
+    SHIPPED_MODEL,
     GradientEdges,
     StructuredEdges,
+    check_model,
     edge_detector,
 )
 from touchdown.experiments.cli.main import cli
@@ -63,7 +64,7 @@ def test_opencv_reads_a_forest_as_it_was_written(tmp_path: Path) -> None:
     trees = [_random_tree(rng, paired=number % 2 == 1) for number in range(4)]
     path = tmp_path / "small.yml.gz"
     model_file.write_model(path, trees, forest.ForestParams(trees=4, trees_evaluated=2, stride=2))
-    model.check_model(path)
+    check_model(path)
     rgb = cv2.GaussianBlur(rng.integers(0, 256, (48, 64, 3)).astype(np.uint8), (0, 0), 1.5)
     regular, paired = forest.channel_features(rgb)
     votes = np.zeros(rgb.shape[:2], np.float32)
@@ -161,15 +162,15 @@ def test_a_damaged_model_is_named_in_one_line(trained: tuple[Path, Path], tmp_pa
         other = tmp_path / "other.yml.gz"
         other.write_bytes(gzip.compress(changed.encode()))
         with pytest.raises(ValueError, match=name):
-            model.check_model(other)
+            check_model(other)
     with pytest.raises(FileNotFoundError, match="does not exist"):
         edge_detector(str(tmp_path / "nowhere.yml.gz"))
 
 
 def test_the_shipped_model_is_whole_and_small() -> None:
-    model.check_model(model.SHIPPED_MODEL)
-    assert model.SHIPPED_MODEL.stat().st_size < 6_000_000
-    head = gzip.decompress(model.SHIPPED_MODEL.read_bytes())[:600].decode()
+    check_model(SHIPPED_MODEL)
+    assert SHIPPED_MODEL.stat().st_size < 6_000_000
+    head = gzip.decompress(SHIPPED_MODEL.read_bytes())[:600].decode()
     assert "# scenes: " + " ".join(TRAIN_SCENES) in head
     assert not set(TEST_SCENES) & set(TRAIN_SCENES) and min(TRAIN_SEEDS) >= 100
     assert isinstance(edge_detector("shipped"), StructuredEdges)

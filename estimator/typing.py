@@ -1,0 +1,14 @@
+"""Array types of the estimators; shapes, units and frames stand where they are used."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+Grey = NDArray[np.uint8]
+Indices = NDArray[np.int64]
+Int32 = NDArray[np.int32]
+Mask = NDArray[np.bool_]
