@@ -6,6 +6,8 @@ Real-time shadow maps would triple the render time on a software renderer.
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -71,12 +73,17 @@ def bake_light(
 def _darken(layer: Float32, outline: Array, half_m: float, cell: float, factor: float) -> None:
     """Multiplies the convex hull of ``outline`` (N, 2) metres into ``layer``."""
     hull = cv2.convexHull(((outline + half_m) / cell - 0.5).astype(np.float32))[:, 0]
-    low = np.clip(np.floor(hull.min(axis=0)).astype(int) - 1, 0, layer.shape[0])
-    high = np.clip(np.ceil(hull.max(axis=0)).astype(int) + 2, 0, layer.shape[0])
-    if (high <= low).any():
+    (left, right), (low, high) = (_span(axis, len(layer)) for axis in hull.T.tolist())
+    if high <= low or right <= left:
         return
-    mask = np.zeros((high[1] - low[1], high[0] - low[0]), np.uint8)
-    corners = np.round((hull - low) * 2**_SUBPIXEL_BITS).astype(np.int32)
+    mask = np.zeros((high - low, right - left), np.uint8)
+    corners = np.round((hull - (left, low)) * 2**_SUBPIXEL_BITS).astype(np.int32)
     cv2.fillConvexPoly(mask, corners, 255, cv2.LINE_AA, _SUBPIXEL_BITS)
-    window = layer[low[1] : high[1], low[0] : high[0]]
+    window = layer[low:high, left:right]
     window *= 1.0 - (1.0 - factor) * (mask.astype(np.float32) / 255.0)
+
+
+def _span(places: list[float], pixels: int) -> tuple[int, int]:
+    """First and past-the-last pixel around ``places``."""
+    low, high = math.floor(min(places)) - 1, math.ceil(max(places)) + 2
+    return min(max(low, 0), pixels), min(max(high, 0), pixels)

@@ -80,9 +80,12 @@ def shade(
             a, b, here = first_noise[:n], second_noise[:n], kinds[:n]
             _mix(patch[:n], ends[0, first:last], ends[1, first:last], share)
             _mix(drift[:n], ends[2, first:last], ends[3, first:last], share)
+            start = first & tile  # a piece lies in one tile
+            noise, canvas = fine[row & tile, start : start + n], material[row, first:last]
             for k in range(n):
-                a[k] = fine[row & tile, (first + k) & tile]
-                here[k] = material[row, first + k]
+                a[k] = noise[k]
+            for k in range(n):
+                here[k] = canvas[k]
             _turn(b, coarse, tile, row, first)
             _hashes(grain[:n], row, first, salt)
             for k in range(n):
@@ -107,11 +110,13 @@ def shade(
                     _bloom(colour, tone, drift, start, end, kind, row, first, salt)
                 start = end
             _mark(colour, paint[row, first:last], a, b, grain, patch)
+            lit = bright[row, first:last]
             for k in range(n):
-                tone[k] = bright[row, first + k] * (1.0 / 255.0)
+                tone[k] = lit[k] * (1.0 / 255.0)
             if slopes.shape[0] > 0:
+                level = slopes[row, first:last]
                 for k in range(n):
-                    tone[k] *= slopes[row, first + k] * (1.0 / 128.0)
+                    tone[k] *= level[k] * (1.0 / 128.0)
             _quantize(image[rows - 1 - row, first:last], colour, tone)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -236,22 +236,22 @@ def optical_table(model: mujoco.MjModel, scene: Scene) -> OpticalTable:
         water=np.array([s.water for s in surfaces], dtype=np.bool_),
         ground_geom=names.index(ground.geom_name) if scene.ground is not None else _NO_GEOM,
         ground_frame=np.array([*ground.origin_xy_m, 1.0 / ground.cell_m], dtype=np.float64),
-        ground_reflectivity=np.where(wet, -1.0, ground.reflectivity).astype(np.float32),
+        ground_reflectivity=_dry(ground.reflectivity, wet, -1.0, np.float32),
         spread=_column(surfaces, "spread"),
         canopy_m=_column(surfaces, "canopy_m"),
         leaf_area=_column(surfaces, "leaf_area"),
-        ground_material=_dry_material(ground, wet),
+        ground_material=_dry(ground.material, wet, len(ground.materials), np.uint8),
         material_spread=_column(materials, "spread"),
         material_canopy_m=_column(materials, "canopy_m"),
         material_leaf_area=_column(materials, "leaf_area"),
     )
 
 
-def _dry_material(ground: GroundRaster, wet: Bools) -> Bytes:
-    """Materials, with the last of the table, which is bare, under water."""
-    if not ground.material.size:
-        return ground.material
-    return np.where(wet, len(ground.materials), ground.material).astype(np.uint8)
+def _dry(raster: Any, wet: Bools, under_water: float, kind: Any) -> Any:
+    """``raster`` itself, 8 MB, where nothing is ``wet``; else a copy with ``under_water`` there."""
+    if raster.size and wet.any():
+        raster = np.where(wet, under_water, raster)
+    return np.ascontiguousarray(raster, kind)
 
 
 def _column(surfaces: Sequence[Surface], name: str) -> Float32:
