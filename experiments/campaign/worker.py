@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime
 import errno
 import faulthandler
+import gc
 import importlib
 import json
 import os
@@ -204,6 +205,7 @@ def serve() -> None:
         answers.write(json.dumps(message) + "\n")
         answers.flush()
 
+    gc.freeze()  # what the imports made lives on: collecting after a run need not look at it
     notify({"event": "ready"})
     for line in tasks:
         _forget_random_state()

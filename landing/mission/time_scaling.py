@@ -13,8 +13,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams
+from touchdown.landing.mission.quintics import sample_quintics
 from touchdown.landing.mission.thrust_need import FASTEST, air_coefficients, rotor_need
-from touchdown.landing.mission.trajectory import PiecewiseTrajectory, Sample, sample_quintics
+from touchdown.landing.mission.trajectory import PiecewiseTrajectory, Sample
 from touchdown.sim.api import VehicleModel
 
 Array = NDArray[np.float64]

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.landing.api import SurveyParams
@@ -83,6 +82,9 @@ class PiecewiseTrajectory:
 
     def sample(self, t: float) -> Sample:
         """As ``Trajectory.sample``."""
+        # Here: a configuration is checked by planning its survey, which takes no compiled code.
+        from touchdown.landing.mission.quintics import sample_quintics
+
         return sample_quintics(self._starts, self._coefficients, t)
 
     def then(self, following: PiecewiseTrajectory) -> PiecewiseTrajectory:
@@ -91,29 +93,6 @@ class PiecewiseTrajectory:
             np.concatenate([np.diff(self._starts), np.diff(following._starts)]),
             np.concatenate([self._coefficients, following._coefficients]),
         )
-
-
-@njit(cache=True, error_model="numpy")
-def sample_quintics(starts: Array, coefficients: Array, t: float) -> Sample:
-    """`PiecewiseTrajectory.sample` for compiled callers."""
-    position, velocity, acceleration = np.zeros(3), np.zeros(3), np.zeros(3)
-    last = starts.size - 2
-    index = min(max(int(np.searchsorted(starts, t, side="right")) - 1, 0), last)
-    if t < 0.0:
-        for axis in range(3):
-            position[axis] = coefficients[0, 0, axis]
-        return position, velocity, acceleration
-    beyond = max(t - starts[last + 1], 0.0)
-    local = min(t, starts[last + 1]) - starts[index]
-    for power in range(5, -1, -1):  # Horner's scheme for the value and two derivatives
-        for axis in range(3):
-            acceleration[axis] = acceleration[axis] * local + 2.0 * velocity[axis]
-            velocity[axis] = velocity[axis] * local + position[axis]
-            position[axis] = position[axis] * local + coefficients[index, power, axis]
-    if beyond > 0.0:
-        position += beyond * velocity
-        acceleration[:] = 0.0
-    return position, velocity, acceleration
 
 
 def through(states: list[State], durations_s: list[float]) -> PiecewiseTrajectory:
@@ -153,7 +132,7 @@ def peaks(trajectory: PiecewiseTrajectory, per_segment: int = 64) -> tuple[float
     index = np.minimum(np.searchsorted(starts, times, side="right"), len(coefficients)) - 1
     local = (times - starts[index])[..., None]
     position, velocity, acceleration = np.zeros((3, *times.shape, 3))
-    for power in range(5, -1, -1):  # Horner's scheme, as in `sample_quintics`
+    for power in range(5, -1, -1):  # Horner's scheme, as in `quintics.sample_quintics`
         acceleration = acceleration * local + 2.0 * velocity
         velocity = velocity * local + position
         position = position * local + coefficients[index, power]

@@ -1,5 +1,6 @@
 """The shipped network: metadata, and accuracy on unseen scenes."""
 
+import functools
 import json
 import os
 import shutil
@@ -11,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.experiments.classification.patches import scene_patches
+from touchdown.experiments.classification.patches import Patch, scene_patches
 from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_layout
 from touchdown.experiments.flight.wiring import build_classifier
 from touchdown.landing.classification import engine, onboard
@@ -26,21 +27,25 @@ SEED = 900_004
 PICTURES = 24
 
 
+@functools.cache
+def pictures_of(scene: str) -> list[Patch]:
+    return scene_patches(scene, SEED, PICTURES, 128, variation=0)
+
+
 @pytest.fixture(scope="module")
 def classifier() -> onboard.OnnxGroundClassifier:
     return onboard.load_onboard_classifier(onboard.SHIPPED)
 
 
 def test_the_network_of_the_paper_in_int8_is_the_trained_one(
-    classifier: onboard.OnnxGroundClassifier, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    patches = scene_patches("houses", SEED, PICTURES, classifier.image_size, variation=0)
-    shown = np.stack([patch.rgb for patch in patches])
+    shown = np.stack([patch.rgb for patch in pictures_of("lake")[:12]])
     small = onboard.OnnxGroundClassifier(onboard.ZOU2024)
     trained = onboard.OnnxGroundClassifier(onboard.ZOU2024.with_name("network.onnx"))
     assert small.min_probability == trained.min_probability
     found, wanted = (one.classify(shown).probabilities for one in (small, trained))
-    assert np.abs(found - wanted).mean() < 0.02
+    assert np.abs(found - wanted).mean() < 0.005  # of another network: 0.017
     copy = tmp_path / "own" / "onboard.onnx"
     shutil.copytree(onboard.ZOU2024.parent, copy.parent)
     with pytest.raises(ValueError, match="lie in another file"):
@@ -67,7 +72,8 @@ def test_the_selector_of_the_paper_flies_its_network() -> None:
 def test_accuracy_on_unseen_scenes(scene: str, classifier: onboard.OnnxGroundClassifier) -> None:
     """The bound is far below the scores in `docs/results/ground-classification.md`."""
     assert split_of_layout(scene, SEED) == "test"
-    patches = scene_patches(scene, SEED, PICTURES, classifier.image_size, variation=0)
+    assert classifier.image_size == 128
+    patches = pictures_of(scene)
     prediction = classifier.classify(np.stack([patch.rgb for patch in patches]))
     found = [LAND_CLASSES[best] for best in prediction.probabilities.argmax(axis=1)]
     true = [patch.land_class for patch in patches]
@@ -80,7 +86,7 @@ def test_accuracy_on_unseen_scenes(scene: str, classifier: onboard.OnnxGroundCla
 
 def test_commands_without_a_network_use_the_shipped_one(tmp_path: Path, says: Says) -> None:
     home = tmp_path / "pictures"
-    patches = scene_patches("lake", SEED, 10, 128, variation=0)
+    patches = pictures_of("lake")[:10]
     for number, patch in enumerate(patches):
         (home / patch.land_class).mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(home / patch.land_class / f"{number}.png"), patch.rgb[..., ::-1])
