@@ -203,6 +203,8 @@ class LivoParams(CalibratedParams):
     """where no image measures the pose, the intensities of scans do"""
     intensity_after_s: NotNegative = 0.5
     """time without such an image from which on they do; 0: beside images, too"""
+    dark_height_sigma_m: NotNegative = 0.05
+    """least ``scan_height_sigma_m`` while they do; by eight replays without images"""
     keyframes: Count = 40
     """capacity; beyond it the most redundant one is marginalised"""
     track_keyframes: Count = 3

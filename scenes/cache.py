@@ -20,6 +20,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from touchdown.scenes.api import Light, LowSun, Readying, Scene
 from touchdown.scenes.compose import load_scene
@@ -68,11 +69,12 @@ def _write(entry: Path, scene: Scene) -> None:
     """Writes an entry beside its place and moves it there, whole."""
     partial = Path(tempfile.mkdtemp(dir=entry.parent))
     try:
-        mujoco.mj_saveModel(scene.model, str(partial / _MODEL), None)
+        whole = np.empty(mujoco.mj_sizeModel(scene.model), np.uint8)
+        mujoco.mj_saveModel(scene.model, None, whole)  # to a file it would write piece by piece
+        (partial / _MODEL).write_bytes(whole.data)
         (partial / _REST).write_bytes(pickle.dumps(replace(scene, model=None)))
-        if (partial / _MODEL).stat().st_size == mujoco.mj_sizeModel(scene.model):
-            shutil.rmtree(entry, ignore_errors=True)
-            partial.rename(entry)
+        shutil.rmtree(entry, ignore_errors=True)
+        partial.rename(entry)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 

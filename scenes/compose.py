@@ -60,7 +60,7 @@ def load_scene(
     with lit_by(light, sun):
         spec, draft = compose_spec(name_or_path, seed, ready)
     scene = compile_scene(spec, draft, Path(name_or_path).stem, seed, name_or_path)
-    return replace(scene, light=light, ready=ready)
+    return replace(scene, light=light, ready=ready if _is_file(name_or_path) else None)
 
 
 def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> Scene:
@@ -70,6 +70,7 @@ def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: st
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise ValueError(f"scene '{source}' does not compile: {_one_line(error)}") from error
+    draft.fill_model(model)
     _stand_on_ground(model, draft)
     return Scene(
         name=name,
@@ -92,7 +93,7 @@ def compose_spec(
     name_or_path: str, seed: int, ready: Readying | None = None
 ) -> tuple[Any, SceneDraft]:
     """Returns the uncompiled MjSpec, with the vehicle at height 0 over the take-off spot, and its
-    draft.
+    draft, which holds the large textures (`SceneDraft.pictures`).
 
     Raises as `load_scene`.
     """
@@ -105,6 +106,7 @@ def bare_spec(name_or_path: str, seed: int) -> Any:
     """Returns the uncompiled MjSpec of a scene without the vehicle, with the site ``takeoff`` at
     height 0. Raises as `load_scene`."""
     draft = _draft(name_or_path, seed)
+    draft.fill()
     spec = draft.spec
     _set_options(spec)
     if spec.site("takeoff") is None:
@@ -117,18 +119,24 @@ def bare_spec(name_or_path: str, seed: int) -> Any:
 def _draft(name_or_path: str, seed: int, ready: Readying | None = None) -> SceneDraft:
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
-    is_path = name_or_path.endswith(".xml") or "/" in name_or_path
-    draft = read_mjcf(Path(name_or_path), ready) if is_path else scene_generator(name_or_path)(seed)
-    if is_path:
+    if _is_file(name_or_path):
+        draft = read_mjcf(Path(name_or_path), ready)
         light_file(draft.spec)
+    else:
+        draft = scene_generator(name_or_path)(seed)
     set_sky(draft.spec)
     return draft
+
+
+def _is_file(name_or_path: str) -> bool:
+    return name_or_path.endswith(".xml") or "/" in name_or_path
 
 
 def spec_of_scene(scene: Scene) -> Any:
     """Returns the MjSpec of a scene of `load_scene`, composed anew from its source and seed; the
     vehicle stands where the scene starts it."""
-    spec, _ = compose_spec(scene.source or scene.name, scene.seed, scene.ready)
+    spec, draft = compose_spec(scene.source or scene.name, scene.seed, scene.ready)
+    draft.fill()
     spec.body(VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(VEHICLE_BODY).id]
     return spec
 

@@ -77,8 +77,9 @@ def with_flown_noise(rig: SensorRig, params: FlownImuParams | LivoParams) -> Sen
 
 def bias_sigmas(imu: ImuSheet, *, estimated: bool = False) -> Array:
     """(6,) rad/s and m/s^2: errors of gyroscope and accelerometer that stay in level flight as they
-    are: turn-on biases, and gravity along misaligned and wrongly scaled axes, unless these are
-    ``estimated``."""
+    are: turn-on biases, and gravity along misaligned and wrongly scaled axes. Where such errors are
+    ``estimated``, the turn-on biases alone: the accelerometer's misalignment, which is not among
+    them, did not make replays better."""
     if estimated:
         return np.repeat([imu.gyro_bias_sigma, imu.accel_bias_sigma], 3)
     bend, scale = math.radians(imu.misalignment_sigma_deg), imu.scale_sigma

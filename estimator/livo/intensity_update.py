@@ -54,6 +54,7 @@ _ASIDE = slice(POSITION.start, POSITION.start + 2)
 """x and y of a pose"""
 _RETURNS = 4000
 """returns of a scan that are compared with images"""
+_HEIGHT = POSITION.stop - 1
 _PLANE_TILT = float(np.radians(0.05))
 """rad, information floor of roll and pitch by planes where intensities measure"""
 _ITERATIONS = 4
@@ -196,11 +197,14 @@ class IntensityReport:
 class PhotometricUpdate:
     """Images of all clones and the update by a scan; image k is of clone k."""
 
-    def __init__(self, lever: Array, dark_ticks: int | None = 0) -> None:
+    def __init__(
+        self, lever: Array, dark_ticks: int | None = 0, plane_height_m: float = 0.05
+    ) -> None:
         """``lever`` (3,): the LIDAR in the IMU frame; ``dark_ticks``: scans measure only when for
-        longer than this no image has; None: never, and no images are made."""
+        longer than this no image has; None: never, and no images are made. ``plane_height_m``:
+        least information floor of the height by planes where intensities measure."""
         self._lever = lever
-        self._dark_ticks = dark_ticks
+        self._dark_ticks, self._plane_height_m = dark_ticks, plane_height_m
         self._sigma = _FIRST_SIGMA
         self.images: list[IntensityImage] = []
 
@@ -209,11 +213,13 @@ class PhotometricUpdate:
 
     def errors_of_planes(self, errors: ScanErrors, dark_ticks: int) -> ScanErrors:
         """Error model of the planes after ``dark_ticks`` without an image: intensities see the
-        ground, at which tilt and translation look the same, so that planes must separate them."""
+        ground, at which tilt and translation look the same, so that planes must separate them.
+        A scan measures the height with ``plane_height_m`` at best."""
         if not self._needed(dark_ticks):
             return errors
         floor = errors.floor_sigmas.copy()
         floor[:2] = np.minimum(floor[:2], _PLANE_TILT)
+        floor[_HEIGHT] = max(floor[_HEIGHT], self._plane_height_m)
         return replace(errors, floor_sigmas=floor)
 
     def begin(self, eskf: Eskf, height_m: float, dark_ticks: int) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import gc
+import importlib
 import os
 import re
 import traceback
 from collections.abc import Iterator
+from typing import Any
 
 from touchdown.experiments.external.processes import release_memory
 
@@ -62,6 +65,32 @@ def limit_threads() -> None:
     numba.set_num_threads(1)
     threadpool_limits(1, user_api="blas")
     os.environ[BLAS_THREADS] = "1"  # for copies that are loaded later, here or in a child
+
+
+@functools.cache
+def keep_bitcode() -> None:
+    """Kernels that Numba loads from its cache keep what other kernels are compiled from, which
+    their machine code does not need, as the bytes of the file: parsed it takes 0.4 MB a kernel.
+    Holds for the rest of the process. Does nothing for a Numba whose inside is another."""
+    codegen: Any = importlib.import_module("numba.core.codegen")
+    kind: Any = getattr(codegen, "CPUCodeLibrary", None)
+    if not all(hasattr(kind, name) for name in ("_unserialize", "_get_module_for_linking")):
+        return
+    loaded, linked = kind._unserialize.__func__, kind._get_module_for_linking
+
+    def load(cls: Any, target: Any, state: Any) -> Any:
+        library = loaded(cls, target, state)
+        if state[1] == "object":
+            library.bitcode, library._shared_module = state[2][1], None
+        return library
+
+    def link(library: Any) -> Any:
+        if library._shared_module is None and hasattr(library, "bitcode"):
+            library._shared_module = codegen.ll.parse_bitcode(library.bitcode)
+        return linked(library)
+
+    kind._unserialize = classmethod(load)
+    kind._get_module_for_linking = link
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from touchdown.experiments.flight.estimator_calibration import check_calibration
 from touchdown.experiments.flight.inactive_faults import inactive_faults
 from touchdown.experiments.flight.loop import run_flight
 from touchdown.experiments.flight.observers import Progress, StepObserver
-from touchdown.experiments.flight.platform import limit_threads, set_up_memory
+from touchdown.experiments.flight.platform import keep_bitcode, limit_threads, set_up_memory
 from touchdown.experiments.flight.referee import Referee
 from touchdown.experiments.flight.result import make_result
 from touchdown.experiments.flight.slots import check_parts_available
@@ -68,6 +68,7 @@ def fly(
     if out_dir is not None:
         check_out_dir(out_dir)
     limit_threads()
+    keep_bitcode()
     with set_up_memory():
         scene = build_scene(config)
         config = fitted(config, scene)

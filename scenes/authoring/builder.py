@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
+from touchdown.scenes.authoring.draft import fill_texture, size_texture
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.meshes import MeshData
 
@@ -41,6 +42,8 @@ class SceneBuilder:
     casters: list[Caster] = field(default_factory=list)
     occupied: list[tuple[Array, float]] = field(default_factory=list)
     """(2,) centre and radius of discs that later random placements avoid"""
+    pictures: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
+    """as `SceneDraft.pictures`"""
     _serial: dict[str, int] = field(default_factory=dict)
 
     def unique(self, stem: str) -> str:
@@ -57,6 +60,11 @@ class SceneBuilder:
         textures[RGB_ROLE] = name
         material.textures = textures
         return name
+
+    def picture(self, name: str, image: NDArray[np.uint8]) -> None:
+        """Gives the texture ``name`` of the spec a large image, (H, W, 3) uint8, top row first."""
+        size_texture(self.spec.texture(name), image)
+        self.pictures[name] = np.ascontiguousarray(image)
 
     def mesh(self, name: str, data: MeshData) -> str:
         """Adds a mesh asset. Returns its name."""
@@ -100,14 +108,6 @@ def add_texture(spec: Any, name: str, image: NDArray[np.uint8]) -> None:
     """Adds a 2-D texture from memory, (H, W, 3) uint8, top row first."""
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
     fill_texture(texture, image)
-
-
-def fill_texture(texture: Any, image: NDArray[np.uint8]) -> None:
-    """Copies an image, (H, W, 3) uint8, top row first, into an MjSpec texture."""
-    texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_NONE
-    texture.height, texture.width = image.shape[:2]
-    texture.nchannel = 3
-    texture.data = np.ascontiguousarray(image).tobytes()
 
 
 def quat_z(angle: float) -> list[float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,3 +35,31 @@ class SceneDraft:
     """class of geoms whose names say nothing, and what it is guessed by"""
     dressed: tuple[str, ...] = ()
     """geoms of featureless ground that were given texture and relief"""
+    pictures: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
+    """(rows, cols, 3), top row first, of textures that are flat in the spec: `SceneDraft.fill` them
+    there, or `fill_model` the compiled model, to which MuJoCo would take them by four copies"""
+
+    def fill(self) -> None:
+        """Copies the pictures into the spec."""
+        for name, picture in self.pictures.items():
+            fill_texture(self.spec.texture(name), picture)
+
+    def fill_model(self, model: Any) -> None:
+        """Copies the pictures into the compiled ``model``."""
+        for name, picture in self.pictures.items():
+            start = int(model.tex_adr[model.texture(name).id])
+            model.tex_data[start : start + picture.size] = picture.ravel()
+
+
+def size_texture(texture: Any, image: NDArray[np.uint8]) -> None:
+    """Makes an MjSpec texture a flat one of the size of an image, (H, W, 3)."""
+    texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+    texture.height, texture.width = image.shape[:2]
+    texture.nchannel = 3
+
+
+def fill_texture(texture: Any, image: NDArray[np.uint8]) -> None:
+    """Copies an image, (H, W, 3) uint8, top row first, into an MjSpec texture."""
+    size_texture(texture, image)
+    texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_NONE
+    texture.data = np.ascontiguousarray(image).tobytes()

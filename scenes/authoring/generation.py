@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import GroundRaster, MovingBody, Surface
-from touchdown.scenes.authoring.builder import SceneBuilder, fill_texture
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField, write_hfield
@@ -96,7 +96,7 @@ def paint_terrain(
         look = flood.draw_look(builder.rng)
         lay_water(builder.rng, texture, flood.depth_m, canvas.half_m, look, builder.sun)
         raster = flood_raster(raster, flood.depth_m)
-    fill_texture(builder.spec.texture("ground"), texture)
+    builder.picture("ground", texture)
     return raster
 
 
@@ -125,4 +125,5 @@ def finish(
         surfaces=builder.surfaces,
         ground=ground,
         moving=moving,
+        pictures=builder.pictures,
     )

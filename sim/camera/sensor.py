@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import cv2
@@ -23,7 +23,7 @@ from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.degradations import CameraDegradations, ImageDefects
 from touchdown.sim.camera.detail import GroundDetail
 from touchdown.sim.camera.film import NoisePlace
-from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, Snapshot, Stage
+from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, InverseDepth, Snapshot, Stage
 from touchdown.sim.camera.optics import (
     NOISE_MARGIN,
     develop,
@@ -57,6 +57,13 @@ class GroundEffects:
 
 
 _BARE = GroundEffects()
+
+
+class _Drawn(NamedTuple):
+    """A drawing, and its depths where they have been read."""
+
+    image: Bytes
+    depth: InverseDepth | None
 
 
 class CameraSensor:
@@ -144,7 +151,7 @@ class CameraSensor:
         whole = len(instants) == 1 and self._lens.map_x is None and defects is None
         if whole:  # the common case: `develop` flips, so that nothing is copied twice
             stage, height = self._own_stage(), self._params.height
-            raw = self._drawn(stage, instants[0], 0, height)
+            raw = self._drawn(stage, instants[0], 0, height).image
         else:
             raw = self._bands(instants, defects)
         if self._degradations is not None and defects is not None:
@@ -190,8 +197,8 @@ class CameraSensor:
     ) -> Bytes:
         assert self._rows is not None
         stage, raster = self._own_stage(), self._lens.raster
-        drawn = self._drawn(stage, snapshot, 0, raster.height)
-        depth = stage.inverse_depth_of_last(raster.height)
+        drawn, read = self._drawn(stage, snapshot, 0, raster.height)
+        depth = read or stage.inverse_depth_of_last(raster.height)
         defects = self._degradations.at(tick) if self._degradations is not None else None
         if self._degradations is not None and defects is not None and defects.extinction > 0.0:
             drawn = self._degradations.through_air(defects, drawn, depth.metres(), 0)
@@ -221,13 +228,13 @@ class CameraSensor:
             self._stage.close()
         self._stage, self._thread = None, None
 
-    def _drawn(self, stage: Stage, instant: Snapshot, first: int, last: int) -> Bytes:
+    def _drawn(self, stage: Stage, instant: Snapshot, first: int, last: int) -> _Drawn:
         """`Stage.colour` of rows ``first`` to ``last``, with the ground's grain."""
-        drawn = stage.colour(instant, self._camera_id, first, last)
+        drawn, depth = stage.colour(instant, self._camera_id, first, last), None
         if self._detail is not None and self._detail.needed(instant, self._camera_id):
             depth = stage.inverse_depth_of_last(last - first)
             self._detail.add(drawn, depth, instant, self._camera_id, last)
-        return drawn
+        return _Drawn(drawn, depth)
 
     def _bands(self, instants: Sequence[Snapshot], defects: ImageDefects | None) -> Bytes:
         """(H, W, 3) image, top row first, of one band of rows for every instant, through the
@@ -241,7 +248,7 @@ class CameraSensor:
             if rows.start == rows.stop:
                 continue
             first, last = raster_rows(self._lens, rows)
-            drawn = self._drawn(stage, instant, first, last)
+            drawn = self._drawn(stage, instant, first, last).image
             if self._degradations is not None and defects is not None and defects.extinction > 0.0:
                 depth = stage.depth_of_last(last - first)
                 drawn = self._degradations.through_air(defects, drawn, depth, first)

@@ -8,6 +8,7 @@ wrapping; where exactly it meets the shape is then a matter of `sim.geometry.qua
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -126,16 +127,26 @@ def cylinder(radius: float, half_length: float, chord: float | None = None) -> M
 
 def capsule(radius: float, half_length: float, chord: float | None = None) -> Mesh:
     segments = _segments(radius, chord)
-    quarter = np.linspace(0.0, 0.5 * math.pi, segments // 4 + 1)
-    radii, heights = np.cos(quarter), np.sin(quarter)
-    ball = _revolve(
-        np.concatenate([radii[::-1], radii]), np.append(-heights[::-1], heights), segments
-    )
-    outer = radius * _swell(*ball)
+    radii, heights = _quarter(segments)
+    outer = radius * _ball_swell(segments)
     caps = half_length + outer * heights
     return _revolve(
         outer * np.concatenate([radii[::-1], radii]), np.append(-caps[::-1], caps), segments
     )
+
+
+def _quarter(segments: int) -> tuple[Array, Array]:
+    """Radii and heights of a unit sphere's rings, from the equator up."""
+    quarter = np.linspace(0.0, 0.5 * math.pi, segments // 4 + 1)
+    return np.cos(quarter), np.sin(quarter)
+
+
+@lru_cache(maxsize=64)
+def _ball_swell(segments: int) -> float:
+    """`_swell` of the two halves of a capsule without length."""
+    radii, heights = _quarter(segments)
+    ball = np.concatenate([radii[::-1], radii]), np.append(-heights[::-1], heights)
+    return _swell(*_revolve(*ball, segments))
 
 
 def _stored_mesh(model: mujoco.MjModel, mesh_id: int) -> Mesh:
@@ -169,12 +180,19 @@ def _revolve(radii: Array, heights: Array, segments: int) -> Mesh:
     vertices = np.empty((radii.size, segments, 3))
     vertices[..., :2] = radii[:, None, None] * ring
     vertices[..., 2] = heights[:, None]
-    index = np.arange(radii.size * segments).reshape(radii.size, segments)
+    triangles, corners = _wound(radii.size, segments), vertices.reshape(-1, 3)
+    # those of a ring are alike
+    kept = _areas(corners, triangles[:, :, 0].reshape(-1, 3)) > 0.0
+    return corners, triangles[kept.reshape(triangles.shape[:2])].reshape(-1, 3)
+
+
+@lru_cache(maxsize=64)
+def _wound(rings: int, segments: int) -> Triangles:
+    """(2, rings - 1, segments, 3) both halves of the quads between rings."""
+    index = np.arange(rings * segments).reshape(rings, segments)
     following = np.roll(index, -1, axis=1)
     quads = np.stack([index[:-1], following[:-1], following[1:], index[1:]], axis=-1)
-    triangles = _quads(quads.reshape(-1, 4))
-    corners = vertices.reshape(-1, 3)
-    return corners, triangles[_areas(corners, triangles) > 0.0]
+    return _quads(quads.reshape(-1, 4)).reshape(2, rings - 1, segments, 3)
 
 
 def _areas(vertices: Array, triangles: Triangles) -> Array:

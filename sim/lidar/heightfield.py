@@ -117,23 +117,26 @@ def _close_piece(
 ) -> None:
     """The parallelogram (i, j) of a triangle cut into ``pieces`` along each side; where it sticks
     out, its box still holds the half that belongs to the triangle."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    left = front = np.inf
+    right = back = top = -np.inf
     for n in range(4):
         a, b = (i + n % 2) / pieces, (j + n // 2) / pieces
         if a + b > 1.0 + 1e-9:
             continue
-        for axis in range(3):
-            at = corner[axis] + a * (across[axis] - corner[axis]) + b * (along[axis] - corner[axis])
-            low[axis], high[axis] = min(low[axis], at), max(high[axis], at)
+        x = corner[0] + a * (across[0] - corner[0]) + b * (along[0] - corner[0])
+        y = corner[1] + a * (across[1] - corner[1]) + b * (along[1] - corner[1])
+        z = corner[2] + a * (across[2] - corner[2]) + b * (along[2] - corner[2])
+        left, right = min(left, x), max(right, x)
+        front, back, top = min(front, y), max(back, y), max(top, z)
     rows, cols = closed.shape
-    first_row = max(0, math.floor((low[1] - _BEAM_M - origin[1]) / cell[1]))
-    last_row = min(rows - 1, math.floor((high[1] + _BEAM_M - origin[1]) / cell[1]))
-    first_col = max(0, math.floor((low[0] - _BEAM_M - origin[0]) / cell[0]))
-    last_col = min(cols - 1, math.floor((high[0] + _BEAM_M - origin[0]) / cell[0]))
+    first_row = max(0, math.floor((front - _BEAM_M - origin[1]) / cell[1]))
+    last_row = min(rows - 1, math.floor((back + _BEAM_M - origin[1]) / cell[1]))
+    first_col = max(0, math.floor((left - _BEAM_M - origin[0]) / cell[0]))
+    last_col = min(cols - 1, math.floor((right + _BEAM_M - origin[0]) / cell[0]))
     for row in range(first_row, last_row + 1):
         for col in range(first_col, last_col + 1):
-            if high[2] >= ground[row, col]:
-                closed[row, col] = max(closed[row, col], high[2])
+            if top >= ground[row, col]:
+                closed[row, col] = max(closed[row, col], top)
 
 
 @njit(cache=True, error_model="numpy")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from touchdown.scenes import cache
-from touchdown.scenes.api import LowSun, Scene
+from touchdown.scenes.api import LowSun, Readying, Scene
 from touchdown.scenes.cache import cached_scene
 
 
@@ -43,7 +43,8 @@ def test_a_scene_from_the_disk_is_the_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(cache.DIRECTORY_VARIABLE, str(tmp_path))
-    new, again = (cached_scene("turf", 3, None, "dusk") for _ in range(2))
+    new, again = (cached_scene("turf", 3, None, "dusk", Readying()) for _ in range(2))
+    assert new.ready is None  # which files alone are
     sizes = [mujoco.mj_sizeModel(one.model) for one in (again, new)]
     bytes_of = [np.empty(size, np.uint8) for size in sizes]
     for one, buffer in zip((again, new), bytes_of, strict=True):

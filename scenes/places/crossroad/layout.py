@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ class Road:
     @property
     def across(self) -> Array:
         """Unit vector to the left of ``along``."""
-        return np.array([-np.sin(self.angle), np.cos(self.angle)])
+        return _across(self.angle)
 
     def point(self, along_m: float, across_m: float) -> Array:
         """(2,) world point at road coordinates, origin at the junction."""
@@ -75,9 +76,8 @@ class Plan:
     def offset_point(self, main_m: Array, side_m: Array) -> Array:
         """(..., 2) world points at signed distances (metres, left positive) from both centre
         lines."""
-        axes = np.stack([self.main.across, self.side.across])
         rel = np.stack(np.broadcast_arrays(main_m, side_m), axis=-1)
-        return self.main.junction_xy_m + rel @ np.linalg.inv(axes).T
+        return self.main.junction_xy_m + rel @ _from_distances(self.main.angle, self.side.angle)
 
     def corner_arc(self, signs: tuple[int, int], distance_m: float, steps: int = 9) -> Array:
         """(steps, 2) points of the rounded corner at ``distance_m`` outside the kerb line, from
@@ -107,6 +107,17 @@ class Plan:
             np.array(signs[1] * 0.4 * self.side.width_m),
         )
         return np.concatenate([inner[None], first[None], arc, last[None]])
+
+
+def _across(angle: float) -> Array:
+    return np.array([-np.sin(angle), np.cos(angle)])
+
+
+@lru_cache(maxsize=1)  # objects are placed one by one
+def _from_distances(main_angle: float, side_angle: float) -> Array:
+    """(2, 2) that distances from the centre lines, a row, are multiplied by."""
+    inverse: Array = np.linalg.inv(np.stack([_across(main_angle), _across(side_angle)]))
+    return inverse.T
 
 
 QUADRANTS: dict[str, tuple[int, int]] = {"NE": (1, -1), "NW": (1, 1), "SW": (-1, 1), "SE": (-1, -1)}

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.bake import bake_light
-from touchdown.scenes.authoring.builder import SceneBuilder, fill_texture
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground, shade_ground
@@ -57,9 +57,8 @@ def generate(seed: int) -> SceneDraft:
     turned = dict.fromkeys(Ground, plan.streets[0].heading(1.0))
     turned[Ground.LAWN] = float(rng.uniform(0.0, np.pi))
     texture = shade_ground(rng, canvas, light, turned)
-    texture_of = builder.spec.texture
-    fill_texture(texture_of("ground"), texture)
-    fill_texture(texture_of("deck"), write_deck(builder.spec, plan, both, texture))
+    builder.picture("ground", texture)
+    builder.picture("deck", write_deck(builder.spec, plan, both, texture))
     builder.surfaces["path_deck"] = Surface(land_class="path", reflectivity=0.22)
     return finish(plan, builder, canvas.raster("terrain"), moving=moving)
 

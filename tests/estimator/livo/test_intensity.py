@@ -1,5 +1,7 @@
 """Intensity images and the photometric update, over ground of known reflectivity."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -141,6 +143,8 @@ def test_scans_measure_in_the_dark_only():
     assert update.errors_of_planes(errors, 300) is errors
     assert update.errors_of_planes(errors, 301).floor_sigmas[:2].max() < 1e-3
     assert update.errors_of_planes(errors, 301).floor_sigmas[2:].tolist() == [0.1] * 4
+    sure = replace(errors, floor_sigmas=np.full(6, 0.02))
+    assert update.errors_of_planes(sure, 301).floor_sigmas[2:].tolist() == [0.02, 0.02, 0.02, 0.05]
     off = PhotometricUpdate(LEVER, None)
     off.begin(eskf, 30.0, DARK)
     assert off.images == []
