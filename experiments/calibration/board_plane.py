@@ -12,7 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from touchdown.estimator.api import Chessboard
+from touchdown.experiments.api import Chessboard
 from touchdown.experiments.calibration.normals import difference_of_normals, voxel_means
 
 Array = NDArray[np.float64]

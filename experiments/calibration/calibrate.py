@@ -8,7 +8,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import CalibrationResult, CalibrationView, Chessboard
+from touchdown.experiments.api import CalibrationResult, CalibrationView, Chessboard
 from touchdown.experiments.calibration.board_plane import BoardPlane, find_board
 from touchdown.experiments.calibration.chessboard import (
     LENS_PARAMETERS,

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Chessboard
+from touchdown.experiments.api import Chessboard
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import skew, so3_exp, so3_right_jacobian
 

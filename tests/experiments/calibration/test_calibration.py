@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import CalibrationView, Chessboard
+from touchdown.experiments.api import CalibrationView, Chessboard
 from touchdown.experiments.calibration.board_plane import (
     BoardPlane,
     find_board,
