@@ -23,7 +23,7 @@ from touchdown.estimator.parameters import MapperParams as MapperParams
 from touchdown.estimator.parameters import OpticalFlowParams as OpticalFlowParams
 from touchdown.estimator.parameters import StereoParams as StereoParams
 from touchdown.estimator.parameters import Zou2024Params as Zou2024Params
-from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorNeeds, SensorRig
+from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -227,61 +227,3 @@ class Mapper(Protocol):
     needs: SensorNeeds
 
     def update(self, obs: Observation, estimate: Estimate) -> MapView: ...
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Chessboard:
-    """A chessboard on a plate. Its frame: origin in the middle, x along the columns, y down the
-    rows, z away from the viewer."""
-
-    columns: int = 11
-    """inner corners along x"""
-    rows: int = 8
-    """inner corners along y; one count is odd and one even, so that the orientation is
-    unambiguous"""
-    square_m: float = 0.09
-    margin_m: float = 0.06
-    """white rim of the plate around the squares"""
-
-    @property
-    def size_m(self) -> tuple[float, float]:
-        """Width and height of the plate."""
-        return (
-            (self.columns + 1) * self.square_m + 2.0 * self.margin_m,
-            (self.rows + 1) * self.square_m + 2.0 * self.margin_m,
-        )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CalibrationView:
-    """One placement of the board, seen by camera and LIDAR."""
-
-    rgb: NDArray[np.uint8]
-    """(H, W, 3)"""
-    points: Array
-    """(N, 3) returns in the LIDAR frame, metres"""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CalibrationResult:
-    """Intrinsics and extrinsics from chessboards. Covariances follow from the normal equations;
-    that of the extrinsics includes the errors of the camera's planes."""
-
-    camera: CameraIntrinsics
-    camera_covariance: Array
-    """(9, 9) of fx, fy, cx, cy (pixels), k1, k2, p1, p2, k3"""
-    camera_from_lidar: Pose
-    extrinsic_covariance: Array
-    """(6, 6) of a small rotation (rad) applied on the left, then of the translation (m)"""
-    reprojection_rms_px: float
-    plane_rms_m: float
-    """of the board's LIDAR points about the camera's planes"""
-    used: tuple[int, ...]
-    """indices of the views that were used"""
-    refused: Mapping[int, str]
-    """reasons for rejecting the other views"""
-    corners: Mapping[int, Array]
-    """(rows * columns, 2) pixels of the views whose board the camera found"""
-    board_points: Mapping[int, Array]
-    """(N, 3) means of the returns from the board in cells of 5 cm, LIDAR frame, of the views that
-    were used"""

@@ -1,15 +1,19 @@
-"""Outcomes of flights, and parameters of referee, bias, calibration error, PX4 and the fit of the
-survey."""
+"""Outcomes of flights, parameters of referee, bias, calibration error, PX4 and the fit of the
+survey, and what a calibration takes and gives."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Literal
 
+import numpy as np
 from annotated_types import Interval
+from numpy.typing import NDArray
 
-from touchdown.sim.api import FORBID_EXTRA, Count, NotNegative, Positive
+from touchdown.sim.api import FORBID_EXTRA, CameraIntrinsics, Count, NotNegative, Positive
+from touchdown.sim.frames import Pose
 
 
 class Outcome(StrEnum):
@@ -155,3 +159,61 @@ class Px4Params:
     """further parameters of PX4, NAME=NUMBER each"""
     ulog: bool = False
     """keep PX4's own log of the flight, ``px4.ulg``"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Chessboard:
+    """A chessboard on a plate. Its frame: origin in the middle, x along the columns, y down the
+    rows, z away from the viewer."""
+
+    columns: int = 11
+    """inner corners along x"""
+    rows: int = 8
+    """inner corners along y; one count is odd and one even, so that the orientation is
+    unambiguous"""
+    square_m: float = 0.09
+    margin_m: float = 0.06
+    """white rim of the plate around the squares"""
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height of the plate."""
+        return (
+            (self.columns + 1) * self.square_m + 2.0 * self.margin_m,
+            (self.rows + 1) * self.square_m + 2.0 * self.margin_m,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibrationView:
+    """One placement of the board, seen by camera and LIDAR."""
+
+    rgb: NDArray[np.uint8]
+    """(H, W, 3)"""
+    points: NDArray[np.float64]
+    """(N, 3) returns in the LIDAR frame, metres"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibrationResult:
+    """Intrinsics and extrinsics from chessboards. Covariances follow from the normal equations;
+    that of the extrinsics includes the errors of the camera's planes."""
+
+    camera: CameraIntrinsics
+    camera_covariance: NDArray[np.float64]
+    """(9, 9) of fx, fy, cx, cy (pixels), k1, k2, p1, p2, k3"""
+    camera_from_lidar: Pose
+    extrinsic_covariance: NDArray[np.float64]
+    """(6, 6) of a small rotation (rad) applied on the left, then of the translation (m)"""
+    reprojection_rms_px: float
+    plane_rms_m: float
+    """of the board's LIDAR points about the camera's planes"""
+    used: tuple[int, ...]
+    """indices of the views that were used"""
+    refused: Mapping[int, str]
+    """reasons for rejecting the other views"""
+    corners: Mapping[int, NDArray[np.float64]]
+    """(rows * columns, 2) pixels of the views whose board the camera found"""
+    board_points: Mapping[int, NDArray[np.float64]]
+    """(N, 3) means of the returns from the board in cells of 5 cm, LIDAR frame, of the views that
+    were used"""

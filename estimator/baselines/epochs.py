@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from touchdown.estimator.filtering.message_order import ArrivingStream, DelayBound
+from touchdown.estimator.filtering.message_order import ArrivingStream
 from touchdown.sim.api import (
     BarometerSample,
     CameraImage,
@@ -51,7 +51,8 @@ class EpochQueue:
         patience = max(rig.compute_latency_ticks, round(_PATIENCE_S * rig.tick_hz))
         self._images = ArrivingStream(
             rig.tick_hz // needs.camera_hz if needs.camera_hz else 0,
-            DelayBound(rig.compute_latency_ticks, patience),
+            rig.compute_latency_ticks,
+            patience,
         )
         sensors = ("gps", "barometer", "magnetometer", "rangefinder")
         latencies = [getattr(nav, name).latency_ticks for name in sensors if getattr(needs, name)]

@@ -312,7 +312,8 @@ class InertialFilter:
         )
         imu = _Motion(present.rotation, present.position, present.velocity, rates[0], forces[0])
         body = _motion_of_body(imu, self.jump, Frame.of(self.imu_from_body))
-        spread = _turned(world_from_odom.rotation, self.covariance[POSITION, POSITION])
+        turn, to_body = world_from_odom.rotation, self.rig.body_from_imu.rotation
+        spread = turn @ self.covariance[POSITION, POSITION] @ turn.T
         position_covariance = inflation * spread + extra_covariance
         return Estimate(
             tick=obs.tick,
@@ -323,9 +324,7 @@ class InertialFilter:
             angular_velocity_body=body.rate,
             acceleration_odom=body.force,
             position_covariance=position_covariance,
-            rotation_covariance=_turned(
-                self.rig.body_from_imu.rotation, self.covariance[ROTATION, ROTATION]
-            ),
+            rotation_covariance=to_body @ self.covariance[ROTATION, ROTATION] @ to_body.T,
             healthy=bool(position_covariance.trace() < 1.0),
             scan_track=scan_track,
             diagnostics=diagnostics,
@@ -358,15 +357,3 @@ def _motion_of_body(imu: _Motion, jump: Array, imu_from_body: Frame) -> _Motion:
         rate,
         rotation @ imu.force - _GRAVITY,
     )
-
-
-@njit(cache=True, error_model="numpy")
-def _turned(rotation: Array, covariance: Array) -> Array:
-    """The covariance (3, 3) in the axes that ``rotation`` maps to."""
-    out = np.zeros((3, 3))
-    for a in range(3):
-        for b in range(3):
-            for c in range(3):
-                for d in range(3):
-                    out[a, b] += rotation[a, c] * covariance[c, d] * rotation[b, d]
-    return out

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from touchdown.estimator.filtering.error_state import Frame, Pinhole
-from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes, sort_first
+from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes
 from touchdown.estimator.filtering.vectors import along, dot, turned, xyz
 from touchdown.estimator.typing import Array, Grey, Mask
 from touchdown.sim.api import CameraIntrinsics
@@ -106,7 +106,6 @@ class Overlap:
     """Predicted overlap of keyframe ``index`` with the present view."""
 
     index: int
-    visible: int
     share: float
     """of the keyframe's landmarks"""
     scale: float
@@ -140,7 +139,7 @@ def overlaps(
         scale = keyframe.depth_m / depth
         if least_scale < scale < 1.0 / least_scale:
             share = visible / np.count_nonzero(keyframe.valid)
-            found.append(Overlap(index, visible, share, scale))
+            found.append(Overlap(index, share, scale))
     return found
 
 
@@ -169,7 +168,7 @@ def _in_view(
         if margin < u < size[0] - margin and margin < v < size[1] - margin:
             depths[count] = seen[2]
             count += 1
-    sort_first(depths, count)
+    depths[:count].sort()
     return count, 0.5 * (depths[(count - 1) // 2] + depths[count // 2]) if count > 0 else 0.0
 
 

@@ -225,20 +225,6 @@ def _fit_planes(
 
 
 @njit(cache=True, error_model="numpy")
-def sort_first(values: Array, count: int) -> None:
-    """Sorts the first ``count`` of ``values`` in place (Shell 1959)."""
-    gap = count // 2
-    while gap > 0:
-        for i in range(gap, count):
-            value, k = values[i], i
-            while k >= gap and values[k - gap] > value:
-                values[k] = values[k - gap]
-                k -= gap
-            values[k] = value
-        gap //= 2
-
-
-@njit(cache=True, error_model="numpy")
 def _rough_depths(
     rays: Array, cells: _Cells, radius: float, min_points: int, most_share: float
 ) -> tuple[Mask, Array, Array]:
@@ -252,7 +238,7 @@ def _rough_depths(
             continue
         for i in range(count):
             front[i] = 1.0 / near[i, 2]
-        sort_first(front, count)
+        front[:count].sort()
         # the camera sees what is in front; returns from elsewhere looked past it
         two_thirds = (2 * count + 2) // 3
         mean, square = 0.0, 0.0

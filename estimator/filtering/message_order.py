@@ -32,32 +32,18 @@ def stamp_of(message: Message) -> int:
     return message.end_tick if isinstance(message, LidarScan) else message.tick
 
 
-class DelayBound:
-    """Longest delay to be expected of a stream, learnt from its last messages: ``ticks``.
+class ArrivingStream:
+    """Stamps and delays of one sensor, by which the next message is expected. ``period_ticks`` 0:
+    none is ever expected.
 
+    ``longest_ticks``: longest delay to be expected, learnt from the last messages;
     ``nominal_ticks`` holds until one has arrived, ``most_ticks`` bounds it.
     """
 
-    def __init__(self, nominal_ticks: int, most_ticks: int) -> None:
-        self._most = most_ticks
+    def __init__(self, period_ticks: int, nominal_ticks: int, most_ticks: int) -> None:
+        self._nominal, self._most = period_ticks, most_ticks
         self._delays: deque[int] = deque(maxlen=_REMEMBERED)
-        self.ticks = min(nominal_ticks, most_ticks)
-
-    def take(self, delay_ticks: int) -> None:
-        """Adds the delay of a message that has arrived."""
-        self._delays.append(delay_ticks)
-        longest = max(self._delays)
-        margin = _MARGIN * (longest - min(self._delays))
-        self.ticks = min(round(longest + margin), self._most)
-
-
-class ArrivingStream:
-    """Stamps and delays of one sensor, by which the next message is expected. ``period_ticks`` 0:
-    none is ever expected."""
-
-    def __init__(self, period_ticks: int, bound: DelayBound) -> None:
-        self.bound = bound
-        self._nominal = period_ticks
+        self.longest_ticks = min(nominal_ticks, most_ticks)
         self._gaps: deque[int] = deque(maxlen=_GAPS)
         self._newest = 0
 
@@ -66,7 +52,10 @@ class ArrivingStream:
         if stamp > self._newest:
             self._gaps.append(stamp - self._newest)
             self._newest = stamp
-        self.bound.take(now - stamp)
+        self._delays.append(now - stamp)
+        longest = max(self._delays)
+        margin = _MARGIN * (longest - min(self._delays))
+        self.longest_ticks = min(round(longest + margin), self._most)
 
     def may_bring(self, before: int, now: int) -> bool:
         """True if a message of a stamp below ``before`` may still arrive after ``now``."""
@@ -74,9 +63,9 @@ class ArrivingStream:
             return False
         if self._newest + min([self._nominal, *self._gaps]) >= before:
             return False
-        if now > self._newest + _LOST_PERIODS * self._nominal + self.bound.ticks:
+        if now > self._newest + _LOST_PERIODS * self._nominal + self.longest_ticks:
             return False
-        return now < before - 1 + self.bound.ticks
+        return now < before - 1 + self.longest_ticks
 
 
 class MessageOrder:
@@ -102,7 +91,7 @@ class MessageOrder:
             raise ValueError(f"no stream '{unknown[0]}' to be ordered: name scans or images")
         nominal = rig.compute_latency_ticks
         self._streams = {
-            name: ArrivingStream(period, DelayBound(nominal, patience_ticks))
+            name: ArrivingStream(period, nominal, patience_ticks)
             for name, period in streams.items()
         }
         self._tie = int(scans_follow_images)
@@ -111,7 +100,7 @@ class MessageOrder:
     @property
     def longest_wait_ticks(self) -> int:
         """Delay after which a message of any of the streams is not expected any more."""
-        return max((stream.bound.ticks for stream in self._streams.values()), default=0)
+        return max((stream.longest_ticks for stream in self._streams.values()), default=0)
 
     def push(self, obs: Observation) -> list[Message]:
         """Adds the messages of ``obs``; returns those that may be used now, oldest first. One that

@@ -1,10 +1,8 @@
 """Online calibration: errors of the mounts, the lens, the clocks and the scale of the IMU.
 
-Thirty-eight errors of the given calibration: a small rotation (rad) and translation (m) of the
-LIDAR in the IMU frame, the relative error of either focal length, the error of the principal point
-(pixels), the offset by which the camera's clock is ahead of the IMU's (s), rotation and translation
-of the camera in the IMU frame, the relative scale errors of gyroscope and accelerometer, the
-misalignment of the gyroscope's axes and their response to specific force.
+Thirty-eight errors of the given calibration, by the names of ``error_state``: mounts of LIDAR and
+camera in the IMU frame (rad, m), focal lengths (relative), principal point (pixels), the offset by
+which the camera's clock is ahead of the IMU's (s), and the errors of the IMU.
 
 A rotation of the LIDAR is observable in the map: the same ground, seen once ahead and once below,
 must have one height. Both the present returns and those of the map move with it, as in the

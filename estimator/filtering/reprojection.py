@@ -54,6 +54,12 @@ class LandmarkViews(NamedTuple):
     jacobians: Array  # (N, 3, C) by the shared calibration, C = 0 or 17
     spreads: Array  # (N, 3) one standard deviation along their rays
 
+    @staticmethod
+    def fixed(pixels: Array, landmarks: Array, spreads: Array) -> LandmarkViews:
+        """The views of an image without rolling shutter, the calibration taken for exact."""
+        rows, jacobians = np.zeros(len(pixels)), np.zeros((len(pixels), 3, 0))
+        return LandmarkViews(pixels, rows, landmarks, jacobians, spreads)
+
 
 class PixelNoise(NamedTuple):
     """Noise of the pixels and the gate of their residuals."""
@@ -77,10 +83,7 @@ def reprojection_information(
 
     ``pixels`` (N, 2); ``landmarks`` (N, 3) in the frame of the keyframe's IMU.
     """
-    count = len(pixels)
-    views = LandmarkViews(
-        pixels, np.zeros(count), landmarks, np.zeros((count, 3, 0)), np.zeros((count, 3))
-    )
+    views = LandmarkViews.fixed(pixels, landmarks, np.zeros((len(pixels), 3)))
     return calibrated_information(
         views, Frame.of(odom_from_imu), Frame.of(odom_from_keyframe), np.zeros((2, 6)),
         Frame.of(camera.imu_from_camera.inverse()), Pinhole.of(camera.intrinsics),

@@ -5,13 +5,13 @@ change little, so that the pose at a row is that at one instant moved on at a co
 (Hedborg, Forssen, Felsberg and Ringaby, "Rolling shutter bundle adjustment", CVPR 2012,
 interpolate poses likewise). The pixels found are moved to that instant, and whatever uses them
 afterwards needs no model of the shutter. The instant also takes up the part of an IMU step between
-the filter's state and the image.
+the filter's state and the image. Landmarks of `livo` keep the instants of their rows instead
+(``Shutter``, ``rows_of_keyframe``).
 """
 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -111,7 +111,7 @@ class ShutterModel:
         return found
 
 
-@dataclass(frozen=True, slots=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class Shutter:
     """Readout of an image whose last row is exposed at its stamp."""
 

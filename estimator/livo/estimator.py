@@ -10,9 +10,6 @@ of the same ground closes the loop.
 While no scans come, new features are assumed on the ground below the rangefinder, parallax moves
 them (``assumed_depth``), and the rangefinder gives the way since their keyframe its length
 (``range_scale``).
-
-Scans and images arrive late. The filter's state is at measurement time; the estimate is that state
-propagated over the buffered IMU samples to the present.
 """
 
 from __future__ import annotations

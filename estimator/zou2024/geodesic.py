@@ -133,7 +133,6 @@ def geodesic_lengths(
     return neighbours, lengths
 
 
-@njit(cache=True)
 def colour_smoothness(
     label: Int32, rows: Int32, cols: Int32, neighbours: Int32, lengths: Float32
 ) -> Array:
@@ -142,26 +141,13 @@ def colour_smoothness(
     A seed with fewer than k neighbours counts their mean k times; one that shares its pixel with an
     earlier seed takes that one's value. NaN where a seed has no neighbour.
     """
-    seeds, k = neighbours.shape
-    score = np.full(seeds, np.nan)
-    for s in range(seeds):
-        owner = label[rows[s], cols[s]]
-        if owner < 0:
-            continue
-        if owner != s and owner < s:
-            score[s] = score[owner]
-            continue
-        total, used = 0.0, 0
-        for slot in range(k):
-            if neighbours[s, slot] >= 0:
-                total += lengths[s, slot]
-                used += 1
-        if used > 0:
-            score[s] = total * k / used
-    return score
+    known = neighbours >= 0
+    total = np.where(known, lengths, 0.0).sum(axis=1, dtype=np.float64) * neighbours.shape[1]
+    used = known.sum(axis=1)
+    score = np.divide(total, used, out=np.full(len(rows), np.nan), where=used > 0)
+    return score[label[rows, cols]]
 
 
-@njit(cache=True)
 def geodesic_depth(
     rows: Int32,
     cols: Int32,
@@ -180,28 +166,12 @@ def geodesic_depth(
     ``exp(-L_G / similarity)``. Returns depth (F,), NaN where no return is near, and the weighted
     standard deviation (F,) of the depths that went into it.
     """
-    count = rows.shape[0]
-    result, spread = np.full(count, np.nan), np.full(count, np.nan)
-    for f in range(count):
-        own = label[rows[f], cols[f]]
-        if own < 0:
-            continue
-        first = distance[rows[f], cols[f]]
-        weight = np.exp(-first / similarity)
-        if weight < _LEAST_WEIGHT:
-            continue
-        total = weight
-        mean = weight * depths[own]
-        square = weight * depths[own] ** 2
-        for slot in range(neighbours.shape[1]):
-            j = neighbours[own, slot]
-            if j < 0:
-                continue
-            weight = np.exp(-(first + lengths[own, slot]) / similarity)
-            total += weight
-            mean += weight * depths[j]
-            square += weight * depths[j] ** 2
-        mean /= total
-        result[f] = mean
-        spread[f] = np.sqrt(max(square / total - mean * mean, 0.0))
-    return result, spread
+    own, first = label[rows, cols], distance[rows, cols]
+    around = np.column_stack([own, neighbours[own]])
+    paths = np.column_stack([np.zeros_like(first), lengths[own]]) + first[:, None]
+    weights = np.where(around >= 0, np.exp(-paths.astype(np.float64) / similarity), 0.0)
+    weights[(own < 0) | (weights[:, 0] < _LEAST_WEIGHT)] = np.nan
+    total, seen = weights.sum(axis=1), depths[around]
+    mean = (weights * seen).sum(axis=1) / total
+    square = (weights * seen**2).sum(axis=1) / total
+    return mean, np.sqrt(np.maximum(square - mean * mean, 0.0))

@@ -67,9 +67,9 @@ class ImageModel:
         points = landmarks.points[at]
         arms = points - mount.translation
         spreads = arms * (self.depth_sigma_m / np.linalg.norm(arms, axis=1))[:, None]
-        rows = np.zeros(len(at))
+        views = LandmarkViews.fixed(pixels, points, spreads)
         if not eskf.shared:
-            return LandmarkViews(pixels, rows, points, np.zeros((len(at), 3, 0)), spreads)
+            return views
         inside = arms @ mount.rotation
         up = (host.odom_from_imu.rotation @ mount.rotation)[2]
         twist = host.twist.copy()
@@ -80,7 +80,7 @@ class ImageModel:
         )  # fmt: skip
         change = eskf.state.calibration[: eskf.shared].copy()
         change[:MOUNT_DIM] -= host.calibration[:MOUNT_DIM]
-        return LandmarkViews(pixels, rows, points + jacobians @ change, jacobians, spreads)
+        return views._replace(landmarks=points + jacobians @ change, jacobians=jacobians)
 
     def own_covariance(self, eskf: Eskf, host: MapKeyframe) -> Array:
         """(6, 6) of the pose of a new keyframe as its own landmarks show it: the noise of their

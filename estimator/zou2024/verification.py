@@ -130,10 +130,7 @@ class LoopVerifier:
             points = landmarks.points[inliers.indices[mine]]
             arms = points - mount.translation
             spreads = arms * (self.model.depth_sigma_m / np.linalg.norm(arms, axis=1))[:, None]
-            views = LandmarkViews(
-                inliers.pixels[mine], np.zeros(len(mine)), points, np.zeros((len(mine), 3, 0)),
-                spreads,
-            )  # fmt: skip
+            views = LandmarkViews.fixed(inliers.pixels[mine], points, spreads)
             sigma = float(np.sqrt(2.0) * self.model.sigmas_px[inliers.kinds[mine[0]]])
             part = calibrated_information(
                 views, Frame.of(pose), Frame.of(known[int(inliers.hosts[mine[0]])].map_from_imu),

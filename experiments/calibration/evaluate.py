@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import CalibrationResult, Chessboard
-from touchdown.estimator.calibration.calibrate import calibrate
+from touchdown.experiments.api import CalibrationResult, Chessboard
+from touchdown.experiments.calibration.calibrate import calibrate
 from touchdown.experiments.calibration.figures import write_figures
 from touchdown.experiments.calibration.views import calibration_views
 from touchdown.experiments.config.schema import Config

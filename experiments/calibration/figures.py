@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import CalibrationResult, CalibrationView, Chessboard
+from touchdown.experiments.api import CalibrationResult, CalibrationView, Chessboard
 from touchdown.experiments.scene_tools.views import Image, write_image
 from touchdown.sim.frames import Pose, so3_exp
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import CalibrationView, Chessboard
+from touchdown.experiments.api import CalibrationView, Chessboard
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.scene_tools.posed_views import posed_sensors
 from touchdown.sim.api import CameraIntrinsics

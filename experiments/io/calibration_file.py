@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from touchdown.estimator.api import CalibrationResult
+from touchdown.experiments.api import CalibrationResult
 from touchdown.experiments.errors import UsageError, nearest, plain_fault, reason_of
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.sim.api import CameraIntrinsics

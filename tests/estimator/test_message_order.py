@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from touchdown.estimator.filtering.message_order import DelayBound, MessageOrder, stamp_of
+from touchdown.estimator.filtering.message_order import ArrivingStream, MessageOrder, stamp_of
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SimParams
 from touchdown.sim.delivery import Latency
 
@@ -126,17 +126,17 @@ def test_a_scan_waits_for_an_image_of_its_own_instant_on_request_alone() -> None
 
 
 def test_the_bound_grows_with_the_spread_and_forgets() -> None:
-    bound = DelayBound(36, 100)
-    assert bound.ticks == 36
-    bound.take(30)
-    assert bound.ticks == 30
-    bound.take(50)
-    assert bound.ticks == 50 + (50 - 30) // 2
-    bound.take(90)
-    assert bound.ticks == 100
+    stream = ArrivingStream(60, 36, 100)
+    assert stream.longest_ticks == 36
+    stream.take(0, 30)
+    assert stream.longest_ticks == 30
+    stream.take(0, 50)
+    assert stream.longest_ticks == 50 + (50 - 30) // 2
+    stream.take(0, 90)
+    assert stream.longest_ticks == 100
     for _ in range(64):
-        bound.take(36)
-    assert bound.ticks == 36
+        stream.take(0, 36)
+    assert stream.longest_ticks == 36
 
 
 def test_unknown_streams_are_named() -> None:

@@ -486,8 +486,8 @@ def test_a_wrong_depth_is_no_outlier_but_what_lies_beside_the_epipolar_line_is()
 
 def test_the_keyframes_of_least_variance_and_largest_overlap_are_chosen() -> None:
     candidates = [
-        Overlap(0, 50, 0.40, 1.0), Overlap(1, 90, 0.70, 1.0), Overlap(2, 110, 0.90, 1.0),
-        Overlap(3, 30, 0.20, 1.0),
+        Overlap(0, 0.40, 1.0), Overlap(1, 0.70, 1.0), Overlap(2, 0.90, 1.0),
+        Overlap(3, 0.20, 1.0),
     ]  # fmt: skip
     variances = np.array([1.0, 2.0, 3.0, 0.5])
     assert choose(candidates, variances, 2, 0.35) == [0, 2]

@@ -7,29 +7,29 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import CalibrationView, Chessboard
-from touchdown.estimator.calibration.board_plane import (
+from touchdown.experiments.api import CalibrationView, Chessboard
+from touchdown.experiments.calibration.board_plane import (
     BoardPlane,
     find_board,
     fit_plane,
     ransac_plane,
 )
-from touchdown.estimator.calibration.calibrate import calibrate
-from touchdown.estimator.calibration.chessboard import (
+from touchdown.experiments.calibration.calibrate import calibrate
+from touchdown.experiments.calibration.chessboard import (
     LENS_PARAMETERS,
     CameraPlanes,
     board_corners,
     camera_planes,
     fit_camera,
 )
-from touchdown.estimator.calibration.extrinsics import (
+from touchdown.experiments.calibration.extrinsics import (
     _jacobian,
     agreeing_views,
     closed_form,
     plane_residuals,
     solve_extrinsics,
 )
-from touchdown.estimator.calibration.normals import difference_of_normals
+from touchdown.experiments.calibration.normals import difference_of_normals
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
 Array = NDArray[np.float64]

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from touchdown.estimator.api import Chessboard
-from touchdown.estimator.calibration.normals import difference_of_normals, voxel_means
-from touchdown.estimator.typing import Array, Mask
+from touchdown.experiments.api import Chessboard
+from touchdown.experiments.calibration.normals import difference_of_normals, voxel_means
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _VOXEL_M = 0.04
 _SMALL_RADIUS_M, _LARGE_RADIUS_M = 0.11, 0.28

@@ -6,21 +6,23 @@ from collections.abc import Sequence
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchdown.estimator.api import CalibrationResult, CalibrationView, Chessboard
-from touchdown.estimator.calibration.board_plane import BoardPlane, find_board
-from touchdown.estimator.calibration.chessboard import (
+from touchdown.experiments.api import CalibrationResult, CalibrationView, Chessboard
+from touchdown.experiments.calibration.board_plane import BoardPlane, find_board
+from touchdown.experiments.calibration.chessboard import (
     LENS_PARAMETERS,
     camera_planes,
     find_corners,
     fit_camera,
 )
-from touchdown.estimator.calibration.extrinsics import (
+from touchdown.experiments.calibration.extrinsics import (
     FEWEST_VIEWS,
     agreeing_views,
     solve_extrinsics,
 )
-from touchdown.estimator.typing import Array
+
+Array = NDArray[np.float64]
 
 _MOST_APART_M = 0.5
 """between camera and LIDAR"""

@@ -7,11 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from touchdown.estimator.calibration.board_plane import BoardPlane
-from touchdown.estimator.calibration.chessboard import CameraPlanes
-from touchdown.estimator.typing import Array, Indices, Mask
+from touchdown.experiments.calibration.board_plane import BoardPlane
+from touchdown.experiments.calibration.chessboard import CameraPlanes
 from touchdown.sim.frames import Pose, so3_exp
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 FEWEST_VIEWS = 3
 _TRIALS = 300

@@ -10,11 +10,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from touchdown.estimator.api import Chessboard
-from touchdown.estimator.typing import Array, Bytes
+from touchdown.experiments.api import Chessboard
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import skew, so3_exp, so3_right_jacobian
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
 
 LENS_PARAMETERS = 9
 """fx, fy, cx, cy, k1, k2, p1, p2, k3"""

@@ -7,9 +7,13 @@ unorganized point clouds", 3DIMPVT 2012, which the paper applies to find the boa
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from touchdown.estimator.typing import Array, Indices, Mask
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
 
 FEWEST_NEIGHBOURS = 5
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
