@@ -36,8 +36,7 @@ class AnchoredMap:
         self.planes = PlaneMap(params.voxel_m, params.map_voxels, params.voxel_points)
         self.recent = RecentReturns()
         self.anchors = Anchors()
-        height_m = params.dark_height_sigma_m
-        self.photometric = PhotometricUpdate(lever, dark_ticks, plane_height_m=height_m)
+        self.photometric = PhotometricUpdate(lever, dark_ticks, params.dark_height_sigma_m)
 
     def extend(self, eskf: Eskf, scan: PlacedScan, intensity: Bytes, lever: Array) -> None:
         """Adds the scan just used, with its ``intensity`` (N,), at the present pose to the newest

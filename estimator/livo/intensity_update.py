@@ -52,9 +52,9 @@ from touchdown.estimator.typing import Array, Bytes, Float32
 
 _ASIDE = slice(POSITION.start, POSITION.start + 2)
 """x and y of a pose"""
-_HEIGHT = POSITION.stop - 1
 _RETURNS = 4000
 """returns of a scan that are compared with images"""
+_HEIGHT = POSITION.stop - 1
 _PLANE_TILT = float(np.radians(0.05))
 """rad, information floor of roll and pitch by planes where intensities measure"""
 _ITERATIONS = 4
@@ -198,11 +198,11 @@ class PhotometricUpdate:
     """Images of all clones and the update by a scan; image k is of clone k."""
 
     def __init__(
-        self, lever: Array, dark_ticks: int | None = 0, *, plane_height_m: float = 0.0
+        self, lever: Array, dark_ticks: int | None = 0, plane_height_m: float = 0.05
     ) -> None:
         """``lever`` (3,): the LIDAR in the IMU frame; ``dark_ticks``: scans measure only when for
         longer than this no image has; None: never, and no images are made. ``plane_height_m``:
-        least information floor of the height by planes while they do."""
+        least information floor of the height by planes where intensities measure."""
         self._lever = lever
         self._dark_ticks, self._plane_height_m = dark_ticks, plane_height_m
         self._sigma = _FIRST_SIGMA
@@ -213,7 +213,8 @@ class PhotometricUpdate:
 
     def errors_of_planes(self, errors: ScanErrors, dark_ticks: int) -> ScanErrors:
         """Error model of the planes after ``dark_ticks`` without an image: intensities see the
-        ground, at which tilt and translation look the same, so that planes must separate them."""
+        ground, at which tilt and translation look the same, so that planes must separate them.
+        A scan measures the height with ``plane_height_m`` at best."""
         if not self._needed(dark_ticks):
             return errors
         floor = errors.floor_sigmas.copy()
