@@ -31,9 +31,7 @@ def lidar_smoothness(
     count, reach = points.shape[0], max_gap * lasers
     scores = np.full(count, np.nan)
     shadowed = np.zeros(count, dtype=np.bool_)
-    of_laser = pulses % lasers
-    order = np.argsort(of_laser, kind="mergesort")
-    starts = np.searchsorted(of_laser[order], np.arange(lasers + 1))
+    order, starts = _by_laser(pulses, lasers)
     x, y, z = points[:, 0][order], points[:, 1][order], points[:, 2][order]
     number, ranges = pulses[order], np.sqrt(x * x + y * y + z * z)
     for laser in range(lasers):
@@ -50,6 +48,20 @@ def lidar_smoothness(
             if used >= 6:
                 scores[order[at]] = np.sqrt(tx * tx + ty * ty + tz * tz) / (used * own)
     return scores, shadowed
+
+
+@njit(cache=True)
+def _by_laser(pulses: Indices, lasers: int) -> tuple[Indices, Indices]:
+    """Indices (N,) of the returns, those of one laser after another, and where each one's start."""
+    starts = np.zeros(lasers + 1, np.int64)
+    for pulse in pulses:
+        starts[pulse % lasers + 1] += 1
+    starts = np.cumsum(starts)
+    cursor, order = starts.copy(), np.empty(pulses.shape[0], np.int64)
+    for i in range(pulses.shape[0]):
+        order[cursor[pulses[i] % lasers]] = i
+        cursor[pulses[i] % lasers] += 1
+    return order, starts
 
 
 def fused_smoothness(f_l: Array, f_c: Array, weight: float) -> Array:
@@ -92,16 +104,24 @@ def sort_out_features(
     return FeaturePoints(np.sort(candidates[strongest]), np.sort(planes))
 
 
+@njit(cache=True)
 def _extremes(
     scores: Array, usable: Indices, directions: Array, cells: tuple[int, int]
 ) -> tuple[Indices, Indices]:
-    """Of the ``usable`` returns, those with the smallest and the largest score of each sector: of
-    equals the first and the last."""
-    seen, size = directions[usable], np.array(cells)
-    low = seen.min(axis=0)
-    at = ((seen - low) * (size / np.maximum(seen.max(axis=0) - low, 1e-9))).astype(np.int64)
-    column, row = np.minimum(at, size - 1).T
-    order = np.lexsort((scores[usable], row * size[0] + column))
-    sector = (row * size[0] + column)[order]
-    new = np.diff(sector, prepend=-1) > 0
-    return usable[order[new]], usable[order[np.append(new[1:], True)]]
+    """Of the ``usable`` returns, those with the smallest and the largest score of each sector."""
+    low, high = directions[usable[0]].copy(), directions[usable[0]].copy()
+    for i in usable:
+        for a in range(2):
+            low[a], high[a] = min(low[a], directions[i, a]), max(high[a], directions[i, a])
+    columns, rows = cells
+    scale_x, scale_y = columns / max(high[0] - low[0], 1e-9), rows / max(high[1] - low[1], 1e-9)
+    least = np.full(columns * rows, -1, np.int64)
+    most = least.copy()
+    for i in usable:
+        column = min(int((directions[i, 0] - low[0]) * scale_x), columns - 1)
+        sector = min(int((directions[i, 1] - low[1]) * scale_y), rows - 1) * columns + column
+        if least[sector] < 0 or scores[i] < scores[least[sector]]:
+            least[sector] = i
+        if most[sector] < 0 or scores[i] >= scores[most[sector]]:
+            most[sector] = i
+    return least[least >= 0], most[most >= 0]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,6 +52,8 @@ class SceneDraft:
 
 def size_texture(texture: Any, image: NDArray[np.uint8]) -> None:
     """Makes an MjSpec texture a flat one of the size of an image, (H, W, 3)."""
+    import mujoco  # here alone: a replay needs no simulator
+
     texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
     texture.height, texture.width = image.shape[:2]
     texture.nchannel = 3
@@ -60,6 +61,8 @@ def size_texture(texture: Any, image: NDArray[np.uint8]) -> None:
 
 def fill_texture(texture: Any, image: NDArray[np.uint8]) -> None:
     """Copies an image, (H, W, 3) uint8, top row first, into an MjSpec texture."""
+    import mujoco
+
     size_texture(texture, image)
     texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_NONE
     texture.data = np.ascontiguousarray(image).tobytes()
