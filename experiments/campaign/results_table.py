@@ -13,7 +13,6 @@ from touchdown.experiments.campaign.plan import config_sha
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError, is_text, reason_of
-from touchdown.experiments.io.arrow import load_arrow
 from touchdown.experiments.io.foreign import is_plain_name, read_object, shown
 from touchdown.experiments.io.results import (
     RunResult,
@@ -120,7 +119,8 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
     Whole numbers become floats except in ``seed``, lists that are no numbers and mixed columns
     JSON text; a column without any value outside the schema is left out.
     """
-    pa = load_arrow()
+    import pyarrow as pa
+
     kinds = dict(SCHEMA)
     for key in sorted({key for row in rows for key in row} - kinds.keys()):
         found = {_kind(row[key]) for row in rows if row.get(key) is not None}
