@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
+from touchdown.estimator.livo.anchored_map import AnchoredMap
 from touchdown.estimator.livo.anchored_update import ScanErrors
 from touchdown.estimator.livo.intensity_image import IntensityImage, brightness
 from touchdown.estimator.livo.intensity_update import ImageView, PhotometricUpdate, photometry
@@ -145,6 +147,8 @@ def test_scans_measure_in_the_dark_only():
     assert update.errors_of_planes(errors, 301).floor_sigmas[2:].tolist() == [0.1] * 4
     sure = replace(errors, floor_sigmas=np.full(6, 0.02))
     assert update.errors_of_planes(sure, 301).floor_sigmas[2:].tolist() == [0.02, 0.02, 0.02, 0.05]
+    given = AnchoredMap(LivoParams(dark_height_sigma_m=0.3), LEVER, 300, 600).photometric
+    assert given.errors_of_planes(errors, 301).floor_sigmas.max() == 0.3
     off = PhotometricUpdate(LEVER, None)
     off.begin(eskf, 30.0, DARK)
     assert off.images == []
