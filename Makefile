@@ -103,9 +103,10 @@ $(READY): pyproject.toml constraints.txt .ci/system-libraries
 	    $(PIP) --editable .; installed=$$?; wait; exit $$installed
 	@touch $@
 
-# Tests need more than a flight does, torch above all.
+# Tests need more than a flight does: torch above all, and kernels of more than one estimator.
 $(READY_TO_TEST): $(READY)
-	$(PIP) --editable ".[dev,rl]"
+	$(BIN)/python -m touchdown.experiments.flight.kernels zou2024 & \
+	    $(PIP) --editable ".[dev,rl]"; installed=$$?; wait; exit $$installed
 	@touch $@
 
 $(READY_FOR_DOCS): $(READY)

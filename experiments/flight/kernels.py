@@ -1,11 +1,13 @@
 """Kernels of a flight compiled ahead, side by side; in flight Numba compiles one after another.
 
 ``kernels.txt`` lists those that Python calls, with the types of their arguments, as one flight
-compiles them. Whatever is missing there is compiled when it is first called. Needs nothing but what
+compiles them; ``kernels_zou2024.txt`` lists what a flight with that estimator and selector compiles
+beside them. Whatever is missing there is compiled when it is first called. Needs nothing but what
 the kernels' own modules import.
 
-``python -m touchdown.experiments.flight.kernels`` compiles what the cache on the disk lacks, and
-with ``--write SCENE`` writes the list anew by a short landing over the scene.
+``python -m touchdown.experiments.flight.kernels`` compiles what the cache on the disk lacks, with
+``zou2024`` of the second list, and with ``--write SCENE`` writes both lists anew by short landings
+over the scene.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from numba import config, types
 from numba.core import event
 
 LIST = Path(__file__).with_suffix(".txt")
+LIST_ZOU2024 = LIST.with_stem("kernels_zou2024")
 _PACKAGE = "touchdown."
 
 
@@ -79,11 +82,11 @@ def compile_lines(lines: Iterable[str]) -> None:
             kernel.compile(arguments)
 
 
-def compile_listed() -> None:
-    """Compiles the listed kernels on all cores, a module at a time: its kernels share what they
-    call. Tells how many modules are done."""
+def compile_listed(file: Path = LIST) -> None:
+    """Compiles the kernels listed in ``file`` on all cores, a module at a time: its kernels share
+    what they call. Tells how many modules are done."""
     modules: dict[str, list[str]] = {}
-    for line in LIST.read_text(encoding="utf-8").splitlines():
+    for line in file.read_text(encoding="utf-8").splitlines():
         modules.setdefault(line.partition(":")[0], []).append(line)
     with ProcessPoolExecutor() as pool:
         for done, _ in enumerate(pool.map(compile_lines, modules.values()), 1):
@@ -110,27 +113,32 @@ class _Recorder(event.Listener):
             self.seconds[f"{place} {_list(event.data['args'])}"] = seconds
 
 
-def write_list(scene: str) -> None:
-    """Writes the list of what a landing compiles with an empty cache, the longest first."""
+def write_lists(scene: str) -> None:
+    """Writes the lists of what landings compile that begin with an empty cache, the longest
+    first."""
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.flight.platform import rendering_backend
 
     os.environ.setdefault("MUJOCO_GL", rendering_backend())
     from touchdown.experiments.flight.run import fly
 
-    recorder = _Recorder()
     with tempfile.TemporaryDirectory() as folder:
         os.environ["NUMBA_CACHE_DIR"] = os.environ["TOUCHDOWN_SCENE_CACHE"] = folder
         config.reload_config()
-        flight = load_config(scene=scene, estimator="livo", preset="short")
-        with event.install_listener("numba:compile", recorder):
-            fly(flight, Path(folder) / "run")
-    longest = sorted(recorder.seconds, key=lambda line: -recorder.seconds[line])
-    LIST.write_text("".join(f"{line}\n" for line in longest), encoding="utf-8")
+        for file, system in ((LIST, ("livo", "risk")), (LIST_ZOU2024, ("zou2024", "zou2024"))):
+            recorder = _Recorder()
+            estimator, selector = system
+            flight = load_config(
+                scene=scene, preset="short", estimator=estimator, selector=selector
+            )
+            with event.install_listener("numba:compile", recorder):
+                fly(flight, Path(folder) / estimator)
+            longest = sorted(recorder.seconds, key=lambda line: -recorder.seconds[line])
+            file.write_text("".join(f"{line}\n" for line in longest), encoding="utf-8")
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--write"]:
-        write_list(sys.argv[2])
+        write_lists(sys.argv[2])
     else:
-        compile_listed()
+        compile_listed(LIST_ZOU2024 if sys.argv[1:] == ["zou2024"] else LIST)

@@ -30,6 +30,7 @@ def prepare(kind: str) -> None:
         import torch
 
         torch.set_num_threads(1)
+    grounding.load(*grounding.SLOW_TO_LOAD.get(kind, ()))
     import cv2
 
     cv2.setNumThreads(0)  # threads of a pool are not there after a fork

@@ -2,12 +2,18 @@
 
 import numpy as np
 
-from touchdown.experiments.flight.kernels import LIST, compile_lines, read_line, spelled
+from touchdown.experiments.flight.kernels import (
+    LIST,
+    LIST_ZOU2024,
+    compile_lines,
+    read_line,
+    spelled,
+)
 
 
 def test_a_listed_kernel_is_not_compiled_again() -> None:
     lines = LIST.read_text(encoding="utf-8").splitlines()
-    for line in lines:
+    for line in (*lines, *LIST_ZOU2024.read_text(encoding="utf-8").splitlines()):
         assert ", ".join(map(spelled, read_line(line)[1])) == line.partition(" ")[2]
     (line,) = (line for line in lines if line.startswith("controller.pid:_pid_output "))
     compile_lines([line])
