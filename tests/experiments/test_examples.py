@@ -29,14 +29,14 @@ def test_the_odometry_keeps_the_contract(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_policy_is_trained_and_judged_before_and_after(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Episodes of three seconds: what a policy does in them differs before and after."""
+    """Episodes of six seconds: what a policy does in them differs before and after."""
     pytest.importorskip("stable_baselines3")
     given = ["--steps", "64", "--episodes", "1", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", ["train_ppo.py", *given])
     script = example("train_ppo", monkeypatch)
     make = script.gymnasium.make
     monkeypatch.setattr(
-        script.gymnasium, "make", lambda name, **given: make(name, **{**given, "time_limit_s": 3.0})
+        script.gymnasium, "make", lambda name, **given: make(name, **{**given, "time_limit_s": 6.0})
     )
     script.main()
     before, after, saved = capsys.readouterr().out.splitlines()[-3:]
