@@ -16,7 +16,7 @@ from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist, ShutterModel, ground_depths
 from touchdown.estimator.typing import Array, Float32, Indices
-from touchdown.estimator.zou2024.bundle import LocalisedImage, adjust_window
+from touchdown.estimator.zou2024.bundle import adjust_window
 from touchdown.estimator.zou2024.closures import Closures
 from touchdown.estimator.zou2024.depth_field import DepthField
 from touchdown.estimator.zou2024.landmarks import Features, LandmarkDetector
@@ -146,7 +146,7 @@ class CameraPositioning:
         """Bundle adjustment of the newest keyframes and the present image."""
         adjust_window(
             self._map.keyframes[-self._params.bundle_keyframes :],
-            LocalisedImage(self._filter.eskf.state.pose, sightings), self._map.by_number(),
+            self._filter.eskf.state.pose, sightings, self._map.by_number(),
             MountedCamera(self._rig.camera, self._imu_from_camera),
             np.sqrt(2.0) * self._sigmas(np.arange(2)), self._params.depth_sigma_m,
         )  # fmt: skip

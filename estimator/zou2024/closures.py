@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchdown.estimator.filtering.imu_propagation import skew_of
 from touchdown.estimator.typing import Array
 from touchdown.estimator.zou2024.landmarks import BRISK_BYTES, SIFT_BYTES, Features
 from touchdown.estimator.zou2024.loop_closure.hypotheses import LoopFilter
 from touchdown.estimator.zou2024.loop_closure.memory import Memory, MemoryLimits
 from touchdown.estimator.zou2024.pose_graph import Edge, PoseGraph
 from touchdown.estimator.zou2024.visual_map import MapKeyframe
-from touchdown.sim.frames import Pose, rotation_from_yaw, so3_log
+from touchdown.sim.frames import Pose, rotation_from_yaw, skew, so3_log
 
 KINDS = ((SIFT_BYTES, False), (BRISK_BYTES, True))
 """of descriptors: bytes, and whether these are bits"""
@@ -147,7 +146,7 @@ def hop_covariance(before: Array, now: Array, source: Pose, target: Pose) -> Arr
     back = source.rotation.T
     handed_on = np.eye(6)
     handed_on[:3, :3] = target.rotation.T @ source.rotation
-    handed_on[3:, :3] = -source.rotation @ skew_of(back @ (target.translation - source.translation))
+    handed_on[3:, :3] = -source.rotation @ skew(back @ (target.translation - source.translation))
     grown = now - handed_on @ before @ handed_on.T
     grown[3:] = back @ grown[3:]
     grown[:, 3:] = grown[:, 3:] @ source.rotation
