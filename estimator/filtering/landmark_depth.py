@@ -33,6 +33,7 @@ class RecentReturns:
 
     def __init__(self, scans: int = 15, per_scan: int = 12000) -> None:
         self._scans = [np.zeros((0, 3), np.float32)] * scans
+        self._all = np.zeros((scans * per_scan, 3), np.float32)
         self._per_scan = per_scan
         self._next = 0
 
@@ -49,8 +50,8 @@ class RecentReturns:
         return float(np.median(newest[::8, 2])) if len(newest) else None
 
     def points(self) -> Float32:
-        """All of them (N, 3), a copy."""
-        return np.concatenate(self._scans)
+        """All of them (N, 3), until the next call."""
+        return np.concatenate(self._scans, out=self._all[: sum(map(len, self._scans))])
 
 
 class _Cells(NamedTuple):

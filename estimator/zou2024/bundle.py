@@ -127,9 +127,14 @@ def _reduced_system(
                 information[row, column] += wu * j[0, b] + wv * j[1, b]
         curvature[m] += weight * (j_depth[0] ** 2 + j_depth[1] ** 2)
         slope[m] += weight * (j_depth[0] * ru + j_depth[1] * rv)
-    shares = coupling.T / curvature
-    information -= shares @ coupling
-    vector -= shares @ slope
+    for m in range(count):  # a landmark couples the few poses that see it
+        row = coupling[m]
+        touched = np.flatnonzero(row)
+        for at in touched:
+            share = row[at] / curvature[m]
+            vector[at] -= share * slope[m]
+            for to in touched:
+                information[at, to] -= share * row[to]
     return information, vector, coupling, curvature, slope, cost
 
 
