@@ -170,7 +170,7 @@ class Intake:
     def admit(self, message: Message) -> bool:
         """Carries the filter to the message; False if it came too late."""
         tick = stamp_of(message)
-        if not self._filter.tick <= tick <= self._filter.propagated_tick:
+        if not self._filter.tick <= tick <= self._filter.present.tick:
             self.skipped += 1
             name = "scan" if isinstance(message, LidarScan) else "image"
             self.events.append(f"{name} {tick} refused: it came too late")

@@ -59,10 +59,11 @@ class CameraPositioning:
         self._map = VisualMap(rig.camera, inertial.imu_from_camera)
         rate = float(np.radians(params.closure_rate_deg_s))
         self._maps = maps
+        sigmas_px = np.array([params.sift_sigma_px, params.brisk_sigma_px])
         self._model = ImageModel(
             MountedCamera(rig.camera, inertial.imu_from_camera),
             (rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
-            self._sigmas(np.arange(2)), params.depth_sigma_m,
+            sigmas_px, params.depth_sigma_m,
         )  # fmt: skip
         features = max(params.sift_features, params.brisk_features)
         limits = MemoryLimits(
@@ -148,7 +149,7 @@ class CameraPositioning:
             self._map.keyframes[-self._params.bundle_keyframes :],
             self._filter.eskf.state.pose, sightings, self._map.by_number(),
             MountedCamera(self._rig.camera, self._imu_from_camera),
-            np.sqrt(2.0) * self._sigmas(np.arange(2)), self._params.depth_sigma_m,
+            np.sqrt(2.0) * self._model.sigmas_px, self._params.depth_sigma_m,
         )  # fmt: skip
 
     def _cloned(self) -> list[MapKeyframe]:
@@ -172,9 +173,6 @@ class CameraPositioning:
         eskf.add_clone(self._model.own_covariance(eskf, keyframe))
         self._maps.anchors.add(keyframe.odom_from_imu, eskf.state.calibration)
 
-    def _sigmas(self, kinds: Indices) -> Array:
-        return np.array([self._params.sift_sigma_px, self._params.brisk_sigma_px])[kinds]
-
     def _localise(
         self, features: tuple[Features, Features]
     ) -> tuple[Sightings, tuple[Indices, Indices], CameraPose | None]:
@@ -186,7 +184,7 @@ class CameraPositioning:
         solved = None
         if len(sightings) >= 15:
             solved = solve_pnp(
-                sightings.pixels, landmarks, self._sigmas(sightings.kinds), pose,
+                sightings.pixels, landmarks, self._model.sigmas_px[sightings.kinds], pose,
                 self._filter.pose_information(), self._imu_from_camera, self._rig.camera,
             )  # fmt: skip
         self.diagnostics = {

@@ -101,7 +101,7 @@ def test_a_bundle_refines_landmarks_and_leaves_the_poses_to_the_filter() -> None
 def graph_of(poses: list[Pose], sigmas: list[float]) -> tuple[Closures, list[MapKeyframe]]:
     """Keyframes at ``poses`` that err by ``sigmas`` (m) in the filter, all of them places."""
     closures = Closures(0.1, 0.01, MemoryLimits(1, 9, 1, 0.6))
-    blank = features_of(0, np.zeros((0, 128))), features_of(1, np.zeros((0, 64)))
+    blank = features_of(np.zeros((0, 128))), features_of(np.zeros((0, 64)))
     keyframes: list[MapKeyframe] = []
     for k, (pose, sigma) in enumerate(zip(poses, sigmas, strict=True)):
         keyframes.append(keyframe(k, pose, pose))
