@@ -30,6 +30,8 @@ def visible(text: object, keep: str = "") -> str:
 def is_text(text: str) -> bool:
     """True unless text holds half a character (a lone surrogate) or a zero byte: no file, table or
     terminal takes it."""
+    if text.isascii():
+        return "\0" not in text
     return "\0" not in text and not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 

@@ -275,8 +275,7 @@ class CameraPositioning:
         and adds a closure if its landmarks agree."""
         closures, known = self._closures, self._map.by_number()
         closures.add(keyframe, self._filter.eskf.covariance[POSE, POSE], before)
-        recent = self._map.keyframes[-self._params.recent_keyframes - 1 :]
-        closures.refresh_odometry({k.number: k for k in recent})
+        closures.refresh_odometry(self._map.keyframes, len(self._filter.eskf.clones))
         if self._last_tick - self._asked_tick >= _QUERY_PERIOD_S * self._rig.tick_hz:
             self._asked_tick = self._last_tick
             found = closures.ask(keyframe.number, features, self._params.loop_threshold)

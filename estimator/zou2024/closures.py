@@ -83,12 +83,16 @@ class Closures:
         self.memory.remove(number)
         self._graph.remove_node(number)
 
-    def refresh_odometry(self, keyframes: dict[int, MapKeyframe]) -> None:
-        """Updates the odometry edges of the given keyframes after bundle adjustment."""
+    def refresh_odometry(self, keyframes: list[MapKeyframe], clones: int) -> None:
+        """Updates height and tilt of the keyframes that the filter still corrects, and the odometry
+        edges to them. ``keyframes``: all; the newest ``clones`` are in the filter, and the one
+        before was until now."""
+        for keyframe in keyframes[-clones - 1 :]:
+            self._graph.measure_node(keyframe.number, keyframe.odom_from_imu)
+        poses = {k.number: k.odom_from_imu for k in keyframes[-clones - 2 :]}
         for edge in self._graph.edges:
-            if not edge.robust and edge.source in keyframes and edge.target in keyframes:
-                source, target = keyframes[edge.source], keyframes[edge.target]
-                edge.measured = source.odom_from_imu.inverse() @ target.odom_from_imu
+            if not edge.robust and edge.source in poses and edge.target in poses:
+                edge.measured = poses[edge.source].inverse() @ poses[edge.target]
 
     def settle(self, keyframes: list[MapKeyframe]) -> None:
         """Solves the graph and updates the poses of the keyframes."""

@@ -65,6 +65,10 @@ class PoseGraph:
         self._priors[number] = (measured, self._level if self.poses else self._anchor)
         self.poses[number] = guess
 
+    def measure_node(self, number: int, measured: Pose) -> None:
+        """Replaces the ``measured`` pose of a node."""
+        self._priors[number] = (measured, self._priors[number][1])
+
     def add_edge(self, edge: Edge) -> None:
         """Raises KeyError if one of its ends is not a node."""
         for number in (edge.source, edge.target):

@@ -35,6 +35,8 @@ _OWN_KEYS = {
 }
 """Keys of a flight that a campaign sets by other means."""
 
+SAME_FLIGHT = ("record", "sim.threads")
+"""Keys that do not change a flight."""
 MOST_RUNS = 100_000
 """of one campaign: its plan is one file"""
 
@@ -208,11 +210,18 @@ def config_for(values: Mapping[str, Any], source: str) -> Config:
     return config_of(values, dict.fromkeys(values, source))
 
 
-def config_sha(config: Config, but: Sequence[str] = ("record", "sim.threads")) -> str:
+def config_sha(config: Config, but: Sequence[str] = SAME_FLIGHT) -> str:
     """Twelve hexadecimal digits that name a configuration but for some of its keys: by default
     those that do not change a flight."""
-    tree = {k: v for k, v in flatten(json.loads(config.model_dump_json())) if k not in but}
-    text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
+    return _sha(_values_of(config, but))
+
+
+def _values_of(config: Config, but: Sequence[str]) -> dict[str, Any]:
+    return {k: v for k, v in flatten(json.loads(config.model_dump_json())) if k not in but}
+
+
+def _sha(values: Mapping[str, Any]) -> str:
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
@@ -378,7 +387,7 @@ def _runs(
     overrides: Sequence[tuple[dict[str, list[Any]], dict[str, Any]]],
     source: str,
 ) -> list[PlannedRun]:
-    checked: dict[str, Config] = {}
+    checked: dict[str, dict[str, Any]] = {}
     runs = []
     skipped = [_when(entry.when, axes, f"[[skip]] {number} of {source}")
                for number, entry in enumerate(spec.skip, start=1)]  # fmt: skip
@@ -396,11 +405,9 @@ def _runs(
         # Seeds share all the rest: it is validated once.
         rest = json.dumps({k: v for k, v in values.items() if k != "seed"}, default=str)
         if rest not in checked:
-            checked[rest] = config_for(values, source)
-        config = checked[rest].model_copy(update={"seed": values["seed"]})
-        runs.append(
-            PlannedRun(run_id=run_name(place, axes), values=values, config_sha=config_sha(config))
-        )
+            checked[rest] = _values_of(config_for(values, source), SAME_FLIGHT)
+        sha = _sha({**checked[rest], "seed": values["seed"]})
+        runs.append(PlannedRun(run_id=run_name(place, axes), values=values, config_sha=sha))
     if not runs:
         raise UsageError(f"[[skip]] of {source} leaves nothing to fly")
     names = Counter(run.run_id for run in runs)

@@ -104,7 +104,8 @@ def choices_of(kind: Any) -> tuple[str, ...]:
     return typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
 
 
-def limits_of(key: str) -> dict[str, float]:
+@functools.cache
+def limits_of(key: str) -> Mapping[str, float]:
     """Bounds of the numbers of ``key``, a lower and an upper one; empty for a key without."""
     kind = types_of_keys().get(key)
     found = _number_kinds(kind)
@@ -161,7 +162,7 @@ def _has(item: Any, name: str) -> bool:
     return getattr(item, name, None) is not None
 
 
-def range_text(bounds: dict[str, float]) -> str:
+def range_text(bounds: Mapping[str, float]) -> str:
     """``within 0 to 1``, ``above 0 and below 90`` and the like; "" without bounds."""
     if bounds.get("le") == 2**63 - 1:
         return "within 0 to 2^63 - 1"

@@ -84,6 +84,10 @@ def trace_of(error: BaseException) -> str:
     return "".join(traceback.format_exception(type(error), error, first))
 
 
+_WHOLE_BYTES = 256
+"""Arrays up to here stand in a digest as they are, larger ones by a checksum."""
+
+
 def digests_of(obs: Observation) -> list[tuple[str, bytes]]:
     """Names and digests of an observation's fields."""
     names = [field.name for field in dataclasses.fields(obs)]
@@ -106,12 +110,18 @@ def _field_names(kind: Hashable) -> tuple[str, ...] | None:
 
 
 def _add_pieces(value: Any, pieces: list[bytes]) -> None:
-    if (names := _field_names(cast(Hashable, type(value)))) is not None:
+    if isinstance(value, np.ndarray):
+        pieces.append(f"{value.dtype.str}{value.shape}".encode())
+        if value.nbytes <= _WHOLE_BYTES and not value.dtype.hasobject:
+            pieces.append(value.tobytes())
+        else:
+            data = np.ascontiguousarray(value)
+            pieces.append(str(crc32(data.view(np.uint8).data)).encode())
+    elif isinstance(value, float | int | str):
+        pieces.append(repr(value).encode())
+    elif (names := _field_names(cast(Hashable, type(value)))) is not None:
         for name in names:
             _add_pieces(getattr(value, name), pieces)
-    elif isinstance(value, np.ndarray):
-        data = np.ascontiguousarray(value)
-        pieces.append(f"{data.dtype.str}{data.shape}{crc32(data.view(np.uint8).data)}".encode())
     elif isinstance(value, tuple | list):
         pieces.append(str(len(value)).encode())
         for item in value:

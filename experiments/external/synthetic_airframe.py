@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate
 from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
-from touchdown.sim.frames import Pose, so3_exp
+from touchdown.sim.frames import Pose, cross, so3_exp
 
 Array = NDArray[np.float64]
 
@@ -35,19 +35,19 @@ class SyntheticAirframe:
         wanted = np.clip(speeds, 0.0, vehicle.rotor_speed_max)
         follow = 1.0 - np.exp(-step_s / vehicle.motor_time_constant_s)
         before = self._velocity
+        x, y = vehicle.rotor_xy_m.T
+        spin = vehicle.rotor_spin * vehicle.torque_coefficient
+        inertia = vehicle.inertia_kgm2
+        gravity = np.array([0.0, 0.0, GRAVITY_MPS2])
         for _ in range(_SUBSTEPS):
             self._speeds = self._speeds + follow * (wanted - self._speeds)
             squared = self._speeds**2
             lift = vehicle.thrust_coefficient * squared
-            x, y = vehicle.rotor_xy_m.T
-            spin = vehicle.rotor_spin * vehicle.torque_coefficient
             torque = np.array([y @ lift, -x @ lift, spin @ squared])
-            inertia = vehicle.inertia_kgm2
-            turn = np.cross(self._rates, inertia * self._rates)
+            turn = cross(self._rates, inertia * self._rates)
             self._rates = self._rates + step_s * (torque - turn) / inertia
             drag = self.rotation.T @ self._velocity
             force = np.array([0.0, 0.0, lift.sum()]) - vehicle.linear_drag * drag * [1, 1, 0]
-            gravity = np.array([0.0, 0.0, GRAVITY_MPS2])
             self._velocity = self._velocity + step_s * (
                 self.rotation @ force / vehicle.mass_kg - gravity
             )

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -81,6 +80,8 @@ def estimate_haze(heights_m: Array, darkest: Array) -> Haze:
     heights = np.array([np.median(heights_m[one]) for one in members])
     lights = np.array([np.median(darkest[one]) for one in members])
     top = float(heights.max())
+
+    from scipy.optimize import least_squares  # takes a while to load
 
     def residuals(guess: Array) -> Array:
         depth, airlight, ground = guess

@@ -1,6 +1,7 @@
 """Images of painted ground, classifiers by colour, and the file of a small network."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -36,7 +37,17 @@ def small_rig() -> SensorRig:
 
 def plain(name: str) -> Paint:
     """One colour, mottled: an image without contrast is a defect."""
-    return lambda x, y: np.array(COLOURS[name], float) + 8.0 * np.sin(2.1 * x + 1.7 * y)[..., None]
+    colour = np.array(COLOURS[name], np.float32)
+    return lambda x, y: colour + 8.0 * np.sin(2.1 * x + 1.7 * y)[..., None]
+
+
+@functools.cache
+def _beams(
+    width: int, height: int, focal: tuple[float, float], centre: tuple[float, float]
+) -> NDArray[np.float32]:
+    col, row = np.meshgrid(np.arange(width), np.arange(height))
+    across, down = (col - centre[0]) / focal[0], (row - centre[1]) / focal[1]
+    return np.stack([across, down, np.ones(col.shape)], -1).astype(np.float32)
 
 
 def photograph(
@@ -44,16 +55,15 @@ def photograph(
 ) -> CameraImage:
     """Image of level ground at z = 0 by a camera without distortion, with noise (levels), since a
     repeated image is a defect."""
-    camera = world_from_body @ rig.body_from_camera
-    col, row = np.meshgrid(np.arange(rig.camera.width), np.arange(rig.camera.height))
-    beams = np.stack([(col - rig.camera.cx) / rig.camera.fx,
-                      (row - rig.camera.cy) / rig.camera.fy, np.ones(col.shape)], -1)  # fmt: skip
-    ways = (beams @ camera.rotation.T).astype(np.float32)
+    camera, lens = world_from_body @ rig.body_from_camera, rig.camera
+    ways = _beams(lens.width, lens.height, (lens.fx, lens.fy), (lens.cx, lens.cy)) @ np.asarray(
+        camera.rotation.T, np.float32
+    )
     reach = -float(camera.translation[2]) / ways[..., 2]
     x, y = (float(camera.translation[i]) + reach * ways[..., i] for i in (0, 1))
     tick = round(600 * time_s)
     levels = paint(x, y) + np.random.default_rng(tick).normal(0.0, noise, (*x.shape, 3))
-    rgb = np.round(np.clip(levels, 0, 255)).astype(np.uint8)
+    rgb = np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
     return CameraImage(tick=tick, time_s=time_s, rgb=rgb)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import LandingParams, TermLayer
@@ -123,6 +122,8 @@ def features_of(map_view: MapView, estimate: Estimate, params: LandingParams) ->
 def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:
     """Returns the weights (11,) of maximum likelihood for ``safe`` (N,) given features (N, 8), with
     a slight ridge penalty, each coefficient at most -0.2."""
+    from scipy.optimize import minimize  # takes a while to load, and no flight fits weights
+
     design = np.column_stack([np.ones(len(values)), model_terms(values)]).astype(np.float64)
     truth = safe.astype(np.float64)
 
