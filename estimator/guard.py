@@ -15,7 +15,6 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from numba import njit, types
 
 from touchdown.estimator.api import image_defect, some_pixels
 from touchdown.estimator.typing import Bytes, Float32, Mask
@@ -34,6 +33,7 @@ all returns are near"""
 _MIN_RETURNS_SHARE = 1e-3
 """share of pulses that must remain after the removal of those echoes"""
 _ISOLATED_GAP_M = 1.0
+_NOWHERE = np.float32(np.inf)
 _DROPOUT_PERIODS = 3.5
 """a sensor that has delivered once is in dropout after so many of its periods"""
 
@@ -269,35 +269,18 @@ def clutter_of(scan: LidarScan) -> tuple[bool, Mask]:
     algorithm for LiDAR point clouds", IEEE Access 8, 2020. Where most near echoes are weak, they
     need not be isolated, which echoes of dense fog are not.
     """
-    floating = np.zeros(len(scan.ranges), np.bool_)
-    return _find_clutter(scan.ranges, scan.intensity, floating), floating
-
-
-_RANGES = types.Array(types.float32, 1, "A", readonly=True)
-_LEVELS = types.Array(types.uint8, 1, "A", readonly=True)
-
-
-@njit([(_RANGES, _LEVELS, types.boolean[::1])], cache=True)
-def _find_clutter(ranges: Float32, level: Bytes, floating: Mask) -> bool:
-    """Computes `clutter_of` into ``floating`` (N,), which must be false."""
-    near = weak = isolated_weak = 0
-    for i in range(ranges.shape[0]):
-        if not (0.0 < ranges[i] < _CLUTTER_M):
-            continue
-        near += 1
-        faint = level[i] <= _CLUTTER_LEVEL
-        weak += faint
-        if level[i] > _ISOLATED_LEVEL:
-            continue
-        before = i == 0 or abs(ranges[i] - ranges[i - 1]) > _ISOLATED_GAP_M
-        after = i == ranges.shape[0] - 1 or abs(ranges[i + 1] - ranges[i]) > _ISOLATED_GAP_M
-        floating[i] = before and after
-        isolated_weak += faint and floating[i]
-    if isolated_weak < _MIN_CLUTTER or weak < _CLUTTER_SHARE * near:
-        return False
-    for i in range(ranges.shape[0]):
-        floating[i] |= 0.0 < ranges[i] < _CLUTTER_M and level[i] <= _CLUTTER_LEVEL
-    return True
+    ranges, level = scan.ranges, scan.intensity
+    near = (ranges > 0.0) & (ranges < _CLUTTER_M)
+    if not near.any():
+        return False, near
+    with np.errstate(invalid="ignore"):
+        steps = np.abs(np.diff(ranges, prepend=_NOWHERE, append=_NOWHERE)) > _ISOLATED_GAP_M
+    weak = near & (level <= _CLUTTER_LEVEL)
+    floating = near & (level <= _ISOLATED_LEVEL) & steps[:-1] & steps[1:]
+    few = np.count_nonzero(floating & weak) < _MIN_CLUTTER
+    if few or weak.sum() < _CLUTTER_SHARE * near.sum():
+        return False, floating
+    return True, floating | weak
 
 
 def _without_pulses(scan: LidarScan, bad: Mask) -> LidarScan:

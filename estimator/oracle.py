@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from touchdown.estimator.api import Estimate
-from touchdown.sim.api import Observation, SensorNeeds, SensorRig, Truth
+from touchdown.sim.api import Observation, SensorNeeds, Truth
 from touchdown.sim.frames import Pose
 
 _POSITION_VARIANCE_M2 = 1e-8
@@ -22,9 +22,8 @@ class Oracle:
 
     needs = SensorNeeds()
 
-    def __init__(self, truth: Callable[[], Truth], rig: SensorRig) -> None:
+    def __init__(self, truth: Callable[[], Truth]) -> None:
         self._truth = truth
-        self._rig = rig
 
     def update(self, obs: Observation) -> Estimate:
         """Returns the true state. Raises ValueError if it belongs to another tick."""

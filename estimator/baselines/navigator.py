@@ -27,7 +27,7 @@ from touchdown.sim.api import (
     SensorNeeds,
     SensorRig,
 )
-from touchdown.sim.frames import Pose, yaw_from_rotation
+from touchdown.sim.frames import Pose, rotation_from_yaw, yaw_from_rotation
 
 _DURATION_S = 0.25
 _LOOSE_TILT = math.radians(10.0)
@@ -53,10 +53,7 @@ def level_attitude(force_body: Array, field_body: Array, azimuth: float) -> Arra
     level = field_body - (field_body @ up) * up
     along = level / np.linalg.norm(level)
     body = np.column_stack([along, np.cross(up, along), up])
-    cos, sin = math.cos(azimuth), math.sin(azimuth)
-    world = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    attitude: Array = world @ body.T
-    return attitude
+    return rotation_from_yaw(azimuth) @ body.T
 
 
 class Alignment:
@@ -171,7 +168,7 @@ class Navigator:
             self._filter = self._aligned(start)
         self._filter.take_imu(obs)
         for epoch in epochs:
-            if epoch.tick < self._filter.tick or epoch.tick > self._filter.propagated_tick:
+            if epoch.tick < self._filter.tick or epoch.tick > self._filter.present.tick:
                 self.skipped += 1
                 continue
             self._filter.carry_to(epoch.tick)

@@ -38,7 +38,8 @@ def phase_shift(before: Grey, now: Grey, levels: int = 3) -> Shift:
     """
     scales = [(before, now)]
     for _ in range(levels - 1):
-        scales.append((_half(scales[-1][0]), _half(scales[-1][1])))
+        first, second = (np.asarray(cv2.pyrDown(image), np.uint8) for image in scales[-1])
+        scales.append((first, second))
     shift, response = np.zeros(2), 0.0
     for level in range(levels - 1, -1, -1):
         factor = float(1 << level)
@@ -46,16 +47,14 @@ def phase_shift(before: Grey, now: Grey, levels: int = 3) -> Shift:
         pair = _common(*scales[level], whole)
         if pair is None:
             continue
-        (dx, dy), peak = cv2.phaseCorrelate(*pair, _window(pair[0].shape))
+        # Hann's window suppresses the image border in the spectrum
+        window = cv2.createHanningWindow(pair[0].shape[::-1], cv2.CV_32F)
+        (dx, dy), peak = cv2.phaseCorrelate(*pair, window)
         found = factor * (whole + np.array([dx, dy]))
         coarsest = level == levels - 1
         if peak > _MIN_RESPONSE and (coarsest or np.abs(found - shift).max() < 4.0 * factor):
             shift, response = found, float(peak)
     return Shift(shift, response)
-
-
-def _half(image: Grey) -> Grey:
-    return np.asarray(cv2.pyrDown(image), np.uint8)
 
 
 def _common(before: Grey, now: Grey, shift: Indices) -> tuple[Float32, Float32] | None:
@@ -71,8 +70,3 @@ def _common(before: Grey, now: Grey, shift: Indices) -> tuple[Float32, Float32] 
     if min(float(image.std()) for image in pair) < _LEAST_CONTRAST:
         return None
     return pair[0] - pair[0].mean(), pair[1] - pair[1].mean()
-
-
-def _window(shape: tuple[int, ...]) -> Float32:
-    """Hann's window, which suppresses the image border in the spectrum."""
-    return np.asarray(cv2.createHanningWindow((shape[1], shape[0]), cv2.CV_32F), np.float32)

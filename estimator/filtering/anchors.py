@@ -114,11 +114,8 @@ class Anchors:
         slots[touched] = np.arange(len(touched))
         now = Frames.of(clones)
         moves = _between(now, Frames.of(self._poses))
-        return AnchorFrames(moves, now, self._mount_changes(calibration), slots)
-
-    def _mount_changes(self, calibration: Array) -> Array:
-        mount = _mount_part(calibration)
-        return np.array([mount - c for c in self._calibrations]).reshape(-1, MOUNT_DIM)
+        changes = [_mount_part(calibration) - own for own in self._calibrations]
+        return AnchorFrames(moves, now, np.array(changes).reshape(-1, MOUNT_DIM), slots)
 
     def reassignment(self, k: int, clones: list[Pose]) -> tuple[int, Pose]:
         """Reassignment of clone ``k``: returns its successor, the nearest other clone, and the

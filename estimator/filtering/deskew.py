@@ -10,6 +10,7 @@ from numba import njit
 
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.trail import ScanPath
+from touchdown.estimator.filtering.vectors import along, turned, turned_back, xyz
 from touchdown.estimator.typing import Array, Float32, Indices
 from touchdown.sim.api import LidarScan, LidarSheet
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
@@ -83,17 +84,17 @@ def place_scan(
 
 
 @njit(cache=True, error_model="numpy")
-def _lerp_pose(track: Track, index: int, time: float, pose: Frame) -> None:
-    """Writes the pose at ``time`` between track entries ``index`` and ``index + 1``: straight line
-    and normalised quaternion lerp."""
+def _lerp_pose(track: Track, index: int, time: float, mount: Frame) -> tuple[int, Frame]:
+    """Returns the entry of the track before ``time``, from ``index`` on, and the pose then of what
+    sits at ``mount`` on the body: straight line and normalised quaternion lerp."""
     times, positions, quats = track
+    while index < times.shape[0] - 2 and times[index + 1] < time:
+        index += 1
     span = times[index + 1] - times[index]
     f = 0.0 if span <= 0.0 else (time - times[index]) / span
     f = min(max(f, 0.0), 1.0)
-    for k in range(3):
-        pose.translation[k] = positions[index, k] + f * (
-            positions[index + 1, k] - positions[index, k]
-        )
+    start = xyz(positions[index])
+    place = along(start, f, along(xyz(positions[index + 1]), -1.0, start))
     dot = 0.0
     for k in range(4):
         dot += quats[index, k] * quats[index + 1, k]
@@ -103,10 +104,13 @@ def _lerp_pose(track: Track, index: int, time: float, pose: Frame) -> None:
     y = (1.0 - f) * quats[index, _Y] + g * quats[index + 1, _Y]
     z = (1.0 - f) * quats[index, _Z] + g * quats[index + 1, _Z]
     s = 2.0 / (w * w + x * x + y * y + z * z)
-    r = pose.rotation
+    r, mounted = np.empty((3, 3)), np.empty((3, 3))
     r[0, 0], r[0, 1], r[0, 2] = 1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
     r[1, 0], r[1, 1], r[1, 2] = s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)
     r[2, 0], r[2, 1], r[2, 2] = s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)
+    for k in range(3):
+        mounted[k, 0], mounted[k, 1], mounted[k, 2] = turned_back(mount.rotation, xyz(r[k]))
+    return index, Frame(mounted, np.array(along(place, 1.0, turned(r, xyz(mount.translation)))))
 
 
 @njit(cache=True, error_model="numpy")
@@ -121,29 +125,14 @@ def deskew(
     """
     # Exact poses at knots, with the mount in them; between two, a quarter of a millisecond apart,
     # straight lines differ from the turn by less than 1e-6 even at 10 rad/s.
-    pose = Frame(np.empty((3, 3)), np.empty(3))
-    first, second = Frame(np.empty((3, 3)), np.empty(3)), Frame(np.empty((3, 3)), np.empty(3))
     origins, beams = np.empty_like(directions), np.empty_like(directions)
     count = directions.shape[0]
-    last = track.times.shape[0] - 2
-    index = 0
+    if count == 0:
+        return origins, beams
+    index, second = _lerp_pose(track, 0, start_time + time_offsets[0], mount)
     for knot in range(0, count, _KNOT_EVERY):
-        end = min(knot + _KNOT_EVERY, count - 1)
-        if knot == 0:
-            time = start_time + time_offsets[0]
-            while index < last and track.times[index + 1] < time:
-                index += 1
-            _lerp_pose(track, index, time, pose)
-            _mount(pose, mount, second)
-        for k in range(3):
-            first.translation[k] = second.translation[k]
-            for j in range(3):
-                first.rotation[k, j] = second.rotation[k, j]
-        time = start_time + time_offsets[end]
-        while index < last and track.times[index + 1] < time:
-            index += 1
-        _lerp_pose(track, index, time, pose)
-        _mount(pose, mount, second)
+        end, first = min(knot + _KNOT_EVERY, count - 1), second
+        index, second = _lerp_pose(track, index, start_time + time_offsets[end], mount)
         span = time_offsets[end] - time_offsets[knot]
         per_span = 1.0 / span if span > 0.0 else 0.0
         r, q = first.rotation, second.rotation
@@ -158,20 +147,6 @@ def deskew(
                 r2 = r[k, 2] + f * (q[k, 2] - r[k, 2])
                 beams[i, k] = r0 * dx + r1 * dy + r2 * dz
     return origins, beams
-
-
-@njit(cache=True, error_model="numpy")
-def _mount(body: Frame, mount: Frame, mounted: Frame) -> None:
-    """Writes the pose of a sensor that is mounted on ``body``."""
-    for k in range(3):
-        mounted.translation[k] = body.translation[k]
-        for j in range(3):
-            mounted.translation[k] += body.rotation[k, j] * mount.translation[j]
-            mounted.rotation[k, j] = (
-                body.rotation[k, 0] * mount.rotation[0, j]
-                + body.rotation[k, 1] * mount.rotation[1, j]
-                + body.rotation[k, 2] * mount.rotation[2, j]
-            )
 
 
 @njit(cache=True, error_model="numpy")

@@ -146,11 +146,6 @@ class InertialFilter:
         """The state at the newest IMU sample."""
         return self._propagated
 
-    @property
-    def propagated_tick(self) -> int:
-        """Tick of the newest IMU sample."""
-        return self._propagated.tick
-
     # ------------------------------------------------------------------------ propagation
 
     def take_imu(self, obs: Observation) -> None:

@@ -168,8 +168,7 @@ def _in_view(
         if margin < u < size[0] - margin and margin < v < size[1] - margin:
             depths[count] = seen[2]
             count += 1
-    depths[:count].sort()
-    return count, 0.5 * (depths[(count - 1) // 2] + depths[count // 2]) if count > 0 else 0.0
+    return count, np.median(depths[:count]) if count > 0 else 0.0
 
 
 def choose(candidates: list[Overlap], variances: Array, most: int, min_share: float) -> list[int]:

@@ -29,11 +29,11 @@ _IDENTITY = Frame(np.eye(3), np.zeros(3))
 
 
 class RecentReturns:
-    """Returns of the last few scans, odom frame, in a ring buffer of fixed size."""
+    """Returns of the last few ``scans``, odom frame, ``per_scan`` of each at most."""
 
     def __init__(self, scans: int = 15, per_scan: int = 12000) -> None:
-        self._points = np.zeros((scans * per_scan, 3), dtype=np.float32)
-        self._counts = np.zeros(scans, dtype=np.int64)
+        self._scans = [np.zeros((0, 3), np.float32)] * scans
+        self._all = np.zeros((scans * per_scan, 3), np.float32)
         self._per_scan = per_scan
         self._next = 0
 
@@ -41,22 +41,17 @@ class RecentReturns:
         """Adds at most ``per_scan`` evenly strided of (N, 3) points."""
         stride = max(1, -(-len(points) // self._per_scan))
         chosen = np.arange(0, len(points), stride)
-        start = self._next * self._per_scan
-        self._points[start : start + len(chosen)] = moved(points, chosen, odom_from_points)
-        self._counts[self._next] = len(chosen)
-        self._next = (self._next + 1) % len(self._counts)
+        self._scans[self._next] = moved(points, chosen, odom_from_points).astype(np.float32)
+        self._next = (self._next + 1) % len(self._scans)
 
     def median_height(self) -> float | None:
         """Median height of the newest scan, m; None without returns."""
-        newest = (self._next - 1) % len(self._counts)
-        start, count = newest * self._per_scan, int(self._counts[newest])
-        if count == 0:
-            return None
-        return float(np.median(self._points[start : start + count : 8, 2]))
+        newest = self._scans[self._next - 1]
+        return float(np.median(newest[::8, 2])) if len(newest) else None
 
-    def view(self) -> tuple[Float32, Indices, int]:
-        """All slots (S * per_scan, 3), the number filled in each, and ``per_scan``."""
-        return self._points, self._counts, self._per_scan
+    def points(self) -> Float32:
+        """All of them (N, 3), until the next call."""
+        return np.concatenate(self._scans, out=self._all[: sum(map(len, self._scans))])
 
 
 class _Cells(NamedTuple):
@@ -77,16 +72,10 @@ def _shape(width: float, height: float, side: float) -> tuple[int, int]:
 
 @njit(cache=True, error_model="numpy")
 def _sort_into_cells(
-    rays: Array,
-    returns: tuple[Float32, Indices, int],
-    camera_from_odom: Frame,
-    width: float,
-    height: float,
-    cell: float,
+    rays: Array, points: Float32, camera_from_odom: Frame, width: float, height: float, cell: float
 ) -> _Cells:
-    """Sorts the ``returns``, as ``RecentReturns.view`` has them, by image cell: those visible in
-    the cells around any of (N, 2) rays."""
-    points, counts, per_scan = returns
+    """Sorts (P, 3) ``points`` by image cell: those visible in the cells around any of (N, 2)
+    rays."""
     rows, cols = _shape(width, height, cell)
     near = np.zeros(rows * cols + 1, np.bool_)  # the last: out of view
     for k in range(rays.shape[0]):
@@ -95,18 +84,12 @@ def _sort_into_cells(
             for b in range(max(0, col - 1), min(cols, col + 2)):
                 near[a * cols + b] = True
     starts, kept = np.zeros(rows * cols + 1, dtype=np.int64), 0
-    where = np.empty(counts.shape[0] * per_scan, np.int32)
-    chosen = np.empty(counts.shape[0] * per_scan, np.int32)
-    for s in range(counts.shape[0]):
-        first, last = s * per_scan, s * per_scan + counts[s]
-        _locate(
-            points[first:last], camera_from_odom, (width, height, 1.0 / cell), cols,
-            where[first:last],
-        )  # fmt: skip
-        for i in range(first, last):
-            chosen[kept] = i
-            kept += near[where[i]]
-            starts[where[i] + 1] += near[where[i]]
+    where, chosen = np.empty(len(points), np.int32), np.empty(len(points), np.int32)
+    _locate(points, camera_from_odom, (width, height, 1.0 / cell), cols, where)
+    for i in range(len(points)):
+        chosen[kept] = i
+        kept += near[where[i]]
+        starts[where[i] + 1] += near[where[i]]
     for k in range(rows * cols):
         starts[k + 1] += starts[k]
     cursor, ordered = starts.copy(), np.empty((starts[-1], 3), np.float32)
@@ -241,13 +224,7 @@ def _rough_depths(
         front[:count].sort()
         # the camera sees what is in front; returns from elsewhere looked past it
         two_thirds = (2 * count + 2) // 3
-        mean, square = 0.0, 0.0
-        for i in range(two_thirds):
-            mean += front[i]
-        mean /= two_thirds
-        for i in range(two_thirds):
-            square += (front[i] - mean) ** 2
-        depth, sigma = front[two_thirds // 2], np.sqrt(square / two_thirds)
+        depth, sigma = front[two_thirds // 2], front[:two_thirds].std()
         if sigma > most_share * depth:
             continue
         valid[k], depths[k], sigmas[k] = True, depth, sigma
@@ -273,8 +250,8 @@ def feature_planes(
     foremost returns close by, as a plane that faces the camera, and a sigma from their scatter.
     """
     width, height = half_view[0] * 1.02, half_view[1] * 1.02
-    rays = np.ascontiguousarray(rays)
-    cells = _sort_into_cells(rays, recent.view(), Frame.of(camera_from_odom), width, height, radius)
+    rays, frame = np.ascontiguousarray(rays), Frame.of(camera_from_odom)
+    cells = _sort_into_cells(rays, recent.points(), frame, width, height, radius)
     valid, planes = _fit_planes(rays, cells, radius, min_points, depth_tolerance_m)
     sigmas = np.zeros(len(rays))
     open_ = np.flatnonzero(~valid)

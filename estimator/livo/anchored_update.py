@@ -8,15 +8,15 @@ import numpy as np
 
 from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.anchors import Anchors
-from touchdown.estimator.filtering.degeneracy import (
+from touchdown.estimator.filtering.deskew import PlacedScan
+from touchdown.estimator.filtering.error_state import POSE, POSE_DIM, Frame
+from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
+from touchdown.estimator.filtering.information import (
+    lateral_strength,
     rotations_among,
     weak_columns,
     without_directions,
 )
-from touchdown.estimator.filtering.deskew import PlacedScan
-from touchdown.estimator.filtering.error_state import POSE, POSE_DIM, Frame
-from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
-from touchdown.estimator.filtering.information import lateral_strength
 from touchdown.estimator.filtering.plane_map import PlaneMap
 from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_equations
 from touchdown.estimator.typing import Array

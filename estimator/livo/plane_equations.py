@@ -30,7 +30,6 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.plane_map import PlaneMatches
 from touchdown.estimator.filtering.vectors import (
-    Vector,
     along,
     cross,
     dot,
@@ -66,17 +65,6 @@ class PlaneEquations(NamedTuple):
     rms: float  # m
     noise_information: Array
     """(6, 6) part of the pose's information that comes from the noise of the normals alone"""
-
-
-@njit(cache=True, error_model="numpy")
-def _placed(frame: Frame, point: Vector) -> Vector:
-    """``translation + rotation @ point``"""
-    (x, y, z), r, t = point, frame.rotation, frame.translation
-    return (
-        t[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z,
-        t[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z,
-        t[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z,
-    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -122,11 +110,11 @@ def plane_equations(
         )  # fmt: skip
         own = pose
         if k >= 0:
-            move = Frame(anchors.moves.rotations[k], anchors.moves.translations[k])
+            move, place = anchors.moves.rotations[k], xyz(anchors.moves.translations[k])
             own = Frame(anchors.clones.rotations[k], anchors.clones.translations[k])
-            n, seen_from = turned(move.rotation, n), _placed(move, seen_from)
-            c = _placed(move, c)
-        x = _placed(pose, p)
+            n, seen_from = turned(move, n), along(place, 1.0, turned(move, seen_from))
+            c = along(place, 1.0, turned(move, c))
+        x = along(xyz(pose.translation), 1.0, turned(pose.rotation, p))
         # the plane in the IMU frame of its clone, where it turns about the sensor with the mount
         in_imu, in_clone = turned_back(pose.rotation, n), turned_back(own.rotation, n)
         arm = turned_back(own.rotation, along(x, -1.0, seen_from))

@@ -72,11 +72,10 @@ def extend_plane(
 ) -> int:
     """Assigns the plane of the returns around to the features without one; returns their number."""
     missing = np.flatnonzero(~keyframe.valid)
-    points, counts, per_scan = recent.view()
-    filled = [points[s * per_scan : s * per_scan + n] for s, n in enumerate(counts) if n]
-    if not filled or len(missing) == 0:
+    points = recent.points().astype(np.float64)
+    if len(points) == 0 or len(missing) == 0:
         return 0
-    seen = camera_from_odom.apply(np.concatenate(filled).astype(np.float64))
+    seen = camera_from_odom.apply(points)
     depth = np.maximum(seen[:, 2], 1e-3)
     near = (seen[:, 2] > 0.1) & (
         np.abs(seen[:, 0] / depth) < _VIEW_MARGIN * 0.5 * camera.width / camera.fx

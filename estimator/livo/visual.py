@@ -283,9 +283,8 @@ class VisualFrontEnd:
         arms = landmarks - mount.translation
         sigmas = np.hypot(self._params.depth_sigma_m, keyframe.sigmas[which])
         spreads = arms * (sigmas / np.linalg.norm(arms, axis=1))[:, None]
+        views = LandmarkViews(pixels, rows, landmarks, np.zeros((len(which), 3, 0)), spreads)
         if not eskf.shared:
-            fixed = np.zeros((len(which), 3, 0))
-            views = LandmarkViews(pixels, rows, landmarks, fixed, spreads)
             return _Track(k, which, views, np.zeros(0))
         made_with = keyframe.calibration[: eskf.shared].copy()
         for given in (FOCAL, CENTER, CAMERA_ROTATION, CAMERA_TRANSLATION):
@@ -293,8 +292,7 @@ class VisualFrontEnd:
         jacobians = landmark_jacobians(
             rays, planes, self._lidar_in_camera, Frame.of(mount), twist, Pinhole.of(self._camera)
         )
-        views = LandmarkViews(pixels, rows, landmarks, jacobians, spreads)
-        return _Track(k, which, views, made_with)
+        return _Track(k, which, views._replace(jacobians=jacobians), made_with)
 
     def _iterate(
         self, update: IteratedUpdate, eskf: Eskf, tracks: list[_Track], delay_s: float

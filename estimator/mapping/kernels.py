@@ -247,9 +247,7 @@ def _raise_by(counts: Bytes, up: int) -> None:
     """Moves the returns of a histogram (bins,) up by ``up`` bins, except those of the first one,
     which are forgotten; the last bin keeps all that is higher."""
     bins = counts.shape[0]
-    top = 0
-    for k in range(max(bins - 1 - up, 1), bins):
-        top += counts[k]
+    top = counts[max(bins - 1 - up, 1) :].sum()
     for k in range(bins - 2, 0, -1):
         counts[k] = counts[k - up] if k - up >= 1 else 0
     counts[bins - 1] = min(top, 255)

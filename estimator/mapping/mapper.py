@@ -214,16 +214,11 @@ class GridMapper:
             self._track.append(_TimedPose(estimate.time_s, pose.translation.copy(), quat))
 
     def _own_track(self, start_s: float, end_s: float, estimate: Estimate) -> PoseTrack | None:
-        slack = 1.5 / self._rig.tick_hz
-        track = estimate.scan_track
-        if (
-            track is not None
-            and track.times_s.size >= 2
-            and track.times_s[0] <= start_s + slack
-            and track.times_s[-1] >= end_s - slack
-        ):
-            return track
-        return None
+        slack, track = 1.5 / self._rig.tick_hz, estimate.scan_track
+        if track is None or track.times_s.size < 2:
+            return None
+        first, last = track.times_s[0], track.times_s[-1]
+        return track if first <= start_s + slack and last >= end_s - slack else None
 
     def _track_spanning(self, start_s: float, end_s: float, estimate: Estimate) -> PoseTrack | None:
         """Returns the estimator's own track if it spans the interval, else the causal poses around
@@ -303,13 +298,8 @@ class GridMapper:
         """(N, 3) float32, from the image nearest in time, then from the others in reach."""
         colours = np.full((scan.ranges.shape[0], 3), np.nan, np.float32)
         duration = scan.end_time_s - scan.start_time_s
-        near = [
-            posed
-            for posed in images
-            if scan.start_time_s - duration - 1e-6
-            <= posed.image.time_s
-            <= scan.end_time_s + duration + 1e-6
-        ]
+        earliest, latest = scan.start_time_s - duration - 1e-6, scan.end_time_s + duration + 1e-6
+        near = [posed for posed in images if earliest <= posed.image.time_s <= latest]
         near.sort(key=lambda posed: posed.image.time_s)
         offsets = np.array([posed.image.time_s - scan.start_time_s for posed in near])
         count = scan.ranges.shape[0]

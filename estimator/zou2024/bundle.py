@@ -59,27 +59,6 @@ class BundleProblem:
 
 
 @njit(cache=True)
-def _eliminate(
-    information: Array, vector: Array, coupling: Array, curvature: Array, slope: Array
-) -> None:
-    """Takes the depths out of the normal equations of the poses. A landmark couples the few poses
-    that see it."""
-    touched = np.empty(vector.shape[0], np.int64)
-    for m in range(coupling.shape[0]):
-        row, count = coupling[m], 0
-        for a in range(row.shape[0]):
-            if row[a] != 0.0:
-                touched[count] = a
-                count += 1
-        for i in range(count):
-            a = touched[i]
-            share = row[a] / curvature[m]
-            vector[a] -= share * slope[m]
-            for n in range(count):
-                information[a, touched[n]] -= share * row[touched[n]]
-
-
-@njit(cache=True)
 def _reduced_system(
     poses: Frames,
     depths: Array,
@@ -148,7 +127,14 @@ def _reduced_system(
                 information[row, column] += wu * j[0, b] + wv * j[1, b]
         curvature[m] += weight * (j_depth[0] ** 2 + j_depth[1] ** 2)
         slope[m] += weight * (j_depth[0] * ru + j_depth[1] * rv)
-    _eliminate(information, vector, coupling, curvature, slope)
+    for m in range(count):  # a landmark couples the few poses that see it
+        row = coupling[m]
+        touched = np.flatnonzero(row)
+        for at in touched:
+            share = row[at] / curvature[m]
+            vector[at] -= share * slope[m]
+            for to in touched:
+                information[at, to] -= share * row[to]
     return information, vector, coupling, curvature, slope, cost
 
 
@@ -190,29 +176,22 @@ def adjust(
     return poses, depths
 
 
-@dataclass(frozen=True, slots=True)
-class LocalisedImage:
-    """The newest image: its odom_from_imu and the landmarks seen in it."""
-
-    pose: Pose
-    sightings: Sightings
-
-
 def build_problem(
     window: list[MapKeyframe],
-    newest: LocalisedImage,
+    newest: Pose,
+    sightings: Sightings,
     known: dict[int, MapKeyframe],
     camera: MountedCamera,
     sigmas_px: Array,
     first_free: int,
 ) -> tuple[BundleProblem, Sightings] | None:
-    """Returns the problem of ``window`` (oldest first) and the newest image, and its landmarks, one
-    sighting of each; None if nothing ties the poses.
+    """Returns the problem of ``window`` (oldest first) and the newest image, by its odom_from_imu
+    and ``sightings``, and its landmarks, one sighting of each; None if nothing ties the poses.
 
     Hosts outside the window join it with fixed poses. ``sigmas_px`` (2,) by kind. Keyframes with an
     index below ``first_free`` in the window are fixed.
     """
-    views = [*(keyframe.sightings for keyframe in window), newest.sightings]
+    views = [*(keyframe.sightings for keyframe in window), sightings]
     seen, view = joined(views), np.repeat(np.arange(len(views)), [len(one) for one in views])
     usable = np.isin(seen.hosts, list(known))
     seen, view = seen.select(usable), view[usable]
@@ -235,7 +214,7 @@ def build_problem(
         points[mine], pixels[mine] = source.points[at], source.pixels[at]
         priors[mine] = source.depths[at]
     problem = BundleProblem(
-        poses=[k.odom_from_imu for k in fixed + free] + [newest.pose],
+        poses=[k.odom_from_imu for k in fixed + free] + [newest],
         fixed=len(fixed),
         depths=camera.imu_from_camera.inverse().apply(points)[:, 2],
         seen=Observations(
@@ -253,7 +232,8 @@ def build_problem(
 
 def adjust_window(
     window: list[MapKeyframe],
-    newest: LocalisedImage,
+    newest: Pose,
+    sightings: Sightings,
     known: dict[int, MapKeyframe],
     camera: MountedCamera,
     sigmas_px: Array,
@@ -263,7 +243,7 @@ def adjust_window(
     """Bundle adjustment: refines the landmarks of the window in place. Their keyframes move with
     them in the solution, but not in the map: these poses are the filter's, which has had the same
     pixels. Parameters as in ``build_problem``."""
-    built = build_problem(window, newest, known, camera, sigmas_px, first_free)
+    built = build_problem(window, newest, sightings, known, camera, sigmas_px, first_free)
     if built is None or len(window) <= first_free:
         return
     problem, landmarks = built

@@ -16,7 +16,7 @@ from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.rolling_shutter import CameraTwist, ShutterModel, ground_depths
 from touchdown.estimator.typing import Array, Float32, Indices
-from touchdown.estimator.zou2024.bundle import LocalisedImage, adjust_window
+from touchdown.estimator.zou2024.bundle import adjust_window
 from touchdown.estimator.zou2024.closures import Closures
 from touchdown.estimator.zou2024.depth_field import DepthField
 from touchdown.estimator.zou2024.landmarks import Features, LandmarkDetector
@@ -59,10 +59,11 @@ class CameraPositioning:
         self._map = VisualMap(rig.camera, inertial.imu_from_camera)
         rate = float(np.radians(params.closure_rate_deg_s))
         self._maps = maps
+        sigmas_px = np.array([params.sift_sigma_px, params.brisk_sigma_px])
         self._model = ImageModel(
             MountedCamera(rig.camera, inertial.imu_from_camera),
             (rig.body_from_camera.inverse() @ rig.body_from_lidar).translation,
-            self._sigmas(np.arange(2)), params.depth_sigma_m,
+            sigmas_px, params.depth_sigma_m,
         )  # fmt: skip
         features = max(params.sift_features, params.brisk_features)
         limits = MemoryLimits(
@@ -146,9 +147,9 @@ class CameraPositioning:
         """Bundle adjustment of the newest keyframes and the present image."""
         adjust_window(
             self._map.keyframes[-self._params.bundle_keyframes :],
-            LocalisedImage(self._filter.eskf.state.pose, sightings), self._map.by_number(),
+            self._filter.eskf.state.pose, sightings, self._map.by_number(),
             MountedCamera(self._rig.camera, self._imu_from_camera),
-            np.sqrt(2.0) * self._sigmas(np.arange(2)), self._params.depth_sigma_m,
+            np.sqrt(2.0) * self._model.sigmas_px, self._params.depth_sigma_m,
         )  # fmt: skip
 
     def _cloned(self) -> list[MapKeyframe]:
@@ -172,9 +173,6 @@ class CameraPositioning:
         eskf.add_clone(self._model.own_covariance(eskf, keyframe))
         self._maps.anchors.add(keyframe.odom_from_imu, eskf.state.calibration)
 
-    def _sigmas(self, kinds: Indices) -> Array:
-        return np.array([self._params.sift_sigma_px, self._params.brisk_sigma_px])[kinds]
-
     def _localise(
         self, features: tuple[Features, Features]
     ) -> tuple[Sightings, tuple[Indices, Indices], CameraPose | None]:
@@ -186,7 +184,7 @@ class CameraPositioning:
         solved = None
         if len(sightings) >= 15:
             solved = solve_pnp(
-                sightings.pixels, landmarks, self._sigmas(sightings.kinds), pose,
+                sightings.pixels, landmarks, self._model.sigmas_px[sightings.kinds], pose,
                 self._filter.pose_information(), self._imu_from_camera, self._rig.camera,
             )  # fmt: skip
         self.diagnostics = {
@@ -277,8 +275,7 @@ class CameraPositioning:
         and adds a closure if its landmarks agree."""
         closures, known = self._closures, self._map.by_number()
         closures.add(keyframe, self._filter.eskf.covariance[POSE, POSE], before)
-        recent = self._map.keyframes[-self._params.recent_keyframes - 1 :]
-        closures.refresh_odometry({k.number: k for k in recent})
+        closures.refresh_odometry(self._map.keyframes, len(self._filter.eskf.clones))
         if self._last_tick - self._asked_tick >= _QUERY_PERIOD_S * self._rig.tick_hz:
             self._asked_tick = self._last_tick
             found = closures.ask(keyframe.number, features, self._params.loop_threshold)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchdown.estimator.filtering.imu_propagation import skew_of
 from touchdown.estimator.typing import Array
 from touchdown.estimator.zou2024.landmarks import BRISK_BYTES, SIFT_BYTES, Features
 from touchdown.estimator.zou2024.loop_closure.hypotheses import LoopFilter
 from touchdown.estimator.zou2024.loop_closure.memory import Memory, MemoryLimits
 from touchdown.estimator.zou2024.pose_graph import Edge, PoseGraph
 from touchdown.estimator.zou2024.visual_map import MapKeyframe
-from touchdown.sim.frames import Pose, rotation_from_yaw, so3_log
+from touchdown.sim.frames import Pose, rotation_from_yaw, skew, so3_log
 
 KINDS = ((SIFT_BYTES, False), (BRISK_BYTES, True))
 """of descriptors: bytes, and whether these are bits"""
@@ -84,12 +83,16 @@ class Closures:
         self.memory.remove(number)
         self._graph.remove_node(number)
 
-    def refresh_odometry(self, keyframes: dict[int, MapKeyframe]) -> None:
-        """Updates the odometry edges of the given keyframes after bundle adjustment."""
+    def refresh_odometry(self, keyframes: list[MapKeyframe], clones: int) -> None:
+        """Updates height and tilt of the keyframes that the filter still corrects, and the odometry
+        edges to them. ``keyframes``: all; the newest ``clones`` are in the filter, and the one
+        before was until now."""
+        for keyframe in keyframes[-clones - 1 :]:
+            self._graph.measure_node(keyframe.number, keyframe.odom_from_imu)
+        poses = {k.number: k.odom_from_imu for k in keyframes[-clones - 2 :]}
         for edge in self._graph.edges:
-            if not edge.robust and edge.source in keyframes and edge.target in keyframes:
-                source, target = keyframes[edge.source], keyframes[edge.target]
-                edge.measured = source.odom_from_imu.inverse() @ target.odom_from_imu
+            if not edge.robust and edge.source in poses and edge.target in poses:
+                edge.measured = poses[edge.source].inverse() @ poses[edge.target]
 
     def settle(self, keyframes: list[MapKeyframe]) -> None:
         """Solves the graph and updates the poses of the keyframes."""
@@ -147,7 +150,7 @@ def hop_covariance(before: Array, now: Array, source: Pose, target: Pose) -> Arr
     back = source.rotation.T
     handed_on = np.eye(6)
     handed_on[:3, :3] = target.rotation.T @ source.rotation
-    handed_on[3:, :3] = -source.rotation @ skew_of(back @ (target.translation - source.translation))
+    handed_on[3:, :3] = -source.rotation @ skew(back @ (target.translation - source.translation))
     grown = now - handed_on @ before @ handed_on.T
     grown[3:] = back @ grown[3:]
     grown[:, 3:] = grown[:, 3:] @ source.rotation

@@ -86,27 +86,21 @@ def _pixels_inside(
 
 @njit(cache=True)
 def _nearest_per_pixel(
-    points: Float32,
-    counts: Indices,
-    per_scan: int,
-    camera_from_odom: Frame,
-    matrix: Array,
-    shape: tuple[int, int],
+    points: Float32, camera_from_odom: Frame, matrix: Array, shape: tuple[int, int]
 ) -> Float32:
     """Depth of the nearest return at every half-size pixel; 0 where there is none."""
     depth, offset = np.zeros(shape, np.float32), xyz(camera_from_odom.translation)
-    for s in range(counts.shape[0]):
-        for i in range(s * per_scan, s * per_scan + counts[s]):
-            x, y, z = along(turned(camera_from_odom.rotation, xyz(points[i])), 1.0, offset)
-            if z < 0.1:
-                continue
-            u = (matrix[0, 0] * x + matrix[0, 1] * y) / z + matrix[0, 2]
-            v = matrix[1, 1] * y / z + matrix[1, 2]
-            col, row = int(np.floor(0.5 * u + 0.25)), int(np.floor(0.5 * v + 0.25))
-            if row < 0 or row >= shape[0] or col < 0 or col >= shape[1]:
-                continue
-            if depth[row, col] == 0.0 or z < depth[row, col]:
-                depth[row, col] = z
+    for i in range(len(points)):
+        x, y, z = along(turned(camera_from_odom.rotation, xyz(points[i])), 1.0, offset)
+        if z < 0.1:
+            continue
+        u = (matrix[0, 0] * x + matrix[0, 1] * y) / z + matrix[0, 2]
+        v = matrix[1, 1] * y / z + matrix[1, 2]
+        col, row = int(np.floor(0.5 * u + 0.25)), int(np.floor(0.5 * v + 0.25))
+        if row < 0 or row >= shape[0] or col < 0 or col >= shape[1]:
+            continue
+        if depth[row, col] == 0.0 or z < depth[row, col]:
+            depth[row, col] = z
     return depth
 
 
@@ -120,11 +114,8 @@ class DepthField:
         camera_from_odom: Pose,
         camera: CameraIntrinsics,
     ) -> None:
-        points, counts, per_scan = recent.view()
-        shape = (energy.shape[0], energy.shape[1])
-        nearest = _nearest_per_pixel(
-            points, counts, per_scan, Frame.of(camera_from_odom), camera.matrix(), shape
-        )
+        shape, frame = (energy.shape[0], energy.shape[1]), Frame.of(camera_from_odom)
+        nearest = _nearest_per_pixel(recent.points(), frame, camera.matrix(), shape)
         rows, cols = np.nonzero(nearest)
         self._depths = nearest[rows, cols].astype(np.float64)
         self._distance, self._label = geodesic_transform(

@@ -133,6 +133,7 @@ def geodesic_lengths(
     return neighbours, lengths
 
 
+@njit(cache=True)
 def colour_smoothness(
     label: Int32, rows: Int32, cols: Int32, neighbours: Int32, lengths: Float32
 ) -> Array:
@@ -141,11 +142,16 @@ def colour_smoothness(
     A seed with fewer than k neighbours counts their mean k times; one that shares its pixel with an
     earlier seed takes that one's value. NaN where a seed has no neighbour.
     """
-    known = neighbours >= 0
-    total = np.where(known, lengths, 0.0).sum(axis=1, dtype=np.float64) * neighbours.shape[1]
-    used = known.sum(axis=1)
-    score = np.divide(total, used, out=np.full(len(rows), np.nan), where=used > 0)
-    return score[label[rows, cols]]
+    score = np.full(rows.shape[0], np.nan)
+    for s in range(rows.shape[0]):
+        seed, used, total = label[rows[s], cols[s]], 0, 0.0
+        for j in range(neighbours.shape[1]):
+            if neighbours[seed, j] >= 0:
+                used += 1
+                total += lengths[seed, j]
+        if used:
+            score[s] = total * neighbours.shape[1] / used
+    return score
 
 
 def geodesic_depth(

@@ -22,7 +22,6 @@ SIFT_BYTES, BRISK_BYTES = 128, 64
 class Features:
     """Landmark features of one kind in one image."""
 
-    kind: int
     pixels: Array
     """(N, 2), full size"""
     descriptors: Bytes
@@ -99,7 +98,7 @@ class LandmarkDetector:
             pixels, chosen = pixels[chosen], np.arange(len(chosen))
         if descriptors is None:
             descriptors = np.zeros((0, SIFT_BYTES if kind == SIFT else BRISK_BYTES))
-        return Features(kind, pixels[chosen], np.asarray(descriptors)[chosen].astype(np.uint8))
+        return Features(pixels[chosen], np.asarray(descriptors)[chosen].astype(np.uint8))
 
     def _adapt_threshold(self, found: int) -> None:
         """Aims at 1.7 times the features wanted, of which ten grey levels keep one in e."""

@@ -16,7 +16,6 @@ from touchdown.estimator.zou2024.depth_field import scan_colour_smoothness
 from touchdown.estimator.zou2024.feature_map import FeatureMap
 from touchdown.estimator.zou2024.registration import (
     FeatureMaps,
-    PosePrior,
     ScanFeatures,
     ScanPose,
     register_scan,
@@ -123,8 +122,7 @@ class LidarPositioning:
     def _correct(self, features: ScanFeatures, height_m: float) -> None:
         params, eskf = self._params, self._filter.eskf
         result = register_scan(
-            features, self.maps,
-            PosePrior(self._filter.eskf.state.pose, self._filter.pose_information()),
+            features, self.maps, eskf.state.pose, self._filter.pose_information(),
             edge_sigma_m=params.edge_sigma_m, plane_sigma_m=params.plane_sigma_m,
             anchors=self.maps.anchors.frames(eskf.clones, eskf.state.calibration, _NONE),
         )  # fmt: skip

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
@@ -17,9 +16,8 @@ from touchdown.estimator.filtering.error_state import (
     error_between,
     moved_by,
 )
-from touchdown.estimator.filtering.imu_propagation import skew_of
 from touchdown.estimator.typing import Array
-from touchdown.sim.frames import Pose, so3_log
+from touchdown.sim.frames import Pose, skew, so3_log
 
 
 @dataclass(slots=True)
@@ -46,39 +44,6 @@ _TARGET_ROTATION, _TARGET_POSITION = after(POSE_DIM, ROTATION), after(POSE_DIM, 
 """of an edge's twelve coordinates, the source's six first"""
 
 
-@njit(cache=True)
-def _linearise(
-    residuals: Array,
-    source_rotations: Array,
-    target_rotations: Array,
-    translations: Array,
-    informations: Array,
-    weights: Array,
-) -> tuple[Array, Array]:
-    """Blocks (E, 12, 12) and vectors (E, 12), the source's six coordinates first.
-
-    ``translations`` (E, 3): ``R_s^T (p_t - p_s)``.
-    """
-    count = residuals.shape[0]
-    blocks, vectors = np.zeros((count, 12, 12)), np.zeros((count, 12))
-    for e in range(count):
-        back = np.ascontiguousarray(source_rotations[e].T)
-        # inverse of the right Jacobian, to first order of the (small) rotation residual
-        curl = np.eye(3) + 0.5 * skew_of(residuals[e, ROTATION])
-        jacobian = np.zeros((6, 12))
-        jacobian[ROTATION, ROTATION] = -curl @ (
-            np.ascontiguousarray(target_rotations[e].T) @ source_rotations[e]
-        )
-        jacobian[ROTATION, _TARGET_ROTATION] = curl
-        jacobian[POSITION, ROTATION] = skew_of(translations[e])
-        jacobian[POSITION, POSITION] = -back
-        jacobian[POSITION, _TARGET_POSITION] = back
-        weighted = np.ascontiguousarray(jacobian.T) @ informations[e] * weights[e]
-        blocks[e] = weighted @ jacobian
-        vectors[e] = -weighted @ residuals[e]
-    return blocks, vectors
-
-
 class PoseGraph:
     """Pose graph; nodes by number, in the order of addition. The first one fixes the map."""
 
@@ -99,6 +64,10 @@ class PoseGraph:
         """``measured``: pose whose height and tilt count (all six coordinates at the first)."""
         self._priors[number] = (measured, self._level if self.poses else self._anchor)
         self.poses[number] = guess
+
+    def measure_node(self, number: int, measured: Pose) -> None:
+        """Replaces the ``measured`` pose of a node."""
+        self._priors[number] = (measured, self._priors[number][1])
 
     def add_edge(self, edge: Edge) -> None:
         """Raises KeyError if one of its ends is not a node."""
@@ -165,15 +134,25 @@ class PoseGraph:
         return coo_matrix((values, (rows, cols)), shape=(size, size)).tocsc(), vector
 
     def _edge_blocks(self) -> tuple[Array, Array]:
+        """Blocks (E, 12, 12) and vectors (E, 12), the source's six coordinates first."""
         poses = self.poses
         residuals = np.array(
             [edge_residual(e, poses[e.source], poses[e.target]) for e in self.edges]
         )
-        source = np.array([poses[e.source].rotation for e in self.edges])
+        back = np.array([poses[e.source].rotation.T for e in self.edges])
         target = np.array([poses[e.target].rotation for e in self.edges])
         translations = residuals[:, 3:] + np.array([e.measured.translation for e in self.edges])
+        # inverse of the right Jacobian, to first order of the (small) rotation residual
+        curl = np.eye(3) + 0.5 * np.array([skew(r) for r in residuals[:, ROTATION]])
+        jacobians = np.zeros((len(self.edges), POSE_DIM, 2 * POSE_DIM))
+        jacobians[:, ROTATION, ROTATION] = -curl @ (back @ target).transpose(0, 2, 1)
+        jacobians[:, ROTATION, _TARGET_ROTATION] = curl
+        jacobians[:, POSITION, ROTATION] = [skew(translation) for translation in translations]
+        jacobians[:, POSITION, POSITION] = -back
+        jacobians[:, POSITION, _TARGET_POSITION] = back
         informations = np.array([e.information for e in self.edges])
         square = np.einsum("ei,eij,ej->e", residuals, informations, residuals)
         robust = np.array([e.robust for e in self.edges])
         weights = np.where(robust, 1.0 / (1.0 + square / self._robust_scale**2), 1.0)
-        return _linearise(residuals, source, target, translations, informations, weights)
+        weighted = jacobians.transpose(0, 2, 1) @ informations * weights[:, None, None]
+        return weighted @ jacobians, -(weighted @ residuals[:, :, None])[:, :, 0]

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 
 from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
-from touchdown.estimator.filtering.degeneracy import weak_columns, without_directions
 from touchdown.estimator.filtering.error_state import Frame, Frames, error_between, moved_by
 from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.information import weak_columns, without_directions
 from touchdown.estimator.filtering.plane_map import smallest_eigen
 from touchdown.estimator.filtering.vectors import along, cross, dot, xyz
 from touchdown.estimator.typing import Array, Mask
@@ -81,23 +81,13 @@ class FeatureMaps:
         self.anchors.remove(k)
 
 
-@dataclass(frozen=True, slots=True)
-class PosePrior:
-    """odom_from_imu before the measurement."""
-
-    pose: Pose
-    information: Array
-    """(6, 6) of rotation (right perturbation) and position"""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ScanPose:
-    """Result of Algorithm 1: ``pose`` is odom_from_imu; ``information`` (6, 6) and ``vector`` (6,)
-    are those of the scan alone at this pose (rotation by right perturbation, position)."""
+    """Result of Algorithm 1: ``pose`` is odom_from_imu; ``information`` (6, 6) is
+    that of the scan alone at this pose (rotation by right perturbation, position)."""
 
     pose: Pose
     information: Array
-    vector: Array
     weak: Array
     """(6, k) degenerate directions, orthonormal"""
     matches: Matches
@@ -203,23 +193,23 @@ def _keep_best(distances: Array, is_edge: Mask) -> Mask:
 def register_scan(
     features: ScanFeatures,
     maps: FeatureMaps,
-    prior: PosePrior,
+    guess: Pose,
+    guess_information: Array,
     *,
     edge_sigma_m: float,
     plane_sigma_m: float,
     anchors: AnchorFrames = NO_ANCHORS,
-    weak_sigmas: tuple[float, float] = WEAK_SIGMAS,
     min_matches: int = 30,
 ) -> ScanPose | None:
     """Algorithm 1: returns odom_from_imu of a scan, or None with fewer than ``min_matches`` matched
     points.
 
-    ``prior``: the pose of the last scan propagated by the IMU (the paper starts from the last pose
-    itself). Over a plane a scan leaves x, y and yaw open, and the solution stays at the prior
-    there (``weak_columns``). ``anchors``: the clones that parts of the map belong to, at their
-    present estimate. The returned information is that of the scan alone, about the pose alone.
+    ``guess``: odom_from_imu of the last scan propagated by the IMU (the paper starts from the last
+    pose itself), and its information (6, 6). Over a plane a scan leaves x, y and yaw open, and the
+    solution stays at the guess there (``weak_columns``). ``anchors``: the clones that parts of the
+    map belong to, at their present estimate.
     """
-    pose, sigmas = prior.pose, np.array([edge_sigma_m, plane_sigma_m])
+    pose, sigmas = guess, np.array([edge_sigma_m, plane_sigma_m])
     every = np.concatenate([features.edges, features.planes, np.zeros((1, 3))])
     extent = np.array([every.min(axis=0), every.max(axis=0)])
 
@@ -230,8 +220,8 @@ def register_scan(
     def step(pose: Pose, found: Matches, weak: Array) -> tuple[Pose, float]:
         information, vector, _ = equations(pose, found)
         information, vector = without_directions(information, vector, weak)
-        vector = vector - prior.information @ error_between(prior.pose, pose)
-        delta = np.linalg.solve(information + prior.information, vector)
+        vector = vector - guess_information @ error_between(guess, pose)
+        delta = np.linalg.solve(information + guess_information, vector)
         return moved_by(pose, np.asarray(delta, dtype=np.float64)), float(np.abs(delta).max())
 
     for _ in range(_ROUNDS):
@@ -239,7 +229,7 @@ def register_scan(
         if len(found.points) < min_matches:
             return None
         seen = equations(pose, found, noise=True)
-        weak = weak_columns(seen.information, seen.noise_information, weak_sigmas)
+        weak = weak_columns(seen.information, seen.noise_information, WEAK_SIGMAS)
         for _ in range(_FIRST_STEPS):
             pose, _ = step(pose, found, weak)
         lengths = distances(pose.apply(found.points), found.near, found.is_edge)
@@ -252,10 +242,9 @@ def register_scan(
         converged = bool(moved < _SAME_NEIGHBOURS_M)
         if converged:
             break
-    information, vector, _ = equations(pose, found)
     lengths, edges = distances(pose.apply(found.points), found.near, found.is_edge), found.is_edge
     return ScanPose(
-        pose=pose, information=information, vector=vector, weak=weak, matches=found,
-        edges=int(edges.sum()),
-        planes=int((~edges).sum()), rms_m=float(np.sqrt(np.mean(lengths**2))), converged=converged,
+        pose=pose, information=equations(pose, found).information, weak=weak, matches=found,
+        edges=int(edges.sum()), planes=int((~edges).sum()), converged=converged,
+        rms_m=float(np.sqrt(np.mean(lengths**2))),
     )  # fmt: skip

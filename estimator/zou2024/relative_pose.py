@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.estimator.filtering.anchors import Anchors
-from touchdown.estimator.filtering.degeneracy import without_directions
 from touchdown.estimator.filtering.error_state import (
     MOUNT_DIM,
     POSE,
@@ -25,6 +24,7 @@ from touchdown.estimator.filtering.error_state import (
     error_between,
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
+from touchdown.estimator.filtering.information import without_directions
 from touchdown.estimator.filtering.online_calibration import (
     corrected_camera,
     corrected_lens,

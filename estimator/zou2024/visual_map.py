@@ -146,7 +146,8 @@ class VisualMap:
         parts: list[Sightings] = []
         behind: list[Indices] = []
         for kind, found in enumerate(features):
-            numbers, indices, expected, known = [], [], [], []
+            numbers, indices = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+            expected, known = [np.zeros((0, 2))], [found.descriptors[:0]]
             for host in hosts:
                 where, pixels = self.expected_pixels(
                     host, kind, frames[host.number], frame_from_imu
@@ -155,10 +156,6 @@ class VisualMap:
                 indices.append(where)
                 expected.append(pixels)
                 known.append(host.landmarks[kind].descriptors[where])
-            if not hosts or len(found) == 0 or sum(map(len, indices)) == 0:
-                parts.append(no_sightings())
-                behind.append(np.zeros(0, dtype=np.int64))
-                continue
             matched = match_near(
                 kind, found.pixels, found.descriptors,
                 np.concatenate(expected), np.concatenate(known), radius_px,

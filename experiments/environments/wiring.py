@@ -65,7 +65,7 @@ def build_env_backend(
     return EnvBackend(
         scene=scene,
         world=world,
-        estimator=Oracle(world.truth, world.rig),
+        estimator=Oracle(world.truth),
         controller=CascadeController(world.rig.vehicle, config.control),
         step_s=config.sim.control_ticks / config.sim.tick_hz,
         render=lambda: view.render(world.snapshot(), 0),

@@ -315,7 +315,7 @@ def _stereo(config: Config) -> _EstimatorFactory:
 def _oracle(config: Config) -> _EstimatorFactory:
     from touchdown.estimator.oracle import Oracle
 
-    return lambda rig, truth: Oracle(truth, rig)
+    return lambda _rig, truth: Oracle(truth)
 
 
 ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {

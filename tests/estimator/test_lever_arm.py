@@ -63,7 +63,7 @@ ESTIMATORS: dict[str, Make] = {
     "optical_flow": lambda rig, _: OpticalFlowEstimator(rig),
     "stereo": lambda rig, _: StereoEstimator(rig), "gps": lambda rig, _: GpsEstimator(rig),
     "hybrid_flow": lambda rig, _: HybridFlowEstimator(rig),
-    "oracle": lambda rig, truth: Oracle(truth, rig),
+    "oracle": lambda rig, truth: Oracle(truth),
 }  # fmt: skip
 
 

@@ -86,8 +86,8 @@ def image_at(tick: int, rig: SensorRig = RIG) -> CameraImage:
     return image_from(Pose(np.eye(3), position_at(tick / HZ)), tick, rig)
 
 
-def features_of(kind: int, descriptors: np.ndarray) -> Features:
-    return Features(kind, np.zeros((len(descriptors), 2)), descriptors.astype(np.uint8))
+def features_of(descriptors: np.ndarray) -> Features:
+    return Features(np.zeros((len(descriptors), 2)), descriptors.astype(np.uint8))
 
 
 FLIGHT = livo_flight.observed(LAST, position_at, scan_ending_at, image_at)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.filtering.anchors import Anchors
-from touchdown.estimator.filtering.degeneracy import weak_directions, without_directions
 from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
+from touchdown.estimator.filtering.information import weak_directions, without_directions
 from touchdown.estimator.filtering.plane_map import PlaneMap
 from touchdown.estimator.livo.anchored_update import (
     DegeneracyWatch,

@@ -162,7 +162,7 @@ def test_oracle_returns_the_truth_and_refuses_another_tick() -> None:
         wind_world=np.zeros(3), rotor_speed_radps=np.zeros(4), contacts=(),
         peak_contact_accel=0.0, energy_used_j=0.0,
     )  # fmt: skip
-    oracle = Oracle(lambda: truth, RIG)
+    oracle = Oracle(lambda: truth)
     estimate = oracle.update(FLIGHT[1])
     np.testing.assert_array_equal(estimate.world_from_body.translation, [1.0, 2.0, 3.0])
     np.testing.assert_array_equal(estimate.acceleration_odom, [0.0, 2.0, 0.0])

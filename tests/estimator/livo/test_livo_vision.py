@@ -261,7 +261,7 @@ def test_landmarks_follow_the_mount_that_is_found_after_them() -> None:
     they would bring the vehicle 6 cm too far aside."""
     key, now = imu_pose((0, 0, 15), (0, 0, 0)), imu_pose((2.0, 0.0, 15.0), (0, 0, 0))
     low = RecentReturns(scans=1, per_scan=60_000)
-    low.add(ground_returns().view()[0] - [0.0, 0.0, 0.5])
+    low.add(ground_returns().points() - [0.0, 0.0, 0.5])
     variances = np.full(STATE_DIM + CALIBRATION_DIM, 1e-12)
     state = replace(filter_at(key).state, calibration=np.zeros(CALIBRATION_DIM))
     eskf, vision = Eskf(state, variances), front_end()
@@ -283,7 +283,7 @@ def test_a_climb_is_not_measured_by_depths_that_share_an_error(
     have the ratio 1.75, they would make a climb of 2.92 m."""
     key, now = imu_pose((0, 0, 4), (0, 0, 0)), imu_pose((0.2, 0.0, 7.0), (0, 0, 0.2))
     high = RecentReturns(scans=1, per_scan=60_000)
-    high.add(ground_returns().view()[0] + [0.0, 0.0, 0.1])
+    high.add(ground_returns().points() + [0.0, 0.0, 0.1])
     variances = np.full(STATE_DIM + CALIBRATION_DIM, 1e-10)
     state = replace(filter_at(key).state, calibration=np.zeros(CALIBRATION_DIM))
     eskf, vision = Eskf(state, variances), front_end(depth_shared_sigma_m=shared_m)

@@ -22,11 +22,11 @@ def shown(place: int, others: int = 0) -> tuple[Features, Features]:
     own, odd = np.random.default_rng(place), np.random.default_rng(5000 + place + others)
     common = own.permutation(2 * COMMON)[:COMMON]
     found = []
-    for kind, size in ((SIFT, 128), (BRISK, 64)):
+    for size in (128, 64):
         rows = own.integers(0, 256, (30, size))
         rows[30 - others :] = odd.integers(0, 256, (others, size))
         every = np.random.default_rng(9999).integers(0, 256, (2 * COMMON, size))
-        found.append(features_of(kind, np.concatenate([rows, every[common]])))
+        found.append(features_of(np.concatenate([rows, every[common]])))
     return found[0], found[1]
 
 

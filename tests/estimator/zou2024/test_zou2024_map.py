@@ -101,13 +101,13 @@ def test_a_bundle_refines_landmarks_and_leaves_the_poses_to_the_filter() -> None
 def graph_of(poses: list[Pose], sigmas: list[float]) -> tuple[Closures, list[MapKeyframe]]:
     """Keyframes at ``poses`` that err by ``sigmas`` (m) in the filter, all of them places."""
     closures = Closures(0.1, 0.01, MemoryLimits(1, 9, 1, 0.6))
-    blank = features_of(0, np.zeros((0, 128))), features_of(1, np.zeros((0, 64)))
+    blank = features_of(np.zeros((0, 128))), features_of(np.zeros((0, 64)))
     keyframes: list[MapKeyframe] = []
     for k, (pose, sigma) in enumerate(zip(poses, sigmas, strict=True)):
         keyframes.append(keyframe(k, pose, pose))
         covariance = np.diag([0.0, 0.0, 0.0, sigma, sigma, sigma]) ** 2
         closures.add(keyframes[-1], covariance, keyframes[-2] if k else None)
-        closures.refresh_odometry({one.number: one for one in keyframes[-2:]})
+        closures.refresh_odometry(keyframes, 1)
         assert closures.ask(k, blank, 0.11) is None
     return closures, keyframes
 
@@ -125,6 +125,22 @@ def test_a_closure_moves_the_newest_keyframe_by_its_share_of_the_information() -
     assert closures.drift_covariance[0, 0] == pytest.approx(0.5 * 0.012**2, rel=0.05)
     at = closures.advance(keyframes[4].odom_from_imu.translation, 1.0)
     np.testing.assert_allclose(at.translation, [moved[4], 0.0, 0.0], atol=1e-5)
+
+
+@pytest.mark.parametrize("clones", [1, 2, 4])
+def test_what_the_filter_still_corrects_bends_no_map(clones: int) -> None:
+    """After the take-off the tilt is corrected by half a degree: by itself that is no drift."""
+    poses = [Pose(np.eye(3), np.array([0.0, 0.0, 8.0 * k])) for k in range(5)]
+    closures, keyframes = graph_of(poses, [0.01 * k for k in range(5)])
+    for one in keyframes[-clones - 1 :]:
+        moved = Pose(so3_exp(np.array([0.009, -0.004, 0.01])), np.array([0.3, 0.1, 0.05]))
+        one.odom_from_imu = one.map_from_imu = one.odom_from_imu @ moved
+    closures.refresh_odometry(keyframes, clones)
+    closures.settle(keyframes)
+    for one in keyframes:
+        at, expected = one.map_from_imu, one.odom_from_imu
+        np.testing.assert_allclose(at.translation, expected.translation, atol=1e-6)
+        np.testing.assert_allclose(at.rotation, expected.rotation, atol=1e-7)
 
 
 def test_a_closure_is_weighed_in_the_frame_of_its_source() -> None:

@@ -15,7 +15,6 @@ from touchdown.estimator.zou2024.pnp import reprojection_errors, solve_pnp
 from touchdown.estimator.zou2024.pose_graph import Edge, PoseGraph
 from touchdown.estimator.zou2024.registration import (
     FeatureMaps,
-    PosePrior,
     ScanFeatures,
     register_scan,
 )
@@ -63,7 +62,7 @@ def test_algorithm_1_finds_the_pose_despite_outliers() -> None:
     back = truth.inverse()
     result = register_scan(
         ScanFeatures(back.apply(edges), back.apply(planes)), maps,
-        PosePrior(guess, 1e-3 * np.eye(6)), edge_sigma_m=0.05, plane_sigma_m=0.02,
+        guess, 1e-3 * np.eye(6), edge_sigma_m=0.05, plane_sigma_m=0.02,
     )  # fmt: skip
     assert result is not None and result.edges > 200 and result.planes > 400
     np.testing.assert_allclose(result.pose.translation, truth.translation, atol=0.012)
@@ -74,9 +73,8 @@ def test_algorithm_1_finds_the_pose_despite_outliers() -> None:
 def test_algorithm_1_needs_matches() -> None:
     empty = FeatureMap(0.5, 1 << 8)
     features = ScanFeatures(np.zeros((100, 3)), np.zeros((100, 3)))
-    prior = PosePrior(Pose.identity(), np.eye(6))
-    maps = FeatureMaps(empty, empty)
-    assert register_scan(features, maps, prior, edge_sigma_m=0.1, plane_sigma_m=0.1) is None
+    maps, sigmas = FeatureMaps(empty, empty), {"edge_sigma_m": 0.1, "plane_sigma_m": 0.1}
+    assert register_scan(features, maps, Pose.identity(), np.eye(6), **sigmas) is None
 
 
 def test_feature_map_returns_the_five_nearest_in_order_and_keeps_its_size() -> None:

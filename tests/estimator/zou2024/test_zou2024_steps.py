@@ -165,7 +165,7 @@ def test_algorithm_1_over_a_plane_stays_at_the_guess_in_unobserved_directions() 
     seen = registration.ScanFeatures(NOTHING, noisy_ground(rng, 800, 5.0, -9.75))
     guess = Pose(so3_exp(np.array([0.01, 0.0, 0.3])), np.array([0.2, -0.1, 10.05]))
     result = registration.register_scan(
-        seen, maps, registration.PosePrior(guess, np.eye(6)), edge_sigma_m=0.15, plane_sigma_m=0.04
+        seen, maps, guess, np.eye(6), edge_sigma_m=0.15, plane_sigma_m=0.04
     )
     assert result is not None and result.weak.shape == (6, 3)
     np.testing.assert_allclose(result.pose.translation, [0.2, -0.1, 10.0], atol=5e-3)
@@ -189,7 +189,7 @@ def test_the_worst_fifth_does_not_enter_the_pose() -> None:
     guess = Pose(np.eye(3), np.array([0.0, 0.0, 10.05]))
     result = registration.register_scan(
         registration.ScanFeatures(NOTHING, seen), maps,
-        registration.PosePrior(guess, 1e-2 * np.eye(6)), edge_sigma_m=0.05, plane_sigma_m=0.05,
+        guess, 1e-2 * np.eye(6), edge_sigma_m=0.05, plane_sigma_m=0.05,
     )  # fmt: skip
     assert result is not None and result.converged
     assert result.planes > 200 and result.edges == 0
@@ -298,7 +298,7 @@ def test_algorithm_1_weighs_its_prior() -> None:
     def found(information: np.ndarray) -> registration.ScanPose:
         result = registration.register_scan(
             registration.ScanFeatures(NOTHING, seen), maps,
-            registration.PosePrior(guess, information), edge_sigma_m=0.05, plane_sigma_m=0.05,
+            guess, information, edge_sigma_m=0.05, plane_sigma_m=0.05,
         )  # fmt: skip
         assert result is not None
         return result
