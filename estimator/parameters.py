@@ -140,9 +140,12 @@ class LivoParams(CalibratedParams):
     """scans enter the map for so long after a keyframe: later ones have drifted against it"""
     image_open_s: Positive = 0.5
     """the same of the images of intensity, whose cells need more returns"""
-    anchor_spacing: Positive = 0.6
-    """distance from the newest keyframe relative to the height, beyond which the map is given
-    another part where images fail"""
+    anchor_spacing: Positive = 0.45
+    """horizontal distance from the newest keyframe relative to the height, beyond which the map is
+    given another part where images fail: a scan covers half the height along the flight"""
+    anchor_climb: Positive = 0.3
+    """the same of the vertical distance; both by 21 replays without images
+    (docs/results/one-sensor.md)"""
     anchor_turn_deg: Positive = 20.0
     """the same of the rotation since then"""
     plane_sigma_m: NotNegative = 0.003

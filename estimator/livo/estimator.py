@@ -205,7 +205,11 @@ class Livo:
             return True
         if tick - self._vision_tick <= self._rig.tick_hz // 2:
             return False
-        since, params = self._eskf.clones[-1].inverse() @ self._eskf.state.pose, self._params
-        far = params.anchor_spacing * max(self._height, 2.0)
-        turned = np.linalg.norm(so3_log(since.rotation)) > np.radians(params.anchor_turn_deg)
-        return bool(turned or np.linalg.norm(since.translation) > far)
+        newest, pose, params = self._eskf.clones[-1], self._eskf.state.pose, self._params
+        height, way = max(self._height, 2.0), pose.translation - newest.translation
+        turned = np.linalg.norm(so3_log(newest.rotation.T @ pose.rotation))
+        return bool(
+            turned > np.radians(params.anchor_turn_deg)
+            or np.hypot(way[0], way[1]) > params.anchor_spacing * height
+            or abs(way[2]) > params.anchor_climb * height
+        )

@@ -59,16 +59,16 @@ _PLANE_TILT = float(np.radians(0.05))
 """rad, information floor of roll and pitch by planes where intensities measure"""
 _ITERATIONS = 4
 _LEAST_USED = 300
-_LEAST_OVERLAP = 0.3
-_MOST_IMAGES = 3
+_LEAST_OVERLAP = 0.12
+_MOST_IMAGES = 5
 _LEAST_CLEAR = 0.3
 """share of an image's squared gradients that is not noise; below, it has no texture"""
 _FIRST_SIGMA, _LEAST_SIGMA = 0.25, 0.1
 """of a brightness"""
-_ASIDE_M, _ROTATION_RAD = 0.02, 5e-4
+_ASIDE_M, _ROTATION_RAD = 0.03, 5e-4
 """errors of a measurement that do not average out over its returns: the noise of an image is the
 same for all scans compared with it"""
-_IMAGE_ASIDE_M, _IMAGE_ROTATION_RAD = 0.03, 5e-4
+_IMAGE_ASIDE_M, _IMAGE_ROTATION_RAD = 0.05, 5e-4
 """errors of an image as a whole: the drift while it was made"""
 _GRADIENT_NOISE = 0.094
 """variance of a gradient by noise, in that of one return over their number and the cell's area: two
