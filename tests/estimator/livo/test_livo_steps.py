@@ -223,13 +223,27 @@ def test_the_map_belongs_to_clones_of_the_poses_that_made_it() -> None:
     assert matched.found.sum() > 40 and set(matched.anchors[matched.found].tolist()) == {0, 1}
 
 
-@pytest.mark.parametrize(("turn_deg", "lacks"), [(19.0, False), (21.0, True)])
-def test_a_turn_in_the_dark_adds_to_the_map(turn_deg: float, lacks: bool) -> None:
+@pytest.mark.parametrize(
+    ("way", "turn_deg", "lacks"),
+    [
+        ([0.0, 0.0, 0.0], 19.0, False),
+        ([0.0, 0.0, 0.0], 21.0, True),
+        ([2.6, -3.5, 0.0], 0.0, False),
+        ([2.8, -3.7, 0.0], 0.0, True),
+        ([0.0, 0.0, 2.9], 0.0, False),
+        ([0.0, 0.0, -3.1], 0.0, True),
+    ],
+)
+def test_turns_ways_and_climbs_in_the_dark_add_to_the_map(
+    way: list[float], turn_deg: float, lacks: bool
+) -> None:
     livo, _ = run(FLIGHT[:100], LivoParams(use_vision=False))
+    livo._height = 10.0
     clone = livo._eskf.clones[-1]
-    turned = clone.rotation @ so3_exp(np.radians([0.0, 0.0, turn_deg]))
     livo._eskf.state = dataclasses.replace(
-        livo._eskf.state, rotation=turned, position=clone.translation
+        livo._eskf.state,
+        rotation=clone.rotation @ so3_exp(np.radians([0.0, 0.0, turn_deg])),
+        position=clone.translation + way,
     )
     assert livo._lacks_anchor(livo._eskf.state.tick + 600) == lacks
 
