@@ -52,6 +52,9 @@ _FRESH_SCANS = 3
 _INFLATION, _FLOOR = 1.8, 0.005
 """inflation and floor of the reported covariance: errors of a landmark or a voxel repeat from image
 to image and scan to scan, while the filter takes them for white noise"""
+_DARK_INFLATION = 2.7
+"""the same where intensities measure: the noise of an image of intensity repeats in all scans that
+are compared with it"""
 
 
 class Livo:
@@ -113,9 +116,10 @@ class Livo:
         jump = self._filter.jump[POSITION]
         self._diagnostics["skipped"] = float(self._skipped + self._intake.skipped)
         self._diagnostics["stationary"] = float(self._filter.stationary)
+        dark = self._map.photometric.measures(self._dark_ticks)
         return self._filter.estimate(
             obs, self._odom, self._floor + jump * jump[:, None], self._scan_track,
-            dict(self._diagnostics), tuple(self._intake.events), _INFLATION,
+            dict(self._diagnostics), tuple(self._intake.events), _DARK_INFLATION if dark else _INFLATION,
         )  # fmt: skip
 
     # ------------------------------------------------------------------------ scan update

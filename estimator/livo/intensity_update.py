@@ -208,14 +208,15 @@ class PhotometricUpdate:
         self._sigma = _FIRST_SIGMA
         self.images: list[IntensityImage] = []
 
-    def _needed(self, dark_ticks: int) -> bool:
+    def measures(self, dark_ticks: int) -> bool:
+        """True where scans measure the pose by their intensities, ``dark_ticks`` after an image."""
         return self._dark_ticks is not None and dark_ticks > self._dark_ticks
 
     def errors_of_planes(self, errors: ScanErrors, dark_ticks: int) -> ScanErrors:
         """Error model of the planes after ``dark_ticks`` without an image: intensities see the
         ground, at which tilt and translation look the same, so that planes must separate them.
         A scan measures the height with ``plane_height_m`` at best."""
-        if not self._needed(dark_ticks):
+        if not self.measures(dark_ticks):
             return errors
         floor = errors.floor_sigmas.copy()
         floor[:2] = np.minimum(floor[:2], _PLANE_TILT)
@@ -229,7 +230,7 @@ class PhotometricUpdate:
             return
         shared = eskf.state.calibration[: eskf.shared]
         self.images.append(IntensityImage.of(eskf.clones[-1].rotation, height_m, shared))
-        if self._needed(dark_ticks):
+        if self.measures(dark_ticks):
             at = eskf.clone_indices(len(eskf.clones) - 1)
             yaw, aside = at[ROTATION][2], at[_ASIDE]
             eskf.covariance[yaw, yaw] += _IMAGE_ROTATION_RAD**2
@@ -257,7 +258,7 @@ class PhotometricUpdate:
     ) -> dict[str, float]:
         """Updates the filter by a scan and its ``intensity`` (N,) after ``dark_ticks`` without an
         image; returns the figures for the recording. ``share``: see ``Eskf.gains``."""
-        if not self._needed(dark_ticks):
+        if not self.measures(dark_ticks):
             return {}
         chosen = np.arange(0, len(scan), max(1, len(scan) // _RETURNS))
         part = scan.select(chosen)
