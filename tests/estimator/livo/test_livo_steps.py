@@ -211,8 +211,19 @@ def test_level_ground_is_reported_as_degenerate() -> None:
         assert found == expected
 
 
+def test_where_intensities_measure_the_covariance_counts_their_noise_that_repeats() -> None:
+    shares = []
+    for after_s in (0.2, 60.0):
+        params = LivoParams(use_vision=False, use_intensity=True, intensity_after_s=after_s)
+        livo, estimates = run(FLIGHT[:120], params)
+        jump, floor = livo._filter.jump[3:6], np.diag([0.005] * 3) ** 2
+        spread = estimates[-1].position_covariance - floor - jump * jump[:, None]
+        shares.append(np.trace(spread[:2, :2]) / np.trace(livo._filter.covariance[3:5, 3:5]))
+    assert shares == pytest.approx([2.7, 1.8])
+
+
 def test_the_map_belongs_to_clones_of_the_poses_that_made_it() -> None:
-    """Without images a new one comes every 0.6 of the height of 6 m; 0.16 s pass until a scan is
+    """Without images a new one comes every 0.45 of the height of 6 m; 0.16 s pass until a scan is
     used."""
     flight = observations(RIG, 840, accelerated(14.0, 0.0, 0.0), seen=False)
     livo = Livo(RIG)
