@@ -1,2 +1,3 @@
 """Data, training and evaluation of the ground classifier: `touchdown dataset`, `train`, `evaluate`,
-`quantize`, `classify`. Produces images and labels; networks live in ``landing.classification``."""
+`quantize`, `ensemble`, `classify`. Produces images and labels; networks live in
+``landing.classification``."""

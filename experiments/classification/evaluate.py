@@ -29,6 +29,7 @@ from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import onboard
 from touchdown.landing.classification.decision import decision_summary
 from touchdown.landing.classification.engine import Classifier
+from touchdown.landing.classification.ensemble import files_of
 from touchdown.landing.classification.scores import fitted_temperature, summary
 from touchdown.landing.classification.weights import NetworkFacts, weights_apart
 
@@ -70,6 +71,14 @@ def shipped_network() -> Path:
             "no network is shipped with touchdown: give --network, a file of `touchdown train`"
         )
     return onboard.SHIPPED
+
+
+def network_file(named: Path | None) -> Path:
+    """Returns the file that a command names: without a name the shipped network, for ``ensemble``
+    the shipped ensemble. Raises UsageError as `shipped_network`."""
+    if named is None:
+        return shipped_network()
+    return onboard.ENSEMBLE if named == Path("ensemble") and not named.exists() else named
 
 
 def evaluate_network(
@@ -137,9 +146,12 @@ def _others(scores: Any, images: LabelledImages, facts: NetworkFacts) -> dict[st
 
 
 def _size_mb(network: Path) -> float:
-    """Size of the file; of the one that is shipped, with those of its weights."""
-    apart = weights_apart(network) if network.parent == onboard.ZOU2024.parent else []
-    return sum(file.stat().st_size for file in (network, *apart)) / 1e6
+    """Size of the file, of an ensemble with its networks, of those that are shipped with their
+    weights."""
+    files = files_of(network)
+    if network.parent == onboard.ZOU2024.parent:
+        files += [apart for file in files for apart in weights_apart(file)]
+    return sum(file.stat().st_size for file in files) / 1e6
 
 
 def _by_scene(

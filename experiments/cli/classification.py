@@ -1,4 +1,5 @@
-"""Ground classification: ``touchdown dataset``, ``train``, ``evaluate``, ``classify``."""
+"""Ground classification: ``touchdown dataset``, ``train``, ``evaluate``, ``quantize``,
+``ensemble``, ``classify``."""
 
 from __future__ import annotations
 
@@ -8,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
@@ -21,7 +21,7 @@ from touchdown.experiments.cli.common import (
     answer,
 )
 from touchdown.experiments.errors import usage_errors
-from touchdown.experiments.terminal import make_console, make_table, say
+from touchdown.experiments.terminal import say
 
 SCHEMES = ("d_land", "d_scene")
 """Keys of `landing.classification.labels.SCHEMES`, repeated to keep `--help` fast."""
@@ -75,6 +75,14 @@ def _miss_cost(default: str) -> Callable[[Any], Any]:
     )
 
 
+_FALSE_SAFE = click.option(
+    "--false-safe", type=Number(0.0, 1.0), default=0.01, show_default=True,
+    help="Share of unsafe ground that may count as safe.",
+)  # fmt: skip
+_CONFIDENCE = click.option(
+    "--confidence", type=Number(0.0, 1.0, max_open=True), default=0.95, show_default=True,
+    help="That the share is not larger.",
+)  # fmt: skip
 _ENGINE = click.option(
     "--engine", type=click.Choice(("onnx", "torch")), default="onnx", show_default=True
 )
@@ -265,7 +273,7 @@ def evaluate(
 ) -> int:
     """Score NETWORK, a file of `touchdown train`, on images that it was not trained on.
 
-    Without NETWORK: the one that is shipped with touchdown.
+    Without NETWORK: the one that is shipped with touchdown; `ensemble`: both that are, together.
 
     Loss, macro F1, recall, top-1 with its interval, calibration error (ECE), confusion matrix; size
     of the file (ROM), peak memory (RAM) and time an image.
@@ -275,15 +283,16 @@ def evaluate(
     from touchdown.experiments.classification.evaluate import (
         EvaluateParams,
         evaluate_network,
-        shipped_network,
+        network_file,
     )
+    from touchdown.experiments.classification.score_tables import print_evaluation
     from touchdown.experiments.terminal import progress_bar
 
     params = EvaluateParams(**options)
     with progress_bar(quiet) as progress:
         report = usage_errors(
             lambda: evaluate_network(
-                network or shipped_network(),
+                network_file(network),
                 data,
                 split,
                 progress,
@@ -301,10 +310,8 @@ def evaluate(
 @click.option("--out", type=PATH, required=True, help="A file *.onnx.")
 @click.option("--pictures", type=click.IntRange(1), default=256, show_default=True,
               help="Number of training images for the ranges of int8 activations.")  # fmt: skip
-@click.option("--false-safe", type=Number(0.0, 1.0), default=0.01, show_default=True,
-              help="Share of unsafe ground that may count as safe.")  # fmt: skip
-@click.option("--confidence", type=Number(0.0, 1.0, max_open=True), default=0.95,
-              show_default=True, help="That the share is not larger.")  # fmt: skip
+@_FALSE_SAFE
+@_CONFIDENCE
 @JSON
 @QUIET
 def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
@@ -339,6 +346,48 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
 
 
 @click.command()
+@click.argument("networks", nargs=-1, required=True, type=PATH)
+@_DATA
+@click.option("--out", type=PATH, required=True,
+              help="A file *.json in the folder of the networks.")  # fmt: skip
+@click.option("--weight", "weights", type=Number(0.0, 4.0), multiple=True,
+              help="Of a network's scores; once for each.  [fitted]")  # fmt: skip
+@_miss_cost("[those of the first network]")
+@_FALSE_SAFE
+@_CONFIDENCE
+@JSON
+@QUIET
+def ensemble(networks: tuple[Path, ...], out: Path, as_json: bool, quiet: bool,
+             **options: Any) -> int:  # fmt: skip
+    """Let several NETWORKS, files of `touchdown train`, classify together.
+
+    Their log-probabilities are added with weights that fit the validation images best, and the
+    limits at which ground counts as safe are fitted to the same images. Whether an image lies far
+    from the training data is asked of the first network, which alone makes the semantic map.
+
+    Example: touchdown ensemble a/small.onnx a/large.onnx --data patches --out a/both.json
+    """
+    from touchdown.experiments.classification.ensemble import make_ensemble
+    from touchdown.experiments.terminal import progress_bar
+
+    with progress_bar(quiet) as progress:
+        report = usage_errors(lambda: make_ensemble(networks, out, progress=progress, **options))
+    return answer(report, as_json, _print_ensemble)
+
+
+def _print_ensemble(report: Mapping[str, Any]) -> None:
+    from touchdown.experiments.classification.score_tables import decision_text
+
+    rows = zip(report["networks"], report["weights"], report["top1_alone"], strict=True)
+    for name, weight, top1 in rows:
+        say(f"{name}: weight {weight:.3f}, validation top-1 {top1:.4f}")
+    say(f"together {report['top1']:.4f}")
+    if report["decision"] is not None:
+        say(decision_text(report["decision"]))
+    say(f"written: {report['ensemble_file']}")
+
+
+@click.command()
 @click.argument("images", nargs=-1, required=True, type=PATH)
 @click.option("--network", type=PATH,
               help="A file of `touchdown train`.  [the shipped one]")  # fmt: skip
@@ -368,13 +417,13 @@ def classify(
     Example: touchdown classify photograph.jpg --network trained/network.onnx
     """
     from touchdown.experiments.classification.class_map import classify_images
-    from touchdown.experiments.classification.evaluate import load_classifier, shipped_network
+    from touchdown.experiments.classification.evaluate import load_classifier, network_file
     from touchdown.experiments.terminal import make_notes
 
     rows = usage_errors(
         lambda: classify_images(
             images,
-            classifier=load_classifier(network or shipped_network(), engine, threads),
+            classifier=load_classifier(network_file(network), engine, threads),
             notes=make_notes(quiet),
             **options,
         )
@@ -386,59 +435,3 @@ def classify(
             shares = "  ".join(f"{name} {share:.0%}" for name, share in row["shares"].items())
             say(f"{row['classes']}: {shares}")
     return EXIT_DONE
-
-
-def print_evaluation(report: Mapping[str, Any]) -> None:
-    """Prints tables: scores overall, by data set, scene and height, and the confusion matrix."""
-    console = make_console()
-    title = f"{report['network']}, {report['labels']}, {report['split']}"
-    heads = ("n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE", "weight")
-    table = make_table(title, "images of", *heads)
-    rows = {"all": report} | (report["by_source"] if len(report["by_source"]) > 1 else {})
-    rows |= report["by_scene"] | report["by_height"]
-    for name, row in rows.items():
-        low, high = row["top1_interval"]
-        numbers = [f"{row[key]:.3f}" for key in ("loss", "macro_f1", "recall", "top1")]
-        table.add_row(
-            name, str(row["pictures"]), *numbers, f"{low:.3f}-{high:.3f}", f"{row['ece']:.3f}",
-            f"{row['weight']:.2f}",
-        )  # fmt: skip
-    console.print(table)
-    console.print(_confusion_table(report))
-    if "decision" in report:
-        console.print(_decision_text(report["decision"]))
-    cost = [f"ROM {report['rom_mb']:.1f} MB"]
-    if "image_ms" in report:
-        cost += [
-            f"peak RAM {report['peak_ram_mb']:.0f} MB",
-            f"{report['image_ms']:.1f} ms an image on one thread ({report['engine']})",
-        ]
-    console.print(", ".join(cost))
-
-
-def _decision_text(decision: Mapping[str, Any]) -> str:
-    """Returns the counts of unsafe images taken for safe and of safe ones refused, as text."""
-    parts = []
-    for kind, wrong, text in (
-        ("unsafe", "unsafe_taken_for_safe", "images of unsafe ground taken for safe"),
-        ("safe", "safe_refused", "of safe ground refused"),
-    ):
-        count, of = decision[wrong], decision[kind]
-        share = f" ({count / of:.2%})" if of else ""
-        parts.append(f"{count} of {of} {text}{share}")
-    return f"at {decision['min_probability']:.3f}: {', '.join(parts)}"
-
-
-def _confusion_table(report: Mapping[str, Any]) -> Any:
-    """Returns the confusion matrix of classes that occur or are predicted."""
-    counts = np.array(report["confusion"])
-    shown = np.flatnonzero(counts.sum(axis=0) + counts.sum(axis=1))
-    names = [report["classes"][number] for number in shown]
-    title = "true class by row, predicted class by column"
-    table = make_table(title, "", *names, "recall")
-    for number in shown:
-        name = report["classes"][number]
-        recall = report["recall_of"].get(name)
-        cells = [str(count) if count else "·" for count in counts[number, shown]]
-        table.add_row(name, *cells, "" if recall is None else f"{recall:.3f}")
-    return table

@@ -18,7 +18,14 @@ from touchdown.experiments.cli.bench_all import bench_all, bench_compare, bench_
 from touchdown.experiments.cli.bench_odometry import bench_estimator, bench_imu, bench_limit
 from touchdown.experiments.cli.calibrate import calibrate
 from touchdown.experiments.cli.campaign import campaign
-from touchdown.experiments.cli.classification import classify, dataset, evaluate, quantize, train
+from touchdown.experiments.cli.classification import (
+    classify,
+    dataset,
+    ensemble,
+    evaluate,
+    quantize,
+    train,
+)
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
     EXIT_USAGE,
@@ -80,7 +87,7 @@ cli.add_command(query)
 cli.add_command(edges)
 cli.add_command(export)
 cli.add_command(control)
-for _command in (dataset, train, evaluate, quantize, classify):
+for _command in (dataset, train, evaluate, quantize, ensemble, classify):
     cli.add_command(_command)
 
 

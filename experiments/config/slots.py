@@ -38,7 +38,9 @@ SLOTS: Mapping[str, Slot] = {
         Slot("lander", "landing.lander", "site", ("site",)),
         Slot("controller", "control.controller", "cascade", ("cascade", PX4)),
         Slot("mapper", "mapper.mapper", "grid", ("grid",)),
-        Slot("classifier", "landing.classifier", "auto", ("auto", "off"), takes_file=True),
+        Slot(
+            "classifier", "landing.classifier", "auto", ("auto", "off", "ensemble"), takes_file=True
+        ),
     )
 }
 """By kind."""
@@ -49,7 +51,7 @@ def names_code(slot: Slot, name: Any) -> bool:
     with a colon counts, but for the path of a file where the slot takes one."""
     if not isinstance(name, str) or ":" not in name:
         return False
-    return not (slot.takes_file and ("/" in name or name.endswith(".onnx")))
+    return not (slot.takes_file and ("/" in name or name.endswith((".onnx", ".json"))))
 
 
 def part_of(config: Config, kind: str) -> str:

@@ -47,7 +47,7 @@ class OnnxClassifier:
         import onnxruntime
 
         content = read_network(path)
-        own = path.resolve().parent == _TRAINED
+        own = comes_along(path)
         # ONNX Runtime is not asked in this process about a file that it may break on; the network
         # of the project itself is known to load.
         if not own:
@@ -74,15 +74,24 @@ class OnnxClassifier:
         return apply_miss_costs(found, self.facts)
 
 
+def comes_along(path: Path) -> bool:
+    """True for a file of the project itself, which is known to load."""
+    return path.resolve().parent == _TRAINED
+
+
 def as_input(images: NDArray[np.uint8], size: int) -> Float32:
-    """Returns images as (N, 3, S, S) float32 in [0, 1]. Raises ValueError for another shape than
-    (N, S, S, 3) or another type than uint8."""
+    """Returns images as (N, 3, S, S) float32 in [0, 1]. Raises as `check_images`."""
+    check_images(images, size)
+    return np.ascontiguousarray(images.transpose(0, 3, 1, 2), np.float32) / np.float32(255.0)
+
+
+def check_images(images: NDArray[np.uint8], size: int) -> None:
+    """Raises ValueError for another shape than (N, S, S, 3) or another type than uint8."""
     if images.ndim != 4 or images.shape[1:] != (size, size, 3) or images.dtype != np.uint8:
         raise ValueError(
             f"images of shape {images.shape} and type {images.dtype} given, "
             f"(N, {size}, {size}, 3) uint8 needed"
         )
-    return np.ascontiguousarray(images.transpose(0, 3, 1, 2), np.float32) / np.float32(255.0)
 
 
 def apply_miss_costs(found: Float32, facts: NetworkFacts) -> Float32:
@@ -90,10 +99,15 @@ def apply_miss_costs(found: Float32, facts: NetworkFacts) -> Float32:
 
     The highest score is then the class of least expected cost (Elkan, IJCAI 2001, section 2). The
     softmax is calibrated for data in which each class is as many times more frequent."""
+    return found + miss_cost_logs(facts)
+
+
+def miss_cost_logs(facts: NetworkFacts) -> Float32:
+    """Returns the logarithms (C,) of the miss costs of the classes."""
     added = np.zeros(len(facts.classes), np.float32)
     for name, cost in facts.miss_costs:
         added[facts.classes.index(name)] = np.log(cost)
-    return found + added
+    return added
 
 
 def class_probabilities(

@@ -92,10 +92,12 @@ class ByColour:
 
 
 def write_colour_network(
-    path: Path, *, size: int = 16, limits: Limits | None = None, labels: str = "d_land"
-) -> Path:
+    path: Path, *, size: int = 16, limits: Limits | None = None, labels: str = "d_land",
+    per_colour: Array | None = None, miss_costs: tuple[tuple[str, float], ...] = (),
+) -> Path:  # fmt: skip
     """A network of one filter of 1 x 1 and a mean, float16: lawn where it is green, water where it
-    is blue, road where it is red."""
+    is blue, road where it is red; or with the scores ``per_colour`` (C, 3) of full light in red,
+    green and blue."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
@@ -105,6 +107,8 @@ def write_colour_network(
     filters = np.zeros((len(classes), 3, 1, 1), np.float16)
     for name, channel in (("road", 0), ("lawn", 1), ("water", 2)):
         filters[D_LAND.index(name), channel] = 12.0
+    if per_colour is not None:
+        filters[..., 0, 0] = per_colour
     nodes = [
         helper.make_node("Cast", ["filters"], ["wide"], to=TensorProto.FLOAT),
         helper.make_node("Conv", [INPUT, "wide"], ["seen"], kernel_shape=[1, 1]),
@@ -121,7 +125,7 @@ def write_colour_network(
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     facts = NetworkFacts(
         network="by colour", labels=labels, image_size=size, classes=classes,
-        limits=limits or Limits(),
+        limits=limits or Limits(), miss_costs=miss_costs,
     )  # fmt: skip
     helper.set_model_props(model, facts.properties())
     onnx.checker.check_model(model)

@@ -15,19 +15,23 @@ from pathlib import Path
 
 import numpy as np
 
-from touchdown.landing.classification.engine import Classifier, OnnxClassifier
+from touchdown.landing.classification.engine import Classifier
+from touchdown.landing.classification.ensemble import SUFFIX, load_network
 
 ENGINES = ("onnx", "torch")
 _WARM_UP = 3
 
 
 def load_classifier(path: Path, engine: str, threads: int = 1) -> Classifier:
-    """Loads a network's file in the engine ``onnx`` (ONNX Runtime) or ``torch``.
+    """Loads a network's file in the engine ``onnx`` (ONNX Runtime) or ``torch``, an ensemble's in
+    the former.
 
     Raises ValueError and FileNotFoundError as `landing.classification.weights.read_network`,
     and ImportError without the engine."""
     if engine == "onnx":
-        return OnnxClassifier(path, threads)
+        return load_network(path, threads)
+    if path.suffix == SUFFIX:
+        raise ValueError(f"'{path}' is an ensemble, which runs in the engine onnx alone")
     if engine != "torch":
         raise ValueError(f"unknown engine '{engine}': give one of {', '.join(ENGINES)}")
     import torch

@@ -58,8 +58,12 @@ def test_the_network_of_the_paper_in_int8_is_the_trained_one(
 
 
 def test_the_selector_of_the_paper_flies_its_network() -> None:
-    for selector, network in (("risk", "efficientnet_lite0"), ("zou2024", "resnet50_cbam")):
-        chosen = build_classifier(load_ideal_config(None, [f"landing.selector={selector}"]))
+    for key, network in (
+        ("selector=risk", "efficientnet_lite0"),
+        ("selector=zou2024", "resnet50_cbam"),
+        ("classifier=ensemble", "efficientnet_lite0+resnet50_cbam"),
+    ):
+        chosen = build_classifier(load_ideal_config(None, [f"landing.{key}"]))
         assert chosen is not None and chosen.description()["network"] == network
     assert onboard.SHIPPED.stat().st_size < 20_000_000
     assert "Apache" in onboard.SHIPPED.with_name("efficientnet_lite0.LICENSE").read_text()
