@@ -117,9 +117,10 @@ class Livo:
         self._diagnostics["skipped"] = float(self._skipped + self._intake.skipped)
         self._diagnostics["stationary"] = float(self._filter.stationary)
         dark = self._map.photometric.measures(self._dark_ticks)
+        inflation = _DARK_INFLATION if dark else _INFLATION
         return self._filter.estimate(
             obs, self._odom, self._floor + jump * jump[:, None], self._scan_track,
-            dict(self._diagnostics), tuple(self._intake.events), _DARK_INFLATION if dark else _INFLATION,
+            dict(self._diagnostics), tuple(self._intake.events), inflation,
         )  # fmt: skip
 
     # ------------------------------------------------------------------------ scan update
