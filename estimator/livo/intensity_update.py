@@ -63,8 +63,9 @@ _LEAST_OVERLAP = 0.12
 _MOST_IMAGES = 5
 _LEAST_CLEAR = 0.3
 """share of an image's squared gradients that is not noise; below, it has no texture"""
-_FIRST_SIGMA, _LEAST_SIGMA = 0.25, 0.1
-"""of a brightness"""
+_FIRST_SIGMA, _LEAST_SIGMA, _MOST_SIGMA = 0.25, 0.1, 0.3
+"""of a brightness; an image that fits worse shows something else, as water does, whose brightness
+depends on where it is seen from"""
 _ASIDE_M, _ROTATION_RAD = 0.03, 5e-4
 """errors of a measurement that do not average out over its returns: the noise of an image is the
 same for all scans compared with it"""
@@ -345,7 +346,8 @@ class PhotometricUpdate:
             if part.used:
                 sigmas[slot] = max(part.spread, _LEAST_SIGMA)
             clear = 1.0 - part.noise_share
-            if part.used < _LEAST_USED or clear < _LEAST_CLEAR:
+            unlike = part.spread > _MOST_SIGMA
+            if part.used < _LEAST_USED or clear < _LEAST_CLEAR or unlike:
                 continue
             start = POSE_DIM + shared + CLONE_DIM * slot
             where = np.r_[0:POSE_DIM, start : start + CLONE_DIM]
