@@ -134,6 +134,16 @@ def test_update_finds_the_true_position_over_flat_ground():
     assert np.sqrt(eskf.covariance[3, 3]) < 0.04
 
 
+def test_an_image_that_does_not_fit_is_not_used():
+    """As of water, whose brightness depends on where it is seen from."""
+    update, places = PhotometricUpdate(LEVER), ground(4000, 3)
+    eskf = filter_at(TRUE, update, texture=2.0)
+    moved = levels(places + [0.5, 0.6, 0.0], texture=2.0)
+    figures = update.measure(eskf, scan_from(TRUE, places), moved, DARK)
+    assert figures["intensity_sigma"] > 0.3 and figures["intensity_images"] == 0.0
+    assert np.array_equal(eskf.state.position, TRUE.translation)
+
+
 def test_scans_measure_in_the_dark_only():
     update = PhotometricUpdate(LEVER, 300, plane_height_m=0.05)
     pose = Pose(TRUE.rotation, TRUE.translation + [0.25, -0.2, 0.0])
