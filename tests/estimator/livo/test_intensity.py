@@ -144,6 +144,24 @@ def test_an_image_that_does_not_fit_is_not_used():
     assert np.array_equal(eskf.state.position, TRUE.translation)
 
 
+def test_a_scan_is_compared_with_the_newest_and_the_best_known_images():
+    """Five at most of those that cover 0.12 of it."""
+    update, places = PhotometricUpdate(LEVER), ground(4000, 3)
+    eskf = filter_at(TRUE, update)
+    image = update.images[0]
+    for k in range(1, 8):
+        eskf.add_clone()
+        update.images.append(image)
+        at = eskf.clone_indices(k)[3:5]
+        eskf.covariance[at, at] = (8.0 - k) ** 2 * 1e-4 + 1.0 * (k == 7)
+    points = scan_from(TRUE, places).points
+    assert update.choose(eskf, points) == [0, 4, 5, 6, 7]
+    for share, expected in ((0.10, []), (0.14, [0, 4, 5, 6, 7])):
+        beside = points.copy()
+        beside[round(share * len(points)) :] += [200.0, 0.0, 0.0]
+        assert update.choose(eskf, np.random.default_rng(0).permutation(beside)) == expected
+
+
 def test_scans_measure_in_the_dark_only():
     update = PhotometricUpdate(LEVER, 300, plane_height_m=0.05)
     pose = Pose(TRUE.rotation, TRUE.translation + [0.25, -0.2, 0.0])
