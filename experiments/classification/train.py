@@ -69,7 +69,7 @@ def train_network(
         for split in ("train", "val")
     )
     val = of_classes(seen)
-    with _new_folder(out):
+    with _new_folder(out), training_libraries():
         lock = _locked(out)
         trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
     if trainer.history:

@@ -166,6 +166,10 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
               help="Strength of the augmentation of zoom, light, colour and noise.")  # fmt: skip
 @click.option("--markings", type=Number(0.0, 1.0), default=0.0, show_default=True,
               help="Share of images with painted lines, as of lanes and bays.")  # fmt: skip
+@click.option("--colours", type=Number(0.0, 1.0), default=0.0, show_default=True,
+              help="Share of images of another colour: not of plants.")  # fmt: skip
+@click.option("--textures", type=Number(0.0, 1.0), default=0.0, show_default=True,
+              help="Share of images with a photographed texture of their class.")  # fmt: skip
 @click.option("--blending", type=Number(0.0, 1.0), default=0.0, show_default=True,
               help="Strength of the blending of images with one another.")  # fmt: skip
 @click.option("--weather", type=Number(0.0, 2.0), default=0.0, show_default=True,

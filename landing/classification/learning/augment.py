@@ -19,6 +19,11 @@ _LIGHT, _TINT = 0.25, 0.07
 """standard deviation of the logarithm of brightness, and of that of each channel"""
 _CONTRAST, _COLOUR = (0.7, 1.3), (0.5, 1.4)
 _NOISE = 0.03
+_MADE, _WATER = (0.4, 0.5, 0.12), (0.5, 0.6, 0.2)
+"""standard deviations of the logarithms of brightness, of red over blue and of green, in linear
+light, of built and bare ground and of water"""
+_GAMMA = 2.2
+_LEAST = 0.02
 _ERASED = (0.1, 0.35)
 """side of the rectangle that covers part of one image in four"""
 _PERIOD, _THICKNESS = (0.1, 0.7), (0.03, 0.25)
@@ -43,7 +48,8 @@ def augmented(
     With ``strength`` 0 only rotation, mirroring and a shift remain."""
     moved = _moved(images, generator, strength)
     if markings > 0.0:
-        moved = marked(moved, generator, markings)
+        for _ in range(2):  # bays along lanes, lanes over the lines of a pool's bed
+            moved = marked(moved, generator, markings)
     return _hidden(_relit(moved, generator, strength), generator, strength)
 
 
@@ -132,6 +138,36 @@ def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
     white = _uniform(generator, (count, 1, 1, 1), 0.75, 1.0)
     colour = torch.where(chance(0.5)[..., None], white, colour).to(images)
     return torch.lerp(images, colour.expand_as(images), paint[:, None].to(images))
+
+
+def recoloured(images: Tensor, spreads: Tensor, generator: torch.Generator, share: float) -> Tensor:
+    """Gives a share of the images (B, 3, S, S) another colour, changed in linear light, by the
+    ``spreads`` (B, 3) of `colour_spreads`.
+
+    Courts are of red clay, roads of pale chippings, pools are turquoise: what is built or bare is
+    known by its texture, and water by its surface, as its colour is that of its bed."""
+    light, warm, green = (spreads * torch.randn(spreads.shape, generator=generator)).unbind(dim=1)
+    gains = torch.exp(torch.stack([light + warm, light + green, light - warm], dim=1))
+    picked = torch.rand(len(images), 1, generator=generator) < share
+    gains = torch.where(picked, gains, 1.0) ** (1.0 / _GAMMA)
+    return (images * gains[..., None, None].to(images)).clamp(0.0, 1.0)
+
+
+def colour_spreads(classes: tuple[str, ...]) -> Tensor:
+    """Returns (C + 1, 3) spreads of the colours of each class for `recoloured`, the last of no
+    class, which is number -1. Plants keep theirs."""
+    by_class = dict.fromkeys(("lawn", "trees"), (0.0, 0.0, 0.0)) | {"water": _WATER}
+    return torch.tensor([*(by_class.get(name, _MADE) for name in classes), _MADE])
+
+
+def textured(images: Tensor, textures: Tensor, generator: torch.Generator) -> Tensor:
+    """Returns images (B, 3, S, S) with the grain and the colour of ``textures`` (B, 3, S, S), one
+    for each: shadows, edges and what else stands out remain.
+
+    A scene has one paving and one asphalt; photographs of others make its ground many kinds."""
+    turned = _moved(textures, generator)
+    mean = images.mean(dim=(2, 3), keepdim=True).clamp(min=_LEAST)
+    return (images / mean * turned).clamp(0.0, 1.0)
 
 
 def blended(

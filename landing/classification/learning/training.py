@@ -19,7 +19,14 @@ from torch.nn import functional
 from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import scores
 from touchdown.landing.classification.learning import checkpoint
-from touchdown.landing.classification.learning.augment import as_input, augmented, blended
+from touchdown.landing.classification.learning.augment import (
+    as_input,
+    augmented,
+    blended,
+    colour_spreads,
+    recoloured,
+    textured,
+)
 from touchdown.landing.classification.learning.weather import weathered
 from touchdown.landing.classification.networks.registry import (
     FIXED_SIZE,
@@ -28,6 +35,8 @@ from touchdown.landing.classification.networks.registry import (
 )
 
 Progress = Callable[[int, int, str], None]
+TEXTURES = "textures"
+"""name of the data set of photographed textures"""
 _AVERAGE = 0.998
 """share of the previous average that the averaged weights keep at each step"""
 _LARGEST_GRADIENT = 1.0
@@ -61,6 +70,10 @@ class TrainParams:
     """strength of the augmentation (`augment.augmented`)"""
     markings: float = 0.0
     """share of images with lines painted on them (`augment.marked`)"""
+    colours: float = 0.0
+    """share of images of built or bare ground and water of another colour (`augment.recoloured`)"""
+    textures: float = 0.0
+    """share of images that take on a photographed texture of their class (`augment.textured`)"""
     blending: float = 0.0
     """strength of `augment.blended`, up to 1; 0: no blending"""
     weather: float = 0.0
@@ -131,6 +144,13 @@ class Trainer:
             raise ValueError("start_share: there are no weights to begin with; name some")
         self.params, self._train, self._val, self._start = params, train, val, start
         self._folder, self._device = folder, device
+        of_textures = train.source == (
+            train.sources.index(TEXTURES) if TEXTURES in train.sources else -1
+        )
+        self._textures = {
+            int(number): np.flatnonzero(of_textures & (train.labels == number))
+            for number in np.unique(train.labels[of_textures])
+        }
         self.steps = max(1, math.ceil(len(train.labels) / params.batch_size))
         torch.manual_seed(params.seed)
         self.network = build_network(params.network, len(train.classes), params.image_size)
@@ -241,6 +261,11 @@ class Trainer:
             group["lr"] = self._rate(step)
         images = as_input(torch.from_numpy(self._train.images[batch]).to(self._device))
         labels = torch.from_numpy(self._train.labels[batch]).to(self._device)
+        if self.params.colours > 0.0:
+            spreads = colour_spreads(self._train.classes)[labels.cpu()]
+            images = recoloured(images, spreads, generator, self.params.colours)
+        if self.params.textures > 0.0:
+            images = self._textured(images, batch, generator)
         images = augmented(images, generator, self.params.variation, self.params.markings)
         if self.params.weather > 0.0:
             images = weathered(images, generator, self.params.weather)
@@ -265,6 +290,24 @@ class Trainer:
         self._scaler.update()
         _follow(self._average, self.network, min(_AVERAGE, (1.0 + step) / (10.0 + step)))
         return float(loss.detach())
+
+    def _textured(
+        self, images: Tensor, batch: NDArray[np.int64], generator: torch.Generator
+    ) -> Tensor:
+        """Gives ``textures`` of the images those of their class."""
+        train = self._train
+        drawn = torch.rand(2, len(batch), generator=generator, dtype=torch.float64).numpy()
+        for number in np.unique(train.labels[batch]):
+            known = self._textures.get(int(number))
+            rows = np.flatnonzero(
+                (train.labels[batch] == number) & (drawn[0] < self.params.textures)
+            )
+            if known is None or not len(rows):
+                continue
+            partners = known[(drawn[1, rows] * len(known)).astype(np.int64)]
+            given = as_input(torch.from_numpy(train.images[partners]).to(self._device))
+            images[rows] = textured(images[rows], given, generator)
+        return images
 
     def _rate(self, step: int) -> float:
         return self.params.learning_rate * schedule(step, self.params.epochs * self.steps)

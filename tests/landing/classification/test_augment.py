@@ -46,6 +46,56 @@ def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
     assert torch.equal(without, none)
 
 
+def test_lanes_over_lines_two_sets_of_which_one_is_as_likely_as_the_other(torch: Any) -> None:
+    """Of a share of 0.5 three quarters have one set at least, but for those that are too faint."""
+    from touchdown.landing.classification.learning.augment import augmented
+
+    plain = torch.full((300, 3, 48, 48), 0.3)
+    painted = augmented(plain, torch.Generator().manual_seed(5), 0.0, 0.5)
+    share = float(((painted - plain).abs().amax(dim=(1, 2, 3)) > 0.02).float().mean())
+    assert 0.6 < share <= 0.85
+
+
+def test_a_share_of_the_pictures_has_another_colour_but_plants(torch: Any) -> None:
+    from touchdown.landing.classification.learning.augment import colour_spreads, recoloured
+
+    spreads = colour_spreads(("lawn", "water", "road", "trees"))
+    assert spreads.shape == (5, 3) and torch.equal(spreads[-1], spreads[2])
+    labels = torch.arange(5).repeat_interleave(500) - 1
+    plain = torch.full((2500, 3, 1, 1), 0.05)
+    given = recoloured(plain, spreads[labels], torch.Generator().manual_seed(5), 0.5)
+    logs = 2.2 * torch.log(given / plain)[:, :, 0, 0]  # of linear light
+    changed = logs.abs().amax(dim=1) > 1e-4
+    assert not changed[labels == 0].any() and not changed[labels == 3].any()
+    for label, (light, warm, green) in (
+        (1, (0.5, 0.6, 0.2)),
+        (2, (0.4, 0.5, 0.12)),
+        (-1, (0.4, 0.5, 0.12)),
+    ):
+        rows = changed & (labels == label)
+        assert 190 <= int(rows.sum()) <= 310
+        red, mid, blue = logs[rows].unbind(dim=1)
+        found = [0.5 * (red + blue), 0.5 * (red - blue), mid - 0.5 * (red + blue)]
+        assert [float(values.std()) for values in found] == pytest.approx(
+            [light, warm, green], rel=0.2
+        )
+
+
+def test_a_picture_takes_on_the_colour_of_a_texture_and_keeps_its_shadows(torch: Any) -> None:
+    from touchdown.landing.classification.learning.augment import textured
+
+    images = torch.full((2, 3, 8, 8), 0.4)
+    images[1, :, :, :4] = 0.2
+    images[1, :, :, 4:] = 0.6
+    colour = torch.tensor([0.5, 0.3, 0.2])[:, None, None]
+    found = textured(images, colour.expand(2, 3, 8, 8), torch.Generator().manual_seed(1))
+    torch.testing.assert_close(found[0], colour.expand(3, 8, 8))
+    torch.testing.assert_close(found[1, :, :, :4], 0.5 * colour.expand(3, 8, 4))
+    torch.testing.assert_close(found[1, :, :, 4:], 1.5 * colour.expand(3, 8, 4))
+    grain = torch.rand(2, 3, 8, 8, generator=torch.Generator().manual_seed(2))
+    assert float(textured(images, grain, torch.Generator().manual_seed(1))[0].std()) > 0.05
+
+
 def test_blended_pictures_have_blended_classes(torch: Any) -> None:
     """Images as bright as their class is high: what is left of a class is left of its light."""
     from touchdown.landing.classification.learning.augment import blended

@@ -170,6 +170,29 @@ def test_what_is_no_class_is_learnt_as_none(torch: Any) -> None:
     torch.testing.assert_close(targets, torch.tensor([[0.0, 1.0, 0.0, 0.0], [0.25] * 4]))
 
 
+def test_textures_are_those_of_the_class(torch: Any, tmp_path: Path) -> None:
+    """Grey pictures of three classes, and textures of two: red of the first, blue of the second."""
+    from touchdown.landing.classification.learning.training import Trainer, TrainParams
+
+    images = np.full((9, 32, 32, 3), 100, np.uint8)
+    images[6:] = [[[200, 10, 10]]], [[[200, 10, 10]]], [[[10, 10, 200]]]
+    train = LabelledImages(
+        images=images, labels=np.array([0, 1, 2, 0, 1, 2, 0, 0, 1]), classes=("a", "b", "c"),
+        source=np.array([0] * 6 + [1] * 3), sources=("rendered", "textures"),
+    )  # fmt: skip
+    val = coloured(6, 2)
+    for share in (0.0, 1.0):
+        folder = tmp_path / str(share)
+        folder.mkdir()
+        params = TrainParams(network="mobilenet_v3_large", image_size=32, textures=share)
+        trainer = Trainer(params, train, val, folder, torch.device("cpu"))
+        grey = torch.full((3, 3, 32, 32), 0.4)
+        found = trainer._textured(grey, np.array([0, 1, 2]), torch.Generator().manual_seed(1))
+        hues = [tuple((255.0 * one.mean(dim=(1, 2))).round().int().tolist()) for one in found]
+        kept = (102, 102, 102)
+        assert hues == ([kept] * 3 if share == 0.0 else [(200, 10, 10), (10, 10, 200), kept])
+
+
 def test_frozen_layers_keep_their_weights_and_statistics(torch: Any, tmp_path: Path) -> None:
     from touchdown.landing.classification.learning.training import Trainer, TrainParams
 
