@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.draft import fill_texture, size_texture
+from touchdown.scenes.authoring.draft import Picture, fill_texture, size_texture
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.meshes import MeshData
 
@@ -42,7 +43,7 @@ class SceneBuilder:
     casters: list[Caster] = field(default_factory=list)
     occupied: list[tuple[Array, float]] = field(default_factory=list)
     """(2,) centre and radius of discs that later random placements avoid"""
-    pictures: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
+    pictures: dict[str, Picture] = field(default_factory=dict)
     """as `SceneDraft.pictures`"""
     _serial: dict[str, int] = field(default_factory=dict)
 
@@ -61,10 +62,13 @@ class SceneBuilder:
         material.textures = textures
         return name
 
-    def picture(self, name: str, image: NDArray[np.uint8]) -> None:
-        """Gives the texture ``name`` of the spec a large image, (H, W, 3) uint8, top row first."""
-        size_texture(self.spec.texture(name), image)
-        self.pictures[name] = np.ascontiguousarray(image)
+    def picture(
+        self, name: str, shape: tuple[int, ...], draw: Callable[[NDArray[np.uint8]], object]
+    ) -> None:
+        """Gives the texture ``name`` of the spec a large image of ``shape`` (H, W, 3), top row
+        first, which ``draw`` fills when it is needed."""
+        size_texture(self.spec.texture(name), shape)
+        self.pictures[name] = Picture(shape, draw)
 
     def mesh(self, name: str, data: MeshData) -> str:
         """Adds a mesh asset. Returns its name."""

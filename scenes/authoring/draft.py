@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,14 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import GroundRaster, MovingBody, Surface
 
 Array = NDArray[np.float64]
+
+
+class Picture(NamedTuple):
+    """A large image, (H, W, 3) uint8, top row first, which is drawn where it is to be kept."""
+
+    shape: tuple[int, ...]
+    draw: Callable[[NDArray[np.uint8]], object]
+    """fills an image of ``shape``"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -34,28 +44,30 @@ class SceneDraft:
     """class of geoms whose names say nothing, and what it is guessed by"""
     dressed: tuple[str, ...] = ()
     """geoms of featureless ground that were given texture and relief"""
-    pictures: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
-    """(rows, cols, 3), top row first, of textures that are flat in the spec: `SceneDraft.fill` them
-    there, or `fill_model` the compiled model, to which MuJoCo would take them by four copies"""
+    pictures: dict[str, Picture] = field(default_factory=dict)
+    """of textures that are flat in the spec: `SceneDraft.fill` them there, or `fill_model` the
+    compiled model, to which MuJoCo would take them by four copies"""
 
     def fill(self) -> None:
-        """Copies the pictures into the spec."""
+        """Draws the pictures into the spec."""
         for name, picture in self.pictures.items():
-            fill_texture(self.spec.texture(name), picture)
+            image = np.empty(picture.shape, np.uint8)
+            picture.draw(image)
+            fill_texture(self.spec.texture(name), image)
 
     def fill_model(self, model: Any) -> None:
-        """Copies the pictures into the compiled ``model``."""
-        for name, picture in self.pictures.items():
+        """Draws the pictures into the compiled ``model``."""
+        for name, (shape, draw) in self.pictures.items():
             start = int(model.tex_adr[model.texture(name).id])
-            model.tex_data[start : start + picture.size] = picture.ravel()
+            draw(model.tex_data[start : start + math.prod(shape)].reshape(shape))
 
 
-def size_texture(texture: Any, image: NDArray[np.uint8]) -> None:
-    """Makes an MjSpec texture a flat one of the size of an image, (H, W, 3)."""
+def size_texture(texture: Any, shape: tuple[int, ...]) -> None:
+    """Makes an MjSpec texture a flat one of the size of an image of ``shape`` (H, W, 3)."""
     import mujoco  # here alone: a replay needs no simulator
 
     texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
-    texture.height, texture.width = image.shape[:2]
+    texture.height, texture.width = shape[:2]
     texture.nchannel = 3
 
 
@@ -63,6 +75,6 @@ def fill_texture(texture: Any, image: NDArray[np.uint8]) -> None:
     """Copies an image, (H, W, 3) uint8, top row first, into an MjSpec texture."""
     import mujoco
 
-    size_texture(texture, image)
+    size_texture(texture, image.shape)
     texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_NONE
     texture.data = np.ascontiguousarray(image).tobytes()

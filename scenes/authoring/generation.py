@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -90,14 +91,18 @@ def paint_terrain(
 ) -> GroundRaster:
     """Writes the texture `ground` under the light and shadows of everything placed so far, and
     returns the terrain's class raster. The other arguments are those of `light.ground_texture`."""
-    texture = ground_texture(builder, canvas, pattern_angles, hilly, slopes)
+    shade = ground_texture(builder, canvas, pattern_angles, hilly, slopes)
     raster = canvas.raster("terrain")
-    if flood is not None:
-        look = flood.draw_look(builder.rng)
-        lay_water(builder.rng, texture, flood.depth_m, canvas.half_m, look, builder.sun)
-        raster = flood_raster(raster, flood.depth_m)
-    builder.picture("ground", texture)
-    return raster
+    shape = (*canvas.material.shape, 3)
+    if flood is None:
+        builder.picture("ground", shape, shade)
+        return raster
+    texture = np.empty(shape, np.uint8)
+    shade(texture)
+    look = flood.draw_look(builder.rng)
+    lay_water(builder.rng, texture, flood.depth_m, canvas.half_m, look, builder.sun)
+    builder.picture("ground", shape, partial(np.copyto, src=texture))
+    return flood_raster(raster, flood.depth_m)
 
 
 def finish(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
@@ -245,6 +246,20 @@ def shade_ground(
     light: (n, n) share of full light, row 0 at y_min (see `scenes.authoring.bake`). pattern_angles:
     radians by which slabs, mowing stripes and furrows of a material are turned. slopes: as the
     canvas, tones of a relief finer than the terrain's (see `scenes.authoring.micro_relief`)."""
+    image = np.empty((*canvas.material.shape, 3), np.uint8)
+    ground_shader(rng, canvas, light, pattern_angles, slopes)(image)
+    return image
+
+
+def ground_shader(
+    rng: np.random.Generator,
+    canvas: Canvas,
+    light: Float32,
+    pattern_angles: dict[Ground, float],
+    slopes: Bytes | None = None,
+) -> Callable[[Bytes], None]:
+    """Returns what fills an image with the texture of `shade_ground`. All random numbers are drawn
+    here."""
     count = len(Ground)
     base = np.array([_TABLE[m].rgb for m in Ground], np.float32)
     gains = np.array([_TABLE[m].gains for m in Ground], np.float32)
@@ -261,11 +276,13 @@ def shade_ground(
         light, np.float32(255.0), out=np.empty_like(light, np.uint8), casting="unsafe"
     )
     bright = np.asarray(cv2.resize(glow, size, interpolation=cv2.INTER_LINEAR), np.uint8)
-    image = np.empty((*size, 3), np.uint8)
     level = np.zeros((0, 0), np.uint8) if slopes is None else slopes
-    shade(
-        image, canvas.material, canvas.paint, canvas.stain, bright, level, fine, coarse.ravel(),
-        patches, hue, base, gains, hues, ragged, frames, canvas.texel_m,
-        ragged_texels(fine, coarse), int(rng.integers(1, 2**31)),
-    )  # fmt: skip
-    return image
+    side, salt = ragged_texels(fine, coarse), int(rng.integers(1, 2**31))
+
+    def fill(image: Bytes) -> None:
+        shade(
+            image, canvas.material, canvas.paint, canvas.stain, bright, level, fine, coarse.ravel(),
+            patches, hue, base, gains, hues, ragged, frames, canvas.texel_m, side, salt,
+        )  # fmt: skip
+
+    return fill

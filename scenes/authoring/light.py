@@ -9,6 +9,7 @@ of a camera is that for both together.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import LowSun
 from touchdown.scenes.authoring.bake import bake_light
 from touchdown.scenes.authoring.builder import SceneBuilder
-from touchdown.scenes.authoring.ground import Canvas, Ground, shade_ground
+from touchdown.scenes.authoring.ground import Canvas, Ground, ground_shader
 from touchdown.scenes.authoring.sky import DUSK_SUN_DEG, DUSK_SUN_SHARE, Sky, present_sky
 
 Array = NDArray[np.float64]
@@ -143,10 +144,10 @@ def ground_texture(
     pattern_angles: dict[Ground, float],
     hilly: bool = False,
     slopes: NDArray[np.uint8] | None = None,
-) -> NDArray[np.uint8]:
-    """Returns the ground under the light and shadows of everything placed so far, (rows, cols, 3),
-    top row = y_max. pattern_angles, slopes: as in `scenes.authoring.ground.shade_ground`; hilly: as
-    in `scenes.authoring.bake.bake_light`."""
+) -> Callable[[NDArray[np.uint8]], None]:
+    """Returns what fills an image, (rows, cols, 3), top row = y_max, with the ground under the
+    light and shadows of everything placed so far. pattern_angles, slopes: as in
+    `scenes.authoring.ground.shade_ground`; hilly: as in `scenes.authoring.bake.bake_light`."""
     pixels = len(canvas.material) // 2
     light = bake_light(builder.casters, builder.terrain, builder.sun, pixels, 0.50, hilly)
-    return shade_ground(builder.rng, canvas, light, pattern_angles, slopes)
+    return ground_shader(builder.rng, canvas, light, pattern_angles, slopes)

@@ -4,6 +4,7 @@ import os
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -52,6 +53,28 @@ def test_a_scene_from_the_disk_is_the_scene(
     np.testing.assert_array_equal(*bytes_of)
     rest = [pickle.dumps(replace(one, model=None)) for one in (again, new)]
     assert rest[0] == rest[1]
+
+
+@pytest.mark.parametrize("direct", ["of the system", "none", "refused"])
+def test_a_model_is_written_whole_with_and_without_direct_writes(
+    loads: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, direct: str
+) -> None:
+    def open_file(path: object, flags: int, *rest: int) -> int:
+        if direct == "refused" and flags & os.O_DIRECT:
+            raise OSError("no direct writes here")
+        return os.open(path, flags, *rest)  # type: ignore[arg-type]
+
+    known = {name: getattr(os, name) for name in dir(os)} | {"open": open_file}
+    if direct == "none":
+        del known["O_DIRECT"]
+    monkeypatch.setattr(cache, "os", SimpleNamespace(**known))
+    model = cached_scene("flat", 1, None, "day").model
+    size = mujoco.mj_sizeModel(model)
+    assert size % 4096
+    whole = np.empty(size, np.uint8)
+    mujoco.mj_saveModel(model, None, whole)
+    (entry,) = entries(tmp_path)
+    assert (entry / "model.mjb").read_bytes() == whole.tobytes()
 
 
 def test_each_key_has_its_own_entry(loads: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:

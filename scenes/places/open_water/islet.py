@@ -89,7 +89,9 @@ def add_islet(builder: SceneBuilder, islet: Islet) -> GroundRaster:
     canvas.material[(shore > 3.0 + 0.5 * fray) & (fray > -0.5)] = int(Ground.LAWN)
     canvas.material[(shore < 0.7) & (fray > 0.7)] = int(Ground.GRAVEL)
     local = replace(builder, terrain=islet.terrain)
-    texture = ground_texture(local, canvas, dict.fromkeys(Ground, float(rng.uniform(0, 3))))
+    shade = ground_texture(local, canvas, dict.fromkeys(Ground, float(rng.uniform(0, 3))))
+    texture = np.empty((*canvas.material.shape, 3), np.uint8)
+    shade(texture)
     # The strand is wet up to a hand's breadth above the water.
     wet = np.clip(1.0 - shore / 0.6, 0.0, 1.0)[::-1, :, None]
     texture[:] = (texture * (1.0 - 0.34 * wet)).astype(np.uint8)

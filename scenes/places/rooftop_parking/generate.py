@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from zlib import crc32
 
 import numpy as np
@@ -57,8 +58,9 @@ def generate(seed: int) -> SceneDraft:
     turned = dict.fromkeys(Ground, plan.streets[0].heading(1.0))
     turned[Ground.LAWN] = float(rng.uniform(0.0, np.pi))
     texture = shade_ground(rng, canvas, light, turned)
-    builder.picture("ground", texture)
-    builder.picture("deck", write_deck(builder.spec, plan, both, texture))
+    deck = write_deck(builder.spec, plan, both, texture)
+    for name, image in (("ground", texture), ("deck", deck)):
+        builder.picture(name, image.shape, partial(np.copyto, src=image))
     builder.surfaces["path_deck"] = Surface(land_class="path", reflectivity=0.22)
     return finish(plan, builder, canvas.raster("terrain"), moving=moving)
 
