@@ -5,9 +5,10 @@ the ground-truth segmentation. Light, blur and noise are random for each patch."
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from zlib import crc32
 
 import cv2
@@ -24,6 +25,7 @@ from touchdown.experiments.scene_tools.posed_views import (
     write_ground_classes,
 )
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
+from touchdown.scenes.authoring.ground import dressed_anew
 
 if TYPE_CHECKING:
     from touchdown.sim.posed_sensors import PosedView
@@ -76,21 +78,35 @@ class _Square:
     depth_m: float
 
 
+class NewLooks(NamedTuple):
+    """Shares of what looks other than in its scene."""
+
+    colours: float = 0.0
+    """of the views, in which each material has a random colour"""
+    materials: float = 0.0
+    """of the seeds, on which each material of the ground is a random one of its class"""
+
+
+AS_BUILT = NewLooks()
+
+
 def scene_patches(
-    name: str, seed: int, count: int, pixels: int, variation: int, new_colours: float = 0.0
+    name: str, seed: int, count: int, pixels: int, variation: int, looks: NewLooks = AS_BUILT
 ) -> list[Patch]:
     """Returns up to ``count`` patches of ``pixels`` across of one seed of a scene; rare classes
     first.
 
-    A pure function of its arguments; ``variation`` changes poses, squares and light. In a share
-    ``new_colours`` of the images the materials have random colours. There are fewer patches where
-    the scene does not show enough unambiguous ground. Raises UsageError for an unknown scene.
+    A pure function of its arguments; ``variation`` changes poses, squares and light. There are
+    fewer patches where the scene does not show enough unambiguous ground. Raises UsageError for an
+    unknown scene.
     """
     config = load_config(
         None, ("camera.noise_sigma=0", "camera.samples=4"), profile_default="ideal",
         scene=name, seed=seed,
     )  # fmt: skip
-    scene = build_scene(config)
+    draws = np.random.default_rng([seed, variation, crc32(b"materials"), crc32(name.encode())])
+    with dressed_anew(draws) if draws.uniform() < looks.materials else contextlib.nullcontext():
+        scene = build_scene(config)
     rng = np.random.default_rng([seed, variation, crc32(b"patches"), crc32(name.encode())])
     colours = np.random.default_rng([seed, variation, crc32(b"colours"), crc32(name.encode())])
     classes = geom_classes(scene)
@@ -102,7 +118,7 @@ def scene_patches(
         for number in range(_MOST_VIEWS * count):
             view = random_view(camera, scene, rng, number, HEIGHTS_M)
             shown = class_image(view, scene, classes, matrix)
-            if new_colours > 0.0 and colours.uniform() < new_colours:
+            if looks.colours > 0.0 and colours.uniform() < looks.colours:
                 materials = material_image(scene, view.geom_id[::2, ::2], shown)
                 view = replace(view, rgb=recoloured(view.rgb, materials, colours))
             # at first, a class that has its share is not taken any more

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.classification.patches import Patch, scene_patches
+from touchdown.experiments.classification.patches import NewLooks, Patch, scene_patches
 from touchdown.experiments.classification.splits import SPLITS, split_of_layout
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import read_picture, write_png
@@ -52,7 +52,7 @@ class _Layout:
     count: int
     pixels: int
     variation: int
-    new_colours: float
+    looks: NewLooks
     folder: str
 
     @property
@@ -75,6 +75,8 @@ class DatasetParams:
     """patches of each seed of a scene"""
     new_colours: float = 0.0
     """share of views in colours that the scene does not have"""
+    new_materials: float = 0.0
+    """share of seeds with ground of other materials of the same class"""
 
 
 def render_dataset(
@@ -133,7 +135,7 @@ def _render(
                     count=counts.pop(),
                     pixels=params.pixels,
                     variation=params.seed,
-                    new_colours=params.new_colours,
+                    looks=NewLooks(params.new_colours, params.new_materials),
                     folder=str(folder),
                 )
                 for number in range(seeds)
@@ -173,7 +175,7 @@ def _render_layout(layout: _Layout) -> list[dict[str, Any]]:
     folder.mkdir()
     rows = []
     patches = scene_patches(
-        layout.scene, layout.seed, layout.count, layout.pixels, layout.variation, layout.new_colours
+        layout.scene, layout.seed, layout.count, layout.pixels, layout.variation, layout.looks
     )
     for number, patch in enumerate(patches):
         file = f"{layout.name}/{number:04d}.png"

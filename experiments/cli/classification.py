@@ -110,6 +110,8 @@ def dataset() -> int:
               help="Patches of each seed of a scene.")  # fmt: skip
 @click.option("--new-colours", type=Number(0.0, 1.0), default=0.0, show_default=True,
               help="Share of views with random colours of roads, paving, roofs …")  # fmt: skip
+@click.option("--new-materials", type=Number(0.0, 1.0), default=0.0, show_default=True,
+              help="Share of seeds whose ground is of other materials of its class.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
               help="Processes; the images do not depend on it.")  # fmt: skip
 @JSON

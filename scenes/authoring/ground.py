@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
@@ -68,6 +70,30 @@ class Ground(IntEnum):
     RUTTED_SAND = 35
     DRY_GRASS = 36
     BEDROCK = 37
+
+
+_dressing: ContextVar[Bytes | None] = ContextVar("dressing", default=None)
+
+
+@contextlib.contextmanager
+def dressed_anew(rng: np.random.Generator) -> Iterator[None]:
+    """Gives the ground of all scenes made inside the context other materials: each material becomes
+    a random one of its class, brick where gravel lies, clay for soil."""
+    table = np.arange(len(Ground), dtype=np.uint8)
+    for name in LAND_CLASSES:
+        same = np.array([int(m) for m in Ground if _TABLE[m].land_class == name], np.uint8)
+        if len(same):
+            table[same] = rng.choice(same, len(same))
+    token = _dressing.set(table)
+    try:
+        yield
+    finally:
+        _dressing.reset(token)
+
+
+def is_dressed_anew() -> bool:
+    """True inside `dressed_anew`."""
+    return _dressing.get() is not None
 
 
 class _Row(NamedTuple):
@@ -259,7 +285,10 @@ def ground_shader(
     slopes: Bytes | None = None,
 ) -> Callable[[Bytes], None]:
     """Returns what fills an image with the texture of `shade_ground`. All random numbers are drawn
-    here."""
+    here, and the canvas is given the materials of `dressed_anew`."""
+    table = _dressing.get()
+    if table is not None:
+        canvas.material[:] = table[canvas.material]
     count = len(Ground)
     base = np.array([_TABLE[m].rgb for m in Ground], np.float32)
     gains = np.array([_TABLE[m].gains for m in Ground], np.float32)

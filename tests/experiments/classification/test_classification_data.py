@@ -102,7 +102,7 @@ def test_a_material_has_one_colour() -> None:
 
 
 def _painted(
-    name: str, seed: int, count: int, pixels: int, variation: int, new_colours: float
+    name: str, seed: int, count: int, pixels: int, variation: int, looks: patches.NewLooks
 ) -> list[patches.Patch]:
     """At most two patches a place, in the colour of its seed."""
     rgb = np.full((pixels, pixels, 3), seed % 256, np.uint8)
