@@ -13,6 +13,7 @@ import pytest
 
 from touchdown.scenes import cache
 from touchdown.scenes.api import LowSun, Readying, Scene
+from touchdown.scenes.authoring.ground import dressed_anew
 from touchdown.scenes.cache import cached_scene
 
 
@@ -142,4 +143,6 @@ def test_scenes_of_files_and_of_a_directory_that_others_may_write_to_are_made_an
     (tmp_path / "scenes").chmod(0o700)
     for _ in range(2):
         cached_scene("./flat.xml", 1, None, "day")
-    assert len(loads) == 6 and len(entries(tmp_path)) == 1
+    with dressed_anew(np.random.default_rng(1)):
+        cached_scene("flat", 1, None, "day")
+    assert len(loads) == 7 and len(entries(tmp_path)) == 1

@@ -18,6 +18,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, squared
 from touchdown.landing.classification import labels
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID
+from touchdown.scenes.authoring.ground import is_dressed_anew
 
 from support.command import Says
 
@@ -84,6 +85,26 @@ def test_patches_of_a_place(tmp_path: Path) -> None:
         assert patch.share >= 0.6 and 4.0 < patch.height_m < 75.0 and 3.0 < patch.side_m < 26.0
     other = patches.scene_patches(str(place), 7, 1, 40, 1)[0]
     assert (other.rgb != found[0].rgb).any()
+
+
+def test_a_share_of_seeds_is_of_other_materials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a scene is built in, by seed; it is not built."""
+    found: list[bool] = []
+
+    class BuiltError(Exception):
+        pass
+
+    def build(config: Any) -> None:
+        found.append(is_dressed_anew())
+        raise BuiltError
+
+    monkeypatch.setattr(patches, "build_scene", build)
+    for share in (0.0, 0.5, 1.0):
+        for seed in range(40):
+            with pytest.raises(BuiltError):
+                patches.scene_patches("turf", seed, 1, 40, 0, patches.NewLooks(0.0, share))
+    assert not any(found[:40]) and all(found[80:]) and 10 <= sum(found[40:80]) <= 30
+    assert not is_dressed_anew()
 
 
 def test_a_material_has_one_colour() -> None:
