@@ -24,8 +24,8 @@ def foliage(rng: np.random.Generator, base: Colour, leaf_px: tuple[int, int]) ->
     dark gaps. base: RGB 0..255; leaf_px: shortest and longest half axis of a leaf."""
     size = TILE_PX
     tone = tileable_noise(rng, size, 1.2, 2.0)
-    image = np.empty((size, size, 3), np.float32)
-    image[:] = np.array(base, np.float32) * 0.40
+    image = np.empty((size, size, 3), np.uint8)
+    image[:] = to_texture(np.array(base, np.float32) * 0.40)
     layers, per_layer = 5, 420
     for layer in range(layers):
         light = 0.5 + 0.6 * layer / (layers - 1)
@@ -35,13 +35,14 @@ def foliage(rng: np.random.Generator, base: Colour, leaf_px: tuple[int, int]) ->
         tints = rng.normal(0.0, 0.09, (per_layer, 3)) + rng.normal(0.0, 0.10, (per_layer, 1))
         local = light * (1.0 + 0.16 * tone[centres[:, 1], centres[:, 0], None])
         colours = np.array(base) * local * (1.0 + tints) + [7.0 * layer, 5.0 * layer, 0.0]
-        leaves = zip(*(v.tolist() for v in (centres, angles, axes, colours)), strict=True)
-        for (x, y), angle, half, colour in leaves:
-            shape = (half[0], max(2, int(half[1] * 0.55)))
+        shades = to_texture(colours.astype(np.float32))
+        axes[:, 1] = np.maximum(2, 0.55 * axes[:, 1])
+        leaves = zip(*(v.tolist() for v in (centres, angles, axes, shades)), strict=True)
+        for (x, y), angle, shape, colour in leaves:
             for dx in (-size, 0, size) if min(x, size - x) < 20 else (0,):
                 for dy in (-size, 0, size) if min(y, size - y) < 20 else (0,):
                     cv2.ellipse(image, (x + dx, y + dy), shape, angle, 0, 360, colour, -1)
-    return to_texture(image)
+    return image
 
 
 def roof_tiles(
