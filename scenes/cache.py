@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Light, LowSun, Readying, Scene
-from touchdown.scenes.authoring.ground import is_dressed_anew
+from touchdown.scenes.authoring.ground import present_dressing
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
 
@@ -46,7 +46,7 @@ def cached_scene(
     def load() -> Scene:
         return load_scene(name_or_path, seed, sun, light, ready)
 
-    own = name_or_path in scene_names() and seed >= 0 and not is_dressed_anew()
+    own = name_or_path in scene_names() and seed >= 0 and present_dressing() is None
     folder = _folder() if own else None
     if folder is None:
         return load()

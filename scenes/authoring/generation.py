@@ -18,7 +18,7 @@ from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField, write_hfield
 from touchdown.scenes.authoring.light import SUN_ELEVATIONS_DEG, draw_sun, ground_texture
-from touchdown.scenes.authoring.water import Float32, WaterLook, flood_raster, lay_water
+from touchdown.scenes.authoring.water import Float32, WaterLook, dressed, flood_raster, lay_water
 
 Array = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ def paint_terrain(
         return raster
     texture = np.empty(shape, np.uint8)
     shade(texture)
-    look = flood.draw_look(builder.rng)
+    look = dressed(flood.draw_look(builder.rng))
     lay_water(builder.rng, texture, flood.depth_m, canvas.half_m, look, builder.sun)
     builder.picture("ground", shape, partial(np.copyto, src=texture))
     return flood_raster(raster, flood.depth_m)

@@ -27,6 +27,10 @@ RASTER_STRIDE = 4
 """Texels per cell of the class raster."""
 _TILE = 1024
 _BITS = 4
+_WATERS = np.array([[118, 100, 70], [44, 66, 48], [24, 58, 96], [70, 175, 195]], np.float64)
+"""bodies full of silt and of algae, deep, and shallow over a pale bed"""
+_CLARITY = (-1.6, 0.9)
+"""logarithm of the metres of water that dim green light to 1/e: 0.2 to 2.5 m"""
 
 
 class Ground(IntEnum):
@@ -72,28 +76,44 @@ class Ground(IntEnum):
     BEDROCK = 37
 
 
-_dressing: ContextVar[Bytes | None] = ContextVar("dressing", default=None)
+class Dressing(NamedTuple):
+    """Other materials and other water than a scene is planned with."""
+
+    materials: Bytes
+    """(len(Ground),) the material in place of each"""
+    body: tuple[float, float, float]
+    """as `scenes.authoring.water.WaterLook`, like the following"""
+    clarity_m: tuple[float, float, float]
+    ripple: float
+
+
+_dressing: ContextVar[Dressing | None] = ContextVar("dressing", default=None)
+
+
+def present_dressing() -> Dressing | None:
+    """That of the context; None where scenes are made as planned."""
+    return _dressing.get()
 
 
 @contextlib.contextmanager
 def dressed_anew(rng: np.random.Generator) -> Iterator[None]:
-    """Gives the ground of all scenes made inside the context other materials: each material becomes
-    a random one of its class, brick where gravel lies, clay for soil."""
+    """Gives all scenes made inside the context other ground and water: each material becomes a
+    random one of its class, brick where gravel lay, clay for soil, and water may be clear, blue or
+    full of silt."""
     table = np.arange(len(Ground), dtype=np.uint8)
     for name in LAND_CLASSES:
         same = np.array([int(m) for m in Ground if _TABLE[m].land_class == name], np.uint8)
         if len(same):
             table[same] = rng.choice(same, len(same))
-    token = _dressing.set(table)
+    red, green, blue = (rng.dirichlet(np.full(len(_WATERS), 0.7)) @ _WATERS).tolist()
+    clear = float(np.exp(rng.uniform(*_CLARITY)))
+    clarity = (0.6 * clear, clear, clear * rng.uniform(0.7, 1.3))
+    water = (red, green, blue), clarity, rng.uniform(0.1, 0.7)
+    token = _dressing.set(Dressing(table, *water))
     try:
         yield
     finally:
         _dressing.reset(token)
-
-
-def is_dressed_anew() -> bool:
-    """True inside `dressed_anew`."""
-    return _dressing.get() is not None
 
 
 class _Row(NamedTuple):
@@ -286,9 +306,9 @@ def ground_shader(
 ) -> Callable[[Bytes], None]:
     """Returns what fills an image with the texture of `shade_ground`. All random numbers are drawn
     here, and the canvas is given the materials of `dressed_anew`."""
-    table = _dressing.get()
-    if table is not None:
-        canvas.material[:] = table[canvas.material]
+    dressing = present_dressing()
+    if dressing is not None:
+        canvas.material[:] = dressing.materials[canvas.material]
     count = len(Ground)
     base = np.array([_TABLE[m].rgb for m in Ground], np.float32)
     gains = np.array([_TABLE[m].gains for m in Ground], np.float32)

@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import LAND_CLASSES, NO_DETAIL_ID, GroundRaster
+from touchdown.scenes.authoring.ground import present_dressing
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.sky import sun_shines
 
@@ -46,6 +47,14 @@ class WaterLook:
     """strength of the ripples' relief, 0..1"""
     wind_angle: float = 0.0
     """radians; the ripples run this way"""
+
+
+def dressed(look: WaterLook) -> WaterLook:
+    """As a scene draws it, or with the water of `scenes.authoring.ground.dressed_anew`."""
+    other = present_dressing()
+    if other is None:
+        return look
+    return replace(look, body=other.body, clarity_m=other.clarity_m, ripple=other.ripple)
 
 
 def upsample(nodes: Array, size: int) -> Float32:

@@ -21,7 +21,13 @@ from touchdown.scenes.authoring.ground import TEXELS
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.water import WATER_REFLECTIVITY, Float32, WaterLook, lay_water
+from touchdown.scenes.authoring.water import (
+    WATER_REFLECTIVITY,
+    Float32,
+    WaterLook,
+    dressed,
+    lay_water,
+)
 from touchdown.scenes.places.open_water.islet import (
     Islet,
     add_islet,
@@ -109,7 +115,7 @@ def _spread_water(builder: SceneBuilder, level_m: float, depth: Float32) -> None
     bed = fractal_noise(rng, (_DEPTH_PX, _DEPTH_PX), 20.0, 4, 0.6)
     coarse = np.clip(_SAND * (1.0 + 0.08 * bed[..., None]), 0.0, 255.0).astype(np.uint8)
     image = np.asarray(cv2.resize(coarse, (TEXELS, TEXELS)), np.uint8)
-    lay_water(rng, image, depth, HALF_M, draw_look(rng), builder.sun)
+    lay_water(rng, image, depth, HALF_M, dressed(draw_look(rng)), builder.sun)
     # A shadow takes the sun from the water's body but leaves the mirrored sky.
     dim = (0.35 + 0.65 * light) / (0.35 + 0.65 * light.max())
     shade = cv2.resize((255.0 * dim[::-1]).astype(np.uint8), (TEXELS, TEXELS))
