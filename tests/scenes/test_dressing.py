@@ -4,6 +4,7 @@ import numpy as np
 
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.authoring.ground import Canvas, Ground, dressed_anew, ground_shader
+from touchdown.scenes.authoring.water import WaterLook, dressed
 
 CELLS = 4 * len(Ground)
 
@@ -42,3 +43,18 @@ def test_ground_gets_other_materials_of_its_class() -> None:
     same[1:] &= ~stripes[:-1]
     same[:-1] &= ~stripes[1:]
     assert (after[:, same] == before[:, same]).mean() > 0.9
+
+
+def test_water_is_between_silt_and_a_pale_bed() -> None:
+    look = WaterLook(body=(1.0, 2.0, 3.0), clarity_m=(1.0, 1.0, 1.0), wave_m=0.3)
+    assert dressed(look) == look
+    found = []
+    for seed in range(40):
+        with dressed_anew(np.random.default_rng(seed)):
+            found.append(dressed(look))
+    assert all(one.wave_m == 0.3 and 0.1 <= one.ripple <= 0.7 for one in found)
+    bodies = np.array([one.body for one in found])
+    assert (bodies > [24.0, 58.0, 48.0]).all() and (bodies < [118.0, 175.0, 195.0]).all()
+    assert (np.ptp(bodies, axis=0) > 60.0).all()
+    green = np.array([one.clarity_m[1] for one in found])
+    assert green.min() < 0.4 and green.max() > 1.5 and (green > 0.2).all() and (green < 2.5).all()
