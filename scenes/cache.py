@@ -8,20 +8,22 @@ package, and the versions of the libraries that generate it.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import os
 import pickle
 import shutil
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
-from mmap import PAGESIZE
+from io import RawIOBase
+from mmap import mmap
 from pathlib import Path
 
 import mujoco
-import numpy as np
 
 from touchdown.scenes.api import Light, LowSun, Readying, Scene
 from touchdown.scenes.authoring.ground import present_dressing
@@ -33,6 +35,7 @@ DIRECTORY_VARIABLE = "TOUCHDOWN_SCENE_CACHE"
 SIZE_VARIABLE = "TOUCHDOWN_SCENE_CACHE_GB"
 DEFAULT_GB = 4.0
 """about 40 scenes of 0.1 GB"""
+_PIECE_BYTES = 1 << 20
 _MODEL, _REST = "model.mjb", "scene.pickle"
 _LIBRARIES = ("mujoco", "numpy", "scipy", "opencv-contrib-python-headless", "numba")
 
@@ -81,21 +84,47 @@ def _write(entry: Path, scene: Scene) -> None:
 
 
 def _write_model(file: Path, model: mujoco.MjModel) -> None:
-    """Writes 0.1 GB past the system's cache of files where it can: most scenes are flown once, and
-    in a virtual machine pages for that cache cost a quarter of a second."""
-    size = mujoco.mj_sizeModel(model)
-    pages = np.empty(size + 2 * PAGESIZE, np.uint8)  # direct writes are of whole pages
-    pages = pages[-pages.ctypes.data % PAGESIZE :][: -size % PAGESIZE + size]
-    mujoco.mj_saveModel(model, None, pages[:size])
+    """Writes 0.1 GB past the system's cache of files where it can, through a pipe: most scenes are
+    flown once, and in a virtual machine fresh pages for a copy, or for that cache, cost up to a
+    quarter of a second."""
     try:
-        descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_DIRECT, 0o600)
-        with open(descriptor, "wb", buffering=0) as out:
-            rest = pages.data
-            while rest:
-                rest = rest[out.write(rest) :]
-            out.truncate(size)
+        _write_directly(file, model)
     except (AttributeError, OSError):  # not every system and file system has direct writes
-        file.write_bytes(pages[:size].data)
+        mujoco.mj_saveModel(model, str(file), None)
+
+
+def _write_directly(file: Path, model: mujoco.MjModel) -> None:
+    descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_DIRECT, 0o600)
+    with open(descriptor, "wb", buffering=0) as out, mmap(-1, _PIECE_BYTES) as pages:
+        source, sink = os.pipe()
+        fcntl.fcntl(source, fcntl.F_SETPIPE_SZ, _PIECE_BYTES)
+        # MuJoCo saves without Python's lock, and ends where the pipe is closed early.
+        with ThreadPoolExecutor(1) as pool, open(source, "rb", buffering=0) as pieces:
+            saved = pool.submit(_save_to_pipe, model, sink)
+            with memoryview(pages) as piece:
+                size = 0
+                while (filled := _filled(pieces, piece)) > 0:
+                    out.write(piece)  # whole pages, from the start of a page
+                    size += filled
+            saved.result()
+        out.truncate(size)
+    if size != mujoco.mj_sizeModel(model):
+        raise OSError("the model was not saved whole")
+
+
+def _save_to_pipe(model: mujoco.MjModel, sink: int) -> None:
+    try:
+        mujoco.mj_saveModel(model, f"/dev/fd/{sink}", None)
+    finally:
+        os.close(sink)
+
+
+def _filled(pieces: RawIOBase, piece: memoryview) -> int:
+    """Fills ``piece`` as far as there is something to read; returns how far."""
+    filled = 0
+    while filled < len(piece) and (count := pieces.readinto(piece[filled:])):
+        filled += count
+    return filled
 
 
 def _shrink(folder: Path, most_bytes: float) -> None:

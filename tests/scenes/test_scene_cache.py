@@ -56,7 +56,7 @@ def test_a_scene_from_the_disk_is_the_scene(
     assert rest[0] == rest[1]
 
 
-@pytest.mark.parametrize("direct", ["of the system", "none", "refused"])
+@pytest.mark.parametrize("direct", ["of the system", "none", "refused", "broken off"])
 def test_a_model_is_written_whole_with_and_without_direct_writes(
     loads: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, direct: str
 ) -> None:
@@ -65,10 +65,15 @@ def test_a_model_is_written_whole_with_and_without_direct_writes(
             raise OSError("no direct writes here")
         return os.open(path, flags, *rest)  # type: ignore[arg-type]
 
+    def broken_off(pieces: object, piece: object) -> int:
+        raise OSError("the disk refuses")
+
     known = {name: getattr(os, name) for name in dir(os)} | {"open": open_file}
     if direct == "none":
         del known["O_DIRECT"]
     monkeypatch.setattr(cache, "os", SimpleNamespace(**known))
+    if direct == "broken off":
+        monkeypatch.setattr(cache, "_filled", broken_off)
     model = cached_scene("flat", 1, None, "day").model
     size = mujoco.mj_sizeModel(model)
     assert size % 4096
