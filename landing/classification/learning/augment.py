@@ -19,9 +19,10 @@ _LIGHT, _TINT = 0.25, 0.07
 """standard deviation of the logarithm of brightness, and of that of each channel"""
 _CONTRAST, _COLOUR = (0.7, 1.3), (0.5, 1.4)
 _NOISE = 0.03
-_MADE, _WATER = (0.4, 0.5, 0.12), (0.5, 0.6, 0.2)
+_MADE, _WATER = (0.4, 0.5, 0.12, 0.0), (0.5, 0.6, 0.2, 1.0)
 """standard deviations of the logarithms of brightness, of red over blue and of green, in linear
-light, of built and bare ground and of water"""
+light, of built and bare ground and of water; and whether blue may gain on red: what is blue of all
+that one may stand on is rare, and of water it is common"""
 _GAMMA = 2.2
 _LEAST = 0.02
 _ERASED = (0.1, 0.35)
@@ -142,11 +143,13 @@ def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
 
 def recoloured(images: Tensor, spreads: Tensor, generator: torch.Generator, share: float) -> Tensor:
     """Gives a share of the images (B, 3, S, S) another colour, changed in linear light, by the
-    ``spreads`` (B, 3) of `colour_spreads`.
+    ``spreads`` (B, 4) of `colour_spreads`.
 
     Courts are of red clay, roads of pale chippings, pools are turquoise: what is built or bare is
     known by its texture, and water by its surface, as its colour is that of its bed."""
-    light, warm, green = (spreads * torch.randn(spreads.shape, generator=generator)).unbind(dim=1)
+    drawn = torch.randn(len(images), 3, generator=generator)
+    light, warm, green = (spreads[:, :3] * drawn).unbind(dim=1)
+    warm = torch.where(spreads[:, 3] > 0.0, warm, warm.abs())
     gains = torch.exp(torch.stack([light + warm, light + green, light - warm], dim=1))
     picked = torch.rand(len(images), 1, generator=generator) < share
     gains = torch.where(picked, gains, 1.0) ** (1.0 / _GAMMA)
@@ -154,9 +157,9 @@ def recoloured(images: Tensor, spreads: Tensor, generator: torch.Generator, shar
 
 
 def colour_spreads(classes: tuple[str, ...]) -> Tensor:
-    """Returns (C + 1, 3) spreads of the colours of each class for `recoloured`, the last of no
+    """Returns (C + 1, 4) spreads of the colours of each class for `recoloured`, the last of no
     class, which is number -1. Plants keep theirs."""
-    by_class = dict.fromkeys(("lawn", "trees"), (0.0, 0.0, 0.0)) | {"water": _WATER}
+    by_class = dict.fromkeys(("lawn", "trees"), (0.0, 0.0, 0.0, 0.0)) | {"water": _WATER}
     return torch.tensor([*(by_class.get(name, _MADE) for name in classes), _MADE])
 
 

@@ -60,7 +60,7 @@ def test_a_share_of_the_pictures_has_another_colour_but_plants(torch: Any) -> No
     from touchdown.landing.classification.learning.augment import colour_spreads, recoloured
 
     spreads = colour_spreads(("lawn", "water", "road", "trees"))
-    assert spreads.shape == (5, 3) and torch.equal(spreads[-1], spreads[2])
+    assert spreads.shape == (5, 4) and torch.equal(spreads[-1], spreads[2])
     labels = torch.arange(5).repeat_interleave(500) - 1
     plain = torch.full((2500, 3, 1, 1), 0.05)
     given = recoloured(plain, spreads[labels], torch.Generator().manual_seed(5), 0.5)
@@ -76,9 +76,10 @@ def test_a_share_of_the_pictures_has_another_colour_but_plants(torch: Any) -> No
         assert 190 <= int(rows.sum()) <= 310
         red, mid, blue = logs[rows].unbind(dim=1)
         found = [0.5 * (red + blue), 0.5 * (red - blue), mid - 0.5 * (red + blue)]
-        assert [float(values.std()) for values in found] == pytest.approx(
+        assert [float((values**2).mean().sqrt()) for values in found] == pytest.approx(
             [light, warm, green], rel=0.2
         )
+        assert (float(found[1].min()) < -0.5) == (label == 1), "only water gets bluer"
 
 
 def test_a_picture_takes_on_the_colour_of_a_texture_and_keeps_its_shadows(torch: Any) -> None:
