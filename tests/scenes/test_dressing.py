@@ -1,8 +1,13 @@
 """Scenes whose ground is given other materials, for training images."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
+import pytest
 
 from touchdown.scenes.api import LAND_CLASSES
+from touchdown.scenes.authoring import generation
 from touchdown.scenes.authoring.ground import Canvas, Ground, dressed_anew, ground_shader
 from touchdown.scenes.authoring.water import WaterLook, dressed
 
@@ -58,3 +63,21 @@ def test_water_is_between_silt_and_a_pale_bed() -> None:
     assert (np.ptp(bodies, axis=0) > 60.0).all()
     green = np.array([one.clarity_m[1] for one in found])
     assert green.min() < 0.4 and green.max() > 1.5 and (green > 0.2).all() and (green < 2.5).all()
+
+
+def test_a_flood_has_that_water(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[WaterLook] = []
+    monkeypatch.setattr(generation, "ground_texture", lambda *_: lambda image: None)
+    monkeypatch.setattr(generation, "lay_water", lambda *given: looks.append(given[4]))
+    builder: Any = SimpleNamespace(
+        rng=np.random.default_rng(1), sun=np.zeros(3), picture=lambda *_: None
+    )
+    planned = WaterLook(body=(1.0, 2.0, 3.0), clarity_m=(1.0, 1.0, 1.0))
+    cells = CELLS // 4
+    flood = generation.Flood(
+        depth_m=np.ones((cells, cells), np.float32), draw_look=lambda _: planned
+    )
+    generation.paint_terrain(builder, _canvas(), {}, flood=flood)
+    with dressed_anew(np.random.default_rng(5)):
+        generation.paint_terrain(builder, _canvas(), {}, flood=flood)
+        assert looks == [planned, dressed(planned)] and looks[0] != looks[1]

@@ -193,6 +193,25 @@ def test_textures_are_those_of_the_class(torch: Any, tmp_path: Path) -> None:
         assert hues == ([kept] * 3 if share == 0.0 else [(200, 10, 10), (10, 10, 200), kept])
 
 
+def test_each_variation_reaches_the_images_of_a_step(torch: Any, tmp_path: Path) -> None:
+    """The same first epoch but for one variation: another loss."""
+    from touchdown.landing.classification.learning.training import Trainer, TrainParams
+
+    plain = coloured(12, 1)
+    train = dataclasses.replace(plain, sources=("textures",))
+    losses = {}
+    for name in ("", "markings", "colours", "textures", "blending", "weather"):
+        folder = tmp_path / f"with {name}"
+        folder.mkdir()
+        options: dict[str, Any] = {name: 1.0} if name else {}
+        params = TrainParams(
+            network="mobilenet_v3_large", image_size=32, epochs=1, batch_size=12, **options
+        )
+        trainer = Trainer(params, train, coloured(6, 2), folder, torch.device("cpu"))
+        losses[name] = trainer.run_epoch(lambda done, total, note: None)["train_loss"]
+    assert len({round(loss, 9) for loss in losses.values()}) == len(losses), losses
+
+
 def test_frozen_layers_keep_their_weights_and_statistics(torch: Any, tmp_path: Path) -> None:
     from touchdown.landing.classification.learning.training import Trainer, TrainParams
 
