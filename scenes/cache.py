@@ -104,7 +104,9 @@ def _write_directly(file: Path, model: mujoco.MjModel) -> None:
             with memoryview(pages) as piece:
                 size = 0
                 while (filled := _filled(pieces, piece)) > 0:
-                    out.write(piece)  # whole pages, from the start of a page
+                    # whole pages, from the start of a page
+                    if out.write(piece) != len(piece):
+                        raise OSError("no space is left")
                     size += filled
             saved.result()
         out.truncate(size)
