@@ -91,27 +91,27 @@ def _write_model(file: Path, model: mujoco.MjModel) -> None:
         _write_directly(file, model)
     except (AttributeError, OSError):  # not every system and file system has direct writes
         mujoco.mj_saveModel(model, str(file), None)
+    if file.stat().st_size != mujoco.mj_sizeModel(model):
+        raise OSError("the model was not saved whole")
 
 
 def _write_directly(file: Path, model: mujoco.MjModel) -> None:
     descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_DIRECT, 0o600)
-    with open(descriptor, "wb", buffering=0) as out, mmap(-1, _PIECE_BYTES) as pages:
+    piece = memoryview(mmap(-1, _PIECE_BYTES))
+    with open(descriptor, "wb", buffering=0) as out:
         source, sink = os.pipe()
-        fcntl.fcntl(source, fcntl.F_SETPIPE_SZ, _PIECE_BYTES)
         # MuJoCo saves without Python's lock, and ends where the pipe is closed early.
         with ThreadPoolExecutor(1) as pool, open(source, "rb", buffering=0) as pieces:
             saved = pool.submit(_save_to_pipe, model, sink)
-            with memoryview(pages) as piece:
-                size = 0
-                while (filled := _filled(pieces, piece)) > 0:
-                    # whole pages, from the start of a page
-                    if out.write(piece) != len(piece):
-                        raise OSError("no space is left")
-                    size += filled
+            with contextlib.suppress(OSError):  # pipes of this size may not be allowed
+                fcntl.fcntl(source, fcntl.F_SETPIPE_SZ, _PIECE_BYTES)
+            size, left = 0, mujoco.mj_sizeModel(model)
+            while left and (filled := _filled(pieces, piece[: min(left, len(piece))])):
+                if out.write(piece) != len(piece):  # whole pages, from the start of a page
+                    raise OSError("no space is left")
+                size, left = size + filled, left - filled
             saved.result()
         out.truncate(size)
-    if size != mujoco.mj_sizeModel(model):
-        raise OSError("the model was not saved whole")
 
 
 def _save_to_pipe(model: mujoco.MjModel, sink: int) -> None:

@@ -83,6 +83,27 @@ def test_a_model_is_written_whole_with_and_without_direct_writes(
     assert (entry / "model.mjb").read_bytes() == whole.tobytes()
 
 
+@pytest.mark.parametrize("direct", [True, False])
+def test_a_model_that_is_not_saved_whole_is_no_entry(
+    loads: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, direct: bool
+) -> None:
+    def half(model: mujoco.MjModel, file: str, buffer: None) -> None:
+        Path(file).write_bytes(b"x" * (mujoco.mj_sizeModel(model) // 2))
+
+    if not direct:
+        monkeypatch.setattr(cache, "_write_directly", refused)
+    saving = SimpleNamespace(
+        mj_saveModel=half, mj_sizeModel=mujoco.mj_sizeModel, MjModel=mujoco.MjModel
+    )
+    monkeypatch.setattr(cache, "mujoco", saving)
+    assert cached_scene("flat", 1, None, "day").model.ngeom == 1
+    assert not entries(tmp_path)
+
+
+def refused(*_: object) -> None:
+    raise OSError("no direct writes here")
+
+
 def test_each_key_has_its_own_entry(loads: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     sun = LowSun(elevation_deg=10.0)
     keys: list[Any] = [
