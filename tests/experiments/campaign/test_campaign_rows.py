@@ -2,13 +2,15 @@
 
 import dataclasses
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from touchdown.experiments.campaign.directory import locked, settle_plan
-from touchdown.experiments.campaign.results_table import finished_ids, load_rows
+from touchdown.experiments.campaign.results_table import finished_ids, load_rows, table_of
 from touchdown.experiments.campaign.session import summary
 from touchdown.experiments.errors import UsageError
 
@@ -88,3 +90,35 @@ def test_the_session_in_progress_counts(tmp_path: Path) -> None:
         during = summary(out)
     assert 60.0 <= during["wall_s"] - before["wall_s"] < 90.0
     assert during["left_s"] == row["wall_s"]
+
+
+def test_a_table_has_the_values_of_its_rows() -> None:
+    row = {
+        "run_id": '\u2028 "\x01\n\u00e9',
+        "seed": -(2**63),
+        "success": True,
+        "wall_s": 0.1 + 0.2,
+        "own.least": 5e-324,
+        "own.most": -1.7976931348623157e308,
+        "own.several": [1.0, -0.0],
+        "own.words": ["a", {"b": None}],
+    }
+    made = table_of([row, {"run_id": "2", "seed": 3, "wall_s": float("inf"), "own.least": 2}])
+    found = made.to_pylist()
+    assert {key: found[0][key] for key in row} == row | {"own.words": '["a", {"b": null}]'}
+    assert {key: v for key, v in found[1].items() if v is not None} == {
+        "run_id": "2", "seed": 3, "own.least": 2.0,
+    }  # fmt: skip
+    assert table_of([]).to_pylist() == []
+    assert table_of([]).schema == made.select(table_of([]).column_names).schema
+
+
+def test_a_worker_s_table_needs_no_pandas(tmp_path: Path) -> None:
+    code = f"""if True:
+        import sys
+        from pathlib import Path
+        from touchdown.experiments.campaign.results_table import write_table
+        write_table([{{"run_id": "a", "seed": 1}}], Path({str(tmp_path / "a.parquet")!r}))
+        sys.exit("pandas" in sys.modules)
+        """
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
