@@ -48,4 +48,6 @@ def _gain(land_class: int, rng: np.random.Generator) -> NDArray[np.float32]:
     """Returns the gains (3,) of linear red, green and blue."""
     name = LAND_CLASSES[land_class] if 0 <= land_class < len(LAND_CLASSES) else "building"
     light, warm, green = rng.normal(0.0, _SPREAD[name])
+    if _SPREAD[name] == _MADE:
+        warm = abs(warm)  # blue ground is rare, and blue water common
     return np.exp(np.array([light + warm, light + green, light - warm])).astype(np.float32)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import ctypes
 import fcntl
 import json
 import os
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -17,6 +15,7 @@ from typing import Any
 from touchdown.experiments.classification.image_folders import load_images, read_catalogue
 from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.platform import set_malloc
 from touchdown.experiments.io.run_directory import whole_file, write_text
 from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification.decision import fitted_limits
@@ -27,8 +26,6 @@ from touchdown.landing.classification.weights import NetworkFacts
 
 CURVES, RECORDING, REPORT, NETWORK = "curves.csv", "curves.rrd", "training.json", "network.onnx"
 Progress = Callable[[int, int, str], None]
-_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
-"""parameters of glibc's mallopt"""
 
 
 def train_network(
@@ -40,16 +37,21 @@ def train_network(
     notes: Callable[[str], None],
     *,
     start: Path | None = None,
+    teachers: Sequence[Path] = (),
     compiled: bool = False,
 ) -> dict[str, Any]:
     """Trains to the end; an interrupted training in ``out`` is resumed. Returns the report.
 
-    ``options``: fields of ``landing.classification.learning.training.TrainParams``. Raises
+    ``options``: fields of ``landing.classification.learning.training.TrainParams``. ``teachers``:
+    files of networks or ensembles with a share of ``options["taught"]`` in the targets. Raises
     UsageError for bad input, before anything is written."""
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out: '{out}' is a file; name a folder")
     with training_libraries():
+        import torch
+
         from touchdown.landing.classification.learning import export, training
+        from touchdown.landing.classification.learning.teaching import Teachers
         from touchdown.landing.classification.networks.registry import check_network
     params = training.TrainParams(**options)
     check_network(params.network, params.image_size)
@@ -71,7 +73,10 @@ def train_network(
     val = of_classes(seen)
     with _new_folder(out), training_libraries():
         lock = _locked(out)
-        trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
+        known = Teachers(teachers, facts.classes, torch.get_num_threads()) if teachers else None
+        trainer = training.Trainer(
+            params, train, val, out, chosen, start=start, teachers=known, compiled=compiled
+        )
     if trainer.history:
         notes(f"resuming after epoch {len(trainer.history)}")
     while not trainer.finished:
@@ -157,11 +162,7 @@ def keep_freed_memory() -> None:
     Every step of a training needs the same memory. glibc returns large blocks to the system and
     allocates them again, zeroed page by page, which took a third of the time on a CPU.
     """
-    if sys.platform == "linux":
-        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries lack it
-        if mallopt is not None:
-            mallopt(_M_MMAP_MAX, 0)
-            mallopt(_M_TRIM_THRESHOLD, -1)
+    set_malloc(most_mappings=0, trim_bytes=-1)
 
 
 def write_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:

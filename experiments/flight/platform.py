@@ -111,7 +111,8 @@ def set_up_memory() -> Iterator[None]:
 
 def set_malloc(most_mappings: int, trim_bytes: int) -> None:
     """Sets how many blocks above 1 MB get a mapping of their own at a time, and the free bytes at
-    the end of the heap above which they go back to the system. Does nothing without glibc."""
+    the end of the heap above which they go back to the system, -1 for never. Does nothing where the
+    C library is not glibc."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries lack it
     if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, 1 << 20)

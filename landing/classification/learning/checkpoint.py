@@ -22,7 +22,11 @@ LAST, BEST = "last.pt", "best.pt"
 IMAGENET = Path("imagenet")
 """in place of a folder: the weights for ImageNet that a package brings"""
 MAX_BYTES = 4 << 30
-_OTHER = {"data": "other images", "start": "other weights to begin with"}
+_OTHER = {
+    "data": "other images",
+    "start": "other weights to begin with",
+    "teachers": "other teachers",
+}
 
 
 class Resumable(Protocol):

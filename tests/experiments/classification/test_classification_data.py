@@ -117,7 +117,7 @@ def test_a_material_has_one_colour() -> None:
     left, right = found[:, :4].reshape(-1, 3), found[:, 4:].reshape(-1, 3)
     assert (left == left[0]).all() and (right == right[0]).all() and (left[0] != right[0]).any()
     light, warm, green = np.random.default_rng(3).normal(0.0, recolour._SPREAD["road"])
-    gains = np.exp([light + warm, light + green, light - warm])
+    gains = np.exp([light + abs(warm), light + green, light - abs(warm)])
     linear = np.minimum((96 / 255) ** 2.2 * gains, 1.0)
     np.testing.assert_array_equal(left[0], np.round(255 * linear ** (1 / 2.2)))
 
