@@ -37,21 +37,16 @@ def train_network(
     notes: Callable[[str], None],
     *,
     start: Path | None = None,
-    teachers: Sequence[Path] = (),
     compiled: bool = False,
 ) -> dict[str, Any]:
     """Trains to the end; an interrupted training in ``out`` is resumed. Returns the report.
 
-    ``options``: fields of ``landing.classification.learning.training.TrainParams``. ``teachers``:
-    files of networks or ensembles with a share of ``options["taught"]`` in the targets. Raises
+    ``options``: fields of ``landing.classification.learning.training.TrainParams``. Raises
     UsageError for bad input, before anything is written."""
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out: '{out}' is a file; name a folder")
     with training_libraries():
-        import torch
-
         from touchdown.landing.classification.learning import export, training
-        from touchdown.landing.classification.learning.teaching import Teachers
         from touchdown.landing.classification.networks.registry import check_network
     params = training.TrainParams(**options)
     check_network(params.network, params.image_size)
@@ -73,10 +68,7 @@ def train_network(
     val = of_classes(seen)
     with _new_folder(out), training_libraries():
         lock = _locked(out)
-        known = Teachers(teachers, facts.classes, torch.get_num_threads()) if teachers else None
-        trainer = training.Trainer(
-            params, train, val, out, chosen, start=start, teachers=known, compiled=compiled
-        )
+        trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
     if trainer.history:
         notes(f"resuming after epoch {len(trainer.history)}")
     while not trainer.finished:

@@ -26,9 +26,6 @@ from touchdown.experiments.terminal import say
 SCHEMES = ("d_land", "d_scene")
 """Keys of `landing.classification.labels.SCHEMES`, repeated to keep `--help` fast."""
 
-_TAUGHT = 0.7
-"""Share of teachers in the targets of a training (chosen, not measured against others)"""
-
 
 class MissCostType(click.ParamType):
     """Parses ``water=10`` to ("water", 10.0); the class is checked once the labels are known."""
@@ -158,20 +155,10 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
               show_default=True,
               help="Share of the weights of --start-from in the final ones: the mean may "
               "generalise better than either.")  # fmt: skip
-@click.option(
-    "--teacher",
-    "teachers",
-    type=PATH,
-    multiple=True,
-    metavar="FILE",
-    help="A network or ensemble; the mean of all is learnt, too. May be repeated.",
-)
-@click.option(
-    "--taught",
-    type=Number(0.0, 1.0),
-    metavar="SHARE",
-    help="Share of the teachers in what is learnt.  [0.7, without --teacher 0]",
-)
+@click.option("--teacher", "teachers", metavar="FILE", multiple=True,
+              help="A network or ensemble to learn from, too. May be repeated.")  # fmt: skip
+@click.option("--taught", type=Number(0.0, 1.0, min_open=True), default=0.7, show_default=True,
+              help="Share of the mean of the teachers in what is learnt.")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
 @click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
               help="Side of the network's input, pixels.")  # fmt: skip
@@ -212,8 +199,6 @@ def train(
     data: tuple[str, ...],
     out: Path,
     start: Path | None,
-    teachers: tuple[Path, ...],
-    taught: float | None,
     device: str,
     threads: int | None,
     compiled: bool,
@@ -233,7 +218,6 @@ def train(
     from touchdown.experiments.terminal import make_notes, progress_bar
 
     _use_threads(threads)
-    options["taught"] = (_TAUGHT if teachers else 0.0) if taught is None else taught
     with progress_bar(quiet) as progress:
         report = usage_errors(
             lambda: train_network(
@@ -244,7 +228,6 @@ def train(
                 progress,
                 make_notes(quiet),
                 start=start,
-                teachers=teachers,
                 compiled=compiled,
             )
         )

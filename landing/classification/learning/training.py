@@ -79,8 +79,10 @@ class TrainParams:
     """strength of `augment.blended`, up to 1; 0: no blending"""
     weather: float = 0.0
     """share of `weather.weathered`, relative to its own"""
-    taught: float = 0.0
-    """share of the teachers' probabilities in the targets (`teaching.taught`)"""
+    teachers: tuple[str, ...] = ()
+    """files of networks or ensembles, whose mean is learnt, too (`teaching.Teachers`)"""
+    taught: float = 0.7
+    """share of the teachers' probabilities in the targets (chosen, not fitted)"""
     frozen: int = 0
     """first layers of the network that keep their initial weights"""
     left_out: tuple[str, ...] = ()
@@ -136,20 +138,19 @@ class Trainer:
         device: torch.device,
         *,
         start: Path | None = None,
-        teachers: Teachers | None = None,
         compiled: bool = False,
     ) -> None:
         """``start``: folder of another training of this network, or a network's file, with the
-        initial weights. ``teachers``: networks with a share in the targets. ``compiled``: use
-        `torch.compile`, which takes a minute for every image size."""
+        initial weights. ``compiled``: use `torch.compile`, which takes a minute for every image
+        size."""
         check_network(params.network, params.image_size)
         check_growth(params)
         if params.start_share and start is None:
             raise ValueError("start_share: there are no weights to begin with; name some")
         self.params, self._train, self._val, self._start = params, train, val, start
-        if (teachers is None) != (params.taught == 0.0):
-            raise ValueError("taught: give teachers, and their share in the targets above 0")
-        self._folder, self._device, self._teachers = folder, device, teachers
+        self._folder, self._device = folder, device
+        files = [Path(name) for name in params.teachers]
+        self._teachers = Teachers(files, train.classes, torch.get_num_threads())
         of_textures = train.source == (
             train.sources.index(TEXTURES) if TEXTURES in train.sources else -1
         )
@@ -178,7 +179,7 @@ class Trainer:
         self._identity = asdict(params) | {
             "data": _fingerprint(train, val),
             "start": None if start is None else checkpoint.fingerprint(start),
-            "teachers": None if teachers is None else teachers.fingerprint,
+            "teachers": self._teachers.fingerprint,
         }
         for name in _MAY_CHANGE:
             del self._identity[name]
@@ -277,7 +278,7 @@ class Trainer:
         if self.params.weather > 0.0:
             images = weathered(images, generator, self.params.weather)
         targets = class_targets(labels, len(self._train.classes))
-        if self._teachers is not None:
+        if self.params.teachers:
             given = self._teachers.probabilities(images)
             targets = taught(targets, labels >= 0, given, self.params.taught)
         if self.params.blending > 0.0:

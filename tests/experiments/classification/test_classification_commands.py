@@ -207,7 +207,6 @@ def test_commands_say_what_is_missing(
     (["--miss-cost", "water=nan"], "'water=nan': give a class and a number above 0"),
     (["--network", "inception_v4", "--image-size", "64"], "at least 75 pixels"),
     (["--teacher", "none.onnx"], "'none.onnx' does not exist; name a network"),
-    (["--taught", "0.5"], "taught: give teachers, and their share in the targets above 0"),
 ])  # fmt: skip
 def test_training_refuses(
     arguments: list[str], message: str, torch: Any, folder: Path, tmp_path: Path,

@@ -45,39 +45,42 @@ def test_only_images_of_a_class_are_taught(torch: Any) -> None:
     torch.testing.assert_close(found, torch.tensor([[0.4, 0.6], [0.5, 0.5]]))
 
 
-def test_what_is_taught_is_learnt(torch: Any, tmp_path: Path) -> None:
+def test_what_is_taught_is_learnt(
+    torch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A teacher that knows the labels changes nothing, one that knows nothing does."""
-    from touchdown.landing.classification.learning.training import (
-        Trainer,
-        TrainParams,
-        balanced_order,
-        class_targets,
-    )
+    from touchdown.landing.classification.learning import training
 
     train, val, cpu = coloured(12, 1), coloured(6, 2), torch.device("cpu")
-    plan: dict[str, Any] = {"network": "mobilenet_v3_large", "image_size": 32, "batch_size": 12}
-    labels = torch.from_numpy(train.labels[balanced_order(train, 0, 0)])
-    known = class_targets(labels, len(train.classes))
+    labels = torch.from_numpy(train.labels[training.balanced_order(train, 0, 0)])
+    known = training.class_targets(labels, len(train.classes))
+    answers = {"knows": known, "nothing": torch.full_like(known, 1.0 / known.shape[1])}
     seen: list[Any] = []
 
-    def teacher(answer: Any, number: int) -> Any:
+    def made(files: list[Path], classes: tuple[str, ...], threads: int) -> Any:
+        assert classes == train.classes and threads == 1
+        names = [file.name for file in files]
         return SimpleNamespace(
-            probabilities=lambda images: (seen.append(images), answer)[1], fingerprint=[number]
+            probabilities=lambda images: (seen.append(images), answers[names[0]])[1],
+            fingerprint=names,
         )
 
-    knows, knows_nothing = teacher(known, 1), teacher(torch.full_like(known, 1.0 / 7.0), 2)
-    loss = {}
-    for name, share, teachers in (
-        ("alone", 0.0, None), ("knows", 0.6, knows), ("nothing", 0.6, knows_nothing)
-    ):  # fmt: skip
-        (tmp_path / name).mkdir()
-        params = TrainParams(**plan, taught=share)
-        trainer = Trainer(params, train, val, tmp_path / name, cpu, teachers=teachers)
-        loss[name] = trainer.run_epoch(lambda *_: None)["train_loss"]
+    monkeypatch.setattr(training, "Teachers", made)
+
+    def trainer(folder: str, *teachers: str) -> Any:
+        (tmp_path / folder).mkdir(exist_ok=True)
+        params = training.TrainParams(
+            network="mobilenet_v3_large", image_size=32, batch_size=12, teachers=teachers,
+            taught=0.6,
+        )  # fmt: skip
+        return training.Trainer(params, train, val, tmp_path / folder, cpu)
+
+    loss = {
+        name: trainer(name, *teachers).run_epoch(lambda *_: None)["train_loss"]
+        for name, teachers in (("alone", ()), ("knows", ["knows"]), ("nothing", ["nothing"]))
+    }
     assert loss["knows"] == pytest.approx(loss["alone"], rel=1e-6)
     assert abs(loss["nothing"] - loss["alone"]) > 1e-4
     assert seen[0].shape == (12, 3, 32, 32) and seen[0].min() >= 0.0 and seen[0].max() <= 1.0
     with pytest.raises(ValueError, match="holds a training with other teachers"):
-        Trainer(params, train, val, tmp_path / "knows", cpu, teachers=knows_nothing)
-    with pytest.raises(ValueError, match="taught: give teachers, and their share"):
-        Trainer(params, train, val, tmp_path, cpu)
+        trainer("knows", "nothing")
