@@ -74,11 +74,9 @@ def shipped_network() -> Path:
 
 
 def network_file(named: Path | None) -> Path:
-    """Returns the file that a command names: without a name the shipped network, for ``ensemble``
-    the shipped ensemble. Raises UsageError as `shipped_network`."""
-    if named is None:
-        return shipped_network()
-    return onboard.ENSEMBLE if named == Path("ensemble") and not named.exists() else named
+    """Returns the file that a command names, without a name the shipped network. Raises UsageError
+    as `shipped_network`."""
+    return shipped_network() if named is None else named
 
 
 def evaluate_network(

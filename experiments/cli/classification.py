@@ -283,7 +283,7 @@ def evaluate(
 ) -> int:
     """Score NETWORK, a file of `touchdown train`, on images that it was not trained on.
 
-    Without NETWORK: the one that is shipped with touchdown; `ensemble`: both that are, together.
+    Without NETWORK: the one that is shipped with touchdown.
 
     Loss, macro F1, recall, top-1 with its interval, calibration error (ECE), confusion matrix; size
     of the file (ROM), peak memory (RAM) and time an image.

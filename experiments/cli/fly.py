@@ -70,7 +70,7 @@ _FLIGHT_OPTIONS = (
             ("lander", "What flies the mission: site", "site"),
             ("controller", "What turns setpoints into rotor speeds: cascade, px4", "cascade"),
             ("mapper", "What makes the map: grid", "grid"),
-            ("classifier", "What tells the class of ground: auto, ensemble, off, a file", "auto"),
+            ("classifier", "What tells the class of ground: auto, off, a file", "auto"),
         )
     ),
     click.option(

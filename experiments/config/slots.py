@@ -38,9 +38,7 @@ SLOTS: Mapping[str, Slot] = {
         Slot("lander", "landing.lander", "site", ("site",)),
         Slot("controller", "control.controller", "cascade", ("cascade", PX4)),
         Slot("mapper", "mapper.mapper", "grid", ("grid",)),
-        Slot(
-            "classifier", "landing.classifier", "auto", ("auto", "off", "ensemble"), takes_file=True
-        ),
+        Slot("classifier", "landing.classifier", "auto", ("auto", "off"), takes_file=True),
     )
 }
 """By kind."""

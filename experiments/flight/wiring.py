@@ -181,8 +181,7 @@ def _autopilot(config: Config, rig: SensorRig) -> Px4Autopilot | None:
 def classifier_file(config: Config) -> Path | None:
     """The network file of the ground classifier. None for ``off``, for a survey alone, for a
     selector without the gate ``class``, for ``auto`` without a shipped network, and for an external
-    classifier. With the paper's selector ``auto`` is the paper's network; ``ensemble`` is both
-    shipped networks together."""
+    classifier. With the paper's selector ``auto`` is the paper's network."""
     from touchdown.landing.classification import onboard
 
     wanted, gates = config.landing.classifier, config.landing.chosen_selector.gates
@@ -190,8 +189,6 @@ def classifier_file(config: Config) -> Path | None:
         return None
     if wanted == "off" or config.landing.survey_only or "class" not in gates:
         return None
-    if wanted == "ensemble":
-        return onboard.ENSEMBLE
     if wanted != "auto":
         return Path(wanted)
     shipped = onboard.ZOU2024 if config.landing.selector == "zou2024" else onboard.SHIPPED

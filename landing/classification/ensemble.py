@@ -31,7 +31,6 @@ from touchdown.landing.classification.engine import (
     OnnxClassifier,
     apply_miss_costs,
     check_images,
-    comes_along,
     miss_cost_logs,
 )
 from touchdown.landing.classification.scores import log_loss
@@ -71,34 +70,25 @@ class Member:
 class EnsembleClassifier:
     """The networks of an ensemble's file as one classifier.
 
-    Of an ensemble that comes with the project the first network is loaded at once, the others when
-    they are first asked; of any other file all are loaded at once. Raises ValueError and
-    FileNotFoundError as `OnnxClassifier`, and ValueError for a damaged file, another network than
-    the ensemble was fitted to, and networks that differ in their classes."""
+    Raises ValueError and FileNotFoundError as `OnnxClassifier`, and ValueError for a damaged file,
+    another network than the ensemble was fitted to, and networks that differ in their classes."""
 
     def __init__(self, path: Path, threads: int = 1) -> None:
         self.facts, self._members = read_ensemble(path)
         self._folder, self._threads = path.resolve().parent, threads
         for member in self._members:
             self._check(member)
-        self.first = self._loaded(self._members[0])
-        self._others: list[OnnxClassifier] | None = None
-        if not comes_along(path):
-            self._all()
+        self._networks = [self._loaded(member) for member in self._members]
+        self.first = self._networks[0]
 
     def scores(self, images: Images) -> Float32:
         """As ``Classifier.scores``; their energy is that of the first network."""
         check_images(images, self.facts.image_size)
         found = [
             member.scores(scaled(images, member.facts.image_size)) - miss_cost_logs(member.facts)
-            for member in self._all()
+            for member in self._networks
         ]
         return combined(found, [member.weight for member in self._members], self.facts)
-
-    def _all(self) -> list[OnnxClassifier]:
-        if self._others is None:
-            self._others = [self._loaded(member) for member in self._members[1:]]
-        return [self.first, *self._others]
 
     def _check(self, member: Member) -> None:
         content = read_network(self._folder / member.file)

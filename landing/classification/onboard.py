@@ -21,8 +21,6 @@ SHIPPED = Path(__file__).with_name("trained") / "efficientnet_lite0.onnx"
 ZOU2024 = SHIPPED.with_name("onboard.onnx")
 """a ResNet50 with CBAM, that of Zou, Sun and Kong (2024), in int8, for flights with their selector;
 its weights lie in files beside it. ``network.onnx`` is the same as trained"""
-ENSEMBLE = SHIPPED.with_name("ensemble.json")
-"""both together"""
 _LABELS = "d_land"
 
 

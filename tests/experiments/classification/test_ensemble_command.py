@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.cli import main as cli
-from touchdown.landing.classification import onboard
 from touchdown.landing.classification.ensemble import read_ensemble
 from touchdown.landing.classification.labels import D_LAND
 
@@ -82,10 +81,3 @@ def test_what_is_no_ensemble_is_refused_in_one_line(
     ):
         line = says(2, "ensemble", *map(str, arguments), "--data", str(images), "--quiet").err
         assert text in line and line.count("\n") == 1 and not out.exists()
-
-
-def test_the_shipped_ensemble_has_a_name(images: Path, says: Says) -> None:
-    command = ["evaluate", "ensemble", "--data", str(images), "--no-cost", "--quiet", "--json"]
-    report = json.loads(says(0, *command).out)
-    assert report["network"] == "efficientnet_lite0+resnet50_cbam"
-    assert report["rom_mb"] > 30.0 > onboard.SHIPPED.stat().st_size / 1e6

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from touchdown.landing.api import LandingParams
 from touchdown.landing.classification import engine, ensemble, onboard
 from touchdown.landing.classification.decision import Limits, energies
-from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.ensemble import EnsembleClassifier, write_ensemble
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.scores import probabilities
@@ -110,28 +109,6 @@ def test_the_semantic_map_is_by_the_first_network_alone(tmp_path: Path) -> None:
     assert onboard.for_map(alone) is alone
 
 
-def test_the_others_of_an_own_ensemble_are_loaded_when_they_are_asked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = two(tmp_path)
-    loaded: list[str] = []
-
-    class Watched(OnnxClassifier):
-        def __init__(self, path: Path, threads: int = 1) -> None:
-            loaded.append(path.name)
-            super().__init__(path, threads)
-
-    monkeypatch.setattr(ensemble, "OnnxClassifier", Watched)
-    EnsembleClassifier(file)
-    assert loaded == ["0.onnx", "1.onnx"]
-    monkeypatch.setattr(ensemble, "comes_along", lambda path: True)
-    both = EnsembleClassifier(file)
-    assert loaded[2:] == ["0.onnx"]
-    for _ in range(2):
-        both.scores(WHITE)
-    assert loaded[2:] == ["0.onnx", "1.onnx"]
-
-
 def test_weights_are_those_of_least_loss() -> None:
     """Labels drawn from the sum of two scores of which the second is given at half its size; the
     third says nothing."""
@@ -196,22 +173,3 @@ def test_files_that_are_no_ensembles_are_refused(tmp_path: Path) -> None:
     write_network(file, content)
     (tmp_path / "1.onnx").unlink()
     refused(file, r"1\.onnx' .*name a network", FileNotFoundError)
-
-
-def test_the_shipped_ensemble_is_of_the_shipped_networks() -> None:
-    rng = np.random.default_rng(2)
-    shown = rng.integers(0, 256, (3, 128, 128, 3), dtype=np.uint8)
-    both = EnsembleClassifier(onboard.ENSEMBLE)
-    networks = [OnnxClassifier(path) for path in (onboard.SHIPPED, onboard.ZOU2024)]
-    assert ensemble.files_of(onboard.ENSEMBLE) == [onboard.SHIPPED, onboard.ZOU2024]
-    odds = sum(
-        member.weight * np.log(probabilities(network.scores(shown)) / costs)
-        for member, network, costs in zip(
-            both._members, networks,
-            (np.exp(engine.miss_cost_logs(network.facts)) for network in networks), strict=True,
-        )
-    )  # fmt: skip
-    odds += engine.miss_cost_logs(both.facts)
-    chances = np.exp(odds) / np.exp(odds).sum(axis=1, keepdims=True)
-    np.testing.assert_allclose(probabilities(both.scores(shown)), chances, atol=1e-5)
-    assert both.facts.miss_costs == networks[0].facts.miss_costs

@@ -61,7 +61,6 @@ def test_the_selector_of_the_paper_flies_its_network() -> None:
     for key, network in (
         ("selector=risk", "efficientnet_lite0"),
         ("selector=zou2024", "resnet50_cbam"),
-        ("classifier=ensemble", "efficientnet_lite0+resnet50_cbam"),
     ):
         chosen = build_classifier(load_ideal_config(None, [f"landing.{key}"]))
         assert chosen is not None and chosen.description()["network"] == network
