@@ -84,10 +84,7 @@ class EnsembleClassifier:
     def scores(self, images: Images) -> Float32:
         """As ``Classifier.scores``; their energy is that of the first network."""
         check_images(images, self.facts.image_size)
-        found = [
-            member.scores(scaled(images, member.facts.image_size)) - miss_cost_logs(member.facts)
-            for member in self._networks
-        ]
+        found = [costless(network, images) for network in self._networks]
         return combined(found, [member.weight for member in self._members], self.facts)
 
     def _check(self, member: Member) -> None:
@@ -136,6 +133,12 @@ def scaled(images: Images, size: int) -> Images:
     return np.stack(
         [cv2.resize(image, (size, size), interpolation=cv2.INTER_AREA) for image in images]
     ).astype(np.uint8)
+
+
+def costless(network: Classifier, images: Images) -> Float32:
+    """Returns the scores (N, C) of ``network`` for images (N, S, S, 3) of any size, without the
+    costs of misses."""
+    return network.scores(scaled(images, network.facts.image_size)) - miss_cost_logs(network.facts)
 
 
 def pooled(found: Sequence[Float32], weights: Sequence[float]) -> Float32:

@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from touchdown.landing.classification.engine import miss_cost_logs
-from touchdown.landing.classification.ensemble import files_of, load_network, pooled, scaled
+from touchdown.landing.classification.ensemble import costless, files_of, load_network, pooled
 
 
 class Teachers:
@@ -38,10 +37,7 @@ class Teachers:
         """Returns class probabilities (B, C) of images (B, 3, S, S) in [0, 1], without the costs of
         misses."""
         seen = (255.0 * images).round().to(torch.uint8).permute(0, 2, 3, 1).cpu().numpy()
-        found = [
-            network.scores(scaled(seen, network.facts.image_size)) - miss_cost_logs(network.facts)
-            for network in self._networks
-        ]
+        found = [costless(network, seen) for network in self._networks]
         mean = pooled(found, np.full(len(found), 1.0 / len(found)).tolist())
         return torch.softmax(torch.from_numpy(mean), dim=1).to(images.device)
 
