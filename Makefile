@@ -92,7 +92,7 @@ network: $(READY_TO_TEST)
 	$(TRAIN)/trained --start-from $(NETWORK)/second --epochs 12 --learning-rate 1e-3 \
 	    $(addprefix --teacher ,$(NETWORK)/second/network.onnx $(ONBOARD) \
 	    $(NETWORK)/former/efficientnet_lite0.onnx)
-	$(BIN)/touchdown quantize $(NETWORK)/trained/network.onnx --type float16 --false-safe 0.02 \
+	$(BIN)/touchdown quantize $(NETWORK)/trained/network.onnx --type float16 --false-safe 0.01 \
 	    --out $(NETWORK)/efficientnet_lite0.onnx $(PHOTOGRAPHS) $(PATCHES)
 
 docs: $(READY_FOR_DOCS)

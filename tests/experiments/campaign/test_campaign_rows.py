@@ -100,7 +100,7 @@ def test_a_table_has_the_values_of_its_rows() -> None:
         "wall_s": 0.1 + 0.2,
         "own.least": 5e-324,
         "own.most": -1.7976931348623157e308,
-        "own.several": [1.0, -0.0],
+        "own.several": [1.0, -0.0, float("inf")],
         "own.words": ["a", {"b": None}],
     }
     made = table_of([row, {"run_id": "2", "seed": 3, "wall_s": float("inf"), "own.least": 2}])
