@@ -1,6 +1,7 @@
 """What is left out of a picture does not show in it."""
 
 import os
+import sys
 import threading
 from collections.abc import Iterator
 
@@ -158,7 +159,11 @@ def test_a_context_used_before_in_another_thread_draws_the_same_and_keeps_nothin
         left.append([GL.glIsTexture(n) for n in range(99)])
         put_back(context)
         contexts.add(id(context))
+        if egl is not None:
+            current.append(bool(egl.EGL.eglGetCurrentContext()))
 
+    egl = sys.modules.get("mujoco.egl")
+    current: list[bool] = []
     contexts: set[int] = set()
     left: list[list[int]] = []
     pictures: list[NDArray[np.uint8]] = []
@@ -169,3 +174,4 @@ def test_a_context_used_before_in_another_thread_draws_the_same_and_keeps_nothin
     assert len(contexts) == 1 or os.environ.get("MUJOCO_GL", "egl") != "egl"
     np.testing.assert_array_equal(*pictures)
     assert not any(map(any, left)), "lists and textures"
+    assert not any(current), "another thread may not take a context that is current in this one"
