@@ -53,7 +53,8 @@ def pytest_configure() -> None:
 
 def _keep_freed_memory() -> None:
     """What a test frees, the next one uses again, as in the set-up of a flight: new pages of the
-    system take 8 % of the suite's time. Workers of campaigns are other processes, and unchanged."""
+    system take 8 % of the time of tests that fly or make scenes. Workers of campaigns are other
+    processes, and unchanged."""
     from touchdown.experiments.flight import platform
 
     platform.set_malloc(most_mappings=0, trim_bytes=1 << 30)

@@ -1,6 +1,8 @@
 """Two flights in one recording, and a flight in a viewer while it goes on."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -88,7 +90,7 @@ def test_a_viewer_gets_the_flight_and_does_not_change_it(tmp_path: Path) -> None
     port, got = free_port(0), tmp_path / "got.rrd"
     address = f"rerun+http://127.0.0.1:{port}/proxy"
     command = [sys.executable, "-m", "rerun", "--save", str(got), "--bind", "127.0.0.1"]
-    viewer = subprocess.Popen([*command, "--port", str(port)])
+    viewer = subprocess.Popen([*command, "--port", str(port)], start_new_session=True)
     short = {"survey.legs": 1, "survey.leg_length_m": 4.0, "survey.duration_s": 3.0,
              "survey.height_m": 4.0, "mapper.enabled": False}  # fmt: skip
     try:
@@ -102,7 +104,7 @@ def test_a_viewer_gets_the_flight_and_does_not_change_it(tmp_path: Path) -> None
             assert time.monotonic() < deadline and viewer.poll() is None
             time.sleep(0.1)
     finally:
-        viewer.kill()
+        os.killpg(viewer.pid, signal.SIGKILL)  # the command starts the viewer as its child
         viewer.wait()
     for name in ("truth.tum", "estimate.tum"):
         assert (tmp_path / "shown" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()

@@ -48,7 +48,7 @@ def test_only_images_of_a_class_are_taught(torch: Any) -> None:
 def test_what_is_taught_is_learnt(
     torch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A teacher that knows the labels changes nothing, one that knows nothing does."""
+    """One that knows the labels changes nothing, one that knows nothing does, by its share."""
     from touchdown.landing.classification.learning import training
 
     train, val, cpu = coloured(12, 1), coloured(6, 2), torch.device("cpu")
@@ -67,20 +67,25 @@ def test_what_is_taught_is_learnt(
 
     monkeypatch.setattr(training, "Teachers", made)
 
-    def trainer(folder: str, *teachers: str) -> Any:
+    def trainer(folder: str, share: float, *teachers: str) -> Any:
         (tmp_path / folder).mkdir(exist_ok=True)
         params = training.TrainParams(
             network="mobilenet_v3_large", image_size=32, batch_size=12, teachers=teachers,
-            taught=0.6,
+            taught=share,
         )  # fmt: skip
         return training.Trainer(params, train, val, tmp_path / folder, cpu)
 
     loss = {
-        name: trainer(name, *teachers).run_epoch(lambda *_: None)["train_loss"]
-        for name, teachers in (("alone", ()), ("knows", ["knows"]), ("nothing", ["nothing"]))
-    }
+        name: trainer(name, share, *teachers).run_epoch(lambda *_: None)["train_loss"]
+        for name, share, teachers in (
+            ("alone", 0.8, ()), ("knows", 0.8, ["knows"]),
+            ("little", 0.2, ["nothing"]), ("nothing", 0.8, ["nothing"]),
+        )
+    }  # fmt: skip
     assert loss["knows"] == pytest.approx(loss["alone"], rel=1e-6)
-    assert abs(loss["nothing"] - loss["alone"]) > 1e-4
+    change = loss["nothing"] - loss["alone"]
+    assert abs(change) > 1e-4
+    assert loss["little"] - loss["alone"] == pytest.approx(0.25 * change, rel=0.02)
     assert seen[0].shape == (12, 3, 32, 32) and seen[0].min() >= 0.0 and seen[0].max() <= 1.0
     with pytest.raises(ValueError, match="holds a training with other teachers"):
-        trainer("knows", "nothing")
+        trainer("knows", 0.8, "nothing")
