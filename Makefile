@@ -6,6 +6,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-com
     --constraint constraints.txt
 # What compiling kernels takes, the first to be installed: kernels are compiled beside the rest.
 FOR_KERNELS := annotated-types mujoco numba opencv-contrib-python-headless scipy zstandard
+KERNELS_OF_TESTS := experiments/flight/kernels_zou2024.txt tests/kernels.txt
 READY := $(VENV)/.ready
 READY_TO_TEST := $(VENV)/.ready-to-test
 READY_FOR_DOCS := $(VENV)/.ready-for-docs
@@ -116,8 +117,8 @@ $(READY): pyproject.toml constraints.txt .ci/system-libraries
 
 # Tests need more than a flight does: torch above all, and kernels of more than one estimator.
 $(READY_TO_TEST): $(READY)
-	$(BIN)/python -m touchdown.experiments.flight.kernels zou2024 & \
-	    $(PIP) --editable ".[dev,rl]"; installed=$$?; wait; exit $$installed
+	$(BIN)/python -m touchdown.experiments.flight.kernels $(KERNELS_OF_TESTS) & \
+	    $(PIP) --compile --editable ".[dev,rl]"; installed=$$?; wait; exit $$installed
 	@touch $@
 
 $(READY_FOR_DOCS): $(READY)

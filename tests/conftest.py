@@ -22,7 +22,19 @@ os.environ["TOUCHDOWN_SCENE_CACHE"] = f"{tempfile.gettempdir()}/touchdown-scenes
 gc.set_threshold(100_000, 20, 50)  # what collecting and compiling make lives on
 
 
-def pytest_configure() -> None:
+KERNELS = Path(__file__).with_name("kernels.txt")
+"""kernels that tests call and no flight of the other lists, which `make test` compiles at first"""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--write-kernels",
+        action="store_true",
+        help="add to tests/kernels.txt what these tests compile for a tenth of a second or longer",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
     """Compiles each kernel once. Processes that start together on an empty cache would all compile
     the same kernels; with a lock around it, the later one finds what the first has stored."""
     from numba.core.compiler_lock import global_compiler_lock
@@ -49,6 +61,24 @@ def pytest_configure() -> None:
 
     Dispatcher.compile = compile_in_turn
     _keep_freed_memory()
+    if config.getoption("--write-kernels"):
+        _write_kernels(config)
+
+
+def _write_kernels(config: pytest.Config) -> None:
+    from numba.core import event
+
+    from touchdown.experiments.flight.kernels import Recorder
+
+    recorder = Recorder()
+    event.register("numba:compile", recorder)
+
+    def write() -> None:
+        known = KERNELS.read_text(encoding="utf-8").splitlines()
+        with KERNELS.open("a", encoding="utf-8") as file:
+            file.writelines(f"{line}\n" for line in recorder.lines(0.1) if line not in known)
+
+    config.add_cleanup(write)
 
 
 def _keep_freed_memory() -> None:

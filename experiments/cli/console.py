@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -242,6 +242,20 @@ def _origin_row(origin_m: Sequence[float]) -> list[tuple[str, str]]:
     return [("origin in the file", ", ".join(f"{value:.1f}" for value in origin_m) + " m")]
 
 
+def _some(names: Sequence[str], most: int = 4) -> str:
+    """The first names of what may be hundreds, as of a terrain of boxes; ``--json`` has all."""
+    more = [f"{len(names) - most} more"] if len(names) > most else []
+    return ", ".join([*names[:most], *more]) or "none"
+
+
+def _guessed_rows(guessed: Iterable[tuple[str, str, str]]) -> list[tuple[str, str]]:
+    """A row for each class and reason."""
+    names: dict[str, list[str]] = {}
+    for name, kind, why in guessed:
+        names.setdefault(f"{kind} ({why})", []).append(name)
+    return [(f"guessed: {_some(found)}", guess) for guess, found in names.items()]
+
+
 def print_place(row: Mapping[str, Any]) -> None:
     """Prints the facts of an imported scene, its problems and remarks."""
     from rich.table import Table
@@ -265,9 +279,9 @@ def print_place(row: Mapping[str, Any]) -> None:
         ("highest below the legs", f"{facts['highest_m'] + 0.0:.1f} m"),
         ("safe ground", f"{facts['safe_share']:.0%} of the surveyed view"),
         ("safe but for its class", f"{facts['safe_geometry_share'] - facts['safe_share']:.0%}"),
-        ("geoms without a class", ", ".join(facts["without_class"]) or "none"),
-        ("dressed ground", ", ".join(facts["dressed"]) or "none"),
-        *((f"guessed: {name}", f"{kind} ({why})") for name, kind, why in facts["guessed"]),
+        ("geoms without a class", _some(facts["without_class"])),
+        ("dressed ground", _some(facts["dressed"])),
+        *_guessed_rows(facts["guessed"]),
     ):
         table.add_row(label, text)
     console = make_console()

@@ -5,9 +5,9 @@ compiles them; ``kernels_zou2024.txt`` lists what a flight with that estimator a
 beside them. Whatever is missing there is compiled when it is first called. Needs nothing but what
 the kernels' own modules import.
 
-``python -m touchdown.experiments.flight.kernels`` compiles what the cache on the disk lacks, with
-``zou2024`` of the second list, and with ``--write SCENE`` writes both lists anew by short landings
-over the scene.
+``python -m touchdown.experiments.flight.kernels [FILE...]`` compiles what the cache on the disk
+lacks of the lists FILE, by default of the first; with ``--write SCENE`` it writes both lists anew
+by short landings over the scene.
 """
 
 from __future__ import annotations
@@ -82,19 +82,20 @@ def compile_lines(lines: Iterable[str]) -> None:
             kernel.compile(arguments)
 
 
-def compile_listed(file: Path = LIST) -> None:
-    """Compiles the kernels listed in ``file`` on all cores, a module at a time: its kernels share
+def compile_listed(*files: Path) -> None:
+    """Compiles the kernels listed in ``files`` on all cores, a module at a time: its kernels share
     what they call. Tells how many modules are done."""
     modules: dict[str, list[str]] = {}
-    for line in file.read_text(encoding="utf-8").splitlines():
-        modules.setdefault(line.partition(":")[0], []).append(line)
+    for file in files:
+        for line in file.read_text(encoding="utf-8").splitlines():
+            modules.setdefault(line.partition(":")[0], []).append(line)
     with ProcessPoolExecutor() as pool:
         for done, _ in enumerate(pool.map(compile_lines, modules.values()), 1):
             print(f"\rcompiling kernels: {done}/{len(modules)}", end="", flush=True)
     print()
 
 
-class _Recorder(event.Listener):
+class Recorder(event.Listener):
     """What Python lets compile: lines of the list, and how long each took."""
 
     def __init__(self) -> None:
@@ -112,6 +113,11 @@ class _Recorder(event.Listener):
             place = f"{module.removeprefix(_PACKAGE)}:{kernel.py_func.__name__}"
             self.seconds[f"{place} {_list(event.data['args'])}"] = seconds
 
+    def lines(self, least_s: float = 0.0) -> list[str]:
+        """Those that took ``least_s`` or longer, the longest first."""
+        longest = sorted(self.seconds, key=lambda line: -self.seconds[line])
+        return [line for line in longest if self.seconds[line] >= least_s]
+
 
 def write_lists(scene: str) -> None:
     """Writes the lists of what landings compile that begin with an empty cache, the longest
@@ -126,19 +132,18 @@ def write_lists(scene: str) -> None:
         os.environ["NUMBA_CACHE_DIR"] = os.environ["TOUCHDOWN_SCENE_CACHE"] = folder
         config.reload_config()
         for file, system in ((LIST, ("livo", "risk")), (LIST_ZOU2024, ("zou2024", "zou2024"))):
-            recorder = _Recorder()
+            recorder = Recorder()
             estimator, selector = system
             flight = load_config(
                 scene=scene, preset="short", estimator=estimator, selector=selector
             )
             with event.install_listener("numba:compile", recorder):
                 fly(flight, Path(folder) / estimator)
-            longest = sorted(recorder.seconds, key=lambda line: -recorder.seconds[line])
-            file.write_text("".join(f"{line}\n" for line in longest), encoding="utf-8")
+            file.write_text("".join(f"{line}\n" for line in recorder.lines()), encoding="utf-8")
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--write"]:
         write_lists(sys.argv[2])
     else:
-        compile_listed(LIST_ZOU2024 if sys.argv[1:] == ["zou2024"] else LIST)
+        compile_listed(*(map(Path, sys.argv[1:]) if sys.argv[1:] else [LIST]))

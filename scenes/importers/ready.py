@@ -258,9 +258,9 @@ def _of_guesses(guesses: dict[int, Guess]) -> list[str]:
         return []
     count = Counter(guess.land_class for guess in guesses.values())
     kinds = ", ".join(f"{number} {name}" for name, number in count.most_common())
-    one = len(guesses) == 1
+    what = f"classes of {len(guesses)} geoms are" if len(guesses) > 1 else "class of 1 geom is"
     return [
-        f"the class of {len(guesses)} {'geom is' if one else 'geoms are'} guessed by name, shape "
+        f"the {what} guessed by name, shape "
         f"and colour ({kinds}; `touchdown scenes check` lists them, --classes sets them)"
     ]
 

@@ -3,6 +3,7 @@
 import json
 import warnings
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -190,6 +191,14 @@ def test_the_check_of_a_file_is_a_table_and_an_exit_code(
     shown = capsys.readouterr().out
     assert "lawn (lawn)" in shown and "heap" in shown and "remark: there is ground under" in shown
     assert cli.main(["scenes", "check", "crosroad"]) == 2
+
+
+def test_guesses_alike_share_a_row(tmp_path: Path, says: Any) -> None:
+    heaps = "".join(f'<geom name="heap{i}" size="0.4" pos="{i} 5 0"/>' for i in range(7))
+    with pytest.warns(UserWarning, match="the classes of 7 geoms are guessed"):
+        shown = says(0, "scenes", "check", write_place(tmp_path, LAWN + heaps)).out
+    (row,) = (line for line in shown.splitlines() if "guessed" in line)
+    assert "heap0, heap1, heap2, heap3, 3 more" in row and "other (a thing on the ground)" in row
 
 
 @pytest.mark.slow
