@@ -33,6 +33,8 @@ _WAVE, _WAVE_LENGTH = 0.03, (0.15, 0.6)
 """amplitude and length of the waves of lines under water, relative to the image"""
 _DASH, _EDGE = (0.08, 0.4), (0.004, 0.03)
 """length of dashes and of blurred edges, relative to the image"""
+_COURT, _LINE = (0.1, 0.6), (0.01, 0.05)
+"""half of the sides of courts and the width of their lines, relative to the image"""
 
 
 def as_input(images: Tensor) -> Tensor:
@@ -106,10 +108,11 @@ def _hidden(images: Tensor, generator: torch.Generator, strength: float) -> Tens
 
 
 def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
-    """Paints parallel lines on a share of the images (B, 3, S, S).
+    """Paints lines on a share of the images (B, 3, S, S).
 
-    Lines are whole or dashed, straight or wavy, of any colour, half of them white. Lanes, bays and
-    courts are marked on many kinds of ground and in pools: lines must not determine the class."""
+    Lines are parallel, or in one image of three the outline of a court, whole or dashed, straight
+    or wavy, of any colour, half of them white. Lanes, bays and courts are marked on many kinds of
+    ground and in pools: lines must not determine the class."""
     count, size = len(images), images.shape[-1]
 
     def draw(low: float, high: float) -> Tensor:
@@ -127,7 +130,10 @@ def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
     period = draw(*_PERIOD)
     phase = (across + wave * bent) / period + draw(0.0, 1.0)
     half = 0.5 * draw(*_THICKNESS) * period
-    inside = half - period * (phase - torch.floor(phase) - 0.5).abs()
+    lines = half - period * (phase - torch.floor(phase) - 0.5).abs()
+    centre, sides = draw(-0.5, 0.5), draw(*_COURT)
+    reach = torch.maximum((along - centre).abs() - sides, across.abs() - draw(*_COURT))
+    inside = torch.where(chance(1.0 / 3.0), 0.5 * draw(*_LINE) - reach.abs(), lines)
     edge = draw(*_EDGE)
     paint = (0.5 + inside / edge).clamp(0.0, 1.0)
     dashes = along / draw(*_DASH) + draw(0.0, 1.0)
