@@ -46,6 +46,24 @@ def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
     assert torch.equal(without, none)
 
 
+def test_some_lines_are_the_outline_of_a_court(torch: Any) -> None:
+    """An outline has plain ground within that reaches no edge of the image; parallel lines do not."""
+    import cv2
+
+    from touchdown.landing.classification.learning.augment import marked
+
+    plain = torch.full((400, 3, 64, 64), 0.3)
+    painted = marked(plain, torch.Generator().manual_seed(5), 1.0)
+    bare = ((painted - plain).abs().amax(dim=1) < 0.02).numpy().astype(np.uint8)
+    enclosed = 0
+    for image in bare:
+        parts, _, boxes, _ = cv2.connectedComponentsWithStats(image, connectivity=4)
+        first, last = boxes[1:parts, :2], boxes[1:parts, :2] + boxes[1:parts, 2:4]
+        inner = (first > 0).all(axis=1) & (last < 64).all(axis=1) & (boxes[1:parts, 4] > 30)
+        enclosed += int(inner.any())
+    assert 8 <= enclosed <= 80
+
+
 def test_lanes_over_lines_two_sets_of_which_one_is_as_likely_as_the_other(torch: Any) -> None:
     """Of a share of 0.5 three quarters have one set at least, but for those that are too faint."""
     from touchdown.landing.classification.learning.augment import augmented
