@@ -48,7 +48,8 @@ def decision_text(decision: Mapping[str, Any]) -> str:
         count, of = decision[wrong], decision[kind]
         share = f" ({count / of:.2%})" if of else ""
         parts.append(f"{count} of {of} {text}{share}")
-    return f"at {decision['min_probability']:.3f}: {', '.join(parts)}"
+    unknown = f"{decision['unsafe_unknown']} and {decision['safe_unknown']} more are unknown"
+    return f"at {decision['min_probability']:.3f}: {', '.join(parts)}; {unknown}"
 
 
 def _confusion_table(report: Mapping[str, Any]) -> Any:

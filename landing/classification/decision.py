@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.landing.classification.scores import probabilities
+from touchdown.landing.parameters import LandingParams
 from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES
 
 Array = NDArray[np.float64]
@@ -60,6 +61,13 @@ def taken_for_safe(scores: Float32, limits: Limits) -> Mask:
     safe = class_mask()
     sure = chance[:, safe].sum(axis=1) >= limits.min_probability
     return sure & safe[chance.argmax(axis=1)] & (energies(scores) >= limits.min_energy)
+
+
+def landable_by_geometry(scores: Float32, limits: Limits, unknown_unsafe: float) -> Mask:
+    """Returns the mask (N,) of images that count as safe, or are unknown: where all other classes
+    together have less than ``unknown_unsafe`` (``landing.unknown_ground`` of ``geometry``)."""
+    unknown = probabilities(scores)[:, class_mask()].sum(axis=1) > 1.0 - unknown_unsafe
+    return taken_for_safe(scores, limits) | unknown
 
 
 def largest_share(count: int, of: int, confidence: float = CONFIDENCE) -> float:
@@ -113,8 +121,15 @@ def is_unsafe(labels: Labels) -> Mask:
     return np.asarray((labels < 0) | ~class_mask()[labels])
 
 
-def decision_summary(scores: Float32, labels: Labels, limits: Limits) -> dict[str, Any]:
-    """Returns the counts of unsafe images taken for safe and of safe images refused."""
+def decision_summary(
+    scores: Float32,
+    labels: Labels,
+    limits: Limits,
+    unknown_unsafe: float = LandingParams().unknown_unsafe_probability,
+) -> dict[str, Any]:
+    """Returns the counts of unsafe images taken for safe and of safe images refused, and those that
+    unknown ground adds where it is landed on (`landable_by_geometry`)."""
+    landable = landable_by_geometry(scores, limits, unknown_unsafe)
     taken, safe = taken_for_safe(scores, limits), ~is_unsafe(labels)
     mistakes, unsafe = int((~safe & taken).sum()), int((~safe).sum())
     return {
@@ -125,4 +140,6 @@ def decision_summary(scores: Float32, labels: Labels, limits: Limits) -> dict[st
         "unsafe_share_at_most": largest_share(mistakes, unsafe),
         "safe": int(safe.sum()),
         "safe_refused": int((safe & ~taken).sum()),
+        "unsafe_unknown": int((~safe & landable & ~taken).sum()),
+        "safe_unknown": int((safe & landable & ~taken).sum()),
     }

@@ -77,6 +77,8 @@ def test_limits_are_set_by_an_interval_of_the_share_of_unsafe_images() -> None:
     assert np.flatnonzero(taken).tolist() == [797, 798, 799]
     found = decision.decision_summary(_scores(*rows), labels, limits)
     assert (found["unsafe"], found["unsafe_taken_for_safe"], found["safe"]) == (800, 3, 0)
+    # above 0.55, since a third of the rest is of the other safe classes: 0.55 + 0.15 = 0.7
+    assert (found["unsafe_unknown"], found["safe_unknown"]) == (int((claims > 0.55).sum()) - 3, 0)
     assert decision.is_unsafe(np.array([-1, 0, 5])).tolist() == [True, False, True]
     easy = decision.fitted_limits(_scores(_chances(lawn=SURE)), np.array([D_LAND.index("lawn")]))
     assert easy.min_probability == decision.LEAST
