@@ -72,10 +72,8 @@ PHOTOGRAPHS = $(foreach kind,ucmerced textures aerial caliterra,--data $(kind)=$
 PATCHES := $(addprefix --data $(NETWORK)/,patches coloured-8 coloured-10 dressed-11 dressed-12)
 TRAIN = $(BIN)/touchdown train --network efficientnet_lite0 --frozen 6 --image-size 128 \
     --weather 0.6 --variation 0.6 --markings 0.4 --colours 0.15 --textures 0.2 \
-    --miss-cost water=3 --threads 2 $(PHOTOGRAPHS) $(PATCHES) --out $(NETWORK)
+    --miss-cost water=10 --threads 2 $(PHOTOGRAPHS) $(PATCHES) --out $(NETWORK)
 ONBOARD := landing/classification/trained/onboard.onnx
-# The network shipped before, trained on none of the dressed images.
-FORMER := 9f3748c6:landing/classification/trained/efficientnet_lite0
 
 network: $(READY_TO_TEST)
 	@test -d "$(DATA)" || { echo "make network DATA=FOLDER: no such folder" >&2; exit 2; }
@@ -85,14 +83,10 @@ network: $(READY_TO_TEST)
 	$(call RENDER,coloured-10) --images 3300 --seed 10 --new-colours 0.5 $(SCENES)
 	$(call RENDER,dressed-11) --images 3300 --seed 11 --new-colours 0.5 --new-materials 1 $(SCENES)
 	$(call RENDER,dressed-12) --images 3300 --seed 12 --new-colours 0.5 --new-materials 1 $(SCENES)
-	mkdir -p $(NETWORK)/former
-	for end in onnx onnx.sha256; do \
-	    git show $(FORMER).$$end > $(NETWORK)/former/efficientnet_lite0.$$end || exit; done
 	$(TRAIN)/first --start-from imagenet --epochs 16 --learning-rate 1e-3
 	$(TRAIN)/second --start-from $(NETWORK)/first --epochs 8 --learning-rate 5e-4
-	$(TRAIN)/trained --start-from $(NETWORK)/second --epochs 12 --learning-rate 1e-3 \
-	    $(addprefix --teacher ,$(NETWORK)/second/network.onnx $(ONBOARD) \
-	    $(NETWORK)/former/efficientnet_lite0.onnx)
+	$(TRAIN)/trained --start-from $(NETWORK)/second --epochs 14 --learning-rate 1e-3 \
+	    $(addprefix --teacher ,$(NETWORK)/second/network.onnx $(ONBOARD))
 	$(BIN)/touchdown quantize $(NETWORK)/trained/network.onnx --type float16 --false-safe 0.01 \
 	    --out $(NETWORK)/efficientnet_lite0.onnx $(PHOTOGRAPHS) $(PATCHES)
 
