@@ -47,7 +47,7 @@ def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
 
 
 def test_some_lines_are_the_outline_of_a_court(torch: Any) -> None:
-    """An outline has plain ground within that reaches no edge of the image; parallel lines do not."""
+    """Plain ground within an outline reaches no edge of the image, between parallel lines it does."""
     import cv2
 
     from touchdown.landing.classification.learning.augment import marked
