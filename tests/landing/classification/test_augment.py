@@ -47,7 +47,7 @@ def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
 
 
 def test_some_lines_are_the_outline_of_a_court(torch: Any) -> None:
-    """Plain ground within an outline reaches no edge of the image, between parallel lines it does."""
+    """Only within an outline is there plain ground that reaches no edge of the image."""
     import cv2
 
     from touchdown.landing.classification.learning.augment import marked
