@@ -41,6 +41,10 @@ def entries(tmp_path: Path) -> list[Path]:
     return sorted((tmp_path / "scenes").iterdir(), key=lambda entry: entry.stat().st_mtime)
 
 
+def refused(*_: object) -> None:
+    raise OSError("no direct writes here")
+
+
 def test_a_scene_from_the_disk_is_the_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,10 +102,6 @@ def test_a_model_that_is_not_saved_whole_is_no_entry(
     monkeypatch.setattr(cache, "mujoco", saving)
     assert cached_scene("flat", 1, None, "day").model.ngeom == 1
     assert not entries(tmp_path)
-
-
-def refused(*_: object) -> None:
-    raise OSError("no direct writes here")
 
 
 def test_each_key_has_its_own_entry(loads: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,6 +25,7 @@ light, of built and bare ground and of water; and whether blue may gain on red: 
 that one may stand on is rare, and of water it is common"""
 _GAMMA = 2.2
 _LEAST = 0.02
+"""lower bound of a channel's mean, in [0, 1], that a texture's grain is relative to"""
 _ERASED = (0.1, 0.35)
 """side of the rectangle that covers part of one image in four"""
 _PERIOD, _THICKNESS = (0.1, 0.7), (0.03, 0.25)
