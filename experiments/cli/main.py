@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import io
 import logging
 import os
@@ -97,6 +99,9 @@ for _command in (dataset, train, evaluate, quantize, ensemble, classify):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit code; bad input is one line on stderr. As the program,
     without ``arguments``, a command that runs code of others gets a process of its own."""
+    if arguments is None:
+        # Python would search all that is left of a flight as it ends, for up to a second.
+        atexit.register(gc.freeze)
     if arguments is None and runs_code_of_others(sys.argv[1:]):
         code, fault = in_child(lambda: _run(None))
         if fault:

@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from textwrap import dedent
 from typing import Any
 
 import pytest
@@ -18,6 +19,17 @@ def test_importing_the_command_line_imports_nothing_heavy() -> None:
     names = f"[m for m in {HEAVY!r} if m in sys.modules]"
     script = f"import sys, touchdown.experiments.cli.main; print({names})"
     assert lines_of(script) == ["[]"]
+
+
+def test_the_program_ends_without_searching_what_is_left() -> None:
+    script = """
+        import atexit, gc, sys
+        atexit.register(lambda: print("frozen:", gc.get_freeze_count() > 0))
+        from touchdown.experiments.cli.main import main
+        sys.argv = ["touchdown", "--version"]
+        main()
+    """
+    assert lines_of(dedent(script))[-1] == "frozen: True"
 
 
 @pytest.mark.parametrize(("arguments", "fragments"), [
