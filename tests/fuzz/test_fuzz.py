@@ -5,6 +5,7 @@ CONTRIBUTING. A finding is repeated by its kind and number: the same number is t
 """
 
 import faulthandler
+import mmap
 import os
 import signal
 import subprocess
@@ -79,7 +80,10 @@ def _spin() -> None:
 
 
 def _swell() -> None:
-    hoard = [b"x" * (50 << 20) for _ in range(20)]
+    # mapped: what the tests have freed before is kept, and would be used again
+    hoard = [mmap.mmap(-1, 50 << 20) for _ in range(20)]
+    for part in hoard:
+        part.write(bytes(len(part)))
     time.sleep(len(hoard))
 
 
