@@ -10,10 +10,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 from urllib.parse import quote, urlsplit
 
 import click
+import psutil
 
 from touchdown.experiments.campaign import guard
 from touchdown.experiments.errors import UsageError
@@ -170,12 +172,18 @@ def _end_group(viewer: subprocess.Popen[bytes]) -> None:
 
 
 def _alive(group: int) -> bool:
-    """True if a process of the group is left."""
+    """True if a process of the group is left that has not ended: in a container what has may wait
+    long for its collector."""
     deadline = time.monotonic() + _PATIENCE_S
-    while time.monotonic() < deadline:
-        try:
-            os.killpg(group, 0)
-        except (ProcessLookupError, PermissionError):
-            return False
+    while any(map(partial(_is_of, group), psutil.pids())):
+        if time.monotonic() > deadline:
+            return True
         time.sleep(0.05)
-    return True
+    return False
+
+
+def _is_of(group: int, pid: int) -> bool:
+    try:
+        return os.getpgid(pid) == group and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except (ProcessLookupError, PermissionError, psutil.Error):
+        return False
