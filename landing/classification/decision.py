@@ -63,11 +63,10 @@ def taken_for_safe(scores: Float32, limits: Limits) -> Mask:
     return sure & safe[chance.argmax(axis=1)] & (energies(scores) >= limits.min_energy)
 
 
-def landable_by_geometry(scores: Float32, limits: Limits, unknown_unsafe: float) -> Mask:
-    """Returns the mask (N,) of images that count as safe, or are unknown: where all other classes
-    together have less than ``unknown_unsafe`` (``landing.unknown_ground`` of ``geometry``)."""
-    unknown = probabilities(scores)[:, class_mask()].sum(axis=1) > 1.0 - unknown_unsafe
-    return taken_for_safe(scores, limits) | unknown
+def not_known_unsafe(scores: Float32, unknown_unsafe: float) -> Mask:
+    """Returns the mask (N,) of images of which all but the safe classes together have less than
+    ``unknown_unsafe``: what ``landing.unknown_ground`` of ``geometry`` lets pass."""
+    return np.asarray(probabilities(scores)[:, class_mask()].sum(axis=1) > 1.0 - unknown_unsafe)
 
 
 def largest_share(count: int, of: int, confidence: float = CONFIDENCE) -> float:
@@ -128,10 +127,10 @@ def decision_summary(
     unknown_unsafe: float = LandingParams().unknown_unsafe_probability,
 ) -> dict[str, Any]:
     """Returns the counts of unsafe images taken for safe and of safe images refused, and those that
-    unknown ground adds where it is landed on (`landable_by_geometry`)."""
-    landable = landable_by_geometry(scores, limits, unknown_unsafe)
+    unknown ground adds where it is landed on (`not_known_unsafe`)."""
     taken, safe = taken_for_safe(scores, limits), ~is_unsafe(labels)
     mistakes, unsafe = int((~safe & taken).sum()), int((~safe).sum())
+    unknown = not_known_unsafe(scores, unknown_unsafe) & ~taken
     return {
         "min_probability": limits.min_probability,
         "min_energy": limits.min_energy if np.isfinite(limits.min_energy) else None,
@@ -140,6 +139,6 @@ def decision_summary(
         "unsafe_share_at_most": largest_share(mistakes, unsafe),
         "safe": int(safe.sum()),
         "safe_refused": int((safe & ~taken).sum()),
-        "unsafe_unknown": int((~safe & landable & ~taken).sum()),
-        "safe_unknown": int((safe & landable & ~taken).sum()),
+        "unsafe_unknown": int((~safe & unknown).sum()),
+        "safe_unknown": int((safe & unknown).sum()),
     }
