@@ -25,6 +25,7 @@ from typing import Any
 
 from numba import config, types
 from numba.core import event
+from numba.core.errors import NumbaError
 
 LIST = Path(__file__).with_suffix(".txt")
 LIST_ZOU2024 = LIST.with_stem("kernels_zou2024")
@@ -75,24 +76,34 @@ def read_line(line: str) -> tuple[Any, tuple[Any, ...]]:
     return _named(place), read_types(text)
 
 
-def compile_lines(lines: Iterable[str]) -> None:
-    """Compiles the kernels of lines of the list, or loads them from the cache."""
-    for kernel, arguments in map(read_line, lines):
-        if kernel._can_compile:  # others have been compiled with their module
-            kernel.compile(arguments)
+def compile_lines(lines: Iterable[str]) -> list[str]:
+    """Compiles the kernels of lines of the list, or loads them from the cache; returns the places
+    of those that no longer take such arguments."""
+    stale = []
+    for line in lines:
+        try:
+            kernel, arguments = read_line(line)
+            if kernel._can_compile:  # others have been compiled with their module
+                kernel.compile(arguments)
+        except (AttributeError, ImportError, TypeError, NumbaError):
+            stale.append(line.partition(" ")[0])
+    return stale
 
 
-def compile_listed(*files: Path) -> None:
+def compile_listed(*files: Path) -> list[str]:
     """Compiles the kernels listed in ``files`` on all cores, a module at a time: its kernels share
-    what they call. Tells how many modules are done."""
+    what they call. Tells how many modules are done; returns as `compile_lines`."""
     modules: dict[str, list[str]] = {}
     for file in files:
         for line in file.read_text(encoding="utf-8").splitlines():
             modules.setdefault(line.partition(":")[0], []).append(line)
+    stale = []
     with ProcessPoolExecutor() as pool:
-        for done, _ in enumerate(pool.map(compile_lines, modules.values()), 1):
+        for done, missed in enumerate(pool.map(compile_lines, modules.values()), 1):
             print(f"\rcompiling kernels: {done}/{len(modules)}", end="", flush=True)
+            stale += missed
     print()
+    return stale
 
 
 class Recorder(event.Listener):
@@ -146,4 +157,6 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["--write"]:
         write_lists(sys.argv[2])
     else:
-        compile_listed(*(map(Path, sys.argv[1:]) if sys.argv[1:] else [LIST]))
+        stale = compile_listed(*(map(Path, sys.argv[1:]) if sys.argv[1:] else [LIST]))
+        if stale:
+            sys.exit(f"not compiled, as the lists are of other arguments: {', '.join(stale)}")

@@ -17,10 +17,23 @@ def test_a_listed_kernel_is_not_compiled_again() -> None:
     lists = (LIST, LIST_ZOU2024, Path(__file__).parents[2] / "kernels.txt")
     lines, *others = (file.read_text(encoding="utf-8").splitlines() for file in lists)
     for line in (*lines, *(line for other in others for line in other)):
-        assert ", ".join(map(spelled, read_line(line)[1])) == line.partition(" ")[2]
+        kernel, arguments = read_line(line)
+        assert ", ".join(map(spelled, arguments)) == line.partition(" ")[2]
+        assert len(arguments) == kernel.py_func.__code__.co_argcount, line
     (line,) = (line for line in lines if line.startswith("controller.pid:_pid_output "))
     compile_lines([line])
     kernel = read_line(line)[0]
     known = len(kernel.overloads)
     kernel(*5 * (np.zeros(3),))
     assert 0 < len(kernel.overloads) == known
+
+
+def test_a_line_of_other_arguments_is_told_and_the_rest_is_compiled() -> None:
+    lines = LIST.read_text(encoding="utf-8").splitlines()
+    (line,) = (line for line in lines if line.startswith("controller.pid:_pid_output "))
+    place = line.partition(" ")[0]
+    gone = "controller.pid:_no_such_kernel"
+    compiled = read_line(line)[0]
+    compiled.overloads.clear()
+    assert compile_lines([f"{place} float64", f"{gone} float64", line]) == [place, gone]
+    assert len(compiled.overloads) == 1
