@@ -151,10 +151,9 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
 @click.option("--start-from", "start", type=PATH, metavar="PATH",
               help="Folder of another training, or a network's file, with the initial "
               "weights, or imagenet for those of efficientnet_lite0.  [random]")  # fmt: skip
-@click.option("--start-share", type=Number(0.0, 1.0, max_open=True), default=0.0,
-              show_default=True,
-              help="Share of the weights of --start-from in the final ones: the mean may "
-              "generalise better than either.")  # fmt: skip
+@click.option("--mean-with", metavar="PATH", multiple=True,
+              help="Another training's folder, or a network's file: the final weights are the mean "
+              "of both, which may generalise better than either. May be repeated.")  # fmt: skip
 @click.option("--teacher", "teachers", metavar="FILE", multiple=True,
               help="A network or ensemble to learn from, too. May be repeated.")  # fmt: skip
 @click.option("--taught", type=Number(0.0, 1.0, min_open=True), default=0.7, show_default=True,

@@ -29,8 +29,9 @@ _TILE = 1024
 _BITS = 4
 _WATERS = np.array([[118, 100, 70], [44, 66, 48], [24, 58, 96], [70, 175, 195]], np.float64)
 """bodies full of silt and of algae, deep, and shallow over a pale bed"""
-_CLARITY = (-1.6, 0.9)
-"""logarithm of the metres of water that dim green light to 1/e: 0.2 to 2.5 m"""
+_CLARITY = (-1.6, -0.3)
+"""logarithm of the metres of water that dim green light to 1/e: 0.2 to 0.74 m. Of clearer water by
+a shore an image shows the bed alone."""
 
 
 class Ground(IntEnum):

@@ -45,7 +45,7 @@ _WARM_UP = 0.05
 """share of all steps in which the learning rate rises from 0"""
 _BETTER = 1e-4
 """least gain of macro F1 of a better epoch"""
-_MAY_CHANGE = ("epochs", "patience", "start_share", "miss_costs", "left_out")
+_MAY_CHANGE = ("epochs", "patience", "mean_with", "miss_costs", "left_out")
 """parameters that may change when a training resumes: they affect the length of the schedule and
 the final weights only, or the images, which are compared themselves"""
 _SIZES, _SIZE_STEP = 4, 16
@@ -87,9 +87,9 @@ class TrainParams:
     """first layers of the network that keep their initial weights"""
     left_out: tuple[str, ...] = ()
     """sources whose photographs are all for the test"""
-    start_share: float = 0.0
-    """share of the initial weights in the final ones: the mean may generalise better than either
-    (Wortsman et al., CVPR 2022, Eq. 1)"""
+    mean_with: tuple[str, ...] = ()
+    """folders of other trainings, or networks' files: the final weights are the mean of theirs and
+    these, which may generalise better than any (Wortsman et al., ICML 2022, section 2)"""
     miss_costs: tuple[tuple[str, float], ...] = ()
     """as ``NetworkFacts.miss_costs``; they do not affect the training itself"""
     patience: int = 8
@@ -145,9 +145,7 @@ class Trainer:
         size."""
         check_network(params.network, params.image_size)
         check_growth(params)
-        if params.start_share and start is None:
-            raise ValueError("start_share: there are no weights to begin with; name some")
-        self.params, self._train, self._val, self._start = params, train, val, start
+        self.params, self._train, self._val = params, train, val
         self._folder, self._device = folder, device
         files = [Path(name) for name in params.teachers]
         self._teachers = Teachers(files, train.classes, torch.get_num_threads())
@@ -162,7 +160,10 @@ class Trainer:
         torch.manual_seed(params.seed)
         self.network = build_network(params.network, len(train.classes), params.image_size)
         if start is not None:
-            self._load_start(self.network, start)
+            self._load(self.network, start)
+        self._others = [copy.deepcopy(self.network) for _ in params.mean_with]
+        for network, other in zip(self._others, params.mean_with, strict=True):
+            self._load(network, Path(other))
         self._still = list(self.network.children())[: params.frozen]
         for layer in self._still:
             layer.requires_grad_(False)
@@ -248,20 +249,18 @@ class Trainer:
         return row
 
     def best(self) -> Trained:
-        """Returns the averaged weights of the best epoch, mixed with the initial ones by
-        ``start_share``, with their fitted temperature."""
+        """Returns the averaged weights of the best epoch, or their mean with those of ``mean_with``,
+        with their fitted temperature."""
         network = copy.deepcopy(self._average)
         network.load_state_dict(checkpoint.read_best(self._folder))
-        if self._start is not None and self.params.start_share:
-            began = copy.deepcopy(self._average)
-            self._load_start(began, self._start)
-            _follow(network, began, 1.0 - self.params.start_share)
+        for count, other in enumerate(self._others, start=2):
+            _follow(network, other.to(self._device), 1.0 - 1.0 / count)
         found = predict(network, self._val.images, self._device)
         temperature = scores.fitted_temperature(found, self._val.labels)
         calibrated = (found / temperature).astype(np.float32)
         return Trained(network.cpu(), temperature, self.history, self.best_epoch, calibrated)
 
-    def _load_start(self, network: nn.Module, start: Path) -> None:
+    def _load(self, network: nn.Module, start: Path) -> None:
         checkpoint.begin_with(network, self.params.network, self._train.classes, start)
 
     def _step(self, step: int, batch: NDArray[np.int64], generator: torch.Generator) -> float:

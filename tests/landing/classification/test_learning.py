@@ -147,14 +147,16 @@ def test_a_training_may_begin_with_the_weights_of_a_file(torch: Any, tmp_path: P
     trainer.run_epoch(lambda done, total, note: None)
     assert Trainer(params, train, val, out, cpu, start=file).finished
     ended = Trainer(params, train, val, out, cpu, start=file).best().network.state_dict()
-    half = dataclasses.replace(params, start_share=0.5)
-    between = Trainer(half, train, val, out, cpu, start=file).best().network.state_dict()
-    for name, value in between.items():
-        if value.is_floating_point():
-            mean = 0.5 * (trainer_began[name] + ended[name])
-            assert torch.allclose(value, mean, rtol=1e-5, atol=1e-6), name
-    with pytest.raises(ValueError, match="there are no weights to begin with"):
-        Trainer(half, train, val, tmp_path, cpu)
+    for others in (1, 2):
+        mixed = dataclasses.replace(params, mean_with=others * (str(file),))
+        between = Trainer(mixed, train, val, out, cpu, start=file).best().network.state_dict()
+        for name, value in between.items():
+            if value.is_floating_point():
+                mean = (others * trainer_began[name] + ended[name]) / (1 + others)
+                assert torch.allclose(value, mean, rtol=1e-5, atol=1e-6), name
+    mixed = dataclasses.replace(params, mean_with=(str(tmp_path / "none"),))
+    with pytest.raises(ValueError, match="cannot be read as a checkpoint"):
+        Trainer(mixed, train, val, tmp_path, cpu)
     other = TrainParams(network="resnet18", image_size=32, epochs=1, batch_size=6)
     with pytest.raises(ValueError, match="holds weights of another network"):
         Trainer(other, train, val, tmp_path, cpu, start=file)
