@@ -249,7 +249,7 @@ class Trainer:
         return row
 
     def best(self) -> Trained:
-        """Returns the averaged weights of the best epoch, or their mean with those of ``mean_with``,
+        """Returns the averaged weights of the best epoch, or the mean of these and ``mean_with``,
         with their fitted temperature."""
         network = copy.deepcopy(self._average)
         network.load_state_dict(checkpoint.read_best(self._folder))
