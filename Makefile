@@ -66,7 +66,7 @@ results: $(READY)
 # Goes on where an earlier call stopped; docs/ground-classification.md names the folders of DATA.
 NETWORK := runs/network
 RENDER = test -d $(NETWORK)/$(1) || $(BIN)/touchdown dataset render --jobs 2 --out $(NETWORK)/$(1)
-# Not rooftop_parking: its marked deck is a path, which other colours make that of a road.
+# Not rooftop_parking: in other colours its marked deck, a path, looks like a road.
 SCENES := $(addprefix --scene ,cottage crossroad dunes flat forest houses lake open_water snow turf)
 PHOTOGRAPHS = $(foreach kind,ucmerced textures aerial caliterra,--data $(kind)=$(DATA)/$(kind))
 PATCHES := $(addprefix --data $(NETWORK)/,patches coloured-8 coloured-10 dressed-11 dressed-12)

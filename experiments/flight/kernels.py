@@ -85,7 +85,7 @@ def compile_lines(lines: Iterable[str]) -> list[str]:
             kernel, arguments = read_line(line)
             if kernel._can_compile:  # others have been compiled with their module
                 kernel.compile(arguments)
-        except (AttributeError, ImportError, TypeError, NumbaError):
+        except (AttributeError, ImportError, NameError, TypeError, NumbaError):
             stale.append(line.partition(" ")[0])
     return stale
 

@@ -35,5 +35,6 @@ def test_a_line_of_other_arguments_is_told_and_the_rest_is_compiled() -> None:
     gone = "controller.pid:_no_such_kernel"
     compiled = read_line(line)[0]
     compiled.overloads.clear()
-    assert compile_lines([f"{place} float64", f"{gone} float64", line]) == [place, gone]
+    stale = [f"{place} float64", f"{gone} float64", f"{place} no_such_type"]
+    assert compile_lines([*stale, line]) == [place, gone, place]
     assert len(compiled.overloads) == 1
