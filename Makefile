@@ -6,6 +6,8 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-com
     --constraint constraints.txt
 # What compiling kernels takes, the first to be installed: kernels are compiled beside the rest.
 FOR_KERNELS := annotated-types mujoco numba opencv-contrib-python-headless scipy zstandard
+# Both processes of the tests would compile these as they start.
+IMPORTED_BY_TESTS := dash dm_control IPython matplotlib numba numpy OpenGL pandas PIL rerun_sdk scipy
 KERNELS_OF_TESTS := experiments/flight/kernels_zou2024.txt tests/kernels.txt
 READY := $(VENV)/.ready
 READY_TO_TEST := $(VENV)/.ready-to-test
@@ -115,6 +117,8 @@ $(READY): pyproject.toml constraints.txt .ci/system-libraries
 $(READY_TO_TEST): $(READY)
 	$(BIN)/python -m touchdown.experiments.flight.kernels $(KERNELS_OF_TESTS) & \
 	    $(PIP) --compile --editable ".[dev,rl]"; installed=$$?; wait; exit $$installed
+	cd $(VENV)/lib/python3*/site-packages && $(abspath $(BIN))/python -m compileall -q -j 0 \
+	    $(IMPORTED_BY_TESTS)
 	@touch $@
 
 $(READY_FOR_DOCS): $(READY)

@@ -120,7 +120,8 @@ def test_fly_load_runs_and_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(watched, lambda: released.append(1))
     out = tmp_path / "runs" / "one"
     result = touchdown.fly(
-        "flat", estimator="gps", seed=2, overrides=SHORT | {"log.sensors": True}, out=out,
+        "flat", estimator="gps", seed=2, overrides=SHORT | {"log.sensors": True, "scene_seed": 0},
+        out=out,
         progress=lambda _time_s, phase, _note: phases.append(phase),
     )  # fmt: skip
     assert result.outcome == "COMPLETED" and "SURVEY" in phases

@@ -21,7 +21,7 @@ MOST_EDGES = 0.003
 
 @pytest.mark.parametrize("name", ["forest"])
 def test_heights_are_those_of_single_rays(name: str) -> None:
-    scene = cached_scene(name, 2)
+    scene = cached_scene(name, 1)
     points = np.random.default_rng(11).uniform(*scene.bounds_xy_m, (1000, 2))
     wrong, edges = SingleRays(scene).disagreements(points + BESIDE_M, cast_points(scene, points)[0])
     assert wrong.size == 0, points[wrong]

@@ -48,7 +48,7 @@ def texture(side: int, seed: int = 3) -> np.ndarray:
 
 
 TINY = (
-    "sim.threads=1", "mapper.enabled=false", "survey.height_m=5", "survey.legs=1",
+    "scene_seed=0", "sim.threads=1", "mapper.enabled=false", "survey.height_m=5", "survey.legs=1",
     "survey.leg_length_m=8", "survey.duration_s=4", "camera.width=424", "camera.height=240",
 )  # fmt: skip
 """About 10 s in the air."""

@@ -135,8 +135,8 @@ def test_wrong_maps_are_one_line(kept: KeptMap, tmp_path: Path, says: Says) -> N
 def test_a_survey_is_kept_with_its_true_ground(tmp_path: Path, says: Says) -> None:
     short = ("survey.legs=1", "survey.leg_length_m=8", "survey.duration_s=5", "survey.height_m=12")
     sets = [part for one in short for part in ("--set", one)]
-    says(0, "maps", "make", "crossroad", "--seeds", "2", "--out", tmp_path, *sets)
-    kept = read_map(tmp_path / "crossroad-2.map.npz")
+    says(0, "maps", "make", "crossroad", "--seeds", "0", "--out", tmp_path, *sets)
+    kept = read_map(tmp_path / "crossroad-0.map.npz")
     grid = kept.map_view.coarse
     assert 0.2 < (grid.count > 0).mean() < 1.0 and grid.histogram is not None
     assert 0.2 < kept.truth.safe.mean() < 1.0

@@ -12,7 +12,8 @@ from support.places import cached_scene
 from support.worlds import load_ideal_config as load_config
 
 SHORT = (
-    "survey.height_m=12.0", "survey.legs=1", "survey.leg_length_m=8.0", "survey.duration_s=5.0",
+    "scene_seed=0", "survey.height_m=12.0", "survey.legs=1", "survey.leg_length_m=8.0",
+    "survey.duration_s=5.0",
 )  # fmt: skip
 """About half a minute in the air."""
 

@@ -25,7 +25,7 @@ LOW = (
 
 def config_of(build: Path, *overrides: str) -> Config:
     return load_ideal_config(
-        None, [*LOW, *overrides], scene="flat", estimator="oracle", seed=1, controller="px4",
+        None, [*LOW, *overrides], scene="flat", estimator="oracle", seed=0, controller="px4",
         px4=str(build), record=False,
     )  # fmt: skip
 
