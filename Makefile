@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-com
 # What compiling kernels takes, the first to be installed: kernels are compiled beside the rest.
 FOR_KERNELS := annotated-types mujoco numba opencv-contrib-python-headless scipy zstandard
 # Both processes of the tests would compile these as they start.
-IMPORTED_BY_TESTS := dash dm_control IPython matplotlib numba numpy OpenGL pandas PIL rerun_sdk scipy
+IMPORTED_BY_TESTS := dash dm_control IPython matplotlib numba numpy OpenGL pandas PIL rerun scipy
 KERNELS_OF_TESTS := experiments/flight/kernels_zou2024.txt tests/kernels.txt
 READY := $(VENV)/.ready
 READY_TO_TEST := $(VENV)/.ready-to-test
@@ -118,7 +118,7 @@ $(READY_TO_TEST): $(READY)
 	$(BIN)/python -m touchdown.experiments.flight.kernels $(KERNELS_OF_TESTS) & \
 	    $(PIP) --compile --editable ".[dev,rl]"; installed=$$?; wait; exit $$installed
 	cd $(VENV)/lib/python3*/site-packages && $(abspath $(BIN))/python -m compileall -q -j 0 \
-	    $(IMPORTED_BY_TESTS)
+	    -x /tests/ $(IMPORTED_BY_TESTS) $(abspath src/touchdown)/*/
 	@touch $@
 
 $(READY_FOR_DOCS): $(READY)
