@@ -88,9 +88,7 @@ network: $(READY_TO_TEST)
 	$(call RENDER,dressed-12) --images 3000 --seed 12 --new-colours 0.5 --new-materials 1 $(SCENES)
 	$(TRAIN)/first --start-from imagenet --epochs 16 --learning-rate 1e-3
 	$(TRAIN)/second --start-from $(NETWORK)/first --epochs 8 --learning-rate 5e-4
-	$(TRAIN)/third --start-from $(NETWORK)/second --epochs 14 --learning-rate 1e-3 $(TEACHERS)
-	$(TRAIN)/trained --start-from $(NETWORK)/second --epochs 10 --learning-rate 1e-3 $(TEACHERS) \
-	    --seed 1 --mean-with $(NETWORK)/third
+	$(TRAIN)/trained --start-from $(NETWORK)/second --epochs 14 --learning-rate 1e-3 $(TEACHERS)
 	$(BIN)/touchdown quantize $(NETWORK)/trained/network.onnx --type float16 --false-safe 0.01 \
 	    --out $(NETWORK)/efficientnet_lite0.onnx $(PHOTOGRAPHS) $(PATCHES)
 
