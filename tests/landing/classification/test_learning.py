@@ -99,6 +99,26 @@ def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path)
         trainer("whole")
 
 
+def test_of_epochs_alike_the_last_is_kept(
+    torch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from touchdown.landing.classification.learning import training
+
+    params = training.TrainParams(
+        network="mobilenet_v3_large", image_size=32, epochs=5, batch_size=12
+    )
+    train, val, cpu = coloured(12, 1, 32), coloured(6, 2, 32), torch.device("cpu")
+    trainer = training.Trainer(params, train, val, tmp_path, cpu)
+    real, found = training.scores.summary, [0.8, 0.9, 0.8998, 0.8994, 0.85]
+    kept = []
+    for score in found:
+        changed = {"macro_f1": score}
+        monkeypatch.setattr(training.scores, "summary", lambda *a, s=changed: real(*a) | s)
+        trainer.run_epoch(lambda done, total, note: None)
+        kept.append(trainer.best_epoch)
+    assert kept == [0, 1, 2, 2, 2]
+
+
 def test_a_training_may_begin_with_the_weights_of_another(torch: Any, tmp_path: Path) -> None:
     from touchdown.landing.classification.learning.training import Trainer, TrainParams
 
