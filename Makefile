@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-com
     --constraint constraints.txt
 # What compiling kernels takes, the first to be installed: kernels are compiled beside the rest.
 FOR_KERNELS := annotated-types mujoco numba opencv-contrib-python-headless scipy zstandard
-# Both processes of the tests would compile these as they start.
+# Both processes of the tests would compile these as they start; without it they still do.
 IMPORTED_BY_TESTS := dash dm_control IPython matplotlib numba numpy OpenGL pandas PIL rerun scipy
 KERNELS_OF_TESTS := experiments/flight/kernels_zou2024.txt tests/kernels.txt
 READY := $(VENV)/.ready
@@ -115,7 +115,7 @@ $(READY): pyproject.toml constraints.txt .ci/system-libraries
 $(READY_TO_TEST): $(READY)
 	$(BIN)/python -m touchdown.experiments.flight.kernels $(KERNELS_OF_TESTS) & \
 	    $(PIP) --compile --editable ".[dev,rl]"; installed=$$?; wait; exit $$installed
-	cd $(VENV)/lib/python3*/site-packages && $(abspath $(BIN))/python -m compileall -q -j 0 \
+	-cd $(VENV)/lib/python3*/site-packages && $(abspath $(BIN))/python -m compileall -q -j 0 \
 	    -x /tests/ $(IMPORTED_BY_TESTS) $(abspath src/touchdown)/*/
 	@touch $@
 

@@ -94,7 +94,7 @@ class TrainParams:
     miss_costs: tuple[tuple[str, float], ...] = ()
     """as ``NetworkFacts.miss_costs``; they do not affect the training itself"""
     patience: int = 8
-    """epochs without a better macro F1 on the validation images before training ends"""
+    """epochs of macro F1 below the best on the validation images before training ends"""
     seed: int = 0
 
 
