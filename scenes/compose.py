@@ -240,7 +240,7 @@ def _height_below(model: Any, data: Any, xy_m: Array, vehicle_body: int) -> floa
         distance = mujoco.mj_ray(model, data, start, down, groups, 1, -1, geom_id)
         if distance < 0.0:
             raise ValueError(
-                f"no ground under the take-off spot {tuple(np.round(xy_m, 2))}: add a floor, or a "
+                f"no ground under the take-off spot {np.round(xy_m, 2).tolist()}: add a floor, or a "
                 "site named 'takeoff' above the ground"
             )
         z -= distance
