@@ -44,6 +44,8 @@ _THIN_M = 0.15
 _UNTINTED = (0.5, 0.5, 0.5, 1.0)
 """MuJoCo's default, in place of which a material's own colour counts"""
 _HOLE_M = 3.0
+_BEHIND_M = 0.1
+"""half of the thickness of what is touched of a finite plane"""
 _MOST_HOLES = 0.2
 _BLOTS_M = (11.0, 5.0)
 
@@ -113,6 +115,20 @@ def touchable(spec: Any, model: Any, data: Any, geom: int, bounds_xy_m: Array) -
     own.contype = own.conaffinity = 0
     _field(spec, f"{name}_touched", heights, low, high, group=3)
     return True
+
+
+def bounded(spec: Any, model: Any, data: Any, geom: int) -> None:
+    """Gives a finite plane an unseen box behind it to touch, as wide as it is seen, instead of all
+    the space behind it."""
+    name, size = model.geom(geom).name, model.geom_size[geom]
+    rotation = data.geom_xmat[geom].reshape(3, 3)
+    own = spec.geom(name)
+    own.contype = own.conaffinity = 0
+    spec.worldbody.add_geom(
+        name=f"{name}_touched", type=mujoco.mjtGeom.mjGEOM_BOX, group=3,
+        size=[size[0], size[1], _BEHIND_M],
+        pos=data.geom_xpos[geom] - _BEHIND_M * rotation[:, 2], quat=_quat(rotation),
+    )  # fmt: skip
 
 
 def _replace_flat(

@@ -28,7 +28,15 @@ from touchdown.scenes.importers.class_files import (
     read_class_picture,
     read_class_table,
 )
-from touchdown.scenes.importers.dress import LEAST_M2, MATERIALS, MOST, Chosen, dress, touchable
+from touchdown.scenes.importers.dress import (
+    LEAST_M2,
+    MATERIALS,
+    MOST,
+    Chosen,
+    bounded,
+    dress,
+    touchable,
+)
 from touchdown.scenes.importers.guess import Guess, guess_classes, look_of, names_of
 from touchdown.sim.files.opening import printable, quiet_libraries
 
@@ -43,6 +51,8 @@ _RASTER_CELLS = 640
 """along the longer side of a picture of classes: a quarter of a metre"""
 _FAR = 0.0003
 """Share of the survey that a metre's distance from the origin weighs."""
+_BEHIND_M = 0.05
+"""below a plane, of what is seen there"""
 _SMALL_M = 4.0
 """Bounding radius of things that cells may miss."""
 
@@ -97,6 +107,11 @@ def made_ready(
         beyond = f"{one.land_class}_beyond_{one.name}"
         if spec.geom(beyond) is not None:
             surfaces[beyond] = surfaces[one.name]
+    if short := _end_planes(spec, _Compiled(model, data), seen, {one.name for one in done}):
+        told.append(
+            f"{', '.join(map(printable, short[:4]))}{' ...' if len(short) > 4 else ''}: planes that "
+            "end where they are seen to, and are not touched beyond"
+        )
     for geom in spec.geoms:
         surfaces.setdefault(geom.name, surface("other"))
     if done:
@@ -251,6 +266,24 @@ def _stand_on_meshes(
         wide = (seen.geom == geom).sum() * seen.cell_m**2 >= LEAST_M2
         if mesh and touched and wide and geom not in dressed and is_seen(model, geom):
             touchable(spec, model, data, geom, bounds)
+
+
+def _end_planes(spec: Any, compiled: _Compiled, seen: FromAbove, dressed: set[str]) -> list[str]:
+    """A plane is drawn as wide as its size says, and touched everywhere (MuJoCo, XML reference,
+    geom): a vehicle that stands behind a sloping one is thrown away. Those with ground behind them
+    end where they are seen to; returns their names."""
+    model, data = compiled
+    points = np.dstack([seen.centres(), seen.height_m])[np.isfinite(seen.height_m)]
+    ended = []
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).tolist():
+        name, normal = model.geom(geom).name, data.geom_xmat[geom].reshape(3, 3)[:, 2]
+        touched = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+        finite = bool((model.geom_size[geom, :2] > 0.0).all())
+        behind = (points - data.geom_xpos[geom]) @ normal < -_BEHIND_M
+        if touched and finite and name not in dressed and behind.any():
+            bounded(spec, model, data, geom)
+            ended.append(name)
+    return ended
 
 
 def _of_guesses(guesses: dict[int, Guess]) -> list[str]:

@@ -67,6 +67,28 @@ def test_the_take_off_leaves_what_stands_at_the_origin() -> None:
     assert (yard > -30.0).all() and (yard + [50.0, 40.0] < 30.3).all()
 
 
+def test_a_plane_that_slopes_is_touched_where_it_is_seen(tmp_path: Path) -> None:
+    """Walls of `quadruped.xml` of dm_control: MuJoCo draws them 1 x 15 m, and all that is behind
+    them touches them. A floor with nothing below it stays as it is."""
+    wall = '<geom name="wall" type="plane" size="1 15 .5" pos="-8 0 .7" zaxis="1 0 1"/>'
+    floor = '<geom name="floor" type="plane" size="60 60 1"/><site name="takeoff" pos="-14 0 0"/>'
+    path = write(tmp_path, floor + wall)
+    with pytest.warns(UserWarning, match="wall: planes that end where they are seen to"):
+        scene = load_scene(str(path), 0, ready=Readying())
+    model, data = scene.model, mujoco.MjData(scene.model)
+    touched = [g for g in range(model.ngeom) if model.geom_contype[g]]
+    names = {model.geom(g).name for g in touched} - {"floor"}
+    assert {n for n in names if not n.startswith("vehicle/")} == {"wall_touched"}
+    for _ in range(600):
+        mujoco.mj_step(model, data)
+    assert np.hypot(*(data.qpos[:2] - scene.takeoff_xy_m)) < 0.01 and data.ncon >= 3
+    data.qpos[:3] = [-8.0, 0.0, 0.9]
+    mujoco.mj_forward(model, data)
+    of_wall = {model.geom("wall_touched").id}
+    assert any(of_wall & {contact.geom1, contact.geom2} for contact in data.contact)
+    assert model.geom("wall_touched").group[0] == 3
+
+
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
