@@ -240,8 +240,8 @@ def _height_below(model: Any, data: Any, xy_m: Array, vehicle_body: int) -> floa
         distance = mujoco.mj_ray(model, data, start, down, groups, 1, -1, geom_id)
         if distance < 0.0:
             raise ValueError(
-                f"no ground under the take-off spot {np.round(xy_m, 2).tolist()}: add a floor, or a "
-                "site named 'takeoff' above the ground"
+                f"no ground under the take-off spot {np.round(xy_m, 2).tolist()}: add a floor, or "
+                "a site named 'takeoff' above the ground"
             )
         z -= distance
         if model.body_rootid[model.geom_bodyid[geom_id[0]]] != vehicle_body:

@@ -109,8 +109,8 @@ def made_ready(
             surfaces[beyond] = surfaces[one.name]
     if short := _end_planes(spec, _Compiled(model, data), seen, {one.name for one in done}):
         told.append(
-            f"{', '.join(map(printable, short[:4]))}{' ...' if len(short) > 4 else ''}: planes that "
-            "end where they are seen to, and are not touched beyond"
+            f"{', '.join(map(printable, short[:4]))}{' ...' if len(short) > 4 else ''}: planes "
+            "that end where they are seen to, and are not touched beyond"
         )
     for geom in spec.geoms:
         surfaces.setdefault(geom.name, surface("other"))
