@@ -12,6 +12,7 @@ import numpy as np
 
 from touchdown.scenes.api import LAND_CLASSES, Readying, Surface
 from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.importers.lights import add_sun
 from touchdown.scenes.importers.mjcf_limits import check_mjcf, check_spec
 from touchdown.scenes.importers.model_check import check_model
 from touchdown.scenes.importers.origin import (
@@ -123,10 +124,7 @@ def read_mjcf(path: Path, ready: Readying | None = None) -> SceneDraft:
             "sites and results count from there",
         )
     if not spec.lights:
-        spec.worldbody.add_light(
-            name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=[-0.4, 0.3, -0.86],
-            diffuse=[0.62, 0.60, 0.55], ambient=[0.20, 0.20, 0.22], castshadow=False,
-        )  # fmt: skip
+        add_sun(spec)
     surfaces, unknown = _surfaces(spec)
     if ready is None:
         _warn_of_unknown(path, unknown)

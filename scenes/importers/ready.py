@@ -38,6 +38,7 @@ from touchdown.scenes.importers.dress import (
     touchable,
 )
 from touchdown.scenes.importers.guess import Guess, guess_classes, look_of, names_of
+from touchdown.scenes.importers.lights import DARK, add_sun, ground_light
 from touchdown.sim.files.opening import printable, quiet_libraries
 
 Array = NDArray[np.float64]
@@ -120,6 +121,9 @@ def made_ready(
             f"featureless ground is dressed ({kinds}{' ...' if len(done) > 4 else ''}): a texture "
             "of real ground and a relief of centimetres (--as-is keeps the file as it is)"
         )
+    if ground_light(model, data, seen) < DARK:
+        add_sun(spec)
+        told.append("its lamps leave the ground dark: a sun is added")
     if told:
         say("; ".join(told))
     if not named:

@@ -89,6 +89,28 @@ def test_a_plane_that_slopes_is_touched_where_it_is_seen(tmp_path: Path) -> None
     assert model.geom("wall_touched").group[0] == 3
 
 
+def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) -> None:
+    """A lamp over a table, with and without the light that MuJoCo gives the camera."""
+    text = """<mujoco><visual><headlight ambient="{level} {level} {level}" diffuse="0 0 0"/></visual>
+    <worldbody><light pos="0 0 {height}" cutoff="45" exponent="0"/>
+    <geom type="plane" size="60 60 1"/></worldbody></mujoco>"""
+
+    def lights(level: float, height: float) -> list[str]:
+        path = tmp_path / "lamp.xml"
+        path.write_text(text.format(level=level, height=height))
+        model = load(path).model
+        return [model.light(number).name for number in range(model.nlight)]
+
+    assert "sun" in lights(0.1, 3.0)
+    assert "sun" not in lights(0.2, 3.0)
+    assert "sun" not in lights(0.1, 90.0)  # floodlights
+    path = tmp_path / "another.xml"
+    path.write_text(text.format(level=0.1, height=3.0))
+    with pytest.warns(UserWarning, match="its lamps leave the ground dark: a sun is added"):
+        load_scene(str(path), 0, ready=Readying())
+    assert load(path, None).model.nlight == 1
+
+
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
