@@ -48,7 +48,8 @@ def _falling(model: Any, data: Any, lamp: int, points: Array) -> Array:
     way = points - data.light_xpos[lamp]
     far = np.maximum(np.linalg.norm(way, axis=1), 1e-6)
     fall = np.maximum(-way[:, 2] / far, 0.0)
-    fall /= np.maximum(np.stack([far**0, far, far**2], axis=1) @ model.light_attenuation[lamp], 1e-6)
+    weaker = np.stack([far**0, far, far**2], axis=1) @ model.light_attenuation[lamp]
+    fall /= np.maximum(weaker, 1e-6)
     if kind == int(mujoco.mjtLightType.mjLIGHT_SPOT):
         along = np.maximum(way @ axis / far, 0.0)
         inside = along >= np.cos(np.deg2rad(model.light_cutoff[lamp]))

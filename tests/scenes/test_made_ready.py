@@ -91,7 +91,8 @@ def test_a_plane_that_slopes_is_touched_where_it_is_seen(tmp_path: Path) -> None
 
 def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) -> None:
     """A lamp over a table, with and without the light that MuJoCo gives the camera."""
-    text = """<mujoco><visual><headlight ambient="{level} {level} {level}" diffuse="0 0 0"/></visual>
+    text = """<mujoco>
+    <visual><headlight ambient="{level} {level} {level}" diffuse="0 0 0"/></visual>
     <worldbody><light pos="0 0 {height}" cutoff="45" exponent="0"/>
     <geom type="plane" size="60 60 1"/></worldbody></mujoco>"""
 
