@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from touchdown.experiments.config.checks import survey_problem
 from touchdown.experiments.config.schema import Config
 from touchdown.landing.api import SurveyParams
 from touchdown.scenes.api import Scene
+
+if TYPE_CHECKING:
+    from touchdown.scenes.truth.scene_facts import SurveyGround
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -50,15 +53,16 @@ def may_fit(config: Config, scene: Scene) -> bool:
 
 
 def fit_survey(config: Config, scene: Scene) -> Fit | None:
-    """The largest survey of no more than the configured size with ground below; None where not even
-    the shortest leg has."""
+    """The largest survey of no more than the configured size with ground below its legs and turns;
+    None where not even the shortest leg has. In a turn over an edge half of the pictures and scans
+    are empty, and an estimate moves by up to a metre."""
     from touchdown.scenes.truth.scene_facts import survey_ground
 
     survey, params = config.survey, config.survey_fit
     width = survey.legs * survey.leg_spacing_m
     ground = survey_ground(scene, survey.leg_length_m, width)
     for one in sorted(_surveys(survey, params), key=lambda one: (-_seen_m2(one, params), one.legs)):
-        if ground.share(one.leg_length_m, _width(one)) < params.ground_share:
+        if _share(ground, one, one.legs) < params.ground_share:
             continue
         one = one if one == survey else _timed(one, survey, params)
         highest = ground.highest_m(one.leg_length_m, _width(one))
@@ -66,10 +70,17 @@ def fit_survey(config: Config, scene: Scene) -> Fit | None:
         if highest > height - params.clearance_m:
             height = min(float(np.ceil(highest + params.room_m)), params.highest_m)
         one = dataclasses.replace(one, height_m=height)
-        next_leg = ground.share(one.leg_length_m, one.legs * one.leg_spacing_m)
+        next_leg = _share(ground, one, one.legs + 1)
         legs = config.landing.search_legs if next_leg >= params.ground_share else 0
         return Fit(one, legs, _changed(survey, one, config.landing.search_legs, legs))
     return None
+
+
+def _share(ground: SurveyGround, survey: SurveyParams, legs: int) -> float:
+    """Of the legs or of the turns of ``survey`` with so many ``legs``, whichever is less."""
+    length, spacing = survey.leg_length_m, survey.leg_spacing_m
+    below = ground.share(length, (legs - 1) * spacing)
+    return min(below, ground.turns_share(length, legs, spacing))
 
 
 def _surveys(survey: SurveyParams, params: SurveyFitParams) -> Iterator[SurveyParams]:
