@@ -102,7 +102,7 @@ def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) ->
         model = load(path).model
         return [model.light(number).name for number in range(model.nlight)]
 
-    assert "sun" in lights(0.1, 3.0)
+    assert "sun" in lights(0.1, 3.0) and "sun" in lights(0.1, 40.0)  # two thirds beyond its cone
     assert "sun" not in lights(0.2, 3.0)
     assert "sun" not in lights(0.1, 90.0)  # floodlights
     path = tmp_path / "another.xml"
