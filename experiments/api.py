@@ -41,6 +41,8 @@ class SurveyFitParams:
 
     ground_share: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.95
     """least share of the survey with ground below"""
+    turn_room_m: NotNegative = 3.0
+    """ground beyond a turn"""
     clearance_m: NotNegative = 2.0
     """least clearance of the legs above objects; below it the survey is raised"""
     room_m: NotNegative = 6.0

@@ -62,7 +62,7 @@ def fit_survey(config: Config, scene: Scene) -> Fit | None:
     width = survey.legs * survey.leg_spacing_m
     ground = survey_ground(scene, survey.leg_length_m, width)
     for one in sorted(_surveys(survey, params), key=lambda one: (-_seen_m2(one, params), one.legs)):
-        if _share(ground, one, one.legs) < params.ground_share:
+        if _share(ground, one, one.legs, params) < params.ground_share:
             continue
         one = one if one == survey else _timed(one, survey, params)
         highest = ground.highest_m(one.leg_length_m, _width(one))
@@ -70,17 +70,19 @@ def fit_survey(config: Config, scene: Scene) -> Fit | None:
         if highest > height - params.clearance_m:
             height = min(float(np.ceil(highest + params.room_m)), params.highest_m)
         one = dataclasses.replace(one, height_m=height)
-        next_leg = _share(ground, one, one.legs + 1)
+        next_leg = _share(ground, one, one.legs + 1, params)
         legs = config.landing.search_legs if next_leg >= params.ground_share else 0
         return Fit(one, legs, _changed(survey, one, config.landing.search_legs, legs))
     return None
 
 
-def _share(ground: SurveyGround, survey: SurveyParams, legs: int) -> float:
+def _share(
+    ground: SurveyGround, survey: SurveyParams, legs: int, params: SurveyFitParams
+) -> float:
     """Of the legs or of the turns of ``survey`` with so many ``legs``, whichever is less."""
     length, spacing = survey.leg_length_m, survey.leg_spacing_m
     below = ground.share(length, (legs - 1) * spacing)
-    return min(below, ground.turns_share(length, legs, spacing))
+    return min(below, ground.turns_share(length, legs, spacing, params.turn_room_m))
 
 
 def _surveys(survey: SurveyParams, params: SurveyFitParams) -> Iterator[SurveyParams]:

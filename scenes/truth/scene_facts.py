@@ -62,15 +62,15 @@ class SurveyGround:
         inside = _distance_from_box(self.local, length_m, width_m) == 0.0
         return float(np.isfinite(self.height_m[inside]).mean())
 
-    def turns_share(self, length_m: float, legs: int, spacing_m: float) -> float:
-        """Share of the turns with ground below: half circles, at the far end of the first leg, at
-        the near end of the second, and so on."""
+    def turns_share(self, length_m: float, legs: int, spacing_m: float, room_m: float) -> float:
+        """Share of the turns with ground below: half circles, ``room_m`` wider than they are flown,
+        at the far end of the first leg, at the near end of the second, and so on."""
         along, left = np.moveaxis(self.local, -1, 0)
         inside = np.zeros(along.shape, bool)
         for turn in range(legs - 1):
             beyond = -along if turn % 2 else along - length_m
             aside = left - (turn + 0.5) * spacing_m
-            inside |= (beyond > 0.0) & (np.hypot(beyond, aside) <= 0.5 * spacing_m)
+            inside |= (beyond > 0.0) & (np.hypot(beyond, aside) <= 0.5 * spacing_m + room_m)
         return float(np.isfinite(self.height_m[inside]).mean()) if inside.any() else 1.0
 
     def highest_m(self, length_m: float, width_m: float) -> float:

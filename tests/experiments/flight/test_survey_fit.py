@@ -31,14 +31,16 @@ def test_a_wide_place_has_the_standard_survey(tmp_path: Path) -> None:
 
 
 def test_a_small_place_has_a_small_survey(tmp_path: Path) -> None:
-    """Of a yard of 40 m the take-off in its middle has 20 m ahead and 20 m to the left, of which
-    turns need half of the legs' distance, and no room for another leg; what differs is said as
-    keys."""
+    """Of a yard of 40 m the take-off in its middle has 20 m ahead and 20 m to the left: one leg, low,
+    as two would turn over its edge, and no room for another; what differs is said as keys."""
     yard = f'<geom name="lawn" type="box" size="20 20 1" pos="0 0 -1"/>{TAKEOFF}'
     survey, search_legs, said = fit(tmp_path, yard)
-    assert (survey.legs, survey.leg_spacing_m, survey.leg_length_m) == (3, 10.0, 14.0)
-    assert (survey.height_m, search_legs) == (30.0, 0) and survey.duration_s < 20.0
-    assert "survey.leg_spacing_m=10, " in said and "survey.leg_length_m=14, " in said
+    assert (survey.legs, survey.leg_length_m, survey.height_m) == (1, 20.0, 20.0)
+    assert search_legs == 0 and survey.duration_s < 16.0
+    assert "survey.legs=1, " in said and "survey.leg_length_m=20, " in said
+    wide = fit(tmp_path, yard, "survey_fit.turn_room_m=0")[0]
+    assert (wide.legs, wide.leg_spacing_m, wide.leg_length_m) == (3, 10.0, 14.0)
+    assert wide.height_m == 30.0 and wide.duration_s < 20.0
     kept = fit(tmp_path, yard, "survey.legs=2")[0]
     assert (kept.legs, kept.leg_length_m) == (2, 50.0)
     assert fit(tmp_path, yard, as_is=True)[0] == SurveyParams()
@@ -46,12 +48,12 @@ def test_a_small_place_has_a_small_survey(tmp_path: Path) -> None:
 
 def test_turns_are_over_ground_too(tmp_path: Path) -> None:
     """Of a plane of 60 m: from a corner there is none for the turn at the near end, which a third
-    leg needs; from 12 m further in there is."""
+    leg needs; from 12 m further in there is. The radius is 10 m, and 3 m are left beyond."""
     plane = '<geom name="lawn" type="box" size="30 30 1" pos="0 0 -1"/>'
-    for x, legs, reach in ((-29.5, 2, 59.5), (-17.5, 3, 47.5)):
+    for x, legs in ((-29.5, 2), (-17.5, 3)):
         survey = fit(tmp_path, plane + f'<site name="takeoff" pos="{x} -29.5 0"/>')[0]
         assert survey.legs == legs and survey.leg_spacing_m == 20.0
-        assert reach - 3.0 < survey.leg_length_m + 10.0 < reach + 1.0
+        assert 26.0 < x + survey.leg_length_m + 13.0 < 31.0
 
 
 def test_a_tall_thing_raises_the_survey(tmp_path: Path) -> None:
