@@ -76,9 +76,7 @@ def fit_survey(config: Config, scene: Scene) -> Fit | None:
     return None
 
 
-def _share(
-    ground: SurveyGround, survey: SurveyParams, legs: int, params: SurveyFitParams
-) -> float:
+def _share(ground: SurveyGround, survey: SurveyParams, legs: int, params: SurveyFitParams) -> float:
     """Of the legs or of the turns of ``survey`` with so many ``legs``, whichever is less."""
     length, spacing = survey.leg_length_m, survey.leg_spacing_m
     below = ground.share(length, (legs - 1) * spacing)

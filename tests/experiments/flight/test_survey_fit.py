@@ -31,8 +31,8 @@ def test_a_wide_place_has_the_standard_survey(tmp_path: Path) -> None:
 
 
 def test_a_small_place_has_a_small_survey(tmp_path: Path) -> None:
-    """Of a yard of 40 m the take-off in its middle has 20 m ahead and 20 m to the left: one leg, low,
-    as two would turn over its edge, and no room for another; what differs is said as keys."""
+    """Of a yard of 40 m the take-off in its middle has 20 m ahead and 20 m to the left: one leg,
+    low, as two would turn over its edge, and no room for another; what differs is said as keys."""
     yard = f'<geom name="lawn" type="box" size="20 20 1" pos="0 0 -1"/>{TAKEOFF}'
     survey, search_legs, said = fit(tmp_path, yard)
     assert (survey.legs, survey.leg_length_m, survey.height_m) == (1, 20.0, 20.0)
