@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -42,6 +42,12 @@ class Keyframe:
     delay_s: float = 0.0
     """stamp of the image less the instant of the clone"""
 
+    def at(self, pixels: Array) -> Keyframe:
+        """The same image with features at (N, 2) ``pixels``, without planes."""
+        none = np.zeros(len(pixels), np.bool_)
+        return replace(self, pixels=pixels, valid=none, planes=np.zeros((len(pixels), 3)),
+                       sigmas=np.zeros(len(pixels)), assumed=none.copy())  # fmt: skip
+
     def landmarks_camera(self, camera: CameraIntrinsics) -> Array:
         """(N, 3) in the camera frame; zeros where the plane is unknown."""
         rays = bearing_rays(self.pixels, camera)
@@ -58,9 +64,16 @@ def bearing_rays(pixels: Array, camera: CameraIntrinsics) -> Array:
     return rays
 
 
-def detect_features(grey: Grey, max_count: int, spacing_px: int = 22, border_px: int = 12) -> Array:
+def detect_features(
+    grey: Grey,
+    max_count: int,
+    spacing_px: int = 22,
+    border_px: int = 12,
+    near: Array | None = None,
+) -> Array:
     """Corners (N, 2) spread over the image: the best of every cell of a grid of ``spacing_px``,
-    the strongest ``max_count`` of them (Shi and Tomasi's smallest eigenvalue)."""
+    the strongest ``max_count`` of them (Shi and Tomasi's smallest eigenvalue). ``near`` (M, 2):
+    pixels in whose cells they lie; without it in any."""
     response = cv2.cornerMinEigenVal(grey, 5, ksize=3)
     response[:border_px] = response[-border_px:] = 0.0
     response[:, :border_px] = response[:, -border_px:] = 0.0
@@ -70,6 +83,10 @@ def detect_features(grey: Grey, max_count: int, spacing_px: int = 22, border_px:
     flat = blocks.reshape(rows * cols, spacing_px * spacing_px)
     best = np.argmax(flat, axis=1)
     strength = flat[np.arange(rows * cols), best]
+    if near is not None:
+        where = np.zeros((rows, cols), bool)
+        where[tuple((near[:, ::-1] / spacing_px).astype(int).T)] = True
+        strength = np.where(where.ravel(), strength, 0.0)
     corner_row, corner_col = np.divmod(np.arange(rows * cols), cols)
     inner_row, inner_col = np.divmod(best, spacing_px)
     pixels = np.column_stack(

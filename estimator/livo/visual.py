@@ -60,6 +60,9 @@ _LAST_FEW = 4
 _LEAST_PLANES = 25
 """features of a keyframe with depth; with fewer, the others are assigned the common plane of the
 returns around, if there is one"""
+_GROUND_SHARE = 0.15
+"""of the image with returns, from which on features elsewhere are not of the ground: beyond its
+edge there may be stars. Still water gives returns from below, in a twentieth of the image."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -169,10 +172,29 @@ class VisualFrontEnd:
             share = self._params.assumed_depth_share
             assume_level_ground(keyframe, camera_from_odom, ground_m, self._camera, share)
         elif int(keyframe.valid.sum()) < _LEAST_PLANES:
-            extend_plane(keyframe, recent, camera_from_odom, self._camera)
+            on_ground = self._on_ground(keyframe, recent, camera_from_odom)
+            if on_ground is None:
+                extend_plane(keyframe, recent, camera_from_odom, self._camera)
+            else:
+                keyframe = on_ground
         if int(keyframe.valid.sum()) < _LEAST_PLANES:
             return None
         return keyframe
+
+    def _on_ground(
+        self, keyframe: Keyframe, recent: RecentReturns, camera_from_odom: Pose
+    ) -> Keyframe | None:
+        """Returns ``keyframe`` with features near returns of the LIDAR alone, where these are in a
+        good share of the image; else None."""
+        grey = keyframe.levels[0]
+        every = keyframe.at(detect_features(grey, grey.size))
+        measure_planes(every, recent, camera_from_odom, self._camera)
+        known = every.pixels[every.valid]
+        if len(known) < max(_LEAST_PLANES, _GROUND_SHARE * len(every.pixels)):
+            return None
+        chosen = keyframe.at(detect_features(grey, self._params.features, near=known))
+        measure_planes(chosen, recent, camera_from_odom, self._camera)
+        return chosen
 
     def new_anchor(self, eskf: Eskf, depth_m: float, tick: int) -> Keyframe:
         """Returns the present pose, ``depth_m`` above the ground, as a keyframe without an image,

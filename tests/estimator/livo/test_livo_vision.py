@@ -385,6 +385,29 @@ def test_a_plane_is_extended_only_on_demand() -> None:
     assert vision.keyframes[0].valid.sum() > 60 and not vision.keyframes[0].assumed.any()
 
 
+def test_beyond_the_edge_of_the_ground_are_no_features() -> None:
+    """25 m up over an edge: stars fill the rest of the image, brighter than anything on the ground,
+    and give no returns. Where these are few, as over water, the plane is extended."""
+    pose = imu_pose((0, 0, 25), (0, 0, 0))
+    grey = view(pose @ IMU_FROM_CAMERA) // 4 + 60
+    rng = np.random.default_rng(6)
+    stars = np.zeros((240, 254, 3), np.uint8)
+    stars[rng.integers(0, 240, 900), rng.integers(0, 254, 900)] = 255
+    grey[:, 170:] = stars
+    points = rng.uniform(-30.0, 30.0, (40_000, 3)) * [1.0, 1.0, 0.0]
+    camera_from_odom = (pose @ IMU_FROM_CAMERA).inverse()
+    seen = camera_from_odom.apply(points)
+    col = CAMERA.fx * seen[:, 0] / seen[:, 2] + CAMERA.cx
+    for edge_px, alone in ((170.0, True), (25.0, False)):
+        recent = RecentReturns(scans=1, per_scan=40_000)
+        recent.add(points[col < edge_px])
+        vision, eskf = front_end(features=40), filter_at(pose)
+        assert add_keyframe(vision, eskf, grey_levels(grey), recent, 0)
+        (keyframe,) = vision.keyframes
+        on_ground = keyframe.pixels[keyframe.valid, 0] < 178.0
+        assert len(on_ground) > 30 and on_ground.all() == alone
+
+
 def test_without_returns_features_lie_on_level_ground() -> None:
     """Seen from 20 m with a tilt of 6 degrees; the rangefinder says that the ground is at z = 2."""
     pose = imu_pose((3.0, -2.0, 20.0), (0.08, -0.06, 0.5))
