@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -25,15 +25,15 @@ class Keyframe:
     levels: tuple[Grey, Grey, Grey]
     pixels: Array
     """(N, 2)"""
-    valid: Mask
+    valid: Mask = field(init=False)
     """(N,) True where the plane is known"""
-    planes: Array
+    planes: Array = field(init=False)
     """(N, 3) ``n . P = 1`` in this keyframe's camera frame"""
-    sigmas: Array
+    sigmas: Array = field(init=False)
     """(N,) m along the ray, of features on no plane; 0 for the others"""
-    assumed: Mask
+    assumed: Mask = field(init=False)
     """(N,) True where no return has shown the depth"""
-    depth_m: float
+    depth_m: float = field(init=False)
     """median depth of the landmarks"""
     calibration: Array
     """(C,) of the filter when the planes were measured"""
@@ -42,11 +42,10 @@ class Keyframe:
     delay_s: float = 0.0
     """stamp of the image less the instant of the clone"""
 
-    def at(self, pixels: Array) -> Keyframe:
-        """The same image with features at (N, 2) ``pixels``, without planes."""
-        none = np.zeros(len(pixels), np.bool_)
-        return replace(self, pixels=pixels, valid=none, planes=np.zeros((len(pixels), 3)),
-                       sigmas=np.zeros(len(pixels)), assumed=none.copy())  # fmt: skip
+    def __post_init__(self) -> None:
+        count = len(self.pixels)
+        self.valid, self.assumed = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        self.planes, self.sigmas, self.depth_m = np.zeros((count, 3)), np.zeros(count), 0.0
 
     def landmarks_camera(self, camera: CameraIntrinsics) -> Array:
         """(N, 3) in the camera frame; zeros where the plane is unknown."""
@@ -65,11 +64,7 @@ def bearing_rays(pixels: Array, camera: CameraIntrinsics) -> Array:
 
 
 def detect_features(
-    grey: Grey,
-    max_count: int,
-    spacing_px: int = 22,
-    border_px: int = 12,
-    near: Array | None = None,
+    grey: Grey, max_count: int, spacing_px: int = 22, border_px: int = 12, near: Array | None = None
 ) -> Array:
     """Corners (N, 2) spread over the image: the best of every cell of a grid of ``spacing_px``,
     the strongest ``max_count`` of them (Shi and Tomasi's smallest eigenvalue). ``near`` (M, 2):

@@ -15,11 +15,7 @@ import numpy as np
 
 from touchdown.estimator.filtering.error_state import Frame, Pinhole
 from touchdown.estimator.filtering.keyframes import Keyframe, bearing_rays
-from touchdown.estimator.filtering.reprojection import (
-    LandmarkViews,
-    PixelNoise,
-    depth_corrections,
-)
+from touchdown.estimator.filtering.reprojection import LandmarkViews, PixelNoise, depth_corrections
 from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose

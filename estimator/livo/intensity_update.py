@@ -36,15 +36,7 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
 from touchdown.estimator.filtering.information import limit_information
-from touchdown.estimator.filtering.vectors import (
-    ZERO,
-    along,
-    cross,
-    dot,
-    turned,
-    turned_back,
-    xyz,
-)
+from touchdown.estimator.filtering.vectors import ZERO, along, cross, dot, turned, turned_back, xyz
 from touchdown.estimator.livo.anchored_update import ScanErrors
 from touchdown.estimator.livo.intensity_image import FEWEST, IntensityImage, brightness
 from touchdown.estimator.livo.plane_equations import Returns

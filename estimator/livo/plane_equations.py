@@ -29,14 +29,7 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
 )
 from touchdown.estimator.filtering.plane_map import PlaneMatches
-from touchdown.estimator.filtering.vectors import (
-    along,
-    cross,
-    dot,
-    turned,
-    turned_back,
-    xyz,
-)
+from touchdown.estimator.filtering.vectors import along, cross, dot, turned, turned_back, xyz
 from touchdown.estimator.typing import Array, Indices
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -172,46 +172,39 @@ class VisualFrontEnd:
             share = self._params.assumed_depth_share
             assume_level_ground(keyframe, camera_from_odom, ground_m, self._camera, share)
         elif int(keyframe.valid.sum()) < _LEAST_PLANES:
-            on_ground = self._on_ground(keyframe, recent, camera_from_odom)
-            if on_ground is None:
-                extend_plane(keyframe, recent, camera_from_odom, self._camera)
-            else:
-                keyframe = on_ground
+            keyframe = self._completed(keyframe, recent, camera_from_odom)
         if int(keyframe.valid.sum()) < _LEAST_PLANES:
             return None
         return keyframe
 
-    def _on_ground(
+    def _completed(
         self, keyframe: Keyframe, recent: RecentReturns, camera_from_odom: Pose
-    ) -> Keyframe | None:
-        """Returns ``keyframe`` with features near returns of the LIDAR alone, where these are in a
-        good share of the image; else None."""
+    ) -> Keyframe:
+        """Returns ``keyframe`` with features near returns of the LIDAR alone where these are in a
+        good share of the image, else with all features in the common plane of the returns."""
         grey = keyframe.levels[0]
-        every = keyframe.at(detect_features(grey, grey.size))
+        every = replace(keyframe, pixels=detect_features(grey, grey.size))
         measure_planes(every, recent, camera_from_odom, self._camera)
         known = every.pixels[every.valid]
         if len(known) < max(_LEAST_PLANES, _GROUND_SHARE * len(every.pixels)):
-            return None
-        chosen = keyframe.at(detect_features(grey, self._params.features, near=known))
+            extend_plane(keyframe, recent, camera_from_odom, self._camera)
+            return keyframe
+        chosen = replace(keyframe, pixels=detect_features(grey, self._params.features, near=known))
         measure_planes(chosen, recent, camera_from_odom, self._camera)
         return chosen
 
     def new_anchor(self, eskf: Eskf, depth_m: float, tick: int) -> Keyframe:
         """Returns the present pose, ``depth_m`` above the ground, as a keyframe without an image,
         to anchor the map to."""
-        nothing = (_NO_IMAGE, _NO_IMAGE, _NO_IMAGE)
-        keyframe = self._keyframe(eskf, nothing, np.zeros((0, 2)), tick, 0.0)
+        keyframe = self._keyframe(eskf, 3 * (_NO_IMAGE,), np.zeros((0, 2)), tick, 0.0)
         keyframe.depth_m = depth_m
         return keyframe
 
     def _keyframe(
         self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], pixels: Array, tick: int, delay_s: float
     ) -> Keyframe:
-        count = len(pixels)
         return Keyframe(
-            tick=tick, levels=levels, pixels=pixels, valid=np.zeros(count, dtype=np.bool_),
-            planes=np.zeros((count, 3)), sigmas=np.zeros(count), assumed=np.zeros(count, np.bool_),
-            depth_m=0.0,
+            tick=tick, levels=levels, pixels=pixels,
             calibration=eskf.state.calibration, twist=eskf.twist, delay_s=delay_s,
         )  # fmt: skip
 
