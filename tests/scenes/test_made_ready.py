@@ -110,6 +110,8 @@ def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) ->
     with pytest.warns(UserWarning, match="its lamps leave the ground dark: a sun is added"):
         load_scene(str(path), 0, ready=Readying())
     assert load(path, None).model.nlight == 1
+    text = text.replace("<light", '<light name="sun"')
+    assert lights(0.1, 3.0) == ["sun", ""]
 
 
 @pytest.mark.parametrize(
