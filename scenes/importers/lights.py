@@ -20,7 +20,8 @@ def add_sun(spec: Any) -> None:
     """Adds a sun to ``spec``, and the light of the sky."""
     taken = any(light.name == "sun" for light in spec.lights)
     spec.worldbody.add_light(
-        name="" if taken else "sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=[-0.4, 0.3, -0.86],
+        name="" if taken else "sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        dir=[-0.4, 0.3, -0.86],
         diffuse=[0.62, 0.60, 0.55], ambient=[0.20, 0.20, 0.22], castshadow=False,
     )  # fmt: skip
 
