@@ -62,7 +62,7 @@ _LEAST_PLANES = 25
 returns around, if there is one"""
 _GROUND_SHARE = 0.15
 """of the image with returns, from which on features elsewhere are not of the ground: beyond its
-edge there may be stars. Still water gives returns from below, in a twentieth of the image."""
+edge there may be stars. Over still water most images have returns in a tenth or less."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -45,7 +45,7 @@ _UNTINTED = (0.5, 0.5, 0.5, 1.0)
 """MuJoCo's default, in place of which a material's own colour counts"""
 _HOLE_M = 3.0
 _BEHIND_M = 0.1
-"""half of the thickness of what is touched of a finite plane"""
+"""half of the thickness of what collides of a finite plane"""
 _MOST_HOLES = 0.2
 _BLOTS_M = (11.0, 5.0)
 
@@ -118,8 +118,7 @@ def touchable(spec: Any, model: Any, data: Any, geom: int, bounds_xy_m: Array) -
 
 
 def bounded(spec: Any, model: Any, data: Any, geom: int) -> None:
-    """Gives a finite plane an unseen box behind it to touch, as wide as it is seen, instead of all
-    the space behind it."""
+    """Makes a finite plane collide only where it is drawn, by an unseen box behind it."""
     name, size = model.geom(geom).name, model.geom_size[geom]
     rotation = data.geom_xmat[geom].reshape(3, 3)
     own = spec.geom(name)

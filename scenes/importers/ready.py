@@ -111,7 +111,7 @@ def made_ready(
     if short := _end_planes(spec, _Compiled(model, data), seen, {one.name for one in done}):
         told.append(
             f"{', '.join(map(printable, short[:4]))}{' ...' if len(short) > 4 else ''}: planes "
-            "that end where they are seen to, and are not touched beyond"
+            "that collide only where they are drawn"
         )
     for geom in spec.geoms:
         surfaces.setdefault(geom.name, surface("other"))
@@ -273,9 +273,9 @@ def _stand_on_meshes(
 
 
 def _end_planes(spec: Any, compiled: _Compiled, seen: FromAbove, dressed: set[str]) -> list[str]:
-    """A plane is drawn as wide as its size says, and touched everywhere (MuJoCo, XML reference,
-    geom): a vehicle that stands behind a sloping one is thrown away. Those with ground behind them
-    end where they are seen to; returns their names."""
+    """MuJoCo draws a plane as wide as its size, but everything behind it collides with it (XML
+    reference, geom): a vehicle that stands behind a sloping one is thrown away. Those with ground
+    behind them then collide only where they are drawn; returns their names."""
     model, data = compiled
     points = np.dstack([seen.centres(), seen.height_m])[np.isfinite(seen.height_m)]
     ended = []

@@ -67,18 +67,20 @@ def test_the_take_off_leaves_what_stands_at_the_origin() -> None:
     assert (yard > -30.0).all() and (yard + [50.0, 40.0] < 30.3).all()
 
 
-def test_a_plane_that_slopes_is_touched_where_it_is_seen(tmp_path: Path) -> None:
+def test_a_plane_with_ground_behind_it_collides_where_it_is_drawn(tmp_path: Path) -> None:
     """Walls of `quadruped.xml` of dm_control: MuJoCo draws them 1 x 15 m, and all that is behind
-    them touches them. A floor with nothing below it stays as it is."""
+    them collides with them. So it is with a table top, and not with a mat on the floor."""
     wall = '<geom name="wall" type="plane" size="1 15 .5" pos="-8 0 .7" zaxis="1 0 1"/>'
+    top = '<geom name="top" type="plane" size="1 1 .5" pos="20 -9 1"/>'
+    mat = '<geom name="mat" type="plane" size="1 1 .5" pos="20 9 .02"/>'
     floor = '<geom name="floor" type="plane" size="60 60 1"/><site name="takeoff" pos="-14 0 0"/>'
-    path = write(tmp_path, floor + wall)
-    with pytest.warns(UserWarning, match="wall: planes that end where they are seen to"):
+    path = write(tmp_path, floor + wall + top + mat)
+    with pytest.warns(UserWarning, match="wall, top: planes that collide only where they are draw"):
         scene = load_scene(str(path), 0, ready=Readying())
     model, data = scene.model, mujoco.MjData(scene.model)
-    touched = [g for g in range(model.ngeom) if model.geom_contype[g]]
-    names = {model.geom(g).name for g in touched} - {"floor"}
-    assert {n for n in names if not n.startswith("vehicle/")} == {"wall_touched"}
+    names = {model.geom(g).name for g in range(model.ngeom) if model.geom_contype[g]}
+    own = {name for name in names if not name.startswith("vehicle/")}
+    assert own == {"floor", "mat", "wall_touched", "top_touched"}
     for _ in range(600):
         mujoco.mj_step(model, data)
     assert np.hypot(*(data.qpos[:2] - scene.takeoff_xy_m)) < 0.01 and data.ncon >= 3
@@ -90,28 +92,33 @@ def test_a_plane_that_slopes_is_touched_where_it_is_seen(tmp_path: Path) -> None
 
 
 def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) -> None:
-    """A lamp over a table, with and without the light that MuJoCo gives the camera."""
-    text = """<mujoco>
-    <visual><headlight ambient="{level} {level} {level}" diffuse="0 0 0"/></visual>
-    <worldbody><light pos="0 0 {height}" cutoff="45" exponent="0"/>
-    <geom type="plane" size="60 60 1"/></worldbody></mujoco>"""
+    """Lamps over a floor of 120 m beside a light of the camera of 0.1, which is too little."""
 
-    def lights(level: float, height: float) -> list[str]:
+    def lights(lamp: str, level: float = 0.1, ready: Readying | None = Readying()) -> list[str]:  # noqa: B008
         path = tmp_path / "lamp.xml"
-        path.write_text(text.format(level=level, height=height))
-        model = load(path).model
+        path.write_text(
+            f"""<mujoco><visual><headlight ambient="{level} {level} {level}" diffuse="0 0 0"/>
+            </visual><worldbody><light {lamp}/><geom type="plane" size="60 60 1"/></worldbody>
+            </mujoco>"""
+        )
+        model = load(path, ready).model
         return [model.light(number).name for number in range(model.nlight)]
 
-    assert "sun" in lights(0.1, 3.0) and "sun" in lights(0.1, 40.0)  # two thirds beyond its cone
-    assert "sun" not in lights(0.2, 3.0)
-    assert "sun" not in lights(0.1, 90.0)  # floodlights
+    cone = 'cutoff="45" exponent="0"'
+    for dark in (
+        f'pos="0 0 3" {cone}', f'pos="0 0 40" {cone}', f'pos="0 0 90" {cone} active="false"',
+        f'pos="0 0 90" {cone} attenuation="0 0 1"', 'directional="true" dir="0 0 1"',
+    ):  # fmt: skip
+        assert lights(dark) == ["", "sun"], dark
+    for lit in (f'pos="0 0 90" {cone}', 'directional="true" dir="0 1 -1"'):
+        assert lights(lit) == [""], lit
+    assert lights(f'pos="0 0 3" {cone}', 0.2) == [""]
+    assert lights(f'pos="0 0 3" {cone}', ready=None) == [""]
+    assert lights(f'name="sun" pos="0 0 3" {cone}') == ["sun", ""]
     path = tmp_path / "another.xml"
-    path.write_text(text.format(level=0.1, height=3.0))
+    path.write_text((tmp_path / "lamp.xml").read_text())
     with pytest.warns(UserWarning, match="its lamps leave the ground dark: a sun is added"):
         load_scene(str(path), 0, ready=Readying())
-    assert load(path, None).model.nlight == 1
-    text = text.replace("<light", '<light name="sun"')
-    assert lights(0.1, 3.0) == ["sun", ""]
 
 
 @pytest.mark.parametrize(
