@@ -74,13 +74,14 @@ def test_a_plane_with_ground_behind_it_collides_where_it_is_drawn(tmp_path: Path
     top = '<geom name="top" type="plane" size="1 1 .5" pos="20 -9 1"/>'
     mat = '<geom name="mat" type="plane" size="1 1 .5" pos="20 9 .02"/>'
     floor = '<geom name="floor" type="plane" size="60 60 1"/><site name="takeoff" pos="-14 0 0"/>'
-    path = write(tmp_path, floor + wall + top + mat)
+    dam = '<geom name="dam" type="plane" size="0 0 1" pos="45 0 0" zaxis="-1 0 1"/>'  # has no end
+    path = write(tmp_path, floor + wall + top + mat + dam)
     with pytest.warns(UserWarning, match="wall, top: planes that collide only where they are draw"):
         scene = load_scene(str(path), 0, ready=Readying())
     model, data = scene.model, mujoco.MjData(scene.model)
     names = {model.geom(g).name for g in range(model.ngeom) if model.geom_contype[g]}
     own = {name for name in names if not name.startswith("vehicle/")}
-    assert own == {"floor", "mat", "wall_touched", "top_touched"}
+    assert own == {"floor", "mat", "dam", "wall_touched", "top_touched"}
     for _ in range(600):
         mujoco.mj_step(model, data)
     assert np.hypot(*(data.qpos[:2] - scene.takeoff_xy_m)) < 0.01 and data.ncon >= 3
@@ -94,10 +95,12 @@ def test_a_plane_with_ground_behind_it_collides_where_it_is_drawn(tmp_path: Path
 def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) -> None:
     """Lamps over a floor of 120 m beside a light of the camera of 0.1, which is too little."""
 
-    def lights(lamp: str, level: float = 0.1, ready: Readying | None = Readying()) -> list[str]:  # noqa: B008
+    def lights(lamp: str, level: float = 0.1, ready: Readying | None = Readying(),  # noqa: B008
+               on: int = 1) -> list[str]:  # fmt: skip
         path = tmp_path / "lamp.xml"
         path.write_text(
-            f"""<mujoco><visual><headlight ambient="{level} {level} {level}" diffuse="0 0 0"/>
+            f"""<mujoco><visual>
+            <headlight ambient="{level} {level} {level}" diffuse="0 0 0" active="{on}"/>
             </visual><worldbody><light {lamp}/><geom type="plane" size="60 60 1"/></worldbody>
             </mujoco>"""
         )
@@ -113,6 +116,7 @@ def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) ->
     for lit in (f'pos="0 0 90" {cone}', 'directional="true" dir="0 1 -1"'):
         assert lights(lit) == [""], lit
     assert lights(f'pos="0 0 3" {cone}', 0.2) == [""]
+    assert lights(f'pos="0 0 3" {cone}', 0.2, on=0) == ["", "sun"]
     assert lights(f'pos="0 0 3" {cone}', ready=None) == [""]
     assert lights(f'name="sun" pos="0 0 3" {cone}') == ["sun", ""]
     path = tmp_path / "another.xml"
