@@ -45,7 +45,9 @@ _UNTINTED = (0.5, 0.5, 0.5, 1.0)
 """MuJoCo's default, in place of which a material's own colour counts"""
 _HOLE_M = 3.0
 _BEHIND_M = 0.1
-"""half of the thickness of what collides of a finite plane"""
+"""half of the thickness of what collides of a plane that ends"""
+_ENDLESS_M = 1000.0
+"""half width of a plane along an axis on which it has no end"""
 _MOST_HOLES = 0.2
 _BLOTS_M = (11.0, 5.0)
 
@@ -118,14 +120,15 @@ def touchable(spec: Any, model: Any, data: Any, geom: int, bounds_xy_m: Array) -
 
 
 def bounded(spec: Any, model: Any, data: Any, geom: int) -> None:
-    """Makes a finite plane collide only where it is drawn, by an unseen box behind it."""
+    """Makes a plane collide only where it is drawn, by an unseen box behind it."""
     name, size = model.geom(geom).name, model.geom_size[geom]
+    width, height = np.where(size[:2] > 0.0, size[:2], _ENDLESS_M)
     rotation = data.geom_xmat[geom].reshape(3, 3)
     own = spec.geom(name)
     own.contype = own.conaffinity = 0
     spec.worldbody.add_geom(
         name=f"{name}_touched", type=mujoco.mjtGeom.mjGEOM_BOX, group=3,
-        size=[size[0], size[1], _BEHIND_M],
+        size=[width, height, _BEHIND_M],
         pos=data.geom_xpos[geom] - _BEHIND_M * rotation[:, 2], quat=_quat(rotation),
     )  # fmt: skip
 

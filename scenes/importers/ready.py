@@ -282,9 +282,8 @@ def _end_planes(spec: Any, compiled: _Compiled, seen: FromAbove, dressed: set[st
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).tolist():
         name, normal = model.geom(geom).name, data.geom_xmat[geom].reshape(3, 3)[:, 2]
         touched = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
-        finite = bool((model.geom_size[geom, :2] > 0.0).all())
         behind = (points - data.geom_xpos[geom]) @ normal < -_BEHIND_M
-        if touched and finite and name not in dressed and behind.any():
+        if touched and name not in dressed and behind.any():
             bounded(spec, model, data, geom)
             ended.append(name)
     return ended

@@ -73,15 +73,17 @@ def test_a_plane_with_ground_behind_it_collides_where_it_is_drawn(tmp_path: Path
     wall = '<geom name="wall" type="plane" size="1 15 .5" pos="-8 0 .7" zaxis="1 0 1"/>'
     top = '<geom name="top" type="plane" size="1 1 .5" pos="20 -9 1"/>'
     mat = '<geom name="mat" type="plane" size="1 1 .5" pos="20 9 .02"/>'
-    floor = '<geom name="floor" type="plane" size="60 60 1"/><site name="takeoff" pos="-14 0 0"/>'
-    dam = '<geom name="dam" type="plane" size="0 0 1" pos="45 0 0" zaxis="-1 0 1"/>'  # has no end
-    path = write(tmp_path, floor + wall + top + mat + dam)
-    with pytest.warns(UserWarning, match="wall, top: planes that collide only where they are draw"):
+    floor = '<geom name="floor" type="plane" size="0 0 1"/><site name="takeoff" pos="-14 0 0"/>'
+    strip = '<geom name="building" type="plane" size="0 1 .5" pos="0 -20 1"/>'  # endless along x
+    path = write(tmp_path, floor + wall + top + mat + strip)
+    with pytest.warns(
+        UserWarning, match="wall, top, building: planes that collide only where they are draw"
+    ):
         scene = load_scene(str(path), 0, ready=Readying())
     model, data = scene.model, mujoco.MjData(scene.model)
     names = {model.geom(g).name for g in range(model.ngeom) if model.geom_contype[g]}
     own = {name for name in names if not name.startswith("vehicle/")}
-    assert own == {"floor", "mat", "dam", "wall_touched", "top_touched"}
+    assert own == {"floor", "mat", "wall_touched", "top_touched", "building_touched"}
     for _ in range(600):
         mujoco.mj_step(model, data)
     assert np.hypot(*(data.qpos[:2] - scene.takeoff_xy_m)) < 0.01 and data.ncon >= 3
