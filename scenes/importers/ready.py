@@ -21,7 +21,6 @@ from touchdown.scenes.importers.above import (
     grounds,
     is_seen,
     largest,
-    level_cells,
 )
 from touchdown.scenes.importers.class_files import (
     class_in_table,
@@ -39,19 +38,14 @@ from touchdown.scenes.importers.dress import (
 )
 from touchdown.scenes.importers.guess import Guess, guess_classes, look_of, names_of
 from touchdown.scenes.importers.lights import DARK, add_sun, ground_light
+from touchdown.scenes.importers.takeoff import takeoff_spot
 from touchdown.sim.files.opening import printable, quiet_libraries
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
-AHEAD_M, LEFT_M = 52.0, 42.0
-"""The rectangle of the standard survey's legs, and a margin."""
-_FREE_M, _LEVEL_M = 1.5, 0.12
-"""Radius around a take-off that is level, and the heights within it."""
 _RASTER_CELLS = 640
 """along the longer side of a picture of classes: a quarter of a metre"""
-_FAR = 0.0003
-"""Share of the survey that a metre's distance from the origin weighs."""
 _BEHIND_M = 0.05
 """below a plane, of what is seen there"""
 _SMALL_M = 4.0
@@ -206,39 +200,6 @@ class _Given:
             geom_name=self.ground, origin_xy_m=self.bounds_xy_m[0].copy(), cell_m=cell,
             class_id=ids[index], reflectivity=np.array(shine, np.float32)[index],
         )  # fmt: skip
-
-
-def takeoff_spot(seen: FromAbove, wish_xy_m: Array) -> Array:
-    """The take-off where a file names none: the point (2,) ``wish_xy_m`` where it is level, free
-    and leaves room for the survey, else the spot on the widest ground that does and is nearest."""
-    label = grounds(seen)
-    usable = level_cells(seen, _FREE_M, _LEVEL_M) & (label == largest(label))
-    if not usable.any():
-        return wish_xy_m
-    known = np.isfinite(seen.height_m).astype(np.float64)
-    room = _share_ahead(known, seen.cell_m)
-    here = seen.cell_of(wish_xy_m)
-    if usable[here] and room[here] >= 0.95:
-        return wish_xy_m
-    centres = seen.centres()
-    away = np.hypot(*np.moveaxis(centres - wish_xy_m, -1, 0))
-    cost = np.where(usable, 1.0 - room + _FAR * away, np.inf)
-    return np.asarray(centres[np.unravel_index(int(np.argmin(cost)), cost.shape)], np.float64)
-
-
-def _share_ahead(known: Array, cell_m: float) -> Array:
-    """(rows, cols) share of ground below legs that start in a cell, heading east."""
-    rows, cols = known.shape
-    total = np.zeros((rows + 1, cols + 1))
-    total[1:, 1:] = known.cumsum(axis=0).cumsum(axis=1)
-    ahead, left = round(AHEAD_M / cell_m), round(LEFT_M / cell_m)
-    row, col = np.arange(rows), np.arange(cols)
-    top, right = np.minimum(row + left, rows), np.minimum(col + ahead, cols)
-    area = (
-        total[np.ix_(top, right)] - total[np.ix_(row, right)]
-        - total[np.ix_(top, col)] + total[np.ix_(row, col)]
-    )  # fmt: skip
-    return np.asarray(area / (ahead * left))
 
 
 def _featureless(
