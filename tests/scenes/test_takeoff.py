@@ -1,4 +1,4 @@
-"""Where a vehicle takes off over ground of a given size, in the middle of which something stands."""
+"""Where a vehicle takes off over ground of a given size, with something in its middle."""
 
 from __future__ import annotations
 
