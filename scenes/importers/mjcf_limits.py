@@ -175,7 +175,10 @@ class _Model:
         try:
             parser.Parse(data, True)
         except expat.ExpatError as error:
-            raise self._fail(f"not a valid MJCF file: '{path.name}' is not XML: {error}") from None
+            raise self._fail(
+                f"not a valid MJCF file: '{path.name}' is not XML: {error}; correct it there, or, if "
+                "MuJoCo opens it, save it anew (mujoco.mj_saveLastXML)"
+            ) from None
 
     def _refuse_doctype(self, *_declared: object) -> None:
         # MuJoCo's reader sees its end elsewhere, and hence another document.

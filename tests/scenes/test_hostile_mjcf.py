@@ -88,6 +88,7 @@ def refused(folder: Path, text: str, message: str) -> None:
      "height field 'line' has fewer than 2 rows"),
     ('<robot name="r"><link name="a"/></robot>', "the root of .* is <robot>"),
     ("<mujoco><worldbody></mujoco>", "is not XML: mismatched tag"),
+    ("<mujoco><worldbody/></mujoco></mujoco>", "correct it there, or, if MuJoCo opens it, save"),
     (place('<geom size="1" pos="nan 0 0"/>'), "geom .* NaN or infinite"),
     (place('<body pos="inf 0 0"><geom size="1"/></body>'), "NaN or infinite"),
     (place('<geom name="far" size="1" pos="1e300 0 0"/>'), "geom 'far' lies or reaches"),
