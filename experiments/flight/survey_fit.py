@@ -36,7 +36,7 @@ class Fit:
 def fitted(config: Config, scene: Scene) -> Config:
     """Returns ``config`` with the survey of `fit_survey` and warns of what differs. Only the
     standard survey over a file that is made ready is fitted."""
-    fit = fit_survey(config, scene) if may_fit(config, scene) else None
+    fit = fit_survey(config, scene)
     if fit is None or not fit.changed:
         return config
     keys = ", ".join(f"{key}={value:g}" for key, value in fit.changed.items())
@@ -45,7 +45,7 @@ def fitted(config: Config, scene: Scene) -> Config:
     return config.model_copy(update={"survey": fit.survey, "landing": landing})
 
 
-def may_fit(config: Config, scene: Scene) -> bool:
+def _may_fit(config: Config, scene: Scene) -> bool:
     """True for the standard survey over a scene from a file that is not taken as it is."""
     standard = SurveyParams()
     turned = dataclasses.replace(standard, climb_turn_deg=config.survey.climb_turn_deg)
@@ -54,8 +54,10 @@ def may_fit(config: Config, scene: Scene) -> bool:
 
 def fit_survey(config: Config, scene: Scene) -> Fit | None:
     """The largest survey of no more than the configured size with ground below its legs and turns;
-    None where not even the shortest leg has. In a turn over an edge half of the pictures and scans
-    are empty, and an estimate moves by up to a metre."""
+    None where not even the shortest leg has, and where nothing is fitted. In a turn over an edge
+    half of the pictures and scans are empty, and an estimate moves by up to a metre."""
+    if not _may_fit(config, scene):
+        return None
     from touchdown.scenes.truth.scene_facts import survey_ground
 
     survey, params = config.survey, config.survey_fit

@@ -8,7 +8,7 @@ from typing import Any
 
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.flight.survey_fit import Fit, fit_survey, may_fit
+from touchdown.experiments.flight.survey_fit import Fit, fit_survey
 from touchdown.experiments.scene_tools.render import load_configured_scene
 from touchdown.experiments.scene_tools.survey_facts import scene_facts, survey_facts
 from touchdown.landing.api import SurveyParams
@@ -33,7 +33,7 @@ def check_scene_file(
         None, list(overrides), scene=file, profile_default="ideal", as_is=as_is, classes=classes
     )
     scene = load_configured_scene(config)
-    fit = fit_survey(config, scene) if may_fit(config, scene) else None
+    fit = fit_survey(config, scene)
     if fit is not None:
         config = config.model_copy(update={"survey": fit.survey})
     facts = {

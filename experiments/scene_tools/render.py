@@ -14,6 +14,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.contact_sheet import contact_sheet, thumbnails
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.places import place_file
+from touchdown.experiments.flight.survey_fit import fit_survey
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.views import VIEWS, Image, SceneViews, write_image
 from touchdown.scenes.api import Light, Scene, names_function
@@ -94,7 +95,10 @@ def _make_folder(folder: Path) -> None:
 
 def _views(name: str, seed: int, light: Light) -> SceneViews:
     config = load_config(scene=name, seed=seed, light=light, profile_default="ideal")
-    return SceneViews(load_configured_scene(config), config)
+    scene = load_configured_scene(config)
+    if (fit := fit_survey(config, scene)) is not None:  # the legs that would be flown
+        config = config.model_copy(update={"survey": fit.survey})
+    return SceneViews(scene, config)
 
 
 def vehicle_portrait(scene: Scene) -> tuple[NDArray[np.uint8], VehicleModel]:

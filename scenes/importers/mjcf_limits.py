@@ -176,8 +176,8 @@ class _Model:
             parser.Parse(data, True)
         except expat.ExpatError as error:
             raise self._fail(
-                f"not a valid MJCF file: '{path.name}' is not XML: {error}; correct it there, or, if "
-                "MuJoCo opens it, save it anew (mujoco.mj_saveLastXML)"
+                f"not a valid MJCF file: '{path.name}' is not XML: {error}; correct it there, "
+                "or, if MuJoCo opens it, save it anew (mujoco.mj_saveLastXML)"
             ) from None
 
     def _refuse_doctype(self, *_declared: object) -> None:

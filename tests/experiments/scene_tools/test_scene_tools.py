@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.cli import main as cli
+from touchdown.experiments.flight.survey_fit import fit_survey
 from touchdown.experiments.scene_tools.flyability import check_scene_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
+from touchdown.experiments.scene_tools.render import load_configured_scene, render_view
 from touchdown.experiments.scene_tools.seed_check import check_scene
 from touchdown.experiments.scene_tools.views import CLASS_RGB, VIEWS, SceneViews
 from touchdown.scenes.api import Scene
@@ -207,3 +209,18 @@ def test_25_seeds_build_and_differ(name: str) -> None:
     row = check_scene(name, 25, lambda _note: None)
     assert row["failed"] == {}
     assert row["differ"], row["closest"]
+
+
+def test_a_map_shows_the_legs_that_would_be_flown(place_file: Path, tmp_path: Path) -> None:
+    """Over 25 m ahead of the take-off the standard leg of 50 m would not fit."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        render_view(str(place_file), 0, "above", tmp_path / "above.png")
+        config = load_config(scene=str(place_file))
+        scene = load_configured_scene(config)
+        fitted = fit_survey(config, scene)
+    assert fitted is not None and fitted.survey.leg_length_m <= 26.0
+    shown = cv2.imread(str(tmp_path / "above.png"))[..., ::-1]
+    for survey, same in ((fitted.survey, True), (config.survey, False)):
+        views = SceneViews(scene, config.model_copy(update={"survey": survey}))
+        assert np.array_equal(shown, views.framed("above", views.above())) == same
