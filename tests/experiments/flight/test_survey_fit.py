@@ -5,10 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from touchdown.experiments.api import SurveyFitParams
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.survey_fit import fitted
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.landing.api import SurveyParams
+from touchdown.scenes.importers import takeoff
 
 TAKEOFF = '<site name="takeoff" pos="0 0 0"/>'
 PLANE = f'<geom name="lawn" type="plane" size="0 0 1"/>{TAKEOFF}'
@@ -62,3 +64,13 @@ def test_a_tall_thing_raises_the_survey(tmp_path: Path) -> None:
     assert survey.height_m == pytest.approx(39.0, abs=1.01) and "survey.height_m=" in said
     for key, height in (("room_m=10", survey.height_m + 4.0), ("highest_m=35", 35.0)):
         assert fit(tmp_path, PLANE + mast, f"survey_fit.{key}")[0].height_m == height
+
+
+def test_take_offs_are_chosen_for_the_surveys_that_are_fitted() -> None:
+    survey, params = SurveyParams(), SurveyFitParams()
+    width = (survey.legs - 1) * survey.leg_spacing_m
+    assert (survey.leg_length_m + 2.0, width + 2.0) == (takeoff._AHEAD_M, takeoff._LEFT_M)
+    assert tuple(survey.leg_spacing_m * n for n in range(survey.legs)) == takeoff._WIDTHS_M
+    assert takeoff._LENGTHS_M[-1] == params.shortest_m
+    assert 0.5 * survey.leg_spacing_m + params.turn_room_m == takeoff._TURN_M
+    assert params.swath_m == takeoff._SEEN_ASIDE_M and params.ground_share == takeoff._ROOM
