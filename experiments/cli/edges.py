@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,44 +23,15 @@ from touchdown.experiments.terminal import make_console, make_notes, make_table,
 
 @click.group(cls=CommandGroup)
 def edges() -> None:
-    """Train the edge detector of the estimator `zou2024`, score it, and draw its output.
+    """Score the edge detector of the estimator `zou2024`, and draw its output.
 
     Example: touchdown edges evaluate
     """
 
 
-@edges.command("train")
-@click.option("--out", type=PATH, default=Path("edges.yml.gz"),
-              show_default=True, help="The model, *.yml.gz; flights take it by "
-              "--set zou2024.edge_model=FILE.")  # fmt: skip
-@click.option("--seed", type=SEED, default=0, show_default=True,
-              help="Varies the scenes, the poses and the forest.")  # fmt: skip
-@JSON
-@QUIET
-def edges_train(out: Path, seed: int, as_json: bool, quiet: bool) -> int:
-    """Render images of the scenes with their true boundaries and grow a structured forest.
-
-    Takes about six minutes of one core. The same seed gives the same file.
-
-    Example: touchdown edges train --out edges.yml.gz
-    """
-    from touchdown.experiments.edges.train import train
-
-    report = usage_errors(lambda: train(out, seed, make_notes(quiet)))
-    if as_json:
-        click.echo(json.dumps(report, indent=2))
-    else:
-        say(
-            f"{report['pictures']} pictures in {report['render_s']:.0f} s; {report['trees']} trees "
-            f"with {report['leaves']} leaves in {report['train_s']:.0f} s\n"
-            f"written: {report['file']} ({report['bytes'] / 1e6:.2f} MB)"
-        )
-    return EXIT_DONE
-
-
 @edges.command("evaluate")
 @click.option("--model", default="shipped", show_default=True,
-              help="`shipped`, `gradient`, or a file of `touchdown edges train`.")  # fmt: skip
+              help="`shipped`, `gradient`, or a file in OpenCV's form.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(1), default=5, show_default=True)
 @click.option("--plot", type=PATH, help="Precision over recall, JPG or PNG.")
 @JSON
@@ -73,8 +43,8 @@ def edges_evaluate(model: str, seeds: int, plot: Path | None, as_json: bool, qui
 
     Example: touchdown edges evaluate --seeds 3 --plot edges.png
     """
+    from touchdown.experiments.edges.evaluate import evaluate
     from touchdown.experiments.edges.figures import plot_curves
-    from touchdown.experiments.edges.train import evaluate
 
     report = usage_errors(lambda: evaluate(model, seeds, make_notes(quiet)))
     if plot is not None:

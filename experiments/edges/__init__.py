@@ -1,2 +1,2 @@
-"""`touchdown edges`: training data, training, scores and figures of the structured edge detector.
-The detector itself is in `estimator.zou2024.structured_edges`."""
+"""`touchdown edges`: scores and figures of the structured edge detector of
+`estimator.zou2024.structured_edges`."""

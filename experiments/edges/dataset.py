@@ -18,7 +18,6 @@ from scipy import ndimage
 
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.edges.forest import segment_edges
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.posed_views import (
     posed_sensors,
@@ -164,4 +163,7 @@ def without_specks(segments: Int32, smallest: int) -> Int32:
 
 def boundaries(segments: Int32) -> NDArray[np.bool_]:
     """(H, W): pixels whose right or lower neighbour belongs to another segment."""
-    return segment_edges(segments)
+    edge = np.zeros(segments.shape, bool)
+    edge[:, :-1] |= segments[:, :-1] != segments[:, 1:]
+    edge[:-1] |= segments[:-1] != segments[1:]
+    return edge

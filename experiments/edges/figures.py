@@ -1,5 +1,5 @@
-"""Figures of detected edges: energy beside Canny and the truth, and the points that the estimator
-selects by it (the paper's Fig. 4); precision over recall; the table of scores."""
+"""Figures of detected edges: energy beside Canny and the truth, the points that the estimator
+selects by it (the paper's Fig. 4), and precision over recall."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Zou2024Params
@@ -19,32 +19,25 @@ from touchdown.estimator.zou2024.lidar_pose import scan_features
 from touchdown.estimator.zou2024.projection import inside_image, project
 from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
 from touchdown.experiments.config.loading import load_config
-from touchdown.experiments.config.schema import Config
 from touchdown.experiments.edges.dataset import EdgeView, boundaries, edge_views
-from touchdown.experiments.edges.train import CANNY_THRESHOLDS, canny_masks
+from touchdown.experiments.edges.evaluate import CANNY_THRESHOLDS, canny_masks
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.flight.wiring import build_scene, make_world
 from touchdown.experiments.scene_tools.posed_views import posed_sensors
-from touchdown.scenes.api import Scene
 from touchdown.sim.api import LidarScan, SensorRig
-from touchdown.sim.frames import Pose
 
 if TYPE_CHECKING:
-    from touchdown.sim.posed_sensors import PosedView
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 _SHOWN = (("houses", 6), ("houses", 10), ("pools", 1))
-"""Held-out scene and number of its image; the scan of the first is shown too"""
+"""held-out scene and number of its image; the scan of the first is shown too"""
 _SHOWN_VIEWS = 12
 _CANNY_SIGMA, _CANNY_LEVEL = 2.0, 3
-_ENERGY_GAIN = 1.0
-_CAPTION_PX = 30
-_GAP = 4
-_INK, _PAPER = (235, 235, 235), 24
-_EDGE_RGB, _PLANAR_RGB = (255, 96, 32), (60, 220, 235)
+_TILE_IN, _DPI = 4.0, 110
 DETECTOR_LABELS = {
     "shipped": "structured edges",
     "gradient": "gradient edges",
@@ -67,146 +60,90 @@ def draw_figures(
         for number, view in enumerate(edge_views([name], [seed], _SHOWN_VIEWS, notes))
         if (name, number) in _SHOWN
     ]
-    _write(comparison, comparison_image(detector, views))
+    _write(comparison, _comparison(detector, views), "--out")
     notes("scan and image of one moment")
-    _write(smoothness, smoothness_image(views[0], model))
+    _write(smoothness, _smoothness(views[0], model), "--out")
     return comparison, smoothness
 
 
-def comparison_image(detector: Callable[[Image], Float32], views: Sequence[EdgeView]) -> Image:
+def _comparison(detector: Callable[[Image], Float32], views: Sequence[EdgeView]) -> Figure:
     """A row for each view: image, truth, energy, Canny."""
-    rows = []
-    for place, view in enumerate(views):
-        canny = canny_masks(view.rgb, _CANNY_SIGMA)[_CANNY_LEVEL]
-        tiles = [
+    threshold = CANNY_THRESHOLDS[_CANNY_LEVEL]
+    canny = f"Canny, blur {_CANNY_SIGMA:.0f} px, threshold {threshold:.0f}"
+    heads = ("camera", "true boundaries", "structured edges", canny)
+    figure = _figure(len(views), len(heads))
+    for row, view in enumerate(views):
+        tiles: tuple[NDArray[Any], ...] = (
             view.rgb,
-            _line_drawing(boundaries(view.segments)),
-            energy_colours(detector(view.rgb)),
-            _line_drawing(canny),
-        ]
-        if place == 0:
-            words = ("camera", "true boundaries", "structured edges", _canny_words())
-            tiles = [_captioned(tile, text) for tile, text in zip(tiles, words, strict=True)]
-        rows.append(_beside(tiles))
-    return _below(rows)
-
-
-def smoothness_image(shown: EdgeView, model: str) -> Image:
-    """Image, energy, f_c of the returns of one scan, and the points chosen by it."""
-    config = load_config(
-        None, (f"zou2024.edge_model={model}",),
-        scene=shown.scene, seed=shown.seed, profile_default="ideal",
-    )  # fmt: skip
-    scene = build_scene(config)
-    view, found = still_features(config, scene, shown.world_from_body, shown.time_s)
-    energy = np.asarray(cv2.resize(energy_colours(found.energy), view.rgb.shape[1::-1]), np.uint8)
-    dim = (0.35 * view.rgb).astype(np.uint8)
-    known = np.isfinite(found.f_c)
-    low, high = np.percentile(np.log(found.f_c[known] + 1e-3), [2.0, 98.0])
-    share = (np.log(found.f_c[known] + 1e-3) - low) / max(high - low, 1e-6)
-    tint = cv2.applyColorMap(
-        (255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8), cv2.COLORMAP_TURBO
-    ).reshape(-1, 3)[:, ::-1]
-    smooth, chosen = dim.copy(), dim.copy()
-    _dots(smooth, found.pixels[known], tint, 1)
-    for mask, colour, radius in ((found.planar, _PLANAR_RGB, 2), (found.edge, _EDGE_RGB, 3)):
-        _dots(
-            chosen,
-            found.pixels[mask],
-            np.tile(np.array(colour, np.uint8), (int(mask.sum()), 1)),
-            radius,
+            boundaries(view.segments),
+            detector(view.rgb),
+            canny_masks(view.rgb, _CANNY_SIGMA)[_CANNY_LEVEL],
         )
-    counts = (
-        f"{int(found.edge.sum())} edge (orange), {int(found.planar.sum())} planar (cyan) points"
-    )
-    return _below(
-        [
-            _beside([_captioned(view.rgb, "camera"), _captioned(energy, "edge energy")]),
-            _beside(
-                [
-                    _captioned(smooth, "geodesic f_c of one scan: blue smooth, red across edges"),
-                    _captioned(chosen, counts),
-                ]
-            ),
-        ]
-    )
+        for column, (tile, head) in enumerate(zip(tiles, heads, strict=True)):
+            axes = figure.axes[row * len(heads) + column]
+            _show(axes, tile, head if row == 0 else "")
+    return figure
 
 
-def energy_colours(energy: Float32) -> Image:
-    """(H, W, 3): black where there is no edge, then violet, orange, and pale yellow."""
-    level = (255.0 * np.clip(_ENERGY_GAIN * energy, 0.0, 1.0)).astype(np.uint8)
-    return np.ascontiguousarray(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1])
+def _smoothness(shown: EdgeView, model: str) -> Figure:
+    """Image, energy, f_c of the returns of one scan, and the points chosen by it."""
+    rgb, found = still_features(shown, model)
+    figure = _figure(2, 2)
+    camera, energy, smooth, chosen = figure.axes
+    _show(camera, rgb, "camera")
+    _show(energy, found.energy, "edge energy")
+    dim = (0.35 * rgb).astype(np.uint8)
+    _show(smooth, dim, "geodesic f_c of one scan: blue smooth, red across edges")
+    known = np.isfinite(found.f_c)
+    level = np.log(found.f_c[known] + 1e-3)
+    low, high = np.percentile(level, [2.0, 98.0])
+    u, v = found.pixels.T
+    smooth.scatter(u[known], v[known], s=1, c=level, cmap="turbo", vmin=low, vmax=high)
+    counts = (int(found.edge.sum()), int(found.planar.sum()))
+    _show(chosen, dim, "{} edge (orange), {} planar (cyan) points".format(*counts))
+    chosen.scatter(u[found.planar], v[found.planar], s=5, c="#3cdceb")
+    chosen.scatter(u[found.edge], v[found.edge], s=10, c="#ff6020")
+    return figure
 
 
 def plot_curves(path: Path, report: Mapping[str, Any]) -> None:
     """Draws precision over recall with lines of equal F. Raises UsageError where writing fails."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 5.6), dpi=130)
-    FigureCanvasAgg(figure)
+    figure = Figure(figsize=(6.4, 5.6), dpi=_DPI, layout="tight")
     axes = figure.add_subplot()
     recall = np.linspace(0.01, 1.0, 200)
     for f in np.arange(0.2, 1.0, 0.1):
-        with np.errstate(divide="ignore"):
-            precision = np.where(2 * recall > f, f * recall / (2 * recall - f), np.nan)
-        precision = np.where(precision <= 1.0, precision, np.nan)
-        axes.plot(recall, precision, color="0.85", lw=0.8, zorder=0)
-        axes.text(0.985, f * 0.985 / (2 * 0.985 - f), f"F {f:.1f}", color="0.6", fontsize=7,
-                  ha="right", va="bottom")  # fmt: skip
-    for name, colour in zip(report["curves"], ("#c2410c", "#64748b", "#1d4ed8"), strict=True):
-        curve, row = report["curves"][name], report["detectors"][name]
-        axes.plot(curve["recall"], curve["precision"], color=colour, lw=2.2,
-                  label=f"{DETECTOR_LABELS.get(name, name)}: ODS {row['ods']:.3f}")  # fmt: skip
-        axes.plot(row["recall"], row["precision"], "o", color=colour, ms=7, mec="white")
+        beyond = recall[2.0 * recall - f >= f * recall]  # precision is at most 1
+        axes.plot(beyond, f * beyond / (2.0 * beyond - f), color="0.85", lw=0.8, zorder=0)
+        axes.text(0.985, f / (2.0 - f), f"F {f:.1f}", color="0.6", fontsize=7, ha="right")
+    for name, curve in report["curves"].items():
+        row = report["detectors"][name]
+        label = f"{DETECTOR_LABELS.get(name, name)}: ODS {row['ods']:.3f}"
+        (line,) = axes.plot(curve["recall"], curve["precision"], lw=2.2, label=label)
+        axes.plot(row["recall"], row["precision"], "o", color=line.get_color(), mec="white")
     axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="recall", ylabel="precision")
     axes.set_title(f"{report['pictures']} images of held-out scenes", fontsize=10)
     axes.legend(loc="lower left", frameon=False)
-    figure.tight_layout()
+    _write(path, figure, "--plot")
+
+
+def _figure(rows: int, columns: int) -> Figure:
+    figure = Figure(figsize=(columns * _TILE_IN, rows * 0.6 * _TILE_IN), dpi=_DPI, layout="tight")
+    figure.subplots(rows, columns)
+    return figure
+
+
+def _show(axes: Axes, tile: NDArray[Any], title: str) -> None:
+    """Shows an image (H, W, 3), or an energy or a mask (H, W), black where it is 0."""
+    axes.imshow(tile, cmap="inferno" if tile.dtype == np.float32 else "gray", vmin=0, vmax=1)
+    axes.set_title(title, fontsize=9)
+    axes.set_axis_off()
+
+
+def _write(path: Path, figure: Figure, option: str) -> None:
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:
-        raise UsageError(f"--plot: '{path}' cannot be written: {reason_of(error)}") from error
-
-
-def _line_drawing(mask: NDArray[np.bool_]) -> Image:
-    return np.repeat((230 * mask).astype(np.uint8)[:, :, None], 3, axis=2)
-
-
-def _captioned(tile: Image, text: str) -> Image:
-    strip = np.full((_CAPTION_PX, tile.shape[1], 3), _PAPER, np.uint8)
-    cv2.putText(strip, text, (10, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)
-    return np.vstack([strip, tile])
-
-
-def _beside(tiles: list[Image]) -> Image:
-    bar = np.full((tiles[0].shape[0], _GAP, 3), _PAPER, np.uint8)
-    parts = [part for tile in tiles for part in (tile, bar)]
-    return np.hstack(parts[:-1])
-
-
-def _below(rows: list[Image]) -> Image:
-    bar = np.full((_GAP, rows[0].shape[1], 3), _PAPER, np.uint8)
-    parts = [part for row in rows for part in (row, bar)]
-    return np.vstack(parts[:-1])
-
-
-def _dots(image: Image, pixels: Array, colours: NDArray[np.uint8], radius: int) -> None:
-    for (u, v), colour in zip(pixels, colours, strict=True):
-        centre = (round(float(u)), round(float(v)))
-        cv2.circle(image, centre, radius, tuple(map(int, colour)), -1, cv2.LINE_AA)
-
-
-def _write(path: Path, image: Image) -> None:
-    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    for quality in (88, 80, 70, 60):
-        done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
-        if done and len(data) <= 300_000:
-            break
-    try:
-        path.write_bytes(data.tobytes())
-    except OSError as error:
-        raise UsageError(f"--out: '{path}' cannot be written: {reason_of(error)}") from error
+        raise UsageError(f"{option}: '{path}' cannot be written: {reason_of(error)}") from error
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -226,7 +163,7 @@ class StationaryFeatures:
 
 
 def features_of_stationary_scan(
-    scan: LidarScan, rgb: NDArray[np.uint8], rig: SensorRig, params: Zou2024Params
+    scan: LidarScan, rgb: Image, rig: SensorRig, params: Zou2024Params
 ) -> StationaryFeatures:
     """Returns the features of ``scan`` and ``rgb`` (H, W, 3), both taken from the same pose by a
     camera without distortion."""
@@ -246,25 +183,24 @@ def features_of_stationary_scan(
     )  # fmt: skip
 
 
-def still_features(
-    config: Config, scene: Scene, world_from_body: Pose, time_s: float
-) -> tuple[PosedView, StationaryFeatures]:
-    """The view from a pose, and the features that `zou2024` finds in one scan from there."""
+def still_features(shown: EdgeView, model: str) -> tuple[Image, StationaryFeatures]:
+    """The image (H, W, 3) of a view, and what `zou2024` finds in one scan from its pose."""
     from touchdown.sim.moving import BodyTrack
 
+    config = load_config(
+        None, (f"zou2024.edge_model={model}",),
+        scene=shown.scene, seed=shown.seed, profile_default="ideal",
+    )  # fmt: skip
+    scene = build_scene(config)
     world = make_world(config, scene)
     rig = world.rig
     world.close()
     sensors = posed_sensors(config, scene)
     try:
-        view = sensors.view(world_from_body, time_s, 0)
+        rgb = sensors.view(shown.world_from_body, shown.time_s, 0).rgb
     finally:
         sensors.close()
-    start = round(time_s * config.sim.tick_hz)
+    start = round(shown.time_s * config.sim.tick_hz)
     both_ends_s = sensors.scan_times(start)[[0, -1]]
-    scan = sensors.scan(BodyTrack.at_rest(world_from_body, both_ends_s), start)
-    return view, features_of_stationary_scan(scan, view.rgb, rig, config.zou2024)
-
-
-def _canny_words() -> str:
-    return f"Canny, blur {_CANNY_SIGMA:.0f} px, threshold {CANNY_THRESHOLDS[_CANNY_LEVEL]:.0f}"
+    scan = sensors.scan(BodyTrack.at_rest(shown.world_from_body, both_ends_s), start)
+    return rgb, features_of_stationary_scan(scan, rgb, rig, config.zou2024)

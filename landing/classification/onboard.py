@@ -20,7 +20,7 @@ SHIPPED = Path(__file__).with_name("trained") / "efficientnet_lite0.onnx"
 """the network that is shipped with the project, as `touchdown train` wrote it"""
 ZOU2024 = SHIPPED.with_name("onboard.onnx")
 """a ResNet50 with CBAM, that of Zou, Sun and Kong (2024), in int8, for flights with their selector;
-its weights lie in files beside it. ``network.onnx`` is the same as trained"""
+its weights lie in files beside it"""
 _LABELS = "d_land"
 
 

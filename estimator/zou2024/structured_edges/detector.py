@@ -17,7 +17,7 @@ from touchdown.sim.files.inflating import gunzipped
 from touchdown.sim.files.opening import no_file
 
 SHIPPED_MODEL = Path(__file__).with_name("structured_edges.yml.gz")
-"""trained by ``touchdown edges train`` on images of this project's scenes"""
+"""a structured forest trained on images of this project's scenes"""
 
 OPTIONS = ("stride", "patchSize", "patchInnerSize", "shrinkNumber", "numberOfTrees",
            "numberOfTreesToEvaluate", "selfsimilarityGridSize", "numberOfGradientOrientations",
@@ -25,7 +25,7 @@ OPTIONS = ("stride", "patchSize", "patchInnerSize", "shrinkNumber", "numberOfTre
            "ssFeatureSmoothingRadius")  # fmt: skip
 SECTIONS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
 _MAX_BYTES = 256 << 20
-"""of a model unpacked; that of `touchdown edges train` has 10 MiB"""
+"""of a model unpacked; the shipped one has 10 MiB"""
 
 
 def check_model(path: Path) -> None:
@@ -40,20 +40,16 @@ def check_model(path: Path) -> None:
         text = gunzipped(path, _MAX_BYTES)
     except (OSError, EOFError, zlib.error) as error:
         raise ValueError(
-            f"structured edge model '{path}' is damaged ({error}): restore it, or train one by "
-            "`touchdown edges train`"
+            f"structured edge model '{path}' is damaged ({error}): restore it"
         ) from None
     if len(text) > _MAX_BYTES:
         raise ValueError(
-            f"structured edge model '{path}' has more than {_MAX_BYTES >> 20} MiB unpacked: train "
-            "one by `touchdown edges train`"
+            f"structured edge model '{path}' has more than {_MAX_BYTES >> 20} MiB unpacked: give a "
+            "smaller one"
         )
     fault = _fault(text.decode("ascii", errors="replace"))
     if fault:
-        raise ValueError(
-            f"structured edge model '{path}' is not one that OpenCV can use: {fault}; train one by "
-            "`touchdown edges train`"
-        )
+        raise ValueError(f"structured edge model '{path}' is not one that OpenCV can use: {fault}")
 
 
 def _fault(text: str) -> str:
@@ -128,7 +124,7 @@ def _gradient(rgb: NDArray[np.generic]) -> Float32:
 class StructuredEdges:
     """The structured edge detector (Dollar and Zitnick 2015) by OpenCV's ``ximgproc``.
 
-    ``model_path``: a model in OpenCV's gzipped YAML form, such as ``touchdown edges train`` writes.
+    ``model_path``: a model in OpenCV's gzipped YAML form.
     ``full_energy``: share of votes that counts as energy 1; trees that disagree by a pixel about
     where a certain boundary lies spread their votes, so that none gets them all. Raises
     FileNotFoundError if there is no such file and ValueError if it is damaged or no model.

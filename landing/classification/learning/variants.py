@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import onnx
 from numpy.typing import NDArray
-from onnx import TensorProto, external_data_helper, helper, numpy_helper
+from onnx import TensorProto, helper, numpy_helper
 
 from touchdown.landing.classification.engine import as_input
 from touchdown.landing.classification.weights import (
     INPUT,
     NetworkFacts,
-    checksum_file,
     read_network,
     write_network,
 )
@@ -25,8 +23,6 @@ Image = NDArray[np.uint8]
 
 TYPES = ("float16", "bfloat16", "int8")
 _BATCH = 16
-_LEAST_APART = 1024
-"""bytes of weights that lie apart"""
 
 
 def write_variant(source: Path, target: Path, weight_type: str, images: Image) -> None:
@@ -59,32 +55,6 @@ def with_facts(path: Path, facts: NetworkFacts) -> None:
     del model.metadata_props[:]
     helper.set_model_props(model, facts.properties())
     write_network(path, model.SerializeToString(deterministic=True))
-
-
-def with_weights_apart(source: Path, target: Path, most_bytes: int = 20_000_000) -> None:
-    """Writes the network of ``source`` with its weights in files of at most ``most_bytes`` beside
-    ``target``, TARGET.1 and so on; the checksum file has a line for each. Only the project's own
-    networks are read so."""
-    model = onnx.load_from_string(read_network(source))
-    parts: list[bytearray] = []
-    for value in model.graph.initializer:
-        content = value.raw_data
-        if len(content) < _LEAST_APART:
-            continue
-        if not parts or len(parts[-1]) + len(content) > most_bytes:
-            parts.append(bytearray())
-        offset = len(parts[-1])
-        parts[-1] += content
-        external_data_helper.set_external_data(
-            value, f"{target.name}.{len(parts)}", offset, len(content)
-        )
-        value.ClearField("raw_data")
-    write_network(target, model.SerializeToString(deterministic=True))
-    with checksum_file(target).open("a", encoding="utf-8") as lines:
-        for number, part in enumerate(parts, 1):
-            file = target.with_name(f"{target.name}.{number}")
-            file.write_bytes(part)
-            lines.write(f"{hashlib.sha256(part).hexdigest()}  {file.name}\n")
 
 
 def _to_bfloat16(graph: onnx.GraphProto) -> None:

@@ -1,12 +1,10 @@
-"""The structured edge detector: its features, its training, its file, and how it is scored."""
+"""The structured edge detector: its file, what it sees, and how it is scored."""
 
 import gzip
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from touchdown.estimator.zou2024.structured_edges.detector import (
     SHIPPED_MODEL,
@@ -15,9 +13,8 @@ from touchdown.estimator.zou2024.structured_edges.detector import (
     check_model,
     edge_detector,
 )
-from touchdown.experiments.cli.main import cli
-from touchdown.experiments.edges import forest, model_file
 from touchdown.experiments.edges.dataset import boundaries, connected, without_specks
+from touchdown.experiments.edges.evaluate import TEST_SCENES
 from touchdown.experiments.edges.score import (
     Counts,
     counts_of_masks,
@@ -27,125 +24,10 @@ from touchdown.experiments.edges.score import (
     score,
     thinned,
 )
-from touchdown.experiments.edges.train import TEST_SCENES, TRAIN_SCENES, TRAIN_SEEDS
-
-SMALL = forest.ForestParams(trees=2, trees_evaluated=1, patches_per_tree=1500, images_share=1.0)
 
 
-def _random_tree(rng: np.random.Generator, paired: bool) -> forest.Tree:
-    """Three splits, four leaves with some pixels each."""
-    child, feature = np.zeros(7, np.int32), np.zeros(7, np.int32)
-    child[:3] = (2, 4, 6)
-    child[1], child[2] = 4, 6
-    feature[:3] = rng.integers(0, forest.REGULAR_FEATURES, 3)
-    if paired:
-        feature[:3] += forest.REGULAR_FEATURES
-    threshold = np.zeros(7, np.float32)
-    threshold[:3] = rng.normal(0.0 if paired else 0.3, 0.05, 3)
-    none = np.zeros(0, np.int32)
-    leaves = [np.sort(rng.permutation(256)[:20]).astype(np.int32) for _ in range(4)]
-    return forest.Tree(child, feature, threshold, [none, none, none, *leaves])
-
-
-def _leaf(tree: forest.Tree, regular: np.ndarray, paired: np.ndarray, y: int, x: int) -> np.ndarray:
-    table, node = forest.feature_table(), 0
-    while tree.child[node]:
-        y1, x1, y2, x2, channel = table[tree.feature[node]]
-        if y2 < 0:
-            value = regular[y + y1, x + x1, channel]
-        else:
-            value = paired[y + y1, x + x1, channel] - paired[y + y2, x + x2, channel]
-        node = int(tree.child[node]) - int(value < tree.threshold[node])
-    return tree.leaf_bins[node]
-
-
-def test_opencv_reads_a_forest_as_it_was_written(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    trees = [_random_tree(rng, paired=number % 2 == 1) for number in range(4)]
-    path = tmp_path / "small.yml.gz"
-    model_file.write_model(path, trees, forest.ForestParams(trees=4, trees_evaluated=2, stride=2))
-    check_model(path)
-    rgb = cv2.GaussianBlur(rng.integers(0, 256, (48, 64, 3)).astype(np.uint8), (0, 0), 1.5)
-    regular, paired = forest.channel_features(rgb)
-    votes = np.zeros(rgb.shape[:2], np.float32)
-    for i in range(16):
-        for j in range(24):
-            for k in range(2):
-                leaf = _leaf(trees[((i + j) % 4 + k) % 4], regular, paired, i, j)
-                for place in leaf:
-                    votes[2 * i + place // 16, 2 * j + place % 16] += 2.0 * 4.0 / 256.0 / 2.0
-    kernel = np.array([0.25, 0.5, 0.25], np.float32)
-    expected = cv2.sepFilter2D(votes, -1, kernel, kernel)
-    detector = cv2.ximgproc.createStructuredEdgeDetection(str(path))
-    found = detector.detectEdges(rgb.astype(np.float32) / 255.0)
-    assert expected.max() > 0.1
-    np.testing.assert_allclose(found, expected, atol=1e-5)
-
-
-def test_features_are_counted_along_columns_first() -> None:
-    table = forest.feature_table()
-    assert len(table) == 16 * 16 * 13 + 300 * 13 and table[1].tolist() == [1, 0, -1, -1, 0]
-    assert table[16].tolist() == [0, 1, -1, -1, 0] and table[256].tolist() == [0, 0, -1, -1, 1]
-    # pairs of a grid at the whole parts of k 19 / 6 - 1.5: 1, 4, 8, 11, 14
-    assert table[forest.REGULAR_FEATURES].tolist() == [1, 1, 4, 1, 0]
-    assert table[-1].tolist() == [11, 14, 14, 14, 12]
-
-
-def test_a_split_is_the_one_worked_out_by_hand() -> None:
-    values = np.array([4.0, 1.0, 3.0, 2.0], np.float32)
-    gain, threshold = forest.best_split(values, np.array([True, False, True, False]))
-    assert (gain, threshold) == (0.5, 2.5)
-    # one of four on the wrong side: 0.375 before; 3/4 of the 4/9 in the left leaf after
-    gain, threshold = forest.best_split(values, np.array([False, False, True, False]))
-    assert gain == pytest.approx(0.375 - 0.5 * 0.5) and threshold == 2.5
-    assert forest.best_split(np.ones(4, np.float32), np.array([True, False, True, False]))[0] == 0.0
-
-
-def test_the_first_component_parts_two_kinds_of_patches() -> None:
-    one, other = np.array([1, 1, 0, 0], np.float32), np.array([0, 0, 1, 1], np.float32)
-    samples = np.stack([one] * 6 + [other] * 4)
-    mean, direction = forest.first_component(samples)
-    side = (samples - mean) @ direction > 0.0
-    assert len(set(side[:6])) == 1 and len(set(side[6:])) == 1 and side[0] != side[6]
-    assert not forest.first_component(np.stack([one] * 5))[1].any()
-
-
-def _striped(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """An image (96, 128, 3) of two halves, parted along a line, and its segments."""
-    rows, cols = np.mgrid[:96, :128]
-    angle, at = rng.uniform(0, np.pi), rng.uniform(-15, 15)
-    side = (rows - 48) * np.sin(angle) + (cols - 64) * np.cos(angle) > at
-    colours = np.array([[60, 90, 50], [150, 140, 130]])
-    image = colours[side.astype(int)] + rng.normal(0.0, 12.0, (96, 128, 3))
-    return np.clip(image, 0, 255).astype(np.uint8), side.astype(np.int32)
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    rng = np.random.default_rng(1)
-    pairs = [_striped(rng) for _ in range(8)]
-    images = forest.TrainingImages.of([rgb for rgb, _ in pairs], [seg for _, seg in pairs])
-    folder = tmp_path_factory.mktemp("edges")
-    paths = folder / "one.yml.gz", folder / "two.yml.gz"
-    for path in paths:
-        model_file.write_model(path, forest.grow_forest(images, SMALL, seed=5), SMALL)
-    return paths
-
-
-def test_training_finds_the_boundary_and_repeats_itself(trained: tuple[Path, Path]) -> None:
-    one, two = trained
-    assert one.read_bytes() == two.read_bytes()
-    rgb, segments = _striped(np.random.default_rng(2))
-    energy = StructuredEdges(one)(rgb)
-    assert energy.shape == (96, 128) and energy.dtype == np.float32
-    assert energy.min() >= 0.0 and energy.max() <= 1.0
-    near = cv2.dilate(boundaries(segments).astype(np.uint8), np.ones((5, 5))) > 0
-    far = cv2.dilate(near.astype(np.uint8), np.ones((9, 9))) == 0
-    assert energy[near].mean() > 5.0 * energy[far].mean()
-
-
-def test_a_damaged_model_is_named_in_one_line(trained: tuple[Path, Path], tmp_path: Path) -> None:
-    whole = trained[0].read_bytes()
+def test_a_damaged_model_is_named_in_one_line(tmp_path: Path) -> None:
+    whole = SHIPPED_MODEL.read_bytes()
     cut = tmp_path / "cut.yml.gz"
     cut.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"cut\.yml\.gz' is damaged") as caught:
@@ -160,7 +42,7 @@ def test_a_damaged_model_is_named_in_one_line(trained: tuple[Path, Path], tmp_pa
     }
     for name, changed in faults.items():
         other = tmp_path / "other.yml.gz"
-        other.write_bytes(gzip.compress(changed.encode()))
+        other.write_bytes(gzip.compress(changed.encode(), 1))
         with pytest.raises(ValueError, match=name):
             check_model(other)
     with pytest.raises(FileNotFoundError, match="does not exist"):
@@ -171,8 +53,8 @@ def test_the_shipped_model_is_whole_and_small() -> None:
     check_model(SHIPPED_MODEL)
     assert SHIPPED_MODEL.stat().st_size < 6_000_000
     head = gzip.decompress(SHIPPED_MODEL.read_bytes())[:600].decode()
-    assert "# scenes: " + " ".join(TRAIN_SCENES) in head
-    assert not set(TEST_SCENES) & set(TRAIN_SCENES) and min(TRAIN_SEEDS) >= 100
+    (trained_on,) = (line for line in head.splitlines() if line.startswith("# scenes: "))
+    assert not set(TEST_SCENES) & set(trained_on.split())
     assert isinstance(edge_detector("shipped"), StructuredEdges)
     assert isinstance(edge_detector("gradient"), GradientEdges)
 
@@ -239,9 +121,3 @@ def test_ridges_and_thinning_leave_one_line() -> None:
     thick[18:22, 5:35] = True
     counts = counts_of_masks([thick], thick)
     assert counts.matched[0] == counts.detected[0] == thinned(thick).sum() <= 34
-
-
-def test_a_bad_target_is_a_usage_error(tmp_path: Path) -> None:
-    for out in (tmp_path / "none" / "edges.yml.gz", tmp_path / "edges.npz"):
-        result = CliRunner().invoke(cli, ["edges", "train", "--out", str(out), "--quiet"])
-        assert "must be named" in str(result.exception) or "does not exist" in str(result.exception)
