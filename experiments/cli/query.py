@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import csv
+import gc
 import json
 import sys
 from pathlib import Path
@@ -35,6 +37,7 @@ def query(directory: Path, sql: str, as_json: bool, as_csv: bool) -> int:
 
     if as_json and as_csv:
         raise UsageError("--json and --csv exclude each other; give one of them")
+    atexit.unregister(gc.freeze)  # of `main`; with it the library prints what it takes for leaks
     found = run_sql(directory, sql)
     if as_json:
         click.echo(json.dumps(_objects(found), indent=2))
