@@ -144,8 +144,7 @@ class LivoParams(CalibratedParams):
     """horizontal distance from the newest keyframe relative to the height, beyond which the map is
     given another part where images fail: a scan covers half the height along the flight"""
     anchor_climb: Positive = 0.3
-    """the same of the vertical distance; both by 21 replays without images
-    (docs/results/one-sensor.md)"""
+    """the same of the vertical distance; both by 21 replays without images"""
     anchor_turn_deg: Positive = 20.0
     """the same of the rotation since then"""
     plane_sigma_m: NotNegative = 0.003
@@ -173,8 +172,8 @@ class LivoParams(CalibratedParams):
     """the same at the least, however long parallax has shown their depth"""
     range_scale_sigma: Positive = 0.01
     """while no scans come, the rangefinder scales the way since a keyframe: relative error of its
-    range as the depth of the landmarks around, by relief; chosen on five replays without LIDAR
-    (docs/results/field.md). The next four are assumed"""
+    range as the depth of the landmarks around, by relief; chosen on five replays without LIDAR.
+    The next four are assumed"""
     range_scale_radius: Positive = 0.1
     """rad about the rangefinder's beam, within which landmarks count as around"""
     range_scale_landmarks: Count = 4
@@ -215,7 +214,7 @@ class LivoParams(CalibratedParams):
     track_scale: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.25
     """least ratio of the distances from which keyframe and image see the ground, and of its
     inverse: in a climb, few keyframes in a row lead from the start to survey height. Chosen on
-    seven replays (docs/results/field.md)"""
+    seven replays"""
     features: Count = 220
     """corners of a keyframe"""
     pixel_sigma: NotNegative = 0.3

@@ -52,8 +52,7 @@ _PLANE_TILT = float(np.radians(0.05))
 _ITERATIONS = 4
 _LEAST_USED = 300
 _LEAST_OVERLAP, _MOST_IMAGES = 0.12, 5
-"""share of a scan that an image covers, and number of images; by 21 replays without images
-(docs/results/one-sensor.md)"""
+"""share of a scan that an image covers, and number of images; by 21 replays without images"""
 _LEAST_CLEAR = 0.3
 """share of an image's squared gradients that is not noise; below, it has no texture"""
 _FIRST_SIGMA, _LEAST_SIGMA, _MOST_SIGMA = 0.25, 0.1, 0.3

@@ -54,7 +54,7 @@ class LandmarkDetector:
 
     SIFT is given the image at a quarter of its size, which it doubles before it begins (Lowe 2004,
     section 3.3): its finest octave is that of half the size. Given half the size, it takes three
-    times as long, and positions are no better (docs/results/positioning.md)."""
+    times as long, and positions are no better."""
 
     def __init__(self, sift: int, brisk: int, border_px: float = 10.0) -> None:
         self._counts = (sift, brisk)

@@ -61,23 +61,23 @@ def _origin(keys: Sequence[str], record: Record) -> str:
     )
 
 
-_FIELD = "docs/results/field.md"
+_FIELD, _IDEAL = "docs/results/field.md", "docs/results/ideal.md"
 BLOCKS = (
     Block("README.md", "summary", ("field/landings", "field/positioning"), tables.summary),
     Block(_FIELD, "landings", ("field/landings",), tables.landings),
     Block(_FIELD, "positioning", ("field/positioning", "field/landings"), tables.positioning),
     Block(_FIELD, "levelness", ("field/positioning", "field/landings"), tables.levelness),
     Block(_FIELD, "blind", ("field/blind",), tables.blind),
-    Block("docs/results/short.md", "pairs", (f"field/{SHORT}", "field/landings"), pairs),
-    Block("docs/results/landing.md", "landings", ("ideal/landings",), tables.landings),
+    Block(_FIELD, "pairs", (f"field/{SHORT}", "field/landings"), pairs),
+    Block(_IDEAL, "landings", ("ideal/landings",), tables.landings),
     Block(
-        "docs/results/positioning.md",
+        _IDEAL,
         "positioning",
         ("ideal/positioning", "ideal/landings"),
         tables.positioning,
     ),
     Block(
-        "docs/results/positioning.md",
+        _IDEAL,
         "levelness",
         ("ideal/positioning", "ideal/landings"),
         tables.levelness,

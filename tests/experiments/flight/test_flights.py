@@ -32,7 +32,7 @@ def livo_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[st
 
 
 def test_livo_knows_where_it_is(livo_flight: tuple[Path, dict[str, Any]]) -> None:
-    """Bounds of 1.5 times what docs/results/positioning.md states of `ideal` on this scene."""
+    """Bounds of 1.5 times the means of surveys over this scene in profile `ideal`."""
     _, result = livo_flight
     assert result["outcome"] == "COMPLETED" and result["choice"] is None
     assert result["position_error_m"]["mean"] < 0.040 and result["position_error_m"]["max"] < 0.185

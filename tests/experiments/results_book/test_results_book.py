@@ -199,7 +199,7 @@ def test_the_file_and_the_pages_state_revision_and_plan(tmp_path: Path) -> None:
         "`configs/results_landings.toml`, by `make results`, 0.50 core-hours.*" in text
     )
     assert "| all scenes | 20 | 20 | 0 |" in text
-    page = (root / "docs/results/landing.md").read_text()
+    page = (root / "docs/results/ideal.md").read_text()
     assert "Not flown at a stated revision yet: `make results PROFILE=ideal` flies it" in page
     assert written(text, "docs/results/field.md", read_record(root)) == text
     edited = text.replace("| all scenes | 20 | 20 | 0 |", "| all scenes | 20 | 19 | 0 |")
