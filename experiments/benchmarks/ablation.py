@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.experiments.benchmarks.odometry import logged_survey, measure, seeds_of
-from touchdown.experiments.benchmarks.revisits import RevisitFigures
+from touchdown.experiments.benchmarks.odometry import logged_survey, logs_of, measure
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay_config
 from touchdown.experiments.reporting.statistics import mean_interval
@@ -64,8 +63,7 @@ def variants(methods: Sequence[str]) -> list[str]:
 def ablate_log(
     logged: LoggedRun, seconds: float | None, report: Report, methods: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """``{"error_m", "lost_s", "cpu_ms", "closures"}`` by variant of ``methods`` (`variants`);
-    ``closures``: counts of `RevisitFigures`."""
+    """``{"error_m", "lost_s", "cpu_ms"}`` by variant of ``methods`` (`variants`)."""
     end_s = math.inf if seconds is None else logged.from_s + seconds
     rows: dict[str, Any] = {}
     for variant in variants(methods):
@@ -77,7 +75,6 @@ def ablate_log(
             "error_m": measured.error_m,
             "lost_s": measured.lost_s,
             "cpu_ms": measured.cpu_ms,
-            "closures": measured.revisits._asdict(),
         }
     return rows
 
@@ -92,14 +89,13 @@ def ablate(
     report: Report = lambda _text: None,
 ) -> dict[str, Any]:
     """``{LOG: {VARIANT: figures}}``, open loop: the vehicle flew on ``livo`` with all its parts,
-    and its path does not depend on the variant. A log has the name of its scene, with its seed
-    where the scene is given more than once. Raises UsageError as `open_run` and `variants`."""
+    and its path does not depend on the variant. Names of logs: `logs_of`. Raises UsageError as
+    `open_run` and `variants`."""
     if not scenes:
         raise UsageError("name at least one scene")
     variants(methods)
     found: dict[str, Any] = {}
-    for scene, seed in seeds_of(scenes, seeds):
-        name = scene if scenes.count(scene) == 1 else f"{scene} {seed}"
+    for name, (scene, seed) in logs_of(scenes, seeds).items():
         report(f"{name}: the log")
         run = logged_survey(scene, seed, runs, report)
         found[name] = ablate_log(open_run(run), seconds, report, methods)
@@ -108,8 +104,7 @@ def ablate(
 
 def ablation_table(found: dict[str, Any]) -> str:
     """Markdown table, one column per log: mean error in metres, or the time of the loss; of three
-    logs and more what leaving the part out adds to the error, with its interval; last precision
-    and recall of the closures of ``zou2024``."""
+    logs and more what leaving the part out adds to the error, with its interval."""
     logs = list(found)
     rows = [variant for variant in VARIANTS if variant in found[logs[0]]]
     heads = ["variant", *logs] + ["more error, 95 %"] * (len(logs) >= _FEWEST_LOGS)
@@ -119,11 +114,6 @@ def ablation_table(found: dict[str, Any]) -> str:
         if len(logs) >= _FEWEST_LOGS:
             cells.append(_more(found, variant))
         lines.append(f"| {variant} | " + " | ".join(cells) + " |")
-    counts = [found[log].get("zou2024: all on", {}).get("closures") for log in logs]
-    if all(counts):
-        cells = [_closures(RevisitFigures(**count)) for count in counts]
-        cells += ["–"] * (len(logs) >= _FEWEST_LOGS)
-        lines.append("| `zou2024`: closures right / due ones made | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -138,13 +128,6 @@ def _more(found: dict[str, Any], variant: str) -> str:
     more = mean_interval(errors[:, 0] - errors[:, 1])
     assert more is not None
     return f"{more.value:+.3f} [{more.low:+.3f}, {more.high:+.3f}]"
-
-
-def _closures(count: RevisitFigures) -> str:
-    return (
-        f"{count.precision:.2f} ({count.right} of {count.found}) / "
-        f"{count.recall:.2f} ({count.right_and_due} of {count.due})"
-    )
 
 
 def _cell(row: dict[str, Any]) -> str:

@@ -10,48 +10,66 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from touchdown.experiments.errors import UsageError
 
-TOUCHDOWN = ("-m", "touchdown")
 COMMANDS: Mapping[str, tuple[str, ...]] = {
-    "flights": (str(Path(__file__).with_name("flights_probe.py")),),
-    "loop": (*TOUCHDOWN, "bench", "loop", "--no-ratio", "--quiet", "--json"),
-    "lidar": (*TOUCHDOWN, "bench", "lidar", "--json"),
-    "landing": (*TOUCHDOWN, "bench", "landing", "--no-reference", "--json"),
+    "profile": ("profile", "crossroad", "--full"),
+    "loop": ("loop", "--quiet"),
+    "lidar": ("lidar",),
+    "landing": ("landing", "--no-reference"),
 }
-"""arguments of the interpreter, whose last output is one JSON object"""
+"""arguments of ``touchdown bench``, which prints one JSON object"""
+Printed = Mapping[str, Any]
+"""that object, and ``peak_mb``, the most memory that its process had"""
 
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A figure of what a command of `COMMANDS` prints; ``path``: of keys."""
+    """A figure of what a command of `COMMANDS` prints; ``read`` raises KeyError without it."""
 
     title: str
     unit: str
     command: str
-    path: tuple[str, ...]
-    more_is_better: bool = False
+    read: Callable[[Printed], float]
+
+
+def stage_ms(of: Sequence[str], call: str) -> Callable[[Printed], float]:
+    """Milliseconds of processor time a call of the stage ``call``, of all stages whose names begin
+    with one of the words ``of``."""
+
+    def read(printed: Printed) -> float:
+        stages = printed["stages"]
+        spent = [
+            row["calls"] * row["ms"] for name, row in stages.items() if name.startswith((*of,))
+        ]
+        return float(sum(spent) / max(stages[call]["calls"], 1))
+
+    return read
 
 
 MEASURES = (
-    Measure("landing in a worker", "core-s per s", "flights", ("core_s_per_s",)),
-    Measure("picture and film", "ms a frame", "flights", ("picture_ms",)),
-    Measure("LIDAR", "ms a scan", "flights", ("scan_ms",)),
-    Measure("estimator livo", "ms per 0.1 s", "flights", ("estimator_ms",)),
-    Measure("set-up of a worker's second flight", "s", "flights", ("set_up_s",)),
-    Measure("memory of a worker, first flight", "MB", "flights", ("first_mb",)),
-    Measure("memory of a worker, second flight", "MB", "flights", ("second_mb",)),
-    Measure("real-time factor, recording on", "", "loop", ("real_time_factor",), True),
-    Measure("LIDAR over bare Embree", "", "lidar", ("ratio", "embree"), True),
-    Measure("LIDAR over mujoco-lidar", "", "lidar", ("ratio", "mujoco_lidar"), True),
-    Measure("choice of a site", "ms", "landing", ("stage_ms", "sum")),
-    Measure("ten patches by the network", "ms", "landing", ("classifier_ms", "ten_patches")),
-)
+    Measure("landing", "core-s per s", "profile", lambda p: p["core_s_per_sim_s"]),
+    Measure("picture and film", "ms a frame", "profile",
+            stage_ms(("picture", "film", "camera"), "camera")),
+    Measure("LIDAR", "ms a scan", "profile", stage_ms(("lidar",), "lidar")),
+    Measure("estimator livo", "ms per 0.1 s", "profile",
+            lambda p: p["stages"]["estimator"]["ms_per_scan"]),
+    Measure("scene and set-up", "ms", "profile", stage_ms(("scene", "set-up"), "scene")),
+    Measure("memory of a landing", "MB", "profile", lambda p: p["peak_mb"]),
+    Measure("real-time factor, recording on", "", "loop", lambda p: p["real_time_factor"]),
+    Measure("LIDAR over bare Embree", "", "lidar", lambda p: p["ratio"]["embree"]),
+    Measure("LIDAR over mujoco-lidar", "", "lidar", lambda p: p["ratio"]["mujoco_lidar"]),
+    Measure("choice of a site", "ms", "landing", lambda p: p["stage_ms"]["sum"]),
+    Measure("ten patches by the network", "ms", "landing",
+            lambda p: p["classifier_ms"]["ten_patches"]),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,32 +95,38 @@ def measure_all(trees: Sequence[Path], rounds: int = 1) -> Iterator[tuple[str, l
         if not (tree / "src" / "touchdown" / "__init__.py").is_file():
             raise UsageError(f"'{tree}' is no checkout of touchdown: it has no src/touchdown")
     for name, arguments in COMMANDS.items():
-        found: list[list[object]] = [[] for _ in trees]
+        found: list[list[Printed]] = [[] for _ in trees]
         for _ in range(rounds):
             for tree, printed in zip(trees, found, strict=True):
-                printed.append(_run(tree, arguments))
+                printed.append(_run(tree, ("-m", "touchdown", "bench", *arguments, "--json")))
         measures = [measure for measure in MEASURES if measure.command == name]
-        yield name, [Figures(m, tuple(_median(p, m.path) for p in found)) for m in measures]
+        yield name, [Figures(m, tuple(_median(p, m.read) for p in found)) for m in measures]
 
 
-def _run(tree: Path, arguments: Sequence[str]) -> object:
+def _run(tree: Path, arguments: Sequence[str]) -> Printed:
     environment = os.environ | {"PYTHONPATH": str(tree.resolve() / "src")}
-    done = subprocess.run(
-        [sys.executable, *arguments], env=environment, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, *arguments]
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        with subprocess.Popen(command, env=environment, stdout=out, stderr=err) as process:
+            _, status, usage = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+        texts = []
+        for file in (out, err):
+            file.seek(0)
+            texts.append(file.read().strip())
     # A landing that does not land ends with 1 and its figures.
-    if done.returncode not in (0, 1) or not done.stdout.strip():
-        last = (done.stderr.strip().splitlines() or ["it printed nothing"])[-1]
+    if process.returncode not in (0, 1) or not texts[0]:
+        last = (texts[1].splitlines() or ["it printed nothing"])[-1]
         raise UsageError(f"'{' '.join(arguments)}' on '{tree}' failed: {last}")
-    return json.loads(done.stdout[done.stdout.index("{") :])
+    printed: dict[str, Any] = json.loads(texts[0][texts[0].index("{") :])
+    return printed | {"peak_mb": usage.ru_maxrss / 1e3}
 
 
-def _median(printed: Sequence[object], path: Sequence[str]) -> float | None:
-    values = [value for one in printed if (value := _at(one, path)) is not None]
+def _median(printed: Sequence[Printed], read: Callable[[Printed], float]) -> float | None:
+    values = []
+    for one in printed:
+        try:
+            values.append(float(read(one)))
+        except KeyError:
+            continue
     return median(values) if values else None
-
-
-def _at(printed: object, path: Sequence[str]) -> float | None:
-    for key in path:
-        printed = printed.get(key) if isinstance(printed, Mapping) else None
-    return float(printed) if isinstance(printed, int | float) else None

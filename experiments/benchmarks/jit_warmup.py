@@ -12,14 +12,13 @@ T = TypeVar("T")
 _ATTEMPTS = 3
 
 
-def compiled_before(measure: Callable[[], T], again: Callable[[], None] = lambda: None) -> T:
-    """``measure()``, once more after ``again()`` if kernels were compiled meanwhile, in whatever
-    thread: the next time they come from the cache on disk, or from memory."""
+def compiled_before(measure: Callable[[], T]) -> T:
+    """``measure()``, once more if kernels were compiled meanwhile, in whatever thread: the next
+    time they come from the cache on disk, or from memory."""
     for _ in range(_ATTEMPTS - 1):
         listener = event.RecordingListener()
         with event.install_listener("numba:compile", listener):
             found = measure()
         if not listener.buffer:
             return found
-        again()
     return measure()

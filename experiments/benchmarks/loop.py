@@ -28,38 +28,6 @@ def bench_config(*, scene: str, estimator: str, seed: int, full: bool) -> Config
     return load_config(None, overrides, scene=scene, estimator=estimator, seed=seed, record=True)
 
 
-def overhead_config(*, scene: str, seed: int, full: bool) -> Config:
-    """Configuration of the flight of `measure_loop_overhead`: one thread, oracle estimator, survey
-    alone, and a short one unless ``full``. Raises UsageError."""
-    overrides = ["sim.threads=1", "landing.survey_only=true"]
-    overrides += [] if full else list(SHORT_SURVEY)
-    return load_config(
-        None, overrides, profile_default="ideal",  # what the bare computation does
-        scene=scene, estimator="oracle", seed=seed, record=True,
-    )  # fmt: skip
-
-
-def profile_configs(*, scene: str, estimator: str, seed: int, full: bool) -> dict[str, Config]:
-    """Configurations of the flights of `profile_cost.measure_profile_cost`: one thread, the survey
-    alone, and a short one unless ``full``. Raises UsageError."""
-    overrides = ["sim.threads=1", *(() if full else SHORT_SURVEY)]
-    return {
-        profile: load_config(
-            None, overrides, scene=scene, estimator=estimator, seed=seed, profile=profile,
-            record=False, survey_only=True,
-        )
-        for profile in ("field", "ideal")
-    }  # fmt: skip
-
-
-def measure_loop_overhead(config: Config) -> dict[str, Any]:
-    """Runs `loop_overhead.measure_on_one_core` in a temporary directory."""
-    from touchdown.experiments.benchmarks.loop_overhead import measure_on_one_core
-
-    with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
-        return measure_on_one_core(config, Path(folder) / "run")
-
-
 def measure_loop(config: Config, fly: Callable[[Config, Path], RunResult]) -> dict[str, Any]:
     """Flies in a temporary directory, once more if kernels were compiled during the flight.
 

@@ -2,17 +2,14 @@
 
 One survey per scene is flown with ``livo`` in the loop and its sensors are logged. The estimators
 replay that log as in a flight, causally and from lift-off to the end of the survey. The reference
-implementations get its scans (`odometry_baselines`), or scans and IMU samples (`inertial`), each
-with the best setting of its grid. Errors are those of evo: APE of the translation, not aligned.
+implementations get its scans (`odometry_baselines`), each with the best setting of its grid. Errors
+are means of the distance from the true position, not aligned.
 """
 
 from __future__ import annotations
 
 import math
-import os
-import sys
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,9 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.benchmarks.inertial import comparison as inertial
-from touchdown.experiments.benchmarks.inertial.logfile import write_log
-from touchdown.experiments.benchmarks.inertial.methods import METHODS
 from touchdown.experiments.benchmarks.odometry_baselines import (
     GRIDS,
     OdometryTrack,
@@ -32,11 +26,10 @@ from touchdown.experiments.benchmarks.odometry_baselines import (
     run_reference,
     settings,
 )
-from touchdown.experiments.benchmarks.revisits import RevisitFigures, Revisits
+from touchdown.experiments.benchmarks.true_path import TruePath
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.metrics import PositioningError
 from touchdown.experiments.flight.replay import (
     CpuClock,
     LoggedRun,
@@ -47,14 +40,11 @@ from touchdown.experiments.flight.replay import (
     seen_by,
 )
 from touchdown.scenes.api import short_name
-from touchdown.sim.frames import Pose, interpolate_pose
 
 Array = NDArray[np.float64]
 Report = Callable[[str], None]
 
 SCENES = ("crossroad", "lake", "houses", "forest")
-LIO_PYTHON = "TOUCHDOWN_LIO_PYTHON"
-"""Environment variable with the interpreter of the environment of the methods in `inertial`."""
 WITHOUT_CAMERA = "livo_no_camera"
 ESTIMATORS: dict[str, tuple[str, tuple[str, ...]]] = {
     "livo": ("livo", ()),
@@ -63,8 +53,6 @@ ESTIMATORS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 """Estimator and changed parameters by name. References are compared with `WITHOUT_CAMERA`, which
 like them sees no image."""
-_SURVEY_BELOW_M = 0.5
-"""The survey begins where the vehicle first is this near to its greatest height."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,15 +60,10 @@ class Measured:
     """Result of one estimator on one log."""
 
     error_m: float
-    """by evo"""
-    own_error_m: float
-    """by `experiments.flight.metrics.PositioningError` on the same rows"""
     cpu_ms: float
     """of one core per 0.1 s of data"""
     lost_s: float | None
     """time at which its error exceeded the limit of a flight; the error is that until then"""
-    revisits: RevisitFigures
-    """of estimators that tell in their diagnostics what they looked up"""
 
 
 def flight_config(scene: str, seed: int) -> Config:
@@ -91,74 +74,36 @@ def flight_config(scene: str, seed: int) -> Config:
     )  # fmt: skip
 
 
-def bench_scene(
+def bench_log(
     logged: LoggedRun, seconds: float | None, report: Report, methods: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Errors and costs of all methods over one log, of its first ``seconds`` after lift-off where
-    these are given: ``error_m``, ``cpu_ms``, ``own_difference_m``, ``lost_s`` by method, and
-    ``settings`` with every setting of the reference implementations and its error; ``missing`` has
-    a line for each method that is not installed. ``methods``: some of them, or all. Raises
-    UsageError."""
+    these are given: ``error_m``, ``cpu_ms``, ``lost_s`` by method, ``best`` setting of the
+    reference implementations, and ``settings`` with every setting and its error. ``methods``: some
+    of them, or all. Raises UsageError."""
     chosen = set(chosen_methods(methods))
     end_s = math.inf if seconds is None else logged.from_s + seconds
-    found: dict[str, Any] = {
-        "error_m": {}, "cpu_ms": {}, "own_difference_m": {}, "lost_s": {}, "best": {},
-        "settings": {}, "missing": {},
-    }  # fmt: skip
-    for name, (estimator, changes) in ESTIMATORS.items():
-        if name not in chosen:
-            continue
-        report(f"{name}")
-        config = replay_config(logged.path, estimator, changes, fresh=True)
-        measured = measure(logged, config, end_s)
+    found: dict[str, Any] = {"error_m": {}, "cpu_ms": {}, "lost_s": {}, "best": {}, "settings": {}}
+    for name in (name for name in ESTIMATORS if name in chosen):
+        report(name)
+        estimator, changes = ESTIMATORS[name]
+        measured = measure(
+            logged, replay_config(logged.path, estimator, changes, fresh=True), end_s
+        )
         found["error_m"][name] = measured.error_m
-        found["own_difference_m"][name] = abs(measured.error_m - measured.own_error_m)
         found["cpu_ms"][name] = measured.cpu_ms
         found["lost_s"][name] = measured.lost_s
-    truth, alone = TruePath(logged), [method for method in GRIDS if method in chosen]
-    scans = logged_scans(logged, end_s) if alone else []
-    for method in alone:
+    truth, references = TruePath.of_run(logged), [method for method in GRIDS if method in chosen]
+    scans = logged_scans(logged, end_s) if references else []
+    lidar, survey_s = logged.sensors.rig.body_from_lidar, truth.survey_s()
+    for method in references:
         rows = []
         for setting in settings(method):
             report(f"{method} {setting}")
-            track = run_reference(
-                method,
-                setting,
-                scans,
-                truth.at,
-                logged.sensors.rig.body_from_lidar,
-                truth.survey_s(),
-            )
+            track = run_reference(method, setting, scans, truth.pose, lidar, survey_s)
             rows.append(_reference_row(track, truth))
         _add_best(found, method, rows)
-    _bench_inertial(found, logged, end_s, report, chosen)
     return found
-
-
-def _bench_inertial(
-    found: dict[str, Any], logged: LoggedRun, end_s: float, report: Report, chosen: set[str]
-) -> None:
-    if chosen.isdisjoint(METHODS):
-        return
-    python = os.environ.get(LIO_PYTHON, sys.executable)
-    truth, there = TruePath(logged), inertial.installed(python)
-    span = (logged.from_s, truth.survey_s(), min(end_s, logged.to_s))
-    with tempfile.TemporaryDirectory(prefix="touchdown-lio-") as folder:
-        log = Path(folder) / "log.npz"
-        for method, facts in METHODS.items():
-            if method not in chosen:
-                continue
-            if facts.package not in there:
-                found["missing"][method] = inertial.missing_line(method)
-                continue
-            if not log.is_file():
-                write_log(logged, end_s, log)
-            rows = []
-            for setting in inertial.settings(method):
-                report(f"{method} {setting}")
-                track = inertial.run_setting(method, setting, log, truth.at, span, python)
-                rows.append(_reference_row(track, truth) | {"failure": track.failure})
-            _add_best(found, method, rows)
 
 
 def _add_best(found: dict[str, Any], method: str, rows: list[dict[str, Any]]) -> None:
@@ -176,9 +121,7 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
 
     estimator = build_estimator(config, logged.sensors.rig)
     check_needs(config.estimator, estimator, logged.sensors)
-    clock, own = CpuClock(), PositioningError()
-    revisits = Revisits(logged.sensors.rig, TruePath(logged).at)
-    times: list[float] = []
+    clock = CpuClock()
     estimated: list[Array] = []
     true: list[Array] = []
     lost_s, data_s = None, 0.0
@@ -186,7 +129,6 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
         data_s = obs.time_s
         if obs.time_s >= end_s:
             break
-        revisits.add(estimate.diagnostics)
         pose = logged.truth.get(obs.tick)
         if pose is None or not logged.judged(obs.tick):
             continue
@@ -195,87 +137,20 @@ def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measu
         if not distance <= config.referee.divergence_m:
             lost_s = obs.time_s
             break
-        own.add(estimate.world_from_body, pose)
-        times.append(obs.time_s)
         estimated.append(position)
         true.append(pose.translation)
     cpu_ms = 1e3 * clock.seconds() / max(data_s / 0.1, 1e-9)
-    error_m = evo_error(times, true, estimated)
-    return Measured(error_m, own.summary().mean or math.nan, cpu_ms, lost_s, revisits.figures())
+    return Measured(mean_error_m(true, estimated), cpu_ms, lost_s)
 
 
-# ------------------------------------------------------------------------------------- evo
-
-
-def evo_error(times_s: Sequence[float], true: Sequence[Array], estimated: Sequence[Array]) -> float:
-    """evo's mean APE of positions (N, 3) at times (N,), translation part, not aligned."""
-    from evo.core import metrics
-    from evo.core.trajectory import PoseTrajectory3D
-    from evo.main_ape import ape
-
-    if len(times_s) < 2:
+def mean_error_m(true: Sequence[Array], estimated: Sequence[Array]) -> float:
+    """Mean distance of N positions (3,), not aligned: the APE of the translation."""
+    if len(true) < 2:
         return math.nan
-    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(times_s), 1))  # wxyz; rotations play no part
-    reference, estimate = (
-        PoseTrajectory3D(np.asarray(rows), upright, np.asarray(times_s))
-        for rows in (true, estimated)
-    )
-    relation = metrics.PoseRelation.translation_part
-    return float(ape(reference, estimate, relation, align=False).stats["mean"])
-
-
-def evo_of_run(run: Path) -> float:
-    """Mean error, metres, of ``evo_ape tum truth.tum estimate.tum`` for a run directory between
-    lift-off and the end of the survey."""
-    from evo.core import metrics, sync
-    from evo.main_ape import ape
-    from evo.tools import file_interface
-
-    logged = span_of(run)
-    paths = [
-        file_interface.read_tum_trajectory_file(str(run / f"{name}.tum"))
-        for name in ("truth", "estimate")
-    ]
-    reference, estimate = sync.associate_trajectories(*paths, max_diff=1e-3)
-    for path in (reference, estimate):
-        path.reduce_to_time_range(*logged)
-    relation = metrics.PoseRelation.translation_part
-    return float(ape(reference, estimate, relation, align=False).stats["mean"])
-
-
-def span_of(run: Path) -> tuple[float, float]:
-    """Lift-off and end of the survey of a run directory, s."""
-    import json
-
-    begin, end = json.loads((run / "result.json").read_text(encoding="utf-8"))["span_s"]
-    return float(begin), math.inf if end is None else float(end)
+    return float(np.linalg.norm(np.array(estimated) - np.array(true), axis=1).mean())
 
 
 # ------------------------------------------------------------------------------------- the log
-
-
-class TruePath:
-    """True poses of a run at any time, between its logged ones."""
-
-    def __init__(self, logged: LoggedRun) -> None:
-        self._hz = logged.sensors.rig.tick_hz
-        self._ticks = np.array(sorted(logged.truth))
-        self._poses = [logged.truth[tick] for tick in self._ticks.tolist()]
-        self._end_s = logged.to_s
-
-    def at(self, time_s: float) -> Pose:
-        tick = time_s * self._hz
-        last = len(self._ticks) - 2
-        row = int(np.clip(np.searchsorted(self._ticks, tick, side="right") - 1, 0, last))
-        before, after = self._ticks[row : row + 2]
-        share = float((tick - before) / (after - before))
-        return interpolate_pose(self._poses[row], self._poses[row + 1], share)
-
-    def survey_s(self) -> float:
-        """Time at which the vehicle first reaches the height of the survey."""
-        heights = np.array([pose.translation[2] for pose in self._poses])
-        there = heights > heights.max() - _SURVEY_BELOW_M
-        return float(self._ticks[np.argmax(there)] / self._hz)
 
 
 def logged_scans(logged: LoggedRun, end_s: float) -> list[ScanPoints]:
@@ -304,13 +179,11 @@ def _badness(row: dict[str, Any]) -> tuple[float, float]:
     )
 
 
-def _reference_row(
-    track: OdometryTrack | inertial.InertialTrack, truth: TruePath
-) -> dict[str, Any]:
-    true = [truth.at(time_s).translation for time_s in track.times_s]
+def _reference_row(track: OdometryTrack, truth: TruePath) -> dict[str, Any]:
+    true = [truth.pose(time_s).translation for time_s in track.times_s]
     return {
         "setting": track.setting,
-        "error_m": evo_error(track.times_s, true, track.positions),
+        "error_m": mean_error_m(true, track.positions),
         "cpu_ms": 1e3 * track.cpu_s / max(track.data_s / 0.1, 1e-9),
         "lost_s": track.lost_s,
     }
@@ -331,65 +204,47 @@ def bench_estimator(
     """Flies the surveys that ``runs`` lacks, one directory ``SCENE-SEED`` each, and compares.
 
     ``seeds``: one for all scenes, or one each. ``methods``: some of the rows, or all. Returns what
-    `summary` does, ``evo_difference_m.SCENE`` (evo on the flight's files less its own figure) and
-    the details by scene. Raises UsageError.
+    `summary` does and the details by log. Raises UsageError.
     """
     chosen_methods(methods)
     require_references()
-    found: dict[str, dict[str, Any]] = {}
-    difference: dict[str, float] = {}
-    seed_of = seeds_by_scene(scenes, seeds)
-    for scene, seed in seed_of.items():
-        report_scene = partial(_report_scene, report, scene)
-        run = logged_survey(scene, seed, runs, report_scene)
-        logged = open_run(run)
-        flown_error_m = float(logged.result.value("position_error_m.mean"))
-        difference[scene] = evo_of_run(run) - flown_error_m
-        found[scene] = bench_scene(logged, seconds, report_scene, methods)
-    return {
-        "seed": seed_of,
-        "seconds": seconds,
-        **summary(found),
-        "evo_difference_m": difference,
-        "scenes": found,
-    }
+    logs, found = logs_of(scenes, seeds), {}
+    for name, (scene, seed) in logs.items():
+        report_log = partial(_report_log, report, name)
+        logged = open_run(logged_survey(scene, seed, runs, report_log))
+        found[name] = bench_log(logged, seconds, report_log, methods)
+    seed_of = {name: seed for name, (_, seed) in logs.items()}
+    return {"seed": seed_of, "seconds": seconds, **summary(found), "scenes": found}
 
 
 def summary(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Figures over all scenes from those of each, as `bench_scene` returns them:
-    ``error_m.SCENE.METHOD``, ``ms_per_0.1s.METHOD`` (mean over scenes) and, each with its
-    ``geometric_mean``, ``ratio.scans.SCENE`` and ``ratio.inertial.SCENE``: the best reference that
-    sees the scans alone, or scans and IMU, over ``livo`` without camera."""
+    """Figures over all logs from those of `bench_log` of each: ``error_m.LOG.METHOD``,
+    ``ms_per_0.1s.METHOD`` (mean over logs) and ``ratio.LOG`` with its ``geometric_mean``: the best
+    reference over ``livo`` without camera."""
     methods = [
         name
-        for name in (*ESTIMATORS, *GRIDS, *METHODS)
+        for name in (*ESTIMATORS, *GRIDS)
         if all(name in figures["error_m"] for figures in found.values())
     ]
-    with_imu = [name for name, facts in METHODS.items() if facts.imu]
-    alone = [name for name in methods if name not in (*ESTIMATORS, *with_imu)]
     return {
-        "error_m": {scene: figures["error_m"] for scene, figures in found.items()},
-        "ratio": {
-            "scans": _ratios(found, alone),
-            "inertial": _ratios(found, [name for name in methods if name in with_imu]),
-        },
+        "error_m": {log: figures["error_m"] for log, figures in found.items()},
+        "ratio": _ratios(found, [name for name in methods if name in GRIDS]),
         "ms_per_0.1s": {
             name: float(np.mean([figures["cpu_ms"][name] for figures in found.values()]))
             for name in methods
         },
-        "remarks": {name: METHODS[name].remarks for name in methods if name in METHODS},
     }
 
 
 def _ratios(found: dict[str, dict[str, Any]], methods: Sequence[str]) -> dict[str, float]:
     """Of the best of these, one that is not lost where there is one; empty where none ran."""
     ratios = {}
-    for scene, figures in found.items():
+    for log, figures in found.items():
         errors, lost = figures["error_m"], figures["lost_s"]
         known = [method for method in methods if not math.isnan(errors[method])]
         kept = [method for method in known if lost[method] is None] or known
         if kept and WITHOUT_CAMERA in errors:
-            ratios[scene] = min(errors[method] for method in kept) / errors[WITHOUT_CAMERA]
+            ratios[log] = min(errors[method] for method in kept) / errors[WITHOUT_CAMERA]
     if not ratios:
         return {}
     mean = math.exp(float(np.mean([math.log(ratio) for ratio in ratios.values()])))
@@ -398,28 +253,27 @@ def _ratios(found: dict[str, dict[str, Any]], methods: Sequence[str]) -> dict[st
 
 def chosen_methods(methods: Sequence[str]) -> Sequence[str]:
     """These rows of the table, or all where none is named. Raises UsageError for an unknown one."""
-    every = (*ESTIMATORS, *GRIDS, *METHODS)
+    every = (*ESTIMATORS, *GRIDS)
     if unknown := [name for name in methods if name not in every]:
         raise UsageError(f"'{unknown[0]}' is no method; known ones: {', '.join(every)}")
     return methods or every
 
 
-def seeds_of(scenes: Sequence[str], seeds: Sequence[int]) -> list[tuple[str, int]]:
-    """Scenes, each with its seed, of one for all or one each. Raises UsageError for another number
-    of them."""
+def logs_of(scenes: Sequence[str], seeds: Sequence[int]) -> dict[str, tuple[str, int]]:
+    """Scene and seed by the name of a log: its scene, with the seed where the scene is given more
+    than once. ``seeds``: one for all scenes, or one each. Raises UsageError for another number of
+    them."""
     if len(seeds) not in (1, len(scenes)):
         raise UsageError(f"{len(seeds)} seeds for {len(scenes)} scenes; give one, or one each")
     every = seeds if len(seeds) == len(scenes) else (*seeds,) * len(scenes)
-    return list(zip(scenes, every, strict=True))
+    return {
+        scene if scenes.count(scene) == 1 else f"{scene} {seed}": (scene, seed)
+        for scene, seed in zip(scenes, every, strict=True)
+    }
 
 
-def seeds_by_scene(scenes: Sequence[str], seeds: Sequence[int]) -> Mapping[str, int]:
-    """Seed by scene, see `seeds_of`."""
-    return dict(seeds_of(scenes, seeds))
-
-
-def _report_scene(report: Report, scene: str, text: str) -> None:
-    report(f"{scene}: {text}")
+def _report_log(report: Report, log: str, text: str) -> None:
+    report(f"{log}: {text}")
 
 
 def logged_survey(scene: str, seed: int, runs: Path, report: Report) -> Path:

@@ -89,7 +89,6 @@ class Odometry(Protocol):
 def require_references() -> None:
     """Raises UsageError unless the packages are installed."""
     try:
-        import evo  # noqa: F401
         import kiss_icp  # noqa: F401
         import small_gicp  # noqa: F401
     except ImportError as error:

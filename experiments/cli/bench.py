@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +19,7 @@ from touchdown.experiments.cli.common import (
     CommandGroup,
     answer,
 )
-from touchdown.experiments.cli.console import print_overhead, print_stages
+from touchdown.experiments.cli.console import print_stages
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import end_progress, make_progress, say
 
@@ -40,76 +38,25 @@ def bench() -> int:
 @click.option("--estimator", default="livo", show_default=True)
 @click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
-@click.option("--ratio/--no-ratio", default=True, help="Measure the ratios as well.  [ratio]")
 @JSON
 @QUIET
-def bench_loop(
-    scene: str, estimator: str, seed: int, full: bool, ratio: bool, as_json: bool, quiet: bool
-) -> int:
+def bench_loop(as_json: bool, quiet: bool, **chosen: Any) -> int:
     """Fly with all sensors and recording: real-time factor and the share of each stage.
-
-    ratio.bare is the cost of the loop on one core, without estimator and lander, over that of the
-    same physics steps, rays and pixels by MuJoCo, Embree and OpenGL alone. It is measured on a
-    second flight, a survey on true poses in profile ideal, with the bare computation beside it scan
-    by scan. ratio.field is the cost of the whole loop in profile field over that in ideal, of two
-    flights in turns of 0.1 s.
 
     Example: touchdown bench loop --json
     """
-    from touchdown.experiments.benchmarks.loop import (
-        bench_config,
-        measure_loop,
-        measure_loop_overhead,
-        overhead_config,
-        profile_configs,
-    )
-    from touchdown.experiments.benchmarks.profile_cost import measure_profile_cost
+    from touchdown.experiments.benchmarks.loop import bench_config, measure_loop
+    from touchdown.experiments.flight.run import fly_with_usage_errors
 
-    config = bench_config(scene=scene, estimator=estimator, seed=seed, full=full)
-    result = _usage_errors_until_airborne(measure_loop, config, quiet)
-    figures = result["figures"]
-    if ratio:
-        overhead = measure_loop_overhead(overhead_config(scene=scene, seed=seed, full=full))
-        both = profile_configs(scene=scene, estimator=estimator, seed=seed, full=full)
-        cost = usage_errors(lambda: measure_profile_cost(both))
-        figures["ratio"] = {"bare": overhead.pop("ratio"), "field": cost["ratio"]}
-        figures |= {"overhead": overhead, "profile_ms": cost["ms"]}
+    config = bench_config(**chosen)
+    progress = make_progress(quiet)
+    found = measure_loop(config, lambda cfg, out: fly_with_usage_errors(cfg, out, progress))
+    end_progress(quiet)
     if as_json:
-        click.echo(json.dumps(figures, indent=2))
+        click.echo(json.dumps(found["figures"], indent=2))
     else:
-        print_stages(result["result"])
-        if ratio:
-            print_overhead(figures["ratio"]["bare"], figures["overhead"])
-            ms = figures["profile_ms"]
-            say(
-                f"ratio.field {figures['ratio']['field']:.2f}: {ms['field']:.1f} ms of processor "
-                f"time for 0.1 s of flight in profile field, {ms['ideal']:.1f} ms in ideal"
-            )
-    return EXIT_DONE if result["result"].is_success else EXIT_FAILED
-
-
-@bench.command("scaling")
-@click.option("--scene", default="crossroad", show_default=True)
-@click.option("--estimator", default="livo", show_default=True)
-@click.option("--workers", type=click.IntRange(2, 1024), default=2, show_default=True)
-@click.option("--runs", type=click.IntRange(2, 240), default=6, show_default=True,
-              help="Flights of each campaign.")  # fmt: skip
-@click.option("--rounds", type=click.IntRange(1, 100), default=1, show_default=True)
-@JSON
-def bench_scaling_command(as_json: bool, **options: Any) -> int:
-    """Fly the same campaign of short landings with one single-threaded worker and with several.
-
-    ratio.one is the throughput of all workers divided by that of one, start-up included.
-
-    Example: touchdown bench scaling --json
-    """
-    from touchdown.experiments.benchmarks.scaling import measure_scaling
-
-    def show(figures: dict[str, Any]) -> None:
-        click.echo(f"ratio.one {figures['ratio']['one']:.2f} with {options['workers']} workers")
-
-    report = partial(say, err=as_json)
-    return answer(usage_errors(lambda: measure_scaling(report=report, **options)), as_json, show)
+        print_stages(found["result"])
+    return EXIT_DONE if found["result"].is_success else EXIT_FAILED
 
 
 @bench.command("lidar")
@@ -256,50 +203,3 @@ def maps_make(
         )
     )
     return answer({"maps": [str(file) for file in files]}, as_json, lambda _figures: None)
-
-
-@bench.command("endurance")
-@click.argument("scenes", nargs=-1)
-@click.option("--estimator", default="livo", show_default=True)
-@click.option("--seeds", default="0-1", show_default=True, help="Such as 0-4 or 100,101.")
-@click.option("--minutes", type=click.IntRange(2, 1440), default=5, show_default=True)
-@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
-@click.option("--plot", type=PATH, default=None, help="PNG or JPG.")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
-@JSON
-def bench_endurance(
-    scenes: tuple[str, ...], seeds: str, jobs: int, plot: Path | None, as_json: bool, **options: Any
-) -> int:
-    """Fly long surveys: position error, time per scan (of the estimator and of the whole process)
-    and memory in each minute. SCENES: by default crossroad, lake, houses and forest.
-
-    Example: touchdown bench endurance forest --seeds 0 --minutes 10
-    """
-    from touchdown.experiments.benchmarks import endurance
-    from touchdown.experiments.config.seeds import parse_seeds
-
-    def run() -> list[dict[str, Any]]:
-        configs = [
-            endurance.endurance_config(scene=scene, seed=seed, **options)
-            for scene in scenes or ("crossroad", "lake", "houses", "forest")
-            for seed in parse_seeds(seeds, "--seeds")
-        ]
-        flights = endurance.measure(
-            configs, jobs, lambda flight: say(endurance.row(flight), err=as_json)
-        )
-        if plot is not None:
-            endurance.plot(flights, plot)
-        return flights
-
-    return answer({"flights": usage_errors(run)}, as_json, lambda _flights: None)
-
-
-def _usage_errors_until_airborne(
-    measure: Callable[..., dict[str, Any]], config: Any, quiet: bool
-) -> dict[str, Any]:
-    from touchdown.experiments.flight.run import fly_with_usage_errors
-
-    progress = make_progress(quiet)
-    measured = measure(config, lambda cfg, out: fly_with_usage_errors(cfg, out, progress))
-    end_progress(quiet)
-    return measured

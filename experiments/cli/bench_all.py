@@ -20,8 +20,8 @@ ROUNDS = click.IntRange(1, 100)
 @click.option("--rounds", type=ROUNDS, default=1, show_default=True, help="Medians are printed.")
 @JSON
 def bench_all(rounds: int, as_json: bool) -> int:
-    """Measure what a flight costs: two landings as a worker flies them, the real-time factor with
-    recording, the LIDAR beside other ray casters, the choice of a site.
+    """Measure what a flight costs: a landing on one core as a worker flies it, the real-time factor
+    with recording, the LIDAR beside other ray casters, the choice of a site.
 
     Example: touchdown bench all --json
     """

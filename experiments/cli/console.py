@@ -171,23 +171,6 @@ def print_stages(result: RunResult) -> None:
     console.print(f"real-time factor {timing['real_time_factor']:.2f} ({timing['sim_s']:.1f} s)")
 
 
-def print_overhead(ratio: float, overhead: Mapping[str, Any]) -> None:
-    """Prints the cost of the loop on one core beyond physics, rays and pixels, largest first."""
-    bare, loop = overhead["bare_ms"], overhead["loop_ms"]
-    title = "one core, per 0.1 s of flight, processor time"
-    table = make_table(title, "part", "ms", "of bare")
-    for name in ("physics", "rays", "pixels", "all"):
-        table.add_row(f"bare {name}", f"{bare[name]:.1f}", f"{bare[name] / bare['all']:.0%}")
-    table.add_section()
-    for name, ms in sorted(overhead["excess_ms"].items(), key=lambda item: -item[1]):
-        table.add_row(name.replace("_", " "), f"{ms:.1f}", f"{ms / bare['all']:.0%}")
-    table.add_section()
-    table.add_row("loop without estimator and lander", f"{loop['all']:.1f}", f"{ratio:.0%}")
-    console = make_console()
-    console.print(table)
-    console.print(f"overhead: {ratio:.2f} x bare")
-
-
 def print_margins(rows: list[dict[str, Any]]) -> None:
     heads = ("gain (dB)", "phase (deg)", "crossover (rad/s)")
     table = make_table("loop margins", "loop", *heads)

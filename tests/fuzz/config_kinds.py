@@ -244,10 +244,8 @@ def argv_case(rng: Rng, folder: Path, _shared: Path) -> Case:
     can_be_quiet = any(option.name == "quiet" for option in command.params)
     if chance(rng, 0.5) and can_be_quiet:
         arguments.append("--quiet")
-    # They say how far they are, and cannot be quiet.
-    noisy = path in (("scenes", "check"), ("bench", "scaling")) or (
-        can_be_quiet and "--quiet" not in arguments
-    )
+    # It says how far it is, and cannot be quiet.
+    noisy = path == ("scenes", "check") or (can_be_quiet and "--quiet" not in arguments)
     return Case(arguments=tuple(arguments), writes=("*",), noisy=noisy)
 
 

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.benchmarks.limit.constants import CONSTANTS, MOUNT, RANGE
 from touchdown.experiments.benchmarks.limit.information import LANDMARK, Indices, Rows
-from touchdown.experiments.benchmarks.limit.surface import Struck, TruePath, TrueSurface
+from touchdown.experiments.benchmarks.limit.surface import Struck, TrueSurface
+from touchdown.experiments.benchmarks.true_path import TruePath
 from touchdown.experiments.config.schema import Config
 from touchdown.sim.api import LidarScan
 from touchdown.sim.geometry.ray_target import Hits

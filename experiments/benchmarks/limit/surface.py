@@ -1,20 +1,17 @@
-"""The true surface of a logged flight, the true path over it, and what rays meet there."""
+"""The true surface of a logged flight, and what rays meet there."""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
 import warnings
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.experiments.io.tum import read_tum
 from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.geometry.ray_target import Hits, RayTarget
 from touchdown.sim.lidar.patterns.livox import PATTERNS
@@ -28,36 +25,6 @@ Array = NDArray[np.float64]
 _SHIFT_M = 0.02
 """step of the differences of the reflectivity"""
 _DARKEST = 1e-3
-_FEWEST_ROWS = 3
-
-
-class TruePath:
-    """The body's true path, from ``truth.tum``."""
-
-    def __init__(self, file: Path) -> None:
-        """Raises ValueError for fewer than three rows."""
-        self.times_s, self.positions, quats = read_tum(file)
-        if len(self.times_s) < _FEWEST_ROWS:
-            raise ValueError(f"'{file}' has fewer than {_FEWEST_ROWS} rows: it is no flight")
-        self._attitude = Rotation.from_quat(quats[:, [1, 2, 3, 0]])
-        self._between = Slerp(self.times_s, self._attitude)
-        self.rotations: Array = self._attitude.as_matrix()
-        """(M, 3, 3) world_from_body"""
-
-    def at(self, times_s: Array) -> tuple[Array, Array]:
-        """Positions (N, 3) and rotations (N, 3, 3), world_from_body; at either end the last one."""
-        inside = np.clip(times_s, self.times_s[0], self.times_s[-1])
-        axes = [np.interp(inside, self.times_s, axis) for axis in self.positions.T]
-        return np.column_stack(axes), self._between(inside).as_matrix()
-
-    def rates_at(self, times_s: Array) -> Array:
-        """(N, 6) velocity, m/s, and angular rate, rad/s, both in world axes."""
-        steps = np.diff(self.times_s)[:, None]
-        turns = (self._attitude[1:] * self._attitude[:-1].inv()).as_rotvec() / steps
-        both = np.hstack([np.diff(self.positions, axis=0) / steps, turns])
-        k = np.searchsorted(self.times_s, times_s, side="right") - 1
-        rates: Array = both[np.clip(k, 0, len(both) - 1)]
-        return rates
 
 
 class Struck(NamedTuple):

@@ -26,7 +26,8 @@ from touchdown.experiments.benchmarks.limit.information import (
     landmark_informations,
     motion_information,
 )
-from touchdown.experiments.benchmarks.limit.surface import TruePath, TrueSurface
+from touchdown.experiments.benchmarks.limit.surface import TrueSurface
+from touchdown.experiments.benchmarks.true_path import TruePath
 from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay, replay_config
@@ -191,7 +192,7 @@ def build(run: Path) -> Problem:
     rig = logged.sensors.rig
     if not np.isfinite(logged.from_s):
         raise UsageError(f"'{run}' never took off: fly a survey with --log-sensors")
-    flight = ranging.Flight(config, TrueSurface(config), TruePath(run / "truth.tum"), PERIOD_S)
+    flight = ranging.Flight(config, TrueSurface(config), TruePath.of_run(logged), PERIOD_S)
     states = int(min(logged.to_s, float(flight.path.times_s[-1])) / PERIOD_S) + 1
     features = imaging.follow(flight, rig.camera, states)
     end_s = PERIOD_S * (states - 0.5)

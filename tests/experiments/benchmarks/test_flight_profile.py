@@ -2,12 +2,15 @@
 
 import json
 import sys
+import threading
 from pathlib import Path
 
+import numba
 import pytest
 
 from touchdown.experiments.benchmarks import flight_profile
 from touchdown.experiments.benchmarks.flight_profile import STAGES, StageProfile, found
+from touchdown.experiments.benchmarks.jit_warmup import compiled_before
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 
@@ -80,3 +83,20 @@ def test_the_table_adds_up() -> None:
     assert "share" not in rows["scene"]
     text = flight_profile.table({"stages": rows, "core_s_per_sim_s": 2.0})
     assert "25.0%" in text and text.endswith("2.000 core-seconds per simulated second")
+
+
+def test_a_measurement_during_compilation_is_repeated() -> None:
+    @numba.njit
+    def kernel(x: float) -> float:
+        return 2.0 * x
+
+    calls: list[float] = []
+
+    def measure() -> int:
+        worker = threading.Thread(target=lambda: calls.append(kernel(1.0)))
+        worker.start()
+        worker.join()
+        return len(calls)
+
+    assert compiled_before(measure) == 2
+    assert compiled_before(measure) == 3  # all compiled

@@ -1,1 +1,0 @@
-"""LIDAR-inertial odometry of others on logged scans and IMU samples."""
