@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 from annotated_types import Interval
@@ -56,7 +56,7 @@ class ControlParams:
     """rate of the control loop, sim.tick_hz / sim.control_ticks"""
     max_tilt_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 35.0
     """largest tilt that is commanded"""
-    motor_response_s: NotNegative = 0.012
+    motor_response_s: ClassVar[float] = 0.012
     """time constant of the rotors behind the lead that speeds them up"""
     rate_radps: Positive = 28.0
     """crossover of the roll and pitch rate loops"""
@@ -87,7 +87,7 @@ class ControlParams:
     wind_feed_forward: bool = False
     """feed the thrust that the felt wind takes forward too, and give height priority over place
     where the rotors' thrust does not last for both; off, the force across is fed forward alone"""
-    max_correction_mps: Positive = 3.0
+    max_correction_mps: ClassVar[float] = 3.0
     """bound on the velocity that the position loop may add to the reference's"""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
@@ -34,13 +34,13 @@ class MapperParams:
     """side of the square fine grid, which follows the vehicle"""
     fine_below_m: NotNegative = 14.0
     """height above ground below which the fine grid is filled"""
-    fine_recentre_m: Positive = 6.0
+    fine_recentre_m: ClassVar[float] = 6.0
     """the fine window follows once the vehicle is this far from its centre"""
     count_cap: Positive = 200.0
     """effective number of returns per cell; older ones fade"""
     extreme_memory_s: Positive = 60.0
     """time constant with which unconfirmed extremes decay"""
-    missing_min_reach_m: NotNegative = 1.5
+    missing_min_reach_m: ClassVar[float] = 1.5
     """nearest expected ground for which a pulse without return counts as missing"""
     missing_max_reach_m: Positive = 60.0
     """a pulse without return counts as missing only where the ground is expected within these"""
@@ -69,7 +69,7 @@ class EstimatorParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    correction_time_s: NotNegative = 0.15
+    correction_time_s: ClassVar[float] = 0.15
     """a correction of the filter reaches control over this time"""
 
 
@@ -132,9 +132,9 @@ class LivoParams(CalibratedParams):
     positions are no better within their spread"""
     voxel_m: Positive = 1.0
     """side of the plane map's voxels"""
-    map_voxels: Count = 131072
+    map_voxels: ClassVar[int] = 131072
     """capacity of the plane map, a power of two; it never grows"""
-    voxel_points: Count = 150
+    voxel_points: ClassVar[int] = 150
     """a voxel ignores further returns after so many"""
     map_open_s: Positive = 0.3
     """scans enter the map for so long after a keyframe: later ones have drifted against it"""
@@ -145,7 +145,7 @@ class LivoParams(CalibratedParams):
     given another part where images fail: a scan covers half the height along the flight"""
     anchor_climb: Positive = 0.3
     """the same of the vertical distance; both by 21 replays without images"""
-    anchor_turn_deg: Positive = 20.0
+    anchor_turn_deg: ClassVar[float] = 20.0
     """the same of the rotation since then"""
     plane_sigma_m: NotNegative = 0.003
     """of any plane of the map, beside the scatter of its returns"""
@@ -168,7 +168,7 @@ class LivoParams(CalibratedParams):
     assumed_depth_share: NotNegative = 0.4
     """standard deviation, relative to their distance, of features that are assumed to lie on level
     ground below the rangefinder, as new ones are while no scans come"""
-    assumed_depth_floor: NotNegative = 0.16
+    assumed_depth_floor: ClassVar[float] = 0.16
     """the same at the least, however long parallax has shown their depth"""
     range_scale_sigma: Positive = 0.01
     """while no scans come, the rangefinder scales the way since a keyframe: relative error of its
@@ -176,14 +176,14 @@ class LivoParams(CalibratedParams):
     The next four are assumed"""
     range_scale_radius: Positive = 0.1
     """rad about the rangefinder's beam, within which landmarks count as around"""
-    range_scale_landmarks: Count = 4
+    range_scale_landmarks: ClassVar[int] = 4
     """fewest landmarks there"""
-    range_scale_way: NotNegative = 0.1
+    range_scale_way: ClassVar[float] = 0.1
     """shortest way over the depth: with a shorter one parallax is noise"""
-    range_scale_gate: Positive = 3.0
+    range_scale_gate: ClassVar[float] = 3.0
     """standard deviations between range and depth, beyond which beam and landmarks are not on the
     same surface"""
-    ground_memory_s: NotNegative = 1.0
+    ground_memory_s: ClassVar[float] = 1.0
     """time constant of the ground's height below the rangefinder"""
     use_lidar: bool = True
     """scans correct the pose; if false, they still give depth to features"""
@@ -243,23 +243,23 @@ class Zou2024Params(CalibratedParams):
     """bundle adjustment of the newest keyframes"""
     use_closures: bool = True
     """loop closures correct the map"""
-    colour_weight: NotNegative = 0.012
+    colour_weight: ClassVar[float] = 0.012
     """lambda of Eq. 7"""
-    edge_threshold: NotNegative = 0.006
+    edge_threshold: ClassVar[float] = 0.006
     """f_s above which a return may be an edge point, below which a planar one"""
     edge_points: Count = 400
     """edge points kept of a scan"""
     planar_cells: tuple[Count, Count] = (56, 28)
     """columns and rows of the view's sectors; each gives one planar point"""
-    edge_voxel_m: Positive = 0.3
+    edge_voxel_m: ClassVar[float] = 0.3
     """voxel side of the map of edge points"""
-    planar_voxel_m: Positive = 0.6
+    planar_voxel_m: ClassVar[float] = 0.6
     """voxel side of the map of planar points"""
-    map_voxels: Count = 131072
+    map_voxels: ClassVar[int] = 131072
     """capacity of each feature map, a power of two; it never grows"""
-    edge_sigma_m: NotNegative = 0.15
+    edge_sigma_m: ClassVar[float] = 0.15
     """standard deviation of a point-to-line distance"""
-    plane_sigma_m: NotNegative = 0.04
+    plane_sigma_m: ClassVar[float] = 0.04
     """standard deviation of a point-to-plane distance"""
     keyframe_distance_m: NotNegative = 3.0
     """distance after which an image is matched with the map"""
@@ -273,11 +273,11 @@ class Zou2024Params(CalibratedParams):
     sift_sigma_px: NotNegative = 1.4
     """standard deviation of a SIFT feature, which is found at a quarter of the image's size;
     assumed"""
-    brisk_sigma_px: NotNegative = 0.8
+    brisk_sigma_px: ClassVar[float] = 0.8
     """standard deviation of a BRISK feature"""
     max_keyframes: Count = 160
     """keyframes kept; the map is bounded"""
-    bundle_keyframes: Count = 8
+    bundle_keyframes: ClassVar[int] = 8
     """youngest keyframes that are adjusted together"""
     depth_sigma_m: NotNegative = 0.05
     """of a landmark's depth by Eq. 12"""
@@ -286,19 +286,19 @@ class Zou2024Params(CalibratedParams):
     loop_threshold: Fraction = 0.11
     """probability of a revisit, 1 - p(new location), from which the best hypothesis is verified;
     ``Rtabmap/LoopThr`` of RTAB-Map"""
-    loop_inliers: Count = 20
+    loop_inliers: ClassVar[int] = 20
     """landmarks that agree with the pose of a revisit, at least; ``Vis/MinInliers`` of RTAB-Map"""
     short_term_locations: Count = 10
     """newest locations, one a second, that are not loop candidates; ``Mem/STMSize`` of RTAB-Map"""
-    rehearsal_similarity: Fraction = 0.6
+    rehearsal_similarity: ClassVar[float] = 0.6
     """share of common words from which two locations in a row are one; ``Mem/RehearsalSimilarity``
     of RTAB-Map"""
-    loop_words: Count = 20000
+    loop_words: ClassVar[int] = 20000
     """visual words of each kind, beyond which locations go to long-term memory. RTAB-Map limits the
     time of an update (``Rtabmap/TimeThr``), which would differ from run to run"""
-    closure_speed_mps: NotNegative = 0.1
+    closure_speed_mps: ClassVar[float] = 0.1
     """fastest motion of the odometry frame when closures correct the past"""
-    closure_rate_deg_s: NotNegative = 0.5
+    closure_rate_deg_s: ClassVar[float] = 0.5
     """fastest rotation of the odometry frame when closures correct the past"""
 
 
@@ -306,7 +306,7 @@ class Zou2024Params(CalibratedParams):
 class NavigationParams(EstimatorParams):
     """What the baselines with magnetometer and barometer have."""
 
-    heading_sigma_deg: NotNegative = 5.0
+    heading_sigma_deg: ClassVar[float] = 5.0
     """of one reading of the magnetometer, ten a second"""
     baro_sigma_m: NotNegative = 0.5
     """of one reading of the barometer, its drift included"""
@@ -316,7 +316,7 @@ class NavigationParams(EstimatorParams):
 class GpsEstimatorParams(NavigationParams):
     """GPS, IMU, magnetometer and barometer (``estimator/baselines/gps.py``)."""
 
-    follow_period_s: Positive = 0.3
+    follow_period_s: ClassVar[float] = 0.3
     """time constant with which the position follows the fixes"""
 
 
@@ -328,11 +328,11 @@ class FlowParams(NavigationParams):
     """image rate; a divisor of the camera's clock"""
     pixel_sigma: NotNegative = 0.3
     """of the flow of one corner, or of one vector of the levelled image"""
-    floor_sigma_m: NotNegative = 0.01
+    floor_sigma_m: ClassVar[float] = 0.01
     """error floor of a displacement, however many of them it is made of"""
-    scale_sigma: NotNegative = 0.05
+    scale_sigma: ClassVar[float] = 0.05
     """the same as a share of the displacement, for ground that is not level"""
-    ground_memory_s: NotNegative = 0.5
+    ground_memory_s: ClassVar[float] = 0.5
     """time constant of the ground's height below the rangefinder"""
 
 
@@ -345,11 +345,11 @@ class OpticalFlowParams(FlowParams):
     """corners of an image"""
     window_pixels: Count = 64
     """side of the central part of the image that they are taken from"""
-    ground_memory_s: NotNegative = 0.2
+    ground_memory_s: ClassVar[float] = 0.2
     """time constant of the ground's height below the rangefinder"""
-    heading_sigma_deg: NotNegative = 2.0
+    heading_sigma_deg: ClassVar[float] = 2.0
     """of one reading of the magnetometer, ten a second"""
-    drift_share: NotNegative = 0.005
+    drift_share: ClassVar[float] = 0.005
     """standard deviation that each metre flown adds to the filter's own"""
 
 
@@ -358,11 +358,11 @@ class HybridFlowParams(FlowParams):
     """Dense optical flow and phase correlation with GPS
     (``estimator/baselines/hybrid_flow.py``)."""
 
-    side_pixels: Count = 256
+    side_pixels: ClassVar[int] = 256
     """of the levelled image, a power of two"""
-    wander_period_s: Positive = 60.0
+    wander_period_s: ClassVar[float] = 60.0
     """correlation time of the receiver's error"""
-    drift_density: NotNegative = 0.03
+    drift_density: ClassVar[float] = 0.03
     """m/sqrt(s): random walk of the odometry, from which the receiver's error is separated"""
 
 
@@ -378,9 +378,9 @@ class StereoParams(EstimatorParams):
     """of a corner tracked from the keyframe, the error of its depth included"""
     disparity_sigma: NotNegative = 0.15
     """pixels, of one corner"""
-    track_sigma: NotNegative = 1.0
+    track_sigma: ClassVar[float] = 1.0
     """pixels, of a corner tracked from the keyframe, in the update of its depth by parallax"""
-    keyframe_share: Fraction = 0.55
+    keyframe_share: ClassVar[float] = 0.55
     """of a keyframe's corners: with fewer in view a new one is made"""
     disparity_floor_sigma: NotNegative = 0.02
     """pixels, error shared by all disparities of a pair"""
@@ -388,5 +388,5 @@ class StereoParams(EstimatorParams):
     """standard deviation of the heights of objects on the ground"""
     ground_density: NotNegative = 0.3
     """m/sqrt(s): random walk of the mean height of the ground in view"""
-    drift_share: NotNegative = 0.003
+    drift_share: ClassVar[float] = 0.003
     """standard deviation that each metre flown adds to the filter's own"""

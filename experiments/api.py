@@ -1,12 +1,12 @@
-"""Outcomes of flights, parameters of referee, bias, calibration error, PX4 and the fit of the
-survey, and what a calibration takes and gives."""
+"""Outcomes of flights, parameters of referee, bias, calibration error and PX4, and what a
+calibration takes and gives."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -33,33 +33,6 @@ class Outcome(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SurveyFitParams:
-    """How the standard survey is fitted to the scene of a file: made smaller until ground lies
-    below it, and raised over what stands there."""
-
-    __pydantic_config__ = FORBID_EXTRA
-
-    ground_share: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.95
-    """least share of the survey with ground below"""
-    turn_room_m: NotNegative = 3.0
-    """ground beyond a turn"""
-    clearance_m: NotNegative = 2.0
-    """least clearance of the legs above objects; below it the survey is raised"""
-    room_m: NotNegative = 6.0
-    """clearance of a survey that is raised"""
-    highest_m: Positive = 60.0
-    """greatest height to which a survey is raised"""
-    low_m: Positive = 20.0
-    """height over a place that holds one leg of less than 24 m"""
-    shortest_m: Positive = 8.0
-    """shortest leg that is tried"""
-    step_m: Positive = 2.0
-    """difference of the lengths that are tried"""
-    swath_m: Positive = 20.0
-    """what a leg sees to either side, when two surveys are compared"""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class RefereeParams:
     """Limits at which the referee ends a flight."""
 
@@ -69,7 +42,7 @@ class RefereeParams:
     """simulated time after which the flight ends as TIMEOUT"""
     divergence_m: Positive = 20.0
     """position error at which the estimate counts as lost"""
-    tip_tilt_deg: Annotated[float, Interval(gt=0.0, lt=180.0)] = 60.0
+    tip_tilt_deg: ClassVar[float] = 60.0
     """tilt on the ground from which on the vehicle counts as tipped over"""
 
 
@@ -82,7 +55,7 @@ class BiasParams:
 
     xy_m: tuple[float, float] = (0.0, 0.0)
     """offset east and north"""
-    ramp_s: Positive = 5.0
+    ramp_s: ClassVar[float] = 5.0
     """time over which the offset grows to its full size"""
 
 
@@ -149,7 +122,7 @@ class Px4Params:
     """what PX4 is given beside the estimate: ``none``, or ``gps``, the satellite receiver"""
     odometry_hz: Count = 50
     """rate at which the estimate is sent"""
-    setpoint_hz: Count = 50
+    setpoint_hz: ClassVar[int] = 50
     """rate at which setpoints are sent"""
     start_s: Positive = 60.0
     """wall time for PX4 to connect, and then to answer for the first time"""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Interval
 
@@ -123,42 +123,42 @@ class GroundParams:
     and the drift of the last metres"""
     tall_m: Positive = 0.25
     """greatest height within ``clear_radius_m``: below the rotors of a vehicle on its legs"""
-    step_half_width_m: Positive = 0.2
+    step_half_width_m: ClassVar[float] = 0.2
     """half the window that a step is looked for in: a cell to each side"""
-    peak_allowance_m: NotNegative = 0.05
+    peak_allowance_m: ClassVar[float] = 0.05
     """added to ``max_step_m`` for the highest of many returns: 2.5 deviations of the LIDAR's
     noise"""
-    rough_std_m: Positive = 0.05
+    rough_std_m: ClassVar[float] = 0.05
     """largest standard deviation of the returns of a cell: above the LIDAR's noise of 2 cm and the
     slope within a cell"""
     moving_std_m: Positive = 0.15
     """standard deviation of the returns of a cell from which motion is looked for: a vehicle's
     roof over the road"""
-    moving_share: Fraction = 0.4
+    moving_share: ClassVar[float] = 0.4
     """largest height of the mean above the lowest return, as a share of the spread, of a cell that
     something drove over: most returns come from the ground, other than in a tree's crown"""
-    moving_width_m: Positive = 1.0
+    moving_width_m: ClassVar[float] = 1.0
     """least width of a region with motion; the edges of static objects are narrower"""
-    moving_margin_m: NotNegative = 3.0
+    moving_margin_m: ClassVar[float] = 3.0
     """distance kept from where motion was observed: the width of a lane"""
-    water_window_m: Positive = 1.0
+    water_window_m: ClassVar[float] = 1.0
     """side of the window that missing pulses are counted in"""
-    water_min_missing: NotNegative = 3.0
+    water_min_missing: ClassVar[float] = 3.0
     """fewer missing pulses in the window are chance"""
-    plants_spread_m: Positive = 0.14
+    plants_spread_m: ClassVar[float] = 0.14
     """between the lowest and the highest return of a cell, from which it holds more than noise"""
-    plants_clump: tuple[Positive, Positive, Positive] = (0.3, 0.33, 0.12)
+    plants_clump: ClassVar[tuple[float, float, float]] = (0.3, 0.33, 0.12)
     """a clump of plants, m: side of the least square that they fill; greatest spread of a cell, its
     height of 0.23 and noise of 0.1; greatest height of the mean over the lowest return, noise of
     0.05 included: most pulses reach the ground"""
-    plants_stand: tuple[Positive, Positive, Positive] = (1.0, 0.42, 0.19)
+    plants_stand: ClassVar[tuple[float, float, float]] = (1.0, 0.42, 0.19)
     """the same of a wide stand, 0.32 m high"""
-    plants_level_m: NotNegative = 0.06
+    plants_level_m: ClassVar[float] = 0.06
     """between the lowest returns of a gap in a clump and of the cells around it: bare ground, no
     solid top"""
-    plants_edge_cells: CountOrZero = 2
+    plants_edge_cells: ClassVar[int] = 2
     """width of the ragged edge of a clump"""
-    plants_ground_std_m: Positive = 0.03
+    plants_ground_std_m: ClassVar[float] = 0.03
     """largest deviation of the ground's height under plants, a third of ``max_step_m``"""
 
 
@@ -170,21 +170,21 @@ class SemanticMapParams:
 
     squares: CountOrZero = 2
     """of ground that are classified every tenth of a second of the flight; 0: no semantic map"""
-    most_views: Positive = 1.5
+    most_views: ClassVar[float] = 1.5
     """independent views that all views of a place count as at most: views of one network over one
     ground share its errors"""
-    full_pixel_m: Positive = 0.12
+    full_pixel_m: ClassVar[float] = 0.12
     """width of a pixel on the ground up to which a view is fully reliable: that of the camera from
     60 m, up to which the weight of least loss is 0.88 to 1.05 (``touchdown evaluate``)"""
-    half_slant: Positive = 0.5
+    half_slant: ClassVar[float] = 0.5
     """tangent of the viewing angle at which a view is half as reliable as from above"""
-    dim: Fraction = 0.5
+    dim: ClassVar[float] = 0.5
     """reliability of a view in dim light"""
-    unfamiliar: Fraction = 0.2
+    unfamiliar: ClassVar[float] = 0.2
     """reliability of a view that looks like no known ground"""
-    apart: Positive = 0.15
+    apart: ClassVar[float] = 0.15
     """distance between two cameras, relative to their height, from which their views differ"""
-    close: Positive = 2.0
+    close: ClassVar[float] = 2.0
     """weight of a sharp view from the height of the second look"""
 
 
@@ -208,7 +208,7 @@ class LandingParams:
     clearance_full_m: Positive = 3.0
     """distance to ground that is not allowed from which the value no longer rises: twice
     ``clear_radius_m``"""
-    clearance_enough_m: Positive = 1.0
+    clearance_enough_m: ClassVar[float] = 1.0
     """the same within a cluster: the radius of a footprint"""
     refused_radius_m: NotNegative = 3.0
     """radius around a refused site in which no site is accepted again: twice ``clear_radius_m``, so
@@ -248,42 +248,42 @@ class LandingParams:
     """radius around the site that must be free of taller objects"""
     flatness_form: Literal["corrected", "literal"] = "corrected"
     """``corrected``, or Eqs. 16 and 17 to the letter"""
-    flatness_sigma_deg: Positive = 5.0
+    flatness_sigma_deg: ClassVar[float] = 5.0
     """sigma of Eq. 16 in the corrected form"""
-    normal_half_width_m: Positive = 0.5
+    normal_half_width_m: ClassVar[float] = 0.5
     """half the window that normals are fitted in"""
-    edge_blur_m: NotNegative = 0.3
+    edge_blur_m: ClassVar[float] = 0.3
     """sigma of the blur before Canny"""
-    edge_low: Annotated[float, Interval(ge=0.0, le=255.0)] = 40.0
+    edge_low: ClassVar[float] = 40.0
     """lower hysteresis threshold of Canny on the 8-bit colour map"""
-    edge_high: Annotated[float, Interval(ge=0.0, le=255.0)] = 100.0
+    edge_high: ClassVar[float] = 100.0
     """hysteresis thresholds of Canny on the 8-bit colour map"""
-    edge_hole_cells: CountOrZero = 4
+    edge_hole_cells: ClassVar[int] = 4
     """largest hole in the colour map that counts as chance and not as an edge"""
-    smoothness_full_m: Positive = 8.0
+    smoothness_full_m: ClassVar[float] = 8.0
     """distance to an edge from which the smoothness term is 1"""
     slope_margin_deg: NotNegative = 0.5
     """taken off ``max_slope_deg`` for the error of the map"""
-    step_margin_m: NotNegative = 0.02
+    step_margin_m: ClassVar[float] = 0.02
     """taken off ``max_step_m`` for the error of the map"""
-    map_margin_m: NotNegative = 0.35
+    map_margin_m: ClassVar[float] = 0.35
     """margin around the footprint for the error of map and position at survey height"""
-    low_margin_m: NotNegative = 0.15
+    low_margin_m: ClassVar[float] = 0.15
     """the same margin at 10 m and below"""
     min_returns: NotNegative = 4.0
     """a cell with fewer is refused"""
     max_missing_ratio: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.2
     """share of pulses without a return above which the ground counts as water"""
-    traffic_smoothing_m: Positive = 1.0
+    traffic_smoothing_m: ClassVar[float] = 1.0
     """side of the window that intensity is averaged in"""
-    traffic_same_intensity: Fraction = 0.35
+    traffic_same_intensity: ClassVar[float] = 0.35
     """relative difference of the mean intensity up to which cells count as one surface: intensity
     falls with the cosine of the incidence angle, to 0.75 at the edge of the field of view"""
-    traffic_near_m: NotNegative = 2.0
+    traffic_near_m: ClassVar[float] = 2.0
     """distance to a surface with traffic up to which a site counts as near it"""
-    cluster_bandwidth: Positive = 1.5
+    cluster_bandwidth: ClassVar[float] = 1.5
     """of the density in Eq. 19, in radii of the vehicle's footprint: about the area of a landing"""
-    cluster_search: Positive = 4.0
+    cluster_search: ClassVar[float] = 4.0
     """Quick Shift looks for a higher density within this many bandwidths"""
     max_candidates: Count = 12
     """candidates examined in one selection"""
@@ -313,7 +313,7 @@ class LandingParams:
     """acceleration of straight ways: to the site, its correction and the sweep"""
     descent_speed_mps: Positive = 2.5
     """vertical speed of the descent"""
-    obstacle_margin_m: NotNegative = 6.0
+    obstacle_margin_m: ClassVar[float] = 6.0
     """vertical clearance above the map on the way to the site"""
     look_height_m: Positive = 10.0
     """height above the site of the second look"""

@@ -25,6 +25,9 @@ RENAMED: Mapping[str, str] = {
 }
 """Keys of earlier versions and their names now."""
 
+REMOVED_GROUPS = ("survey_fit",)
+"""Groups of keys of earlier versions that are constants now."""
+
 RENAMED_GROUPS: Mapping[str, str] = {"paper": "zou2024"}
 """Groups of keys of earlier versions and their names now."""
 

@@ -14,6 +14,7 @@ import json
 import math
 import re
 import tomllib
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from touchdown.experiments.config.files import (
 )
 from touchdown.experiments.config.files import read_tree as read_tree
 from touchdown.experiments.config.keys import (
+    REMOVED_GROUPS,
     flatten,
     hint_for,
     hint_for_value,
@@ -47,7 +49,13 @@ from touchdown.experiments.config.profiles import (
     name_in,
     preset_in,
 )
-from touchdown.experiments.config.ranges import choices_of, out_of_range, rule_of, types_of_keys
+from touchdown.experiments.config.ranges import (
+    choices_of,
+    constants,
+    out_of_range,
+    rule_of,
+    types_of_keys,
+)
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import SLOTS, check_part_names
 from touchdown.experiments.errors import UsageError, plain_fault
@@ -134,7 +142,9 @@ def read_values(file: Path) -> dict[str, Any]:
     if file.suffix != ".json":
         return values
     now = {present_name(key): present_value(key, value) for key, value in values.items()}
-    return {KEY: BEFORE_PROFILES} | now
+    if constants := [key for key in now if is_constant(key)]:
+        warnings.warn(f"'{file}': constants now, left out: {', '.join(constants)}", stacklevel=2)
+    return {KEY: BEFORE_PROFILES} | {key: now[key] for key in now if key not in constants}
 
 
 def under_base(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
@@ -188,6 +198,11 @@ def known_keys() -> tuple[str, ...]:
     return tuple(key for key, _ in _defaults())
 
 
+def is_constant(key: str) -> bool:
+    """True for a key of an earlier version that cannot be set any more."""
+    return key in constants() or key.partition(".")[0] in REMOVED_GROUPS
+
+
 def is_key(key: str) -> bool:
     """True if a dotted key can be set."""
     return key in known_keys() or is_external_key(key)
@@ -213,6 +228,8 @@ def _check_key(key: str, source: str) -> None:
         return
     if key == "external":
         keys = ("external.gain",)
+    if is_constant(key):
+        raise UsageError(f"'{key}' in {source} is a constant and no key; leave it out")
     inside = [known for known in keys if known.startswith(f"{key}.")]
     if inside:
         raise UsageError(

@@ -3,6 +3,7 @@ from the unit of the key."""
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import operator
 import typing
@@ -77,11 +78,25 @@ def types_of_keys() -> dict[str, Any]:
 def _types_in(group: Any, names: Iterable[str], prefix: str = "") -> Iterator[tuple[str, Any]]:
     hints = typing.get_type_hints(group, include_extras=True)
     for name in names:
-        inner = getattr(hints[name], "__dataclass_fields__", None)
-        if inner is None:
-            yield f"{prefix}{name}", hints[name]
-        else:
+        if dataclasses.is_dataclass(hints[name]):
+            inner = [field.name for field in dataclasses.fields(hints[name])]
             yield from _types_in(hints[name], inner, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", hints[name]
+
+
+@functools.cache
+def constants() -> frozenset[str]:
+    """The dotted names of the constants beside the keys, which were keys in earlier versions."""
+    return frozenset(_constants_in(Config))
+
+
+def _constants_in(group: Any, prefix: str = "") -> Iterator[str]:
+    for name, kind in typing.get_type_hints(group).items():
+        if typing.get_origin(kind) is typing.ClassVar:
+            yield f"{prefix}{name}"
+        elif dataclasses.is_dataclass(kind):
+            yield from _constants_in(kind, f"{prefix}{name}.")
 
 
 def bounds_of(kind: Any) -> dict[str, float]:

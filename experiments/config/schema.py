@@ -9,9 +9,8 @@ Every mistake is a ``UsageError`` with one line: what is wrong, where, what woul
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any, ClassVar, Literal
 
-from annotated_types import Interval
 from pydantic import BaseModel, ConfigDict, Field
 
 from touchdown.controller.api import ControlParams
@@ -31,7 +30,6 @@ from touchdown.experiments.api import (
     Px4Params,
     RefereeParams,
     StartParams,
-    SurveyFitParams,
 )
 from touchdown.landing.api import LandingParams, SurveyParams
 from touchdown.scenes.api import Light
@@ -39,7 +37,6 @@ from touchdown.sim.api import (
     FORBID_EXTRA,
     BarometerParams,
     CameraParams,
-    Count,
     CountOrZero,
     DustParams,
     FaultParams,
@@ -67,15 +64,15 @@ class LogParams:
     """rows a second in the .tum files"""
     camera_hz: Positive = 2.0
     """most images a second in the recording"""
-    jpeg_quality: Annotated[int, Interval(ge=1, le=100)] = 70
+    jpeg_quality: ClassVar[int] = 70
     """JPEG quality of recorded images"""
     scan_hz: Positive = 5.0
     """most LIDAR scans a second in the recording"""
-    scan_points: Count = 2500
+    scan_points: ClassVar[int] = 2500
     """most points of a recorded scan"""
-    map_period_s: Positive = 2.5
+    map_period_s: ClassVar[float] = 2.5
     """between two updates of the recorded map"""
-    texture_pixels: Count = 1600
+    texture_pixels: ClassVar[int] = 1600
     """longer side of the ground texture in the recording"""
     sensors: bool = False
     """write ``sensors.mcap``: every message delivered to the estimator, for replay"""
@@ -142,7 +139,6 @@ class Config(BaseModel):
     control: ControlParams = Field(default_factory=ControlParams)
     px4: Px4Params = Field(default_factory=Px4Params)
     survey: SurveyParams = Field(default_factory=SurveyParams)
-    survey_fit: SurveyFitParams = Field(default_factory=SurveyFitParams)
     landing: LandingParams = Field(default_factory=LandingParams)
     referee: RefereeParams = Field(default_factory=RefereeParams)
     bias: BiasParams = Field(default_factory=BiasParams)

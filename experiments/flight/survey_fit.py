@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.api import SurveyFitParams
 from touchdown.experiments.config.checks import survey_problem
 from touchdown.experiments.config.schema import Config
 from touchdown.landing.api import SurveyParams
@@ -22,6 +21,25 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+GROUND_FRACTION = 0.95
+"""least fraction of the survey with ground below"""
+CLEARANCE_M = 2.0
+"""least clearance of the legs above objects; below it the survey is raised"""
+TURN_M = 3.0
+"""width of the ground beyond a turn"""
+SHORTEST_M = 8.0
+"""length of the shortest leg that is tried"""
+SWATH_M = 20.0
+"""width of the ground that a leg sees to either side, when two surveys are compared"""
+_RAISED_M = 6.0
+"""clearance above objects of a survey that is raised"""
+_HIGHEST_M = 60.0
+"""greatest height to which a survey is raised"""
+_LOW_M = 20.0
+"""height over a place that holds one leg of less than 24 m"""
+_STEP_M = 2.0
+"""difference of the lengths that are tried"""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -60,35 +78,35 @@ def fit_survey(config: Config, scene: Scene) -> Fit | None:
         return None
     from touchdown.scenes.truth.scene_facts import survey_ground
 
-    survey, params = config.survey, config.survey_fit
+    survey = config.survey
     width = survey.legs * survey.leg_spacing_m
     ground = survey_ground(scene, survey.leg_length_m, width)
-    for one in sorted(_surveys(survey, params), key=lambda one: (-_seen_m2(one, params), one.legs)):
-        if _share(ground, one, one.legs, params) < params.ground_share:
+    for one in sorted(_surveys(survey), key=lambda one: (-_seen_m2(one), one.legs)):
+        if _share(ground, one, one.legs) < GROUND_FRACTION:
             continue
-        one = one if one == survey else _timed(one, survey, params)
+        one = one if one == survey else _timed(one, survey)
         highest = ground.highest_m(one.leg_length_m, _width(one))
         height = one.height_m
-        if highest > height - params.clearance_m:
-            height = min(float(np.ceil(highest + params.room_m)), params.highest_m)
+        if highest > height - CLEARANCE_M:
+            height = min(float(np.ceil(highest + _RAISED_M)), _HIGHEST_M)
         one = dataclasses.replace(one, height_m=height)
-        next_leg = _share(ground, one, one.legs + 1, params)
-        legs = config.landing.search_legs if next_leg >= params.ground_share else 0
+        next_leg = _share(ground, one, one.legs + 1)
+        legs = config.landing.search_legs if next_leg >= GROUND_FRACTION else 0
         return Fit(one, legs, _changed(survey, one, config.landing.search_legs, legs))
     return None
 
 
-def _share(ground: SurveyGround, survey: SurveyParams, legs: int, params: SurveyFitParams) -> float:
+def _share(ground: SurveyGround, survey: SurveyParams, legs: int) -> float:
     """Of the legs or of the turns of ``survey`` with so many ``legs``, whichever is less."""
     length, spacing = survey.leg_length_m, survey.leg_spacing_m
     below = ground.share(length, (legs - 1) * spacing)
-    return min(below, ground.turns_share(length, legs, spacing, params.turn_room_m))
+    return min(below, ground.turns_share(length, legs, spacing, TURN_M))
 
 
-def _surveys(survey: SurveyParams, params: SurveyFitParams) -> Iterator[SurveyParams]:
+def _surveys(survey: SurveyParams) -> Iterator[SurveyParams]:
     """``survey`` and smaller ones, at its duration."""
     yield survey
-    lengths = np.arange(survey.leg_length_m, params.shortest_m - 0.1, -params.step_m)
+    lengths = np.arange(survey.leg_length_m, SHORTEST_M - 0.1, -_STEP_M)
     for legs in range(survey.legs, 0, -1):
         for spacing in (survey.leg_spacing_m, 15.0, 10.0)[: 3 if legs > 1 else 1]:
             for length in lengths.tolist():
@@ -99,11 +117,11 @@ def _surveys(survey: SurveyParams, params: SurveyFitParams) -> Iterator[SurveyPa
                     yield one
 
 
-def _timed(one: SurveyParams, standard: SurveyParams, params: SurveyFitParams) -> SurveyParams:
+def _timed(one: SurveyParams, standard: SurveyParams) -> SurveyParams:
     """A survey at the speed of the standard one, slower where it would need too much."""
     low = one.height_m
     if one.legs == 1 and one.leg_length_m < 24.0:
-        low = min(params.low_m, low)
+        low = min(_LOW_M, low)
     seconds = max(standard.duration_s * _way_m(one) / _way_m(standard), 5.0)
     one = dataclasses.replace(
         one, duration_s=float(np.ceil(seconds)), height_m=low,
@@ -122,8 +140,8 @@ def _width(survey: SurveyParams) -> float:
     return (survey.legs - 1) * survey.leg_spacing_m
 
 
-def _seen_m2(survey: SurveyParams, params: SurveyFitParams) -> float:
-    return survey.leg_length_m * (_width(survey) + 2.0 * params.swath_m)
+def _seen_m2(survey: SurveyParams) -> float:
+    return survey.leg_length_m * (_width(survey) + 2.0 * SWATH_M)
 
 
 def _changed(

@@ -8,7 +8,7 @@ from typing import Any
 
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.flight.survey_fit import Fit, fit_survey
+from touchdown.experiments.flight.survey_fit import CLEARANCE_M, GROUND_FRACTION, Fit, fit_survey
 from touchdown.experiments.scene_tools.render import load_configured_scene
 from touchdown.experiments.scene_tools.survey_facts import scene_facts, survey_facts
 from touchdown.landing.api import SurveyParams
@@ -43,7 +43,7 @@ def check_scene_file(
     return {
         "place": file,
         "problems": _problems(facts, config),
-        "remarks": _fit_remark(fit) + _remarks(facts, config.survey_fit.ground_share),
+        "remarks": _fit_remark(fit) + _remarks(facts),
         "facts": facts,
     }
 
@@ -56,14 +56,14 @@ def _fit_remark(fit: Fit | None) -> list[str]:
 
 
 def _problems(facts: dict[str, Any], config: Config) -> list[str]:
-    survey, params, found = config.survey, config.survey_fit, list[str]()
-    if facts["legs_share"] < params.ground_share:
+    survey, found = config.survey, list[str]()
+    if facts["legs_share"] < GROUND_FRACTION:
         found.append(
             f"there is ground under {facts['legs_share']:.0%} of the survey, {_size(survey)} ahead "
             "and to the left of the take-off; enlarge it, move or turn the site 'takeoff', or make "
             "the survey smaller (survey.leg_length_m, survey.legs, survey.leg_spacing_m)"
         )
-    if facts["highest_m"] > survey.height_m - params.clearance_m:
+    if facts["highest_m"] > survey.height_m - CLEARANCE_M:
         found.append(
             f"something below the survey is {facts['highest_m']:.1f} m higher than the take-off, "
             f"and the legs are flown at {survey.height_m:g} m; raise survey.height_m"
@@ -86,7 +86,7 @@ def _key_for_class(facts: dict[str, Any]) -> str:
     )
 
 
-def _remarks(facts: dict[str, Any], enough: float) -> list[str]:
+def _remarks(facts: dict[str, Any]) -> list[str]:
     found = []
     above, land_class = facts["takeoff_above_m"], facts["takeoff_class"]
     if abs(above) > STEP_M or land_class in _ODD_TAKEOFF:
@@ -95,7 +95,7 @@ def _remarks(facts: dict[str, Any], enough: float) -> list[str]:
             f"{'above' if above >= 0.0 else 'below'} the ground around it; heights of the survey "
             "count from there"
         )
-    if facts["legs_share"] >= enough > facts["seen_share"]:
+    if facts["legs_share"] >= GROUND_FRACTION > facts["seen_share"]:
         found.append(
             f"there is ground under {facts['seen_share']:.0%} of what LIDAR and camera see: beyond "
             "its edge an estimator has nothing to hold on to"

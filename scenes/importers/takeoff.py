@@ -1,7 +1,7 @@
 """Where a vehicle takes off in the scene of a file that names no place for it.
 
 Sizes are those of the standard survey and of its fit to a place (`SurveyParams` and
-`SurveyFitParams`, which are layers above; a test compares them).
+`experiments.flight.survey_fit`, which are layers above; a test compares them).
 """
 
 from __future__ import annotations

@@ -145,3 +145,14 @@ def test_shipped_configurations_load(file: Path) -> None:
         load_plan(file)
     else:
         load_config(file)
+
+
+def test_a_constant_is_left_out_of_a_run_s_configuration_and_refused_elsewhere(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "config.json"
+    file.write_text('{"livo": {"map_voxels": 64}, "survey_fit": {"step_m": 1.0}, "seed": 3}')
+    with pytest.warns(UserWarning, match=r"constants now, left out: livo.map_voxels, survey_fit"):
+        assert load_config(file).seed == 3
+    with pytest.raises(UsageError, match=r"'livo.map_voxels' in --set \S+ is a constant"):
+        load_config(None, ["livo.map_voxels=64"])
