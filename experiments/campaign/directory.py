@@ -24,7 +24,7 @@ from touchdown.experiments.campaign.plan import (
 )
 from touchdown.experiments.campaign.results_table import FAILED, RESULTS_FILE, RUNS, refresh
 from touchdown.experiments.campaign.run_names import is_run_name
-from touchdown.experiments.campaign.worker import PARTIAL, Task
+from touchdown.experiments.campaign.worker import Failure, Task
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.profiles import BEFORE_PROFILES
 from touchdown.experiments.config.slots import SLOTS, names_code
@@ -35,14 +35,13 @@ from touchdown.experiments.io.run_directory import clear_partials, utc_now, writ
 from touchdown.scenes.api import names_function
 
 PLAN_FILE, SOURCE_FILE, LOCK_FILE = "campaign.json", "campaign.toml", ".lock"
-SHARE_FILE = ".share"
-"""Beginning of the names of the files by which nodes of a cluster prove that they see the same
-directory."""
+PARTIAL = ".partial"
+"""Folder of a campaign's directory in which runs are flown; those of dead processes are swept."""
 Shard = tuple[int, int]
 
 
 _OWN = (
-    LOCK_FILE, PARTIAL, SHARE_FILE, RUNS, FAILED, PLAN_FILE, SOURCE_FILE, RESULTS_FILE,
+    LOCK_FILE, PARTIAL, RUNS, FAILED, PLAN_FILE, SOURCE_FILE, RESULTS_FILE,
     f".{PLAN_FILE}", f".{SOURCE_FILE}", f".{RESULTS_FILE}",
 )  # fmt: skip
 """Beginnings of the names of all that a campaign writes into its directory."""
@@ -99,7 +98,7 @@ def _check_is_ours(directory: Path) -> None:
         raise UsageError(f"--out {directory}: is a file; name a new directory")
     if not (directory / PLAN_FILE).is_file():
         # A campaign that was killed in its first moment leaves these.
-        marks = (".lock", ".campaign", SHARE_FILE)
+        marks = (".lock", ".campaign")
         others = [p.name for p in directory.iterdir() if not p.name.startswith(marks)]
         if set(others) - {SOURCE_FILE}:
             raise UsageError(
@@ -348,8 +347,6 @@ def sweep(directory: Path, run_ids: Iterable[str], *, whole: bool) -> None:
             clear_partial(directory, run_id)
         return
     shutil.rmtree(directory / PARTIAL, ignore_errors=True)
-    for path in directory.glob(f"{SHARE_FILE}-*"):
-        path.unlink(missing_ok=True)
     clear_partials(directory)
     clear_partials(directory / FAILED, alone=True)
 
@@ -389,13 +386,12 @@ def _escaped(name: str) -> str:
     return "".join(f"[{c}]" if c in "*?[" else c for c in name)
 
 
-def write_failure(task: Task, kind: str, error: str, traceback: str, attempts: int) -> None:
+def write_failure(directory: Path, task: Task, failure: Failure, attempts: int) -> None:
     """``failed/RUN.json``: what is known of a run that crashed."""
     from touchdown.experiments.io.provenance import git_revision
 
-    folder = Path(task.directory) / FAILED
+    folder = directory / FAILED
     folder.mkdir(exist_ok=True)
-    path = inside(folder, f"{task.run_id}.json")
     config = config_for(task.values, f"run {task.run_id}")
     record = {
         "run_id": task.run_id,
@@ -408,11 +404,11 @@ def write_failure(task: Task, kind: str, error: str, traceback: str, attempts: i
         "mode": "fly" if config.landing.survey_only else "land",
         "config_sha": config_sha(config),
         "git_revision": git_revision(),
-        "kind": kind,
-        "error": error,
+        "kind": failure.kind,
+        "error": failure.error,
         "attempts": attempts,
         "failed_utc": utc_now(),
-        "traceback": traceback,
+        "traceback": failure.traceback,
         "values": dict(task.values),
     }
-    write_text(path, json.dumps(record, indent=1) + "\n")
+    write_text(inside(folder, f"{task.run_id}.json"), json.dumps(record, indent=1) + "\n")

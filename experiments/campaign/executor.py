@@ -1,7 +1,8 @@
 """Executors of the runs of a campaign: worker processes, each watched by a supervisor.
 
 An engine decides where workers run; a supervisor watches one of them, wherever it is: its time, its
-memory, its death, and the processes that an estimator starts in it.
+memory, its death, and the processes that an estimator starts in it. A process pool of
+`concurrent.futures` would lose all its runs with one worker, and not tell how that one died.
 `experiments.campaign.executor_ray` puts the same supervisors on a Ray cluster.
 """
 
@@ -9,31 +10,28 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import json
+import multiprocessing
 import os
 import queue
-import select
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import IO, Any, Protocol
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Protocol
 
-from touchdown.experiments.campaign.directory import clear_partial, write_failure
 from touchdown.experiments.campaign.guard import SUPERVISOR
 from touchdown.experiments.campaign.plan import Limits
-from touchdown.experiments.campaign.worker import Task
+from touchdown.experiments.campaign.worker import Failure, Task
 from touchdown.experiments.external.processes import descendants, memory_bytes
 from touchdown.experiments.flight.platform import rendering_backend
 
 Event = dict[str, Any]
-"""``run_id`` and ``event``: started, finished (``outcome``, ``success``), failed (``error``), retry
-(``error``), unrecorded (``error``)."""
+"""``run_id`` and ``event``: started, retry (``error``), finished (``row``; the run directory is in
+the folder of the task), failed (``failure``, ``attempts``)."""
 
 SINGLE_THREAD = {
     **dict.fromkeys(
@@ -62,9 +60,13 @@ MAX_KILLED = 5
 
 _POLL_S, _PAUSE_S = 0.25, 0.005
 _END_S = 15.0
-"""for the guard to end what an estimator started"""
+"""Time for the guard to end what an estimator started."""
 _START_UP_S = 300.0
-"""for a worker to load what it needs, on a machine that is busy"""
+"""Time for a worker to load what it needs, on a machine that is busy."""
+_COMMAND = (
+    sys.executable, "-P", "-m", "touchdown.experiments.campaign.guard",
+    sys.executable, "-P", "-c", "from touchdown.experiments.campaign.worker import serve; serve()",
+)  # fmt: skip
 
 
 class Engine(Protocol):
@@ -72,192 +74,128 @@ class Engine(Protocol):
 
     name: str
     jobs: int
-    patience_s: float
-    """until files that its workers have written are seen here"""
 
     def run(self, tasks: Sequence[Task], limits: Limits, notify: Callable[[Event], None]) -> None:
-        """Returns when every task has ended. ``notify`` is called in the calling thread. Raises
-        EngineStoppedError when going on makes no sense. Workers are gone when it leaves, however
-        it does."""
-
-
-class EngineStoppedError(RuntimeError):
-    """Going on with the campaign makes no sense: its disk is full or read-only."""
-
-
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """The reason of a failed attempt. ``kind``: error (raised), input (raised for bad input), disk,
-    died (crashed by itself), killed (by somebody else), time, memory."""
-
-    kind: str
-    error: str
-    traceback: str = ""
-
-
-_GUARD = (
-    "import sys; sys.path.sort(key=lambda entry: entry == ''); "  # here comes last: hides nothing
-    "from touchdown.experiments.campaign.guard import guard; guard()"
-)
-
-
-def local_environment() -> dict[str, str]:
-    """The environment of workers here: one thread each, and modules found as in this process."""
-    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-    return {**os.environ, **SINGLE_THREAD, "PYTHONPATH": path}
+        """Returns when every task has ended. ``notify`` is called in the calling thread. Workers
+        are gone when it leaves, however it does."""
 
 
 class Supervisor:
     """Owns one worker process and replaces it when it is lost. Used from one thread."""
 
-    def __init__(
-        self,
-        limits: Limits,
-        environment: Mapping[str, str],
-        directory: str,
-        stop: threading.Event | None = None,
-    ) -> None:
-        """``directory`` is the one that relative paths of scenes start from."""
-        self._limits = limits
-        self._environment = dict(environment)
-        self._directory = directory
-        self._stop = stop or threading.Event()
-        self._worker: subprocess.Popen[bytes] | None = None
-        self._log: IO[bytes] | None = None
+    def __init__(self, limits: Limits, stop: threading.Event | None = None) -> None:
+        self._limits, self._stop = limits, stop or threading.Event()
+        self._guard: subprocess.Popen[bytes] | None = None
         self._runs = 0
 
     def complete(self, task: Task, notify: Callable[[Event], None]) -> None:
-        """Flies a task to its end, repeating what crashed, and records what crashed too often."""
+        """Flies a task to its end, repeating what crashed."""
         crashes = kills = 0
         notify({"event": "started", "run_id": task.run_id})
-        finished = False
-
-        def note(event: Event) -> None:
-            nonlocal finished
-            finished = True
-            notify({**event, "run_id": task.run_id})
-
-        while not self._stop.is_set():
-            failure = self._attempt(task, note)
-            if failure is None or self._stop.is_set():
+        while True:
+            answer = self._attempt(task)
+            if answer is None:
                 return
-            if finished:
-                notify({"event": "unrecorded", "run_id": task.run_id, "error": failure.error})
+            if not isinstance(answer, Failure):
+                notify({"event": "finished", "run_id": task.run_id, "row": answer})
                 return
-            if failure.kind == "disk":
-                raise EngineStoppedError(failure.error)
-            kills += failure.kind == "killed"
-            crashes += failure.kind in ("error", "died")
-            may_repeat = failure.kind in ("error", "died", "killed")
+            kills += answer.kind == "killed"
+            crashes += answer.kind in ("error", "died")
+            may_repeat = answer.kind in ("error", "died", "killed")
             if not may_repeat or crashes > self._limits.retries or kills > MAX_KILLED:
-                write_failure(task, failure.kind, failure.error, failure.traceback, crashes + kills)
-                notify({"event": "failed", "run_id": task.run_id, "error": failure.error})
+                notify({"event": "failed", "run_id": task.run_id, "failure": answer,
+                        "attempts": crashes + kills})  # fmt: skip
                 return
-            notify({"event": "retry", "run_id": task.run_id, "error": failure.error})
+            notify({"event": "retry", "run_id": task.run_id, "error": answer.error})
 
     def close(self) -> None:
         """Ends the worker, at once, and every process that it started."""
-        if self._worker is not None:
-            if self._worker.returncode is None:
-                os.kill(self._worker.pid, signal.SIGTERM)  # the guard, which ends them all
-                self._collect()
-            for pipe in (self._worker.stdin, self._worker.stdout, self._log):
-                if pipe is not None:
-                    with contextlib.suppress(OSError):
-                        pipe.close()
-        self._worker = None
+        if self._guard is None:
+            return
+        if self._guard.returncode is None:
+            os.kill(self._guard.pid, signal.SIGTERM)  # the guard ends them all
+            self._collect(self._guard)
+        self._connection.close()
+        self._log.close()
+        self._guard = None
 
     # ------------------------------------------------------------------------------- one attempt
 
-    def _attempt(self, task: Task, note: Callable[[Event], None]) -> Failure | None:
-        """None when the task is done, or when all is to stop."""
+    def _attempt(self, task: Task) -> dict[str, Any] | Failure | None:
+        """The row of the run, or why there is none; None when all is to stop."""
         if self._runs >= RUNS_PER_WORKER:
             self.close()
-        failure = None
-        try:
-            if self._worker is None:
-                self._start()
-                failure = self._watch(note, _START_UP_S)
-            if failure is None and not self._stop.is_set():
-                self._give(task)
-                failure = self._watch(note, self._limits.run_timeout_s)
-        except BrokenPipeError:
-            failure = self._death()
-        if failure is not None or self._stop.is_set():
+        answer: dict[str, Any] | Failure | None = {}
+        if self._guard is None:
+            self._start()
+            answer = self._answer(_START_UP_S)
+        if answer == {}:
+            os.ftruncate(self._log.fileno(), 0)
+            with contextlib.suppress(OSError):  # it is dead, as the answer will say
+                self._connection.send(task)
+            self._runs += 1
+            answer = self._answer(self._limits.run_timeout_s)
+        if not isinstance(answer, dict):
             self.close()
-            clear_partial(Path(task.directory), task.run_id)
-        return failure
-
-    def _give(self, task: Task) -> None:
-        assert self._worker and self._worker.stdin and self._log
-        os.ftruncate(self._log.fileno(), 0)
-        self._worker.stdin.write(task.dump().encode() + b"\n")
-        self._worker.stdin.flush()
-        self._runs += 1
-
-    def _watch(self, note: Callable[[Event], None], limit_s: float) -> Failure | None:
-        """Follows the worker until it can take a task, is dead, or is over a limit."""
-        assert self._worker and self._worker.stdout
-        pipe, since, rest = self._worker.stdout, time.monotonic(), b""
-        while not self._stop.is_set():
-            # The pipe may outlive the worker: in processes that a library of it forked.
-            dead = self._has_ended()  # before a look for its last words
-            if select.select([pipe], [], [], 0.0 if dead else _POLL_S)[0]:
-                chunk = os.read(pipe.fileno(), 65536)
-                if not chunk:
-                    return self._death()
-                *lines, rest = (rest + chunk).split(b"\n")
-                for message in map(json.loads, lines):
-                    if message["event"] in ("ready", "idle"):
-                        if message.get("spent"):
-                            self.close()
-                        return None
-                    if message["event"] == "error":
-                        return Failure(message["kind"], message["error"], message["traceback"])
-                    note(message)
-                    since = time.monotonic()  # what follows is the recording
-            elif dead:
-                return self._death()
-            if time.monotonic() - since > limit_s:
-                return Failure("time", f"took longer than {limit_s:g} s")
-            limit = self._limits.memory_gb * 1e9
-            if memory_bytes(descendants(self._worker.pid), limit) > limit:
-                return Failure("memory", f"took more than {self._limits.memory_gb:g} GB of memory")
-        return None
+        return answer
 
     def _start(self) -> None:
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  closed with the worker
         fcntl.fcntl(self._log, fcntl.F_SETFL, os.O_APPEND)
         self._runs = 0
-        self._worker = subprocess.Popen(
-            [sys.executable, "-c", _GUARD],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+        self._connection, theirs = multiprocessing.Pipe()
+        path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+        self._guard = subprocess.Popen(
+            _COMMAND,
+            stdin=theirs.fileno(),
+            stdout=self._log,
             stderr=self._log,
-            env={**self._environment, SUPERVISOR: str(os.getpid())},
-            cwd=self._directory,
+            env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": path, SUPERVISOR: str(os.getpid())},
             start_new_session=True,  # Ctrl-C is for the parent
         )
+        theirs.close()
 
-    def _has_ended(self) -> bool:
+    def _answer(self, limit_s: float) -> dict[str, Any] | Failure | None:
+        """Follows the worker until it has answered, is dead, or is over a limit."""
+        assert self._guard is not None
+        since = time.monotonic()
+        while not self._stop.is_set():
+            # The connection may outlive the worker: in processes that a library of it forked.
+            dead = self._has_ended(self._guard)  # before a look for its last words
+            if self._connection.poll(0.0 if dead else _POLL_S):
+                try:
+                    answer, spent = self._connection.recv()
+                except (EOFError, OSError):
+                    return self._death(self._guard)
+                if spent:
+                    self.close()
+                return answer  # type: ignore[no-any-return]
+            if dead:
+                return self._death(self._guard)
+            if time.monotonic() - since > limit_s:
+                return Failure("time", f"took longer than {limit_s:g} s")
+            limit = self._limits.memory_gb * 1e9
+            if memory_bytes(descendants(self._guard.pid), limit) > limit:
+                return Failure("memory", f"took more than {self._limits.memory_gb:g} GB of memory")
+        return None
+
+    @staticmethod
+    def _has_ended(guard: subprocess.Popen[bytes]) -> bool:
         """True if the guard has ended. Its process id stays its own until it is collected."""
-        assert self._worker
         flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
-        return os.waitid(os.P_PID, self._worker.pid, flags) is not None
+        return os.waitid(os.P_PID, guard.pid, flags) is not None
 
-    def _collect(self) -> int:
+    def _collect(self, guard: subprocess.Popen[bytes]) -> int:
         """Waits for the guard to end, with all that it guards, and returns its exit code."""
-        assert self._worker
         deadline = time.monotonic() + _END_S
-        while not self._has_ended() and time.monotonic() < deadline:
+        while not self._has_ended(guard) and time.monotonic() < deadline:
             time.sleep(_PAUSE_S)
         with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._worker.pid, signal.SIGKILL)  # should somebody have killed the guard
-        return self._worker.wait()
+            os.killpg(guard.pid, signal.SIGKILL)  # should somebody have killed the guard
+        return guard.wait()
 
-    def _death(self) -> Failure:
-        assert self._log
-        code = self._collect()
+    def _death(self, guard: subprocess.Popen[bytes]) -> Failure:
+        code = self._collect(guard)
         self._log.seek(0)
         tail = self._log.read()[-8000:].decode(errors="replace")
         if code >= 0:
@@ -267,14 +205,10 @@ class Supervisor:
         return Failure(kind, f"the worker was ended by {name}", tail)
 
 
-# ------------------------------------------------------------------------------------------ local
-
-
 class LocalEngine:
     """Worker processes on this machine, each with a thread that watches it."""
 
     name = "local"
-    patience_s = 0.0
 
     def __init__(self, jobs: int, slots: threading.Semaphore | None = None) -> None:
         """A run is begun when one of the ``slots`` is free, which others may take too."""
@@ -284,42 +218,34 @@ class LocalEngine:
     def run(self, tasks: Sequence[Task], limits: Limits, notify: Callable[[Event], None]) -> None:
         stop = threading.Event()
         waiting: queue.SimpleQueue[Task] = queue.SimpleQueue()
-        events: queue.SimpleQueue[Event | BaseException | None] = queue.SimpleQueue()
+        events: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
         for task in tasks:
             waiting.put(task)
 
         def work() -> None:
-            supervisor = Supervisor(limits, local_environment(), os.getcwd(), stop)
+            supervisor = Supervisor(limits, stop)
             try:
-                while not stop.is_set():
+                while not stop.is_set() and not waiting.empty():
                     if self._slots.acquire(timeout=_POLL_S):
                         try:
                             supervisor.complete(waiting.get_nowait(), events.put)
                         finally:
                             self._slots.release()
             except queue.Empty:
-                pass
-            except BaseException as error:
-                events.put(error)
+                pass  # another thread has taken the last one
             finally:
                 # The worker must be gone before this thread is: Linux kills it then anyway.
                 supervisor.close()
                 events.put(None)
 
-        threads = [threading.Thread(target=work) for _ in range(min(self.jobs, len(tasks)))]
-        for thread in threads:
-            thread.start()
-        try:
-            working = len(threads)
-            while working:
-                event = events.get()
-                if isinstance(event, BaseException):
-                    raise event
-                if event is None:
-                    working -= 1
-                else:
-                    notify(event)
-        finally:
-            stop.set()
-            for thread in threads:
-                thread.join()
+        count = min(self.jobs, len(tasks))
+        with ThreadPoolExecutor(max(1, count)) as threads:
+            working = [threads.submit(work) for _ in range(count)]
+            try:
+                for _ in working:
+                    while (event := events.get()) is not None:
+                        notify(event)
+            finally:
+                stop.set()
+        for thread in working:
+            thread.result()

@@ -1,61 +1,57 @@
-"""Runs of a campaign on a Ray cluster: an actor a worker, each with the supervisor of
-`experiments.campaign.executor`. Needs the extra ``ray`` and a file system that all nodes share,
-which is proved before the first flight and at each task of an actor."""
+"""Runs of a campaign on a Ray cluster, each under the supervisor of `experiments.campaign.executor`
+on the node that Ray chooses. A finished run directory comes back through Ray's object store: the
+nodes share no folder. Needs the extra ``ray``."""
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import io
 import os
+import subprocess
 import sys
-from collections import deque
+import tarfile
+import tempfile
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.campaign.directory import write_failure
-from touchdown.experiments.campaign.executor import (
-    MAX_KILLED,
-    EngineStoppedError,
-    Event,
-    Supervisor,
-    local_environment,
-)
+from touchdown.experiments.campaign.executor import MAX_KILLED, Event, Supervisor
 from touchdown.experiments.campaign.plan import Limits
-from touchdown.experiments.campaign.ray_share import (
-    VISIBLE_S,
-    NotSharedError,
-    Question,
-    answer,
-    asked,
-    check_address,
-    check_nodes,
-    refusal,
-    this_node,
-)
-from touchdown.experiments.campaign.worker import Task
+from touchdown.experiments.campaign.worker import Failure, Task
 from touchdown.experiments.errors import UsageError
 
 _POLL_S = 0.5
+REACH_S = 20.0
+"""Time for a cluster to answer; by itself Ray tries for minutes."""
+_CONNECT = (
+    "import sys, ray\n"
+    "try:\n"
+    "    ray.init(address=sys.argv[1], log_to_driver=False, configure_logging=False)\n"
+    "except Exception as error:\n"
+    "    sys.exit(' '.join(str(error).split()))\n"
+)
 
 
-class SupervisedWorker:
-    """The actor: flies one task at a time in a process of its own on the node where it lives."""
+@functools.cache
+def _supervisor(limits: Limits) -> Supervisor:
+    """That of a process of Ray, which keeps its worker from run to run."""
+    return Supervisor(limits)
 
-    def __init__(self, limits: Limits, directory: str) -> None:
-        self._supervisor = Supervisor(limits, local_environment(), directory)
 
-    def complete(self, task: Task, question: Question) -> list[Event]:
-        """Flies a task. Raises NotSharedError where its row would stay on this node."""
-        import ray
-
-        node_id, name = this_node(ray)
-        if reason := answer(question, node_id):
-            raise NotSharedError(refusal(name, reason))
+def fly_on_node(task: Task, limits: Limits) -> tuple[list[Event], bytes]:
+    """Flies a task on a node. Returns its events and the run directory as a tar file, empty
+    without one."""
+    with tempfile.TemporaryDirectory(prefix="touchdown-", ignore_cleanup_errors=True) as folder:
+        here = dataclasses.replace(task, folder=str(Path(folder, "flight", task.run_id)))
         events: list[Event] = []
-        self._supervisor.complete(task, events.append)
-        return events
-
-    def close(self) -> None:
-        self._supervisor.close()
+        _supervisor(limits).complete(here, events.append)
+        packed = io.BytesIO()
+        if events[-1]["event"] == "finished":
+            with tarfile.open(fileobj=packed, mode="w") as tar:
+                tar.add(Path(here.folder, task.run_id), arcname=task.run_id)
+        return events, packed.getvalue()
 
 
 class RayEngine:
@@ -63,7 +59,6 @@ class RayEngine:
     (``RAY_ADDRESS``), or else starts a cluster on this machine."""
 
     name = "ray"
-    patience_s = VISIBLE_S
 
     def __init__(self, jobs: int | None, address: str | None) -> None:
         try:
@@ -74,82 +69,80 @@ class RayEngine:
                 "--engine local"
             ) from None
         address = address or os.environ.get("RAY_ADDRESS") or "local"
-        if address != "local" and not ray.is_initialized():
-            check_address(address)
-        try:
-            if not ray.is_initialized():
+        if not ray.is_initialized():
+            if address != "local":
+                check_address(address)
+            try:
                 ray.init(address=address, log_to_driver=False, configure_logging=False)
-        except (ConnectionError, ValueError, RuntimeError) as error:
-            raise UsageError(f"--ray-address {address}: {error}") from error
+            except (ConnectionError, ValueError, RuntimeError) as error:
+                raise UsageError(f"--ray-address {address}: {error}") from error
         self._ray: Any = ray
         self.jobs = jobs or max(1, int(ray.cluster_resources().get("CPU", 1)))
 
     def run(self, tasks: Sequence[Task], limits: Limits, notify: Callable[[Event], None]) -> None:
-        """As of `Engine`. Raises UsageError naming a node that does not share the directory."""
+        """As of `Engine`."""
         ray = self._ray
-        with asked(Path(tasks[0].directory)) as question:
-            check_nodes(ray, question, _environment())
-            self._fly(tasks, limits, notify, question)
-
-    def _fly(
-        self,
-        tasks: Sequence[Task],
-        limits: Limits,
-        notify: Callable[[Event], None],
-        question: Question,
-    ) -> None:
-        ray = self._ray
-        waiting, kills = deque(tasks), dict.fromkeys((task.run_id for task in tasks), 0)
-        flying: dict[Any, tuple[Any, Task]] = {}
-        idle = [self._actor(limits) for _ in range(min(self.jobs, len(tasks)))]
-        actors = list(idle)
+        # Modules are found on the nodes as in this process.
+        path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+        fly = ray.remote(num_cpus=1, max_retries=0, runtime_env={"env_vars": {"PYTHONPATH": path}})(
+            fly_on_node
+        )
+        waiting, flying = deque(tasks), dict[Any, Task]()
+        losses: Counter[str] = Counter()
         try:
             while waiting or flying:
-                while idle and waiting:
-                    actor, task = idle.pop(), waiting.popleft()
+                while waiting and len(flying) < self.jobs:
+                    task = waiting.popleft()
                     notify({"event": "started", "run_id": task.run_id})
-                    flying[actor.complete.remote(task, question)] = (actor, task)
-                ended, _ = ray.wait(list(flying), num_returns=1, timeout=_POLL_S)
-                for reference in ended:
-                    actor, task = flying.pop(reference)
+                    flying[fly.remote(task, limits)] = task
+                for reference in ray.wait(list(flying), num_returns=1, timeout=_POLL_S)[0]:
+                    task = flying.pop(reference)
                     try:
-                        for event in ray.get(reference):
-                            if event["event"] != "started":
-                                notify(event)
-                    except ray.exceptions.RayTaskError as error:
-                        if isinstance(error.cause, EngineStoppedError):
-                            raise EngineStoppedError(str(error.cause)) from error
-                        if isinstance(error.cause, NotSharedError):
-                            raise UsageError(str(error.cause)) from error
-                        raise
+                        events, packed = ray.get(reference)
+                    except ray.exceptions.RayTaskError:
+                        raise  # a defect of the program
                     except ray.exceptions.RayError:
-                        actors.remove(actor)
-                        actor = self._actor(limits)
-                        actors.append(actor)
-                        kills[task.run_id] += 1
-                        self._lost(task, kills[task.run_id], waiting, notify)
-                    idle.append(actor)
+                        losses[task.run_id] += 1
+                        event = _lost(task, losses[task.run_id])
+                        if event["event"] == "retry":
+                            waiting.append(task)
+                        notify(event)
+                        continue
+                    if packed:
+                        with tarfile.open(fileobj=io.BytesIO(packed)) as tar:
+                            tar.extractall(task.folder, filter="data")
+                    for event in events[1:]:  # after started
+                        notify(event)
         finally:
-            for actor in actors:
-                ray.kill(actor)
-
-    def _actor(self, limits: Limits) -> Any:
-        remote = self._ray.remote(num_cpus=1, max_restarts=0, max_concurrency=1)(SupervisedWorker)
-        return remote.options(runtime_env={"env_vars": _environment()}).remote(limits, os.getcwd())
-
-    def _lost(
-        self, task: Task, kills: int, waiting: deque[Task], notify: Callable[[Event], None]
-    ) -> None:
-        """An actor, or its node, is gone: its run is flown again."""
-        error = "the Ray worker was lost"
-        if kills <= MAX_KILLED:
-            waiting.append(task)
-            notify({"event": "retry", "run_id": task.run_id, "error": error})
-        else:
-            write_failure(task, "killed", error, "", kills)
-            notify({"event": "failed", "run_id": task.run_id, "error": error})
+            for reference in flying:
+                ray.cancel(reference, force=True)
 
 
-def _environment() -> dict[str, str]:
-    """Variables of processes on the nodes: modules are found as in this process."""
-    return {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+def _lost(task: Task, losses: int) -> Event:
+    """What follows when a node, or Ray's process on it, is gone with a run."""
+    error = "the Ray worker was lost"
+    if losses <= MAX_KILLED:
+        return {"event": "retry", "run_id": task.run_id, "error": error}
+    failure = Failure("killed", error)
+    return {"event": "failed", "run_id": task.run_id, "failure": failure, "attempts": losses}
+
+
+def check_address(address: str) -> None:
+    """Raises UsageError, one line, unless a Ray cluster answers at ``address`` within `REACH_S`.
+    Another process tries, since Ray ends its own where there is none."""
+    reason = "no Ray cluster answers there"
+    try:
+        subprocess.run(
+            [sys.executable, "-c", _CONNECT, address],
+            capture_output=True, check=True, text=True, errors="replace", timeout=REACH_S,
+        )  # fmt: skip
+        return
+    except subprocess.CalledProcessError as error:
+        if error.returncode == 1:
+            reason = error.stderr.strip().splitlines()[-1].rstrip(".") or reason
+    except subprocess.TimeoutExpired:
+        pass
+    raise UsageError(
+        f"--ray-address {address}: {reason}; start a cluster there with 'ray start --head', or "
+        "leave the option out"
+    )

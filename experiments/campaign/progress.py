@@ -5,12 +5,16 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from statistics import fmean
 from typing import Any
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from touchdown.experiments.campaign import expectations
@@ -19,39 +23,6 @@ from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.campaign.worker import Task
 from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import make_console, make_table
-
-
-class TimeLeft:
-    """Prediction of the remaining time from the mean duration of the finished runs by method."""
-
-    def __init__(self, todo: Sequence[Task], jobs: int) -> None:
-        self._kind = {task.run_id: str(task.values.get("estimator")) for task in todo}
-        self._open = set(self._kind)
-        self._jobs = max(1, min(jobs, len(todo)))
-        self._started: dict[str, float] = {}
-        self._took: defaultdict[str, list[float]] = defaultdict(list)
-
-    def start(self, run_id: str, now_s: float) -> None:
-        self._started[run_id] = now_s
-
-    def end(self, run_id: str, now_s: float) -> float:
-        """Records the end of a run and returns its duration in seconds."""
-        took = now_s - self._started.get(run_id, now_s)
-        self._open.discard(run_id)
-        self._took[self._kind[run_id]].append(took)
-        return took
-
-    def left_s(self, now_s: float) -> float | None:
-        """Returns the remaining time in seconds; None before the end of the first run."""
-        means = {kind: fmean(seconds) for kind, seconds in self._took.items()}
-        if not means:
-            return None
-        usual = fmean(means.values())
-        work = 0.0
-        for run_id in self._open:
-            flown = now_s - self._started[run_id] if run_id in self._started else 0.0
-            work += max(0.0, means.get(self._kind[run_id], usual) - flown)
-        return work / self._jobs
 
 
 class Display(Watcher):
@@ -67,7 +38,7 @@ class Display(Watcher):
 
     def start(self, todo: Sequence[Task], done: int, jobs: int) -> None:
         self._total, self._number = done + len(todo), done
-        self._time_left = TimeLeft(todo, jobs)
+        self._started: dict[str, float] = {}
         for line in self._heading:
             self._say(line)
         note = f"{done} of {self._total} runs are there already; " if done else ""
@@ -77,38 +48,37 @@ class Display(Watcher):
                 TextColumn("{task.description}"),
                 BarColumn(),
                 MofNCompleteColumn(),
-                TextColumn("{task.fields[left]}"),
+                TimeRemainingColumn(),
                 console=self._console,
                 transient=True,
+                speed_estimate_period=86400.0,
             )
-            self._bar = self._progress.add_task("", total=self._total, completed=done, left="")
+            self._bar = self._progress.add_task("", total=self._total, completed=done)
             self._progress.start()
 
     def see(self, event: Event) -> None:
         now, run_id, kind = time.monotonic(), event["run_id"], event["event"]
         if kind == "started":
-            self._time_left.start(run_id, now)
+            self._started[run_id] = now
         elif kind in ("finished", "failed"):
             self._number += 1
             self._counts[kind] += 1
-            took = self._time_left.end(run_id, now)
             success = event.get("success", False)
             self._counts["unsuccessful"] += kind == "finished" and not success
             text = event.get("outcome") or f"CRASHED: {event['error']}"
             if not (self._live and success):
+                took = now - self._started[run_id]
                 self._say(f"[{self._number}/{self._total}] {run_id}  {text}  {took:.0f} s")
         elif kind == "retry":
             self._say(f"{run_id}: {event['error']}; once more")
         elif kind == "unrecorded":
             self._say(f"{run_id}: no recording: {event['error']}")
         if self._progress is not None:
-            left = self._time_left.left_s(now)
             counts = self._counts
             self._progress.update(
                 self._bar,
                 completed=self._number,
                 description=f"{counts['unsuccessful']} unsuccessful, {counts['failed']} crashed",
-                left="" if left is None else f"{_clock(left)} left",
             )
 
     def end(self) -> None:

@@ -13,8 +13,9 @@ from statistics import fmean
 from typing import Any
 
 from touchdown.experiments.campaign import expectations
-from touchdown.experiments.campaign.arrival import Arrivals
+from touchdown.experiments.campaign.arrival import Arrivals, check_replaceable, lacks_recording
 from touchdown.experiments.campaign.directory import (
+    PARTIAL,
     Shard,
     add_session,
     check_external_code,
@@ -26,7 +27,7 @@ from touchdown.experiments.campaign.directory import (
     settle_plan,
     sweep,
 )
-from touchdown.experiments.campaign.executor import Engine, EngineStoppedError, Event, LocalEngine
+from touchdown.experiments.campaign.executor import Engine, Event, LocalEngine
 from touchdown.experiments.campaign.plan import Plan, PlannedRun, runs_of_shard
 from touchdown.experiments.campaign.results_table import (
     CRASHED,
@@ -37,15 +38,10 @@ from touchdown.experiments.campaign.results_table import (
     finished_ids,
     refresh,
 )
-from touchdown.experiments.campaign.worker import (
-    REAL_RUNNER,
-    Task,
-    check_replaceable,
-    wants_recording,
-)
+from touchdown.experiments.campaign.worker import REAL_RUNNER, Task
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.loading import check_external
-from touchdown.experiments.io.results import load_result
+from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.run_directory import utc_now
 
 _SECONDS_PER_SCAN = 0.1
@@ -58,7 +54,7 @@ class Watcher:
         """Called before the first run; ``done`` runs were finished earlier."""
 
     def see(self, event: Event) -> None:
-        """Takes an event of `touchdown.experiments.campaign.executor`."""
+        """Takes an event of `touchdown.experiments.campaign.arrival.Arrivals`."""
 
     def end(self) -> None:
         """Called after the last run, or when the campaign is stopped."""
@@ -96,12 +92,11 @@ def fly_campaign(
             check_external_code(plan, directory)
         check_rows(directory)
         for run_id in {run.run_id for run in plan.runs} - finished_ids(directory):
-            if (run_dir := directory / RUNS / run_id).is_dir():
-                check_replaceable(run_dir)
+            check_replaceable(directory / RUNS / run_id)
         plan = settle_plan(plan, directory, git_revision())
         mine = runs_of_shard(plan, shard)
         sweep(directory, [run.run_id for run in mine], whole=shard is None)
-        todo, shas = _left(plan, mine, directory, runner)
+        left = _left(mine, directory)
         session: dict[str, Any] = {
             "started_utc": utc_now(),
             "host": socket.gethostname(),
@@ -110,48 +105,49 @@ def fly_campaign(
             "shard": None if shard is None else f"{shard[0]}/{shard[1]}",
         }
         started = time.perf_counter()
-        watcher.start(todo, len(mine) - len(todo), engine.jobs)
-        arrivals = Arrivals(todo, shas, engine.patience_s, watcher.see)
+
+        def fly(runs: Sequence[PlannedRun], *, record: bool) -> None:
+            tasks = [_task(run, directory, runner, record=record) for run in runs]
+            if not record:
+                watcher.start(tasks, len(mine) - len(tasks), engine.jobs)
+            shas = {run.run_id: run.config_sha for run in runs}
+            if tasks:
+                engine.run(tasks, plan.limits, Arrivals(tasks, shas, directory, watcher.see).see)
+
         try:
-            if todo:
-                engine.run(todo, plan.limits, arrivals.see)
-        except EngineStoppedError as error:
-            raise UsageError(f"--out {directory}: {error}") from error
+            fly(left, record=False)
+            if plan.record == "failures":
+                fly(_unrecorded(mine, directory), record=True)
         finally:
             watcher.end()
-            sweep(directory, [task.run_id for task in todo], whole=shard is None)
+            sweep(directory, [run.run_id for run in mine], whole=shard is None)
             session |= {"finished_utc": utc_now(), "wall_s": time.perf_counter() - started}
-            session["runs"] = len(finished_ids(directory) & {task.run_id for task in todo})
-            if todo:
+            session["runs"] = len(left) - len(_left(left, directory))
+            if left:
                 add_session(directory, session, not _without_row(plan.runs, directory))
         refresh(directory, must_write=True)
         return summary(directory) | {"missing": _without_row(mine, directory)}
 
 
-def _left(
-    plan: Plan, mine: Sequence[PlannedRun], directory: Path, runner: str
-) -> tuple[list[Task], dict[str, str]]:
-    """The remaining tasks, and the hashes of the configurations of those that have no run yet."""
+def _left(runs: Sequence[PlannedRun], directory: Path) -> list[PlannedRun]:
     finished = finished_ids(directory)
-    todo = []
-    for run in mine:
-        task = Task(
-            run_id=run.run_id,
-            values=run.values,
-            directory=str(directory.resolve()),
-            record_failures=plan.record == "failures",
-            runner=runner,
-        )
-        if run.run_id not in finished or _lacks_recording(task):
-            todo.append(task)
-    return todo, {run.run_id: run.config_sha for run in mine if run.run_id not in finished}
+    return [run for run in runs if run.run_id not in finished]
 
 
-def _lacks_recording(task: Task) -> bool:
-    if not task.record_failures:
-        return False
-    run_dir = Path(task.directory) / RUNS / task.run_id
-    return wants_recording(task, run_dir, load_result(run_dir / "result.json"))
+def _unrecorded(runs: Sequence[PlannedRun], directory: Path) -> list[PlannedRun]:
+    finished = finished_ids(directory)
+    return [
+        run
+        for run in runs
+        if run.run_id in finished and lacks_recording(directory / RUNS / run.run_id)
+    ]
+
+
+def _task(run: PlannedRun, directory: Path, runner: str, *, record: bool) -> Task:
+    folder = inside(directory.resolve() / PARTIAL, f"{run.run_id}.{os.getpid()}")
+    return Task(
+        run_id=run.run_id, values=run.values, folder=str(folder), record=record, runner=runner
+    )
 
 
 def _without_row(runs: Sequence[PlannedRun], directory: Path) -> list[str]:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.campaign.executor import EngineStoppedError
 from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.errors import UsageError, system_message
 from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
@@ -35,8 +34,6 @@ from touchdown.experiments.reproduce.steps import PARTS, Done, Job, Notes, Part,
 from touchdown.sim.files.opening import no_file
 
 _QUICK, _WHOLE = '"edition": "quick"', '"edition": "whole"'
-_OF_THE_MACHINE = (OSError, EngineStoppedError)
-"""errors that end the reproduction, because the next part would meet them, too"""
 
 
 def reproduce(
@@ -140,8 +137,8 @@ def _do(part: Part, job: Job, head: str) -> None:
     try:
         done = part.run(job)
     except Exception as problem:
-        if isinstance(problem, UsageError) and isinstance(problem.__cause__, _OF_THE_MACHINE):
-            raise
+        if isinstance(problem, UsageError) and isinstance(problem.__cause__, OSError):
+            raise  # the next part would meet it, too
         if isinstance(problem, OSError) and (message := system_message(problem)):
             raise UsageError(f"--out {job.folder}: {message}") from problem
         kind = "" if isinstance(problem, UsageError) else f"{type(problem).__name__}: "

@@ -59,11 +59,11 @@ def _fly_some(_engine: Any, todo: Sequence[Any], _limits: Any, report: Any) -> N
     """Takes the first tasks as a worker does, with `fly_nowhere` for the flight."""
     import dataclasses
 
-    from touchdown.experiments.campaign.worker import execute
+    from touchdown.experiments.campaign.worker import fly
 
     for task in todo[:3]:
-        mine = dataclasses.replace(task, runner="fuzz.grounding:fly_nowhere")
-        execute(mine, lambda event, run_id=task.run_id: report({**event, "run_id": run_id}))
+        row = fly(dataclasses.replace(task, runner="fuzz.grounding:fly_nowhere"))
+        report({"event": "finished", "run_id": task.run_id, "row": row})
 
 
 def fly_nowhere(config: Any, out: Path) -> Any:

@@ -28,6 +28,7 @@ def fly(config: Config, out: Path) -> RunResult:
         log.write(f"{out.name} {config.record}\n")
     attempts = (campaign_dir(out) / "attempts.log").read_text().split("\n")
     first = sum(line.startswith(f"{out.name} ") for line in attempts) == 1
+    (out.parent / "pid").write_text(str(os.getpid()))
     partial = out.with_name(f"{out.name}.flying")
     partial.mkdir()
     (partial / "truth.tum").write_text(f"0 {config.seed} 0 0 0 0 0 1\n")

@@ -71,7 +71,8 @@ def wait_for(condition: Any, what: str) -> None:
 
 def flying(out: Path) -> list[int]:
     """Process ids of the workers that fly."""
-    return [int(path.name.rpartition(".")[2]) for path in out.glob(".partial/*")]
+    pids = (path.read_text() for path in out.glob(".partial/*/pid"))
+    return [int(pid) for pid in pids if pid and is_alive(int(pid))]
 
 
 def flying_after(out: Path, count: int) -> list[int]:

@@ -1,7 +1,6 @@
 """Fakes of all slow parts of a reproduction."""
 
 import dataclasses
-import functools
 import importlib
 import inspect
 from collections.abc import Callable, Mapping
@@ -12,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.campaign.worker import Task, execute
+from touchdown.experiments.campaign import worker
+from touchdown.experiments.campaign.worker import Task
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.io.images import write_png
@@ -65,10 +65,6 @@ class World:
 
     def count(self, what: str) -> int:
         return self.calls.count(what)
-
-
-def _report_of(report: Callable[[Any], None], run_id: str, event: dict[str, Any]) -> None:
-    report({**event, "run_id": run_id})
 
 
 def draw(*files: Path) -> None:
@@ -170,10 +166,10 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     def run(todo: list[Task], limits: Any, report: Callable[[Any], None]) -> None:
         for task in todo:
             found.ask(f"{task.run_id}")
-            mine = dataclasses.replace(task, runner="support.reproduce_world:fly")
-            execute(mine, functools.partial(_report_of, report, task.run_id))
+            row = worker.fly(dataclasses.replace(task, runner="support.reproduce_world:fly"))
+            report({"event": "finished", "run_id": task.run_id, "row": row})
 
-    engine = SimpleNamespace(name="here", jobs=1, patience_s=0.0, run=run)
+    engine = SimpleNamespace(name="here", jobs=1, run=run)
     monkeypatch.setattr(
         "touchdown.experiments.campaign.session.make_engine", lambda *_, slots: engine
     )

@@ -1,10 +1,9 @@
-"""A campaign gives the same rows if killed, in shards, on Ray or in parallel."""
+"""A campaign gives the same rows if killed, in shards or in parallel."""
 
 import json
 import os
 import shutil
 import signal
-import sys
 from pathlib import Path
 
 import psutil
@@ -12,14 +11,13 @@ import pytest
 
 from touchdown.experiments.campaign.executor import LocalEngine
 from touchdown.experiments.campaign.results_table import finished_ids, load_rows
-from touchdown.experiments.campaign.session import fly_campaign, make_engine, summary
+from touchdown.experiments.campaign.session import fly_campaign, summary
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.sql import connect
 
 from support.campaign_command import start
 from support.campaign_flights import (
     MANY,
-    RUNNER,
     attempts,
     axes,
     figures,
@@ -30,7 +28,6 @@ from support.campaign_flights import (
     start_campaign,
     wait_for,
 )
-from support.ray_fake import FakeRay
 
 
 @pytest.fixture(scope="module")
@@ -106,31 +103,6 @@ def test_a_signal_costs_no_finished_flight(number: int, tmp_path: Path, undistur
     kept = {file: file.stat().st_ino for file in out.glob("runs/*slow*/result.json")}
     assert fly(plan, out)["remaining"] == 0 and kept == {file: file.stat().st_ino for file in kept}
     assert figures(out) == figures(undisturbed)
-
-
-def test_missing_ray_is_reported_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(UsageError, match=r"constraints.txt -e '\.\[ray\]'"):
-        make_engine("ray", None)
-    with pytest.raises(UsageError, match="--engine ray"):
-        make_engine("local", None, "auto")
-
-
-def test_ray_gives_the_same_rows_and_outlives_its_workers(
-    tmp_path: Path, undisturbed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ray = FakeRay()
-    monkeypatch.setitem(sys.modules, "ray", ray)
-    plan = make_plan(tmp_path, MANY)
-    engine = make_engine("ray", None)
-    assert engine.jobs == 2
-    totals = fly_campaign(plan, tmp_path / "out", engine, runner=RUNNER)
-    assert totals["remaining"] == totals["crashed"] == 0
-    assert figures(tmp_path / "out") == figures(undisturbed)
-    assert len(ray.actors) == 3 and len(ray.killed) == 2
-    full = make_plan(tmp_path / "full", axes(scene=["flat"], estimator=["fake:fills_the_disk"]))
-    with pytest.raises(UsageError, match="No space left"):
-        fly_campaign(full, tmp_path / "full" / "out", engine, runner=RUNNER)
 
 
 def test_a_campaign_of_a_version_before_profiles_is_resumed(tmp_path: Path) -> None:

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from touchdown.experiments.campaign import session, worker
-from touchdown.experiments.campaign.arrival import Arrivals
+from touchdown.experiments.campaign import session
 from touchdown.experiments.campaign.plan import Plan, load_plan
 from touchdown.experiments.campaign.results_table import load_rows, write_table
 from touchdown.experiments.campaign.run_names import is_run_name
@@ -121,7 +120,7 @@ def _replaced_by_link(path: Path, target: Path) -> None:
     "name",
     [".lock", ".lock-sessions", ".lock-1-of-2", "campaign.json", "campaign.toml", "runs", "failed",
      ".partial", "results.parquet", f"runs/{NAME}", f"failed/{NAME}.json", ".campaign.json.1",
-     f".partial/{NAME}.1", ".share-0"],
+     f".partial/{NAME}.1"],
 )  # fmt: skip
 @pytest.mark.parametrize("target", ["victim", "victim/thesis.txt", "nothing"])
 def test_links_in_the_directory_are_refused(name: str, target: str, out: Path, plan: Plan) -> None:
@@ -209,25 +208,20 @@ def test_files_of_others_in_the_place_of_a_run_stay(out: Path, plan: Plan) -> No
     assert fly(plan, out)["finished"] == 2 and (out / "runs" / NAME / "row.parquet").is_file()
 
 
-@pytest.mark.parametrize("whole", [False, True])
-def test_files_of_others_that_come_while_a_run_is_flown_stay(
-    whole: bool, out: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In the way of a run that arrives, and beside a row of another program."""
-    run, made = out / "runs" / NAME, out / "made"
-    made.mkdir()
-    thesis = run / "thesis.txt"
-    thesis.write_text("years of work")
-    if not whole:
-        (run / "row.parquet").unlink()
-        with pytest.raises(UsageError, match=r"holds 'thesis\.txt'"):
-            worker._move(made, run)
-    else:
-        task = worker.Task(run_id=NAME, values=plan.runs[0].values, directory=str(out))
-        Arrivals([task], {NAME: "another"}, 0.0, lambda _event: None).see(
-            {"event": "finished", "run_id": NAME}
-        )
-        assert [path.name for path in run.iterdir()] == ["thesis.txt"]
+def test_files_of_others_that_come_while_a_run_is_flown_stay(out: Path, plan: Plan) -> None:
+    shutil.rmtree(out / "runs" / NAME)
+    thesis = out / "runs" / NAME / "thesis.txt"
+
+    class Writer(session.Watcher):
+        def start(self, *_arguments: Any) -> None:
+            thesis.parent.mkdir()
+            thesis.write_text("years of work")
+
+    totals = fly(plan, out, watcher=Writer())
+    assert totals["crashed"] == 0 and totals["missing"] == []
+    assert (
+        "holds 'thesis.txt'" in json.loads((out / "failed" / f"{NAME}.json").read_text())["error"]
+    )
     assert thesis.read_text() == "years of work"
 
 
@@ -235,7 +229,6 @@ def test_leavings_of_killed_campaigns_go(out: Path, plan: Plan) -> None:
     shutil.rmtree(out / "runs" / NAME)
     left = [
         out / ".partial" / "other-run.1" / "x",
-        out / ".share-1",
         out / "failed" / f".{NAME}.json.partial-1",
     ]
     for path in left:

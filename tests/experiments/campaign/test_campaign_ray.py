@@ -1,57 +1,21 @@
-"""Campaigns on Ray: nodes that do not share the directory, rows that do not arrive, and addresses
-where no cluster is."""
+"""Campaigns on Ray, whose nodes do not see the campaign's folder: runs come back whole, once."""
 
-import dataclasses
+import io
 import json
 import sys
+import tarfile
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from touchdown.experiments.campaign import ray_share
-from touchdown.experiments.campaign.arrival import why_not_arrived
-from touchdown.experiments.campaign.executor_ray import RayEngine
 from touchdown.experiments.campaign.plan import Plan
-from touchdown.experiments.campaign.results_table import RUNS, load_rows, read_row, write_table
-from touchdown.experiments.campaign.session import fly_campaign, make_engine
+from touchdown.experiments.campaign.results_table import RUNS, finished_ids
+from touchdown.experiments.campaign.session import Watcher, fly_campaign, make_engine
 from touchdown.experiments.errors import UsageError
 
-from support.campaign_flights import RUNNER, axes, fly, make_plan
-from support.ray_fake import FakeRay, Node
-
-FOUR = axes(scene=["flat", "lake"], estimator=["fake:good"], seeds="0-1")
-
-
-@pytest.fixture
-def plan(tmp_path: Path) -> Plan:
-    return make_plan(tmp_path / "plan", FOUR)
-
-
-@pytest.fixture(autouse=True)
-def no_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ray_share, "VISIBLE_S", 0.0)
-    monkeypatch.setattr(RayEngine, "patience_s", 0.0)
-
-
-def elsewhere(tmp_path: Path, name: str) -> Node:
-    """A node on which every path of the driver is another place of its own."""
-    root = tmp_path / f"disk-of-{name}"
-
-    def here(path: str) -> str:
-        inner = root / path.lstrip("/")
-        inner.parent.mkdir(parents=True, exist_ok=True)
-        return str(inner)
-
-    def sees(question: Any) -> Any:
-        return dataclasses.replace(question, file=here(question.file))
-
-    def flies(task: Any) -> Any:
-        directory = Path(here(task.directory))
-        directory.mkdir(exist_ok=True)
-        return dataclasses.replace(task, directory=str(directory))
-
-    return Node(name, sees=sees, flies=flies)
+from support.campaign_flights import MANY, RUNNER, axes, figures, fly, make_plan
+from support.ray_fake import FakeRay
 
 
 def flown(monkeypatch: pytest.MonkeyPatch, plan: Plan, out: Path, ray: FakeRay) -> dict[str, Any]:
@@ -59,117 +23,113 @@ def flown(monkeypatch: pytest.MonkeyPatch, plan: Plan, out: Path, ray: FakeRay) 
     return fly_campaign(plan, out, make_engine("ray", None), runner=RUNNER)
 
 
-def test_a_node_without_the_share_is_refused_before_the_first_flight(
-    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ray, out = FakeRay(Node("near"), elsewhere(tmp_path, "far")), tmp_path / "out"
-    with pytest.raises(UsageError) as caught:
-        flown(monkeypatch, plan, out, ray)
-    message = str(caught.value)
-    assert "the Ray node far (10.0.0.1) does not see" in message and "\n" not in message
-    assert "name an --out that all nodes share" in message
-    assert not ray.actors and not (out / RUNS).exists() and not (out / "attempts.log").exists()
-    assert not list(out.glob(".share*"))
+def test_missing_ray_is_reported_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(UsageError, match=r"constraints.txt -e '\.\[ray\]'"):
+        make_engine("ray", None)
+    with pytest.raises(UsageError, match="--engine ray"):
+        make_engine("local", None, "auto")
 
 
-def test_a_node_that_joins_later_is_checked_when_its_actor_starts(
-    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ray, out = FakeRay(Node("near")), tmp_path / "out"
-    ray.joined = [elsewhere(tmp_path, "late")]
-    with pytest.raises(UsageError, match=r"the Ray node late .* does not see"):
-        flown(monkeypatch, plan, out, ray)
-    assert not list(tmp_path.glob("disk-of-late/**/runs"))
-    assert len(ray.killed) == 2, "no actor is left"
-    ray = FakeRay(Node("near"))
-    assert flown(monkeypatch, plan, out, ray)["missing"] == [], "what was flown is kept"
-
-
-def test_a_node_that_reads_alone_is_refused(
-    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It sees a copy of the directory, in which what it writes stays."""
-    node = elsewhere(tmp_path, "copy")
-
-    def sees(question: Any) -> Any:
-        assert node.sees is not None
-        other = node.sees(question)
-        Path(other.file).write_text(question.text)
-        return other
-
-    copy = dataclasses.replace(node, sees=sees)
-    with pytest.raises(UsageError, match=r"the Ray node copy .* writes into another"):
-        flown(monkeypatch, plan, tmp_path / "out", FakeRay(Node("near"), copy))
-    assert not (tmp_path / "out" / RUNS).exists()
-
-
-def test_a_run_whose_row_stays_on_the_node_counts_as_failed(
-    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Even where every proof of the share was passed."""
-    away = elsewhere(tmp_path, "away")
-    away = dataclasses.replace(away, cpus=2.0, sees=lambda question: question)
-    totals = flown(monkeypatch, plan, tmp_path / "out", FakeRay(away))
-    assert (totals["finished"], totals["crashed"], totals["remaining"]) == (0, 4, 0)
-    assert all("its row is not in" in reason for reason in totals["errors"].values())
-    assert {row["outcome"] for row in load_rows(tmp_path / "out")} == {"CRASHED"}
-    assert fly(plan, tmp_path / "out")["finished"] == 4, "the next start flies them"
-
-
-def _other_configuration(run: Path, row: dict[str, Any]) -> None:
-    write_table([row | {"config_sha": "0" * 12}], run / "row.parquet")
-
-
-def _other_run(run: Path, row: dict[str, Any]) -> None:
-    write_table([row | {"run_id": "../../x"}], run / "row.parquet")
-
-
-def _two_rows(run: Path, row: dict[str, Any]) -> None:
-    write_table([row, row], run / "row.parquet")
-
-
-def _other_result(run: Path, row: dict[str, Any]) -> None:
-    result = json.loads((run / "result.json").read_text()) | {"outcome": "DIVERGED"}
-    (run / "result.json").write_text(json.dumps(result))
-
-
-def _cut_row(run: Path, row: dict[str, Any]) -> None:
-    (run / "row.parquet").write_bytes((run / "row.parquet").read_bytes()[:-9])
-
-
-def _no_result(run: Path, row: dict[str, Any]) -> None:
-    (run / "result.json").unlink()
-
-
-DAMAGES = (
-    (_other_configuration, "another version of the program"),
-    (_other_run, "it is of the run '../../x'"), (_two_rows, "it has 2 rows"),
-    (_other_result, "are of two flights"), (_cut_row, "its row is not in"),
-    (_no_result, "its row is not in"),
-)  # fmt: skip
-
-
-def test_a_row_that_is_not_the_planned_one_does_not_count(
+def test_runs_come_back_from_nodes_with_other_folders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each of six runs is damaged on its way here."""
-    plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:good"], seeds="0-5"))
-    out, names = tmp_path / "out", [run.run_id for run in plan.runs]
-    left = dict(zip(names, DAMAGES, strict=True))
-    ray = FakeRay(Node("near"))
-    get = ray.get
-
-    def get_after_damage(reference: Any) -> Any:
-        found = get(reference)
-        for name in [name for name in left if (out / RUNS / name).is_dir()]:
-            damage, _ = left.pop(name)
-            damage(out / RUNS / name, read_row(out / RUNS / name))
-        return found
-
-    monkeypatch.setattr(ray, "get", get_after_damage)
+    """The second and the third task are lost with their node, when they are flown."""
+    plan, out = make_plan(tmp_path, MANY), tmp_path / "out"
+    ray = FakeRay(out, lost=(1, 2))
     totals = flown(monkeypatch, plan, out, ray)
-    assert totals["crashed"] == 6 and not left
-    for name, (_, reason) in zip(names, DAMAGES, strict=True):
-        assert reason in totals["errors"][name]
-    assert fly(plan, out)["finished"] == 6
-    assert all(why_not_arrived(out, run.run_id, run.config_sha) == "" for run in plan.runs)
+    assert (totals["finished"], totals["crashed"], totals["missing"]) == (8, 0, [])
+    assert ray.asked == 8 + 2 + 4, "runs, those that were lost, recordings"
+    fly(plan, tmp_path / "here", jobs=2)
+    assert figures(out) == figures(tmp_path / "here")
+    assert {str(path.relative_to(out)) for path in out.glob("runs/*/*")} == {
+        str(path.relative_to(tmp_path / "here")) for path in (tmp_path / "here").glob("runs/*/*")
+    }
+
+
+def test_a_run_is_given_up_when_its_nodes_are_lost_again_and_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:good"], seeds="0-1"))
+    ray = FakeRay(tmp_path / "out", lost=(0, 2, 3, 4, 5, 6))
+    totals = flown(monkeypatch, plan, tmp_path / "out", ray)
+    assert (totals["finished"], totals["crashed"]) == (1, 1)
+    assert list(totals["errors"].values()) == ["the Ray worker was lost"]
+
+
+def test_failures_on_a_node_are_recorded_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:raises", "fake:good"]))
+    ray = FakeRay(tmp_path / "out")
+    assert flown(monkeypatch, plan, tmp_path / "out", ray)["crashed"] == 1
+    record = json.loads((tmp_path / "out" / "failed" / "flat-fake.raises-s0.json").read_text())
+    assert record["attempts"] == 2 and "in fly" in record["traceback"]
+    full = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:fills_the_disk"]))
+    with pytest.raises(UsageError, match="No space left"):
+        flown(monkeypatch, full, tmp_path / "full", FakeRay(tmp_path / "full"))
+
+
+def _changed_result(packed: bytes) -> bytes:
+    """The tar file with another outcome in its result."""
+    made = io.BytesIO()
+    with (
+        tarfile.open(fileobj=io.BytesIO(packed)) as old,
+        tarfile.open(fileobj=made, mode="w") as new,
+    ):
+        for member in old:
+            file = old.extractfile(member)
+            data = b"" if file is None else file.read()
+            if member.name.endswith("result.json"):
+                data = json.dumps(json.loads(data) | {"outcome": "DIVERGED"}).encode()
+                member.size = len(data)
+            new.addfile(member, io.BytesIO(data))
+    return made.getvalue()
+
+
+@pytest.mark.parametrize(("row", "packed", "reason"), [
+    ({"config_sha": "0" * 12}, lambda data: data, "another version of the program"),
+    ({"run_id": "../../x"}, lambda data: data, "is of the run '../../x'"),
+    ({}, _changed_result, "are of two flights"), ({}, lambda data: b"", "No such file"),
+])  # fmt: skip
+def test_a_run_that_is_not_the_planned_one_does_not_count(
+    row: dict[str, Any], packed: Any, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def changed(answer: tuple[list[dict[str, Any]], bytes]) -> Any:
+        events, data = answer
+        events[-1]["row"] |= row
+        return events, packed(data)
+
+    plan, out = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:good"])), tmp_path / "out"
+    totals = flown(monkeypatch, plan, out, FakeRay(out, on_the_way=changed))
+    assert totals["crashed"] == 1 and reason in totals["errors"]["flat-fake.good-s0"]
+    assert not (out / RUNS).exists()
+    assert fly(plan, out)["finished"] == 1, "the next start flies it"
+
+
+@pytest.mark.slow
+def test_a_real_cluster_loses_a_node(tmp_path: Path) -> None:
+    """Two nodes of one machine: what a worker makes lies in a folder of its own on each."""
+    ray = pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    plan, out = make_plan(tmp_path, MANY), tmp_path / "out"
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1}, connect=True)
+    far, finished = cluster.add_node(num_cpus=1), list[str]()
+    cluster.wait_for_nodes()
+
+    class Axe(Watcher):
+        def see(self, event: dict[str, Any]) -> None:
+            finished.extend([event["run_id"]] if event["event"] == "finished" else [])
+            if len(finished) == 2 and len(cluster.list_all_nodes()) == 2:
+                cluster.remove_node(far, allow_graceful=False)
+
+    try:
+        engine = make_engine("ray", None)
+        totals = fly_campaign(plan, out, engine, runner=RUNNER, watcher=Axe())
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+    assert (totals["finished"], totals["crashed"], totals["missing"]) == (8, 0, [])
+    assert sorted(finished) == sorted(run.run_id for run in plan.runs)
+    assert sorted(finished_ids(out)) == sorted(finished)

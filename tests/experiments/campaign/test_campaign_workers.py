@@ -1,4 +1,4 @@
-"""Workers of a campaign: a row for every run after any failure, and their times."""
+"""Workers of a campaign: a row for every run after any failure, and what it holds."""
 
 import dataclasses
 import json
@@ -9,9 +9,7 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.campaign.plan import load_plan
-from touchdown.experiments.campaign.progress import TimeLeft
 from touchdown.experiments.campaign.results_table import load_rows
-from touchdown.experiments.campaign.worker import Task
 
 from support.campaign_flights import attempts, axes, fly, make_plan
 
@@ -102,20 +100,3 @@ def test_a_second_call_repeats_only_crashed_runs(
     (out / "campaign.json").write_text(json.dumps(document))
     totals = fly(dataclasses.replace(plan, runs=tuple(keep)), out)
     assert attempts(out) == {"flat-fake.raises-s0": 2} and totals["crashed"] == 1
-
-
-def test_remaining_time_is_estimated_by_method() -> None:
-    todo = [
-        Task(run_id=f"{name}{seed}", values={"estimator": name}, directory="")
-        for seed in range(3)
-        for name in ("quick", "slow")
-    ]
-    left = TimeLeft(todo, jobs=2)
-    assert left.left_s(0.0) is None
-    left.start("quick0", 0.0)
-    left.start("slow0", 0.0)
-    assert left.end("quick0", 10.0) == 10.0
-    # quick: 2 of 10 s remain; slow: 2 of the known 10 s, which slow0 has exceeded.
-    assert left.left_s(10.0) == pytest.approx((20.0 + 20.0 + 0.0) / 2)
-    left.end("slow0", 40.0)
-    assert left.left_s(40.0) == pytest.approx((20.0 + 80.0) / 2)
