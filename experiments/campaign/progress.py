@@ -67,7 +67,7 @@ class Display(Watcher):
             self._counts["unsuccessful"] += kind == "finished" and not success
             text = event.get("outcome") or f"CRASHED: {event['error']}"
             if not (self._live and success):
-                took = now - self._started[run_id]
+                took = now - self._started.get(run_id, now)
                 self._say(f"[{self._number}/{self._total}] {run_id}  {text}  {took:.0f} s")
         elif kind == "retry":
             self._say(f"{run_id}: {event['error']}; once more")
