@@ -6,18 +6,20 @@ import dataclasses
 import io
 import json
 import struct
+import zlib
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
+import zstandard
 from mcap.exceptions import EndOfFile
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 from numpy.typing import NDArray
+from PIL.PngImagePlugin import PngImageFile
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io import ros2_messages as ros
@@ -37,7 +39,6 @@ from touchdown.experiments.io.sensor_log_checks import (
     damage_reported,
 )
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
-from touchdown.sim.files.inflating import check_png, inflated_chunk
 from touchdown.sim.files.opening import no_file
 
 _WANTED = frozenset({OBSERVATION_TOPIC, SCAN_TOPIC, *IMAGE_TOPICS})
@@ -108,9 +109,9 @@ class SensorLogReader:
                     for tick, time_s, stereo in plain.pop("images", [])
                 )
                 for eye in images:
-                    _check_image(eye.png)
+                    unpack_image(eye.png)
                     if eye.right_png is not None:
-                        _check_image(eye.right_png)
+                        unpack_image(eye.right_png)
                 obs = _observation(plain, arrived)
                 check_order(obs, self.rig, before)
                 before = obs.tick
@@ -193,8 +194,20 @@ def _parts(chunk: Chunk) -> list[Any]:
     size = chunk.uncompressed_size
     if size > MAX_RECORD_BYTES:
         raise ValueError(f"a chunk of {size >> 20} MiB, more than {MAX_RECORD_BYTES >> 20} MiB")
-    data = inflated_chunk(chunk.data, chunk.compression, size)
+    data = _inflated(chunk.data, chunk.compression, size)
     return breakup_chunk(dataclasses.replace(chunk, compression="", data=data), validate_crc=True)
+
+
+def _inflated(data: bytes, compression: str, size: int) -> bytes:
+    """The ``size`` bytes that a chunk states. Raises ValueError where it inflates to more or fewer,
+    and for another compression than that of a flight."""
+    if compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(data).read(size + 1)
+    elif compression:
+        raise ValueError(f"a chunk is compressed by {compression[:40]!a}, not by zstd")
+    if len(data) != size:
+        raise ValueError("a chunk does not inflate to the size that it states")
+    return data
 
 
 def _reason(error: Exception) -> str:
@@ -253,19 +266,15 @@ def _png(message: bytes) -> NDArray[np.uint8]:
 
 
 def unpack_image(png: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB of a PNG file. Raises DamagedError where it is none."""
-    _check_image(png)
-    bgr = cv2.imdecode(png, cv2.IMREAD_COLOR)
-    if bgr is None:
-        raise DamagedError("an image cannot be decoded")
-    return _frozen(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8))
-
-
-def _check_image(png: NDArray[np.uint8]) -> None:
+    """(H, W, 3) RGB of a PNG file. Raises DamagedError where it is none; of its data no more is
+    inflated than its pixels need."""
     try:
-        check_png(io.BytesIO(png.tobytes()), MAX_PIXELS)
-    except ValueError as error:
-        raise DamagedError(f"an image {error}") from None
+        with PngImageFile(io.BytesIO(png.tobytes())) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise DamagedError(f"an image has more than {MAX_PIXELS} pixels")
+            return _frozen(np.array(image.convert("RGB")))
+    except (OSError, SyntaxError, ValueError, zlib.error) as error:
+        raise DamagedError(f"an image cannot be decoded ({error})") from None
 
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.classification import scores, trial
+from touchdown.landing.classification import network_check, scores
 from touchdown.landing.classification.weights import (
     INPUT,
     NetworkFacts,
@@ -41,7 +41,7 @@ class OnnxClassifier:
 
     Raises ValueError and FileNotFoundError as `landing.classification.weights.read_network`, and
     ValueError for a network that cannot classify images within the limits of
-    `landing.classification.trial`, and ImportError without onnxruntime."""
+    `landing.classification.network_check`, and ImportError without onnxruntime."""
 
     def __init__(self, path: Path, threads: int = 1) -> None:
         import onnxruntime
@@ -50,20 +50,18 @@ class OnnxClassifier:
         own = comes_along(path)
         # ONNX Runtime is not asked in this process about a file that it may break on; the network
         # of the project itself is known to load.
-        if not own:
-            reason = trial.reason_against(path.resolve(), hashlib.sha256(content).hexdigest())
-            if reason:
-                raise ValueError(f"'{path}' {reason}")
         if own:
             weights_apart(path)
-        options = trial.session_options(threads, apart=own)
+        else:
+            network_check.check_loads(path, hashlib.sha256(content).hexdigest())
+        options = network_check.session_options(threads, apart=own)
         try:
             # Weights apart are mapped from their files, and not held twice.
             self._session = onnxruntime.InferenceSession(
                 str(path) if own else content, options, providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # onnxruntime's errors share no base class
-            text = trial.plain_reason(error)
+            text = network_check.plain_reason(error)
             raise ValueError(f"'{path}' cannot be loaded as a network: {text}") from error
         self.facts = facts_of(self._session.get_modelmeta().custom_metadata_map, path)
 

@@ -13,8 +13,13 @@ import numpy as np
 from touchdown.scenes.api import LAND_CLASSES, Readying, Surface
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.importers.lights import add_sun
-from touchdown.scenes.importers.mjcf_limits import check_mjcf, check_spec
-from touchdown.scenes.importers.model_check import check_model
+from touchdown.scenes.importers.model_check import (
+    MAX_TEXT_BYTES,
+    blame_asset,
+    check_model,
+    check_spec,
+    check_texts,
+)
 from touchdown.scenes.importers.origin import (
     coarse_meshes,
     far_origin,
@@ -23,7 +28,7 @@ from touchdown.scenes.importers.origin import (
     move_world,
 )
 from touchdown.scenes.importers.ready import made_ready
-from touchdown.scenes.importers.trial import TRIAL_BYTES, check_compiles
+from touchdown.sim.files.child import run_limited
 from touchdown.sim.files.opening import check_file, printable, quiet_libraries
 
 REFLECTIVITY_905NM = {
@@ -51,6 +56,11 @@ _MOVING_KINDS = (
 
 _MUJOCO_ERRORS = (ValueError, MemoryError, RuntimeError, mujoco.FatalError)
 """MuJoCo raises RuntimeError for any exception that it does not know, such as one of memory."""
+_NO_MEMORY = "MuJoCo needs more memory than there is"
+_SMALLER = (
+    "simplify its meshes (decimate), shrink its textures and height fields, or cut out the part "
+    "around the take-off"
+)
 _MAX_BUFFER, _MAX_SLICES = 4096, 64
 """pixels along a side of an image, and pieces of a round geom, that a file may ask for"""
 
@@ -88,20 +98,14 @@ def read_mjcf(path: Path, ready: Readying | None = None) -> SceneDraft:
     than 1 km from the origin, such as one in map coordinates: `scenes.importers.origin`.
 
     Raises FileNotFoundError for a missing file or asset, ValueError for a file that MuJoCo cannot
-    read, for one beyond the limits of `scenes.importers.mjcf_limits`, `scenes.importers.trial` and
-    `scenes.importers.model_check`, and for a take-off spot without ground.
+    read, for one beyond the limits of `scenes.importers.model_check` or of `sim.files.child`, in
+    which it is compiled first, and for a take-off spot without ground.
     """
-    check_file(path, "a scene")
-    if check_mjcf(path)["mesh bytes"] > TRIAL_BYTES:
-        check_compiles(path)
-    try:
-        with quiet_libraries():
-            spec = mujoco.MjSpec.from_file(str(path))
-    except _MUJOCO_ERRORS as error:
-        raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
-    check_spec(spec, path)
+    check_file(path, "a scene", MAX_TEXT_BYTES)
+    model = run_limited(lambda: _first_compiled(path), path, "to compile it", _SMALLER)
+    data = _posed(model)
+    spec = _read_spec(path)
     remove_motion(spec, path)
-    model, data = _compiled(spec, path)
     takeoff = _takeoff(model, data)
     if _remove_vehicle(spec):
         model, data = _compiled(spec, path)
@@ -146,6 +150,23 @@ def read_mjcf(path: Path, ready: Readying | None = None) -> SceneDraft:
         )
     except (MemoryError, RuntimeError, mujoco.FatalError) as error:
         raise ValueError(f"{path}: it cannot be made ready: {_one_line(error)}") from error
+
+
+def _first_compiled(path: Path) -> Any:
+    """The model of a file that nothing is known of, without what moves."""
+    check_texts(path)
+    spec = _read_spec(path)
+    check_spec(spec, path)
+    remove_motion(spec, path)
+    return _compiled(spec, path)[0]
+
+
+def _read_spec(path: Path) -> Any:
+    try:
+        with quiet_libraries():
+            return mujoco.MjSpec.from_file(str(path))
+    except _MUJOCO_ERRORS as error:
+        raise _refusal(path, error) from error
 
 
 def remove_motion(spec: Any, path: Path) -> None:
@@ -203,35 +224,17 @@ def _compiled(spec: Any, path: Path) -> tuple[Any, Any]:
         with quiet_libraries():
             model = spec.copy().compile()
     except _MUJOCO_ERRORS as error:
-        _blame_asset(spec, path)
-        raise ValueError(f"{path}: not a valid MJCF file: {_one_line(error)}") from error
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+        blame_asset(spec, path)
+        raise _refusal(path, error) from error
+    data = _posed(model)
     check_model(model, data, path)
     return model, data
 
 
-def _blame_asset(spec: Any, path: Path) -> None:
-    """Raises for the first asset whose file is missing or of a kind that MuJoCo cannot read."""
-    for kind, elements, folder, readable in (
-        ("mesh", spec.meshes, spec.meshdir, (".obj", ".stl", ".msh")),
-        ("texture", spec.textures, spec.texturedir, (".png", ".ktx")),
-        ("height field", spec.hfields, spec.meshdir, (".png", ".bin")),
-    ):
-        for element in elements:
-            if not element.file:
-                continue
-            target = Path(spec.modelfiledir) / folder / element.file
-            if not target.is_file():
-                raise FileNotFoundError(
-                    f"{path}: {kind} '{element.name}' needs the file '{element.file}', which is "
-                    f"not in {target.parent}"
-                )
-            if target.suffix.lower() not in readable:
-                raise ValueError(
-                    f"{path}: MuJoCo cannot read '{element.file}' of {kind} '{element.name}'; "
-                    f"convert it to {' or '.join(readable)}"
-                )
+def _posed(model: Any) -> Any:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return data
 
 
 def _amid(model: Any, data: Any, xy_m: np.ndarray) -> np.ndarray:
@@ -265,13 +268,21 @@ def _warn_once(path: Path, text: str) -> None:
         warnings.warn(f"{path}: {text}", stacklevel=4)
 
 
+def _refusal(path: Path, error: Exception) -> Exception:
+    """An error of MuJoCo as that of the file, or of memory, which it does not tell apart."""
+    text = _one_line(error)
+    if text == _NO_MEMORY:
+        return MemoryError(text)
+    return ValueError(f"{path}: not a valid MJCF file: {text}")
+
+
 def _one_line(error: Exception) -> str:
     text = " ".join(str(error).split())
     if "qhull error" in text:
         text = text.replace(
             "qhull error", "a mesh is flat, or has too few points: give it a volume"
         )
-    return "MuJoCo needs more memory than there is" if "unknown exception" in text else text
+    return _NO_MEMORY if isinstance(error, MemoryError) or "unknown exception" in text else text
 
 
 class _Takeoff(NamedTuple):

@@ -47,12 +47,10 @@ def _compose_spec(name_or_path: str, seed: int, ready: Any = None) -> Any:
     raise Reached
 
 
-def _reason_against(path: Path, sha256: str) -> str:
+def _check_loads(path: Path, sha256: str) -> None:
     """Tries a network in a process of its own, but for the one that all cases share."""
-    if sha256 in SOUND_NETWORKS:
-        return ""
-    reason: str = _REAL["touchdown.landing.classification.trial", "reason_against"](path, sha256)
-    return reason
+    if sha256 not in SOUND_NETWORKS:
+        _REAL["touchdown.landing.classification.network_check", "check_loads"](path, sha256)
 
 
 def _fly_some(_engine: Any, todo: Sequence[Any], _limits: Any, report: Any) -> None:
@@ -99,7 +97,7 @@ _STOPS: dict[str, dict[str, Any]] = {
     "touchdown.experiments.io.provenance": {"git_revision": _no_revision},
     "touchdown.experiments.reproduce.run": {"_do": _reach},
     "touchdown.landing.classification.learning.training": {"Trainer.run_epoch": _reach},
-    "touchdown.landing.classification.trial": {"reason_against": _reason_against},
+    "touchdown.landing.classification.network_check": {"check_loads": _check_loads},
     "touchdown.scenes.compose": {"compose_spec": _compose_spec},
     "touchdown.scenes.importers.dress": {"TEXEL_M": _COARSE_TEXEL_M},
     "touchdown.sim.posed_sensors": {"PosedSensors.__init__": _reach},

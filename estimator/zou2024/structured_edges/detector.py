@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 import zlib
 from collections.abc import Callable
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.typing import Bytes, Float32
-from touchdown.sim.files.inflating import gunzipped
 from touchdown.sim.files.opening import no_file
 
 SHIPPED_MODEL = Path(__file__).with_name("structured_edges.yml.gz")
@@ -37,7 +37,8 @@ def check_model(path: Path) -> None:
             "'gradient' for edges without one"
         )
     try:
-        text = gunzipped(path, _MAX_BYTES)
+        with gzip.open(path) as file:
+            text = file.read(_MAX_BYTES + 1)
     except (OSError, EOFError, zlib.error) as error:
         raise ValueError(
             f"structured edge model '{path}' is damaged ({error}): restore it"

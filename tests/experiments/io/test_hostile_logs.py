@@ -1,7 +1,10 @@
 """Sensor logs that claim less than they inflate to, or more than a flight has."""
 
+import contextlib
+import tracemalloc
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -9,9 +12,11 @@ from mcap.records import Chunk, Header
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io import sensor_log_reader
-from touchdown.experiments.io.sensor_log_reader import SensorLogReader
+from touchdown.experiments.io.sensor_log_checks import DamagedError
+from touchdown.experiments.io.sensor_log_reader import SensorLogReader, unpack_image
 from touchdown.sim.api import SensorNeeds
 
+from support.hostile_files import png
 from support.replay_support import make_run
 from support.sensor_logs import Entry, read_log, write_log
 
@@ -43,6 +48,25 @@ def test_chunks_are_inflated_within_limits(
     with pytest.raises(UsageError, match=f"is no complete MCAP file: .*{message}") as caught:
         SensorLogReader(log)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("png", "message"), [
+    (png(8, 8, inflated=BOMB), ""),
+    (png(8, 8, inflated=200, text=bytes(1 << 20)), ""),
+    (png(9000, 9000), "has more than 67108864 pixels"),
+    (png(2**31 - 1, 2**31 - 1), "has more than 67108864 pixels"),
+    (png(8, 8, data=bytes(175) + b"\5"), "cannot be decoded"),
+    (png(8, 8, methods=(0, 1, 0)), "cannot be decoded"),
+    (png(8, 8, inflated=200)[:-30], "cannot be decoded"),
+    (b"GIF", "cannot be decoded"),
+])  # fmt: skip
+def test_no_more_of_an_image_is_inflated_than_its_pixels_need(png: bytes, message: str) -> None:
+    tracemalloc.start()
+    with pytest.raises(DamagedError, match=message) if message else contextlib.nullcontext():
+        assert unpack_image(np.frombuffer(png, np.uint8)).shape == (8, 8, 3)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 23
 
 
 def test_a_record_that_states_too_much_is_not_read(tmp_path: Path) -> None:

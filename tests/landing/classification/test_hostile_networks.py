@@ -166,8 +166,8 @@ def test_a_graph_that_fills_the_memory_is_given_up(tmp_path: Path) -> None:
 def test_a_network_that_takes_too_long_is_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(child, "_WAIT_S", 0.0)
-    refused(write_colour_network(tmp_path / "n.onnx"), "needs more than 0 s to load")
+    monkeypatch.setattr(child, "WAIT_S", 0.0)
+    refused(write_colour_network(tmp_path / "n.onnx"), "needs more than 0 s to classify")
 
 
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:

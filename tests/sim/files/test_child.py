@@ -1,4 +1,4 @@
-"""The process in which libraries in C are tried: its limits, and what is said when they are met."""
+"""The process in which files of other people are read: its limits, and what is said of them."""
 
 import os
 import signal
@@ -9,104 +9,104 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from touchdown.sim.files import child
-
-HERE = Path(__file__).parent
-
-
-def with_a_reason(path: str) -> str:
-    return f"is {path}"
+from touchdown.sim.files.child import LimitError, run_limited
 
 
-def with_an_error(_path: str) -> str:
-    raise ValueError("of the program")
+def limited(work: Callable[[], object]) -> object:
+    return run_limited(work, "a file", "to read it", "make it smaller")
 
 
-def with_a_socket(_path: str) -> str:
-    try:
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    except PermissionError:
-        return "no socket"
-    return ""
+def refuse() -> None:
+    raise ValueError("is none")
 
 
-def with_memory(_path: str) -> str:
-    return str(len(bytearray(5 << 30)))
+def take_memory() -> int:
+    return len(bytearray(5 << 30))
 
 
-def with_a_crash(_path: str) -> str:
-    os.kill(os.getpid(), signal.SIGSEGV)
-    return ""
-
-
-def with_an_exit(_path: str) -> str:
+def leave() -> None:
     os._exit(0)
 
 
-def with_a_loop(_path: str) -> str:
+def crash() -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def spin() -> None:
     while True:
         pass
 
 
-def with_a_child(path: str) -> str:
-    Path(path).write_text(f"{os.getpid()}\n")
-    time.sleep(600)
-    return ""
+def connect() -> None:
+    socket.create_connection(("127.0.0.1", 9))
 
 
-@pytest.fixture(autouse=True)
-def _found_by_the_child(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
-    monkeypatch.setenv("PYTHONPATH", found)
+def write() -> None:
+    Path("made").write_text("something")
 
 
-def reason(check: Callable[[str], str], content: str = "a") -> str:
-    check.__module__ = "test_child"
-    return child.reason_against(check, Path("a file"), content, "to read it")
+def test_what_is_found_comes_back() -> None:
+    found = limited(lambda: {"heights": np.arange(10**6), "name": "a"})
+    assert isinstance(found, dict)
+    np.testing.assert_array_equal(found["heights"], np.arange(10**6))
 
 
-@pytest.mark.parametrize(("check", "message"), [
-    (with_a_reason, "is a file"),
-    (with_an_error, "ends the process that tries to read it (exit code 1)"),
-    (with_a_socket, "no socket"),
-    (with_memory, "needs more than 4 GiB of memory to read it"),
-    (with_a_crash, f"ends the process that tries to read it (exit code {-signal.SIGSEGV})"),
-    (with_an_exit, "ends the process that tries to read it (exit code 0)"),
+@pytest.mark.parametrize(("work", "message"), [
+    (refuse, "is none"),
+    (take_memory, "'a file' needs more than 4 GiB of memory to read it; make it smaller"),
+    (leave, r"'a file' ends the process that tries to read it \(exit code 0\)"),
+    (crash, rf"'a file' ends the process that tries to read it \(exit code {-signal.SIGSEGV}\)"),
+    (spin, "'a file' needs more than 1 s of a processor to read it; make it smaller"),
+    (lambda: time.sleep(600), "'a file' needs more than 2 s to read it; make it smaller"),
 ])  # fmt: skip
-def test_what_is_said_of_a_file(check: Callable[[str], str], message: str) -> None:
-    assert reason(check) == message
+def test_what_is_said_of_a_file(
+    work: Callable[[], object], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(child, "CPU_S", 1)
+    monkeypatch.setattr(child, "WAIT_S", 2.0 if "2 s" in message else 120.0)
+    with pytest.raises(ValueError, match=message) as caught:
+        limited(work)
+    assert isinstance(caught.value, LimitError) or work is refuse
 
 
-def test_a_loop_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    with_a_loop.__module__ = "test_child"
-    ended = child.run_limited(with_a_loop, "", cpu_s=1, memory_bytes=1 << 30)
-    assert ended == (-signal.SIGXCPU, b"", None)
-    monkeypatch.setattr(child, "_WAIT_S", 0.0)
-    assert reason(with_a_loop) == "needs more than 0 s to read it"
+@pytest.mark.parametrize(("work", "message"), [(connect, "no network"), (write, "too large")])
+def test_it_reaches_no_network_and_writes_nothing(
+    work: Callable[[], object], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OSError, match=message):
+        limited(work)
+    assert not list(tmp_path.rglob("*")) or not (tmp_path / "made").read_text()
 
 
-def test_it_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
-    code = (
-        "import pathlib, sys, test_child; from touchdown.sim.files import child; "
-        "child.reason_against(test_child.with_a_child, pathlib.Path(sys.argv[1]), '', '')"
-    )
-    parent = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "pid")])
-    while not (tmp_path / "pid").exists() or not (tmp_path / "pid").read_text().endswith("\n"):
-        assert parent.poll() is None
-        time.sleep(0.05)
-    pid = int((tmp_path / "pid").read_text())
+def test_an_error_of_the_program_keeps_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(RuntimeError, match="KeyError: 'gone'"):
+        limited(lambda: print("words") or {}["gone"])
+    assert capfd.readouterr() == ("", "")
+
+
+PARENT = """
+import os, pathlib, sys, time
+from touchdown.sim.files.child import run_limited
+
+def wait():
+    os.write(int(sys.argv[1]), b"%d " % os.getpid())
+    time.sleep(600)
+
+run_limited(wait, "a file", "to read it", "make it smaller")
+"""
+
+
+def test_it_ends_with_the_process_that_started_it() -> None:
+    reader, writer = os.pipe()
+    parent = subprocess.Popen([sys.executable, "-c", PARENT, str(writer)], pass_fds=[writer])
+    os.close(writer)
+    pid = int(os.read(reader, 20))
     parent.kill()
     parent.wait()
-    deadline = time.monotonic() + 60.0
-    while _runs(pid) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not _runs(pid)
-
-
-def _runs(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
+    assert os.read(reader, 20) == b"", f"process {pid} holds its end of the pipe"
+    os.close(reader)

@@ -1,39 +1,45 @@
-"""Loads a network's file and classifies images: in a process of its own, since ONNX Runtime cannot
-be interrupted, and what a graph needs does not follow from its size."""
+"""Loads a network's file and classifies images in a child process first, since what a graph needs
+does not follow from its size."""
 
 from __future__ import annotations
 
+import functools
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from touchdown.sim.files import child
+from touchdown.sim.files.child import run_limited
 
 INPUT = "pictures"
+_REMEDY = "give a file that `touchdown train` wrote"
 NOWHERE = "/nonexistent"
 """Folder in which ONNX Runtime looks for weights outside of a network's file"""
 _LARGEST = 4096
 """pixels; the range that is allowed is checked elsewhere"""
 
 
-def reason_against(path: Path, sha256: str) -> str:
-    """The reason why a network's file cannot be used, "" for none; asked once for each content."""
-    return child.reason_against(fault_of_file, path, sha256, "to load and to classify one image")
+@functools.lru_cache(maxsize=32)
+def check_loads(path: Path, _sha256: str) -> None:
+    """Raises ValueError for a network's file that cannot be loaded or used, or takes more than the
+    limits of `sim.files.child`. A content is tried once."""
+    reason = run_limited(lambda: _fault_of_file(path), path, "to classify an image", _REMEDY)
+    if reason:
+        raise ValueError(f"'{path}' {reason}")
 
 
-def fault_of_file(path: str) -> str:
+def _fault_of_file(path: Path) -> str:
     """The reason why a network's file cannot be loaded or used, "" for none."""
     import onnxruntime
 
     try:
         session = onnxruntime.InferenceSession(
-            Path(path).read_bytes(), session_options(1), providers=["CPUExecutionProvider"]
+            path.read_bytes(), session_options(1), providers=["CPUExecutionProvider"]
         )
     except Exception as error:  # onnxruntime's errors share no base class
         return f"cannot be loaded as a network: {plain_reason(error)}"
-    return fault_of(session)
+    return _fault_of(session)
 
 
 def session_options(threads: int, apart: bool = False) -> Any:
@@ -64,7 +70,7 @@ def plain_reason(error: Exception) -> str:
     return re.sub(r"\[\w+\] ?", "", text).strip()  # names of classes of ONNX Runtime
 
 
-def fault_of(session: Any) -> str:
+def _fault_of(session: Any) -> str:
     """The reason why a loaded network cannot be used, "" for none."""
     inputs, outputs = session.get_inputs(), session.get_outputs()
     names = [entry.name for entry in inputs]
