@@ -20,6 +20,7 @@ _FIRST_HIDDEN_GROUP = 3
 _SEGMENT_FLAGS = (int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR))
 _SKY = int(mujoco.mjtRndFlag.mjRND_SKYBOX)
 _GEOM_TYPE = int(mujoco.mjtObj.mjOBJ_GEOM)
+_FIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,8 @@ class Stage:
         }
         self._context = self._new_context(samples)
         self._plain = self._context  # without multisampling, which would blend ids
-        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
+        fields = np.count_nonzero(model.geom_type == _FIELD)
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + fields + 100)
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self._scene.flags[flag] = 0
         self._option = mujoco.MjvOption()

@@ -6,9 +6,8 @@ sees. A rasterizer in software spends most of its time on that.
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,9 +18,8 @@ from touchdown.sim.typing import Array, Bools, Float32, Indices
 
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _FIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
-_MARK = 0x5EED1234
-_MOST_BYTES = 128
-"""of an MjvGeom before its position"""
+_NOT_DRAWN = int(mujoco.mjtGeom.mjGEOM_NONE)
+_MEMBERS = tuple(name for name in dir(mujoco.MjvGeom) if not name.startswith("_"))
 _TILE_CELLS = 16
 _SMOOTH_COSINE = 0.98
 """Triangles that differ by more from the mean of a node's have an edge, as MuJoCo draws them
@@ -64,47 +62,32 @@ class Frustum:
 
 
 class VisibleGeoms:
-    """Takes the geoms out of an updated ``scene`` that lie beside a frustum. Height fields come
-    last, so that what stands on them hides them."""
+    """Keeps the geoms of an updated ``scene`` that lie beside a frustum from being drawn. Height
+    fields are drawn last, so that what stands on them hides them."""
 
     def __init__(self, model: mujoco.MjModel, scene: mujoco.MjvScene) -> None:
-        geoms = scene.geoms[: scene.ngeom]
-        self._count = scene.ngeom
+        self._geoms, self._count = scene.geoms, scene.ngeom
+        geoms = self._geoms[: scene.ngeom]
         self._ids = np.array([g.objid if g.objtype == _GEOM else -1 for g in geoms])
         self._radii = np.where(self._ids >= 0, model.geom_rbound[self._ids], 0.0)
         fields = np.array([g.type == _FIELD for g in geoms], dtype=np.bool_)
         # planes have no bounds
         self._always = (self._radii <= 0.0) & ~fields
-        self._last = np.flatnonzero(fields)
+        self._fields = np.flatnonzero(fields).tolist()
         self._radii[fields] = -np.inf
-        self._records = _records(scene)
 
     def keep(self, scene: mujoco.MjvScene, frustum: Frustum, places: Array) -> None:
-        """``places``: (G, 3) of the model's geoms."""
-        if self._records is None or scene.ngeom != self._count:
+        """``places``: (G, 3) of the model's geoms. ``scene`` has room for its height fields once
+        more."""
+        if scene.ngeom != self._count:
             return
+        for last, field in enumerate(self._fields, scene.ngeom):
+            for name in _MEMBERS:
+                setattr(self._geoms[last], name, getattr(self._geoms[field], name))
         seen = frustum.holds(places[self._ids], self._radii) | self._always
-        order = np.concatenate([np.flatnonzero(seen), self._last])
-        self._records[: len(order)] = self._records[order]
-        scene.ngeom = len(order)
-
-
-def _records(scene: mujoco.MjvScene) -> Any:
-    """(G, B) bytes of the scene's geoms, in place; None where their layout is not found."""
-    if scene.ngeom < 2:
-        return None
-    first, second = (g.pos.__array_interface__["data"][0] for g in scene.geoms[:2])
-    geom = scene.geoms[0]
-    kind, geom.type = geom.type, _MARK  # the first member
-    try:
-        for before in range(4, _MOST_BYTES, 4):
-            if ctypes.c_int32.from_address(first - before).value == _MARK:
-                size = (second - first) * scene.ngeom
-                block = (ctypes.c_uint8 * size).from_address(first - before)
-                return np.frombuffer(block, np.uint8).reshape(scene.ngeom, second - first)
-    finally:
-        geom.type = kind
-    return None
+        for hidden in np.flatnonzero(~seen).tolist():
+            self._geoms[hidden].type = _NOT_DRAWN
+        scene.ngeom += len(self._fields)
 
 
 @dataclass(frozen=True, slots=True)
