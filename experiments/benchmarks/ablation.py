@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.experiments.benchmarks.odometry import logged_survey, logs_of, measure
+from touchdown.experiments.benchmarks.odometry import logged_survey, logs_of, replayed
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.replay import LoggedRun, open_run, replay_config
+from touchdown.experiments.flight.replay import LoggedRun, open_run
 from touchdown.experiments.reporting.statistics import mean_interval
 
 VARIANTS: dict[str, tuple[str, dict[str, bool]]] = {
@@ -63,19 +63,12 @@ def variants(methods: Sequence[str]) -> list[str]:
 def ablate_log(
     logged: LoggedRun, seconds: float | None, report: Report, methods: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """``{"error_m", "lost_s", "cpu_ms"}`` by variant of ``methods`` (`variants`)."""
+    """`replayed` by variant of ``methods`` (`variants`)."""
     end_s = math.inf if seconds is None else logged.from_s + seconds
     rows: dict[str, Any] = {}
     for variant in variants(methods):
-        estimator, _ = VARIANTS[variant]
         report(variant)
-        config = replay_config(logged.path, estimator, changes(variant), fresh=True)
-        measured = measure(logged, config, end_s)
-        rows[variant] = {
-            "error_m": measured.error_m,
-            "lost_s": measured.lost_s,
-            "cpu_ms": measured.cpu_ms,
-        }
+        rows[variant] = replayed(logged, VARIANTS[variant][0], changes(variant), end_s)
     return rows
 
 

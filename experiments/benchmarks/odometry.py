@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,15 +29,7 @@ from touchdown.experiments.benchmarks.true_path import TruePath
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.replay import (
-    CpuClock,
-    LoggedRun,
-    check_needs,
-    open_run,
-    replay_config,
-    run_estimator,
-    seen_by,
-)
+from touchdown.experiments.flight.replay import LoggedRun, open_run, replay, replay_config
 from touchdown.scenes.api import short_name
 
 Array = NDArray[np.float64]
@@ -53,17 +44,6 @@ ESTIMATORS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 """Estimator and changed parameters by name. References are compared with `WITHOUT_CAMERA`, which
 like them sees no image."""
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """Result of one estimator on one log."""
-
-    error_m: float
-    cpu_ms: float
-    """of one core per 0.1 s of data"""
-    lost_s: float | None
-    """time at which its error exceeded the limit of a flight; the error is that until then"""
 
 
 def flight_config(scene: str, seed: int) -> Config:
@@ -87,12 +67,8 @@ def bench_log(
     for name in (name for name in ESTIMATORS if name in chosen):
         report(name)
         estimator, changes = ESTIMATORS[name]
-        measured = measure(
-            logged, replay_config(logged.path, estimator, changes, fresh=True), end_s
-        )
-        found["error_m"][name] = measured.error_m
-        found["cpu_ms"][name] = measured.cpu_ms
-        found["lost_s"][name] = measured.lost_s
+        for figure, value in replayed(logged, estimator, changes, end_s).items():
+            found[figure][name] = value
     truth, references = TruePath.of_run(logged), [method for method in GRIDS if method in chosen]
     scans = logged_scans(logged, end_s) if references else []
     lidar, survey_s = logged.sensors.rig.body_from_lidar, truth.survey_s()
@@ -114,33 +90,21 @@ def _add_best(found: dict[str, Any], method: str, rows: list[dict[str, Any]]) ->
     found["settings"][method] = rows
 
 
-def measure(logged: LoggedRun, config: Config, end_s: float = math.inf) -> Measured:
-    """Replays a log into the estimator of ``config`` until ``end_s``. Raises UsageError when the
-    log lacks what it needs."""
-    from touchdown.experiments.flight.wiring import build_estimator
-
-    estimator = build_estimator(config, logged.sensors.rig)
-    check_needs(config.estimator, estimator, logged.sensors)
-    clock = CpuClock()
-    estimated: list[Array] = []
-    true: list[Array] = []
-    lost_s, data_s = None, 0.0
-    for obs, estimate in run_estimator(estimator, seen_by(estimator.needs, logged.sensors), clock):
-        data_s = obs.time_s
-        if obs.time_s >= end_s:
-            break
-        pose = logged.truth.get(obs.tick)
-        if pose is None or not logged.judged(obs.tick):
-            continue
-        position = estimate.world_from_body.translation
-        distance = float(np.linalg.norm(position - pose.translation))
-        if not distance <= config.referee.divergence_m:
-            lost_s = obs.time_s
-            break
-        estimated.append(position)
-        true.append(pose.translation)
-    cpu_ms = 1e3 * clock.seconds() / max(data_s / 0.1, 1e-9)
-    return Measured(mean_error_m(true, estimated), cpu_ms, lost_s)
+def replayed(
+    logged: LoggedRun, estimator: str, changes: tuple[str, ...], end_s: float = math.inf
+) -> dict[str, Any]:
+    """Result of an estimator with ``KEY=VALUE`` ``changes`` on one log until ``end_s``:
+    ``error_m``, ``cpu_ms`` of one core per 0.1 s of data, and ``lost_s``, the time at which its
+    error exceeded the limit of a flight, or None; the error is that until then. Raises UsageError
+    when the log lacks what it needs."""
+    config = replay_config(logged.path, estimator, changes, fresh=True)
+    result = replay(logged.path, config, until_s=end_s)
+    error, timing = result.position_error_m, result.plain()["timing"]
+    return {
+        "error_m": math.nan if error is None or error.mean is None else error.mean,
+        "cpu_ms": timing["stage_ms"]["estimator"],
+        "lost_s": timing["sim_s"] if result.outcome == "DIVERGED" else None,
+    }
 
 
 def mean_error_m(true: Sequence[Array], estimated: Sequence[Array]) -> float:
@@ -148,9 +112,6 @@ def mean_error_m(true: Sequence[Array], estimated: Sequence[Array]) -> float:
     if len(true) < 2:
         return math.nan
     return float(np.linalg.norm(np.array(estimated) - np.array(true), axis=1).mean())
-
-
-# ------------------------------------------------------------------------------------- the log
 
 
 def logged_scans(logged: LoggedRun, end_s: float) -> list[ScanPoints]:
@@ -187,9 +148,6 @@ def _reference_row(track: OdometryTrack, truth: TruePath) -> dict[str, Any]:
         "cpu_ms": 1e3 * track.cpu_s / max(track.data_s / 0.1, 1e-9),
         "lost_s": track.lost_s,
     }
-
-
-# ------------------------------------------------------------------------------------- together
 
 
 def bench_estimator(

@@ -247,10 +247,11 @@ def replay(
     out_dir: Path | None = None,
     progress: Progress | None = None,
     faults: tuple[str, ...] = (),
+    until_s: float = np.inf,
 ) -> RunResult:
     """Replays ``run`` into the estimator of ``config`` (see `replay_config`); returns the result
     and, with ``out_dir``, writes a run directory. ``faults``: of the logged messages, such as
-    ``lidar_dropout@20``.
+    ``lidar_dropout@20``. ``until_s``: end of the replay, if that is before the log's.
 
     Errors are judged at the rows of the run's ``truth.tum`` (``judged_hz``) between lift-off and
     the end of the survey. ``estimate.tum`` is the same to the byte in every replay; only
@@ -270,11 +271,11 @@ def replay(
     check_needs(config.estimator, estimator, logged.sensors)
     injector = replay_faults(config, faults, logged.sensors.rig.tick_hz)
     if out_dir is None:
-        return _replay(logged, estimator, config, None, progress, injector)
+        return _replay(logged, estimator, config, None, progress, injector, until_s)
     with run_directory(out_dir) as partial:
         writer = TumWriter(partial / "estimate.tum")
         try:
-            result = _replay(logged, estimator, config, writer, progress, injector)
+            result = _replay(logged, estimator, config, writer, progress, injector, until_s)
         finally:
             writer.close()
         shutil.copy(run / "truth.tum", partial / "truth.tum")
@@ -294,12 +295,15 @@ def _replay(
     writer: TumWriter | None,
     progress: Progress | None,
     injector: FaultInjector,
+    until_s: float,
 ) -> RunResult:
     error, consistency = PositioningError(), Consistency()
     clock, started, events = CpuClock(), time.perf_counter(), EventLog()
     outcome, reason, last_s = Outcome.COMPLETED, "", 0.0
     observations = map(injector.apply, seen_by(estimator.needs, logged.sensors))
     for obs, estimate in _estimates(estimator, observations, clock, logged):
+        if obs.time_s >= until_s:
+            break
         events.add(estimate.time_s, estimate.events)
         true = logged.truth.get(obs.tick)
         if true is None:

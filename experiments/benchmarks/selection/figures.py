@@ -36,8 +36,7 @@ _BLUE, _RED = "#2f8dff", "#ff2d2d"
 _CLEAR_RADIUS_M = 1.5
 _INSET_M = 5.0
 """half the side of the enlarged site"""
-_HUE_STEP = 0.618034
-"""hue difference of consecutive clusters, in turns: the golden ratio separates them"""
+_UNKNOWN_RGB = np.array([0x23, 0x27, 0x2E], np.uint8)
 _STYLE: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -172,22 +171,15 @@ def _over_its_range(name: str, layer: Layer) -> tuple[str, Layer]:
 
 def cluster_colours(label: NDArray[np.int32]) -> Colours:
     """Returns the colours (rows, cols, 3) RGB of cluster numbers (rows, cols), dark outside."""
-    count = int(label.max(initial=-1)) + 1
-    number = np.arange(count)
-    hsv = np.empty((1, count + 1, 3), np.uint8)
-    hsv[0, :count, 0] = (180.0 * (number * _HUE_STEP % 1.0)).astype(np.uint8)
-    hsv[0, :count, 1] = 110 + 45 * (number % 3)
-    hsv[0, :count, 2] = 235 - 35 * (number % 2)
-    palette: Colours = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0]
-    palette[count] = [int(_UNKNOWN[i : i + 2], 16) for i in (1, 3, 5)]
-    return palette[label]  # -1 is the last entry
+    colours = matplotlib.colormaps["tab20"](label % 20, bytes=True)[..., :3]
+    return np.where(label[..., None] >= 0, colours, _UNKNOWN_RGB).astype(np.uint8)
 
 
 def _photo(view: CostmapView) -> Colours:
     """Returns the coloured map, dark where unknown, grey where it has no colour."""
     photo = view.rgb.copy()
     bare = ~photo.any(axis=2)
-    photo[bare] = [int(_UNKNOWN[i : i + 2], 16) for i in (1, 3, 5)]
+    photo[bare] = _UNKNOWN_RGB
     photo[bare & np.isfinite(view.flatness)] = 70
     return photo
 

@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, GridMap
+from touchdown.estimator.api import Estimate
 from touchdown.experiments.benchmarks.posed_survey import SCAN_PERIOD_S, Surveyed, posed_survey
-from touchdown.experiments.benchmarks.selection.stages import Staged, staged_selection
+from touchdown.experiments.benchmarks.selection.stages import reference_selection, staged_selection
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_classifier
-from touchdown.landing.api import GroundClassifier, LandingParams
+from touchdown.landing.api import GroundClassifier
 from touchdown.landing.classification.site_check import SiteClassCheck
 from touchdown.sim.api import Observation, SensorRig
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-
 
 PATCHES, PATCH_PX = 10, 128
 """number and side of the images that the time of classification is measured with"""
@@ -43,12 +38,13 @@ def bench_landing(
     thread.
 
     ``stage_ms``: the steps of the paper's Table 7 and their ``sum``; ``selection``: the whole
-    decision of the lander, geometric check included; ``reference_ms``: the same steps
-    by Open3D, SciPy and scikit-image; ``ratio.reference``: its sum over ours; ``agreement``:
-    difference of the two results. Medians over ``rounds``, after one to warm up; the reference runs
-    once warm. ``classifier_ms``: see `_classifier_figures`, where ``network`` is given or comes
-    with the project; it works on ``threads``. Raises UsageError and ValueError as `load_config`,
-    `build_classifier` and `build_scene`."""
+    decision of the lander, geometric check included; ``reference_ms``: the same steps by Open3D,
+    SciPy and scikit-image; ``ratio.reference``: its sum over ours. Medians over ``rounds``, after
+    one to warm up; the reference runs once warm. ``classifier_ms``: see `_classifier_figures`,
+    where ``network`` is given or comes with the project; it works on ``threads``. Raises UsageError
+    and ValueError as `load_config`, `build_classifier` and `build_scene`."""
+    if reference and find_spec("skimage") is None:
+        raise UsageError("the comparison needs scikit-image: install it, or give --no-reference")
     overrides = ["sim.threads=1", f"landing.classifier_threads={threads}"]
     if network is not None:
         overrides.append(f"landing.classifier={json.dumps(str(network))}")
@@ -95,13 +91,11 @@ def bench_landing(
         figures |= _classifier_figures(classifier, checks[0], surveyed, rounds)
         figures["classifier_threads"] = threads
     if reference:
-        reference_selection = _load_reference()
         for _ in range(2):
             other = reference_selection(view.coarse, position, config.landing, radius_m)
         sums = other.seconds | {"sum": sum(other.seconds.values())}
         figures["reference_ms"] = {name: 1e3 * seconds for name, seconds in sums.items()}
         figures["ratio"] = {"reference": figures["reference_ms"]["sum"] / stage_ms["sum"]}
-        figures["agreement"] = agreement(ours, other)
     return figures
 
 
@@ -129,37 +123,3 @@ def _classifier_figures(
     )
     medians = {name: 1e3 * float(np.median(taken[1:])) for name, taken in walls.items()}
     return {"classifier_ms": medians, "classified_sites": asked}
-
-
-def agreement(ours: Staged, other: Staged) -> dict[str, float]:
-    """Returns the differences of two results on the same cells: correlation and mean absolute
-    difference of C_sum, metres between the best modes, and the loss of C_sum at our best mode.
-    """
-    both = np.isfinite(ours.total) & np.isfinite(other.total)
-    a, b = ours.total[both].astype(np.float64), other.total[both].astype(np.float64)
-    best = [_best(staged) for staged in (ours, other)]
-    cell_m = float(ours.cell_m)
-    return {
-        "correlation": float(np.corrcoef(a, b)[0, 1]),
-        "mean_difference": float(np.abs(a - b).mean()),
-        "best_apart_m": cell_m * float(np.hypot(*(best[0] - best[1]))),
-        "best_loss": float(other.total[tuple(best[1])] - other.total[tuple(best[0])]),
-    }
-
-
-def _best(staged: Staged) -> NDArray[np.int32]:
-    values: Float32 = staged.total[tuple(staged.modes.T)]
-    mode: NDArray[np.int32] = staged.modes[int(np.nanargmax(values))]
-    return mode
-
-
-def _load_reference() -> Callable[[GridMap, Array, LandingParams, float], Staged]:
-    """Returns `experiments.benchmarks.selection.reference.reference_selection`. Raises UsageError
-    without scikit-image."""
-    try:
-        from touchdown.experiments.benchmarks.selection.reference import reference_selection
-    except ImportError as error:
-        raise UsageError(
-            f"the comparison needs scikit-image ({error}): install it, or give --no-reference"
-        ) from error
-    return reference_selection

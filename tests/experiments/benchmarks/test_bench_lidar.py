@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from touchdown.experiments.benchmarks.reference_casters import ReferenceCasters
+from touchdown.experiments.benchmarks.lidar import ReferenceCasters
 from touchdown.experiments.cli.main import cli
 from touchdown.sim.api import LidarParams
 

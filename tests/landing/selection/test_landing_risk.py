@@ -4,7 +4,11 @@ scikit-image's."""
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks.selection.stages import STAGES, staged_selection
+from touchdown.experiments.benchmarks.selection.stages import (
+    STAGES,
+    reference_selection,
+    staged_selection,
+)
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection.selector import SelectionLimits, select_sites
 from touchdown.landing.selection.terms import probability as risk
@@ -106,8 +110,6 @@ def test_all_selectors_land_on_the_good_half_and_an_emergency_takes_the_least_ba
 
 def test_stages_agree_with_open3d_scipy_and_scikit_image() -> None:
     pytest.importorskip("skimage")
-    from touchdown.experiments.benchmarks.selection.reference import reference_selection
-
     rng = np.random.default_rng(5)
     y, x = np.mgrid[0:120, 0:100] * 0.2
     height = 0.05 * np.sin(x) + np.where(x > 14.0, 0.3 * (x - 14.0), 0.0)
