@@ -20,9 +20,9 @@ from touchdown.experiments.campaign.results_table import (
 )
 from touchdown.experiments.campaign.worker import REMEDIES, Failure, Task
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.foreign import shown
 from touchdown.experiments.io.results import load_result
-from touchdown.experiments.io.run_directory import foreign_entries, put_in_place
+from touchdown.experiments.io.run_directory import put_in_place, unknown_entries
+from touchdown.experiments.io.untrusted import shown
 
 RECORDING = "flight.rrd"
 
@@ -119,9 +119,9 @@ def _difference(made: Path, row: Mapping[str, Any], run_id: str, sha: str) -> st
 
 def check_replaceable(run_dir: Path) -> None:
     """Raises UsageError where the directory of a run holds what would be lost with it."""
-    if run_dir.is_dir() and (foreign := foreign_entries(run_dir, CAMPAIGN_RUN_FILES)):
+    if run_dir.is_dir() and (unknown := unknown_entries(run_dir, CAMPAIGN_RUN_FILES)):
         raise UsageError(
-            f"'{run_dir}' holds '{foreign[0]}', which no run writes, where a run of the campaign "
+            f"'{run_dir}' holds '{unknown[0]}', which no run writes, where a run of the campaign "
             "is to be put; move it elsewhere"
         )
 

@@ -30,8 +30,14 @@ from touchdown.experiments.config.profiles import BEFORE_PROFILES
 from touchdown.experiments.config.slots import SLOTS, names_code
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import code_now
-from touchdown.experiments.io.foreign import inside, is_plain_name, read_object, refuse_links, shown
 from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
+from touchdown.experiments.io.untrusted import (
+    inside,
+    is_plain_name,
+    read_object,
+    refuse_links,
+    shown,
+)
 from touchdown.scenes.api import names_function
 
 PLAN_FILE, SOURCE_FILE, LOCK_FILE = "campaign.json", "campaign.toml", ".lock"

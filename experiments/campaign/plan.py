@@ -23,8 +23,8 @@ from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT, PRES
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
-from touchdown.experiments.io.foreign import LONGEST_NAME, is_plain_name, shown
 from touchdown.experiments.io.results import columns
+from touchdown.experiments.io.untrusted import LONGEST_NAME, is_plain_name, shown
 
 _OWN_KEYS = {
     "scene": "an axis: [axes] scene",

@@ -14,7 +14,6 @@ from touchdown.experiments.campaign.plan import config_sha
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError, is_text, reason_of
-from touchdown.experiments.io.foreign import is_plain_name, read_object, shown
 from touchdown.experiments.io.results import (
     RunResult,
     columns,
@@ -24,6 +23,7 @@ from touchdown.experiments.io.results import (
     result_files,
 )
 from touchdown.experiments.io.run_directory import RUN_FILES, whole_file
+from touchdown.experiments.io.untrusted import is_plain_name, read_object, shown
 from touchdown.sim.files.opening import no_file
 
 CRASHED = "CRASHED"

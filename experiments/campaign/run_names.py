@@ -9,7 +9,7 @@ from typing import Any
 
 from touchdown.experiments.config.loading import OPTION_KEYS
 from touchdown.experiments.config.slots import SLOTS
-from touchdown.experiments.io.foreign import is_plain_name
+from touchdown.experiments.io.untrusted import is_plain_name
 from touchdown.scenes.api import short_name
 
 AXES: Mapping[str, str] = {

@@ -41,8 +41,8 @@ from touchdown.experiments.campaign.results_table import (
 from touchdown.experiments.campaign.worker import REAL_RUNNER, Task
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.loading import check_external
-from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.run_directory import utc_now
+from touchdown.experiments.io.untrusted import inside
 
 _SECONDS_PER_SCAN = 0.1
 

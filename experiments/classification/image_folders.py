@@ -16,8 +16,8 @@ from touchdown.experiments.classification.photographs import ALL, KINDS, View, p
 from touchdown.experiments.classification.render_dataset import COLUMNS, MANIFEST
 from touchdown.experiments.classification.splits import SPLITS, split_of_file, split_of_ucmerced
 from touchdown.experiments.errors import UsageError, nearest
-from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.images import read_picture, squared
+from touchdown.experiments.io.untrusted import inside
 from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import labels
 

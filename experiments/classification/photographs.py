@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.foreign import inside
 from touchdown.experiments.io.images import Picture
+from touchdown.experiments.io.untrusted import inside
 from touchdown.landing.classification.labels import AIR, TEXTURES, Meaning
 
 SQUARES = Path(__file__).with_name("caliterra.csv")

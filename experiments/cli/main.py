@@ -47,7 +47,7 @@ from touchdown.experiments.cli.results import results
 from touchdown.experiments.cli.scenes import scenes
 from touchdown.experiments.cli.view import view
 from touchdown.experiments.errors import system_message
-from touchdown.experiments.external.apart import in_child, runs_code_of_others
+from touchdown.experiments.external.command_process import run_in_child, runs_external_code
 from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_backend, rendering_fault
 from touchdown.experiments.terminal import end_progress, error_line, warning_line
 
@@ -102,8 +102,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:
         # Python would search all that is left of a flight as it ends, for up to a second.
         atexit.register(gc.freeze)
-    if arguments is None and runs_code_of_others(sys.argv[1:]):
-        code, fault = in_child(lambda: _run(None))
+    if arguments is None and runs_external_code(sys.argv[1:]):
+        code, fault = run_in_child(lambda: _run(None))
         if fault:
             print(error_line(fault), file=sys.stderr)
         return code

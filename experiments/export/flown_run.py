@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from touchdown.experiments.errors import UsageError, reason_of
-from touchdown.experiments.io.foreign import read_object
+from touchdown.experiments.io.untrusted import read_object
 from touchdown.sim.files.opening import no_file
 
 LIBRARY = "touchdown export"

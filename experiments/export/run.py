@@ -15,7 +15,7 @@ from touchdown.experiments.export.flown_run import (
 from touchdown.experiments.export.tables import _COLUMNS, write_csv, write_tum
 from touchdown.experiments.io.run_directory import (
     RUN_FILES,
-    foreign_entries,
+    unknown_entries,
     whole_file,
     whole_folder,
 )
@@ -137,7 +137,7 @@ def _bag_files(folder: Path) -> tuple[str, str]:
 def _is_our_bag(folder: Path) -> bool:
     from touchdown.experiments.export.ros2_bag import WRITTEN_BY
 
-    if foreign_entries(folder, _bag_files(folder)):
+    if unknown_entries(folder, _bag_files(folder)):
         return False  # it would go with the bag
     metadata = folder / BAG_METADATA
     text = metadata.read_text(encoding="utf-8", errors="replace") if metadata.is_file() else ""

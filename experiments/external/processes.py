@@ -18,7 +18,7 @@ from pathlib import Path
 from touchdown.sim.files.child import prctl
 
 _PR_SET_CHILD_SUBREAPER = 36
-_PATIENCE_S = 10.0
+_END_TIMEOUT_S = 10.0
 _PAUSE_S = 0.01
 
 
@@ -68,7 +68,7 @@ def release_pages() -> None:
 def end_descendants(pid: int, keep: frozenset[int] = frozenset()) -> None:
     """Kills the descendants of ``pid`` except ``keep``, however they defend themselves, and returns
     when none is left. Only those of this very process are collected."""
-    deadline = time.monotonic() + _PATIENCE_S
+    deadline = time.monotonic() + _END_TIMEOUT_S
     while left := [child for child in descendants(pid) if child not in keep]:
         for child in left:
             with contextlib.suppress(OSError):

@@ -28,10 +28,10 @@ from touchdown.experiments.io.choice_parts import PointXY as PointXY
 from touchdown.experiments.io.choice_parts import PointXYZ as PointXYZ
 from touchdown.experiments.io.choice_parts import RefusingRule as RefusingRule
 from touchdown.experiments.io.choice_parts import SiteTerm as SiteTerm
-from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.measured import Figure, Measured
 from touchdown.experiments.io.part_names import PartNames as PartNames
 from touchdown.experiments.io.provenance import plain_json
+from touchdown.experiments.io.untrusted import read_object
 
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
 LANDED = "LANDED"

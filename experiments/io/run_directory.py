@@ -3,7 +3,6 @@ that makes the same."""
 
 from __future__ import annotations
 
-import ctypes
 import datetime
 import errno
 import os
@@ -16,10 +15,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from touchdown.experiments.errors import UsageError, system_message
-from touchdown.experiments.io.foreign import as_plain_name
+from touchdown.experiments.io.untrusted import as_plain_name
 from touchdown.scenes.api import short_name
 
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 _PARTIAL = re.compile(r"\.(?P<name>.+?)\.partial-(?:(?P<host>.+)\.)?(?P<process>\d+)")
 """Names of unfinished files and folders: of what they become, and the machine and the process that
 write them."""
@@ -53,9 +51,9 @@ def check_out_dir(out_dir: Path) -> None:
     if os.path.ismount(out_dir):
         raise UsageError(f"--out {out_dir}: is a mount point; name a directory in it")
     with suppress(FileNotFoundError):  # it went in the meantime
-        if foreign := foreign_entries(out_dir, RUN_FILES):
+        if unknown := unknown_entries(out_dir, RUN_FILES):
             raise UsageError(
-                f"--out {out_dir}: holds '{foreign[0]}', which no run writes, and would be "
+                f"--out {out_dir}: holds '{unknown[0]}', which no run writes, and would be "
                 "replaced as a whole; name another directory"
             )
         if any(out_dir.iterdir()):
@@ -88,7 +86,7 @@ def _check_result(out_dir: Path) -> None:
         ) from error
 
 
-def foreign_entries(folder: Path, own: Collection[str]) -> list[str]:
+def unknown_entries(folder: Path, own: Collection[str]) -> list[str]:
     """Names in ``folder``, sorted, of all but regular files whose name is in ``own``."""
     return sorted(path.name for path in folder.iterdir() if _is_own(path, own) is False)
 
@@ -238,26 +236,26 @@ def _remove(path: Path) -> None:
 
 
 def put_in_place(made: Path, out: Path, own: Collection[str]) -> None:
-    """Moves the directory ``made`` to ``out``. An earlier one there is exchanged for it in one step
-    where the file system can do that: no moment is without one of them.
+    """Moves the directory ``made`` to ``out``. An earlier one there is moved away right before, and
+    removed if it holds nothing but files whose names are in ``own``.
 
-    The earlier one is removed if it holds nothing but files whose names are in ``own``. Raises
-    UsageError if it has got another one since the work began: it stays as it is, and ``made`` is
-    moved beside it.
+    Raises UsageError if it has got another file since the work began: it stays as it is, and
+    ``made`` is moved beside it.
     """
     while not _moved(made, out):
         with suppress(FileNotFoundError):  # another process replaces it at the same time
-            if foreign := foreign_entries(out, own):
+            if unknown := unknown_entries(out, own):
                 beside = move_beside(made, out)
                 raise UsageError(
-                    f"--out {out}: holds '{foreign[0]}' by now, which would be lost; what was made "
+                    f"--out {out}: holds '{unknown[0]}' by now, which would be lost; what was made "
                     f"is in '{beside}'"
                 )
-            if _exchange(made, out):
-                with suppress(OSError):
-                    remove_own(made, own)
+            earlier = made.with_name(f"{made.name}.earlier")
+            os.rename(out, earlier)
+            replaced = _moved(made, out)
+            remove_own(earlier, own)
+            if replaced:
                 return
-            remove_own(out, own)
 
 
 def _moved(made: Path, out: Path) -> bool:
@@ -278,15 +276,6 @@ def move_beside(made: Path, out: Path) -> Path:
     while (beside := out.with_name(f"{out.name}-{number}")).exists() or not _moved(made, beside):
         number += 1
     return beside
-
-
-def _exchange(one: Path, other: Path) -> bool:
-    """True if the two paths have been exchanged."""
-    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
-    if renameat2 is None:
-        return False
-    paths = (os.fsencode(one.absolute()), os.fsencode(other.absolute()))
-    return bool(renameat2(_AT_FDCWD, paths[0], _AT_FDCWD, paths[1], _RENAME_EXCHANGE) == 0)
 
 
 def utc_now() -> str:

@@ -15,7 +15,7 @@ from touchdown.experiments.campaign.directory import read_plan_file
 from touchdown.experiments.campaign.results_table import is_campaign, is_successful
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.settings import UNTOLD
-from touchdown.experiments.io.foreign import read_object
+from touchdown.experiments.io.untrusted import read_object
 from touchdown.experiments.reporting.flights import Row, methods_of, number, values
 from touchdown.experiments.reporting.measures import is_marked, setting_notes
 from touchdown.experiments.reporting.statistics import Estimate, mean_interval, ratio_interval

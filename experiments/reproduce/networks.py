@@ -15,8 +15,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.run_directory import move_beside, write_text
+from touchdown.experiments.io.untrusted import read_object
 from touchdown.experiments.reproduce.plans import Recognition
 from touchdown.landing.classification.networks.registry import FIXED_SIZE
 from touchdown.sim.files.child import die_with_parent

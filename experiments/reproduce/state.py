@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.foreign import read_object, refuse_links, shown
+from touchdown.experiments.io.untrusted import read_object, refuse_links, shown
 from touchdown.experiments.reporting.published import SITES
 from touchdown.experiments.reproduce.networks import NETWORKS, PICTURES, SETTINGS
 from touchdown.experiments.reproduce.plans import PAPER_SCENES, QUICK, WHOLE, WHOLE_ON_GPU, Extent

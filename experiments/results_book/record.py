@@ -9,8 +9,8 @@ from typing import Any
 
 from touchdown.experiments.campaign.results_table import CRASHED, is_campaign, load_rows
 from touchdown.experiments.errors import UsageError, reason_of
-from touchdown.experiments.io.foreign import read_object
 from touchdown.experiments.io.provenance import DIRTY, UNRECORDED_REMEDY
+from touchdown.experiments.io.untrusted import read_object
 from touchdown.experiments.results_book.sets import FlightSet
 
 FILE = "docs/results/results.json"

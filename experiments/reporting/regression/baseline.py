@@ -13,9 +13,9 @@ from typing import Any
 from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.config.profiles import PRESETS, WHOLE
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.foreign import read_object, shown
 from touchdown.experiments.io.results import PartNames
 from touchdown.experiments.io.run_directory import write_text
+from touchdown.experiments.io.untrusted import read_object, shown
 from touchdown.experiments.reporting.flights import Row, number
 from touchdown.scenes.api import short_name
 from touchdown.sim.files.opening import no_file

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from touchdown.experiments.external.apart import runs_code_of_others
+from touchdown.experiments.external.command_process import runs_external_code
 
 PROGRAM = """
 import os, signal, sys, time
-from touchdown.experiments.external import apart
-apart._PATIENCE_S = 1
+from touchdown.experiments.external import command_process
+command_process._END_TIMEOUT_S = 1
 def command():
     exec(sys.argv[1])
     return 3
-code, fault = apart.in_child(command)
+code, fault = command_process.run_in_child(command)
 sys.stderr.write(fault)
 sys.exit(code)
 """
@@ -73,15 +73,15 @@ def test_the_command_that_checks_estimators_says_that_its_process_has_ended(tmp_
     assert "ended in the middle (exit code 0)" in done.stderr
 
 
-@pytest.mark.parametrize(("words", "apart"), [
+@pytest.mark.parametrize(("words", "external"), [
     ("fly flat --estimator my.lab:build", True),
     ("land flat --set estimator=my.lab:build", True), ("land flat --config mine.toml", True),
     ("land flat --config=mine.toml", True), ("check-estimator my.lab:build", True),
     ("check-estimator livo", False), ("fly flat --estimator livo", False),
     ("report runs:today", False), ("fly", False), ("", False),
 ])  # fmt: skip
-def test_which_commands_run_code_of_others(words: str, apart: bool) -> None:
-    assert runs_code_of_others(words.split()) == apart
+def test_which_commands_run_external_code(words: str, external: bool) -> None:
+    assert runs_external_code(words.split()) == external
 
 
 def test_a_machine_that_cannot_render_is_one_line(tmp_path: Path) -> None:

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.foreign import inside, is_plain_name, read_object
 from touchdown.experiments.io.run_directory import (
     check_out_dir,
     default_out_dir,
     run_directory,
     write_text,
 )
+from touchdown.experiments.io.untrusted import inside, is_plain_name, read_object
 
 STRANGE = (
     "", ".", "..", "a/b", "/a", "../a", "a\n", "\x1b[2J", "\ud800", "a\0", "x" * 201, 3, None,

@@ -14,18 +14,18 @@ from touchdown.sim.files.child import die_with_parent
 
 _COMMANDS = ("fly", "land", "check-estimator", "check-plugin")
 _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_PATIENCE_S = 20
+_END_TIMEOUT_S = 20
 """After a signal the command may take this long for its end."""
 
 
-def runs_code_of_others(arguments: Sequence[str]) -> bool:
+def runs_external_code(arguments: Sequence[str]) -> bool:
     """True for a command that may build a part MODULE:FUNCTION."""
     words = arguments[1:]
     named = any(":" in word or word.startswith("--config") for word in words)
     return bool(words) and arguments[0] in _COMMANDS and named
 
 
-def in_child(command: Callable[[], int]) -> tuple[int, str]:
+def run_in_child(command: Callable[[], int]) -> tuple[int, str]:
     """Runs ``command`` in a copy of this process and returns its exit code, and the line to print
     where the copy has ended before the command: the code is 1 then. In the copy the call returns,
     too. SIGINT, SIGTERM and SIGHUP are passed on."""
@@ -77,7 +77,7 @@ def _pass_on(child: int) -> list[int]:
     def pass_on(number: int, _frame: Any) -> None:
         seen.append(number)
         os.kill(child, number)
-        signal.alarm(_PATIENCE_S)
+        signal.alarm(_END_TIMEOUT_S)
 
     for number in _PASSED_ON:
         if signal.getsignal(number) != signal.SIG_IGN:
