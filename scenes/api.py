@@ -11,6 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+Image = NDArray[np.uint8]
+"""(H, W, 3) RGB, top row first"""
 
 
 def names_function(scene: object) -> bool:
@@ -85,11 +89,11 @@ class LowSun:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Readying:
-    """How a scene from a file is made ready to be flown over (`scenes.importers.ready`)."""
+class ImportOptions:
+    """How a scene from a file is made flyable (`scenes.importers.import_pass`)."""
 
     classes: str = ""
-    """file of classes (`scenes.importers.class_files`) that overrules names and guesses"""
+    """file of classes (`scenes.importers.given_classes`) that overrules names and guesses"""
 
 
 DETAILS: tuple[str, ...] = (
@@ -154,11 +158,11 @@ class Scene:
     """(3,) of the world's origin in the coordinates of that file: add it to get back to them"""
     light: Light = "day"
     """the light that the model is drawn in; its strength is in `LIGHT_LUX`"""
-    ready: Readying | None = None
-    """how the file was made ready"""
-    guessed: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    """of a file: class of geoms whose names say nothing, and what it is guessed by"""
-    dressed: tuple[str, ...] = ()
+    options: ImportOptions | None = None
+    """how the file was made flyable"""
+    inferred: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    """of a file: class of geoms whose names say nothing, and what it is inferred from"""
+    textured: tuple[str, ...] = ()
     """of a file: geoms of featureless ground that were given texture and relief"""
 
 

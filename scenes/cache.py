@@ -8,25 +8,24 @@ package, and the versions of the libraries that generate it.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import os
 import pickle
 import shutil
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
-from importlib.metadata import version
-from io import RawIOBase
-from mmap import mmap
 from pathlib import Path
 
+import cv2
 import mujoco
+import numba
+import numpy as np
+import scipy
 
-from touchdown.scenes.api import Light, LowSun, Readying, Scene
-from touchdown.scenes.authoring.ground import present_dressing
+from touchdown.scenes.api import ImportOptions, Light, LowSun, Scene
+from touchdown.scenes.authoring.ground import present_variation
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
 
@@ -35,21 +34,24 @@ DIRECTORY_VARIABLE = "TOUCHDOWN_SCENE_CACHE"
 SIZE_VARIABLE = "TOUCHDOWN_SCENE_CACHE_GB"
 DEFAULT_GB = 4.0
 """about 40 scenes of 0.1 GB"""
-_PIECE_BYTES = 1 << 20
 _MODEL, _REST = "model.mjb", "scene.pickle"
-_LIBRARIES = ("mujoco", "numpy", "scipy", "opencv-contrib-python-headless", "numba")
+_LIBRARIES = (mujoco, np, scipy, cv2, numba)
 
 
 def cached_scene(
-    name_or_path: str, seed: int, sun: LowSun | None, light: Light, ready: Readying | None = None
+    name_or_path: str,
+    seed: int,
+    sun: LowSun | None,
+    light: Light,
+    options: ImportOptions | None = None,
 ) -> Scene:
     """As `load_scene`, from the disk where the scene was loaded before. A scene from a file is read
     anew each time. Raises as `load_scene`; a cache that cannot be read or written is none."""
 
     def load() -> Scene:
-        return load_scene(name_or_path, seed, sun, light, ready)
+        return load_scene(name_or_path, seed, sun, light, options)
 
-    own = name_or_path in scene_names() and seed >= 0 and present_dressing() is None
+    own = name_or_path in scene_names() and seed >= 0 and present_variation() is None
     folder = _folder() if own else None
     if folder is None:
         return load()
@@ -75,58 +77,15 @@ def _write(entry: Path, scene: Scene) -> None:
     """Writes an entry beside its place and moves it there, whole."""
     partial = Path(tempfile.mkdtemp(dir=entry.parent))
     try:
-        _write_model(partial / _MODEL, scene.model)
+        model = partial / _MODEL
+        mujoco.mj_saveModel(scene.model, str(model), None)
+        if model.stat().st_size != mujoco.mj_sizeModel(scene.model):
+            raise OSError("the model was not saved whole")
         (partial / _REST).write_bytes(pickle.dumps(replace(scene, model=None)))
         shutil.rmtree(entry, ignore_errors=True)
         partial.rename(entry)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-
-
-def _write_model(file: Path, model: mujoco.MjModel) -> None:
-    """Writes 0.1 GB past the system's cache of files where it can, through a pipe: most scenes are
-    flown once, and in a virtual machine fresh pages for a copy, or for that cache, cost up to a
-    quarter of a second."""
-    try:
-        _write_directly(file, model)
-    except (AttributeError, OSError):  # not every system and file system has direct writes
-        mujoco.mj_saveModel(model, str(file), None)
-    if file.stat().st_size != mujoco.mj_sizeModel(model):
-        raise OSError("the model was not saved whole")
-
-
-def _write_directly(file: Path, model: mujoco.MjModel) -> None:
-    descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_DIRECT, 0o600)
-    piece = memoryview(mmap(-1, _PIECE_BYTES))
-    with open(descriptor, "wb", buffering=0) as out:
-        source, sink = os.pipe()
-        # MuJoCo saves without Python's lock, and ends where the pipe is closed early.
-        with ThreadPoolExecutor(1) as pool, open(source, "rb", buffering=0) as pieces:
-            saved = pool.submit(_save_to_pipe, model, sink)
-            with contextlib.suppress(OSError):  # pipes of this size may not be allowed
-                fcntl.fcntl(source, fcntl.F_SETPIPE_SZ, _PIECE_BYTES)
-            size, left = 0, mujoco.mj_sizeModel(model)
-            while left and (filled := _filled(pieces, piece[: min(left, len(piece))])):
-                if out.write(piece) != len(piece):  # whole pages, from the start of a page
-                    raise OSError("no space is left")
-                size, left = size + filled, left - filled
-            saved.result()
-        out.truncate(size)
-
-
-def _save_to_pipe(model: mujoco.MjModel, sink: int) -> None:
-    try:
-        mujoco.mj_saveModel(model, f"/dev/fd/{sink}", None)
-    finally:
-        os.close(sink)
-
-
-def _filled(pieces: RawIOBase, piece: memoryview) -> int:
-    """Fills ``piece`` as far as there is something to read; returns how far."""
-    filled = 0
-    while filled < len(piece) and (count := pieces.readinto(piece[filled:])):
-        filled += count
-    return filled
 
 
 def _shrink(folder: Path, most_bytes: float) -> None:
@@ -169,7 +128,7 @@ def _limit_bytes() -> float:
 @cache
 def _sources() -> str:
     """Hash of the files of this package and of ``sim``, and of the libraries' versions."""
-    found = hashlib.sha256(repr([version(name) for name in _LIBRARIES]).encode())
+    found = hashlib.sha256(repr([library.__version__ for library in _LIBRARIES]).encode())
     scenes = Path(__file__).parent
     for folder in (scenes, scenes.parent / "sim"):
         for file in sorted(folder.rglob("*")):

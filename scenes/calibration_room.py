@@ -6,14 +6,11 @@ from zlib import crc32
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Scene, Surface
+from touchdown.scenes.api import Image, Scene, Surface
 from touchdown.scenes.authoring.builder import RGB_ROLE, add_texture
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.compose import compile_scene, prepare_spec
-
-Image = NDArray[np.uint8]
 
 BOARD_BODY = "board"
 """A mocap body. Its frame: x along the image's width, y down the image, z into the board, with

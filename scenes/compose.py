@@ -9,16 +9,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Light, LowSun, Readying, Scene
+from touchdown.scenes.api import Array, ImportOptions, Light, LowSun, Scene
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.light import light_file
 from touchdown.scenes.authoring.sky import lit_by, set_sky
 from touchdown.scenes.importers.mjcf import read_mjcf
 from touchdown.scenes.registry import scene_generator
-
-Array = NDArray[np.float64]
 
 VEHICLE_XML = Path(__file__).parent / "vehicle" / "quadrotor.xml"
 VEHICLE_BODY = "vehicle/quadrotor"
@@ -45,7 +42,7 @@ def load_scene(
     seed: int,
     sun: LowSun | None = None,
     light: Light = "day",
-    ready: Readying | None = None,
+    options: ImportOptions | None = None,
 ) -> Scene:
     """Loads the scene ``name_or_path`` with the vehicle on its take-off spot.
 
@@ -53,14 +50,14 @@ def load_scene(
     a slash or ends in .xml). seed: non-negative; the same seed gives the same model to the byte.
     A scene from a file does not depend on it. sun: replaces the scene's own; named scenes bake
     their shadows with it, scenes from files have no baked shadows. light: of the sky; ``sun`` is
-    that of ``day``. Neither changes what stands where. ready: how a scene from a file is made ready
-    for a flight; None takes the file as it is.
+    that of ``day``. Neither changes what stands where. options: how a scene from a file is made
+    flyable; None takes the file as it is.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
     with lit_by(light, sun):
-        spec, draft = compose_spec(name_or_path, seed, ready)
+        spec, draft = compose_spec(name_or_path, seed, options)
     scene = compile_scene(spec, draft, Path(name_or_path).stem, seed, name_or_path)
-    return replace(scene, light=light, ready=ready if _is_file(name_or_path) else None)
+    return replace(scene, light=light, options=options if _is_file(name_or_path) else None)
 
 
 def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> Scene:
@@ -84,20 +81,20 @@ def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: st
         moving=draft.moving,
         source=source,
         origin_m=draft.origin_m,
-        guessed=draft.guessed,
-        dressed=draft.dressed,
+        inferred=draft.inferred,
+        textured=draft.textured,
     )
 
 
 def compose_spec(
-    name_or_path: str, seed: int, ready: Readying | None = None
+    name_or_path: str, seed: int, options: ImportOptions | None = None
 ) -> tuple[Any, SceneDraft]:
     """Returns the uncompiled MjSpec, with the vehicle at height 0 over the take-off spot, and its
     draft, which holds the large textures (`SceneDraft.pictures`).
 
     Raises as `load_scene`.
     """
-    draft = _draft(name_or_path, seed, ready)
+    draft = _draft(name_or_path, seed, options)
     prepare_spec(draft)
     return draft.spec, draft
 
@@ -116,11 +113,11 @@ def bare_spec(name_or_path: str, seed: int) -> Any:
     return spec
 
 
-def _draft(name_or_path: str, seed: int, ready: Readying | None = None) -> SceneDraft:
+def _draft(name_or_path: str, seed: int, options: ImportOptions | None = None) -> SceneDraft:
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
     if _is_file(name_or_path):
-        draft = read_mjcf(Path(name_or_path), ready)
+        draft = read_mjcf(Path(name_or_path), options)
         light_file(draft.spec)
     else:
         draft = scene_generator(name_or_path)(seed)
@@ -135,7 +132,7 @@ def _is_file(name_or_path: str) -> bool:
 def spec_of_scene(scene: Scene) -> Any:
     """Returns the MjSpec of a scene of `load_scene`, composed anew from its source and seed; the
     vehicle stands where the scene starts it."""
-    spec, draft = compose_spec(scene.source or scene.name, scene.seed, scene.ready)
+    spec, draft = compose_spec(scene.source or scene.name, scene.seed, scene.options)
     draft.fill()
     spec.body(VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(VEHICLE_BODY).id]
     return spec

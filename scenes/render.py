@@ -11,10 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Scene
-
-Image = NDArray[np.uint8]
-"""(H, W, 3) RGB"""
+from touchdown.scenes.api import Image, Scene
 
 VIEWS = ("above", "oblique")
 _VEHICLE_GROUP = 4

@@ -101,9 +101,9 @@ def _keep_freed_memory() -> None:
 @pytest.fixture(autouse=True, scope="session")
 def _coarse_ground() -> None:
     """Ground of files is painted in fewer texels, which takes a fraction of the time."""
-    from touchdown.scenes.importers import dress
+    from touchdown.scenes.importers import ground_texturing
 
-    dress.TEXEL_M = 0.15
+    ground_texturing.TEXEL_M = 0.15
 
 
 @pytest.fixture

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.api import CalibrationResult, CalibrationView, Chessboard
-from touchdown.experiments.scene_tools.views import Image, write_image
+from touchdown.experiments.scene_tools.views import write_image
+from touchdown.scenes.api import Image
 from touchdown.sim.frames import Pose, so3_exp
 
 Array = NDArray[np.float64]

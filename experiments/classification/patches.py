@@ -25,7 +25,7 @@ from touchdown.experiments.scene_tools.posed_views import (
     write_ground_classes,
 )
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
-from touchdown.scenes.authoring.ground import dressed_anew
+from touchdown.scenes.authoring.ground import varied_materials
 
 if TYPE_CHECKING:
     from touchdown.sim.posed_sensors import PosedView
@@ -105,7 +105,7 @@ def scene_patches(
         scene=name, seed=seed,
     )  # fmt: skip
     draws = np.random.default_rng([seed, variation, crc32(b"materials"), crc32(name.encode())])
-    with dressed_anew(draws) if draws.uniform() < looks.materials else contextlib.nullcontext():
+    with varied_materials(draws) if draws.uniform() < looks.materials else contextlib.nullcontext():
         scene = build_scene(config)
     rng = np.random.default_rng([seed, variation, crc32(b"patches"), crc32(name.encode())])
     colours = np.random.default_rng([seed, variation, crc32(b"colours"), crc32(name.encode())])

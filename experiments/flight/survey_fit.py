@@ -67,7 +67,7 @@ def _may_fit(config: Config, scene: Scene) -> bool:
     """True for the standard survey over a scene from a file that is not taken as it is."""
     standard = SurveyParams()
     turned = dataclasses.replace(standard, climb_turn_deg=config.survey.climb_turn_deg)
-    return scene.ready is not None and config.survey == turned
+    return scene.options is not None and config.survey == turned
 
 
 def fit_survey(config: Config, scene: Scene) -> Fit | None:

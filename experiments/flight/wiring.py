@@ -31,7 +31,7 @@ from touchdown.experiments.flight.slots import (
     lander_rig,
 )
 from touchdown.landing.api import Lander
-from touchdown.scenes.api import LowSun, Readying, Scene, names_function
+from touchdown.scenes.api import ImportOptions, LowSun, Scene, names_function
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import SensorRig, Truth, World, WorldParams
 from touchdown.sim.effects import WorldRecord
@@ -77,18 +77,19 @@ def build_scene(config: Config) -> Scene:
 
         with place_file(config.scene, seed) as file:
             scene = replace(
-                cached_scene(str(file), seed, sun, light, readying(config)), source=config.scene
+                cached_scene(str(file), seed, sun, light, import_options(config)),
+                source=config.scene,
             )
     else:
-        scene = cached_scene(config.scene, seed, sun, light, readying(config))
+        scene = cached_scene(config.scene, seed, sun, light, import_options(config))
     if config.landing.site_xy_m is not None:
         _refuse_site_of_the_file(np.array(config.landing.site_xy_m), scene)
     return scene
 
 
-def readying(config: Config) -> Readying | None:
+def import_options(config: Config) -> ImportOptions | None:
     """How the scene of a file is made ready; None: it is taken as it is."""
-    return None if config.scene_as_is else Readying(classes=config.scene_classes or "")
+    return None if config.scene_as_is else ImportOptions(classes=config.scene_classes or "")
 
 
 def _refuse_site_of_the_file(site: Array, scene: Scene) -> None:
@@ -370,7 +371,7 @@ def check_scene_name(name: str, where: str = "") -> None:
         if reason := no_file(Path(name)):
             raise UsageError(f"scene file '{name}'{where} {reason}")
         try:
-            load_scene(name, 0, ready=Readying())
+            load_scene(name, 0, options=ImportOptions())
         except (OSError, ValueError) as error:
             raise UsageError(f"scene{where}: {error}") from error
     elif name not in (known := scene_names()):

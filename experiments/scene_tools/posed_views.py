@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import world_params
-from touchdown.scenes.api import Scene
+from touchdown.scenes.api import Array, Scene
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 
 if TYPE_CHECKING:
     from touchdown.sim.posed_sensors import PosedSensors, PosedView
 
-Array = NDArray[np.float64]
 Int32 = NDArray[np.int32]
 
 LOW_M, HIGH_M = 8.0, 40.0

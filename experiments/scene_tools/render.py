@@ -16,8 +16,8 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.places import place_file
 from touchdown.experiments.flight.survey_fit import fit_survey
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.experiments.scene_tools.views import VIEWS, Image, SceneViews, write_image
-from touchdown.scenes.api import Light, Scene, names_function
+from touchdown.experiments.scene_tools.views import VIEWS, SceneViews, write_image
+from touchdown.scenes.api import Image, Light, Scene, names_function
 from touchdown.scenes.compose import spec_of_scene
 from touchdown.scenes.export import export_spec
 from touchdown.scenes.registry import scene_names

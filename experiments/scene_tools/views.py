@@ -15,12 +15,17 @@ from touchdown.experiments.drawing.map_axes import PAPER, MapFrame, survey_marks
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
-from touchdown.scenes.api import CLASS_RGB, LAND_CLASSES, OTHER_CLASS_ID, Scene, TruthMaps
+from touchdown.scenes.api import (
+    CLASS_RGB,
+    LAND_CLASSES,
+    OTHER_CLASS_ID,
+    Array,
+    Image,
+    Scene,
+    TruthMaps,
+)
 from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.maps import truth_maps as scene_truth_maps
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 HOVER_HEIGHT_M = 30.0
 LIDAR_SECONDS = 1.0

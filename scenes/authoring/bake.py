@@ -10,14 +10,12 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array, Float32
 from touchdown.scenes.authoring.builder import Caster
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.sky import light_in_shadow
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 _SUBPIXEL_BITS = 4
 _SLOPE_STEPS = 3
 """Steps towards the point where a sun ray meets the slope; each shrinks the error by the slope

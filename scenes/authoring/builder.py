@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,15 +10,20 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
+from touchdown.scenes.api import Array, Surface
 from touchdown.scenes.authoring.draft import Picture, fill_texture, size_texture
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.meshes import MeshData
 
-Array = NDArray[np.float64]
-
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 GEOM = mujoco.mjtGeom
+_SHAPES = {
+    "box": GEOM.mjGEOM_BOX,
+    "ball": GEOM.mjGEOM_SPHERE,
+    "ellipsoid": GEOM.mjGEOM_ELLIPSOID,
+    "cylinder": GEOM.mjGEOM_CYLINDER,
+    "capsule": GEOM.mjGEOM_CAPSULE,
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -86,18 +91,59 @@ class SceneBuilder:
         return name
 
     def geom(self, stem: str, surface: Surface, body: Any = None, **attributes: Any) -> Any:
-        """Adds a geom with its surface to the world, or to ``body``."""
+        """Adds a geom with its surface to the world, or to ``body``.
+
+        One attribute gives its shape: ``mesh`` a name, ``box`` or ``ellipsoid`` half axes, ``ball``
+        a radius, ``capsule`` and ``cylinder`` a radius, beside ``fromto`` or with half a length.
+        ``heading`` turns it about +z, radians. The others are MuJoCo's.
+        """
         name = self.unique(stem)
         self.surfaces[name] = surface
+        for shape in _SHAPES.keys() & attributes.keys():
+            attributes |= {"type": _SHAPES[shape], "size": np.zeros(3)}
+            size = np.atleast_1d(attributes.pop(shape))
+            attributes["size"][: len(size)] = size
+        if "mesh" in attributes:
+            attributes |= {"type": GEOM.mjGEOM_MESH, "meshname": attributes.pop("mesh")}
+        if "heading" in attributes:
+            attributes["quat"] = quat_z(attributes.pop("heading"))
         return (body or self.spec.worldbody).add_geom(name=name, **attributes)
+
+    def on_ground(self, xy_m: Array, above_m: float = 0.0) -> Array:
+        """(3,) world point ``above_m`` over the ground at (2,)."""
+        z = self.terrain.point(*xy_m)
+        return np.array([*xy_m, z + above_m if above_m else z])
 
     def cast(self, points: Array, opacity: float = 1.0) -> None:
         """Registers a convex shadow caster, (N, 3) world points."""
         self.casters.append(Caster(points=np.asarray(points, np.float64), opacity=opacity))
 
+    def cast_box(self, size: tuple[float, float], heights: Sequence[float], heading: float,
+                 origin: Array, opacity: float = 1.0) -> None:  # fmt: skip
+        """Registers a box as a caster: half sides along and across ``heading``, heights over
+        ``origin`` (3,)."""
+        points = [[x, y, z] for x in (-size[0], size[0]) for y in (-size[1], size[1])
+                  for z in heights]  # fmt: skip
+        self.cast(turned(np.array(points, np.float64), heading, origin), opacity)
+
+    def stand(
+        self, stem: str, surface: Surface, parts: list[MeshData], xy_m: Array, heading: float,
+        **looks: Any,
+    ) -> None:  # fmt: skip
+        """Adds a mesh of its own on the ground at ``xy_m``, with the shadow of its hull."""
+        data, origin = MeshData.join(parts), self.on_ground(xy_m)
+        mesh = self.mesh(self.unique(stem), data)
+        self.geom(stem, surface, mesh=mesh, pos=origin, heading=heading, **looks)
+        self.cast(turned(data.vertices, heading, origin))
+
     def claim(self, xy_m: Array, radius_m: float) -> None:
         """Reserves a disc against later random placements."""
         self.occupied.append((np.asarray(xy_m, np.float64), radius_m))
+
+    def claim_line(self, start_m: Array, end_m: Array, count: int, radius_m: float) -> None:
+        """Reserves ``count`` discs from one end of a segment to the other."""
+        for share in np.linspace(0.0, 1.0, count):
+            self.claim(start_m + share * (end_m - start_m), radius_m)
 
     def is_free(self, xy_m: Array, radius_m: float) -> bool:
         """True if a disc overlaps no reserved one."""

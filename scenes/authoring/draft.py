@@ -10,9 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import GroundRaster, MovingBody, Surface
-
-Array = NDArray[np.float64]
+from touchdown.scenes.api import Array, GroundRaster, MovingBody, Surface
 
 
 class Picture(NamedTuple):
@@ -40,9 +38,9 @@ class SceneDraft:
     moving: tuple[MovingBody, ...] = field(default=())
     origin_m: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) of the world's origin in the coordinates of the file that the scene was read from"""
-    guessed: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """class of geoms whose names say nothing, and what it is guessed by"""
-    dressed: tuple[str, ...] = ()
+    inferred: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """class of geoms whose names say nothing, and what it is inferred from"""
+    textured: tuple[str, ...] = ()
     """geoms of featureless ground that were given texture and relief"""
     pictures: dict[str, Picture] = field(default_factory=dict)
     """of textures that are flat in the spec: `SceneDraft.fill` them there, or `fill_model` the

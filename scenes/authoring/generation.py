@@ -12,15 +12,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import GroundRaster, MovingBody, Surface
+from touchdown.scenes.api import Array, GroundRaster, MovingBody, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField, write_hfield
 from touchdown.scenes.authoring.light import SUN_ELEVATIONS_DEG, draw_sun, ground_texture
-from touchdown.scenes.authoring.water import Float32, WaterLook, dressed, flood_raster, lay_water
-
-Array = NDArray[np.float64]
+from touchdown.scenes.authoring.water import Float32, WaterLook, flood_raster, lay_water, varied
 
 PLACES = Path(__file__).parents[1] / "places"
 LAWN = Surface(land_class="lawn", reflectivity=0.45)
@@ -99,7 +97,7 @@ def paint_terrain(
         return raster
     texture = np.empty(shape, np.uint8)
     shade(texture)
-    look = dressed(flood.draw_look(builder.rng))
+    look = varied(flood.draw_look(builder.rng))
     lay_water(builder.rng, texture, flood.depth_m, canvas.half_m, look, builder.sun)
     builder.picture("ground", shape, partial(np.copyto, src=texture))
     return flood_raster(raster, flood.depth_m)

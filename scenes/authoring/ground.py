@@ -13,14 +13,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, GroundRaster, Surface
+from touchdown.scenes.api import (
+    DETAILS,
+    LAND_CLASSES,
+    NO_DETAIL_ID,
+    Array,
+    Bytes,
+    Float32,
+    GroundRaster,
+    Surface,
+)
 from touchdown.scenes.authoring.ground_cover import PAINT, cover_of
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
+from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.shading import ragged_texels, shade
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
 
 TEXELS = 5120
 RASTER_STRIDE = 4
@@ -77,7 +83,7 @@ class Ground(IntEnum):
     BEDROCK = 37
 
 
-class Dressing(NamedTuple):
+class Variation(NamedTuple):
     """Other materials and other water than a scene is planned with."""
 
     materials: Bytes
@@ -88,16 +94,16 @@ class Dressing(NamedTuple):
     ripple: float
 
 
-_dressing: ContextVar[Dressing | None] = ContextVar("dressing", default=None)
+_variation: ContextVar[Variation | None] = ContextVar("variation", default=None)
 
 
-def present_dressing() -> Dressing | None:
+def present_variation() -> Variation | None:
     """That of the context; None where scenes are made as planned."""
-    return _dressing.get()
+    return _variation.get()
 
 
 @contextlib.contextmanager
-def dressed_anew(rng: np.random.Generator) -> Iterator[None]:
+def varied_materials(rng: np.random.Generator) -> Iterator[None]:
     """Gives all scenes made inside the context other ground and water: each material becomes a
     random one of its class, brick where gravel lay, clay for soil, and water may be clear, blue or
     full of silt."""
@@ -110,11 +116,11 @@ def dressed_anew(rng: np.random.Generator) -> Iterator[None]:
     clear = float(np.exp(rng.uniform(*_CLARITY)))
     clarity = (0.6 * clear, clear, clear * rng.uniform(0.7, 1.3))
     water = (red, green, blue), clarity, rng.uniform(0.1, 0.7)
-    token = _dressing.set(Dressing(table, *water))
+    token = _variation.set(Variation(table, *water))
     try:
         yield
     finally:
-        _dressing.reset(token)
+        _variation.reset(token)
 
 
 class _Row(NamedTuple):
@@ -176,20 +182,15 @@ _TABLE: dict[Ground, _Row] = {
     Ground.DRY_GRASS: _Row("lawn", 0.42, (176, 154, 106), (0.18, 0.10, 0.14, 0.05), (4, 3, 1), 1),
     Ground.BEDROCK: _Row("field", 0.34, (150, 124, 98), (0.13, 0.13, 0.09, 0.08), (4, 3, 2), 0),
 }  # fmt: skip
-_DETAIL = {
-    "grass": (Ground.LAWN, Ground.FAIRWAY, Ground.GREEN, Ground.PITCH, Ground.WORN),
-    "meadow": (Ground.MEADOW, Ground.ROUGH, Ground.FERN, Ground.CROPS, Ground.DRY_GRASS),
-    "soil": (Ground.SOIL, Ground.MUD, Ground.CLAY, Ground.RUBBER),
-    "litter": (Ground.MULCH, Ground.LITTER),
-    "asphalt": (Ground.ASPHALT, Ground.NEW_ASPHALT, Ground.CAR_PARK, Ground.ROOF_DECK),
-    "gravel": (Ground.GRAVEL, Ground.LANE),
-    "concrete": (Ground.PAVEMENT, Ground.SIDE_PAVEMENT, Ground.PAVERS, Ground.DECK, Ground.COBBLES,
-                 Ground.PLANKS),
-    "sand": (Ground.SAND, Ground.BEACH, Ground.SAND_FLAT, Ground.RUTTED_SAND),
-    "dune": (Ground.DUNE,),
-    "snow": (Ground.SNOW, Ground.PACKED_SNOW),
-    "rock": (Ground.BEDROCK,),
-}  # fmt: skip
+_DETAIL = {"grass": (Ground.LAWN, Ground.FAIRWAY, Ground.GREEN, Ground.PITCH, Ground.WORN),
+           "meadow": (Ground.MEADOW, Ground.ROUGH, Ground.FERN, Ground.CROPS, Ground.DRY_GRASS),
+           "soil": (Ground.SOIL, Ground.MUD, Ground.CLAY, Ground.RUBBER), "litter": (Ground.MULCH,
+           Ground.LITTER), "asphalt": (Ground.ASPHALT, Ground.NEW_ASPHALT, Ground.CAR_PARK,
+           Ground.ROOF_DECK), "gravel": (Ground.GRAVEL, Ground.LANE), "concrete": (Ground.PAVEMENT,
+           Ground.SIDE_PAVEMENT, Ground.PAVERS, Ground.DECK, Ground.COBBLES, Ground.PLANKS),
+           "sand": (Ground.SAND, Ground.BEACH, Ground.SAND_FLAT, Ground.RUTTED_SAND),
+           "dune": (Ground.DUNE,), "snow": (Ground.SNOW, Ground.PACKED_SNOW),
+           "rock": (Ground.BEDROCK,)}  # fmt: skip
 """Materials by the photograph of their grain; water has none."""
 _DETAIL_OF = {material: name for name, group in _DETAIL.items() for material in group}
 PAINT_REFLECTIVITY = 0.60
@@ -306,17 +307,17 @@ def ground_shader(
     slopes: Bytes | None = None,
 ) -> Callable[[Bytes], None]:
     """Returns what fills an image with the texture of `shade_ground`. All random numbers are drawn
-    here, and the canvas is given the materials of `dressed_anew`."""
-    dressing = present_dressing()
-    if dressing is not None:
-        canvas.material[:] = dressing.materials[canvas.material]
+    here, and the canvas is given the materials of `varied_materials`."""
+    variation = present_variation()
+    if variation is not None:
+        canvas.material[:] = variation.materials[canvas.material]
     count = len(Ground)
     base = np.array([_TABLE[m].rgb for m in Ground], np.float32)
     gains = np.array([_TABLE[m].gains for m in Ground], np.float32)
     hues = np.array([_TABLE[m].hue_drift for m in Ground], np.float32)
     ragged = np.array([_TABLE[m].ragged for m in Ground], np.uint8)
     angles = np.array([pattern_angles.get(m, 0.0) for m in Ground])
-    frames = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(count, 2)
+    frames = unit(angles).reshape(count, 2)
     fine = tileable_noise(rng, _TILE, 0.55, 10.0)
     coarse = tileable_noise(rng, _TILE, 1.25, 5.0)
     patches = fractal_noise(rng, (512, 512), 56.0, 4, 0.6)
@@ -330,9 +331,8 @@ def ground_shader(
     side, salt = ragged_texels(fine, coarse), int(rng.integers(1, 2**31))
 
     def fill(image: Bytes) -> None:
-        shade(
-            image, canvas.material, canvas.paint, canvas.stain, bright, level, fine, coarse.ravel(),
-            patches, hue, base, gains, hues, ragged, frames, canvas.texel_m, side, salt,
-        )  # fmt: skip
+        shade(image, canvas.material, canvas.paint, canvas.stain, bright, level, fine,
+              coarse.ravel(), patches, hue, base, gains, hues, ragged, frames, canvas.texel_m, side,
+              salt)  # fmt: skip
 
     return fill

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from touchdown.scenes.api import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

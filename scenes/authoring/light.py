@@ -16,14 +16,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import LowSun
+from touchdown.scenes.api import Array, LowSun
 from touchdown.scenes.authoring.bake import bake_light
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground, ground_shader
 from touchdown.scenes.authoring.sky import DUSK_SUN_DEG, DUSK_SUN_SHARE, Sky, present_sky
-
-Array = NDArray[np.float64]
-
 
 _WAVELENGTHS_UM = np.array([0.65, 0.55, 0.45])
 """of the three colours"""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from touchdown.scenes.api import Array
+
 Ints = NDArray[np.int32]
 
 
@@ -42,15 +44,15 @@ def polygon(corners: Array, uv: Array) -> MeshData:
     """A flat convex polygon, (K, 3) corners counter-clockwise from outside, with its own vertices
     (so that it is shaded flat)."""
     count = len(corners)
-    fan = [[0, i, i + 1] for i in range(1, count - 1)]
+    fan = np.array([[0, i, i + 1] for i in range(1, count - 1)], np.int32)
     return MeshData(
-        vertices=np.asarray(corners, np.float64),
-        faces=np.array(fan, np.int32),
-        uv=np.asarray(uv, np.float64),
+        vertices=np.asarray(corners, np.float64), faces=fan, uv=np.asarray(uv, np.float64)
     )
 
 
-def box(half: Array, centre: Array, metres_per_uv: float = 1.0) -> MeshData:
+def box(
+    half: Sequence[float] | Array, centre: Sequence[float] | Array, metres_per_uv: float = 1.0
+) -> MeshData:
     """An axis-aligned box; every face is mapped in metres divided by ``metres_per_uv``."""
     corners = np.empty((6, 4, 3))
     uv = np.empty((6, 4, 2))
@@ -63,10 +65,23 @@ def box(half: Array, centre: Array, metres_per_uv: float = 1.0) -> MeshData:
         uv[face] = corners[face][:, [first, second]] * [1.0, -1.0] / metres_per_uv
     fans = 4 * np.arange(6)[:, None, None] + [[0, 1, 2], [0, 2, 3]]
     return MeshData(
-        vertices=(corners + centre).reshape(24, 3),
+        vertices=(corners + np.asarray(centre)).reshape(24, 3),
         faces=fans.reshape(12, 3).astype(np.int32),
         uv=uv.reshape(24, 2),
     )
+
+
+def boxes(*rows: Sequence[float]) -> list[MeshData]:
+    """Boxes by half sides and centre, (hx, hy, hz, x, y, z) metres each."""
+    return [box(row[:3], row[3:]) for row in rows]
+
+
+def plate(corners: Sequence[Sequence[float]] | Array, thick_m: float = 0.0) -> list[MeshData]:
+    """A flat polygon that is seen from both sides, without a texture; ``thick_m``: how far below
+    the upper one the lower side is."""
+    upper = np.asarray(corners, np.float64)
+    lower = upper[::-1] - [0.0, 0.0, thick_m] if thick_m else upper[::-1]
+    return [polygon(side, np.zeros((len(upper), 2))) for side in (upper, lower)]
 
 
 def cylinder_y(radius: float, half_width: float, centre: Array, uv: Array, sides: int) -> MeshData:

@@ -12,15 +12,12 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array, Bytes, Float32
 from touchdown.scenes.authoring.ground import TEXELS, Canvas
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
+from touchdown.scenes.authoring.plane import unit
 
 NEUTRAL = 128
 """Tone of level ground."""
@@ -101,11 +98,9 @@ class MicroRelief:
         cover = np.asarray(
             cv2.resize(ripples.cover, (1024, 1024), interpolation=cv2.INTER_LINEAR), np.float32
         )
-        wind = np.array([np.cos(ripples.wind_angle), np.sin(ripples.wind_angle)])
-        _shade_slopes(
-            tone, self.drifts_m, self.base_slopes, prints, bend, cover, _SINE, wind, -sun, texel,
-            ripples.wave_m, ripples.height_m,
-        )  # fmt: skip
+        wind = unit(ripples.wind_angle)
+        _shade_slopes(tone, self.drifts_m, self.base_slopes, prints, bend, cover, _SINE, wind, -sun,
+                      texel, ripples.wave_m, ripples.height_m)  # fmt: skip
         return tone
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Float32 = NDArray[np.float32]
+from touchdown.scenes.api import Float32
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cells: float) -> Float32:

@@ -6,12 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
-
-Array = NDArray[np.float64]
 
 NODES = 193
 TAKEOFF_FLAT_M = 2.0

@@ -7,9 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
+from touchdown.scenes.api import Array, Bytes, Float32
 
 _PIECE = 512
 """Texels of a row that are shaded together: what is held of them fits the fastest cache"""

@@ -21,12 +21,8 @@ from contextvars import ContextVar
 from typing import Any, NamedTuple
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Light, LowSun
-
-Array = NDArray[np.float64]
 
 DUSK_SUN_DEG = 2.0
 DUSK_SUN_SHARE = 0.25

@@ -1,20 +1,19 @@
-"""Curved streets: ground, texture, kerbs and traffic derived from one centre line."""
+"""Roads: rectangles and wear in road coordinates; curved streets with kerbs and traffic."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from touchdown.scenes.api import MovingBody, Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.api import Array, MovingBody, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.meshes import MeshData, polygon
-
-Array = NDArray[np.float64]
+from touchdown.scenes.authoring.plane import unit, unit_circle
 
 KERB = Surface(land_class="path", reflectivity=0.35)
 STEP_M = 0.5
@@ -55,7 +54,7 @@ class Street:
         rest = position - index
         base = (1.0 - rest) * self.line_m[index] + rest * self.line_m[index + 1]
         angle = self.heading(inside)
-        along = np.array([np.cos(angle), np.sin(angle)])
+        along = unit(angle)
         left = np.array([-along[1], along[0]])
         return base + (along_m - inside) * along + across_m * left
 
@@ -73,6 +72,72 @@ class Street:
         last = min(last_m, self.length_m)
         stations = np.linspace(first_m, last, max(2, round((last - first_m) / 1.0) + 1))
         return np.array([self.point(float(station), across_m) for station in stations])
+
+
+class Way(Protocol):
+    """A road with its own coordinates: metres along it and metres to its left."""
+
+    @property
+    def width_m(self) -> float: ...
+
+    def point(self, along_m: float, across_m: float) -> Array:
+        """(2,) world."""
+        ...
+
+    def ends_m(self) -> tuple[float, float]:
+        """First and last coordinate along it."""
+        ...
+
+
+def band(way: Way, along: tuple[float, float], across: tuple[float, float]) -> Array:
+    """(4, 2) world corners of a rectangle in road coordinates."""
+    return np.array([way.point(along[0], across[0]), way.point(along[1], across[0]),
+                    way.point(along[1], across[1]), way.point(along[0], across[1])])  # fmt: skip
+
+
+def paint_wear(canvas: Canvas, way: Way, rng: np.random.Generator, junction_m: float) -> None:
+    """Repair patches, tar seams, cracks, manholes, gullies and oil stains on the roadway. No
+    gullies within ``junction_m`` of the middle."""
+    low, high = way.ends_m()
+    half = 0.5 * way.width_m
+    for _ in range(int(rng.integers(5, 9))):
+        along, across = rng.uniform(low, high), rng.uniform(-half + 1.0, half - 1.0)
+        size = rng.uniform([0.8, 0.4], [4.0, 1.1])
+        lines = (max(across - size[1], -half + 0.1), min(across + size[1], half - 0.1))
+        outline = band(way, (along, along + size[0]), lines)
+        canvas.fill(outline, Ground.NEW_ASPHALT)
+        canvas.trace(np.concatenate([outline, outline[:1]]), 0.05, 190)
+    for _ in range(int(rng.integers(22, 32))):
+        _crack(canvas, way, rng, rng.uniform(low, high), rng.uniform(-half + 0.4, half - 0.4))
+    for _ in range(7):
+        along = rng.uniform(low, high)
+        centre = way.point(along, rng.choice([-0.25, 0.25]) * way.width_m)
+        ring = unit_circle(20)
+        canvas.soil(centre + 0.36 * ring, 200)
+        canvas.soil(centre + 0.30 * ring, 120)
+        for bar in (-0.15, 0.0, 0.15):
+            canvas.trace(centre + np.array([[bar, -0.2], [bar, 0.2]]), 0.04, 220)
+    for along in np.arange(low + 6.0, high, 17.0):
+        for side in (1.0, -1.0):
+            if abs(along) > junction_m:
+                edge = side * (half - 0.28)
+                canvas.soil(band(way, (along, along + 0.5), (edge - 0.2, edge + 0.2)), 215)
+    for _ in range(26):
+        centre = way.point(rng.uniform(low, high), rng.normal(0.0, 0.3 * half))
+        turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+        radius = rng.uniform(0.08, 0.35) * rng.uniform(0.7, 1.2, 12)
+        blot = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=-1)
+        canvas.soil(centre + blot, int(rng.integers(40, 110)))
+
+
+def _crack(canvas: Canvas, way: Way, rng: np.random.Generator, along: float, across: float) -> None:
+    steps = int(rng.integers(10, 36))
+    heading = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(rng.normal(0.0, 0.35, steps))
+    path = np.cumsum(0.22 * unit(heading), axis=0)
+    limit = 0.5 * way.width_m - 0.1
+    lateral = np.clip(across + path[:, 1], -limit, limit)
+    line = np.array([way.point(along + a, c) for a, c in zip(path[:, 0], lateral, strict=True)])
+    canvas.trace(line, 0.03 if rng.random() < 0.7 else 0.07, int(rng.integers(130, 230)))
 
 
 def smooth_line(corners_m: Array, rounds: int = 5) -> Array:
@@ -132,8 +197,7 @@ def place_street_kerb(
             if last - first > 0.4:
                 parts = _kerb_run(builder, street, across, (float(start), float(end)), top)
                 mesh = builder.mesh(builder.unique("street_kerb"), MeshData.join(parts))
-                builder.geom("path_kerb", KERB, type=GEOM.mjGEOM_MESH, meshname=mesh,
-                             rgba=[0.68, 0.67, 0.64, 1])  # fmt: skip
+                builder.geom("path_kerb", KERB, mesh=mesh, rgba=[0.68, 0.67, 0.64, 1])
 
 
 def _kerb_run(
@@ -196,9 +260,7 @@ def add_mover(
     body = builder.spec.worldbody.add_body(
         name=moving.body_name, mocap=True, pos=where, quat=quat_z(heading)
     )
-    builder.geom(
-        stem, surface, body=body, type=GEOM.mjGEOM_MESH, meshname=looks[0], material=looks[1]
-    )
+    builder.geom(stem, surface, body=body, mesh=looks[0], material=looks[1])
 
 
 def send_round(

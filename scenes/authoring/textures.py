@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.api import Image
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 
-Image = NDArray[np.uint8]
 Colour = tuple[float, float, float]
 
 TILE_PX = 512

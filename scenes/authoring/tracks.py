@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.micro_relief import MicroRelief
-
-Array = NDArray[np.float64]
+from touchdown.scenes.authoring.plane import unit
 
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _TURN = np.linspace(0.0, 2.0 * np.pi, 14, endpoint=False)
-OVAL = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=-1)
+OVAL = unit(_TURN)
 
 
 def placed(at: Array, heading: float, local: Array) -> Array:

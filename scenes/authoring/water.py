@@ -13,16 +13,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import LAND_CLASSES, NO_DETAIL_ID, GroundRaster
-from touchdown.scenes.authoring.ground import present_dressing
+from touchdown.scenes.api import LAND_CLASSES, NO_DETAIL_ID, Array, Bytes, Float32, GroundRaster
+from touchdown.scenes.authoring.ground import present_variation
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.sky import sun_shines
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
 
 WATER_REFLECTIVITY = 0.03
 _TILE = 1024
@@ -49,9 +44,9 @@ class WaterLook:
     """radians; the ripples run this way"""
 
 
-def dressed(look: WaterLook) -> WaterLook:
-    """As a scene draws it, or with the water of `scenes.authoring.ground.dressed_anew`."""
-    other = present_dressing()
+def varied(look: WaterLook) -> WaterLook:
+    """As a scene draws it, or with the water of `scenes.authoring.ground.varied_materials`."""
+    other = present_variation()
     if other is None:
         return look
     return replace(look, body=other.body, clarity_m=other.clarity_m, ripple=other.ripple)
@@ -112,11 +107,9 @@ def lay_water(
     gusts = fractal_noise(rng, (512, 512), 70.0, 3, 0.55)
     shades = fractal_noise(rng, (512, 512), 44.0, 4, 0.6)
     to_sun = -sun_direction[:2] / np.linalg.norm(sun_direction[:2])
-    _lay(
-        image, depth_m, along, across, gusts, shades, np.array(look.body), np.array(look.sky),
-        1.0 / np.array(look.clarity_m), look.ripple, to_sun,
-        float(-sun_direction[2]) if sun_shines() else _NO_GLINT,
-    )  # fmt: skip
+    _lay(image, depth_m, along, across, gusts, shades, np.array(look.body), np.array(look.sky),
+         1.0 / np.array(look.clarity_m), look.ripple, to_sun,
+         float(-sun_direction[2]) if sun_shines() else _NO_GLINT)  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")

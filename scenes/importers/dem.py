@@ -9,10 +9,9 @@ from pathlib import Path
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from touchdown.scenes.api import LAND_CLASSES
+from touchdown.scenes.api import LAND_CLASSES, Array, Image
 from touchdown.scenes.authoring.builder import fill_texture
 from touchdown.scenes.authoring.height_field import HeightField, write_hfield
 from touchdown.scenes.authoring.noise import fractal_noise
@@ -24,9 +23,6 @@ from touchdown.scenes.importers.geotiff import (
     read_heights,
 )
 from touchdown.scenes.importers.pictures import check_picture, opened_picture
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 TEMPLATE = Path(__file__).with_name("dem.xml")
 WINDOW_M = 200.0

@@ -6,11 +6,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.importers.above import FromAbove
-
-Array = NDArray[np.float64]
+from touchdown.scenes.api import Array
+from touchdown.scenes.importers.top_view import Place
 
 DARK = 0.15
 """Light on level ground, 1 for a white one: below it pictures are mostly noise."""
@@ -26,13 +24,13 @@ def add_sun(spec: Any) -> None:
     )  # fmt: skip
 
 
-def ground_light(model: Any, data: Any, seen: FromAbove) -> float:
-    """Returns the light on most of the ground that is ``seen``, were it level, without shadows: the
+def ground_light(place: Place) -> float:
+    """Returns the light on most of the ground that is seen, were it level, without shadows: the
     median of the sums over lamps and the camera's light (OpenGL 2.1 specification, section
     2.14.1, which MuJoCo draws by)."""
+    model, data, points = place.model, place.data, place.points()
     mujoco.mj_comPos(model, data)
     mujoco.mj_camlight(model, data)
-    points = np.dstack([seen.centres(), seen.height_m])[np.isfinite(seen.height_m)]
     head = model.vis.headlight
     light = np.full(len(points), head.active * (np.mean(head.ambient) + np.mean(head.diffuse)))
     for lamp in range(model.nlight):

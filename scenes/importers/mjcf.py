@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from touchdown.scenes.api import LAND_CLASSES, Readying, Surface
+from touchdown.scenes.api import LAND_CLASSES, ImportOptions, Surface
 from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.importers.import_pass import make_flyable
 from touchdown.scenes.importers.lights import add_sun
 from touchdown.scenes.importers.model_check import (
     MAX_TEXT_BYTES,
@@ -20,14 +21,13 @@ from touchdown.scenes.importers.model_check import (
     check_spec,
     check_texts,
 )
-from touchdown.scenes.importers.origin import (
+from touchdown.scenes.importers.world_origin import (
     coarse_meshes,
     far_origin,
     finite_box,
     infinite_planes,
     move_world,
 )
-from touchdown.scenes.importers.ready import made_ready
 from touchdown.sim.files.child import run_limited
 from touchdown.sim.files.opening import check_file, printable, quiet_libraries
 
@@ -87,15 +87,15 @@ def _surface(land_class: str) -> Surface:
     )
 
 
-def read_mjcf(path: Path, ready: Readying | None = None) -> SceneDraft:
-    """Reads an MJCF file as a scene, as it is or made ``ready`` (`scenes.importers.ready`).
+def read_mjcf(path: Path, ready: ImportOptions | None = None) -> SceneDraft:
+    """Reads an MJCF file as a scene, as it is or made ``ready`` (`scenes.importers.import_pass`).
 
     The take-off spot is the site or body named ``takeoff``, else the position of the vehicle in a
     file written by `scenes.export`, else the origin. Classes follow from names
     (`surface_of_name`); other geoms get class ``other`` with reflectivity 0.30, and one warning
     names them. Joints and actuators are left out: bodies keep the pose that the file gives them. A
     file without a light gets a sun. Ground far from height 0 is moved there, and so is a scene more
-    than 1 km from the origin, such as one in map coordinates: `scenes.importers.origin`.
+    than 1 km from the origin, such as one in map coordinates: `scenes.importers.world_origin`.
 
     Raises FileNotFoundError for a missing file or asset, ValueError for a file that MuJoCo cannot
     read, for one beyond the limits of `scenes.importers.model_check` or of `sim.files.child`, in
@@ -145,7 +145,7 @@ def read_mjcf(path: Path, ready: Readying | None = None) -> SceneDraft:
         return draft
     say = partial(_warn_once, path)
     try:
-        return made_ready(
+        return make_flyable(
             draft, unknown, ready, named=takeoff is not None, surface=_surface, say=say
         )
     except (MemoryError, RuntimeError, mujoco.FatalError) as error:

@@ -7,11 +7,9 @@ Sizes are those of the standard survey and of its fit to a place (`SurveyParams`
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.importers.above import FromAbove, grounds, largest, level_cells
-
-Array = NDArray[np.float64]
+from touchdown.scenes.api import Array
+from touchdown.scenes.importers.top_view import TopView, grounds, largest, level_cells
 
 _AHEAD_M, _LEFT_M = 52.0, 42.0
 """The rectangle of the standard survey's legs, and a margin."""
@@ -29,7 +27,7 @@ _FAR = 0.0003
 """Share of the survey that a metre's distance from the origin weighs."""
 
 
-def takeoff_spot(seen: FromAbove, wish_xy_m: Array) -> Array:
+def takeoff_spot(seen: TopView, wish_xy_m: Array) -> Array:
     """The point (2,) ``wish_xy_m`` where it is level, free and leaves room for the survey, else the
     spot on the widest ground that does and is nearest. Where none leaves room for the standard
     survey, the one from which a smaller one sees most of the ground."""

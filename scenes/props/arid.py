@@ -5,24 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.api import Array, Image, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.meshes import MeshData, blob
 from touchdown.scenes.authoring.noise import tileable_noise
+from touchdown.scenes.authoring.plane import draw_heading, pick
 from touchdown.scenes.authoring.textures import (
     TILE_PX,
     Colour,
-    Image,
     foliage,
     hedge_or_soil_tint,
     to_texture,
 )
 from touchdown.scenes.props.tree_shapes import canopy_mesh
 from touchdown.scenes.props.waterside import reed_texture, tuft_mesh
-
-Array = NDArray[np.float64]
 
 SCRUB = Surface(land_class="trees", reflectivity=0.36, porosity=0.30)
 TUFT = Surface(land_class="lawn", reflectivity=0.42, porosity=0.45)
@@ -77,13 +74,10 @@ def sandstone(rng: np.random.Generator) -> Image:
 def add_scrub(builder: SceneBuilder, land: Scrubland, xy_m: Array) -> None:
     """Adds a low bush of grey-green twigs."""
     rng = builder.rng
-    mesh, half = land.shrubs[int(rng.integers(len(land.shrubs)))]
-    leaf = land.leaves[int(rng.integers(len(land.leaves)))]
-    at = np.array([*xy_m, builder.terrain.point(*xy_m) + 0.5 * half[2]])
-    builder.geom(
-        "trees_scrub", SCRUB, type=GEOM.mjGEOM_MESH, meshname=mesh, material=leaf, pos=at,
-        quat=quat_z(float(rng.uniform(0.0, 2.0 * np.pi))),
-    )  # fmt: skip
+    mesh, half = pick(rng, land.shrubs)
+    leaf = pick(rng, land.leaves)
+    at = builder.on_ground(xy_m, 0.5 * half[2])
+    builder.geom("trees_scrub", SCRUB, mesh=mesh, material=leaf, pos=at, heading=draw_heading(rng))
     builder.cast(at + half * _BALL, 1.0 - SCRUB.porosity)
     builder.claim(xy_m, float(half[0]) + 0.3)
 
@@ -91,12 +85,10 @@ def add_scrub(builder: SceneBuilder, land: Scrubland, xy_m: Array) -> None:
 def add_tuft(builder: SceneBuilder, land: Scrubland, xy_m: Array) -> None:
     """Adds a tuft of dry grass, 0.3 to 0.55 m high."""
     rng = builder.rng
-    mesh, radius, height = land.tufts[int(rng.integers(len(land.tufts)))]
-    at = np.array([*xy_m, builder.terrain.point(*xy_m) - 0.03])
-    builder.geom(
-        "lawn_tuft", TUFT, type=GEOM.mjGEOM_MESH, meshname=mesh, material=land.straw, pos=at,
-        quat=quat_z(float(rng.uniform(0.0, 2.0 * np.pi))),
-    )  # fmt: skip
+    mesh, radius, height = pick(rng, land.tufts)
+    at = builder.on_ground(xy_m, -0.03)
+    builder.geom("lawn_tuft", TUFT, mesh=mesh, material=land.straw, pos=at,
+                 heading=draw_heading(rng))  # fmt: skip
     ring = np.array([1.2 * radius, 1.2 * radius, 0.5 * height]) * _BALL
     builder.cast(at + [0.0, 0.0, 0.5 * height] + ring, 0.6)
     builder.claim(xy_m, radius + 0.2)
@@ -105,7 +97,7 @@ def add_tuft(builder: SceneBuilder, land: Scrubland, xy_m: Array) -> None:
 def add_slab(builder: SceneBuilder, land: Scrubland, xy_m: Array, radius_m: float) -> None:
     """Adds a weathered slab of an outcrop, layers over one another, half in the ground."""
     rng = builder.rng
-    turn = float(rng.uniform(0.0, 2.0 * np.pi))
+    turn = draw_heading(rng)
     parts = []
     top = 0.0
     for layer in range(int(rng.integers(2, 4))):
@@ -115,11 +107,8 @@ def add_slab(builder: SceneBuilder, land: Scrubland, xy_m: Array, radius_m: floa
         parts.append(blob(rng, half, 3.2, 0.09, 9, 1.6).moved(shift))
         top += 1.25 * float(half[2])
     mesh = builder.mesh(builder.unique("slab"), MeshData.join(parts))
-    at = np.array([*xy_m, builder.terrain.point(*xy_m)])
-    builder.geom(
-        "rock", STONE, type=GEOM.mjGEOM_MESH, meshname=mesh, material=land.stone, pos=at,
-        quat=quat_z(turn),
-    )  # fmt: skip
+    at = builder.on_ground(xy_m)
+    builder.geom("rock", STONE, mesh=mesh, material=land.stone, pos=at, heading=turn)
     builder.cast(at + np.array([0.85 * radius_m, 0.85 * radius_m, top]) * _BALL)
     builder.claim(xy_m, radius_m)
 

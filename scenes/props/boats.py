@@ -7,20 +7,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.textures import Colour, to_texture
 
-Array = NDArray[np.float64]
-
 BOAT = Surface(land_class="other", reflectivity=0.40)
 BUOY = Surface(land_class="other", reflectivity=0.45)
-PAINTS: tuple[Colour, ...] = (
-    (196.0, 52.0, 44.0), (232.0, 232.0, 226.0), (40.0, 92.0, 150.0), (54.0, 116.0, 92.0),
-    (226.0, 172.0, 60.0), (120.0, 88.0, 62.0),
-)  # fmt: skip
+PAINTS: tuple[Colour, ...] = ((196.0, 52.0, 44.0), (232.0, 232.0, 226.0), (40.0, 92.0, 150.0),
+              (54.0, 116.0, 92.0), (226.0, 172.0, 60.0), (120.0, 88.0, 62.0))  # fmt: skip
 _BEAM = np.array([0.72, 0.86, 0.96, 1.0, 0.98, 0.90, 0.74, 0.46, 0.05])
 """Half width at stations from the stern to the bow, as a share of the greatest."""
 _OUTSIDE, _INSIDE = 0.05, 0.45
@@ -130,8 +126,7 @@ def add_boat(
     half = 0.5 * heading
     # Upturned: half a turn about the boat's long axis first.
     quat = [0.0, np.cos(half), np.sin(half), 0.0] if upturned else quat_z(heading)
-    builder.geom("boat", BOAT, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
-                 pos=origin, quat=quat)  # fmt: skip
+    builder.geom("boat", BOAT, mesh=mesh, material=material, pos=origin, quat=quat)
     outline = np.stack([(np.linspace(0, 1, len(_BEAM)) - 0.5) * length, 0.18 * length * _BEAM], -1)
     both = np.concatenate([outline, outline * [1.0, -1.0]])
     top = np.column_stack([both, np.full(len(both), 0.1 if upturned else 0.36)])
@@ -147,21 +142,17 @@ def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None
     paint = PAINTS[int(rng.integers(1, 4))]
     material = builder.material(name, boat_texture(rng, paint, True), 0.2)
     mesh = builder.mesh(name, hull_mesh(length, 0.33 * length, 0.72, True))
-    origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
-    pose = {"pos": origin, "quat": quat_z(heading)}
-    builder.geom("boat", BOAT, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material, **pose)
+    origin = builder.on_ground(xy_m)
+    pose = {"pos": origin, "heading": heading}
+    builder.geom("boat", BOAT, mesh=mesh, material=material, **pose)
 
     def at(x: float, y: float, z: float) -> Array:
         return turned(np.array([[x, y, z]]), heading, origin)[0]
 
-    builder.geom(
-        "boat_cabin", BOAT, type=GEOM.mjGEOM_BOX, size=[0.15 * length, 0.10 * length, 0.2],
-        rgba=[0.93, 0.92, 0.88, 1], pos=at(0.03 * length, 0, 0.95), quat=quat_z(heading),
-    )  # fmt: skip
-    builder.geom(
-        "boat_cockpit", BOAT, type=GEOM.mjGEOM_BOX, size=[0.12 * length, 0.08 * length, 0.02],
-        rgba=[0.42, 0.31, 0.22, 1], pos=at(-0.27 * length, 0, 0.77), quat=quat_z(heading),
-    )  # fmt: skip
+    builder.geom("boat_cabin", BOAT, box=[0.15 * length, 0.10 * length, 0.2], rgba=[0.93, 0.92,
+                 0.88, 1], pos=at(0.03 * length, 0, 0.95), heading=heading)  # fmt: skip
+    builder.geom("boat_cockpit", BOAT, box=[0.12 * length, 0.08 * length, 0.02], rgba=[0.42, 0.31,
+                 0.22, 1], pos=at(-0.27 * length, 0, 0.77), heading=heading)  # fmt: skip
     mast, tip, stern = at(0.12 * length, 0, 0.7), at(0.12 * length, 0, 8.0), (-0.34 * length)
     bow = at(0.47 * length, 0, 1.1)
     boom = at(0.1 * length, 0, 1.75), at(stern, 0, 1.75)
@@ -171,8 +162,7 @@ def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None
         (*boom, 0.13, [0.92, 0.90, 0.84, 1]),
     )
     for start, end, radius, rgba in lines:
-        builder.geom("boat_mast", BOAT, type=GEOM.mjGEOM_CAPSULE, fromto=[*start, *end],
-                     size=[radius, 0, 0], rgba=rgba)  # fmt: skip
+        builder.geom("boat_mast", BOAT, fromto=[*start, *end], capsule=radius, rgba=rgba)
         spread = np.array([[radius, 0, 0], [-radius, 0, 0], [0, radius, 0]])
         builder.cast(np.concatenate([start + spread, end + spread]))
     outline = np.stack([(np.linspace(0, 1, len(_BEAM)) - 0.5) * length, 0.165 * length * _BEAM], -1)
@@ -185,13 +175,12 @@ def add_buoy(builder: SceneBuilder, xy_m: Array, radius_m: float, rgba: list[flo
     """Adds a ball that floats half out of the water; large ones carry a pole with a topmark."""
     z = builder.terrain.point(*xy_m)
     at = np.array([*xy_m, z + 0.3 * radius_m])
-    builder.geom("buoy", BUOY, type=GEOM.mjGEOM_SPHERE, size=[radius_m, 0, 0], pos=at, rgba=rgba)
+    builder.geom("buoy", BUOY, ball=radius_m, pos=at, rgba=rgba)
     turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
     ring = radius_m * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
     builder.cast(np.concatenate([at + ring, at + [[0.0, 0.0, radius_m]]]), 0.9)
     if radius_m > 0.35:
-        builder.geom("buoy_pole", BUOY, type=GEOM.mjGEOM_CYLINDER, size=[0.05, 0, 0], rgba=rgba,
+        builder.geom("buoy_pole", BUOY, cylinder=0.05, rgba=rgba,
                      fromto=[*at, *(at + [0.0, 0.0, 2.3])])  # fmt: skip
-        builder.geom("buoy_mark", BUOY, type=GEOM.mjGEOM_BOX, size=[0.2, 0.2, 0.2], rgba=rgba,
-                     pos=at + [0.0, 0.0, 2.4])  # fmt: skip
+        builder.geom("buoy_mark", BUOY, box=[0.2, 0.2, 0.2], rgba=rgba, pos=at + [0.0, 0.0, 2.4])
     builder.claim(xy_m, radius_m + 0.3)

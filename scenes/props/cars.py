@@ -9,27 +9,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, turned
 from touchdown.scenes.authoring.meshes import MeshData, cylinder_y, polygon
 from touchdown.scenes.authoring.textures import Colour
-
-Array = NDArray[np.float64]
 
 CAR_SURFACE = Surface(land_class="other", reflectivity=0.35)
 PX_PER_M = 64.0
 ATLAS_PX = 512
 TOP_ROW, SIDE_ROW, END_ROW = 0, 150, 270
-PAINTS: tuple[Colour, ...] = (
-    (176, 28, 30),
-    (232, 232, 228),
-    (38, 66, 122),
-    (44, 46, 50),
-    (168, 172, 176),
-    (214, 150, 34),
-    (52, 96, 74),
-    (120, 32, 48),
-)
+PAINTS: tuple[Colour, ...] = ((176, 28, 30), (232, 232, 228), (38, 66, 122), (44, 46, 50),
+              (168, 172, 176), (214, 150, 34), (52, 96, 74), (120, 32, 48))  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -48,20 +38,12 @@ class CarShape:
     """height of the bonnet's front edge"""
 
 
-SHAPES: dict[str, CarShape] = {
-    "hatch": CarShape(
-        length_m=4.05, width_m=1.76, belt_m=0.92, height_m=1.48,
-        screen_x_m=(1.02, 0.30), rear_x_m=(-1.92, -1.52), nose_m=0.72,
-    ),
-    "saloon": CarShape(
-        length_m=4.60, width_m=1.82, belt_m=0.90, height_m=1.44,
-        screen_x_m=(1.10, 0.35), rear_x_m=(-1.65, -1.00), nose_m=0.70,
-    ),
-    "van": CarShape(
-        length_m=4.95, width_m=1.94, belt_m=1.08, height_m=1.95,
-        screen_x_m=(1.85, 1.20), rear_x_m=(-2.44, -2.36), nose_m=0.92,
-    ),
-}  # fmt: skip
+SHAPES: dict[str, CarShape] = {"hatch": CarShape(length_m=4.05, width_m=1.76, belt_m=0.92,
+             height_m=1.48, screen_x_m=(1.02, 0.30), rear_x_m=(-1.92, -1.52), nose_m=0.72),
+             "saloon": CarShape(length_m=4.60, width_m=1.82, belt_m=0.90, height_m=1.44,
+             screen_x_m=(1.10, 0.35), rear_x_m=(-1.65, -1.00), nose_m=0.70),
+             "van": CarShape(length_m=4.95, width_m=1.94, belt_m=1.08, height_m=1.95,
+             screen_x_m=(1.85, 1.20), rear_x_m=(-2.44, -2.36), nose_m=0.92)}  # fmt: skip
 
 
 def car_mesh(shape: CarShape) -> MeshData:
@@ -71,11 +53,10 @@ def car_mesh(shape: CarShape) -> MeshData:
     sill, belt, roof = 0.24, shape.belt_m, shape.height_m
     tuck = 0.95 * half
     # Stations front to rear: x, height and half width of the shoulder line.
-    shoulder = np.array([
-        [front, shape.nose_m, 0.86 * half], [front - 0.35, shape.nose_m + 0.08, tuck],
-        [shape.screen_x_m[0], belt, half], [shape.rear_x_m[0], belt, half],
-        [back + 0.06, belt - 0.06, 0.92 * half],
-    ])  # fmt: skip
+    shoulder = np.array([[front, shape.nose_m, 0.86 * half],
+                        [front - 0.35, shape.nose_m + 0.08, tuck],
+                        [shape.screen_x_m[0], belt, half], [shape.rear_x_m[0], belt, half],
+                        [back + 0.06, belt - 0.06, 0.92 * half]])  # fmt: skip
     parts: list[MeshData] = []
     for first, second in pairwise(shoulder):
         (x0, z0, w0), (x1, z1, w1) = first, second
@@ -126,118 +107,49 @@ def car_atlas(rng: np.random.Generator, shape: CarShape, paint: Colour) -> NDArr
     """(512, 512, 3): the car from above, from the side, from both ends; tyre and hub colours."""
     atlas = np.empty((ATLAS_PX, ATLAS_PX, 3), np.float32)
     atlas[:] = np.array(paint, np.float32)
-    glass, trim = (34.0, 42.0, 50.0), tuple(0.55 * c for c in paint)
-    length, width = shape.length_m, shape.width_m
+    glass, trim, plate = (34.0, 42.0, 50.0), tuple(0.55 * c for c in paint), (225.0, 225.0, 215.0)
+    length, width, top = shape.length_m, shape.width_m, shape.height_m
     fx, hx = (x + 0.5 * length for x in shape.screen_x_m)
     rx, tx = (x + 0.5 * length for x in shape.rear_x_m)
 
-    def quad(points: list[tuple[float, float]], colour: tuple[float, ...], row: int) -> None:
+    def quad(row: int, colour: tuple[float, ...], *points: tuple[float, float]) -> None:
         pixels = np.array(points) * PX_PER_M + [0.0, row]
         cv2.fillConvexPoly(atlas, (pixels * 16).astype(np.int32), colour, cv2.LINE_AA, 4)
 
+    def rectangle(
+        row: int, colour: tuple[float, ...], x: tuple[float, float], y: tuple[float, float]
+    ) -> None:
+        quad(row, colour, (x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1]))
+
     m = 0.5 * width
-    quad(
-        [
-            (fx - 0.06, m - 0.43 * width),
-            (fx - 0.06, m + 0.43 * width),
-            (hx, m + 0.33 * width),
-            (hx, m - 0.33 * width),
-        ],
-        glass,
-        TOP_ROW,
-    )
-    quad(
-        [
-            (fx - 0.10, m - 0.30 * width),
-            (fx - 0.10, m - 0.1 * width),
-            (hx + 0.04, m - 0.02 * width),
-            (hx + 0.04, m - 0.20 * width),
-        ],
-        (70.0, 86.0, 98.0),
-        TOP_ROW,
-    )
-    quad(
-        [
-            (tx, m - 0.33 * width),
-            (tx, m + 0.33 * width),
-            (rx + 0.05, m + 0.40 * width),
-            (rx + 0.05, m - 0.40 * width),
-        ],
-        glass,
-        TOP_ROW,
-    )
+    low, high, left, right = m - 0.43 * width, m + 0.43 * width, m - 0.33 * width, m + 0.33 * width
+    quad(TOP_ROW, glass, (fx - 0.06, low), (fx - 0.06, high), (hx, right), (hx, left))
+    quad(TOP_ROW, (70.0, 86.0, 98.0), (fx - 0.10, m - 0.30 * width), (fx - 0.10, m - 0.1 * width),
+         (hx + 0.04, m - 0.02 * width), (hx + 0.04, m - 0.20 * width))  # fmt: skip
+    quad(TOP_ROW, glass, (tx, left), (tx, right), (rx + 0.05, m + 0.40 * width),
+         (rx + 0.05, m - 0.40 * width))  # fmt: skip
     for y in (0.17, 0.83):
-        quad(
-            [
-                (fx + 0.1, y * width),
-                (length - 0.2, (0.5 + 0.85 * (y - 0.5)) * width),
-                (length - 0.2, (0.5 + 0.85 * (y - 0.5)) * width + 0.02),
-                (fx + 0.1, y * width + 0.02),
-            ],
-            trim,
-            TOP_ROW,
-        )
+        near, far = y * width, (0.5 + 0.85 * (y - 0.5)) * width
+        quad(TOP_ROW, trim, (fx + 0.1, near), (length - 0.2, far), (length - 0.2, far + 0.02),
+             (fx + 0.1, near + 0.02))  # fmt: skip
     if rng.random() < 0.4:
-        quad(
-            [
-                (tx + 0.35, m - 0.38),
-                (hx - 0.15, m - 0.38),
-                (hx - 0.15, m + 0.38),
-                (tx + 0.35, m + 0.38),
-            ],
-            (48.0, 54.0, 60.0),
-            TOP_ROW,
-        )
+        rectangle(TOP_ROW, (48.0, 54.0, 60.0), (tx + 0.35, hx - 0.15), (m - 0.38, m + 0.38))
     for y in (0.10, 0.90):
-        quad(
-            [
-                (length - 0.32, (y - 0.07) * width),
-                (length, (y - 0.05) * width),
-                (length, (y + 0.05) * width),
-                (length - 0.32, (y + 0.07) * width),
-            ],
-            (225.0, 230.0, 232.0),
-            TOP_ROW,
-        )
-    top = shape.height_m
-    quad(
-        [
-            (fx - 0.12, top - shape.belt_m - 0.03),
-            (hx, 0.10),
-            (tx, 0.12),
-            (rx + 0.14, top - shape.belt_m - 0.03),
-        ],
-        glass,
-        SIDE_ROW,
-    )
+        quad(TOP_ROW, (225.0, 230.0, 232.0), (length - 0.32, (y - 0.07) * width),
+             (length, (y - 0.05) * width), (length, (y + 0.05) * width),
+             (length - 0.32, (y + 0.07) * width))  # fmt: skip
+    sill = top - shape.belt_m - 0.03
+    quad(SIDE_ROW, glass, (fx - 0.12, sill), (hx, 0.10), (tx, 0.12), (rx + 0.14, sill))
     for x in (0.5 * (hx + tx) + 0.15, hx - 0.1, tx + 0.2):
-        quad([(x, 0.05), (x + 0.05, 0.05), (x + 0.05, top - 0.3), (x, top - 0.3)], trim, SIDE_ROW)
+        rectangle(SIDE_ROW, trim, (x, x + 0.05), (0.05, top - 0.3))
     for x in (0.5 * length + 0.31 * length, 0.5 * length - 0.30 * length):
         centre = (int(x * PX_PER_M), int((top - 0.32) * PX_PER_M) + SIDE_ROW)
         cv2.circle(atlas, centre, int(0.38 * PX_PER_M), (18, 18, 20), -1, cv2.LINE_AA)
     low = top - shape.nose_m + 0.08
-    for offset, lamp in ((0.0, (235.0, 238.0, 236.0)), (2.2, (170.0, 16.0, 18.0))):
+    for end, lamp in ((0.0, (235.0, 238.0, 236.0)), (2.2, (170.0, 16.0, 18.0))):
         for y in (0.08, 0.74):
-            quad(
-                [
-                    (offset + y * width, low),
-                    (offset + (y + 0.18) * width, low),
-                    (offset + (y + 0.18) * width, low + 0.16),
-                    (offset + y * width, low + 0.16),
-                ],
-                lamp,
-                END_ROW,
-            )
-        quad(
-            [
-                (offset + 0.36 * width, low + 0.1),
-                (offset + 0.64 * width, low + 0.1),
-                (offset + 0.64 * width, low + 0.22),
-                (offset + 0.36 * width, low + 0.22),
-            ],
-            (225.0, 225.0, 215.0),
-            END_ROW,
-        )
+            rectangle(END_ROW, lamp, (end + y * width, end + (y + 0.18) * width), (low, low + 0.16))
+        rectangle(END_ROW, plate, (end + 0.36 * width, end + 0.64 * width), (low + 0.1, low + 0.22))
     atlas[480:, 480:] = (22.0, 22.0, 24.0)
     atlas[480:, 448:480] = (150.0, 152.0, 155.0)
     return np.clip(atlas, 0, 255).astype(np.uint8)
@@ -267,10 +179,7 @@ def park_car(
     wheels = np.array([[x, y] for x in (1.3, -1.3) for y in (0.8, -0.8)]) @ [[c, s], [-s, c]]
     z = float(builder.terrain.at(xy_m + wheels).mean())
     origin = np.array([xy_m[0], xy_m[1], z])
-    builder.geom(
-        "car", CAR_SURFACE, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
-        pos=origin, quat=quat_z(heading),
-    )  # fmt: skip
+    builder.geom("car", CAR_SURFACE, mesh=mesh, material=material, pos=origin, heading=heading)
     builder.cast(turned(car_outline(shape), heading, origin))
     builder.claim(xy_m, 0.5 * shape.length_m + 0.3)
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import replace
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
-from touchdown.scenes.authoring.meshes import MeshData, box, polygon
+import numpy as np
+
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.meshes import MeshData, boxes, polygon
+from touchdown.scenes.authoring.plane import pick, unit, unit_circle
 from touchdown.scenes.authoring.textures import planks
 from touchdown.scenes.props.houses import gable_roof_mesh, wall_mesh
 from touchdown.scenes.props.street import STEEL, WOOD
 from touchdown.scenes.props.wires import add_post, add_wire
-
-Array = NDArray[np.float64]
 
 SHED = Surface(land_class="building", reflectivity=0.38)
 GLASS = Surface(land_class="building", reflectivity=0.12)
@@ -32,95 +32,52 @@ def plank_material(builder: SceneBuilder) -> str:
     return name
 
 
-def place_mesh(
-    builder: SceneBuilder, stem: str, surface: Surface, parts: list[MeshData], xy_m: Array,
-    heading: float, **looks: object,
-) -> None:  # fmt: skip
-    """Adds a mesh of its own on the ground at ``xy_m``, with the shadow of its hull."""
-    data = MeshData.join(parts)
-    origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
-    builder.geom(
-        stem, surface, type=GEOM.mjGEOM_MESH, meshname=builder.mesh(builder.unique(stem), data),
-        pos=origin, quat=quat_z(heading), **looks,
-    )  # fmt: skip
-    builder.cast(turned(data.vertices, heading, origin))
-
-
 def add_shed(
     builder: SceneBuilder, xy_m: Array, heading: float, size_m: tuple[float, float, float]
 ) -> None:
     """Adds a wooden shed with a low gable roof. size_m: length, width, wall height."""
-    rng = builder.rng
     length, width, height = size_m
-    origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
-    name = builder.unique("shed")
-    walls = builder.mesh(f"{name}_walls", wall_mesh(size_m, 0.28 * width))
-    pose = {"quat": quat_z(heading)}
-    builder.geom(
-        "building_shed", SHED, type=GEOM.mjGEOM_MESH, meshname=walls, pos=origin,
-        material=plank_material(builder), rgba=_SHED_TINTS[int(rng.integers(3))], **pose,
-    )  # fmt: skip
-    roof = builder.mesh(f"{name}_roof", gable_roof_mesh(length, width, 0.28 * width, 0.2))
-    builder.geom(
-        "building_shed_roof", SHED, type=GEOM.mjGEOM_MESH, meshname=roof,
-        pos=origin + [0.0, 0.0, height], material=plank_material(builder),
-        rgba=_ROOF_TINTS[int(rng.integers(3))], **pose,
-    )  # fmt: skip
-    half = np.array([0.5 * length + 0.2, 0.5 * width + 0.2])
-    corners = [[sx * half[0], sy * half[1], z]
-               for sx in (-1, 1) for sy in (-1, 1) for z in (0, height)]  # fmt: skip
-    builder.cast(turned(np.array(corners), heading, origin))
+    origin, name = builder.on_ground(xy_m), builder.unique("shed")
+    roof = gable_roof_mesh(length, width, 0.28 * width, 0.2)
+    for part, data, rise, tints in (("", wall_mesh(size_m, 0.28 * width), 0.0, _SHED_TINTS),
+                                    ("_roof", roof, height, _ROOF_TINTS)):  # fmt: skip
+        mesh = builder.mesh(f"{name}{part or '_walls'}", data)
+        builder.geom(f"building_shed{part}", SHED, mesh=mesh, pos=origin + [0.0, 0.0, rise],
+                     heading=heading, material=plank_material(builder),
+                     rgba=pick(builder.rng, tints))  # fmt: skip
+    builder.cast_box((0.5 * length + 0.2, 0.5 * width + 0.2), (0.0, height), heading, origin)
     builder.claim(xy_m, 0.5 * float(np.hypot(length, width)) + 0.6)
 
 
 def add_greenhouse(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds a glass house of 3 x 2.2 m: panes between bars."""
     size = (3.0, 2.2, 1.5)
-    z = builder.terrain.point(*xy_m)
-    origin = np.array([*xy_m, z])
-    name = "building_glass"
+    origin, name = builder.on_ground(xy_m), "building_glass"
     if builder.spec.material(name) is None:
         pane = np.full((64, 64, 3), (150, 182, 186), np.uint8)
         pane[8:30, 8:56] = (172, 202, 204)
         pane[:4], pane[:, :4] = 236, 236
         builder.material(name, pane, shine=0.5)
     walls = builder.mesh(builder.unique("glass_walls"), _tiled(wall_mesh(size, 0.8), 0.6))
-    roof = builder.mesh(
-        builder.unique("glass_roof"), _tiled(gable_roof_mesh(3.0, 2.2, 0.8, 0.05), 0.6)
-    )
+    gable = _tiled(gable_roof_mesh(3.0, 2.2, 0.8, 0.05), 0.6)
+    roof = builder.mesh(builder.unique("glass_roof"), gable)
     for mesh, rise in ((walls, 0.0), (roof, size[2])):
-        builder.geom(
-            "building_greenhouse", GLASS, type=GEOM.mjGEOM_MESH, meshname=mesh, material=name,
-            pos=origin + [0.0, 0.0, rise], quat=quat_z(heading),
-        )  # fmt: skip
-    corners = [[sx * 1.5, sy * 1.1, h] for sx in (-1, 1) for sy in (-1, 1) for h in (0.0, 1.5)]
-    builder.cast(turned(np.array(corners), heading, origin), 0.35)
+        builder.geom("building_greenhouse", GLASS, mesh=mesh, material=name,
+                     pos=origin + [0.0, 0.0, rise], heading=heading)  # fmt: skip
+    builder.cast_box((1.5, 1.1), (0.0, 1.5), heading, origin, 0.35)
     builder.claim(xy_m, 2.4)
 
 
 def _tiled(data: MeshData, metres: float) -> MeshData:
     """The mesh mapped in metres: by x and the larger of the other two extents."""
     x, y, z = data.vertices.T
-    return MeshData(
-        vertices=data.vertices,
-        faces=data.faces,
-        uv=np.stack([(x + y) / metres, (z + y) / metres], -1),
-    )
-
-
-def disc(radius: float, z: float, uv: Array, sides: int = 20) -> MeshData:
-    """A disc that looks up, every vertex mapped to ``uv`` (2,)."""
-    turn = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
-    ring = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.full(sides, z)], axis=-1)
-    return polygon(ring, np.tile(uv, (sides, 1)))
+    return replace(data, uv=np.stack([(x + y) / metres, (z + y) / metres], -1))
 
 
 def drum(radius: float, low: float, high: float, sides: int = 16) -> MeshData:
     """A closed upright cylinder."""
-    turn = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
-    ring = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=-1)
-    lower = np.column_stack([ring, np.full(sides, low)])
-    upper = np.column_stack([ring, np.full(sides, high)])
+    ring = radius * unit_circle(sides)
+    lower, upper = (np.column_stack([ring, np.full(sides, z)]) for z in (low, high))
     parts = [polygon(upper, ring), polygon(lower[::-1], ring[::-1])]
     for i in range(sides):
         j = (i + 1) % sides
@@ -131,19 +88,17 @@ def drum(radius: float, low: float, high: float, sides: int = 16) -> MeshData:
 
 def add_trampoline(builder: SceneBuilder, xy_m: Array) -> None:
     """Adds a round trampoline, 3.4 m across and 0.75 m high: from far above a level dark disc."""
-    origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
-    pose = {"pos": origin}
-    tint = ([0.16, 0.34, 0.66, 1], [0.20, 0.46, 0.24, 1])[int(builder.rng.integers(2))]
-    builder.geom("trampoline", MAT, type=GEOM.mjGEOM_CYLINDER, size=[1.7, 0.05, 0.0],
-                 rgba=tint, pos=origin + [0.0, 0.0, 0.72])  # fmt: skip
-    parts = [drum(1.38, 0.70, 0.785, 24)]
-    for angle in np.arange(0.4, 2.0 * np.pi, 0.5 * np.pi):
-        foot = np.array([1.5 * np.cos(angle), 1.5 * np.sin(angle), 0.35])
-        parts.append(box(np.array([0.03, 0.03, 0.36]), foot))
+    origin = builder.on_ground(xy_m)
+    tint = pick(builder.rng, ([0.16, 0.34, 0.66, 1], [0.20, 0.46, 0.24, 1]))
+    builder.geom("trampoline", MAT, cylinder=(1.7, 0.05), rgba=tint, pos=origin + [0.0, 0.0, 0.72])
+    feet = 1.5 * unit(np.arange(0.4, 2.0 * np.pi, 0.5 * np.pi))
+    parts = [
+        drum(1.38, 0.70, 0.785, 24),
+        *boxes(*([0.03, 0.03, 0.36, x, y, 0.35] for x, y in feet)),
+    ]
     mat = builder.mesh(builder.unique("mat"), MeshData.join(parts))
-    builder.geom("trampoline_mat", MAT, type=GEOM.mjGEOM_MESH, meshname=mat,
-                 rgba=[0.10, 0.10, 0.11, 1], **pose)  # fmt: skip
-    ring = 1.7 * np.stack([np.cos(np.arange(0, 6.2, 0.4)), np.sin(np.arange(0, 6.2, 0.4))], -1)
+    builder.geom("trampoline_mat", MAT, mesh=mat, rgba=[0.10, 0.10, 0.11, 1], pos=origin)
+    ring = 1.7 * unit(np.arange(0, 6.2, 0.4))
     builder.cast(np.column_stack([xy_m + ring, np.full(len(ring), origin[2] + 0.72)]))
     builder.claim(xy_m, 2.2)
 
@@ -159,37 +114,33 @@ def add_washing_line(
     tops = []
     for end in (start_xy_m, end_xy_m):
         add_post(builder, end, 1.95, 0.03, steel)
-        tops.append(np.array([*end, builder.terrain.point(*end) + 1.9]))
+        tops.append(builder.on_ground(end, 1.9))
         arm = np.array([*(0.5 * across), 0.0])
         add_wire(builder, tops[-1] - arm, tops[-1] + arm, 0.02, steel)
     for side in (-0.45, 0.45):
         offset = np.array([*(side * across), 0.0])
         add_wire(builder, tops[0] + offset, tops[1] + offset, 0.008, [0.85, 0.85, 0.82, 1])
-    if laundry:
-        rng = builder.rng
-        for share in np.arange(0.25, 0.85, 0.3):
-            size = rng.uniform([0.3, 0.3], [0.5, 0.55])
-            line = tops[0] + share * (tops[1] - tops[0])
-            at = line + [*(0.45 * across), -size[1] - 0.02]
-            builder.geom(
-                "laundry", CLOTH, type=GEOM.mjGEOM_BOX, size=[size[0], 0.012, size[1]], pos=at,
-                quat=quat_z(heading), rgba=[*rng.uniform(0.55, 0.95, 3), 1.0],
-            )  # fmt: skip
-    for share in (0.0, 0.25, 0.5, 0.75, 1.0):
-        builder.claim(start_xy_m + share * span, 1.0)
+    rng = builder.rng
+    for share in np.arange(0.25, 0.85, 0.3) if laundry else ():
+        size = rng.uniform([0.3, 0.3], [0.5, 0.55])
+        at = tops[0] + share * (tops[1] - tops[0]) + [*(0.45 * across), -size[1] - 0.02]
+        builder.geom("laundry", CLOTH, box=[size[0], 0.012, size[1]], pos=at, heading=heading,
+                     rgba=[*rng.uniform(0.55, 0.95, 3), 1.0])  # fmt: skip
+    builder.claim_line(start_xy_m, end_xy_m, 5, 1.0)
 
 
 def add_table(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds a garden table with four chairs."""
-    parts = [box(np.array([0.75, 0.45, 0.025]), np.array([0.0, 0.0, 0.72]))]
-    parts += [box(np.array([0.03, 0.03, 0.36]), np.array([sx * 0.66, sy * 0.38, 0.36]))
-              for sx in (-1, 1) for sy in (-1, 1)]  # fmt: skip
-    for sx in (-0.4, 0.4):
-        for sy in (-1.0, 1.0):
-            parts.append(box(np.array([0.22, 0.22, 0.22]), np.array([sx, sy * 0.72, 0.22])))
-            parts.append(box(np.array([0.22, 0.02, 0.24]), np.array([sx, sy * 0.94, 0.64])))
-    tint = ([0.90, 0.90, 0.88, 1], [0.55, 0.40, 0.26, 1])[int(builder.rng.integers(2))]
-    place_mesh(builder, "table", WOOD, parts, xy_m, heading, rgba=tint)
+    parts = boxes(
+        [0.75, 0.45, 0.025, 0.0, 0.0, 0.72],
+        *([0.03, 0.03, 0.36, x, y, 0.36] for x in (-0.66, 0.66) for y in (-0.38, 0.38)),
+    )
+    for x in (-0.4, 0.4):
+        for side in (-1.0, 1.0):
+            parts += boxes([0.22, 0.22, 0.22, x, side * 0.72, 0.22],
+                           [0.22, 0.02, 0.24, x, side * 0.94, 0.64])  # fmt: skip
+    tint = pick(builder.rng, ([0.90, 0.90, 0.88, 1], [0.55, 0.40, 0.26, 1]))
+    builder.stand("table", WOOD, parts, xy_m, heading, rgba=tint)
     builder.claim(xy_m, 1.3)
 
 
@@ -206,15 +157,14 @@ def add_crop_rows(
             foot = np.array([along, across]) + rng.normal(0.0, 0.04, 2)
             parts.append(_tuft(foot, wide, high))
     tint = [rng.uniform(0.24, 0.40), rng.uniform(0.44, 0.56), rng.uniform(0.18, 0.26), 1]
-    place_mesh(builder, "field_crops", CROP, parts, xy_m, heading, rgba=tint)
+    builder.stand("field_crops", CROP, parts, xy_m, heading, rgba=tint)
     builder.claim(xy_m, 0.5 * max(size_m))
 
 
 def _tuft(foot: Array, wide: float, high: float) -> MeshData:
     """A small octahedron with its lower half in the soil."""
     turn = np.linspace(0.0, 2.0 * np.pi, 5, endpoint=False) + foot[0]
-    ring = np.column_stack([foot + wide * np.stack([np.cos(turn), np.sin(turn)], -1),
-                            np.full(5, 0.35 * high)])  # fmt: skip
+    ring = np.column_stack([foot + wide * unit(turn), np.full(5, 0.35 * high)])
     tip, root = np.array([*foot, high]), np.array([*foot, -0.1])
     parts = []
     for i in range(5):
@@ -229,17 +179,13 @@ def add_toys(builder: SceneBuilder, xy_m: Array) -> None:
     rng = builder.rng
     for _ in range(int(rng.integers(1, 3))):
         spot = xy_m + rng.normal(0.0, 0.8, 2)
-        z = builder.terrain.point(*spot)
         tint = [*rng.permutation([0.85, rng.uniform(0.1, 0.8), 0.12]), 1.0]
         radius = float(rng.uniform(0.11, 0.2))
-        builder.geom("toy", CLOTH, type=GEOM.mjGEOM_SPHERE, size=[radius, 0, 0], rgba=tint,
-                     pos=[*spot, z + radius])  # fmt: skip
-    parts = [box(np.array([0.35, 0.05, 0.05]), np.array([0.0, 0.0, 0.32])),
-             box(np.array([0.10, 0.10, 0.03]), np.array([-0.2, 0.0, 0.42])),
-             box(np.array([0.02, 0.25, 0.02]), np.array([0.3, 0.0, 0.52]))]  # fmt: skip
-    for at in ((0.35, 0.0), (-0.3, 0.22), (-0.3, -0.22)):
-        parts.append(box(np.array([0.15, 0.03, 0.15]), np.array([*at, 0.15])))
+        builder.geom("toy", CLOTH, ball=radius, rgba=tint, pos=builder.on_ground(spot, radius))
+    parts = boxes([0.35, 0.05, 0.05, 0.0, 0.0, 0.32], [0.10, 0.10, 0.03, -0.2, 0.0, 0.42], [0.02,
+                  0.25, 0.02, 0.3, 0.0, 0.52], [0.15, 0.03, 0.15, 0.35, 0.0, 0.15], [0.15, 0.03,
+                  0.15, -0.3, 0.22, 0.15], [0.15, 0.03, 0.15, -0.3, -0.22, 0.15])  # fmt: skip
     spot = xy_m + rng.normal(0.0, 0.6, 2)
     heading = float(rng.uniform(0.0, 6.28))
-    place_mesh(builder, "toy_tricycle", STEEL, parts, spot, heading, rgba=[0.8, 0.2, 0.2, 1])
+    builder.stand("toy_tricycle", STEEL, parts, spot, heading, rgba=[0.8, 0.2, 0.2, 1])
     builder.claim(xy_m, 1.8)

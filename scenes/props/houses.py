@@ -8,12 +8,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, turned
 from touchdown.scenes.authoring.meshes import MeshData, box, polygon
+from touchdown.scenes.authoring.plane import pick
 from touchdown.scenes.authoring.textures import Colour, facade_bay, flat_roof, roof_tiles
-
-Array = NDArray[np.float64]
 
 WALL = Surface(land_class="building", reflectivity=0.40)
 ROOF = Surface(land_class="building", reflectivity=0.30)
@@ -27,9 +26,8 @@ WALLS: tuple[tuple[Colour, bool], ...] = (
     ((206.0, 172.0, 120.0), True),
     ((228.0, 228.0, 224.0), False),
 )
-ROOFS: tuple[Colour, ...] = (
-    (158.0, 90.0, 66.0), (112.0, 72.0, 58.0), (92.0, 96.0, 104.0), (142.0, 76.0, 58.0),
-)  # fmt: skip
+ROOFS: tuple[Colour, ...] = ((158.0, 90.0, 66.0), (112.0, 72.0, 58.0), (92.0, 96.0, 104.0),
+             (142.0, 76.0, 58.0))  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,7 +71,7 @@ def paint_house_looks(builder: SceneBuilder, roofs: list[NDArray[np.uint8]]) -> 
 def tiled_roof(rng: np.random.Generator, length: float, slope_m: float) -> NDArray[np.uint8]:
     """A texture for both slopes of a roof, ``slope_m`` from ridge to eaves each, in a colour of
     its own."""
-    base = ROOFS[int(rng.integers(len(ROOFS)))]
+    base = pick(rng, ROOFS)
     image = roof_tiles(rng, base, (length, 2.0 * slope_m), 56.0)
     _finish_roof(rng, image)
     return image
@@ -87,13 +85,13 @@ def add_house(builder: SceneBuilder, house: House, looks: HouseLooks | None = No
     origin = np.array([*house.centre_xy_m, z])
     name = builder.unique("house")
     if looks is None:
-        colour, brick = WALLS[int(rng.integers(len(WALLS)))]
+        colour, brick = pick(rng, WALLS)
         bay = builder.material(f"{name}_wall", facade_bay(rng, colour, brick))
     else:
         bay = looks.wall
     mesh = builder.mesh(f"{name}_walls", wall_mesh(house.size_m, house.gable_m))
-    pose = {"pos": origin, "quat": quat_z(house.angle)}
-    builder.geom("building_wall", WALL, type=GEOM.mjGEOM_MESH, meshname=mesh, material=bay, **pose)
+    pose = {"pos": origin, "heading": house.angle}
+    builder.geom("building_wall", WALL, mesh=mesh, material=bay, **pose)
     if house.ridge_m > 0.0:
         _add_pitched_roof(builder, house, name, origin, looks)
     else:
@@ -202,16 +200,11 @@ def _add_pitched_roof(
     shape = hip_roof_mesh if house.hipped else gable_roof_mesh
     mesh = builder.mesh(f"{name}_roof", shape(length, width, house.ridge_m, eaves))
     at = origin + np.array([0.0, 0.0, height])
-    builder.geom(
-        "building_roof", ROOF, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
-        pos=at, quat=quat_z(house.angle),
-    )  # fmt: skip
+    builder.geom("building_roof", ROOF, mesh=mesh, material=material, pos=at, heading=house.angle)
     chimney = np.array([rng.uniform(-0.3, 0.3) * length, rng.choice([-1, 1]) * 0.16 * width, 0.0])
     spot = turned(chimney[None], house.angle, at)[0] + [0.0, 0.0, 0.78 * house.ridge_m]
-    builder.geom(
-        "building_chimney", WALL, type=GEOM.mjGEOM_BOX, size=[0.32, 0.26, 0.75],
-        rgba=[0.52, 0.33, 0.27, 1], pos=spot, quat=quat_z(house.angle),
-    )  # fmt: skip
+    builder.geom("building_chimney", WALL, box=[0.32, 0.26, 0.75], rgba=[0.52, 0.33, 0.27, 1],
+                 pos=spot, heading=house.angle)  # fmt: skip
 
 
 def _add_skylights(rng: np.random.Generator, image: NDArray[np.uint8], half_px: int) -> None:
@@ -242,27 +235,21 @@ def _add_flat_roof(builder: SceneBuilder, house: House, name: str, origin: Array
     x, y = 0.5 * length, 0.5 * width
     deck = np.array([[-x, -y, 0.06], [x, -y, 0.06], [x, y, 0.06], [-x, y, 0.06]])
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
-    body = box(np.array([x, y, 0.025]), np.array([0.0, 0.0, 0.025]), 1e3)
+    body = box((x, y, 0.025), (0.0, 0.0, 0.025), 1e3)
     mesh = builder.mesh(f"{name}_roof", MeshData.join([polygon(deck, uv), body]))
     at = origin + np.array([0.0, 0.0, height])
-    builder.geom(
-        "building_roof", FLAT_ROOF, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
-        pos=at, quat=quat_z(house.angle),
-    )  # fmt: skip
+    builder.geom("building_roof", FLAT_ROOF, mesh=mesh, material=material, pos=at,
+                 heading=house.angle)  # fmt: skip
     for dx, dy, hx, hy in ((0, y, x, 0.12), (0, -y, x, 0.12), (x, 0, 0.12, y), (-x, 0, 0.12, y)):
         spot = turned(np.array([[dx, dy, 0.2]]), house.angle, at)[0]
-        builder.geom(
-            "building_parapet", WALL, type=GEOM.mjGEOM_BOX, size=[hx + 0.12, hy + 0.0, 0.26],
-            rgba=[0.78, 0.77, 0.74, 1], pos=spot, quat=quat_z(house.angle),
-        )  # fmt: skip
+        builder.geom("building_parapet", WALL, box=[hx + 0.12, hy + 0.0, 0.26],
+                     rgba=[0.78, 0.77, 0.74, 1], pos=spot, heading=house.angle)  # fmt: skip
     for _ in range(int(rng.integers(3, 6))):
         local = np.array([rng.uniform(-0.75, 0.75) * x, rng.uniform(-0.7, 0.3) * y, 0.5])
         size = rng.uniform([0.4, 0.4, 0.35], [1.1, 0.7, 0.55])
         spot = turned(local[None], house.angle, at)[0]
-        builder.geom(
-            "building_unit", WALL, type=GEOM.mjGEOM_BOX, size=size, rgba=[0.70, 0.72, 0.73, 1],
-            pos=spot, quat=quat_z(house.angle),
-        )  # fmt: skip
+        builder.geom("building_unit", WALL, box=size, rgba=[0.70, 0.72, 0.73, 1], pos=spot,
+                     heading=house.angle)  # fmt: skip
 
 
 def _cast_house(builder: SceneBuilder, house: House, origin: Array) -> None:

@@ -5,22 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, turned
 from touchdown.scenes.authoring.meshes import blob
+from touchdown.scenes.authoring.plane import draw_heading, pick
 from touchdown.scenes.authoring.textures import Colour, foliage, hedge_or_soil_tint
-
-Array = NDArray[np.float64]
 
 CROWN = Surface(land_class="trees", reflectivity=0.45, porosity=0.35, spread=0.25)
 HEDGE = Surface(land_class="trees", reflectivity=0.42, porosity=0.10, spread=0.25)
 TRUNK = Surface(land_class="trees", reflectivity=0.30)
 ROCK = Surface(land_class="other", reflectivity=0.30)
-SPECIES: tuple[Colour, ...] = (
-    (96.0, 132.0, 58.0), (72.0, 112.0, 56.0), (122.0, 138.0, 54.0), (84.0, 120.0, 84.0),
-)  # fmt: skip
+SPECIES: tuple[Colour, ...] = ((96.0, 132.0, 58.0), (72.0, 112.0, 56.0), (122.0, 138.0, 54.0),
+               (84.0, 120.0, 84.0))  # fmt: skip
 LUMP_RADII_M = (1.0, 1.45, 1.95)
 
 
@@ -58,22 +55,20 @@ def add_tree(builder: SceneBuilder, nursery: Nursery, xy_m: Array, size: float) 
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
     trunk_m = 1.9 * size
-    builder.geom(
-        "trees_trunk", TRUNK, type=GEOM.mjGEOM_CAPSULE, rgba=[0.33, 0.26, 0.20, 1],
-        fromto=[*xy_m, z - 0.3, *xy_m, z + trunk_m + 0.6 * size], size=[0.13 * size, 0, 0],
-    )  # fmt: skip
-    leaf = nursery.leaves[int(rng.integers(len(nursery.leaves)))]
+    builder.geom("trees_trunk", TRUNK, rgba=[0.33, 0.26, 0.20, 1], fromto=[*xy_m, z - 0.3, *xy_m,
+                 z + trunk_m + 0.6 * size], capsule=0.13 * size)  # fmt: skip
+    leaf = pick(rng, nursery.leaves)
     big = [lump for lump in nursery.lumps if lump[1] >= (1.5 if size > 1.0 else 1.2)]
     middle = [lump for lump in nursery.lumps if lump[1] <= (1.5 if size > 1.0 else 1.0)]
     top = np.array([*xy_m, z + trunk_m + 1.5 * size])
-    _add_lump(builder, big[int(rng.integers(len(big)))], leaf, top)
+    _add_lump(builder, pick(rng, big), leaf, top)
     count = int(rng.integers(3, 6))
     turn = rng.uniform(0.0, 2.0 * np.pi)
     for index in range(count):
         angle = turn + 2.0 * np.pi * index / count + rng.uniform(-0.3, 0.3)
         reach = rng.uniform(0.85, 1.35) * size
         offset = [reach * np.cos(angle), reach * np.sin(angle), rng.uniform(-0.9, 0.1) * size]
-        _add_lump(builder, middle[int(rng.integers(len(middle)))], leaf, top + offset)
+        _add_lump(builder, pick(rng, middle), leaf, top + offset)
     builder.claim(xy_m, 2.2 * size)
 
 
@@ -81,17 +76,15 @@ def add_small_tree(builder: SceneBuilder, nursery: Nursery, xy_m: Array, size: f
     """Adds a fruit tree of two lumps; ``size`` 1 is about 3.5 m high."""
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
-    builder.geom(
-        "trees_trunk", TRUNK, type=GEOM.mjGEOM_CAPSULE, rgba=[0.36, 0.29, 0.23, 1],
-        fromto=[*xy_m, z - 0.3, *xy_m, z + 1.9 * size], size=[0.09 * size, 0, 0],
-    )  # fmt: skip
-    leaf = nursery.leaves[int(rng.integers(len(nursery.leaves)))]
+    builder.geom("trees_trunk", TRUNK, rgba=[0.36, 0.29, 0.23, 1],
+                 fromto=[*xy_m, z - 0.3, *xy_m, z + 1.9 * size], capsule=0.09 * size)  # fmt: skip
+    leaf = pick(rng, nursery.leaves)
     small = [lump for lump in nursery.lumps if lump[1] <= (1.5 if size > 0.9 else 1.0)]
     top = np.array([*xy_m, z + 2.2 * size])
     turn = rng.uniform(0.0, 2.0 * np.pi)
     aside = 0.45 * size * np.array([np.cos(turn), np.sin(turn), 0.5])
     for offset in (aside, -aside):
-        _add_lump(builder, small[int(rng.integers(len(small)))], leaf, top + offset)
+        _add_lump(builder, pick(rng, small), leaf, top + offset)
     builder.claim(xy_m, 1.6 * size)
 
 
@@ -100,9 +93,9 @@ def add_bush(builder: SceneBuilder, nursery: Nursery, xy_m: Array) -> None:
     rng = builder.rng
     half = rng.uniform(0.45, 0.8) * np.array([1.0, rng.uniform(0.8, 1.2), 0.85])
     mesh = builder.mesh(builder.unique("bush"), blob(rng, half, 2.3, 0.10, 8, 1.2))
-    leaf = nursery.leaves[int(rng.integers(len(nursery.leaves)))]
-    at = np.array([*xy_m, builder.terrain.point(*xy_m) + 0.6 * half[2]])
-    builder.geom("trees_bush", HEDGE, type=GEOM.mjGEOM_MESH, meshname=mesh, material=leaf, pos=at)
+    leaf = pick(rng, nursery.leaves)
+    at = builder.on_ground(xy_m, 0.6 * half[2])
+    builder.geom("trees_bush", HEDGE, mesh=mesh, material=leaf, pos=at)
     builder.cast(at + half * _SPHERE, 0.9)
     builder.claim(xy_m, 0.8)
 
@@ -121,15 +114,12 @@ def add_hedge(
     ground = float(builder.terrain.at(start_xy_m + steps * span).mean())
     at = np.array([*middle, ground + 0.5 * height_m - 0.25])
     angle = float(np.arctan2(span[1], span[0]))
-    builder.geom(
-        "trees_hedge", HEDGE, type=GEOM.mjGEOM_MESH, meshname=mesh, material=nursery.hedge_leaf,
-        pos=at, quat=quat_z(angle),
-    )  # fmt: skip
+    builder.geom("trees_hedge", HEDGE, mesh=mesh, material=nursery.hedge_leaf, pos=at,
+                 heading=angle)  # fmt: skip
     corners = [[sx * half[0], sy * half[1], sz * half[2]]
                for sx in (-1, 1) for sy in (-1, 1) for sz in (-1, 1)]  # fmt: skip
     builder.cast(turned(np.array(corners), angle, at), 0.95)
-    for share in np.linspace(0.0, 1.0, max(2, int(half[0]))):
-        builder.claim(start_xy_m + share * span, 1.0)
+    builder.claim_line(start_xy_m, end_xy_m, max(2, int(half[0])), 1.0)
 
 
 def add_rock(builder: SceneBuilder, xy_m: Array, radius_m: float) -> None:
@@ -137,22 +127,17 @@ def add_rock(builder: SceneBuilder, xy_m: Array, radius_m: float) -> None:
     rng = builder.rng
     half = radius_m * rng.uniform([0.9, 0.7, 0.55], [1.3, 1.0, 0.85])
     mesh = builder.mesh(builder.unique("rock"), blob(rng, half, 2.6, 0.12, 6, 1.0))
-    at = np.array([*xy_m, builder.terrain.point(*xy_m) + 0.3 * half[2]])
+    at = builder.on_ground(xy_m, 0.3 * half[2])
     grey = rng.uniform(0.46, 0.60)
-    builder.geom(
-        "rock", ROCK, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=at,
-        rgba=[grey, 0.98 * grey, 0.93 * grey, 1],
-    )  # fmt: skip
+    builder.geom("rock", ROCK, mesh=mesh, pos=at, rgba=[grey, 0.98 * grey, 0.93 * grey, 1])
     builder.cast(at + half * _SPHERE)
     builder.claim(xy_m, 1.2 * radius_m)
 
 
 def _add_lump(builder: SceneBuilder, lump: tuple[str, float], leaf: str, at: Array) -> None:
     mesh, radius = lump
-    builder.geom(
-        "trees_crown", CROWN, type=GEOM.mjGEOM_MESH, meshname=mesh, material=leaf, pos=at,
-        quat=quat_z(float(builder.rng.uniform(0.0, 2.0 * np.pi))),
-    )  # fmt: skip
+    builder.geom("trees_crown", CROWN, mesh=mesh, material=leaf, pos=at,
+                 heading=draw_heading(builder.rng))  # fmt: skip
     builder.cast(at + radius * np.array([1.0, 1.0, 0.8]) * _SPHERE, 1.0 - CROWN.porosity)
 
 

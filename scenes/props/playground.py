@@ -5,16 +5,14 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
-from touchdown.scenes.authoring.meshes import box, polygon
-from touchdown.scenes.props.garden import CLOTH, place_mesh
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.meshes import box, plate
+from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.props.garden import CLOTH
 from touchdown.scenes.props.street import WOOD
 from touchdown.scenes.props.wires import add_post, add_wire
-
-Array = NDArray[np.float64]
 
 NET = Surface(land_class="other", reflectivity=0.35, porosity=0.7)
 _STEEL_RGBA = [0.80, 0.26, 0.18, 1.0]
@@ -28,7 +26,7 @@ def _frame(heading: float) -> tuple[Array, Array]:
 def add_swing(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds two swings under a bar between two A-frames of thin tube."""
     along, left = _frame(heading)
-    foot = np.array([*xy_m, builder.terrain.point(*xy_m)])
+    foot = builder.on_ground(xy_m)
     up = np.array([0.0, 0.0, 2.3])
     for end in (-1.8, 1.8):
         for side in (-0.8, 0.8):
@@ -37,10 +35,9 @@ def add_swing(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     add_wire(builder, foot - 1.8 * along + up, foot + 1.8 * along + up, 0.035, _STEEL_RGBA)
     seats = []
     for seat in (-0.8, 0.8):
-        seats.append(box(np.array([0.24, 0.09, 0.02]), np.array([seat, 0.0, 0.5])))
-        for rope in (-0.2, 0.2):
-            seats.append(box(np.array([0.012, 0.012, 0.9]), np.array([seat + rope, 0.0, 1.4])))
-    place_mesh(builder, "swing_seats", WOOD, seats, xy_m, heading, rgba=[0.12, 0.12, 0.13, 1])
+        ropes = [box((0.012, 0.012, 0.9), (seat + rope, 0.0, 1.4)) for rope in (-0.2, 0.2)]
+        seats += [box((0.24, 0.09, 0.02), (seat, 0.0, 0.5)), *ropes]
+    builder.stand("swing_seats", WOOD, seats, xy_m, heading, rgba=[0.12, 0.12, 0.13, 1])
     for end in (-1.8, 0.0, 1.8):
         builder.claim(xy_m + end * along[:2], 1.6)
 
@@ -48,42 +45,31 @@ def add_swing(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
 def add_play_slide(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds a small tower with a roof and a slide along ``heading``."""
     along, _ = _frame(heading)
-    deck = [box(np.array([0.6, 0.6, 0.05]), np.array([-1.4, 0.0, 1.4]))]
-    for sx in (-0.55, 0.55):
-        for sy in (-0.55, 0.55):
-            deck.append(box(np.array([0.05, 0.05, 1.35]), np.array([-1.4 + sx, sy, 1.35])))
-    for rung in np.arange(0.25, 1.4, 0.28):
-        deck.append(
-            box(np.array([0.03, 0.3, 0.03]), np.array([-2.1 - 0.25 * (1.4 - rung), 0.0, rung]))
-        )
-    place_mesh(builder, "play_tower", WOOD, deck, xy_m, heading, rgba=[0.56, 0.42, 0.27, 1])
-    blank = np.zeros((4, 2))
+    deck = [box((0.6, 0.6, 0.05), (-1.4, 0.0, 1.4))]
+    deck += [box((0.05, 0.05, 1.35), (-1.4 + x, y, 1.35))
+             for x in (-0.55, 0.55) for y in (-0.55, 0.55)]  # fmt: skip
+    deck += [box((0.03, 0.3, 0.03), (-2.1 - 0.25 * (1.4 - rung), 0.0, rung))
+             for rung in np.arange(0.25, 1.4, 0.28)]  # fmt: skip
+    builder.stand("play_tower", WOOD, deck, xy_m, heading, rgba=[0.56, 0.42, 0.27, 1])
     roof = []
-    for sy in (-1.0, 1.0):
-        edge = np.array(
-            [[-2.1, sy * 0.75, 2.5], [-0.7, sy * 0.75, 2.5], [-0.7, 0, 3.1], [-2.1, 0, 3.1]]
-        )
-        roof += [polygon(edge, blank), polygon(edge[::-1], blank)]
-    place_mesh(builder, "play_roof", CLOTH, roof, xy_m, heading, rgba=[0.24, 0.46, 0.70, 1])
+    for y in (-0.75, 0.75):
+        roof += plate([[-2.1, y, 2.5], [-0.7, y, 2.5], [-0.7, 0, 3.1], [-2.1, 0, 3.1]])
+    builder.stand("play_roof", CLOTH, roof, xy_m, heading, rgba=[0.24, 0.46, 0.70, 1])
     chute = np.array([[-0.8, -0.25, 1.4], [1.3, -0.25, 0.3], [1.3, 0.25, 0.3], [-0.8, 0.25, 1.4]])
-    bed = [polygon(chute, blank), polygon(chute[::-1] - [0, 0, 0.04], blank)]
-    for sy in (-0.25, 0.25):
-        side = np.array([[-0.8, sy, 1.4], [1.3, sy, 0.3], [1.3, sy, 0.45], [-0.8, sy, 1.55]])
-        bed += [polygon(side, blank), polygon(side[::-1], blank)]
-    place_mesh(builder, "play_slide", CLOTH, bed, xy_m, heading, rgba=[0.92, 0.76, 0.16, 1])
+    bed = plate(chute, 0.04)
+    for y in (-0.25, 0.25):
+        bed += plate([[-0.8, y, 1.4], [1.3, y, 0.3], [1.3, y, 0.45], [-0.8, y, 1.55]])
+    builder.stand("play_slide", CLOTH, bed, xy_m, heading, rgba=[0.92, 0.76, 0.16, 1])
     for reach in (-1.6, 0.0, 1.4):
         builder.claim(xy_m + reach * along[:2], 1.5)
 
 
 def add_climbing_dome(builder: SceneBuilder, xy_m: Array) -> None:
     """Adds three hoops of thin rope tube over the middle."""
-    z = builder.terrain.point(*xy_m)
+    foot, arc = builder.on_ground(xy_m), np.linspace(0.0, np.pi, 5)
     for turn in np.arange(0.0, 3.0, np.pi / 3.0):
-        out = np.array([np.cos(turn), np.sin(turn), 0.0])
-        arc = np.linspace(0.0, np.pi, 5)
-        points = [
-            np.array([*xy_m, z]) + 1.7 * np.cos(a) * out + [0, 0, 1.8 * np.sin(a)] for a in arc
-        ]
+        out = np.array([*unit(turn), 0.0])
+        points = [foot + 1.7 * np.cos(a) * out + [0, 0, 1.8 * np.sin(a)] for a in arc]
         for first, second in pairwise(points):
             add_wire(builder, first, second, 0.025, [0.16, 0.42, 0.30, 1])
     builder.claim(xy_m, 2.3)
@@ -94,7 +80,7 @@ def add_goal(
 ) -> None:
     """Adds a goal of white tube that opens along ``heading``; its net lets most pulses through."""
     along, left = _frame(heading)
-    foot = np.array([*xy_m, builder.terrain.point(*xy_m)])
+    foot = builder.on_ground(xy_m)
     up, white = np.array([0.0, 0.0, height_m]), [0.94, 0.94, 0.93, 1]
     ends = [foot + sign * 0.5 * width_m * left for sign in (-1.0, 1.0)]
     for end in ends:
@@ -106,10 +92,8 @@ def add_goal(
     half = 0.5 * heading, 0.5 * tilt
     quat = [np.cos(half[0]) * np.cos(half[1]), -np.sin(half[0]) * np.sin(half[1]),
             np.cos(half[0]) * np.sin(half[1]), np.sin(half[0]) * np.cos(half[1])]  # fmt: skip
-    builder.geom(
-        "net", NET, type=GEOM.mjGEOM_BOX, size=[0.008, 0.5 * width_m, 0.5 * lean], quat=quat,
-        pos=foot - 0.55 * along + 0.5 * up, rgba=[0.90, 0.90, 0.90, 0.28],
-    )  # fmt: skip
+    builder.geom("net", NET, box=[0.008, 0.5 * width_m, 0.5 * lean], quat=quat,
+                 pos=foot - 0.55 * along + 0.5 * up, rgba=[0.90, 0.90, 0.90, 0.28])  # fmt: skip
     for share in (-0.5, 0.0, 0.5):
         builder.claim(xy_m + share * width_m * left[:2], 1.0)
 
@@ -124,16 +108,12 @@ def add_net(
     z = builder.terrain.point(*middle)
     for end in (start_xy_m, end_xy_m):
         add_post(builder, end, high + 0.08, 0.04, [0.25, 0.27, 0.30, 1])
-    builder.geom(
-        "net", NET, type=GEOM.mjGEOM_BOX, pos=[*middle, z + 0.5 * (low + high)],
-        size=[0.5 * float(np.hypot(*span)), 0.008, 0.5 * (high - low)],
-        rgba=[0.15, 0.16, 0.16, 0.4],
-        quat=quat_z(float(np.arctan2(span[1], span[0]))),
-    )  # fmt: skip
+    builder.geom("net", NET, pos=[*middle, z + 0.5 * (low + high)],
+                 box=[0.5 * float(np.hypot(*span)), 0.008, 0.5 * (high - low)], rgba=[0.15, 0.16,
+                 0.16, 0.4], heading=float(np.arctan2(span[1], span[0])))  # fmt: skip
     tops = [np.array([*end, z + high]) for end in (start_xy_m, end_xy_m)]
     add_wire(builder, tops[0], tops[1], 0.02, [0.93, 0.93, 0.90, 1])
-    for share in np.linspace(0.0, 1.0, 6):
-        builder.claim(start_xy_m + share * span, 1.0)
+    builder.claim_line(start_xy_m, end_xy_m, 6, 1.0)
 
 
 def add_slackline(
@@ -143,7 +123,7 @@ def add_slackline(
     tops = []
     for end in (start_xy_m, end_xy_m):
         add_post(builder, end, height_m + 0.15, 0.05, [0.45, 0.36, 0.26, 1])
-        tops.append(np.array([*end, builder.terrain.point(*end) + height_m]))
+        tops.append(builder.on_ground(end, height_m))
     add_wire(builder, tops[0], tops[1], 0.02, [0.86, 0.52, 0.20, 1])
 
 
@@ -151,7 +131,7 @@ def add_flag(builder: SceneBuilder, xy_m: Array, height_m: float, rgba: list[flo
     """Adds a flagpole of 8 cm with a limp flag."""
     z = builder.terrain.point(*xy_m)
     add_post(builder, xy_m, height_m, 0.04, [0.90, 0.90, 0.90, 1])
-    builder.geom("flag", CLOTH, type=GEOM.mjGEOM_BOX, size=[0.4, 0.01, 0.6], rgba=rgba,
+    builder.geom("flag", CLOTH, box=[0.4, 0.01, 0.6], rgba=rgba,
                  pos=[xy_m[0] + 0.42, xy_m[1], z + height_m - 0.7])  # fmt: skip
     builder.claim(xy_m, 0.6)
 
@@ -163,6 +143,5 @@ def add_towel(builder: SceneBuilder, xy_m: Array, size_m: tuple[float, float], h
     c, s = np.cos(heading), np.sin(heading)
     corners = np.array([[sx * half[0], sy * half[1]] for sx in (-1, 1) for sy in (-1, 1)])
     z = float(builder.terrain.at(xy_m + corners @ np.array([[c, s], [-s, c]])).max())
-    builder.geom("towel", CLOTH, type=GEOM.mjGEOM_BOX, size=half,
-                 pos=[*xy_m, z], quat=quat_z(heading), rgba=rgba)  # fmt: skip
+    builder.geom("towel", CLOTH, box=half, pos=[*xy_m, z], heading=heading, rgba=rgba)
     builder.claim(xy_m, 0.7)

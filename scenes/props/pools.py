@@ -7,20 +7,18 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
-from touchdown.scenes.authoring.lot import Lot
-from touchdown.scenes.authoring.meshes import MeshData, box, polygon
+from touchdown.scenes.api import Array, Image, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, turned
+from touchdown.scenes.authoring.meshes import MeshData, box, plate, polygon
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
+from touchdown.scenes.authoring.plane import pick, unit
+from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.streets import KERB
-from touchdown.scenes.authoring.textures import Image, to_texture
-from touchdown.scenes.props.garden import CLOTH, drum, place_mesh
+from touchdown.scenes.authoring.textures import to_texture
+from touchdown.scenes.props.garden import CLOTH, drum
 from touchdown.scenes.props.street import WOOD
 from touchdown.scenes.props.wires import add_post
-
-Array = NDArray[np.float64]
 
 WATER = Surface(land_class="water", reflectivity=0.03, water=True)
 COVER = Surface(land_class="water", reflectivity=0.32)
@@ -28,17 +26,16 @@ COVER = Surface(land_class="water", reflectivity=0.32)
 BASIN_PX_PER_M = 40.0
 LEVEL_M, COPING_M = 0.03, 0.07
 COPING_WIDTH_M = 0.4
-CANOPIES = (
-    (206, 58, 48), (238, 196, 72), (44, 104, 168), (236, 232, 220), (62, 138, 98), (222, 122, 52),
-)  # fmt: skip
+CANOPIES = ((206, 58, 48), (238, 196, 72), (44, 104, 168), (236, 232, 220), (62, 138, 98),
+            (222, 122, 52))  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Pool:
-    """A basin in lot coordinates. outline_m: (N, 2) counter-clockwise in lot axes, seen whole from
-    its middle; lanes: swimming lanes along u, 0 for none; covered: under a tarpaulin."""
+    """A basin in plot coordinates. outline_m: (N, 2) counter-clockwise, seen whole from its middle;
+    lanes: swimming lanes along u, 0 for none; covered: under a tarpaulin."""
 
-    lot: Lot
+    plot: Plot
     outline_m: Array
     lanes: int = 0
     covered: bool = False
@@ -71,31 +68,27 @@ def kidney_outline(rng: np.random.Generator, u: float, v: float, radius: float) 
 def add_pool(builder: SceneBuilder, pool: Pool) -> None:
     """Adds water nearly flush with a stone coping. The ground below is taken as level."""
     middle = pool.outline_m.mean(axis=0)
-    where = pool.lot.points(middle)
-    z = float(builder.terrain.at(pool.lot.points(pool.outline_m)).max())
+    where = pool.plot.points(middle)
+    z = float(builder.terrain.at(pool.plot.points(pool.outline_m)).max())
     name = builder.unique("cover" if pool.covered else "pool")
     low, high = pool.box_m
     painter = _cover_texture if pool.covered else _basin_texture
     material = builder.material(f"water_{name}", painter(builder.rng, pool), 0.0)
-    outline = pool.lot.points(pool.outline_m)
+    outline = pool.plot.points(pool.outline_m)
     uv = (pool.outline_m - low) / (high - low)
     uv[:, 1] = 1.0 - uv[:, 1]
-    if pool.lot.mirrored:
+    if pool.plot.mirrored:
         outline, uv = outline[::-1], uv[::-1]
     level = COPING_M if pool.covered else LEVEL_M
     hub = (middle - low) / (high - low)
     water = _prism(outline - where, uv, np.array([hub[0], 1.0 - hub[1]]), -0.3, level)
-    builder.geom(
-        "water_pool", COVER if pool.covered else WATER, type=GEOM.mjGEOM_MESH,
-        meshname=builder.mesh(name, water), material=material, pos=[*where, z],
-    )  # fmt: skip
+    builder.geom("water_pool", COVER if pool.covered else WATER, mesh=builder.mesh(name, water),
+                 material=material, pos=[*where, z])  # fmt: skip
     ring = _ring(outline - where, COPING_WIDTH_M, COPING_M)
     # A coping as one mesh would carry legs on its convex hull: it stays out of contacts.
-    builder.geom(
-        "path_coping", KERB, type=GEOM.mjGEOM_MESH, meshname=builder.mesh(f"{name}_coping", ring),
-        pos=[*where, z], rgba=[0.83, 0.80, 0.74, 1], contype=0, conaffinity=0,
-    )  # fmt: skip
-    for point in pool.lot.points(_inside(pool.outline_m)):
+    builder.geom("path_coping", KERB, mesh=builder.mesh(f"{name}_coping", ring), pos=[*where, z],
+                 rgba=[0.83, 0.80, 0.74, 1], contype=0, conaffinity=0)  # fmt: skip
+    for point in pool.plot.points(_inside(pool.outline_m)):
         builder.claim(point, 1.6)
 
 
@@ -213,7 +206,7 @@ def lounger_mesh() -> MeshData:
         parts.append(polygon(top, uv))
         parts.append(polygon(top[::-1] - [0.0, 0.0, 0.05], np.full((4, 2), 0.01)))
     for x in (-0.8, 0.5):
-        parts.append(box(np.array([0.03, 0.30, 0.14]), np.array([x, 0.0, 0.13]), 1e3))
+        parts.append(box((0.03, 0.30, 0.14), (x, 0.0, 0.13), 1e3))
     return MeshData.join(parts)
 
 
@@ -223,7 +216,7 @@ def add_lounger_models(builder: SceneBuilder, count: int) -> list[tuple[str, str
     mesh = builder.mesh("lounger", lounger_mesh())
     models = []
     for index in range(count):
-        colour = np.array(CANOPIES[int(rng.integers(len(CANOPIES)))], np.float32)
+        colour = np.array(pick(rng, CANOPIES), np.float32)
         image = np.empty((32, 64, 3), np.float32)
         image[:] = 232.0
         image[:, 4:60] = colour
@@ -235,9 +228,8 @@ def add_lounger_models(builder: SceneBuilder, count: int) -> list[tuple[str, str
 
 def add_lounger(builder: SceneBuilder, model: tuple[str, str], xy_m: Array, heading: float) -> None:
     """Adds one sun lounger; its head end points along ``heading``."""
-    origin = np.array([*xy_m, builder.terrain.point(*xy_m)])
-    builder.geom("lounger", WOOD, type=GEOM.mjGEOM_MESH, meshname=model[0], material=model[1],
-                 pos=origin, quat=quat_z(heading))  # fmt: skip
+    origin = builder.on_ground(xy_m)
+    builder.geom("lounger", WOOD, mesh=model[0], material=model[1], pos=origin, heading=heading)
     corners = [
         [x, y, z] for x, z in ((-0.95, 0.2), (0.35, 0.2), (0.95, 0.6)) for y in (-0.32, 0.32)
     ]
@@ -273,11 +265,9 @@ def add_umbrella(builder: SceneBuilder, model: tuple[str, str], xy_m: Array) -> 
     add_post(builder, xy_m, 2.3, 0.025, [0.86, 0.86, 0.84, 1])
     heading = float(builder.rng.uniform(0.0, 0.8))
     at = np.array([*xy_m, z + 1.95])
-    builder.geom("umbrella", CLOTH, type=GEOM.mjGEOM_MESH, meshname=model[0], material=model[1],
-                 pos=at, quat=quat_z(heading))  # fmt: skip
+    builder.geom("umbrella", CLOTH, mesh=model[0], material=model[1], pos=at, heading=heading)
     turn = np.arange(0.0, 2.0 * np.pi, 0.25 * np.pi) + heading
-    rim = np.column_stack([at[:2] + 1.4 * np.stack([np.cos(turn), np.sin(turn)], -1),
-                           np.full(8, at[2])])  # fmt: skip
+    rim = np.column_stack([at[:2] + 1.4 * unit(turn), np.full(8, at[2])])
     builder.cast(np.concatenate([rim, [at + [0.0, 0.0, 0.5]]]))
     builder.claim(xy_m, 0.6)
 
@@ -285,20 +275,20 @@ def add_umbrella(builder: SceneBuilder, model: tuple[str, str], xy_m: Array) -> 
 def add_guard_chair(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds a life guard's high chair."""
     parts = [
-        box(np.array([0.35, 0.35, 0.04]), np.array([0.0, 0.0, 1.6])),
-        box(np.array([0.04, 0.35, 0.35]), np.array([-0.32, 0.0, 1.95])),
-        box(np.array([0.15, 0.3, 0.03]), np.array([0.45, 0.0, 0.8])),
+        box((0.35, 0.35, 0.04), (0.0, 0.0, 1.6)),
+        box((0.04, 0.35, 0.35), (-0.32, 0.0, 1.95)),
+        box((0.15, 0.3, 0.03), (0.45, 0.0, 0.8)),
     ]
     for sx in (-0.4, 0.4):
         for sy in (-0.38, 0.38):
-            parts.append(box(np.array([0.05, 0.05, 0.8]), np.array([sx, sy, 0.8])))
-    place_mesh(builder, "guard_chair", WOOD, parts, xy_m, heading, rgba=[0.88, 0.86, 0.80, 1])
+            parts.append(box((0.05, 0.05, 0.8), (sx, sy, 0.8)))
+    builder.stand("guard_chair", WOOD, parts, xy_m, heading, rgba=[0.88, 0.86, 0.80, 1])
     builder.claim(xy_m, 1.0)
 
 
 def add_water_slide(builder: SceneBuilder, foot_xy_m: Array, heading: float) -> None:
     """Adds a tower with a straight chute that ends at ``foot_xy_m``, coming from ``-heading``."""
-    back = -np.array([np.cos(heading), np.sin(heading)])
+    back = -unit(heading)
     z = builder.terrain.point(*foot_xy_m)
     tint = [0.20, 0.46, 0.74, 1] if builder.rng.random() < 0.5 else [0.90, 0.70, 0.16, 1]
     run = 9.0
@@ -314,13 +304,12 @@ def add_water_slide(builder: SceneBuilder, foot_xy_m: Array, heading: float) -> 
             wall = np.array(
                 [[x1, side, z1], [x0, side, z0], [x0, side, z0 + 0.4], [x1, side, z1 + 0.4]]
             )
-            parts += [polygon(wall, np.zeros((4, 2))), polygon(wall[::-1], np.zeros((4, 2)))]
-    place_mesh(builder, "slide", CLOTH, parts, foot_xy_m, heading, rgba=tint,
-               contype=0, conaffinity=0)  # fmt: skip
+            parts += plate(wall)
+    builder.stand("slide", CLOTH, parts, foot_xy_m, heading, rgba=tint, contype=0, conaffinity=0)
     top = foot_xy_m + (run + 1.0) * back
     deck = np.array([*top, z + 3.9])
-    builder.geom("slide_tower", WOOD, type=GEOM.mjGEOM_BOX, size=[1.1, 1.1, 0.06], pos=deck,
-                 quat=quat_z(heading), rgba=[0.80, 0.80, 0.78, 1])  # fmt: skip
+    builder.geom("slide_tower", WOOD, box=[1.1, 1.1, 0.06], pos=deck,
+                 heading=heading, rgba=[0.80, 0.80, 0.78, 1])  # fmt: skip
     builder.cast(deck + [[sx * 1.1, sy * 1.1, 0.0] for sx in (-1, 1) for sy in (-1, 1)])
     left = np.array([-back[1], back[0]])
     for sx in (-0.9, 0.9):
@@ -341,5 +330,5 @@ def add_whirlpool(builder: SceneBuilder, xy_m: Array) -> None:
         ("water_tub", 1.3, 0.3, 0.52, [0.42, 0.76, 0.82, 1], WATER),
     ):
         mesh = builder.mesh(builder.unique(stem), drum(radius, low, high, 24))
-        builder.geom(stem, surface, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=[*xy_m, z], rgba=tint)
+        builder.geom(stem, surface, mesh=mesh, pos=[*xy_m, z], rgba=tint)
     builder.claim(xy_m, 2.2)

@@ -6,18 +6,16 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
-from touchdown.scenes.authoring.meshes import MeshData, blob, box, polygon
+from touchdown.scenes.api import Array, Image, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.meshes import MeshData, blob, box, boxes, plate, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Image, to_texture
-from touchdown.scenes.props.garden import drum, place_mesh, plank_material
+from touchdown.scenes.authoring.plane import left_of, unit_circle
+from touchdown.scenes.authoring.textures import to_texture
+from touchdown.scenes.props.garden import drum, plank_material
 from touchdown.scenes.props.street import WOOD
 from touchdown.scenes.props.wires import add_post, add_wire
-
-Array = NDArray[np.float64]
 
 STONE = Surface(land_class="building", reflectivity=0.33)
 FLEECE = Surface(land_class="other", reflectivity=0.60)
@@ -96,11 +94,9 @@ def add_stone_wall(builder: SceneBuilder, line_m: Array, height_m: float) -> Non
         middle = 0.5 * (start + end)
         mesh = builder.mesh(builder.unique("stone_wall"), MeshData.join(parts))
         angle = float(np.arctan2(span[1], span[0]))
-        builder.geom(
-            "building_stone_wall", STONE, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
-            pos=[*middle, base], quat=quat_z(angle),
-        )  # fmt: skip
-        aside = 0.5 * WALL_WIDTH_M * np.array([-np.sin(angle), np.cos(angle)])
+        builder.geom("building_stone_wall", STONE, mesh=mesh, material=material,
+                     pos=[*middle, base], heading=angle)  # fmt: skip
+        aside = 0.5 * WALL_WIDTH_M * left_of(angle)
         foot = np.array([start + aside, start - aside, end + aside, end - aside])
         low = builder.terrain.at(foot)
         builder.cast(np.concatenate([np.column_stack([foot, low + h]) for h in (0.0, height_m)]))
@@ -115,10 +111,9 @@ def _wall_parts(x: Array, low: Array, top: Array) -> list[MeshData]:
     for i, j in pairwise(range(len(x))):
         u0, u1 = x[i] / UV_M, x[j] / UV_M
         for side in (1.0, -1.0):
-            face = np.array([
-                [x[i], side * foot, low[i]], [x[j], side * foot, low[j]],
-                [x[j], side * crown, top[j]], [x[i], side * crown, top[i]],
-            ])  # fmt: skip
+            face = np.array([[x[i], side * foot, low[i]], [x[j], side * foot, low[j]],
+                            [x[j], side * crown, top[j]],
+                            [x[i], side * crown, top[i]]])  # fmt: skip
             uv = np.array([[u0, -low[i]], [u1, -low[j]], [u1, -top[j]], [u0, -top[i]]])
             uv[:, 1] /= UV_M
             parts.append(polygon(face[::-1] if side > 0 else face, uv[::-1] if side > 0 else uv))
@@ -136,42 +131,35 @@ def _wall_parts(x: Array, low: Array, top: Array) -> list[MeshData]:
 
 def add_well(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds a round well of rubble under a small roof on two posts."""
-    z = builder.terrain.point(*xy_m)
     mesh = builder.mesh(builder.unique("well"), drum(0.75, -0.3, 0.8, 16))
-    builder.geom("building_well", STONE, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=[*xy_m, z],
+    builder.geom("building_well", STONE, mesh=mesh, pos=builder.on_ground(xy_m),
                  material=rubble_material(builder))  # fmt: skip
     roof = []
-    for side in (-1.0, 1.0):
-        edge = np.array(
-            [[-1.0, side * 0.8, 1.9], [1.0, side * 0.8, 1.9], [1.0, 0, 2.5], [-1.0, 0, 2.5]]
-        )
-        roof += [polygon(edge, np.zeros((4, 2))), polygon(edge[::-1], np.zeros((4, 2)))]
-    roof += [box(np.array([0.06, 0.06, 1.2]), np.array([x, 0.0, 1.2])) for x in (-0.8, 0.8)]
-    place_mesh(builder, "well_roof", WOOD, roof, xy_m, heading, rgba=[0.42, 0.30, 0.22, 1])
+    for y in (-0.8, 0.8):
+        roof += plate([[-1.0, y, 1.9], [1.0, y, 1.9], [1.0, 0, 2.5], [-1.0, 0, 2.5]])
+    roof += [box((0.06, 0.06, 1.2), (x, 0.0, 1.2)) for x in (-0.8, 0.8)]
+    builder.stand("well_roof", WOOD, roof, xy_m, heading, rgba=[0.42, 0.30, 0.22, 1])
     builder.claim(xy_m, 1.5)
 
 
 def add_log_pile(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds split logs stacked 1.1 m high between two stakes."""
-    parts = [box(np.array([1.3, 0.4, 0.5]), np.array([0.0, 0.0, 0.45]))]
-    parts += [box(np.array([0.05, 0.3, 0.65]), np.array([x, 0.0, 0.6])) for x in (-1.38, 1.38)]
-    place_mesh(builder, "logs", WOOD, parts, xy_m, heading, material=plank_material(builder),
+    parts = [box((1.3, 0.4, 0.5), (0.0, 0.0, 0.45))]
+    parts += [box((0.05, 0.3, 0.65), (x, 0.0, 0.6)) for x in (-1.38, 1.38)]
+    builder.stand("logs", WOOD, parts, xy_m, heading, material=plank_material(builder),
                rgba=[0.62, 0.46, 0.32, 1])  # fmt: skip
     builder.claim(xy_m, 1.7)
 
 
 def add_cart(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds a two-wheeled hay cart, tipped on its shafts."""
-    parts = [box(np.array([1.2, 0.7, 0.05]), np.array([0.0, 0.0, 0.75])),
-             box(np.array([1.2, 0.03, 0.25]), np.array([0.0, 0.7, 1.0])),
-             box(np.array([1.2, 0.03, 0.25]), np.array([0.0, -0.7, 1.0]))]  # fmt: skip
-    for side in (-0.4, 0.4):
-        parts.append(box(np.array([0.9, 0.04, 0.04]), np.array([2.0, side, 0.45])))
+    parts = boxes([1.2, 0.7, 0.05, 0.0, 0.0, 0.75], [1.2, 0.03, 0.25, 0.0, 0.7, 1.0],
+                  [1.2, 0.03, 0.25, 0.0, -0.7, 1.0], [0.9, 0.04, 0.04, 2.0, -0.4, 0.45],
+                  [0.9, 0.04, 0.04, 2.0, 0.4, 0.45])  # fmt: skip
+    x, z = 0.6 * unit_circle(14).T
     for side in (-0.82, 0.82):
-        turn = np.linspace(0.0, 2.0 * np.pi, 14, endpoint=False)
-        rim = np.stack([0.6 * np.cos(turn), np.full(14, side), 0.6 + 0.6 * np.sin(turn)], -1)
-        parts += [polygon(rim, np.zeros((14, 2))), polygon(rim[::-1], np.zeros((14, 2)))]
-    place_mesh(builder, "cart", WOOD, parts, xy_m, heading, rgba=[0.46, 0.34, 0.24, 1])
+        parts += plate(np.stack([x, np.full(14, side), 0.6 + z], -1))
+    builder.stand("cart", WOOD, parts, xy_m, heading, rgba=[0.46, 0.34, 0.24, 1])
     builder.claim(xy_m, 2.2)
 
 
@@ -181,19 +169,17 @@ def add_sheep_models(builder: SceneBuilder) -> str:
     body = blob(rng, np.array([0.52, 0.27, 0.30]), 2.6, 0.05, 7, 1.0)
     head = blob(rng, np.array([0.20, 0.11, 0.13]), 2.2, 0.02, 4, 1.0)
     parts = [body.moved(np.array([0.0, 0.0, 0.66])), head.moved(np.array([0.62, 0.0, 0.72]))]
-    parts += [box(np.array([0.04, 0.04, 0.24]), np.array([x, y, 0.22]))
-              for x in (-0.3, 0.3) for y in (-0.14, 0.14)]  # fmt: skip
+    parts += [box((0.04, 0.04, 0.24), (x, y, 0.22)) for x in (-0.3, 0.3) for y in (-0.14, 0.14)]
     return builder.mesh("sheep", MeshData.join(parts))
 
 
 def add_sheep(builder: SceneBuilder, mesh: str, xy_m: Array, heading: float) -> None:
     """Adds a sheep that grazes on the spot."""
-    at = np.array([*xy_m, builder.terrain.point(*xy_m)])
+    at = builder.on_ground(xy_m)
     wool = builder.rng.uniform(0.80, 0.93)
-    builder.geom("sheep", FLEECE, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=at,
-                 quat=quat_z(heading), rgba=[wool, 0.97 * wool, 0.90 * wool, 1])  # fmt: skip
-    ring = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
-    oval = np.column_stack([0.5 * np.cos(ring), 0.28 * np.sin(ring)])
+    builder.geom("sheep", FLEECE, mesh=mesh, pos=at,
+                 heading=heading, rgba=[wool, 0.97 * wool, 0.90 * wool, 1])  # fmt: skip
+    oval = [0.5, 0.28] * unit_circle(8)
     builder.cast(np.concatenate([np.column_stack([xy_m + oval, np.full(8, at[2] + h)])
                                  for h in (0.4, 0.9)]))  # fmt: skip
     builder.claim(xy_m, 0.9)
@@ -204,7 +190,7 @@ def add_electric_fence(builder: SceneBuilder, line_m: Array, height_m: float) ->
     tops = []
     for spot in line_m:
         add_post(builder, spot, height_m + 0.08, 0.014, [0.90, 0.90, 0.88, 1])
-        tops.append(np.array([*spot, builder.terrain.point(*spot) + height_m]))
+        tops.append(builder.on_ground(spot, height_m))
         builder.claim(spot, 0.5)
     for first, second in pairwise(tops):
         add_wire(builder, first, second, 0.006, [0.86, 0.84, 0.80, 1])

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, turned
 from touchdown.scenes.authoring.meshes import MeshData, box
+from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.streets import KERB
-
-Array = NDArray[np.float64]
 
 STEEL = Surface(land_class="other", reflectivity=0.40)
 WOOD = Surface(land_class="other", reflectivity=0.45)
@@ -21,21 +19,15 @@ _WOOD_RGBA = [0.50, 0.38, 0.26, 1.0]
 def add_lamp(builder: SceneBuilder, xy_m: Array, heading: float, height_m: float = 6.5) -> None:
     """Adds a street lamp whose arm points along ``heading``."""
     z = builder.terrain.point(*xy_m)
-    arm = np.array([np.cos(heading), np.sin(heading)]) * 1.5
+    arm = unit(heading) * 1.5
     tip = xy_m + arm
-    builder.geom(
-        "lamp_pole", STEEL, type=GEOM.mjGEOM_CYLINDER, rgba=_STEEL_RGBA,
-        fromto=[*xy_m, z - 0.3, *xy_m, z + height_m], size=[0.075, 0, 0],
-    )  # fmt: skip
-    builder.geom(
-        "lamp_arm", STEEL, type=GEOM.mjGEOM_CAPSULE, rgba=_STEEL_RGBA,
-        fromto=[*xy_m, z + height_m, *tip, z + height_m + 0.25], size=[0.045, 0, 0],
-    )  # fmt: skip
+    builder.geom("lamp_pole", STEEL, rgba=_STEEL_RGBA, fromto=[*xy_m, z - 0.3, *xy_m, z + height_m],
+                 cylinder=0.075)  # fmt: skip
+    builder.geom("lamp_arm", STEEL, rgba=_STEEL_RGBA, fromto=[*xy_m, z + height_m, *tip,
+                 z + height_m + 0.25], capsule=0.045)  # fmt: skip
     head = np.array([*tip, z + height_m + 0.22])
-    builder.geom(
-        "lamp_head", STEEL, type=GEOM.mjGEOM_BOX, rgba=[0.78, 0.79, 0.78, 1], pos=head,
-        quat=quat_z(heading), size=[0.34, 0.14, 0.06],
-    )  # fmt: skip
+    builder.geom("lamp_head", STEEL, rgba=[0.78, 0.79, 0.78, 1], pos=head, heading=heading,
+                 box=[0.34, 0.14, 0.06])  # fmt: skip
     square = np.array([[sx, sy] for sx in (-1, 1) for sy in (-1, 1)], np.float64)
     foot = np.column_stack([xy_m + 0.075 * square, np.full(4, z)])
     builder.cast(np.concatenate([foot, foot + np.array([0.0, 0.0, height_m])]))
@@ -49,15 +41,11 @@ def add_lamp(builder: SceneBuilder, xy_m: Array, heading: float, height_m: float
 def add_sign(builder: SceneBuilder, xy_m: Array, heading: float, rgba: list[float]) -> None:
     """Adds a round road sign that faces ``heading``."""
     z = builder.terrain.point(*xy_m)
-    builder.geom(
-        "sign_pole", STEEL, type=GEOM.mjGEOM_CYLINDER, rgba=_STEEL_RGBA,
-        fromto=[*xy_m, z - 0.2, *xy_m, z + 2.5], size=[0.035, 0, 0],
-    )  # fmt: skip
-    face = np.array([np.cos(heading), np.sin(heading)]) * 0.05
-    builder.geom(
-        "sign_plate", STEEL, type=GEOM.mjGEOM_CYLINDER, rgba=rgba, size=[0.32, 0, 0],
-        fromto=[*(xy_m + 0.8 * face), z + 2.25, *(xy_m + 1.4 * face), z + 2.25],
-    )  # fmt: skip
+    builder.geom("sign_pole", STEEL, rgba=_STEEL_RGBA, fromto=[*xy_m, z - 0.2, *xy_m, z + 2.5],
+                 cylinder=0.035)  # fmt: skip
+    face = unit(heading) * 0.05
+    builder.geom("sign_plate", STEEL, rgba=rgba, cylinder=0.32, fromto=[*(xy_m + 0.8 * face),
+                 z + 2.25, *(xy_m + 1.4 * face), z + 2.25])  # fmt: skip
     offsets = np.array([[0.04, 0, 0], [-0.04, 0, 0], [0, 0.04, 0]])
     builder.cast(np.array([*xy_m, z]) + np.concatenate([offsets, offsets + np.array([0, 0, 2.5])]))
     builder.claim(xy_m, 0.5)
@@ -67,17 +55,14 @@ def add_bench(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds a bench with a back; its sitter looks along ``heading``."""
     z = builder.terrain.point(*xy_m)
     parts = [
-        box(np.array([0.24, 0.85, 0.03]), np.array([0.0, 0.0, 0.45])),
-        box(np.array([0.03, 0.85, 0.20]), np.array([-0.26, 0.0, 0.72])),
-        box(np.array([0.22, 0.05, 0.28]), np.array([0.0, 0.65, 0.18])),
-        box(np.array([0.22, 0.05, 0.28]), np.array([0.0, -0.65, 0.18])),
+        box((0.24, 0.85, 0.03), (0.0, 0.0, 0.45)),
+        box((0.03, 0.85, 0.20), (-0.26, 0.0, 0.72)),
+        box((0.22, 0.05, 0.28), (0.0, 0.65, 0.18)),
+        box((0.22, 0.05, 0.28), (0.0, -0.65, 0.18)),
     ]
     name = builder.mesh(builder.unique("bench"), MeshData.join(parts))
     origin = np.array([*xy_m, z])
-    builder.geom(
-        "bench", WOOD, type=GEOM.mjGEOM_MESH, meshname=name, pos=origin, quat=quat_z(heading),
-        rgba=_WOOD_RGBA,
-    )  # fmt: skip
+    builder.geom("bench", WOOD, mesh=name, pos=origin, heading=heading, rgba=_WOOD_RGBA)
     corners = [[sx * 0.27, sy * 0.85, h] for sx in (-1, 1) for sy in (-1, 1) for h in (0.4, 0.5)]
     builder.cast(turned(np.array(corners), heading, origin))
     builder.claim(xy_m, 1.1)
@@ -87,7 +72,7 @@ def add_bin(builder: SceneBuilder, xy_m: Array, rgba: list[float]) -> None:
     """Adds a wheeled bin or a litter bin."""
     z = builder.terrain.point(*xy_m)
     at = np.array([*xy_m, z + 0.5])
-    builder.geom("bin", STEEL, type=GEOM.mjGEOM_BOX, rgba=rgba, pos=at, size=[0.28, 0.33, 0.52])
+    builder.geom("bin", STEEL, rgba=rgba, pos=at, box=[0.28, 0.33, 0.52])
     signs = np.array([[x, y, h] for x in (-1, 1) for y in (-1, 1) for h in (-1, 1)], np.float64)
     builder.cast(at + signs * [0.28, 0.33, 0.52])
     builder.claim(xy_m, 0.6)
@@ -107,7 +92,7 @@ def add_fence(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, rgba: l
     for index in range(panels + 1):
         x = index * pitch - 0.5 * length
         z = float(heights[index]) - base
-        parts.append(box(np.array([0.05, 0.05, 0.65]), np.array([x, 0.0, z + 0.45])))
+        parts.append(box((0.05, 0.05, 0.65), (x, 0.0, z + 0.45)))
         if index < panels:
             middle = 0.5 * (z + float(heights[index + 1]) - base)
             for board in (0.25, 0.58, 0.91):
@@ -117,10 +102,7 @@ def add_fence(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, rgba: l
             parts.append(box(np.array([0.5 * pitch, 0.07, 0.02]), cap))
     name = builder.mesh(builder.unique("fence"), MeshData.join(parts))
     origin = np.array([*(0.5 * (start_xy_m + end_xy_m)), base])
-    builder.geom(
-        "fence", WOOD, type=GEOM.mjGEOM_MESH, meshname=name, pos=origin, quat=quat_z(angle),
-        rgba=rgba,
-    )  # fmt: skip
+    builder.geom("fence", WOOD, mesh=name, pos=origin, heading=angle, rgba=rgba)
     for low, high in ((0.17, 0.33), (0.50, 0.66), (0.83, 0.99), (1.06, 1.10)):
         ends = [[sx * 0.5 * length, 0.03 * sy, h]
                 for sx in (-1, 1) for sy in (-1, 1) for h in (low, high)]  # fmt: skip
@@ -133,8 +115,6 @@ def add_kerb(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, top_m: f
     """Adds a row of kerb stones, 0.16 m wide, from below the road to ``top_m`` (world height)."""
     span = end_xy_m - start_xy_m
     middle = 0.5 * (start_xy_m + end_xy_m)
-    builder.geom(
-        "path_kerb", KERB, type=GEOM.mjGEOM_BOX, rgba=[0.68, 0.67, 0.64, 1],
-        pos=[*middle, top_m - 0.15], size=[0.5 * float(np.hypot(*span)) + 0.01, 0.08, 0.15],
-        quat=quat_z(float(np.arctan2(span[1], span[0]))),
-    )  # fmt: skip
+    builder.geom("path_kerb", KERB, rgba=[0.68, 0.67, 0.64, 1], pos=[*middle, top_m - 0.15],
+                 box=[0.5 * float(np.hypot(*span)) + 0.01, 0.08, 0.15],
+                 heading=float(np.arctan2(span[1], span[0])))  # fmt: skip

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array, Image
 from touchdown.scenes.authoring.meshes import MeshData, wrapped
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import TILE_PX, Colour, Image, to_texture
-
-Array = NDArray[np.float64]
+from touchdown.scenes.authoring.textures import TILE_PX, Colour, to_texture
 
 
 def conifer_mesh(rng: np.random.Generator, height_m: float, radius_m: float) -> MeshData:
@@ -51,11 +49,9 @@ def _whorl(
     down = np.tile([0.0, 0.0, -1.0], (count, 1))
     turns = 3.0 / (2.0 * np.pi)
     edge = np.where(np.arange(count + 1) % 2 == 0, 0.98, 0.62)
-    uv = np.concatenate([
-        np.stack([turns * angle, edge], -1),
-        np.stack([turns * middle, np.full(count, 0.06)], -1),
-        np.stack([turns * middle, np.full(count, 0.02)], -1),
-    ])  # fmt: skip
+    uv = np.concatenate([np.stack([turns * angle, edge], -1),
+                        np.stack([turns * middle, np.full(count, 0.06)], -1),
+                        np.stack([turns * middle, np.full(count, 0.02)], -1)])  # fmt: skip
     i = np.arange(count)
     upper = np.stack([count + 1 + i, i, i + 1], -1)
     lower = np.stack([2 * count + 1 + i, i + 1, i], -1)
@@ -81,10 +77,8 @@ def canopy_mesh(
 ) -> MeshData:
     """Returns a crown like a cauliflower: seen from its middle, the farthest wall of a dozen balls
     that lie around it. half: (3,) half axes in metres."""
-    theta, phi = np.meshgrid(
-        np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1),
-        indexing="ij",
-    )  # fmt: skip
+    theta, phi = np.meshgrid(np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi,
+                             2 * rings + 1), indexing="ij")  # fmt: skip
     unit = np.stack(
         [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1
     )

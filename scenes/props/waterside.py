@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.api import Array, Image, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.meshes import MeshData, blob, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Colour, Image, to_texture
-
-Array = NDArray[np.float64]
+from touchdown.scenes.authoring.plane import draw_heading, left_of, pick, unit_circle
+from touchdown.scenes.authoring.textures import Colour, to_texture
 
 REED = Surface(land_class="trees", reflectivity=0.40, porosity=0.45, spread=0.25)
 DECK = Surface(land_class="path", reflectivity=0.38)
@@ -84,12 +82,11 @@ def tuft_mesh(rng: np.random.Generator, radius_m: float, height_m: float) -> Mes
 def add_reeds(builder: SceneBuilder, bed: ReedBed, xy_m: Array) -> None:
     """Adds one tuft, its foot on the ground or in the water."""
     rng = builder.rng
-    mesh, radius, height = bed.tufts[int(rng.integers(len(bed.tufts)))]
-    at = np.array([*xy_m, builder.terrain.point(*xy_m) - 0.12])
-    builder.geom("trees_reed", REED, type=GEOM.mjGEOM_MESH, meshname=mesh, material=bed.material,
-                 pos=at, quat=quat_z(float(rng.uniform(0.0, 2.0 * np.pi))))  # fmt: skip
-    turn = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
-    ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    mesh, radius, height = pick(rng, bed.tufts)
+    at = builder.on_ground(xy_m, -0.12)
+    builder.geom("trees_reed", REED, mesh=mesh, material=bed.material,
+                 pos=at, heading=draw_heading(rng))  # fmt: skip
+    ring = unit_circle(8)
     low = np.column_stack([0.8 * radius * ring, np.full(8, 0.15)])
     high = np.column_stack([1.1 * radius * ring, np.full(8, 0.8 * height)])
     builder.cast(at + np.concatenate([low, high]), 0.55)
@@ -143,14 +140,13 @@ def add_deck(builder: SceneBuilder, deck: Deck, image: Image, surface: Surface =
     top = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     # Under the texture, so that the two tops do not coincide.
-    body = box(np.array([x, y, 0.5 * deck.thick_m]), np.array([0, 0, -0.5 * deck.thick_m - 0.002]))
+    body = box((x, y, 0.5 * deck.thick_m), (0, 0, -0.5 * deck.thick_m - 0.002))
     shade = np.column_stack([0.02 + 0.01 * (body.uv[:, 0] % 1.0), np.full(len(body.uv), 0.5)])
     skirt = MeshData(vertices=body.vertices, faces=body.faces, uv=shade)
     mesh = builder.mesh(name, MeshData.join([polygon(top, uv), skirt]))
     material = builder.material(name, image)
     origin = np.array([*deck.centre_xy_m, deck.top_m])
-    builder.geom("path_deck", surface, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
-                 pos=origin, quat=quat_z(deck.angle))  # fmt: skip
+    builder.geom("path_deck", surface, mesh=mesh, material=material, pos=origin, heading=deck.angle)
     builder.cast(turned(top, deck.angle, origin))
 
 
@@ -158,8 +154,7 @@ def add_pile(builder: SceneBuilder, xy_m: Array, top_m: float, radius_m: float =
     """Adds a pile from the ground to the world height ``top_m``."""
     z = builder.terrain.point(*xy_m)
     grey = builder.rng.uniform(0.30, 0.42)
-    builder.geom("pile", PILE, type=GEOM.mjGEOM_CYLINDER, size=[radius_m, 0, 0],
-                 fromto=[*xy_m, z - 0.4, *xy_m, top_m],
+    builder.geom("pile", PILE, cylinder=radius_m, fromto=[*xy_m, z - 0.4, *xy_m, top_m],
                  rgba=[grey, 0.88 * grey, 0.74 * grey, 1])  # fmt: skip
     turn = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
     ring = radius_m * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
@@ -168,15 +163,15 @@ def add_pile(builder: SceneBuilder, xy_m: Array, top_m: float, radius_m: float =
 
 def add_net(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds a volleyball net of 9.5 m between two posts."""
-    across = np.array([-np.sin(heading), np.cos(heading)])
+    across = left_of(heading)
     ends = [xy_m + side * 4.75 * across for side in (-1.0, 1.0)]
     z = float(np.mean([builder.terrain.point(*end) for end in ends]))
     for end in ends:
         add_pile(builder, end, z + 2.5, 0.05)
     turn = quat_z(heading)
-    builder.geom("net", NET, type=GEOM.mjGEOM_BOX, size=[0.01, 4.7, 0.45], quat=turn,
+    builder.geom("net", NET, box=[0.01, 4.7, 0.45], quat=turn,
                  pos=[*xy_m, z + 1.98], rgba=[0.16, 0.17, 0.2, 0.45])  # fmt: skip
-    builder.geom("net_tape", SIGN, type=GEOM.mjGEOM_BOX, size=[0.02, 4.7, 0.04], quat=turn,
+    builder.geom("net_tape", SIGN, box=[0.02, 4.7, 0.04], quat=turn,
                  pos=[*xy_m, z + 2.43], rgba=[0.95, 0.95, 0.92, 1])  # fmt: skip
     top = np.array([[0.03 * sx, 4.7 * sy, 2.43] for sx in (-1, 1) for sy in (-1, 1)])
     builder.cast(turned(top, heading, np.array([*xy_m, z])))
@@ -187,8 +182,8 @@ def add_molehill(builder: SceneBuilder, xy_m: Array) -> None:
     """Adds a mound of earth too small to be seen from high up and too high to land on."""
     rng = builder.rng
     half = rng.uniform([0.22, 0.22, 0.14], [0.36, 0.36, 0.24])
-    at = np.array([*xy_m, builder.terrain.point(*xy_m)])
+    at = builder.on_ground(xy_m)
     tone = rng.uniform(0.26, 0.36)
-    builder.geom("field_molehill", EARTH, type=GEOM.mjGEOM_ELLIPSOID, size=half, pos=at,
+    builder.geom("field_molehill", EARTH, ellipsoid=half, pos=at,
                  rgba=[tone, 0.78 * tone, 0.58 * tone, 1])  # fmt: skip
     builder.claim(xy_m, 0.4)

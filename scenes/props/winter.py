@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
+from touchdown.scenes.api import Array, Image, Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.meshes import blob
 from touchdown.scenes.authoring.noise import tileable_noise
-from touchdown.scenes.authoring.textures import Colour, Image, hedge_or_soil_tint, to_texture
+from touchdown.scenes.authoring.plane import draw_heading
+from touchdown.scenes.authoring.textures import Colour, hedge_or_soil_tint, to_texture
 from touchdown.scenes.props.plants import ROCK
 from touchdown.scenes.props.tree_shapes import bark, canopy_mesh, conifer_mesh, lathe, needles
 from touchdown.scenes.props.woods import Crown, Wood
-
-Array = NDArray[np.float64]
 
 CAP = Surface(land_class="other", reflectivity=0.87)
 POLE = Surface(land_class="other", reflectivity=0.35)
@@ -78,21 +76,17 @@ def add_snowy_rock(builder: SceneBuilder, xy_m: Array, radius_m: float) -> None:
     rng = builder.rng
     half = radius_m * rng.uniform([0.9, 0.75, 0.55], [1.3, 1.0, 0.75])
     z = builder.terrain.point(*xy_m)
-    quat = quat_z(float(rng.uniform(0.0, 2.0 * np.pi)))
+    quat = quat_z(draw_heading(rng))
     mesh = builder.mesh(builder.unique("rock"), blob(rng, half, 2.5, 0.10, 7, 1.0))
     grey = rng.uniform(0.36, 0.50)
-    builder.geom(
-        "rock", ROCK, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=[*xy_m, z], quat=quat,
-        rgba=[grey, 0.97 * grey, 0.93 * grey, 1],
-    )  # fmt: skip
+    builder.geom("rock", ROCK, mesh=mesh, pos=[*xy_m, z], quat=quat,
+                 rgba=[grey, 0.97 * grey, 0.93 * grey, 1])  # fmt: skip
     builder.cast(np.array([*xy_m, z]) + half.mean() * _BALL)
     # The cap lies on the upper half: where it would touch the sides, the boulder sticks out.
     cap = half * [0.80, 0.80, 0.42]
     mesh = builder.mesh(builder.unique("cap"), blob(rng, cap, 2.2, 0.08, 7, 1.0))
-    builder.geom(
-        "cap", CAP, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=[*xy_m, z + 0.72 * half[2]],
-        quat=quat, rgba=[*(SNOW_RGB / 255.0), 1],
-    )  # fmt: skip
+    builder.geom("cap", CAP, mesh=mesh, pos=[*xy_m, z + 0.72 * half[2]], quat=quat,
+                 rgba=[*(SNOW_RGB / 255.0), 1])  # fmt: skip
 
 
 def add_snow_pole(builder: SceneBuilder, xy_m: Array) -> None:
@@ -100,10 +94,8 @@ def add_snow_pole(builder: SceneBuilder, xy_m: Array) -> None:
     z = builder.terrain.point(*xy_m)
     wood, red = [0.30, 0.23, 0.18, 1], [0.78, 0.16, 0.10, 1]
     for low, high, rgba in ((-0.3, 1.25, wood), (1.25, 1.6, red)):
-        builder.geom(
-            "pole", POLE, type=GEOM.mjGEOM_CYLINDER, size=[0.03, 0, 0], rgba=rgba,
-            fromto=[*xy_m, z + low, *xy_m, z + high],
-        )  # fmt: skip
+        builder.geom("pole", POLE, cylinder=0.03, rgba=rgba,
+                     fromto=[*xy_m, z + low, *xy_m, z + high])  # fmt: skip
     square = 0.03 * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]], np.float64)
     foot = np.array([*xy_m, z])
     builder.cast(np.concatenate([foot + square, foot + square + [0.0, 0.0, 1.6]]))
@@ -116,8 +108,7 @@ def add_snowman(builder: SceneBuilder, xy_m: Array) -> None:
     white = [*(SNOW_RGB / 255.0), 1.0]
     for radius, at in ((0.42, 0.30), (0.30, 0.86), (0.20, 1.26)):
         centre = np.array([*xy_m, z + at])
-        builder.geom("snowman", CAP, type=GEOM.mjGEOM_SPHERE, size=[radius, 0, 0], rgba=white,
-                     pos=centre)  # fmt: skip
+        builder.geom("snowman", CAP, ball=radius, rgba=white, pos=centre)
         ring = radius * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1.0]])
         builder.cast(centre + ring)
     builder.geom("snowman", POLE, type=GEOM.mjGEOM_CYLINDER, size=[0.15, 0.09, 0],

@@ -5,13 +5,10 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.props.street import STEEL
-
-Array = NDArray[np.float64]
 
 WIRE = Surface(land_class="other", reflectivity=0.12)
 POLE = Surface(land_class="other", reflectivity=0.32)
@@ -23,10 +20,8 @@ def add_post(
 ) -> None:
     """Adds an upright post that stands 0.3 m in the ground."""
     z = builder.terrain.point(*xy_m)
-    builder.geom(
-        "post", STEEL, type=GEOM.mjGEOM_CYLINDER, size=[radius_m, 0, 0], rgba=rgba,
-        fromto=[*xy_m, z - 0.3, *xy_m, z + height_m],
-    )  # fmt: skip
+    builder.geom("post", STEEL, cylinder=radius_m, rgba=rgba,
+                 fromto=[*xy_m, z - 0.3, *xy_m, z + height_m])  # fmt: skip
     _cast_bar(builder, np.array([*xy_m, z]), np.array([*xy_m, z + height_m]), radius_m)
 
 
@@ -34,10 +29,7 @@ def add_wire(
     builder: SceneBuilder, start_m: Array, end_m: Array, radius_m: float, rgba: list[float]
 ) -> None:
     """Adds a straight bar or wire between two world points (3,)."""
-    builder.geom(
-        "wire", WIRE, type=GEOM.mjGEOM_CAPSULE, size=[radius_m, 0, 0], rgba=rgba,
-        fromto=[*start_m, *end_m],
-    )  # fmt: skip
+    builder.geom("wire", WIRE, capsule=radius_m, rgba=rgba, fromto=[*start_m, *end_m])
     _cast_bar(builder, start_m, end_m, radius_m)
 
 
@@ -66,16 +58,10 @@ def add_pole(
     (3,)."""
     z = builder.terrain.point(*xy_m)
     top = np.array([*xy_m, z + height_m])
-    builder.geom(
-        "pole", POLE, type=GEOM.mjGEOM_CYLINDER, size=[0.11, 0, 0], rgba=_TIMBER,
-        fromto=[*xy_m, z - 0.5, *top],
-    )  # fmt: skip
+    builder.geom("pole", POLE, cylinder=0.11, rgba=_TIMBER, fromto=[*xy_m, z - 0.5, *top])
     arm = 0.75 * np.array([-np.sin(heading), np.cos(heading), 0.0])
     cross = top - [0.0, 0.0, 0.25]
-    builder.geom(
-        "pole_arm", POLE, type=GEOM.mjGEOM_BOX, size=[0.05, 0.85, 0.06], rgba=_TIMBER, pos=cross,
-        quat=quat_z(heading),
-    )  # fmt: skip
+    builder.geom("pole_arm", POLE, box=[0.05, 0.85, 0.06], rgba=_TIMBER, pos=cross, heading=heading)
     _cast_bar(builder, np.array([*xy_m, z]), top, 0.11)
     _cast_bar(builder, cross - arm, cross + arm, 0.06)
     builder.claim(xy_m, 0.7)

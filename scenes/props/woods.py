@@ -5,26 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.plane import draw_heading, pick
 from touchdown.scenes.authoring.textures import Colour, foliage, hedge_or_soil_tint
 from touchdown.scenes.props.plants import HEDGE, TRUNK
 from touchdown.scenes.props.tree_shapes import bark, canopy_mesh, conifer_mesh, lathe, needles
-
-Array = NDArray[np.float64]
 
 CONIFER = Surface(land_class="trees", reflectivity=0.38, porosity=0.28, spread=0.25)
 BROADLEAF = Surface(land_class="trees", reflectivity=0.47, porosity=0.38, spread=0.25)
 LOG = Surface(land_class="other", reflectivity=0.34)
 NEEDLES: tuple[Colour, ...] = ((58.0, 86.0, 52.0), (44.0, 72.0, 48.0), (84.0, 100.0, 54.0))
-SUMMER: tuple[Colour, ...] = (
-    (96.0, 130.0, 56.0), (74.0, 110.0, 52.0), (118.0, 136.0, 58.0), (86.0, 118.0, 70.0),
-)  # fmt: skip
-AUTUMN: tuple[Colour, ...] = (
-    (176.0, 136.0, 48.0), (108.0, 124.0, 52.0), (168.0, 98.0, 46.0), (140.0, 132.0, 56.0),
-)  # fmt: skip
+SUMMER: tuple[Colour, ...] = ((96.0, 130.0, 56.0), (74.0, 110.0, 52.0), (118.0, 136.0, 58.0),
+              (86.0, 118.0, 70.0))  # fmt: skip
+AUTUMN: tuple[Colour, ...] = ((176.0, 136.0, 48.0), (108.0, 124.0, 52.0), (168.0, 98.0, 46.0),
+              (140.0, 132.0, 56.0))  # fmt: skip
 CONIFER_HEIGHTS_M = (6.5, 8.5, 10.0, 11.5, 13.0)
 SAPLING_HEIGHTS_M = (1.6, 2.6)
 TRUNKS_M = (2.6, 3.4, 4.2)
@@ -95,9 +91,8 @@ def grow_wood(builder: SceneBuilder) -> Wood:
         mesh = builder.mesh(f"shrub_{index}", canopy_mesh(rng, half, 8, 1.8))
         wood.shrubs.append(Crown(mesh=mesh, radius_m=radius, height_m=float(half[2])))
     for index, (radius, height) in enumerate(((0.16, 0.24), (0.22, 0.34), (0.30, 0.42))):
-        profile = np.array([
-            [-0.35, 1.5 * radius], [0.04, 1.35 * radius], [0.14, 1.05 * radius], [height, radius],
-        ])  # fmt: skip
+        profile = np.array([[-0.35, 1.5 * radius], [0.04, 1.35 * radius], [0.14, 1.05 * radius],
+                           [height, radius]])  # fmt: skip
         mesh = builder.mesh(f"stump_{index}", lathe(rng, profile, 11, 0.07))
         wood.stumps.append(Crown(mesh=mesh, radius_m=radius, height_m=height))
     return wood
@@ -115,10 +110,8 @@ def _trunk(builder: SceneBuilder, name: str, radius_m: float, top: tuple[float, 
 
 
 def _add_trunk(builder: SceneBuilder, mesh: str, material: str, foot: Array) -> None:
-    builder.geom(
-        "trees_trunk", TRUNK, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material, pos=foot,
-        quat=quat_z(float(builder.rng.uniform(0.0, 2.0 * np.pi))),
-    )  # fmt: skip
+    builder.geom("trees_trunk", TRUNK, mesh=mesh, material=material, pos=foot,
+                 heading=draw_heading(builder.rng))  # fmt: skip
 
 
 def add_conifer(builder: SceneBuilder, wood: Wood, xy_m: Array, crown: Crown, needles: str) -> None:
@@ -127,25 +120,22 @@ def add_conifer(builder: SceneBuilder, wood: Wood, xy_m: Array, crown: Crown, ne
     z = builder.terrain.point(*xy_m)
     foot = np.array([*xy_m, z])
     _add_trunk(builder, wood.trunks[crown.mesh], wood.bark, foot)
-    _add_cone(builder, "trees_conifer", crown, needles, foot, float(rng.uniform(0.0, 2.0 * np.pi)))
+    _add_cone(builder, "trees_conifer", crown, needles, foot, draw_heading(rng))
 
 
 def add_sapling(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
     """Adds a young conifer, branched down to the ground."""
     rng = builder.rng
-    crown = wood.saplings[int(rng.integers(len(wood.saplings)))]
-    needles = wood.needles[int(rng.integers(len(wood.needles)))]
-    foot = np.array([*xy_m, builder.terrain.point(*xy_m)])
-    _add_cone(builder, "trees_sapling", crown, needles, foot, float(rng.uniform(0.0, 2.0 * np.pi)))
+    crown = pick(rng, wood.saplings)
+    needles = pick(rng, wood.needles)
+    foot = builder.on_ground(xy_m)
+    _add_cone(builder, "trees_sapling", crown, needles, foot, draw_heading(rng))
 
 
 def _add_cone(
     builder: SceneBuilder, stem: str, crown: Crown, needles: str, foot: Array, turn: float
 ) -> None:
-    builder.geom(
-        stem, CONIFER, type=GEOM.mjGEOM_MESH, meshname=crown.mesh, material=needles, pos=foot,
-        quat=quat_z(turn),
-    )  # fmt: skip
+    builder.geom(stem, CONIFER, mesh=crown.mesh, material=needles, pos=foot, heading=turn)
     low = 0.14 * crown.height_m
     rim = np.column_stack([0.85 * crown.radius_m * _RING, np.full(len(_RING), low)])
     builder.cast(
@@ -163,11 +153,8 @@ def add_broadleaf(
     material = wood.birch if rng.random() < 0.25 else wood.bark
     _add_trunk(builder, wood.trunks[trunk_key(trunk_m)], material, np.array([*xy_m, z]))
     at = np.array([*xy_m, z + trunk_m + 0.9 * crown.height_m])
-    turn = float(rng.uniform(0.0, 2.0 * np.pi))
-    builder.geom(
-        "trees_crown", BROADLEAF, type=GEOM.mjGEOM_MESH, meshname=crown.mesh, material=leaf,
-        pos=at, quat=quat_z(turn),
-    )  # fmt: skip
+    turn = draw_heading(rng)
+    builder.geom("trees_crown", BROADLEAF, mesh=crown.mesh, material=leaf, pos=at, heading=turn)
     half = np.array([crown.radius_m, crown.radius_m, crown.height_m])
     builder.cast(at + half * _BALL, 1.0 - BROADLEAF.porosity)
 
@@ -175,25 +162,21 @@ def add_broadleaf(
 def add_shrub(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
     """Adds undergrowth: hazel, bramble, juniper."""
     rng = builder.rng
-    crown = wood.shrubs[int(rng.integers(len(wood.shrubs)))]
-    leaf = wood.leaves[int(rng.integers(len(wood.leaves)))]
-    at = np.array([*xy_m, builder.terrain.point(*xy_m) + 0.55 * crown.height_m])
-    builder.geom(
-        "trees_shrub", HEDGE, type=GEOM.mjGEOM_MESH, meshname=crown.mesh, material=leaf, pos=at,
-        quat=quat_z(float(rng.uniform(0.0, 2.0 * np.pi))),
-    )  # fmt: skip
+    crown = pick(rng, wood.shrubs)
+    leaf = pick(rng, wood.leaves)
+    at = builder.on_ground(xy_m, 0.55 * crown.height_m)
+    builder.geom("trees_shrub", HEDGE, mesh=crown.mesh, material=leaf, pos=at,
+                 heading=draw_heading(rng))  # fmt: skip
     builder.cast(at + np.array([crown.radius_m, crown.radius_m, crown.height_m]) * _BALL, 0.9)
 
 
 def add_stump(builder: SceneBuilder, wood: Wood, xy_m: Array) -> None:
     """Adds a stump, 0.24 to 0.42 m high, with roots."""
     rng = builder.rng
-    stump = wood.stumps[int(rng.integers(len(wood.stumps)))]
-    at = np.array([*xy_m, builder.terrain.point(*xy_m)])
-    builder.geom(
-        "stump", LOG, type=GEOM.mjGEOM_MESH, meshname=stump.mesh, material=wood.bark, pos=at,
-        quat=quat_z(float(rng.uniform(0.0, 2.0 * np.pi))),
-    )  # fmt: skip
+    stump = pick(rng, wood.stumps)
+    at = builder.on_ground(xy_m)
+    builder.geom("stump", LOG, mesh=stump.mesh, material=wood.bark, pos=at,
+                 heading=draw_heading(rng))  # fmt: skip
     rim = np.column_stack([stump.radius_m * _RING, np.zeros(len(_RING))])
     builder.cast(np.concatenate([at + rim, at + rim + [0.0, 0.0, stump.height_m]]))
     builder.claim(xy_m, 0.5)
@@ -215,10 +198,8 @@ def add_log(
     profile = np.array([[0.0, 1.25 * radius_m], [0.06 * length, radius_m],
                         [0.5 * length, 0.85 * radius_m], [length, 0.6 * radius_m]])  # fmt: skip
     mesh = builder.mesh(builder.unique("log"), lathe(rng, profile, 10, 0.05))
-    builder.geom(
-        "log", LOG, type=GEOM.mjGEOM_MESH, meshname=mesh, material=wood.bark, pos=start,
-        quat=quat_of_axis(end - start),
-    )  # fmt: skip
+    builder.geom("log", LOG, mesh=mesh, material=wood.bark, pos=start,
+                 quat=quat_of_axis(end - start))  # fmt: skip
     across = np.array([-span[1], span[0], 0.0]) / length
     square = [x * across + [0.0, 0.0, z] for x in (-1.0, 1.0) for z in (-1.0, 1.0)]
     builder.cast(np.array([e + radius_m * s for e in (start, end) for s in square]))
@@ -233,10 +214,8 @@ def quat_of_axis(axis: Array) -> list[float]:
     return [float(v) for v in quat / np.linalg.norm(quat)]
 
 
-_RING = np.stack(
-    [np.cos(np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)),
-     np.sin(np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False))], axis=-1,
-)  # fmt: skip
+_RING = np.stack([np.cos(np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)),
+                 np.sin(np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False))], axis=-1)  # fmt: skip
 _BALL = np.array([
     [np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)]
     for t in np.linspace(0.0, np.pi, 6) for p in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
+from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Array, Scene
 from touchdown.scenes.truth.static_surface import static_surface
-
-Array = NDArray[np.float64]
 
 _OFF_EDGE_M = np.array([1.37e-4, 2.11e-4])
 """Beside the edges of objects that lie on a regular grid, as generated ones often do."""

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.api import LAND_CLASSES, Array, Scene
 from touchdown.scenes.truth.raycast import cast_down
-
-Array = NDArray[np.float64]
 
 CELL_M = 0.5
 _AROUND_M = (4.0, 12.0)
@@ -120,8 +118,8 @@ def scene_facts(
             geom for geom, surface in scene.surfaces.items()
             if surface.land_class not in LAND_CLASSES
         ),
-        guessed=tuple((geom, *found) for geom, found in scene.guessed.items()),
-        dressed=scene.dressed,
+        guessed=tuple((geom, *found) for geom, found in scene.inferred.items()),
+        dressed=scene.textured,
     )  # fmt: skip
 
 

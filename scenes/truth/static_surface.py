@@ -14,14 +14,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Scene
+from touchdown.scenes.api import Array, Scene
 from touchdown.scenes.compose import VEHICLE_BODY, VEHICLE_GROUP
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.quadrics import ShapeTable
 from touchdown.sim.geometry.ray_target import RayTarget, geom_pose
 from touchdown.sim.geometry.tessellation import geom_mesh
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 
 _STRIP_REACH_M = 5000.0

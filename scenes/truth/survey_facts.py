@@ -13,8 +13,6 @@ from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.maps import truth_maps
 from touchdown.scenes.truth.raycast import cast_down, class_ids
 
-Array = NDArray[np.float64]
-
 TRUTH_CELL_M = 0.2
 LAYOUT_CELL_M = 0.5
 LAYOUT_PIXELS = 192

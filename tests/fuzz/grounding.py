@@ -99,7 +99,7 @@ _STOPS: dict[str, dict[str, Any]] = {
     "touchdown.landing.classification.learning.training": {"Trainer.run_epoch": _reach},
     "touchdown.landing.classification.network_check": {"check_loads": _check_loads},
     "touchdown.scenes.compose": {"compose_spec": _compose_spec},
-    "touchdown.scenes.importers.dress": {"TEXEL_M": _COARSE_TEXEL_M},
+    "touchdown.scenes.importers.ground_texturing": {"TEXEL_M": _COARSE_TEXEL_M},
     "touchdown.sim.posed_sensors": {"PosedSensors.__init__": _reach},
 }
 """By module, what is replaced in it."""

@@ -8,7 +8,7 @@ import pytest
 
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.authoring import generation
-from touchdown.scenes.authoring.ground import Canvas, Ground, dressed_anew, ground_shader
+from touchdown.scenes.authoring.ground import Canvas, Ground, ground_shader, varied_materials
 from touchdown.scenes.authoring.water import WaterLook, dressed
 
 CELLS = 4 * len(Ground)
@@ -31,9 +31,9 @@ def _painted(canvas: Canvas) -> np.ndarray:
 def test_ground_gets_other_materials_of_its_class() -> None:
     plain, dressed, again = _canvas(), _canvas(), _canvas()
     before = _painted(plain)
-    with dressed_anew(np.random.default_rng(5)):
+    with varied_materials(np.random.default_rng(5)):
         after = _painted(dressed)
-    with dressed_anew(np.random.default_rng(5)):
+    with varied_materials(np.random.default_rng(5)):
         assert (_painted(again) == after).all()
     assert (plain.material == _canvas().material).all(), "as built, outside"
     classes = [canvas.raster("terrain").class_id for canvas in (plain, dressed)]
@@ -55,7 +55,7 @@ def test_water_is_between_silt_and_a_pale_bed() -> None:
     assert dressed(look) == look
     found = []
     for seed in range(40):
-        with dressed_anew(np.random.default_rng(seed)):
+        with varied_materials(np.random.default_rng(seed)):
             found.append(dressed(look))
     assert all(one.wave_m == 0.3 and 0.1 <= one.ripple <= 0.7 for one in found)
     bodies = np.array([one.body for one in found])
@@ -78,6 +78,6 @@ def test_a_flood_has_that_water(monkeypatch: pytest.MonkeyPatch) -> None:
         depth_m=np.ones((cells, cells), np.float32), draw_look=lambda _: planned
     )
     generation.paint_terrain(builder, _canvas(), {}, flood=flood)
-    with dressed_anew(np.random.default_rng(5)):
+    with varied_materials(np.random.default_rng(5)):
         generation.paint_terrain(builder, _canvas(), {}, flood=flood)
         assert looks == [planned, dressed(planned)] and looks[0] != looks[1]

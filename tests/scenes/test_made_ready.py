@@ -10,19 +10,25 @@ import mujoco
 import numpy as np
 import pytest
 
-from touchdown.scenes.api import CLASS_RGB, LAND_CLASSES, Readying, Scene
+from touchdown.scenes.api import CLASS_RGB, LAND_CLASSES, ImportOptions, Scene
 from touchdown.scenes.compose import load_scene
-from touchdown.scenes.importers.guess import Look, class_of_words, ground_class, is_blue, look_of
+from touchdown.scenes.importers.class_inference import (
+    Look,
+    class_of_words,
+    ground_class,
+    is_blue,
+    look_of,
+)
 from touchdown.scenes.truth.maps import judge_touchdown
 from touchdown.scenes.truth.raycast import cast_points, class_ids
 
 from support.own_places import PLACES
 
 
-def load(path: Path, ready: Readying | None = Readying()) -> Scene:  # noqa: B008
+def load(path: Path, ready: ImportOptions | None = ImportOptions()) -> Scene:  # noqa: B008
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return load_scene(str(path), 0, ready=ready)
+        return load_scene(str(path), 0, options=ready)
 
 
 @functools.cache
@@ -44,7 +50,7 @@ def classes(scene: Scene) -> dict[str, str]:
 def test_a_checker_is_dressed_below_its_height() -> None:
     """Relief of centimetres, never above the floor; a picture instead of three colours."""
     scene = place("checker")
-    assert scene.dressed == ("floor",) and classes(scene)["floor"] == "lawn"
+    assert scene.textured == ("floor",) and classes(scene)["floor"] == "lawn"
     xy = np.random.default_rng(0).uniform(-70.0, -10.0, (4000, 2))
     heights, _ = cast_points(scene, xy)
     assert heights.min() > -0.0605 and heights.max() < 0.0005 and 0.005 < heights.std() < 0.02
@@ -79,7 +85,7 @@ def test_a_plane_with_ground_behind_it_collides_where_it_is_drawn(tmp_path: Path
     with pytest.warns(
         UserWarning, match="wall, top, building: planes that collide only where they are draw"
     ):
-        scene = load_scene(str(path), 0, ready=Readying())
+        scene = load_scene(str(path), 0, options=ImportOptions())
     model, data = scene.model, mujoco.MjData(scene.model)
     names = {model.geom(g).name for g in range(model.ngeom) if model.geom_contype[g]}
     own = {name for name in names if not name.startswith("vehicle/")}
@@ -97,7 +103,7 @@ def test_a_plane_with_ground_behind_it_collides_where_it_is_drawn(tmp_path: Path
 def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) -> None:
     """Lamps over a floor of 120 m beside a light of the camera of 0.1, which is too little."""
 
-    def lights(lamp: str, level: float = 0.1, ready: Readying | None = Readying(),  # noqa: B008
+    def lights(lamp: str, level: float = 0.1, ready: ImportOptions | None = ImportOptions(),  # noqa: B008
                on: int = 1) -> list[str]:  # fmt: skip
         path = tmp_path / "lamp.xml"
         path.write_text(
@@ -124,7 +130,7 @@ def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) ->
     path = tmp_path / "another.xml"
     path.write_text((tmp_path / "lamp.xml").read_text())
     with pytest.warns(UserWarning, match="its lamps leave the ground dark: a sun is added"):
-        load_scene(str(path), 0, ready=Readying())
+        load_scene(str(path), 0, options=ImportOptions())
 
 
 @pytest.mark.parametrize(
@@ -141,7 +147,7 @@ def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) ->
 def test_classes_follow_from_words_shape_and_colour(name: str, expected: dict[str, str]) -> None:
     found = classes(place(name))
     assert {geom: found[geom] for geom in expected} == expected
-    assert set(place(name).guessed) >= set(expected)
+    assert set(place(name).inferred) >= set(expected)
     assert judge_touchdown(place(name), place(name).takeoff_xy_m).safe
 
 
@@ -186,7 +192,7 @@ def test_a_mesh_is_touched_where_it_is_seen(tmp_path: Path) -> None:
     scene = load(
         write(tmp_path, '<geom name="ground" type="mesh" mesh="valley" material="p"/>', asset)
     )
-    assert scene.dressed == ()
+    assert scene.textured == ()
     data, hit = mujoco.MjData(scene.model), np.zeros(1, np.int32)
     mujoco.mj_forward(scene.model, data)
     touched = scene.model.geom("ground_touched").id
@@ -210,12 +216,12 @@ def test_a_user_s_classes_count(tmp_path: Path) -> None:
     path = write(tmp_path, body + '<geom name="hut" type="box" size="2 2 2" pos="20 20 2"/>')
     table, picture = tmp_path / "c.toml", tmp_path / "c.png"
     table.write_text('[classes]\n"p*" = "path"\n"*" = "water"\n')
-    scene = load(path, Readying(classes=str(table)))
-    assert classes(scene) == {"pad": "path", "hut": "water"} and scene.guessed == {}
+    scene = load(path, ImportOptions(classes=str(table)))
+    assert classes(scene) == {"pad": "path", "hut": "water"} and scene.inferred == {}
     image = np.full((60, 60, 3), CLASS_RGB["lawn"], np.uint8)
     image[:30] = CLASS_RGB["road"]  # the north
     cv2.imwrite(str(picture), image[..., ::-1])
-    scene = load(path, Readying(classes=str(picture)))
+    scene = load(path, ImportOptions(classes=str(picture)))
     pad = np.full((2, 1), scene.model.geom("pad").id, np.int32)
     ids = class_ids(scene, np.array([5.0, -10.0]), 30.0, pad)
     assert [LAND_CLASSES[k] for k in ids[:, 0]] == ["lawn", "road"]
@@ -225,16 +231,16 @@ def test_a_user_s_classes_count(tmp_path: Path) -> None:
     ):  # fmt: skip
         table.write_text(text)
         with pytest.raises(ValueError, match=reason):
-            load(path, Readying(classes=str(table)))
+            load(path, ImportOptions(classes=str(table)))
     image[7, 9] = (255, 0, 0)
     cv2.imwrite(str(picture), image)
     with pytest.raises(ValueError, match="the colour 0, 0, 255 is that of no class"):
-        load(path, Readying(classes=str(picture)))
+        load(path, ImportOptions(classes=str(picture)))
 
 
 def test_what_is_done_is_said_in_one_line(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="is dressed") as caught:
-        load_scene(str(PLACES["checker"](tmp_path)), 0, ready=Readying())
+        load_scene(str(PLACES["checker"](tmp_path)), 0, options=ImportOptions())
     (said,) = [str(w.message) for w in caught if "joints" not in str(w.message)]
     for part in ("no take-off is named", "of 9 geoms are guessed", "dressed (floor as lawn)"):
         assert part in said

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from touchdown.scenes.api import Readying, Scene
+from touchdown.scenes.api import ImportOptions, Scene
 from touchdown.scenes.compose import VEHICLE_BODY, load_scene
 from touchdown.scenes.truth.raycast import cast_down
 
@@ -118,7 +118,7 @@ def test_no_ground_is_one_clear_line(tmp_path: Path) -> None:
     apart = "".join(f'<geom type="box" size="1 1 1" pos="{x} 0 0"/>' for x in (10, 30))
     text = f"<mujoco><worldbody>{apart}</worldbody></mujoco>"
     with pytest.raises(ValueError, match=r"no ground under the take-off spot \[20.0, 0.0\]"):
-        load_scene(write(tmp_path, text), 0, ready=Readying())
+        load_scene(write(tmp_path, text), 0, options=ImportOptions())
     site = '<site name="takeoff" pos="30 0 0"/>'
     np.testing.assert_allclose(load(tmp_path, far + site).takeoff_xy_m, [30.0, 0.0])
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from touchdown.scenes import cache
-from touchdown.scenes.api import LowSun, Readying, Scene
-from touchdown.scenes.authoring.ground import dressed_anew
+from touchdown.scenes.api import ImportOptions, LowSun, Scene
+from touchdown.scenes.authoring.ground import varied_materials
 from touchdown.scenes.cache import cached_scene
 
 
@@ -41,16 +41,12 @@ def entries(tmp_path: Path) -> list[Path]:
     return sorted((tmp_path / "scenes").iterdir(), key=lambda entry: entry.stat().st_mtime)
 
 
-def refused(*_: object) -> None:
-    raise OSError("no direct writes here")
-
-
 def test_a_scene_from_the_disk_is_the_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(cache.DIRECTORY_VARIABLE, str(tmp_path))
-    new, again = (cached_scene("turf", 3, None, "dusk", Readying()) for _ in range(2))
-    assert new.ready is None  # which files alone are
+    new, again = (cached_scene("turf", 3, None, "dusk", ImportOptions()) for _ in range(2))
+    assert new.options is None  # which files alone are
     sizes = [mujoco.mj_sizeModel(one.model) for one in (again, new)]
     bytes_of = [np.empty(size, np.uint8) for size in sizes]
     for one, buffer in zip((again, new), bytes_of, strict=True):
@@ -60,42 +56,12 @@ def test_a_scene_from_the_disk_is_the_scene(
     assert rest[0] == rest[1]
 
 
-@pytest.mark.parametrize("direct", ["of the system", "none", "refused", "broken off"])
-def test_a_model_is_written_whole_with_and_without_direct_writes(
-    loads: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, direct: str
-) -> None:
-    def open_file(path: object, flags: int, *rest: int) -> int:
-        if direct == "refused" and flags & os.O_DIRECT:
-            raise OSError("no direct writes here")
-        return os.open(path, flags, *rest)  # type: ignore[arg-type]
-
-    def broken_off(pieces: object, piece: object) -> int:
-        raise OSError("the disk refuses")
-
-    known = {name: getattr(os, name) for name in dir(os)} | {"open": open_file}
-    if direct == "none":
-        del known["O_DIRECT"]
-    monkeypatch.setattr(cache, "os", SimpleNamespace(**known))
-    if direct == "broken off":
-        monkeypatch.setattr(cache, "_filled", broken_off)
-    model = cached_scene("flat", 1, None, "day").model
-    size = mujoco.mj_sizeModel(model)
-    assert size % 4096
-    whole = np.empty(size, np.uint8)
-    mujoco.mj_saveModel(model, None, whole)
-    (entry,) = entries(tmp_path)
-    assert (entry / "model.mjb").read_bytes() == whole.tobytes()
-
-
-@pytest.mark.parametrize("direct", [True, False])
 def test_a_model_that_is_not_saved_whole_is_no_entry(
-    loads: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, direct: bool
+    loads: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def half(model: mujoco.MjModel, file: str, buffer: None) -> None:
         Path(file).write_bytes(b"x" * (mujoco.mj_sizeModel(model) // 2))
 
-    if not direct:
-        monkeypatch.setattr(cache, "_write_directly", refused)
     saving = SimpleNamespace(
         mj_saveModel=half, mj_sizeModel=mujoco.mj_sizeModel, MjModel=mujoco.MjModel
     )
@@ -112,7 +78,7 @@ def test_each_key_has_its_own_entry(loads: list[Any], monkeypatch: pytest.Monkey
     ]  # fmt: skip
     for _ in range(2):
         assert [cached_scene(*key).model.ngeom for key in keys] == [1, 2, 3, 4, 5]
-    assert loads == [(*key, None) for key in keys]  # not made ready
+    assert loads == [(*key, None) for key in keys]  # without options of files
     monkeypatch.setattr(cache, "_sources", lambda: "other sources")
     assert cached_scene(*keys[0]).model.ngeom == 6
 
@@ -127,7 +93,7 @@ def test_what_the_sources_hash_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     for name in ("scenes", "sim"):
         (tmp_path / name / "a.py").write_text("2")
         found.append(sources())
-    monkeypatch.setattr(cache, "version", lambda name: "0")
+    monkeypatch.setattr(cache, "_LIBRARIES", (SimpleNamespace(__version__="0"),))
     assert len({*found, sources()}) == 4
 
 
@@ -169,6 +135,6 @@ def test_scenes_of_files_and_of_a_directory_that_others_may_write_to_are_made_an
     (tmp_path / "scenes").chmod(0o700)
     for _ in range(2):
         cached_scene("./flat.xml", 1, None, "day")
-    with dressed_anew(np.random.default_rng(1)):
+    with varied_materials(np.random.default_rng(1)):
         cached_scene("flat", 1, None, "day")
     assert len(loads) == 7 and len(entries(tmp_path)) == 1

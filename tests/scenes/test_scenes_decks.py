@@ -102,7 +102,7 @@ def test_bridge_is_wide_enough_to_land_on(seed: int) -> None:
     bridge, kind = plan.bridge, "road" if plan.over_road else "path"
     assert bridge.width_m >= 4.0
     for u in (0.0, 0.6 * bridge.half_length_m):
-        spot = bridge.lot.at(u, 0.0)
+        spot = bridge.plot.at(u, 0.0)
         heights, classes = sampled(scene, spot[None])
         assert heights[0] == pytest.approx(float(bridge.top(np.array(u))), abs=0.02)
         assert classes[0] == LAND_CLASSES.index(kind)
@@ -110,7 +110,7 @@ def test_bridge_is_wide_enough_to_land_on(seed: int) -> None:
         assert judged.safe_geometry and judged.land_class == kind
         assert judged.safe is (kind == "path")
         assert judged.obstacle_distance_m == pytest.approx(0.5 * bridge.width_m - 0.1, abs=0.12)
-    beside = bridge.lot.at(0.0, 0.5 * bridge.width_m - 0.7)
+    beside = bridge.plot.at(0.0, 0.5 * bridge.width_m - 0.7)
     assert not judge_touchdown(scene, beside).safe_geometry
 
 

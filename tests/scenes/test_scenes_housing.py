@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, SAFE_CLASSES, Scene, TruthMaps
-from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.streets import STEP_M, Street, smooth_line
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 from touchdown.scenes.truth.raycast import cast_down
@@ -119,11 +119,11 @@ def _ground(scene: Scene, xy: NDArray[np.float64]) -> float:
 
 def test_lot_coordinates_invert_and_mirror() -> None:
     for mirrored in (False, True):
-        lot = Lot(origin_xy_m=np.array([3.0, -2.0]), angle=0.7, mirrored=mirrored)
+        plot = Plot(origin_xy_m=np.array([3.0, -2.0]), angle=0.7, mirrored=mirrored)
         uv = np.array([[0.0, 0.0], [4.0, -1.5], [2.0, 9.0]])
-        np.testing.assert_allclose(lot.coordinates(lot.points(uv)), uv, atol=1e-12)
-        expected = np.array([np.cos(lot.away), np.sin(lot.away)])
-        np.testing.assert_allclose(lot.at(0.0, 1.0) - lot.origin_xy_m, expected, atol=1e-12)
+        np.testing.assert_allclose(plot.coordinates(plot.points(uv)), uv, atol=1e-12)
+        expected = np.array([np.cos(plot.away), np.sin(plot.away)])
+        np.testing.assert_allclose(plot.at(0.0, 1.0) - plot.origin_xy_m, expected, atol=1e-12)
 
 
 def test_street_offsets_and_distances_agree() -> None:

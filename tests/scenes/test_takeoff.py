@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.scenes.importers.above import CELL_M, FromAbove
 from touchdown.scenes.importers.takeoff import takeoff_spot
+from touchdown.scenes.importers.top_view import CELL_M, TopView
 
 Array = NDArray[np.float64]
 
 
-def level(east_m: float, north_m: float, holes: float = 0.0) -> FromAbove:
+def level(east_m: float, north_m: float, holes: float = 0.0) -> TopView:
     """Level ground about the origin, where a box of 2 m stands, with a share of ``holes``."""
     shape = round(north_m / CELL_M), round(east_m / CELL_M)
     height = np.zeros(shape)
@@ -20,7 +20,7 @@ def level(east_m: float, north_m: float, holes: float = 0.0) -> FromAbove:
     row, col = shape[0] // 2, shape[1] // 2
     height[row - 2 : row + 2, col - 2 : col + 2] = 2.0
     geom = np.where(np.isnan(height), -1, 0).astype(np.int32)
-    return FromAbove(np.array([-east_m / 2, -north_m / 2]), CELL_M, height, geom)
+    return TopView(np.array([-east_m / 2, -north_m / 2]), CELL_M, height, geom)
 
 
 def spot(east_m: float, north_m: float, holes: float = 0.0) -> Array:

@@ -5,21 +5,21 @@ from __future__ import annotations
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.lot import Lot, scatter
+from touchdown.scenes.authoring.plane import left_of, pick, unit_circle
+from touchdown.scenes.authoring.plots import Plot, scatter
 from touchdown.scenes.authoring.relief import Ditch
 from touchdown.scenes.authoring.streets import STEP_M, paint_street
-from touchdown.scenes.places.cottage.crofts import (
+from touchdown.scenes.places.cottage.farmsteads import (
     WIDTH_M,
-    Croft,
-    build_croft,
-    draw_croft,
-    paint_croft,
+    Farmstead,
+    build_farmstead,
+    draw_farmstead,
+    paint_farmstead,
 )
 from touchdown.scenes.places.cottage.layout import HALF_M, Plan, draw_plan, shape_ground
 from touchdown.scenes.props.cars import CarShape, add_car_models, park_car
@@ -43,56 +43,53 @@ from touchdown.scenes.props.stonework import (
 from touchdown.scenes.props.street import add_bench, add_sign
 from touchdown.scenes.props.wires import add_line
 
-Array = NDArray[np.float64]
-
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.cottage")])
     plan = draw_plan(rng)
-    crofts = draw_crofts(rng, plan)
-    pads = [pad for croft in crofts for pad in croft.pads()]
+    farmsteads = draw_farmsteads(rng, plan)
+    pads = [pad for farmstead in farmsteads for pad in farmstead.pads()]
     pads.append(plan.frame.pad(float(plan.lawn_uv[0]), float(plan.lawn_uv[1]), (5.2, 3.6), 2.5))
-    ditch = Ditch(
-        start_xy_m=plan.frame.at(-60.0, rng.uniform(-9.5, -8.0)),
-        end_xy_m=plan.frame.at(-36.0, rng.uniform(-12.0, -9.0)),
-        depth_m=rng.uniform(0.5, 0.8), half_width_m=1.6,
-    )  # fmt: skip
+    ditch = Ditch(start_xy_m=plan.frame.at(-60.0, rng.uniform(-9.5, -8.0)),
+                  end_xy_m=plan.frame.at(-36.0, rng.uniform(-12.0, -9.0)),
+                  depth_m=rng.uniform(0.5, 0.8), half_width_m=1.6)  # fmt: skip
     terrain = shape_ground(rng, plan, pads, [ditch])
     builder = start_scene("cottage", rng, terrain)
-    place_objects(builder, plan, crofts)
-    canvas = paint_ground(rng, plan, crofts, ditch)
+    place_objects(builder, plan, farmsteads)
+    canvas = paint_ground(rng, plan, farmsteads, ditch)
     turned = dict.fromkeys(Ground, plan.frame.angle)
     turned[Ground.LAWN] = plan.frame.angle + float(rng.uniform(0.2, 1.3))
     ground = paint_terrain(builder, canvas, turned)
     return finish(plan, builder, ground)
 
 
-def draw_crofts(rng: np.random.Generator, plan: Plan) -> list[Croft]:
-    """Returns three crofts above the lane, two below it on the side away from the take-off spot."""
+def draw_farmsteads(rng: np.random.Generator, plan: Plan) -> list[Farmstead]:
+    """Returns three farmsteads above the lane, two below it on the side away from the
+    take-off spot."""
     local = plan.frame.coordinates(plan.lane.line_m)
     spots = [(u + rng.uniform(-2.5, 2.5), 1.0) for u in (-36.0, -8.0, 20.0)]
     spots += [(u + rng.uniform(-1.5, 1.5), -1.0) for u in (20.0, 46.0)]
     if rng.random() < 0.5:
         spots.append((47.0 + rng.uniform(-1.0, 1.0), 1.0))
     kinds = rng.permutation(np.resize(np.array(["well", "cart", "washing"]), len(spots)))
-    crofts = []
+    farmsteads = []
     for (u, side), kind in zip(spots, kinds, strict=True):
         along = STEP_M * float(np.argmin(np.abs(local[:, 0] - u)))
         heading = plan.lane.heading(along)
         ends = [plan.lane.point(along + s, 0.0) for s in (-0.5 * WIDTH_M, 0.5 * WIDTH_M)]
         middle = plan.lane.point(along, 0.0)
-        left = np.array([-np.sin(heading), np.cos(heading)])
+        left = left_of(heading)
         # In a bend the lane bulges towards the plot.
         bulge = max(side * float((end - middle) @ left) for end in ends)
         reach = 0.5 * plan.lane.width_m + 1.3 + max(bulge, 0.0) + rng.uniform(0.0, 1.2)
         origin = middle + side * reach * left - 0.5 * WIDTH_M * np.array([left[1], -left[0]])
-        lot = Lot(origin_xy_m=origin, angle=heading, mirrored=side < 0.0)
-        crofts.append(draw_croft(rng, lot, str(kind)))
-    return crofts
+        plot = Plot(origin_xy_m=origin, angle=heading, mirrored=side < 0.0)
+        farmsteads.append(draw_farmstead(rng, plot, str(kind)))
+    return farmsteads
 
 
-def place_objects(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> None:
+def place_objects(builder: SceneBuilder, plan: Plan, farmsteads: list[Farmstead]) -> None:
     """Adds all objects."""
     rng, frame = builder.rng, plan.frame
     nursery = plant_nursery(builder)
@@ -103,17 +100,17 @@ def place_objects(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> Non
     builder.claim(frame.points(plan.lawn_uv), 4.5)
     for along in np.arange(0.0, plan.lane.length_m, 2.0):
         builder.claim(plan.lane.point(along, 0.0), 0.5 * plan.lane.width_m)
-    for index, croft in enumerate(crofts):
-        build_croft(builder, croft, looks[index % len(looks)], nursery, models)
-    wall_the_lane(builder, plan, crofts)
+    for index, farmstead in enumerate(farmsteads):
+        build_farmstead(builder, farmstead, looks[index % len(looks)], nursery, models)
+    wall_the_lane(builder, plan, farmsteads)
     hang_laundry(builder, plan)
     graze_meadow(builder, plan)
     plant_trees(builder, plan, nursery)
     wire_and_park(builder, plan, models)
 
 
-def wall_the_lane(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> None:
-    """Adds dry-stone walls beside the lane between the crofts, with field gates."""
+def wall_the_lane(builder: SceneBuilder, plan: Plan, farmsteads: list[Farmstead]) -> None:
+    """Adds dry-stone walls beside the lane between the farmsteads, with field gates."""
     rng, lane = builder.rng, plan.lane
     for side in (1.0, -1.0):
         across = side * (0.5 * lane.width_m + 1.1)
@@ -121,13 +118,13 @@ def wall_the_lane(builder: SceneBuilder, plan: Plan, crofts: list[Croft]) -> Non
             line = lane.offset_line(across, start, start + 9.0)[::3]
             line = np.concatenate([line, [lane.point(start + 9.0, across)]])
             line = line[[0, len(line) // 2, -1]]
-            on_croft = any(
-                (np.abs(croft.lot.coordinates(line) - [0.5 * WIDTH_M, 8.0])
+            on_farmstead = any(
+                (np.abs(farmstead.plot.coordinates(line) - [0.5 * WIDTH_M, 8.0])
                  < [0.5 * WIDTH_M + 0.4, 10.0]).all(axis=1).any()
-                for croft in crofts
+                for farmstead in farmsteads
             )  # fmt: skip
             inside = np.abs(line).max() < HALF_M - 0.5
-            if inside and not on_croft and rng.random() < 0.75:
+            if inside and not on_farmstead and rng.random() < 0.75:
                 add_stone_wall(builder, line, rng.uniform(0.7, 0.95))
 
 
@@ -185,15 +182,17 @@ def wire_and_park(
     add_line(builder, spots, 6.2, 0.6)
     along = rng.uniform(92.0, 108.0)
     heading = lane.heading(along)
-    model = models[int(rng.integers(len(models)))]
+    model = pick(rng, models)
     park_car(builder, model, lane.point(along, -0.5 * lane.width_m + 0.9), heading)
     spot = lane.point(along - 34.0, -(0.5 * lane.width_m + 2.4))
     add_bench(builder, spot, heading - 0.5 * np.pi)
     add_sign(builder, lane.point(28.0, -side), heading + np.pi, [0.95, 0.85, 0.2, 1])
 
 
-def paint_ground(rng: np.random.Generator, plan: Plan, crofts: list[Croft], ditch: Ditch) -> Canvas:
-    """Paints meadow, orchard, crofts, and the lane with its wheel tracks and grassy edges."""
+def paint_ground(
+    rng: np.random.Generator, plan: Plan, farmsteads: list[Farmstead], ditch: Ditch
+) -> Canvas:
+    """Paints meadow, orchard, farmsteads, and the lane with its wheel tracks and grassy edges."""
     canvas = Canvas(half_m=HALF_M)
     frame, lane = plan.frame, plan.lane
     u = np.arange(-100.0, 101.0, 2.0)
@@ -206,8 +205,8 @@ def paint_ground(rng: np.random.Generator, plan: Plan, crofts: list[Croft], ditc
     canvas.track(np.array([ditch.start_xy_m, ditch.end_xy_m]), 0.9, Ground.WORN)
     sheep_track = np.array([frame.at(u, -45.0 + 2.5 * np.sin(0.15 * u)) for u in range(-62, 30, 2)])
     canvas.track(sheep_track, 0.5, Ground.WORN)
-    for croft in crofts:
-        paint_croft(canvas, croft)
+    for farmstead in farmsteads:
+        paint_farmstead(canvas, farmstead)
     canvas.track(lane.line_m, lane.width_m + 0.7, Ground.WORN)
     paint_street(canvas, lane, Ground.LANE)
     for side in (-0.75, 0.75):
@@ -215,8 +214,7 @@ def paint_ground(rng: np.random.Generator, plan: Plan, crofts: list[Croft], ditc
     for _ in range(26):
         spot = lane.point(rng.uniform(0.0, lane.length_m), rng.normal(0.0, 0.9))
         blot = rng.uniform(0.15, 0.5) * rng.uniform(0.6, 1.2, (12, 1)) * frame.axes[0]
-        turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-        round_ = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        round_ = unit_circle(12)
         canvas.soil(
             spot + np.linalg.norm(blot, axis=1)[:, None] * round_, int(rng.integers(40, 120))
         )

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.relief import (
     NODES,
     Ditch,
@@ -21,8 +21,6 @@ from touchdown.scenes.authoring.relief import (
 )
 from touchdown.scenes.authoring.streets import Street, smooth_line
 
-Array = NDArray[np.float64]
-
 HALF_M = 64.0
 VERGE_M = 0.8
 """Level ground beside the lane."""
@@ -34,7 +32,7 @@ _LIFT_M = 40.0
 class Plan:
     """``frame``: v points uphill, the lane runs about along u."""
 
-    frame: Lot
+    frame: Plot
     lane: Street
     below_deg: float
     """slope of the meadow below the lane"""
@@ -49,7 +47,7 @@ class Plan:
 def draw_plan(rng: np.random.Generator) -> Plan:
     """Returns a lane with bends along the contour."""
     angle = 0.5 * np.pi * int(rng.integers(4)) + rng.uniform(-0.06, 0.06)
-    frame = Lot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
+    frame = Plot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
     level, bend = rng.uniform(1.0, 4.0), rng.uniform(-4.5, 4.5, 5)
     corners = [(u, level + b) for u, b in zip((-84.0, -44.0, -8.0, 30.0, 84.0), bend, strict=True)]
     corners.insert(1, (-64.0, level + bend[0]))

@@ -7,21 +7,19 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.plane import pick, unit
 from touchdown.scenes.places.crossroad import roads
-from touchdown.scenes.places.crossroad.layout import HALF_M, QUADRANTS, Plan, Plot, draw_plan
-from touchdown.scenes.places.crossroad.plots import Common, Farm, Homes, Shop, Theme
+from touchdown.scenes.places.crossroad.layout import HALF_M, QUADRANTS, Plan, Quarter, draw_plan
+from touchdown.scenes.places.crossroad.quarters import Common, Farm, Homes, Shop, Theme
 from touchdown.scenes.places.crossroad.relief import shape_ground
 from touchdown.scenes.props.cars import add_car_models, park_car
 from touchdown.scenes.props.plants import Nursery, add_tree, plant_nursery
 from touchdown.scenes.props.street import add_lamp, add_sign
-
-Array = NDArray[np.float64]
 
 CAR_MODELS = 8
 
@@ -44,11 +42,11 @@ def generate(seed: int) -> SceneDraft:
 def draw_themes(rng: np.random.Generator, plan: Plan) -> list[Theme]:
     """Returns the green in the south-west; houses, a shop and a farm on the other plots in any
     order."""
-    kinds: list[Callable[[Plot, np.random.Generator], Theme]] = [Homes, Shop, Farm]
+    kinds: list[Callable[[Quarter, np.random.Generator], Theme]] = [Homes, Shop, Farm]
     order = rng.permutation(3)
-    themes: list[Theme] = [Common(Plot(plan=plan, signs=QUADRANTS["SW"]), rng)]
+    themes: list[Theme] = [Common(Quarter(plan=plan, signs=QUADRANTS["SW"]), rng)]
     for name, index in zip(("NE", "NW", "SE"), order, strict=True):
-        themes.append(kinds[int(index)](Plot(plan=plan, signs=QUADRANTS[name]), rng))
+        themes.append(kinds[int(index)](Quarter(plan=plan, signs=QUADRANTS[name]), rng))
     return themes
 
 
@@ -82,7 +80,7 @@ def place_objects(builder: SceneBuilder, plan: Plan, themes: list[Theme]) -> tup
         spot = plan.side.point(along + rng.uniform(-4.0, 4.0), across)
         heading = plan.side.angle + (0.0 if across < 0 else np.pi)
         if builder.is_free(spot, 1.0):
-            park_car(builder, models[int(rng.integers(len(models)))], spot, heading)
+            park_car(builder, pick(rng, models), spot, heading)
     return roads.add_traffic(builder, plan, models, rng)
 
 
@@ -91,7 +89,7 @@ def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> N
     rng = builder.rng
     for _ in range(14):
         angle = rng.uniform(0.0, 2.0 * np.pi)
-        spot = rng.uniform(54.0, 61.0) * np.array([np.cos(angle), np.sin(angle)])
+        spot = rng.uniform(54.0, 61.0) * unit(angle)
         spot = np.clip(spot * 1.25, -HALF_M + 3.0, HALF_M - 3.0)
         if float(plan.kerb_distance(spot)) > plan.corridor_m + 2.5 and builder.is_free(spot, 2.8):
             add_tree(builder, nursery, spot, rng.uniform(0.9, 1.3))

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from touchdown.scenes.api import Array
+from touchdown.scenes.authoring.plane import left_of, unit
 
 HALF_M = 64.0
 ROAD_DEPTH_M = 0.12
@@ -26,7 +26,7 @@ class Road:
 
     @property
     def along(self) -> Array:
-        return np.array([np.cos(self.angle), np.sin(self.angle)])
+        return unit(self.angle)
 
     @property
     def across(self) -> Array:
@@ -110,7 +110,7 @@ class Plan:
 
 
 def _across(angle: float) -> Array:
-    return np.array([-np.sin(angle), np.cos(angle)])
+    return left_of(angle)
 
 
 @lru_cache(maxsize=1)  # objects are placed one by one
@@ -121,11 +121,11 @@ def _from_distances(main_angle: float, side_angle: float) -> Array:
 
 
 QUADRANTS: dict[str, tuple[int, int]] = {"NE": (1, -1), "NW": (1, 1), "SW": (-1, 1), "SE": (-1, -1)}
-"""Sides of (main, side) road on which a plot lies: left of the way they run is positive."""
+"""Sides of (main, side) road on which a quarter lies: left of the way they run is positive."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plot:
+class Quarter:
     """One quarter of the scene with its own coordinates: ``s`` metres along the main road from the
     side road's pavement, ``t`` metres away from the main road's pavement."""
 
@@ -133,7 +133,7 @@ class Plot:
     signs: tuple[int, int]
 
     def points(self, st_m: Array) -> Array:
-        """(..., 2) plot coordinates -> (..., 2) world."""
+        """(..., 2) quarter coordinates -> (..., 2) world."""
         st = np.asarray(st_m, np.float64)
         plan = self.plan
         main = self.signs[0] * (0.5 * plan.main.width_m + plan.pavement_m + st[..., 1])
@@ -141,7 +141,7 @@ class Plot:
         return plan.offset_point(main, side)
 
     def coordinates(self, xy_m: Array) -> Array:
-        """(..., 2) world -> (..., 2) plot coordinates."""
+        """(..., 2) world -> (..., 2) quarter coordinates."""
         plan = self.plan
         rel = np.asarray(xy_m) - plan.main.junction_xy_m
         t = self.signs[0] * (rel @ plan.main.across) - 0.5 * plan.main.width_m - plan.pavement_m
@@ -149,7 +149,7 @@ class Plot:
         return np.stack([s, t], axis=-1)
 
     def rectangle(self, s: tuple[float, float], t: tuple[float, float]) -> Array:
-        """(4, 2) world corners of a rectangle of plot coordinates."""
+        """(4, 2) world corners of a rectangle of quarter coordinates."""
         return self.points(np.array([[s[0], t[0]], [s[1], t[0]], [s[1], t[1]], [s[0], t[1]]]))
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.relief import (
@@ -17,8 +16,6 @@ from touchdown.scenes.authoring.relief import (
     smoothstep,
 )
 from touchdown.scenes.places.crossroad.layout import GUTTER_M, HALF_M, ROAD_DEPTH_M, Plan
-
-Array = NDArray[np.float64]
 
 
 def shape_ground(

@@ -5,18 +5,15 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import MovingBody
+from touchdown.scenes.api import Array, MovingBody
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.streets import add_mover, path_length
-from touchdown.scenes.authoring.ways import band, paint_wear
+from touchdown.scenes.authoring.plane import pick
+from touchdown.scenes.authoring.streets import add_mover, band, paint_wear, path_length
 from touchdown.scenes.places.crossroad.layout import HALF_M, QUADRANTS, ROAD_DEPTH_M, Plan, Road
 from touchdown.scenes.props.cars import CAR_SURFACE, CarShape
 from touchdown.scenes.props.street import add_kerb
-
-Array = NDArray[np.float64]
 
 LINE_M = 0.14
 ZEBRA_FROM_M, ZEBRA_DEPTH_M = 1.2, 3.0
@@ -138,7 +135,7 @@ def add_traffic(
     for index in range(count):
         road = plan.main if index != 1 else plan.side
         path = lane_loop(builder, road)
-        mesh, material, _ = models[int(rng.integers(len(models)))]
+        mesh, material, _ = pick(rng, models)
         start = (0.17 + 0.5 * (index // 2) + rng.uniform(0.0, 0.15)) * path_length(path)
         car = MovingBody(
             body_name=f"moving_car_{index}",

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import Lot, draw_frame
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plots import Plot, draw_frame
 from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
-
-Array = NDArray[np.float64]
 
 HALF_M = 64.0
 NODES = 321
@@ -28,7 +26,7 @@ class Plan:
 
     takeoff_xy_m: Array
     takeoff_yaw: float
-    middle: Lot
+    middle: Plot
     """coordinates from the survey's middle, the first along the take-off heading"""
     wind_angle: float
     """radians, the way the wind blows"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Surface
 from touchdown.scenes.authoring.builder import SceneBuilder
@@ -11,8 +10,6 @@ from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.places.dunes.layout import HALF_M, Plan, Relief
 from touchdown.scenes.props.arid import add_scrub, add_slab, add_tuft, grow_scrub
 from touchdown.scenes.props.wires import add_post
-
-Array = NDArray[np.float64]
 
 SAND = Surface(land_class="field", reflectivity=0.44)
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.micro_relief import MicroRelief, Ripples
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.tracks import footprints, sidled, vehicle_track, wander
 from touchdown.scenes.authoring.water import upsample
 from touchdown.scenes.places.dunes.layout import HALF_M, Plan, Relief
-
-Array = NDArray[np.float64]
 
 _SMALL = 1280
 
@@ -66,11 +65,13 @@ def draw_ripples(rng: np.random.Generator, plan: Plan, relief: Relief) -> Ripple
 
 def paint_traces(rng: np.random.Generator, canvas: Canvas, fine: MicroRelief, plan: Plan) -> None:
     """A track of vehicles across the field, driven a few times, and walkers from it."""
-    lot = plan.middle
+    plot = plan.middle
     turn = rng.uniform(-0.35, 0.35)
     middle = rng.uniform(-8.0, 14.0)
     slant = 85.0 * np.tan(turn)
-    line = wander(rng, lot.points(np.array([[-85.0, middle - slant], [85.0, middle + slant]])), 5.0)
+    line = wander(
+        rng, plot.points(np.array([[-85.0, middle - slant], [85.0, middle + slant]])), 5.0
+    )
     for _ in range(3):
         shift = rng.normal(0.0, 0.35, 2)
         vehicle_track(rng, canvas, fine, sidled(rng, line + shift, 0.5), Ground.RUTTED_SAND)
@@ -81,4 +82,4 @@ def paint_traces(rng: np.random.Generator, canvas: Canvas, fine: MicroRelief, pl
 
 
 def _unit(angle: float) -> Array:
-    return np.array([np.cos(angle), np.sin(angle)])
+    return unit(angle)

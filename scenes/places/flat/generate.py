@@ -9,7 +9,6 @@ from __future__ import annotations
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import Takeoff, finish, paint_terrain, start_scene
@@ -22,8 +21,6 @@ from touchdown.scenes.places.flat.parcels import (
     paint_parcels,
     paint_pitch,
 )
-
-Array = NDArray[np.float64]
 
 NODES = 9
 

@@ -6,12 +6,11 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
-
-Array = NDArray[np.float64]
+from touchdown.scenes.authoring.plane import pick, unit
 
 HALF_M = 64.0
 MARGIN_M = 4.0
@@ -38,7 +37,7 @@ def paint_parcels(rng: np.random.Generator, canvas: Canvas, angle: float) -> Non
         width = rng.uniform(12.0, 26.0)
         for first, last in _stretches(rng):
             kinds = _TILLED if tilled and rng.random() < 0.75 else _GRASS
-            kind = kinds[int(rng.integers(len(kinds)))]
+            kind = pick(rng, kinds)
             edge = 0.12 * fray
             inside = (across > start + 0.8 + edge) & (across < start + width - 0.8 + edge)
             layer[inside & (along > first + edge) & (along < last + edge)] = int(kind)
@@ -77,7 +76,7 @@ def paint_pitch(rng: np.random.Generator, canvas: Canvas, centre_xy_m: Array) ->
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
     canvas.fill(world(corners * (half + 2.0)), Ground.LAWN)
     circle = np.linspace(0.0, 2.0 * np.pi, 60)
-    ring = 3.2 * np.stack([np.cos(circle), np.sin(circle)], axis=-1)
+    ring = 3.2 * unit(circle)
     box = np.array([[0.0, -0.45], [0.24, -0.45], [0.24, 0.45], [0.0, 0.45]])
     lines = [np.concatenate([corners, corners[:1]]) * half, ring]
     lines.append(np.array([[0.0, -half[1]], [0.0, half[1]]]))
@@ -86,7 +85,7 @@ def paint_pitch(rng: np.random.Generator, canvas: Canvas, centre_xy_m: Array) ->
     for line in lines:
         _stripe(canvas, world(line))
     for spot in (np.zeros(2), np.array([0.72, 0.0]) * half, np.array([-0.72, 0.0]) * half):
-        dot = 0.16 * np.stack([np.cos(circle), np.sin(circle)], axis=-1)
+        dot = 0.16 * unit(circle)
         canvas.mark(world(spot + dot), 215)
 
 

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import MovingBody
+from touchdown.scenes.api import Array, MovingBody
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.lot import unit_circle
+from touchdown.scenes.authoring.plane import left_of, pick, unit_circle
 from touchdown.scenes.authoring.streets import (
     lane_loop,
     paint_dashes,
     paint_street,
+    paint_wear,
     place_street_kerb,
     send_round,
     smooth_line,
 )
-from touchdown.scenes.authoring.ways import paint_wear
 from touchdown.scenes.places.footbridge.layout import HALF_M, Plan
 from touchdown.scenes.props.cars import CAR_SURFACE, add_car_models
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, add_tree
 from touchdown.scenes.props.street import add_bench, add_bin, add_fence, add_lamp
 from touchdown.scenes.props.waterside import add_molehill, add_reeds, grow_reeds
-
-Array = NDArray[np.float64]
 
 PATH_M = 3.0
 
@@ -34,8 +31,8 @@ def draw_paths(rng: np.random.Generator, plan: Plan) -> list[Array]:
     off along the bank."""
     paths = []
     for sign in (-1.0, 1.0):
-        lot, reach = plan.bridge.lot, plan.bridge.reach_m
-        foot, ahead = lot.at(sign * (reach - 0.5), 0.0), lot.at(sign * (reach + 8.0), 0.0)
+        plot, reach = plan.bridge.plot, plan.bridge.reach_m
+        foot, ahead = plot.at(sign * (reach - 0.5), 0.0), plot.at(sign * (reach + 8.0), 0.0)
         edge = sign * HALF_M
         corners = [foot, ahead]
         corners.append(np.array([0.5 * (ahead[0] + edge), ahead[1] + rng.uniform(-9.0, 9.0)]))
@@ -55,8 +52,8 @@ def paint_ground(canvas: Canvas, plan: Plan, paths: list[Array], rng: np.random.
     and the road or the stream's bed."""
     canvas.fill(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 2.0 * HALF_M, Ground.MEADOW)
     for centre, reach in (
-        (plan.takeoff_xy_m, 22.0), (plan.bridge.lot.at(-24.0, 0.0), 24.0),
-        (plan.bridge.lot.at(26.0, 0.0), 22.0),
+        (plan.takeoff_xy_m, 22.0), (plan.bridge.plot.at(-24.0, 0.0), 24.0),
+        (plan.bridge.plot.at(26.0, 0.0), 22.0),
     ):  # fmt: skip
         turn = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
         ragged = 1.0 + 0.12 * np.sin(3.0 * turn + rng.uniform(0.0, 6.0))
@@ -103,7 +100,7 @@ def _beside(builder: SceneBuilder, path: Array, station: int, nursery: Nursery) 
     """A lamp on one side of a path, a bench with a bin on the other."""
     span = path[station + 1] - path[station - 1]
     heading = float(np.arctan2(span[1], span[0]))
-    left = np.array([-np.sin(heading), np.cos(heading)])
+    left = left_of(heading)
     spot = path[station] + 2.0 * left
     if np.abs(spot).max() < HALF_M - 2.0 and builder.is_free(spot, 0.1):
         add_lamp(builder, spot, heading - 0.5 * np.pi, 4.4)
@@ -119,7 +116,7 @@ def _furnish_road(builder: SceneBuilder, plan: Plan) -> tuple[MovingBody, ...]:
     course = plan.course
     for side in (1.0, -1.0):
         place_street_kerb(builder, course, side, [], 0.02)
-        middle = float(course.nearest(plan.bridge.lot.origin_xy_m)[1])
+        middle = float(course.nearest(plan.bridge.plot.origin_xy_m)[1])
         aside = side * (plan.floor_m + plan.bank_m + 0.7)
         for first in (-38.0, -22.0, 6.0, 22.0):
             run = [course.point(middle + first + d, aside) for d in (0.0, 15.5)]
@@ -127,7 +124,7 @@ def _furnish_road(builder: SceneBuilder, plan: Plan) -> tuple[MovingBody, ...]:
                 add_fence(builder, run[0], run[1], [0.46, 0.44, 0.40, 1])
     models = add_car_models(builder, 5)
     path = lane_loop(builder, course, 10.0, course.length_m - 10.0)
-    chosen = [models[int(rng.integers(len(models)))][:2] for _ in range(int(rng.integers(2, 4)))]
+    chosen = [pick(rng, models)[:2] for _ in range(int(rng.integers(2, 4)))]
     return send_round(builder, path, chosen, CAR_SURFACE, float(rng.uniform(6.0, 10.0)))
 
 
@@ -140,7 +137,7 @@ def _furnish_stream(builder: SceneBuilder, plan: Plan) -> None:
     for along in np.arange(2.0, course.length_m - 1.0, 1.3):
         side = float(rng.choice([-1.0, 1.0]))
         spot = course.point(float(along), side * (edge + rng.normal(-0.2, 0.35)))
-        u = abs(float(plan.bridge.lot.coordinates(spot)[1]))
+        u = abs(float(plan.bridge.plot.coordinates(spot)[1]))
         clump = np.sin(0.13 * along + 2.0 * side) > 0.25
         if clump and u > 5.0 and np.abs(spot).max() < HALF_M - 1.5:
             add_reeds(builder, bed, spot)

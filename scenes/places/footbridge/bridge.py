@@ -5,17 +5,15 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.api import Array, Image, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Image, to_texture
+from touchdown.scenes.authoring.plane import pick
+from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.places.footbridge.layout import Bridge, Plan
 from touchdown.scenes.props.waterside import planks
-
-Array = NDArray[np.float64]
 
 ASPHALT_DECK = Surface(land_class="road", reflectivity=0.24)
 TIMBER_DECK = Surface(land_class="path", reflectivity=0.24)
@@ -36,16 +34,16 @@ def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
     image = asphalt_deck(rng, bridge) if plan.over_road else timber_deck(rng, bridge)
     deck = ASPHALT_DECK if plan.over_road else TIMBER_DECK
     material = builder.material(f"{deck.land_class}_deck", image)
-    pose = {"pos": [*bridge.lot.origin_xy_m, 0.0], "quat": quat_z(bridge.lot.angle)}
+    pose = {"pos": [*bridge.plot.origin_xy_m, 0.0], "heading": bridge.plot.angle}
     for name, first, last in (
         (f"{deck.land_class}_deck", -bridge.half_length_m, bridge.half_length_m),
         (f"{deck.land_class}_ramp", bridge.half_length_m, bridge.reach_m),
         (f"{deck.land_class}_ramp", -bridge.reach_m, -bridge.half_length_m),
     ):
         mesh = builder.mesh(builder.unique(name), slab_mesh(bridge, first, last))
-        builder.geom(name, deck, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material, **pose)
+        builder.geom(name, deck, mesh=mesh, material=material, **pose)
     _cast_slab(builder, bridge)
-    rgba = _RAILS[int(rng.integers(len(_RAILS)))]
+    rgba = pick(rng, _RAILS)
     for side in (1.0, -1.0):
         for first, last in (
             (-bridge.reach_m + 0.1, -bridge.half_length_m),
@@ -57,7 +55,7 @@ def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
     side, end = float(rng.choice([-1.0, 1.0])), float(rng.choice([-1.0, 1.0]))
     _add_stairs(builder, plan, side, end, rgba)
     for u in np.arange(-bridge.reach_m, bridge.reach_m + 1.0, 2.0):
-        builder.claim(bridge.lot.at(float(u), 0.0), 0.5 * bridge.width_m + 1.0)
+        builder.claim(bridge.plot.at(float(u), 0.0), 0.5 * bridge.width_m + 1.0)
 
 
 def slab_mesh(bridge: Bridge, first: float, last: float) -> MeshData:
@@ -140,7 +138,7 @@ def _cast_slab(builder: SceneBuilder, bridge: Bridge) -> None:
 
 
 def _world(bridge: Bridge, local: Array) -> Array:
-    return turned(local, bridge.lot.angle, np.array([*bridge.lot.origin_xy_m, 0.0]))
+    return turned(local, bridge.plot.angle, np.array([*bridge.plot.origin_xy_m, 0.0]))
 
 
 def _add_railing(
@@ -153,9 +151,7 @@ def _add_railing(
     parts = []
     for u in knots:
         z = float(bridge.top(u))
-        parts.append(
-            box(np.array([0.035, 0.035, 0.5 * RAIL_M]), np.array([u, v, z + 0.5 * RAIL_M]))
-        )
+        parts.append(box((0.035, 0.035, 0.5 * RAIL_M), (u, v, z + 0.5 * RAIL_M)))
     fine = np.linspace(first, last, 2 * count + 1)
     for a, b in pairwise(fine):
         middle = 0.5 * (a + b)
@@ -165,10 +161,8 @@ def _add_railing(
             half = np.array([0.5 * (b - a) + 0.01, thick, thick])
             parts.append(box(half, np.array([middle, v, z + height])))
     mesh = builder.mesh(builder.unique("railing"), MeshData.join(parts))
-    builder.geom(
-        "railing", STEEL, type=GEOM.mjGEOM_MESH, meshname=mesh, rgba=rgba,
-        pos=[*bridge.lot.origin_xy_m, 0.0], quat=quat_z(bridge.lot.angle),
-    )  # fmt: skip
+    builder.geom("railing", STEEL, mesh=mesh, rgba=rgba, pos=[*bridge.plot.origin_xy_m, 0.0],
+                 heading=bridge.plot.angle)  # fmt: skip
     for a, b in pairwise(knots):
         ends = [[u, v, float(bridge.top(u)) + RAIL_M + dz] for u in (a, b) for dz in (-0.04, 0.04)]
         builder.cast(_world(bridge, np.array([*ends, [a, v + 0.05, ends[0][2]]])), 0.8)
@@ -177,26 +171,20 @@ def _add_railing(
 def _add_supports(builder: SceneBuilder, plan: Plan) -> None:
     """Adds abutments at the tops of the banks, girders, and columns at their feet."""
     bridge = plan.bridge
-    quat, half = quat_z(bridge.lot.angle), 0.5 * bridge.width_m
+    quat, half = quat_z(bridge.plot.angle), 0.5 * bridge.width_m
     low = bridge.end_m - bridge.thick_m
     for sign in (1.0, -1.0):
-        spot = bridge.lot.at(sign * (bridge.half_length_m - 0.5), 0.0)
-        builder.geom(
-            "building_abutment", CONCRETE, type=GEOM.mjGEOM_BOX, rgba=_CONCRETE_RGBA,
-            pos=[*spot, 0.5 * (low - 1.6)], size=[0.6, half, 0.5 * (low + 1.6)], quat=quat,
-        )  # fmt: skip
-        girder = bridge.lot.at(0.0, sign * 0.55 * half)
-        builder.geom(
-            "girder", STEEL, type=GEOM.mjGEOM_BOX, rgba=[0.30, 0.32, 0.33, 1],
-            pos=[*girder, low - 0.18], size=[bridge.half_length_m - 0.2, 0.12, 0.18], quat=quat,
-        )  # fmt: skip
+        spot = bridge.plot.at(sign * (bridge.half_length_m - 0.5), 0.0)
+        builder.geom("building_abutment", CONCRETE, rgba=_CONCRETE_RGBA, pos=[*spot,
+                     0.5 * (low - 1.6)], box=[0.6, half, 0.5 * (low + 1.6)], quat=quat)  # fmt: skip
+        girder = bridge.plot.at(0.0, sign * 0.55 * half)
+        builder.geom("girder", STEEL, rgba=[0.30, 0.32, 0.33, 1], pos=[*girder, low - 0.18],
+                     box=[bridge.half_length_m - 0.2, 0.12, 0.18], quat=quat)  # fmt: skip
         for side in (1.0, -1.0):
-            foot = bridge.lot.at(sign * (plan.floor_m + 0.9), side * 0.55 * half)
+            foot = bridge.plot.at(sign * (plan.floor_m + 0.9), side * 0.55 * half)
             z = builder.terrain.point(*foot)
-            builder.geom(
-                "building_pier", CONCRETE, type=GEOM.mjGEOM_CYLINDER, rgba=_CONCRETE_RGBA,
-                fromto=[*foot, z - 0.5, *foot, low - 0.3], size=[0.28, 0, 0],
-            )  # fmt: skip
+            builder.geom("building_pier", CONCRETE, rgba=_CONCRETE_RGBA,
+                         fromto=[*foot, z - 0.5, *foot, low - 0.3], cylinder=0.28)  # fmt: skip
 
 
 def _add_stairs(
@@ -207,28 +195,27 @@ def _add_stairs(
     top_u = plan.floor_m + plan.bank_m + 0.5
     low_u = plan.floor_m + (0.2 if plan.over_road else 0.9)
     v = side * (0.5 * bridge.width_m + 1.3)
-    ends = [bridge.lot.at(end * u, v) for u in (top_u, low_u)]
+    ends = [bridge.plot.at(end * u, v) for u in (top_u, low_u)]
     high, low = (builder.terrain.point(*spot) for spot in ends)
     count = max(4, round((high - low) / STEP_RISE_M))
     tread = (top_u - low_u) / count
     middles = top_u - (np.arange(count) + 0.5) * tread
     steps = np.linspace(high, low, count, endpoint=False)
-    across = bridge.lot.points(np.stack([end * middles, np.full(count, v)], axis=-1))
+    across = bridge.plot.points(np.stack([end * middles, np.full(count, v)], axis=-1))
     # The flight lies on the bank, which bulges.
     steps += max(0.0, float((builder.terrain.at(across) - steps).max())) + 0.03
     parts = [
-        box(np.array([0.5 * tread, 0.8, 0.5]), np.array([end * u, v, z - 0.5]))
+        box((0.5 * tread, 0.8, 0.5), (end * u, v, z - 0.5))
         for u, z in zip(middles, steps, strict=True)
     ]
     mesh = builder.mesh("stairs", MeshData.join(parts))
-    pose = {"pos": [*bridge.lot.origin_xy_m, 0.0], "quat": quat_z(bridge.lot.angle)}
-    builder.geom("path_stairs", STAIRS, type=GEOM.mjGEOM_MESH, meshname=mesh, **pose,
-                 rgba=[0.60, 0.59, 0.56, 1])  # fmt: skip
-    aside = bridge.lot.points(np.array([[end * u, v + side * 0.85] for u in (top_u, low_u)]))
-    builder.geom("railing", STEEL, type=GEOM.mjGEOM_CAPSULE, rgba=rgba, size=[0.03, 0, 0],
+    pose = {"pos": [*bridge.plot.origin_xy_m, 0.0], "heading": bridge.plot.angle}
+    builder.geom("path_stairs", STAIRS, mesh=mesh, **pose, rgba=[0.60, 0.59, 0.56, 1])
+    aside = bridge.plot.points(np.array([[end * u, v + side * 0.85] for u in (top_u, low_u)]))
+    builder.geom("railing", STEEL, rgba=rgba, capsule=0.03,
                  fromto=[*aside[0], high + 1.0, *aside[1], low + 1.0])  # fmt: skip
     for spot, z in zip(aside, (high, low), strict=True):
-        builder.geom("railing", STEEL, type=GEOM.mjGEOM_CYLINDER, rgba=rgba, size=[0.03, 0, 0],
+        builder.geom("railing", STEEL, rgba=rgba, cylinder=0.03,
                      fromto=[*spot, z - 0.2, *spot, z + 1.0])  # fmt: skip
     for share in (0.1, 0.5, 0.9):
         builder.claim(share * ends[0] + (1.0 - share) * ends[1], 1.4)

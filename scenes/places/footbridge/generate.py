@@ -6,8 +6,8 @@ from dataclasses import replace
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import Flood, finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
@@ -17,8 +17,6 @@ from touchdown.scenes.places.footbridge.banks import draw_paths, furnish, paint_
 from touchdown.scenes.places.footbridge.bridge import add_bridge
 from touchdown.scenes.places.footbridge.layout import HALF_M, Plan, draw_plan, shape_ground
 from touchdown.scenes.props.plants import plant_nursery
-
-Array = NDArray[np.float64]
 
 
 def generate(seed: int) -> SceneDraft:
@@ -37,7 +35,7 @@ def generate(seed: int) -> SceneDraft:
     moving = furnish(builder, plan, paths, nursery)
     canvas = Canvas(half_m=HALF_M)
     paint_ground(canvas, plan, paths, rng)
-    turned = dict.fromkeys(Ground, plan.bridge.lot.angle)
+    turned = dict.fromkeys(Ground, plan.bridge.plot.angle)
     turned[Ground.LAWN] = float(rng.uniform(0.0, np.pi))
     stream = None if plan.over_road else _stream(plan, bottom)
     ground = paint_terrain(builder, canvas, turned, hilly=True, flood=stream)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.relief import NODES, natural_ground, smoothstep
 from touchdown.scenes.authoring.streets import Street, smooth_line
-
-Array = NDArray[np.float64]
 
 HALF_M = 64.0
 ROAD_M, VERGE_M = 7.0, 1.7
@@ -24,10 +22,10 @@ LANDING_M = 1.6
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Bridge:
-    """A deck that rises from both ends to its middle, with a ramp down from each end. Lot: ``u``
+    """A deck that rises from both ends to its middle, with a ramp down from each end. Plot: ``u``
     along the deck from its middle, ``v`` to the left."""
 
-    lot: Lot
+    plot: Plot
     half_length_m: float
     width_m: float
     end_m: float
@@ -96,7 +94,7 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     end = rng.uniform(1.3, 1.6) if over_road else rng.uniform(0.35, 0.6)
     half_length = floor + bank + LANDING_M
     bridge = Bridge(
-        lot=Lot(origin_xy_m=course.point(middle, 0.0), angle=angle),
+        plot=Plot(origin_xy_m=course.point(middle, 0.0), angle=angle),
         half_length_m=half_length,
         width_m=rng.uniform(4.6, 5.6),
         end_m=end,
@@ -104,14 +102,11 @@ def draw_plan(rng: np.random.Generator) -> Plan:
         rise_m=float(rng.uniform(0.35, 0.5) * half_length * np.tan(np.deg2rad(3.2))),
         ramp_m=end * (11.0 if over_road else 14.0),
     )
-    return Plan(
-        over_road=over_road, course=course, floor_m=floor, bank_m=bank,
-        depth_m=rng.uniform(3.5, 3.9) if over_road else rng.uniform(2.2, 3.0),
-        water_m=0.0 if over_road else rng.uniform(0.55, 0.9),
-        bridge=bridge,
-        takeoff_xy_m=np.array([-40.0, -22.0]) + rng.uniform(-2.0, 2.0, 2),
-        takeoff_yaw=float(rng.uniform(-0.10, 0.10)),
-    )  # fmt: skip
+    return Plan(over_road=over_road, course=course, floor_m=floor, bank_m=bank,
+                depth_m=rng.uniform(3.5, 3.9) if over_road else rng.uniform(2.2, 3.0),
+                water_m=0.0 if over_road else rng.uniform(0.55, 0.9), bridge=bridge,
+                takeoff_xy_m=np.array([-40.0, -22.0]) + rng.uniform(-2.0, 2.0, 2),
+                takeoff_yaw=float(rng.uniform(-0.10, 0.10)))  # fmt: skip
 
 
 def shape_ground(rng: np.random.Generator, plan: Plan) -> Array:
@@ -122,7 +117,7 @@ def shape_ground(rng: np.random.Generator, plan: Plan) -> Array:
     heights = terrain.heights_m - terrain.heights_m.mean() + 0.15
     spot = np.linalg.norm(xy - plan.takeoff_xy_m, axis=-1)
     heights = heights * smoothstep(2.5, 7.0, spot)
-    u, v = np.moveaxis(plan.bridge.lot.coordinates(xy), -1, 0)
+    u, v = np.moveaxis(plan.bridge.plot.coordinates(xy), -1, 0)
     beyond = np.maximum(np.abs(u) - plan.bridge.reach_m - 3.0, 0.0)
     beside = np.maximum(np.abs(v) - 0.5 * plan.bridge.width_m - 1.0, 0.0)
     heights = heights * smoothstep(0.0, 5.0, np.hypot(beyond, beside))

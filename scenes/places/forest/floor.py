@@ -6,11 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.places.forest.layout import HALF_M, Clearing, Plan
-
-Array = NDArray[np.float64]
 
 _COARSE = 1280
 _GRASS = {"start": Ground.MEADOW, "meadow": Ground.MEADOW, "plot": Ground.MEADOW,

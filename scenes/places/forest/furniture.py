@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z, turned
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder, turned
 from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import tileable_noise
+from touchdown.scenes.authoring.plane import pick, unit
+from touchdown.scenes.authoring.plots import claim_free
 from touchdown.scenes.places.forest.layout import HALF_M, Clearing, Plan
 from touchdown.scenes.places.forest.relief import WATER_DEPTH_M
 from touchdown.scenes.props.plants import add_rock
 from touchdown.scenes.props.street import WOOD
 from touchdown.scenes.props.tree_shapes import joined, lathe
 from touchdown.scenes.props.woods import LOG, Wood, add_log, add_stump
-
-Array = NDArray[np.float64]
 
 WATER = Surface(land_class="water", reflectivity=0.05, water=True)
 BRIDGE = Surface(land_class="path", reflectivity=0.35)
@@ -48,15 +48,10 @@ def _scatter(
     builder: SceneBuilder, clearing: Clearing, count: int, margin_m: float, gap_m: float
 ) -> list[Array]:
     """Up to ``count`` free spots in a clearing, ``margin_m`` from its edge."""
-    rng = builder.rng
     reach = clearing.radius_m * 1.2
-    found: list[Array] = []
-    for spot in clearing.centre_xy_m + rng.uniform(-reach, reach, (30 * count, 2)):
-        inside = float(clearing.distance(spot)) < -margin_m
-        if len(found) < count and inside and builder.is_free(spot, gap_m):
-            builder.claim(spot, 0.5 * gap_m)
-            found.append(spot)
-    return found
+    spots = clearing.centre_xy_m + builder.rng.uniform(-reach, reach, (30 * count, 2))
+    inside = spots[clearing.distance(spots) < -margin_m]
+    return claim_free(builder, inside, count, gap_m, 0.5 * gap_m)
 
 
 def _fell(builder: SceneBuilder, wood: Wood, clearing: Clearing) -> None:
@@ -64,7 +59,7 @@ def _fell(builder: SceneBuilder, wood: Wood, clearing: Clearing) -> None:
     rng = builder.rng
     for spot in _scatter(builder, clearing, 3, 2.0, 2.0):
         angle, half = rng.uniform(0.0, np.pi), 0.5 * rng.uniform(3.0, 5.5)
-        axis = half * np.array([np.cos(angle), np.sin(angle)])
+        axis = half * unit(angle)
         add_log(builder, wood, spot - axis, spot + axis, float(rng.uniform(0.12, 0.22)))
     for spot in _scatter(builder, clearing, 22, 0.3, 1.1):
         add_stump(builder, wood, spot)
@@ -73,7 +68,7 @@ def _fell(builder: SceneBuilder, wood: Wood, clearing: Clearing) -> None:
 def _edge_spot(builder: SceneBuilder, plan: Plan, clearing: Clearing) -> Array:
     """(2,) a free spot at the edge of a clearing, away from track and brook."""
     turn = builder.rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 2.0 * np.pi, 24)
-    ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    ring = unit(turn)
     spots = clearing.centre_xy_m + (clearing.radius_m + 1.2) * ring
     room = np.minimum(plan.track.nearest(spots)[0] - 4.0, plan.brook.nearest(spots)[0] - 4.5)
     free = np.flatnonzero(room > 0.0)
@@ -88,7 +83,7 @@ def _strew(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
     free = spots[(plan.clearing_distance(spots) > 3.0) & (far > 6.0)]
     for spot in free[:9]:
         angle, half = rng.uniform(0.0, np.pi), 0.5 * rng.uniform(5.0, 9.0)
-        axis = half * np.array([np.cos(angle), np.sin(angle)])
+        axis = half * unit(angle)
         if builder.is_free(spot, 2.0):
             add_log(builder, wood, spot - axis, spot + axis, float(rng.uniform(0.16, 0.30)))
     for spot in free[9:26]:
@@ -128,9 +123,7 @@ def add_water(builder: SceneBuilder, plan: Plan) -> None:
         faces=np.concatenate([faces, under]).astype(np.int32),
         uv=np.tile(np.column_stack([across, along]), (2, 1)),
     ))  # fmt: skip
-    builder.geom(
-        "water_brook", WATER, type=GEOM.mjGEOM_MESH, meshname=mesh, material=name, contype=0,
-    )  # fmt: skip
+    builder.geom("water_brook", WATER, mesh=mesh, material=name, contype=0)
 
 
 def _ripples(rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -153,31 +146,24 @@ def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
     origin = np.array([*at, z])
     parts = []
     for x in np.arange(-3.0, 3.01, 0.25):
-        parts.append(box(np.array([0.115, 1.6, 0.04]), np.array([x, 0.0, 0.0])))
+        parts.append(box((0.115, 1.6, 0.04), (x, 0.0, 0.0)))
     for y in (-1.2, 1.2):
-        parts.append(box(np.array([3.3, 0.12, 0.12]), np.array([0.0, y, -0.16])))
+        parts.append(box((3.3, 0.12, 0.12), (0.0, y, -0.16)))
     mesh = builder.mesh("bridge", MeshData.join(parts))
-    builder.geom(
-        "path_bridge", BRIDGE, type=GEOM.mjGEOM_MESH, meshname=mesh, pos=origin,
-        quat=quat_z(heading), rgba=[0.60, 0.52, 0.42, 1],
-    )  # fmt: skip
+    builder.geom("path_bridge", BRIDGE, mesh=mesh, pos=origin, heading=heading,
+                 rgba=[0.60, 0.52, 0.42, 1])  # fmt: skip
     for y in (-1.55, 1.55):
         rail = turned(np.array([[-3.1, y, 0.95], [3.1, y, 0.95]]), heading, origin)
-        builder.geom(
-            "rail", WOOD, type=GEOM.mjGEOM_CAPSULE, fromto=[*rail[0], *rail[1]],
-            size=[0.05, 0, 0], rgba=_TIMBER,
-        )  # fmt: skip
+        builder.geom("rail", WOOD, fromto=[*rail[0], *rail[1]], capsule=0.05, rgba=_TIMBER)
         builder.cast(np.concatenate([rail, rail - [0.0, 0.0, 0.06]]) + [0.03, 0.03, 0.0])
         for x in (-3.0, 0.0, 3.0):
             post = turned(np.array([[x, y, -0.2], [x, y, 0.95]]), heading, origin)
-            builder.geom(
-                "rail_post", WOOD, type=GEOM.mjGEOM_CAPSULE, fromto=[*post[0], *post[1]],
-                size=[0.055, 0, 0], rgba=_TIMBER,
-            )  # fmt: skip
+            builder.geom("rail_post", WOOD, fromto=[*post[0], *post[1]], capsule=0.055,
+                         rgba=_TIMBER)  # fmt: skip
     deck = [[sx * 3.1, sy * 1.6, 0.0] for sx in (-1, 1) for sy in (-1, 1)]
     builder.cast(turned(np.array(deck), heading, origin))
     for share in (-2.5, 0.0, 2.5):
-        builder.claim(at + share * np.array([np.cos(heading), np.sin(heading)]), 2.4)
+        builder.claim(at + share * unit(heading), 2.4)
 
 
 def add_hide(builder: SceneBuilder, xy_m: Array, toward_xy_m: Array) -> None:
@@ -191,42 +177,26 @@ def add_hide(builder: SceneBuilder, xy_m: Array, toward_xy_m: Array) -> None:
         for sy in (-1.0, 1.0):
             leg = turned(np.array([[sx * 0.95, sy * 0.95, -0.8], [sx * 0.6, sy * 0.6, floor]]),
                          heading, origin)  # fmt: skip
-            builder.geom(
-                "hide_leg", WOOD, type=GEOM.mjGEOM_CAPSULE, fromto=[*leg[0], *leg[1]],
-                size=[0.07, 0, 0], rgba=_TIMBER,
-            )  # fmt: skip
+            builder.geom("hide_leg", WOOD, fromto=[*leg[0], *leg[1]], capsule=0.07, rgba=_TIMBER)
     wall = [0.0, 0.0, floor + 0.85]
-    builder.geom(
-        "hide_cabin", WOOD, type=GEOM.mjGEOM_BOX, size=[0.72, 0.72, 0.85], quat=quat_z(heading),
-        pos=origin + wall, rgba=[0.40, 0.31, 0.22, 1],
-    )  # fmt: skip
+    builder.geom("hide_cabin", WOOD, box=[0.72, 0.72, 0.85], heading=heading, pos=origin + wall,
+                 rgba=[0.40, 0.31, 0.22, 1])  # fmt: skip
     slot = turned(np.array([[0.70, 0.0, floor + 1.15]]), heading, origin)[0]
-    builder.geom(
-        "hide_window", WOOD, type=GEOM.mjGEOM_BOX, size=[0.04, 0.55, 0.18], quat=quat_z(heading),
-        pos=slot, rgba=[0.08, 0.08, 0.07, 1],
-    )  # fmt: skip
+    builder.geom("hide_window", WOOD, box=[0.04, 0.55, 0.18], heading=heading, pos=slot,
+                 rgba=[0.08, 0.08, 0.07, 1])  # fmt: skip
     roof = np.array([[-1.05, -0.95, 1.78], [1.05, -0.95, 2.02], [1.05, 0.95, 2.02],
                      [-1.05, 0.95, 1.78]])  # fmt: skip
     tilt = float(np.arctan2(0.24, 2.1))
-    builder.geom(
-        "hide_roof", WOOD, type=GEOM.mjGEOM_BOX, size=[1.08, 0.95, 0.04],
-        pos=origin + [0.0, 0.0, floor + 1.9], rgba=[0.30, 0.34, 0.30, 1],
-        quat=_yaw_pitch(heading, -tilt),
-    )  # fmt: skip
-    parts = [box(np.array([0.035, 0.28, 0.025]), np.array([-0.78 - 0.25 * (floor - z), 0.0, z]))
+    builder.geom("hide_roof", WOOD, box=[1.08, 0.95, 0.04], pos=origin + [0.0, 0.0, floor + 1.9],
+                 rgba=[0.30, 0.34, 0.30, 1], quat=_yaw_pitch(heading, -tilt))  # fmt: skip
+    parts = [box((0.035, 0.28, 0.025), (-0.78 - 0.25 * (floor - z), 0.0, z))
              for z in np.arange(0.3, floor, 0.32)]  # fmt: skip
     rungs = builder.mesh(builder.unique("hide_ladder"), MeshData.join(parts))
-    builder.geom(
-        "hide_ladder", WOOD, type=GEOM.mjGEOM_MESH, meshname=rungs, pos=origin,
-        quat=quat_z(heading), rgba=_TIMBER,
-    )  # fmt: skip
+    builder.geom("hide_ladder", WOOD, mesh=rungs, pos=origin, heading=heading, rgba=_TIMBER)
     for y in (-0.3, 0.3):
         side = turned(np.array([[-0.78 - 0.25 * (floor + 0.3), y, -0.3], [-0.78, y, floor]]),
                       heading, origin)  # fmt: skip
-        builder.geom(
-            "hide_ladder", WOOD, type=GEOM.mjGEOM_CAPSULE, fromto=[*side[0], *side[1]],
-            size=[0.04, 0, 0], rgba=_TIMBER,
-        )  # fmt: skip
+        builder.geom("hide_ladder", WOOD, fromto=[*side[0], *side[1]], capsule=0.04, rgba=_TIMBER)
     builder.cast(turned(roof + [0.0, 0.0, floor], heading, origin))
     corners = [[0.72 * x, 0.72 * y, floor + h] for x in (-1, 1) for y in (-1, 1) for h in (0, 1.7)]
     builder.cast(turned(np.array(corners), heading, origin))
@@ -246,7 +216,7 @@ def _add_log_pile(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
     inside = np.flatnonzero((np.abs(line) < HALF_M - 14.0).all(axis=1))
     clear = (plan.clearing_distance(line) > 4.0) & (plan.brook.nearest(line)[0] > 9.0)
     choice = [int(i) for i in inside if clear[i]]
-    index = choice[int(rng.integers(len(choice)))]
+    index = pick(rng, choice)
     spot = plan.track.beside(index, 3.3 * float(rng.choice([-1.0, 1.0])))
     heading = plan.track.heading(index)
     radius, length = 0.23, 4.2
@@ -260,11 +230,8 @@ def _add_log_pile(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
             z = radius + row * 1.74 * radius
             parts.append(_laid(log, np.array([0.0, y, z])))
     mesh = builder.mesh("log_pile", joined(parts))
-    origin = np.array([*spot, builder.terrain.point(*spot) - 0.08])
-    builder.geom(
-        "log_pile", LOG, type=GEOM.mjGEOM_MESH, meshname=mesh, material=wood.bark, pos=origin,
-        quat=quat_z(heading),
-    )  # fmt: skip
+    origin = builder.on_ground(spot, -0.08)
+    builder.geom("log_pile", LOG, mesh=mesh, material=wood.bark, pos=origin, heading=heading)
     corners = [[sx * 0.5 * length, sy * (1.1 - 0.5 * h), h] for sx in (-1, 1) for sy in (-1, 1)
                for h in (0.0, 1.2)]  # fmt: skip
     builder.cast(turned(np.array(corners), heading, origin))

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from touchdown.scenes.authoring.lot import Lot, SurveyFrame, draw_frame
-
-Array = NDArray[np.float64]
+from touchdown.scenes.api import Array
+from touchdown.scenes.authoring.plane import left_of
+from touchdown.scenes.authoring.plots import Plot, SurveyFrame, draw_frame
 
 HALF_M = 64.0
 SLOTS_M = ((17.0, 3.0), (47.0, 35.0), (15.0, 37.0), (50.0, 4.0))
@@ -60,7 +60,7 @@ class Course:
     def beside(self, index: int, left_m: float) -> Array:
         """(2,) point ``left_m`` to the left of the curve."""
         angle = self.heading(index)
-        return self.line_m[index] + left_m * np.array([-np.sin(angle), np.cos(angle)])
+        return self.line_m[index] + left_m * left_of(angle)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,7 +80,7 @@ class Plan:
 def draw_plan(rng: np.random.Generator) -> Plan:
     """Returns a plan with its survey in the middle of the scene, turned any way."""
     frame = draw_frame(rng)
-    lot = frame.from_takeoff
+    plot = frame.from_takeoff
     along_is_track = bool(rng.random() < 0.5)
     crossing = np.array(CROSSING_M) + rng.uniform(-1.0, 1.0, 2)
     along = _curve(rng, crossing, 0.0)
@@ -88,13 +88,13 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     track, brook = (along, across) if along_is_track else (across, along)
     return Plan(
         frame=frame,
-        clearings=_draw_clearings(rng, lot),
-        track=Course(line_m=lot.points(track)),
-        brook=Course(line_m=lot.points(brook)),
+        clearings=_draw_clearings(rng, plot),
+        track=Course(line_m=plot.points(track)),
+        brook=Course(line_m=plot.points(brook)),
     )
 
 
-def _draw_clearings(rng: np.random.Generator, lot: Lot) -> tuple[Clearing, ...]:
+def _draw_clearings(rng: np.random.Generator, plot: Plot) -> tuple[Clearing, ...]:
     """Returns the take-off's clearing, a safe one on one of the first three slots, and unsafe ones
     on the others."""
     safe_slot = int(rng.integers(3))
@@ -106,11 +106,9 @@ def _draw_clearings(rng: np.random.Generator, lot: Lot) -> tuple[Clearing, ...]:
     clearings = []
     for kind, slot, radius in places:
         jitter = 0.0 if kind == "start" else 1.2
-        centre = lot.points(np.array(slot) + rng.uniform(-jitter, jitter, 2))
-        clearings.append(
-            Clearing(kind=kind, centre_xy_m=centre, radius_m=float(radius),
-                     phases=rng.uniform(0.0, 2.0 * np.pi, 3))
-        )  # fmt: skip
+        centre = plot.points(np.array(slot) + rng.uniform(-jitter, jitter, 2))
+        clearings.append(Clearing(kind=kind, centre_xy_m=centre, radius_m=float(radius),
+                         phases=rng.uniform(0.0, 2.0 * np.pi, 3)))  # fmt: skip
     return tuple(clearings)
 
 

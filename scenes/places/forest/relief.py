@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
 from touchdown.scenes.places.forest.layout import HALF_M, Clearing, Course, Plan
-
-Array = NDArray[np.float64]
 
 NODES = 193
 TRACK_HALF_M = 1.7

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import pick
 from touchdown.scenes.places.forest.layout import HALF_M, Plan
 from touchdown.scenes.props.woods import (
     TRUNKS_M,
@@ -16,8 +17,6 @@ from touchdown.scenes.props.woods import (
     add_sapling,
     add_shrub,
 )
-
-Array = NDArray[np.float64]
 
 TREES = 222
 UNDERGROWTH = 54
@@ -75,7 +74,7 @@ def _plant_one(
     gap = np.linalg.norm(standing[:, :2] - spot, axis=1) - _OVERLAP * standing[:, 2]
     nearest = float(gap.min()) if len(gap) else 99.0
     ceiling = TREE_TOP_M - builder.terrain.point(*spot)
-    trunk_m = TRUNKS_M[int(rng.integers(len(TRUNKS_M)))]
+    trunk_m = pick(rng, TRUNKS_M)
     drawn = np.sort(rng.integers(0, len(crowns), 3))[::-1]
     for index in drawn:
         crown = crowns[int(index)]
@@ -85,12 +84,12 @@ def _plant_one(
             continue
         if conifer:
             count = len(wood.needles)
-            pick = int(np.clip(0.5 * count + 0.9 * species + rng.normal(0.0, 0.5), 0, count - 1))
-            add_conifer(builder, wood, spot, crown, wood.needles[pick])
+            leaf = int(np.clip(0.5 * count + 0.9 * species + rng.normal(0.0, 0.5), 0, count - 1))
+            add_conifer(builder, wood, spot, crown, wood.needles[leaf])
         else:
             count = len(wood.leaves)
-            pick = int(np.clip(0.5 * count + 1.2 * species + rng.normal(0.0, 0.5), 0, count - 1))
-            add_broadleaf(builder, wood, spot, crown, wood.leaves[pick], trunk_m)
+            leaf = int(np.clip(0.5 * count + 1.2 * species + rng.normal(0.0, 0.5), 0, count - 1))
+            add_broadleaf(builder, wood, spot, crown, wood.leaves[leaf], trunk_m)
         return crown.radius_m
     return 0.0
 

@@ -5,24 +5,24 @@ from __future__ import annotations
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import MovingBody
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.lot import Lot, scatter, unit_circle
+from touchdown.scenes.authoring.plane import pick, unit, unit_circle
+from touchdown.scenes.authoring.plots import Plot, scatter
 from touchdown.scenes.authoring.streets import (
     Street,
     add_mover,
     lane_loop,
     paint_dashes,
     paint_street,
+    paint_wear,
     path_length,
     place_street_kerb,
 )
-from touchdown.scenes.authoring.ways import paint_wear
 from touchdown.scenes.places.houses.green import Green, build_green, draw_green, paint_green
 from touchdown.scenes.places.houses.homes import (
     GARDENS,
@@ -45,8 +45,6 @@ from touchdown.scenes.props.houses import paint_house_looks, tiled_roof
 from touchdown.scenes.props.plants import Nursery, add_small_tree, add_tree, plant_nursery
 from touchdown.scenes.props.street import add_kerb, add_lamp
 from touchdown.scenes.props.wires import add_line, add_sagging_wire
-
-Array = NDArray[np.float64]
 
 LOOKS, CAR_MODELS = 6, 7
 
@@ -96,16 +94,16 @@ def draw_rows(rng: np.random.Generator, plan: Plan) -> list[list[Home]]:
             middle = first + (index + 0.5) * (last - first) / count
             heading = street.heading(middle)
             edge = street.point(middle, side * (street.edge_m + 0.3))
-            along = np.array([np.cos(heading), np.sin(heading)])
-            lot = Lot(origin_xy_m=edge - 0.5 * width * along, angle=heading, mirrored=side < 0.0)
-            row.append(draw_home(rng, lot, width - 0.5, depth, str(kinds.pop())))
+            along = unit(heading)
+            plot = Plot(origin_xy_m=edge - 0.5 * width * along, angle=heading, mirrored=side < 0.0)
+            row.append(draw_home(rng, plot, width - 0.5, depth, str(kinds.pop())))
         rows.append(row)
     for side in (1.0, -1.0):
         heading = close.heading(38.0)
         edge = close.point(close.length_m - 1.0, side * (TURNING_M + close.pavement_m + 0.2))
-        along = np.array([np.cos(heading), np.sin(heading)])
-        lot = Lot(origin_xy_m=edge - 7.0 * along, angle=heading, mirrored=side < 0.0)
-        rows.append([draw_home(rng, lot, 16.5, 26.0, str(kinds.pop()))])
+        along = unit(heading)
+        plot = Plot(origin_xy_m=edge - 7.0 * along, angle=heading, mirrored=side < 0.0)
+        rows.append([draw_home(rng, plot, 16.5, 26.0, str(kinds.pop()))])
     return rows
 
 
@@ -140,7 +138,7 @@ def place_kerbs(builder: SceneBuilder, plan: Plan, homes: list[Home]) -> None:
         for side in (1.0, -1.0):
             gaps = []
             for home in homes:
-                gate = home.lot.at(home.drive_u, -street.pavement_m)
+                gate = home.plot.at(home.drive_u, -street.pavement_m)
                 distance, along = street.nearest(gate)
                 across = street.point(float(along), side) - street.point(float(along), 0.0)
                 aside = (gate - street.point(float(along), 0.0)) @ across
@@ -181,7 +179,7 @@ def string_wires(builder: SceneBuilder, plan: Plan, homes: list[Home]) -> None:
         spots.append((free or tries)[0])
     tops = np.array(add_line(builder, spots, rng.uniform(6.6, 7.4), rng.uniform(0.4, 0.7)))
     for home in homes:
-        eaves = home.lot.at(home.house_u, home.front_v + 0.2)
+        eaves = home.plot.at(home.house_u, home.front_v + 0.2)
         reach = np.linalg.norm(tops[:, :2] - eaves, axis=1)
         nearest = int(np.argmin(reach))
         if reach[nearest] < 15.0:
@@ -205,7 +203,7 @@ def light_and_park(
             spot = street.point(along, side * (0.5 * street.width_m - 1.0))
             if rng.random() < 0.4 and builder.is_free(spot, 0.4):
                 way = street.heading(along) + (0.0 if side < 0 else np.pi)
-                park_car(builder, models[int(rng.integers(len(models)))], spot, way)
+                park_car(builder, pick(rng, models), spot, way)
 
 
 def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
@@ -233,7 +231,7 @@ def add_traffic(
     path = lane_loop(builder, main, float(inside[0]), float(inside[-1]))
     moving = []
     for index in range(int(rng.integers(1, 3))):
-        mesh, material, _ = models[int(rng.integers(len(models)))]
+        mesh, material, _ = pick(rng, models)
         car = MovingBody(
             body_name=f"moving_car_{index}", path_world=path, speed_mps=6.5,
             start_m=(0.1 + 0.5 * index + rng.uniform(0.0, 0.3)) * path_length(path),
@@ -255,7 +253,7 @@ def paint_ground(rng: np.random.Generator, plan: Plan, homes: list[Home], green:
     canvas.fill(plan.turning_xy_m + (TURNING_M + plan.close.pavement_m) * circle, Ground.PAVEMENT)
     for home in homes:
         drive = (home.drive_u - 1.6, home.drive_u + 1.6)
-        canvas.fill(home.lot.rectangle(drive, (-plan.main.pavement_m - 0.4, 0.0)), Ground.PAVERS)
+        canvas.fill(home.plot.rectangle(drive, (-plan.main.pavement_m - 0.4, 0.0)), Ground.PAVERS)
     for street in plan.streets:
         paint_street(canvas, street)
     canvas.fill(plan.turning_xy_m + TURNING_M * circle, Ground.ASPHALT)

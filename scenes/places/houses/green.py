@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.lot import claim_area, scatter
+from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.plots import claim_area, scatter
 from touchdown.scenes.authoring.relief import Ditch, Mound
 from touchdown.scenes.places.houses.layout import Plan
 from touchdown.scenes.props.garden import add_toys
@@ -22,8 +23,6 @@ from touchdown.scenes.props.playground import (
     add_swing,
 )
 from touchdown.scenes.props.street import add_bench, add_lamp
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,16 +53,12 @@ def draw_green(rng: np.random.Generator, plan: Plan) -> Green:
     swing = rng.uniform(1.0, 2.2) * np.sin(u / rng.uniform(7.0, 11.0) + rng.uniform(0.0, 6.0))
     path = frame.points(np.column_stack([u, -32.5 + rng.uniform(-1.0, 1.0) + swing]))
     spot = frame.at(east - rng.uniform(7.0, 9.0), -15.0 + rng.uniform(-4.0, 3.0))
-    return Green(
-        plan=plan, west=-44.0, east=east, low=-50.0, high=high,
-        play_uv=np.array([-30.0 + rng.uniform(-5.0, 6.0), -41.5]),
-        path_m=path,
-        mound=Mound(
-            centre_xy_m=spot, height_m=rng.uniform(0.8, 1.3), radius_m=rng.uniform(3.4, 4.2)
-        ),
-        ditch=Ditch(start_xy_m=frame.at(-62.0, -51.0), end_xy_m=frame.at(east - 4.0, -50.0),
-                    depth_m=rng.uniform(0.5, 0.8), half_width_m=1.6),
-    )  # fmt: skip
+    return Green(plan=plan, west=-44.0, east=east, low=-50.0, high=high,
+                 play_uv=np.array([-30.0 + rng.uniform(-5.0, 6.0), -41.5]), path_m=path,
+                 mound=Mound(centre_xy_m=spot, height_m=rng.uniform(0.8, 1.3),
+                 radius_m=rng.uniform(3.4, 4.2)), ditch=Ditch(start_xy_m=frame.at(-62.0, -51.0),
+                 end_xy_m=frame.at(east - 4.0, -50.0), depth_m=rng.uniform(0.5, 0.8),
+                 half_width_m=1.6))  # fmt: skip
 
 
 def paint_green(canvas: Canvas, green: Green, rng: np.random.Generator) -> None:
@@ -119,6 +114,6 @@ def build_green(builder: SceneBuilder, green: Green, nursery: Nursery) -> None:
     for spot in scatter(builder, frame, 3, (-57.0, green.east - 2.0), (-57.0, -36.0), 1.0):
         add_bush(builder, nursery, spot)
     for index in (int(0.35 * len(green.path_m)), int(0.75 * len(green.path_m))):
-        spot = green.path_m[index] + 1.6 * np.array([np.cos(frame.away), np.sin(frame.away)])
+        spot = green.path_m[index] + 1.6 * unit(frame.away)
         if builder.is_free(spot, 0.0) or index:
             add_lamp(builder, spot, frame.away + np.pi, 4.0)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.relief import (
     NODES,
     Ditch,
@@ -23,8 +23,6 @@ from touchdown.scenes.authoring.relief import (
 )
 from touchdown.scenes.authoring.streets import Street, smooth_line
 
-Array = NDArray[np.float64]
-
 HALF_M = 64.0
 ROAD_DEPTH_M, GUTTER_M = 0.12, 0.45
 TURNING_M = 7.2
@@ -36,7 +34,7 @@ class Plan:
     """``frame``: coordinates of the whole scene, its main street about along u. The green, with
     the take-off spot, lies in the quarter of negative u and v."""
 
-    frame: Lot
+    frame: Plot
     main: Street
     south: Street
     close: Street
@@ -68,7 +66,7 @@ class Plan:
 def draw_plan(rng: np.random.Generator) -> Plan:
     """Returns a main street that swings, a street to the south and a close to the north."""
     angle = 0.5 * np.pi * int(rng.integers(4)) + rng.uniform(-0.06, 0.06)
-    frame = Lot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
+    frame = Plot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
 
     def street(corners: list[tuple[float, float]], width: float, pavement: float) -> Street:
         line = smooth_line(frame.points(np.array(corners)))
@@ -87,14 +85,10 @@ def draw_plan(rng: np.random.Generator) -> Plan:
 
     first, second = rng.uniform(4.0, 9.0), rng.uniform(-9.0, -3.0)
     bends = rng.uniform(-2.5, 2.5, 4)
-    south = street(
-        [on_main(first), (first, -10.0), (first + bends[0], -34.0), (first + bends[1], -84.0)],
-        rng.uniform(5.2, 5.8), 1.6,
-    )  # fmt: skip
-    close = street(
-        [on_main(second), (second, 16.0), (second + bends[2], 30.0), (second + bends[3], 47.0)],
-        rng.uniform(4.8, 5.4), 1.5,
-    )  # fmt: skip
+    south = street([on_main(first), (first, -10.0), (first + bends[0], -34.0),
+                   (first + bends[1], -84.0)], rng.uniform(5.2, 5.8), 1.6)  # fmt: skip
+    close = street([on_main(second), (second, 16.0), (second + bends[2], 30.0),
+                   (second + bends[3], 47.0)], rng.uniform(4.8, 5.4), 1.5)  # fmt: skip
     return Plan(
         frame=frame,
         main=main,

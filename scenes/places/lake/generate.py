@@ -5,18 +5,16 @@ from __future__ import annotations
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import Flood, finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
+from touchdown.scenes.authoring.plane import draw_heading
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.lake.layout import HALF_M, draw_plan, shape_basin
 from touchdown.scenes.places.lake.objects import footpath, place_objects
 from touchdown.scenes.places.lake.painting import paint_fields, paint_shore, paint_strand
 from touchdown.scenes.props.plants import plant_nursery
-
-Array = NDArray[np.float64]
 
 
 def generate(seed: int) -> SceneDraft:
@@ -50,5 +48,5 @@ def draw_look(rng: np.random.Generator) -> WaterLook:
         clarity_m=(0.55 - 0.1 * peat, 1.0 - 0.35 * peat, 0.9 - 0.5 * peat),
         wave_m=float(rng.uniform(0.8, 1.4)),
         ripple=float(rng.uniform(0.3, 0.55)),
-        wind_angle=float(rng.uniform(0.0, 2.0 * np.pi)),
+        wind_angle=draw_heading(rng),
     )

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.relief import level_takeoff, natural_ground, smoothstep
-
-Array = NDArray[np.float64]
 
 HALF_M = 64.0
 NODES = 257
@@ -83,7 +83,7 @@ class Plan:
     def shore_points(self, bearing: Array, out_m: Array) -> Array:
         """(N, 2) world points ``out_m`` (N,) outside the plain outline at bearings (N,) or (1,)."""
         reach = self.outline_m(bearing) + out_m
-        return self.centre_xy_m + reach[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], -1)
+        return self.centre_xy_m + reach[:, None] * unit(bearing)
 
     def middle_of(self, kind: Shore, rank: int = 0) -> float:
         """Bearing of the middle of the ``rank``-th longest stretch of a kind."""
@@ -120,11 +120,9 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     waves = np.column_stack([amplitude, rng.uniform(0.0, 2.0 * np.pi, len(orders))])
     facing = float(np.arctan2(*(takeoff - centre)[::-1]))
     radius = rng.uniform(25.0, 31.0)
-    plain = Plan(
-        centre_xy_m=centre, radius_m=radius, waves=waves, kinds=np.zeros(_TURNS, np.int64),
-        islet_xy_m=centre, islet_radius_m=0.0, jetty_bearing=0.0,
-        takeoff_xy_m=takeoff, takeoff_yaw=0.0,
-    )  # fmt: skip
+    plain = Plan(centre_xy_m=centre, radius_m=radius, waves=waves, kinds=np.zeros(_TURNS, np.int64),
+                 islet_xy_m=centre, islet_radius_m=0.0, jetty_bearing=0.0, takeoff_xy_m=takeoff,
+                 takeoff_yaw=0.0)  # fmt: skip
     # The survey flies over the shores on both sides of the nearest one.
     near = [Shore.BEACH, Shore.REEDS] if rng.random() < 0.5 else [Shore.REEDS, Shore.BEACH]
     rest = [Shore.SHINGLE, Shore.BANK, Shore.REEDS, Shore.SHINGLE, Shore.BANK]
@@ -138,7 +136,7 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     plain = replace(plain, kinds=np.roll(kinds, round(shift)))
     jetty = plain.middle_of(Shore.SHINGLE if rng.random() < 0.6 else Shore.BANK)
     way = jetty + np.pi + rng.uniform(-1.0, 1.0)
-    islet = centre + rng.uniform(0.22, 0.38) * radius * np.array([np.cos(way), np.sin(way)])
+    islet = centre + rng.uniform(0.22, 0.38) * radius * unit(way)
     islet_m = float(rng.uniform(2.6, 4.2)) if rng.random() < 0.7 else -9.0
     return replace(
         plain,

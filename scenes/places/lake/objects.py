@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.plots import claim_free
 from touchdown.scenes.places.lake.layout import HALF_M, Basin, Plan, Shore
 from touchdown.scenes.props.boats import add_boat, add_boat_models, add_buoy, add_sailing_boat
 from touchdown.scenes.props.houses import House, add_house
@@ -22,8 +24,6 @@ from touchdown.scenes.props.waterside import (
     grow_reeds,
     planks,
 )
-
-Array = NDArray[np.float64]
 
 TIMBER = (150.0, 134.0, 112.0)
 
@@ -50,14 +50,10 @@ class Surroundings:
         self, builder: SceneBuilder, count: int, shore_m: tuple[float, float], gap_m: float
     ) -> list[Array]:
         """Up to ``count`` free spots anywhere at such distances from the waterline, claimed."""
-        found: list[Array] = []
-        for _ in range(40 * count):
-            spot = builder.rng.uniform(-HALF_M + 3.0, HALF_M - 3.0, 2)
-            fits = shore_m[0] < self.shore_m(spot) < shore_m[1]
-            if len(found) < count and fits and builder.is_free(spot, gap_m):
-                builder.claim(spot, gap_m)
-                found.append(spot)
-        return found
+        low, high = shore_m
+        spots = (builder.rng.uniform(-HALF_M + 3.0, HALF_M - 3.0, 2) for _ in range(40 * count))
+        near = (spot for spot in spots if low < self.shore_m(spot) < high)
+        return claim_free(builder, near, count, gap_m)
 
 
 def footpath(plan: Plan, rng: np.random.Generator) -> Array:
@@ -100,15 +96,12 @@ def _place_jetty(builder: SceneBuilder, around: Surroundings) -> None:
     bearing = plan.jetty_bearing
     root = around.on_shore(bearing, 1.6)
     inward = bearing + np.pi
-    way = np.array([np.cos(inward), np.sin(inward)])
+    way = unit(inward)
     length, width = float(rng.uniform(12.0, 16.0)), float(rng.uniform(1.7, 2.0))
     top = max(level + 0.5, builder.terrain.point(*root) + 0.04)
-    parts = [
-        Deck(centre_xy_m=root + 0.5 * length * way, angle=inward,
-             size_m=(length, width), top_m=top),
-        Deck(centre_xy_m=root + (length + 0.9) * way, angle=inward + 0.5 * np.pi,
-             size_m=(5.2, 1.9), top_m=top),
-    ]  # fmt: skip
+    parts = [Deck(centre_xy_m=root + 0.5 * length * way, angle=inward, size_m=(length, width),
+             top_m=top), Deck(centre_xy_m=root + (length + 0.9) * way, angle=inward + 0.5 * np.pi,
+             size_m=(5.2, 1.9), top_m=top)]  # fmt: skip
     models = add_boat_models(builder, 4)
     for part in parts:
         add_deck(builder, part, planks(rng, part.size_m, 96.0, TIMBER))
@@ -155,7 +148,7 @@ def _place_islet(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
     for _ in range(3):
         turn = builder.rng.uniform(0.0, 2.0 * np.pi)
         reach = plan.islet_radius_m * builder.rng.uniform(0.7, 1.0)
-        spot = plan.islet_xy_m + reach * np.array([np.cos(turn), np.sin(turn)])
+        spot = plan.islet_xy_m + reach * unit(turn)
         add_rock(builder, spot, builder.rng.uniform(0.3, 0.6))
     builder.claim(plan.islet_xy_m, plan.islet_radius_m + 1.5)
 
@@ -181,7 +174,7 @@ def _place_benches(builder: SceneBuilder, plan: Plan, path: Array) -> None:
     """Adds benches beside the path that look over the lake."""
     for index in range(10, len(path), 34):
         bearing = float(plan.bearing(path[index]))
-        spot = path[index] + 1.9 * np.array([np.cos(bearing), np.sin(bearing)])
+        spot = path[index] + 1.9 * unit(bearing)
         inside = (np.abs(spot) < HALF_M - 3.0).all()
         if inside and builder.is_free(spot, 0.6):
             add_bench(builder, spot, bearing + np.pi)
@@ -207,7 +200,7 @@ def _place_pasture(builder: SceneBuilder, around: Surroundings) -> None:
         add_fence(builder, np.array([x, start]), np.array([x, start + 20.0]), [0.50, 0.40, 0.30, 1])
     for _ in range(2):
         turn = float(plan.takeoff_yaw) + rng.uniform(-0.9, 1.4)
-        middle = plan.takeoff_xy_m + rng.uniform(9.0, 15.0) * np.array([np.cos(turn), np.sin(turn)])
+        middle = plan.takeoff_xy_m + rng.uniform(9.0, 15.0) * unit(turn)
         for _ in range(7):
             spot = middle + rng.normal(0.0, 1.9, 2)
             if builder.is_free(spot, 0.5) and around.shore_m(spot) > 2.0:

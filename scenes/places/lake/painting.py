@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.water import upsample
 from touchdown.scenes.places.lake.layout import HALF_M, Basin, Plan, Shore
-
-Array = NDArray[np.float64]
 
 _SIZE = TEXELS // 4
 _CORNERS = (

@@ -10,23 +10,23 @@ from zlib import crc32
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
+from touchdown.scenes.api import Array, Surface
 from touchdown.scenes.authoring.bake import bake_light
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture
+from touchdown.scenes.authoring.builder import SceneBuilder, fill_texture
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import Takeoff, finish, start_scene
 from touchdown.scenes.authoring.ground import TEXELS
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import draw_heading, pick
 from touchdown.scenes.authoring.water import (
     WATER_REFLECTIVITY,
     Float32,
     WaterLook,
-    dressed,
     lay_water,
+    varied,
 )
 from touchdown.scenes.places.open_water.islet import (
     Islet,
@@ -38,8 +38,6 @@ from touchdown.scenes.places.open_water.islet import (
 from touchdown.scenes.places.open_water.rafts import FREEBOARD_M, place_pontoon, place_raft
 from touchdown.scenes.props.boats import add_buoy, add_sailing_boat
 
-Array = NDArray[np.float64]
-
 HALF_M = 128.0
 KINDS = ("islet", "raft", "pontoon")
 _NODES = 257
@@ -50,7 +48,7 @@ _SAND = np.array([198.0, 182.0, 146.0], np.float32)
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = np.random.default_rng([seed, crc32(b"scenes.open_water")])
-    kind = KINDS[int(rng.integers(len(KINDS)))]
+    kind = pick(rng, KINDS)
     islet = shape_islet(rng) if kind == "islet" else None
     level = islet.level_m if islet else -FREEBOARD_M
     builder = start_scene("open_water", rng, _surface(level, islet))
@@ -106,16 +104,15 @@ def _spread_water(builder: SceneBuilder, level_m: float, depth: Float32) -> None
     spec, rng = builder.spec, builder.rng
     top = HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
-    below = box(np.array([HALF_M, HALF_M, 0.25]), np.array([0.0, 0.0, -0.252]), 1e3)
+    below = box((HALF_M, HALF_M, 0.25), (0.0, 0.0, -0.252), 1e3)
     mesh = builder.mesh("water", MeshData.join([polygon(top, uv), below]))
     water = Surface(land_class="water", reflectivity=WATER_REFLECTIVITY, water=True)
-    builder.geom("water", water, type=GEOM.mjGEOM_MESH, meshname=mesh, material="water",
-                 pos=[0.0, 0.0, level_m])  # fmt: skip
+    builder.geom("water", water, mesh=mesh, material="water", pos=[0.0, 0.0, level_m])
     light = bake_light(builder.casters, builder.terrain, builder.sun, TEXELS // 2, ambient=0.50)
     bed = fractal_noise(rng, (_DEPTH_PX, _DEPTH_PX), 20.0, 4, 0.6)
     coarse = np.clip(_SAND * (1.0 + 0.08 * bed[..., None]), 0.0, 255.0).astype(np.uint8)
     image = np.asarray(cv2.resize(coarse, (TEXELS, TEXELS)), np.uint8)
-    lay_water(rng, image, depth, HALF_M, dressed(draw_look(rng)), builder.sun)
+    lay_water(rng, image, depth, HALF_M, varied(draw_look(rng)), builder.sun)
     # A shadow takes the sun from the water's body but leaves the mirrored sky.
     dim = (0.35 + 0.65 * light) / (0.35 + 0.65 * light.max())
     shade = cv2.resize((255.0 * dim[::-1]).astype(np.uint8), (TEXELS, TEXELS))
@@ -133,5 +130,5 @@ def draw_look(rng: np.random.Generator) -> WaterLook:
         clarity_m=(0.7, 1.5, 1.4),
         wave_m=float(rng.uniform(2.5, 5.0)),
         ripple=float(rng.uniform(0.45, 0.75)),
-        wind_angle=float(rng.uniform(0.0, 2.0 * np.pi)),
+        wind_angle=draw_heading(rng),
     )

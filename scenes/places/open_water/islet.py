@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import GroundRaster, Surface
+from touchdown.scenes.api import Array, GroundRaster, Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField, write_hfield
@@ -19,8 +18,6 @@ from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
 from touchdown.scenes.authoring.water import Float32, flood_raster, upsample
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, plant_nursery
 from touchdown.scenes.props.waterside import add_pile
-
-Array = NDArray[np.float64]
 
 HALF_M = 16.0
 NODES = 97
@@ -138,8 +135,6 @@ def add_beacon(builder: SceneBuilder, xy_m: Array) -> None:
     z = builder.terrain.point(*xy_m)
     add_pile(builder, xy_m, z + 4.5, 0.07)
     for index, rgba in enumerate(([0.85, 0.12, 0.10, 1], [0.95, 0.95, 0.93, 1])):
-        builder.geom(
-            "beacon_board", Surface(land_class="other", reflectivity=0.5), type=GEOM.mjGEOM_BOX,
-            size=[0.04, 0.4, 0.3], pos=[*xy_m, z + 4.2 - 0.6 * index], rgba=rgba,
-        )  # fmt: skip
+        builder.geom("beacon_board", Surface(land_class="other", reflectivity=0.5), box=[0.04, 0.4,
+                     0.3], pos=[*xy_m, z + 4.2 - 0.6 * index], rgba=rgba)  # fmt: skip
     builder.claim(xy_m, 0.8)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.api import Array, Image, Surface
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.textures import Image, to_texture
+from touchdown.scenes.authoring.plane import draw_heading, unit
+from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.props.boats import add_boat, add_boat_models
 from touchdown.scenes.props.waterside import PILE, Deck, add_deck, planks
-
-Array = NDArray[np.float64]
 
 CONCRETE = Surface(land_class="path", reflectivity=0.36)
 FREEBOARD_M = 0.45
@@ -33,8 +31,7 @@ def place_raft(builder: SceneBuilder) -> None:
     for side in (-1.0, 1.0):
         along = side * (y - 0.35)
         ends = deck.points(np.array([[-x + 0.2, along], [x - 0.2, along]]))
-        builder.geom("drum", PILE, type=GEOM.mjGEOM_CAPSULE, size=[0.33, 0, 0],
-                     rgba=[0.16, 0.24, 0.36, 1],
+        builder.geom("drum", PILE, capsule=0.33, rgba=[0.16, 0.24, 0.36, 1],
                      fromto=[*ends[0], -0.5, *ends[1], -0.5])  # fmt: skip
     _flagpole(builder, deck.points(np.array([[x - 0.25, y - 0.25]]))[0])
     _ladder(builder, deck, -x)
@@ -63,18 +60,17 @@ def place_pontoon(builder: SceneBuilder) -> None:
         np.array([[side * (x - 0.1), t] for t in np.linspace(-y + 0.8, y - 0.8, 4)])
     )
     for post in posts:
-        builder.geom("rail_post", PILE, type=GEOM.mjGEOM_CAPSULE, size=[0.03, 0, 0],
+        builder.geom("rail_post", PILE, capsule=0.03,
                      fromto=[*post, 0.0, *post, 1.05], rgba=[0.86, 0.86, 0.84, 1])  # fmt: skip
         _square_shadow(builder, post, 0.03, 0.0, 1.05)
     for height in (0.55, 1.05):
-        builder.geom("rail", PILE, type=GEOM.mjGEOM_CAPSULE, size=[0.025, 0, 0],
-                     fromto=[*posts[0], height, *posts[-1], height],
+        builder.geom("rail", PILE, capsule=0.025, fromto=[*posts[0], height, *posts[-1], height],
                      rgba=[0.86, 0.86, 0.84, 1])  # fmt: skip
     for index in range(int(rng.integers(1, 4))):
         spot = deck.points(np.array([[-side * (x - 0.8), -y + 1.0 + 1.3 * index]]))[0]
         half = rng.uniform([0.35, 0.3, 0.25], [0.5, 0.45, 0.45])
-        builder.geom("crate", PILE, type=GEOM.mjGEOM_BOX, size=half, pos=[*spot, half[2]],
-                     quat=quat_z(deck.angle + rng.uniform(-0.3, 0.3)),
+        builder.geom("crate", PILE, box=half, pos=[*spot, half[2]],
+                     heading=deck.angle + rng.uniform(-0.3, 0.3),
                      rgba=[0.30, 0.36 + 0.08 * index, 0.46, 1])  # fmt: skip
 
 
@@ -99,12 +95,12 @@ def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Image:
 
 
 def _flagpole(builder: SceneBuilder, xy_m: Array) -> None:
-    builder.geom("flagpole", PILE, type=GEOM.mjGEOM_CYLINDER, size=[0.03, 0, 0],
+    builder.geom("flagpole", PILE, cylinder=0.03,
                  fromto=[*xy_m, 0.0, *xy_m, 2.8], rgba=[0.92, 0.92, 0.92, 1])  # fmt: skip
-    turn = float(builder.rng.uniform(0.0, 2.0 * np.pi))
-    flag = xy_m + 0.38 * np.array([np.cos(turn), np.sin(turn)])
-    builder.geom("flag", PILE, type=GEOM.mjGEOM_BOX, size=[0.36, 0.01, 0.22], pos=[*flag, 2.55],
-                 quat=quat_z(turn), rgba=[0.86, 0.16, 0.12, 1])  # fmt: skip
+    turn = draw_heading(builder.rng)
+    flag = xy_m + 0.38 * unit(turn)
+    builder.geom("flag", PILE, box=[0.36, 0.01, 0.22], pos=[*flag, 2.55],
+                 heading=turn, rgba=[0.86, 0.16, 0.12, 1])  # fmt: skip
     _square_shadow(builder, xy_m, 0.03, 0.0, 2.8)
 
 
@@ -112,7 +108,7 @@ def _ladder(builder: SceneBuilder, deck: Deck, x: float) -> None:
     """Two bent tubes over the edge at ``x`` of the deck."""
     for y in (-0.25, 0.25):
         foot = deck.points(np.array([[x - 0.05, y]]))[0]
-        builder.geom("ladder", PILE, type=GEOM.mjGEOM_CAPSULE, size=[0.025, 0, 0],
+        builder.geom("ladder", PILE, capsule=0.025,
                      fromto=[*foot, -0.9, *foot, 0.75], rgba=[0.75, 0.77, 0.78, 1])  # fmt: skip
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.api import Array
+from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.plane import pick
 from touchdown.scenes.places.pools.layout import Plan
 from touchdown.scenes.props.garden import SHED, add_table
 from touchdown.scenes.props.houses import House, add_house
@@ -23,7 +24,6 @@ from touchdown.scenes.props.pools import (
 )
 from touchdown.scenes.props.street import add_bench, add_bin, add_lamp
 
-Array = NDArray[np.float64]
 Shades = list[tuple[str, str]]
 """(mesh, material) of sunshades"""
 
@@ -70,10 +70,8 @@ def _add_guards(builder: SceneBuilder, plan: Plan) -> None:
         v = low[1] + (lane + 0.5) * (high[1] - low[1]) / lanes
         spot = frame.at(float(high[0]) + 0.75, float(v))
         z = builder.terrain.point(*spot)
-        builder.geom(
-            "block", SHED, type=GEOM.mjGEOM_BOX, size=[0.28, 0.26, 0.32], pos=[*spot, z + 0.3],
-            quat=quat_z(frame.angle), rgba=[0.92, 0.92, 0.9, 1],
-        )  # fmt: skip
+        builder.geom("block", SHED, box=[0.28, 0.26, 0.32], pos=[*spot, z + 0.3],
+                     heading=frame.angle, rgba=[0.92, 0.92, 0.9, 1])  # fmt: skip
         builder.claim(spot, 0.6)
     (u0, u1), (v0, _) = plan.deck
     spot = frame.at(u0 + 5.0 if builder.rng.random() < 0.5 else u1 - 5.0, v0 + 3.5)
@@ -84,10 +82,9 @@ def _add_guards(builder: SceneBuilder, plan: Plan) -> None:
 def _add_buildings(builder: SceneBuilder, plan: Plan) -> None:
     """Adds the flat-roofed service building, a row of coloured cabins and a kiosk."""
     rng, frame, u = builder.rng, plan.frame, plan.house_u
-    add_house(builder, House(
-        centre_xy_m=frame.at(u, 36.5), angle=frame.angle,
-        size_m=(rng.uniform(21.0, 25.0), rng.uniform(8.5, 10.0), 3.5), ridge_m=0.0,
-    ))  # fmt: skip
+    add_house(builder, House(centre_xy_m=frame.at(u, 36.5), angle=frame.angle,
+              size_m=(rng.uniform(21.0, 25.0), rng.uniform(8.5, 10.0), 3.5),
+              ridge_m=0.0))  # fmt: skip
     side = -1.0 if u > 0.0 else 1.0
     first = u + side * 17.0
     tints = (
@@ -99,10 +96,8 @@ def _add_buildings(builder: SceneBuilder, plan: Plan) -> None:
     for index in range(9):
         spot = frame.at(first + side * 1.55 * index, 34.5)
         z = builder.terrain.point(*spot)
-        builder.geom(
-            "building_cabin", SHED, type=GEOM.mjGEOM_BOX, size=[0.74, 0.8, 1.25],
-            pos=[*spot, z + 1.0], quat=quat_z(frame.angle), rgba=tints[index % 4],
-        )  # fmt: skip
+        builder.geom("building_cabin", SHED, box=[0.74, 0.8, 1.25], pos=[*spot, z + 1.0],
+                     heading=frame.angle, rgba=tints[index % 4])  # fmt: skip
         corners = [[*frame.at(first + side * 1.55 * index + sx * 0.74, 34.5 + sy * 0.8), z + h]
                    for sx in (-1, 1) for sy in (-1, 1) for h in (0.0, 2.25)]  # fmt: skip
         builder.cast(np.array(corners))
@@ -129,9 +124,9 @@ def _add_loungers(builder: SceneBuilder, plan: Plan, shades: Shades) -> None:
             if index % 3 == 2:
                 shade = frame.at(u, row + 0.3 * np.sin(heading - frame.angle))
                 if rng.random() < 0.7 and builder.is_free(shade, -0.2):
-                    add_umbrella(builder, shades[int(rng.integers(len(shades)))], shade)
+                    add_umbrella(builder, pick(rng, shades), shade)
             elif rng.random() < 0.8 and builder.is_free(spot, 0.0):
-                model = loungers[int(rng.integers(len(loungers)))]
+                model = pick(rng, loungers)
                 add_lounger(builder, model, spot, heading + rng.normal(0.0, 0.06))
 
 
@@ -140,4 +135,4 @@ def outline(pool: Pool, beyond_m: float) -> Array:
     middle = pool.outline_m.mean(axis=0)
     offset = pool.outline_m - middle
     reach = np.linalg.norm(offset, axis=1, keepdims=True)
-    return pool.lot.points(middle + offset * (1.0 + beyond_m / reach))
+    return pool.plot.points(middle + offset * (1.0 + beyond_m / reach))

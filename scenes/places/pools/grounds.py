@@ -5,11 +5,11 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.lot import claim_area, scatter
+from touchdown.scenes.authoring.plane import pick, unit
+from touchdown.scenes.authoring.plots import claim_area, scatter
 from touchdown.scenes.places.pools.bath import Shades, outline
 from touchdown.scenes.places.pools.layout import HALF_M, Plan
 from touchdown.scenes.props.cars import add_car_models, park_car
@@ -18,8 +18,6 @@ from touchdown.scenes.props.playground import add_goal, add_net, add_towel
 from touchdown.scenes.props.pools import add_umbrella
 from touchdown.scenes.props.street import add_bench, add_fence
 from touchdown.scenes.props.wires import add_post, add_wire
-
-Array = NDArray[np.float64]
 
 LINE_M = 0.12
 
@@ -51,7 +49,7 @@ def _furnish_pitch(builder: SceneBuilder, plan: Plan) -> None:
         for v in (v0, v1):
             add_post(builder, frame.at(u, v), 1.5, 0.02, [0.95, 0.85, 0.2, 1])
     stakes = [frame.at(u, v1 + 1.2) for u in np.linspace(u0, u1, 6)]
-    tops = [np.array([*spot, builder.terrain.point(*spot) + 0.95]) for spot in stakes]
+    tops = [builder.on_ground(spot, 0.95) for spot in stakes]
     for spot in stakes:
         add_post(builder, spot, 1.0, 0.03, [0.92, 0.92, 0.92, 1])
         builder.claim(spot, 0.6)
@@ -67,9 +65,7 @@ def _park_cars(builder: SceneBuilder, plan: Plan) -> None:
         for v, way in ((50.6, np.pi), (60.4, 0.0)):
             if rng.random() < 0.24:
                 heading = frame.away + way + (np.pi if rng.random() < 0.3 else 0.0)
-                park_car(
-                    builder, models[int(rng.integers(len(models)))], frame.at(u + 1.35, v), heading
-                )
+                park_car(builder, pick(rng, models), frame.at(u + 1.35, v), heading)
 
 
 def _fence_in(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
@@ -104,7 +100,7 @@ def _dress_lawn(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Sha
         tint = [*rng.permutation([rng.uniform(0.6, 0.8), rng.uniform(0.35, 0.7), 0.35]), 1.0]
         add_towel(builder, spot, (1.9, 0.9), heading, tint)
         if index % 5 == 0:
-            aside = spot + 1.1 * np.array([np.cos(heading + 1.5), np.sin(heading + 1.5)])
+            aside = spot + 1.1 * unit(heading + 1.5)
             add_umbrella(builder, shades[index % 2], aside)
     for spot in scatter(builder, frame, 7, (-54.0, 54.0), (-54.0, 44.0), 1.2):
         add_bush(builder, nursery, spot)
@@ -139,7 +135,7 @@ def paint_all(rng: np.random.Generator, plan: Plan) -> Canvas:
         spot = frame.at(rng.uniform(u0, u1), rng.uniform(v0, v1))
         turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
         blot = rng.uniform(0.2, 0.8) * rng.uniform(0.6, 1.2, 12)
-        ring = blot[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        ring = blot[:, None] * unit(turn)
         canvas.soil(spot + ring, int(rng.integers(18, 60)))
     return canvas
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.ground import Ground
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.relief import (
     NODES,
     Mound,
@@ -21,7 +22,6 @@ from touchdown.scenes.authoring.relief import (
 )
 from touchdown.scenes.props.pools import Pool, kidney_outline, rectangle_outline
 
-Array = NDArray[np.float64]
 Span = tuple[float, float]
 
 HALF_M = 64.0
@@ -31,7 +31,7 @@ HALF_M = 64.0
 class Plan:
     """All spans in ``frame`` coordinates, (first, last) metres; the car park lies towards +v."""
 
-    frame: Lot
+    frame: Plot
     pools: tuple[Pool, ...]
     """lanes, leisure, covered, paddling: in no fixed order along u"""
     deck: tuple[Span, Span]
@@ -70,7 +70,7 @@ class Plan:
 def draw_plan(rng: np.random.Generator) -> Plan:
     """Returns three large basins side by side in any order, the paddling pool before them."""
     angle = 0.5 * np.pi * int(rng.integers(4)) + rng.uniform(-0.06, 0.06)
-    frame = Lot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
+    frame = Plot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
     shift = rng.uniform(-1.5, 1.5)
     widths = {"lanes": 25.0, "leisure": 18.0, "covered": 9.0}
     order = [list(widths)[int(k)] for k in rng.permutation(3)]
@@ -90,20 +90,18 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     small_u = middle["leisure"] + (13.5 if order.index("leisure") < 1 else -13.5)
     small_u = float(np.clip(small_u, -34.0, 34.0))
     turn = np.linspace(0.0, 2.0 * np.pi, 28, endpoint=False)
-    round_ = 2.4 * np.stack([np.cos(turn), np.sin(turn)], axis=-1) + [small_u, v - 10.6]
+    round_ = 2.4 * unit(turn) + [small_u, v - 10.6]
     pools = (
-        Pool(lot=frame, outline_m=outlines["lanes"], lanes=lanes),
-        Pool(lot=frame, outline_m=outlines["leisure"]),
-        Pool(lot=frame, outline_m=outlines["covered"], covered=True),
-        Pool(lot=frame, outline_m=round_),
+        Pool(plot=frame, outline_m=outlines["lanes"], lanes=lanes),
+        Pool(plot=frame, outline_m=outlines["leisure"]),
+        Pool(plot=frame, outline_m=outlines["covered"], covered=True),
+        Pool(plot=frame, outline_m=round_),
     )
     first = rng.uniform(-6.0, 1.0)
     takeoff = np.array([-25.0, -20.0]) + rng.uniform(-1.5, 1.5, 2)
     low = -28.0 + rng.uniform(-2.0, 2.0)
-    slope = Mound(
-        centre_xy_m=frame.at(rng.uniform(-42.0, -36.0), rng.uniform(-8.0, -3.0)),
-        height_m=rng.uniform(1.0, 1.5), radius_m=rng.uniform(4.0, 5.0),
-    )  # fmt: skip
+    slope = Mound(centre_xy_m=frame.at(rng.uniform(-42.0, -36.0), rng.uniform(-8.0, -3.0)),
+                  height_m=rng.uniform(1.0, 1.5), radius_m=rng.uniform(4.0, 5.0))  # fmt: skip
     return Plan(
         frame=frame,
         pools=pools,

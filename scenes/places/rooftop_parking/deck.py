@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import unit_circle
 from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import pick, unit_circle
 from touchdown.scenes.places.rooftop_parking.layout import (
     BAY_WIDTH_M,
     EDGE_M,
@@ -26,7 +26,6 @@ from touchdown.scenes.places.rooftop_parking.layout import (
 from touchdown.scenes.props.cars import CarShape, park_car
 from touchdown.scenes.props.street import STEEL, add_lamp
 
-Array = NDArray[np.float64]
 Models = list[tuple[str, str, CarShape]]
 
 CONCRETE = Surface(land_class="building", reflectivity=0.36)
@@ -77,19 +76,19 @@ def write_deck(spec: Any, plan: Plan, both: HeightField, image: NDArray[np.uint8
 
 def paint_deck(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
     """Paints bays, arrows, hatched areas, joints, gullies and stains."""
-    lot = plan.lot()
+    plot = plan.plot()
     low, high = plan.low_xy_m, plan.high_xy_m
-    canvas.fill(lot.rectangle((low[0], high[0]), (low[1], high[1])), Ground.ROOF_DECK)
+    canvas.fill(plot.rectangle((low[0], high[0]), (low[1], high[1])), Ground.ROOF_DECK)
     ramp = plan.ramp
     ends = sorted((ramp.top_x_m, ramp.foot_x_m))
-    canvas.fill(lot.rectangle((ends[0], ends[1]), (ramp.low_y_m, ramp.high_y_m)), Ground.ASPHALT)
+    canvas.fill(plot.rectangle((ends[0], ends[1]), (ramp.low_y_m, ramp.high_y_m)), Ground.ASPHALT)
     _paint_wear(canvas, plan, rng)
     lines = plan.bays_x()
     for mouth, head, _ in plan.rows():
         for x in lines:
-            canvas.mark(lot.rectangle((x - 0.5 * LINE_M, x + 0.5 * LINE_M), (mouth, head)))
+            canvas.mark(plot.rectangle((x - 0.5 * LINE_M, x + 0.5 * LINE_M), (mouth, head)))
         if head not in (low[1] + EDGE_M,):
-            canvas.mark(lot.rectangle((lines[0], lines[-1]), (head - 0.05, head + 0.05)))
+            canvas.mark(plot.rectangle((lines[0], lines[-1]), (head - 0.05, head + 0.05)))
     for index, aisle in enumerate(plan.aisles()):
         way = 1.0 if index == 0 else -1.0
         for x in np.arange(lines[0] + 4.0, lines[-1] - 3.0, 11.0):
@@ -105,7 +104,7 @@ def paint_deck(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
     _hatch(canvas, plan, span, (strip + 0.4, strip + 1.4))
     beyond = (ends[0] - 0.2, ends[1] + 0.2)
     for y in (ramp.low_y_m - 0.95,):
-        canvas.mark(lot.rectangle(beyond, (y - 0.08, y + 0.08)))
+        canvas.mark(plot.rectangle(beyond, (y - 0.08, y + 0.08)))
     for x in lines[3:-3:9]:
         _wheelchair(canvas, plan, float(x) + 0.5 * BAY_WIDTH_M, plan.rows()[3][0] + 2.6)
 
@@ -113,41 +112,41 @@ def paint_deck(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
 def _hatch(canvas: Canvas, plan: Plan, x: tuple[float, float], y: tuple[float, float]) -> None:
     """Oblique stripes in a frame."""
     x0, x1, y0, y1 = *sorted(x), *sorted(y)
-    lot = plan.lot()
+    plot = plan.plot()
     high = y1 - y0
     for start in np.arange(x0 - high, x1, 0.9):
         first, last = max(0.0, x0 - start), min(high, x1 - 0.2 - start)
         if last > first:
             foot, head = start + first, start + last
-            canvas.mark(lot.points(np.array([
+            canvas.mark(plot.points(np.array([
                 [foot, y0 + first], [foot + 0.2, y0 + first], [head + 0.2, y0 + last],
                 [head, y0 + last],
             ])))  # fmt: skip
     for edge in (y0, y1):
-        canvas.mark(lot.rectangle((x0, x1), (edge - 0.05, edge + 0.05)))
+        canvas.mark(plot.rectangle((x0, x1), (edge - 0.05, edge + 0.05)))
 
 
 def _arrow(canvas: Canvas, plan: Plan, x: float, y: float, way: float) -> None:
-    lot = plan.lot()
-    canvas.mark(lot.rectangle((x - 1.1, x + 0.6), (y - 0.08, y + 0.08)) * [way, 1.0]
+    plot = plan.plot()
+    canvas.mark(plot.rectangle((x - 1.1, x + 0.6), (y - 0.08, y + 0.08)) * [way, 1.0]
                 + [(1.0 - way) * x, 0.0])  # fmt: skip
     tip = np.array([[x + way * 0.5, y - 0.36], [x + way * 1.5, y], [x + way * 0.5, y + 0.36]])
-    canvas.mark(lot.points(tip))
+    canvas.mark(plot.points(tip))
 
 
 def _wheelchair(canvas: Canvas, plan: Plan, x: float, y: float) -> None:
     """A ring with a back and a head, as on bays for the disabled."""
-    lot = plan.lot()
+    plot = plan.plot()
     circle = np.concatenate([unit_circle(24), unit_circle(24)[:1]])
     canvas.mark(np.array([x, y]) + np.concatenate([0.62 * circle, 0.48 * circle[::-1]]))
-    canvas.mark(lot.rectangle((x - 0.14, x + 0.02), (y, y + 0.9)))
+    canvas.mark(plot.rectangle((x - 0.14, x + 0.02), (y, y + 0.9)))
     canvas.mark(np.array([x - 0.05, y + 1.15]) + 0.17 * unit_circle(14))
-    canvas.mark(lot.rectangle((x, x + 0.6), (y + 0.02, y + 0.15)))
+    canvas.mark(plot.rectangle((x, x + 0.6), (y + 0.02, y + 0.15)))
 
 
 def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
     """Paints joints between slabs, sealed cracks, tyre tracks, gullies, oil under the bays."""
-    lot, low, high = plan.lot(), plan.low_xy_m, plan.high_xy_m
+    plot, low, high = plan.plot(), plan.low_xy_m, plan.high_xy_m
     for x in np.arange(low[0] + 7.5, high[0] - 1.0, 7.5):
         canvas.trace(np.array([[x, low[1]], [x, high[1]]]), 0.05, 150)
     for y in (plan.rows()[1][1], plan.rows()[3][1] + 0.2):
@@ -158,7 +157,7 @@ def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
             x = np.linspace(low[0] + 2.0, high[0] - 2.0, 40)
             canvas.trace(np.column_stack([x, aisle + offset + wander]), 0.22, 26)
         for x in np.arange(low[0] + 6.0, high[0] - 3.0, 9.0):
-            canvas.soil(lot.rectangle((x - 0.25, x + 0.25), (aisle - 0.2, aisle + 0.2)), 215)
+            canvas.soil(plot.rectangle((x - 0.25, x + 0.25), (aisle - 0.2, aisle + 0.2)), 215)
     for mouth, head, _ in plan.rows():
         middle = 0.5 * (mouth + head)
         for x in plan.bays_x()[:-1] + 0.5 * BAY_WIDTH_M:
@@ -201,18 +200,18 @@ def furnish_deck(builder: SceneBuilder, plan: Plan, models: Models) -> None:
         for x in lines[:-1] + 0.5 * BAY_WIDTH_M:
             at = np.array([x, head + inward * 0.75])
             z = builder.terrain.point(*at)
-            stops.append(box(np.array([0.85, 0.075, 0.06]), np.array([*at, z + 0.06])))
+            stops.append(box((0.85, 0.075, 0.06), (*at, z + 0.06)))
             middle = np.array([x, 0.5 * (mouth + head) + inward * 0.25]) + rng.normal(0.0, 0.12, 2)
             share = 0.62 if heading < 0.0 else 0.42
             if rng.random() < share and builder.is_free(middle, 0.6):
                 turn = heading + (np.pi if rng.random() < 0.3 else 0.0) + rng.normal(0.0, 0.02)
                 free = builder.occupied[:]
-                park_car(builder, models[int(rng.integers(len(models)))], middle, turn)
+                park_car(builder, pick(rng, models), middle, turn)
                 # Neighbours in the next bay are no obstacle.
                 builder.occupied[:] = [*free, (middle, 0.9)]
         # A row each, since contacts use a mesh's convex hull.
         mesh = builder.mesh(builder.unique("wheel_stops"), MeshData.join(stops))
-        builder.geom("wheel_stops", STOP, type=GEOM.mjGEOM_MESH, meshname=mesh, rgba=_STOP_RGBA)
+        builder.geom("wheel_stops", STOP, mesh=mesh, rgba=_STOP_RGBA)
 
 
 def block(
@@ -225,8 +224,7 @@ def block(
 ) -> None:
     """A box between two corners, (3,) world, with its shadow."""
     low, high = np.array(first, np.float64), np.array(last, np.float64)
-    builder.geom(stem, surface, type=GEOM.mjGEOM_BOX, pos=0.5 * (low + high),
-                 size=0.5 * (high - low), rgba=rgba)  # fmt: skip
+    builder.geom(stem, surface, pos=0.5 * (low + high), box=0.5 * (high - low), rgba=rgba)
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1])
                         for z in (low[2], high[2])])  # fmt: skip
     builder.cast(corners)
@@ -236,17 +234,15 @@ def _add_parapets(builder: SceneBuilder, plan: Plan) -> None:
     """Adds a wall with a rail on it along every edge."""
     (x0, y0), (x1, y1) = plan.low_xy_m, plan.high_xy_m
     top, foot, wide = PARAPET_M, -0.5, 0.22
-    runs = (
-        ((x0 - wide, y0 - wide), (x1 + wide, y0)), ((x0 - wide, y1), (x1 + wide, y1 + wide)),
-        ((x0 - wide, y0), (x0, y1)), ((x1, y0), (x1 + wide, y1)),
-    )  # fmt: skip
+    runs = (((x0 - wide, y0 - wide), (x1 + wide, y0)), ((x0 - wide, y1), (x1 + wide, y1 + wide)),
+            ((x0 - wide, y0), (x0, y1)), ((x1, y0), (x1 + wide, y1)))  # fmt: skip
     for low, high in runs:
         block(builder, "building_parapet", CONCRETE, [*low, foot], [*high, top - 0.15],
               _CONCRETE_RGBA)  # fmt: skip
         middle = 0.5 * (np.array(low) + np.array(high))
         half = np.maximum(0.5 * (np.array(high) - np.array(low)) - 0.07, 0.03)
-        builder.geom("parapet_rail", STEEL, type=GEOM.mjGEOM_BOX, pos=[*middle, top + 0.05],
-                     size=[*half, 0.04], rgba=[0.40, 0.43, 0.46, 1])  # fmt: skip
+        builder.geom("parapet_rail", STEEL, pos=[*middle, top + 0.05],
+                     box=[*half, 0.04], rgba=[0.40, 0.43, 0.46, 1])  # fmt: skip
 
 
 def _add_ramp_house(builder: SceneBuilder, plan: Plan) -> None:
@@ -315,7 +311,6 @@ def _add_units(builder: SceneBuilder, plan: Plan) -> None:
             builder, "building_unit", UNIT, [*(spot - half), z], [*(spot + half), top], _UNIT_RGBA
         )
         for dx in (-0.5, 0.5):
-            builder.geom(
-                "building_fan", UNIT, type=GEOM.mjGEOM_CYLINDER, pos=[x + dx * half[0], y, top],
-                size=[0.36 * half[0], 0.05, 0], rgba=[0.25, 0.26, 0.28, 1], quat=quat_z(0.0),
-            )  # fmt: skip
+            builder.geom("building_fan", UNIT, type=GEOM.mjGEOM_CYLINDER,
+                         pos=[x + dx * half[0], y, top], size=[0.36 * half[0], 0.05, 0],
+                         rgba=[0.25, 0.26, 0.28, 1], heading=0.0)  # fmt: skip

@@ -6,9 +6,8 @@ from functools import partial
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
+from touchdown.scenes.api import Float32, Surface
 from touchdown.scenes.authoring.bake import bake_light
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
@@ -31,9 +30,6 @@ from touchdown.scenes.places.rooftop_parking.town import (
 )
 from touchdown.scenes.props.cars import add_car_models
 from touchdown.scenes.props.plants import plant_nursery
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 
 def generate(seed: int) -> SceneDraft:

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.authoring.lot import Lot
+from touchdown.scenes.api import Array
+from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.streets import Street, smooth_line
-
-Array = NDArray[np.float64]
 
 HALF_M = 64.0
 NODE_M = 2.0 / 3.0
@@ -80,10 +79,8 @@ class Plan:
         middle = second + BAY_DEPTH_M
         third = middle + BAY_DEPTH_M
         fourth = third + AISLE_M
-        return [
-            (aisle, first, -north), (second, middle, north), (third, middle, -north),
-            (fourth, fourth + BAY_DEPTH_M, north),
-        ]  # fmt: skip
+        return [(aisle, first, -north), (second, middle, north), (third, middle, -north),
+                (fourth, fourth + BAY_DEPTH_M, north)]  # fmt: skip
 
     def aisles(self) -> list[float]:
         """y of the aisles' middle lines."""
@@ -97,8 +94,8 @@ class Plan:
         start = float(self.centre[0]) - 0.5 * count * BAY_WIDTH_M
         return np.asarray(start + BAY_WIDTH_M * np.arange(count + 1), np.float64)
 
-    def lot(self) -> Lot:
-        return Lot(origin_xy_m=np.zeros(2), angle=0.0)
+    def plot(self) -> Plot:
+        return Plot(origin_xy_m=np.zeros(2), angle=0.0)
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
@@ -112,10 +109,8 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     # Its top is at the lane across the ends of the aisles.
     top = float(high[0]) - 8.0 if east else float(low[0]) + 8.0
     foot = top - length if east else top + length
-    ramp = Ramp(
-        top_x_m=_on_node(top), foot_x_m=_on_node(foot),
-        low_y_m=_on_node(strip[0]), high_y_m=_on_node(strip[1]),
-    )  # fmt: skip
+    ramp = Ramp(top_x_m=_on_node(top), foot_x_m=_on_node(foot), low_y_m=_on_node(strip[0]),
+                high_y_m=_on_node(strip[1]))  # fmt: skip
     stairs = float(low[0]) + 7.0 if east else float(high[0]) - 7.0
     beside = 0.5 * STREET_M + PAVEMENT_M + rng.uniform(2.5, 4.5)
     street_y = float(low[1]) - beside if rng.random() < 0.6 else float(high[1]) + beside
@@ -128,11 +123,9 @@ def draw_plan(rng: np.random.Generator) -> Plan:
         Street(line_m=smooth_line(ends), width_m=STREET_M, pavement_m=PAVEMENT_M)
         for ends in (along_x, along_y)
     )
-    plan = Plan(
-        low_xy_m=low, high_xy_m=high, height_m=STOREY_M * int(rng.integers(2, 4)),
-        ramp=ramp, stairs_x_m=stairs, streets=(streets[0], streets[1]),
-        takeoff_xy_m=np.zeros(2), takeoff_yaw=float(rng.uniform(-0.10, 0.10)),
-    )  # fmt: skip
+    plan = Plan(low_xy_m=low, high_xy_m=high, height_m=STOREY_M * int(rng.integers(2, 4)),
+                ramp=ramp, stairs_x_m=stairs, streets=(streets[0], streets[1]),
+                takeoff_xy_m=np.zeros(2), takeoff_yaw=float(rng.uniform(-0.10, 0.10)))  # fmt: skip
     spot = np.array([-24.0 + rng.uniform(-2.0, 2.0), plan.aisles()[0]])
     return Plan(**{**{f: getattr(plan, f) for f in Plan.__slots__}, "takeoff_xy_m": spot})
 

@@ -5,32 +5,31 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.api import MovingBody, Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
+from touchdown.scenes.api import Image, MovingBody, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import unit_circle
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import pick, unit_circle
 from touchdown.scenes.authoring.relief import NODES, Pad, level_pads, natural_ground, smoothstep
 from touchdown.scenes.authoring.streets import (
     Street,
+    band,
     lane_loop,
     paint_dashes,
     paint_street,
+    paint_wear,
     place_street_kerb,
     send_round,
 )
-from touchdown.scenes.authoring.textures import Image, to_texture
-from touchdown.scenes.authoring.ways import band, paint_wear
+from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.places.rooftop_parking.layout import HALF_M, STREET_M, Plan
 from touchdown.scenes.props.cars import CAR_SURFACE, CarShape, park_car
 from touchdown.scenes.props.houses import House, add_house, wall_mesh
 from touchdown.scenes.props.plants import Nursery, add_bush, add_hedge, add_tree
 from touchdown.scenes.props.street import add_bench, add_lamp
 
-Array = NDArray[np.float64]
 Models = list[tuple[str, str, CarShape]]
 
 WALL = Surface(land_class="building", reflectivity=0.36)
@@ -95,7 +94,7 @@ def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> Hei
 
 def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.Generator) -> None:
     """Paints lawns, terraces, apron, pavements, streets with their markings."""
-    lot = plan.lot()
+    plot = plan.plot()
     for _ in range(7):
         middle, reach = rng.uniform(-HALF_M, HALF_M, 2), rng.uniform(4.0, 13.0)
         edge = unit_circle(28) * (1.0 + 0.25 * np.sin(3.0 * np.linspace(0.0, 6.28, 28)))[:, None]
@@ -113,12 +112,12 @@ def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.G
         canvas.fill(house.centre_xy_m + corners @ np.array([[c, s], [-s, c]]), around)
     apron = plan.low_xy_m - APRON_M, plan.high_xy_m + APRON_M
     canvas.fill(
-        lot.rectangle((apron[0][0], apron[1][0]), (apron[0][1], apron[1][1])), Ground.PAVEMENT
+        plot.rectangle((apron[0][0], apron[1][0]), (apron[0][1], apron[1][1])), Ground.PAVEMENT
     )
     along_x, along_y = plan.streets
     gate = _gate_x(plan)
     y0, y1 = sorted((float(plan.centre[1]), float(along_x.point(0.5 * along_x.length_m, 0.0)[1])))
-    canvas.fill(lot.rectangle((gate - 3.2, gate + 3.2), (y0, y1)), Ground.PAVERS)
+    canvas.fill(plot.rectangle((gate - 3.2, gate + 3.2), (y0, y1)), Ground.PAVERS)
     for street in plan.streets:
         paint_street(canvas, street, pavement=Ground.PAVEMENT)
     for street in plan.streets:
@@ -176,10 +175,8 @@ def build_walls(builder: SceneBuilder, plan: Plan) -> None:
     # Without their lid, through which the ramp goes; the deck's height field is solid down to the
     # ground, so that nothing has to collide with them.
     mesh = builder.mesh("car_park_walls", replace(walls, faces=walls.faces[:-2]))
-    builder.geom(
-        "building_car_park", WALL, type=GEOM.mjGEOM_MESH, meshname=mesh, material=material,
-        pos=[*plan.centre, -plan.height_m], contype=0, conaffinity=0,
-    )  # fmt: skip
+    builder.geom("building_car_park", WALL, mesh=mesh, material=material,
+                 pos=[*plan.centre, -plan.height_m], contype=0, conaffinity=0)  # fmt: skip
     ground = -plan.height_m
     (x0, y0), (x1, y1) = plan.low_xy_m - 0.2, plan.high_xy_m + 0.2
     corners = np.array([[x, y, z] for x in (x0, x1) for y in (y0, y1) for z in (ground, 1.0)])
@@ -224,7 +221,7 @@ def _line_street(
         elif models and rng.random() < 0.55:
             spot = street.point(float(along), -0.5 * street.width_m + 1.05)
             if np.abs(spot).max() < HALF_M - 4.0 and builder.is_free(spot, 1.0):
-                park_car(builder, models[int(rng.integers(len(models)))], spot, heading)
+                park_car(builder, pick(rng, models), spot, heading)
 
 
 def _plant(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
@@ -256,5 +253,5 @@ def _drive(builder: SceneBuilder, street: Street, models: Models) -> tuple[Movin
     """Two or three cars that go to the end of a street and come back."""
     rng = builder.rng
     path = lane_loop(builder, street, 14.0, street.length_m - 14.0)
-    chosen = [models[int(rng.integers(len(models)))][:2] for _ in range(int(rng.integers(2, 4)))]
+    chosen = [pick(rng, models)[:2] for _ in range(int(rng.integers(2, 4)))]
     return send_round(builder, path, chosen, CAR_SURFACE, float(rng.uniform(5.0, 9.0)))

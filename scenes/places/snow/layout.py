@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import Lot, draw_frame
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.plots import Plot, draw_frame
 from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
-
-Array = NDArray[np.float64]
 
 HALF_M = 64.0
 _GRID = 512
@@ -28,7 +28,7 @@ class Plan:
 
     takeoff_xy_m: Array
     takeoff_yaw: float
-    middle: Lot
+    middle: Plot
     """coordinates from the survey's middle, the first along the take-off heading"""
     wind_angle: float
     """radians, the way the wind blew"""
@@ -48,7 +48,7 @@ class Plan:
     @property
     def wind(self) -> Array:
         """(2,) unit"""
-        return np.array([np.cos(self.wind_angle), np.sin(self.wind_angle)])
+        return unit(self.wind_angle)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

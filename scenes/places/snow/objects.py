@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
+from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import pick, unit
 from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.places.snow.layout import HALF_M, Plan, Relief
 from touchdown.scenes.props.houses import House, HouseLooks, add_house
@@ -22,8 +23,6 @@ from touchdown.scenes.props.winter import (
 )
 from touchdown.scenes.props.woods import Wood, add_conifer, add_sapling, add_shrub
 
-Array = NDArray[np.float64]
-
 SNOW = Surface(land_class="field", reflectivity=0.87)
 ICE = Surface(land_class="water", reflectivity=0.06, water=True)
 ICE_FRICTION = 0.08
@@ -35,7 +34,7 @@ _GREY_WOOD = [0.40, 0.34, 0.29, 1.0]
 def place_objects(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
     """Adds everything that stands in the snow."""
     rng = builder.rng
-    lot = plan.middle
+    plot = plan.middle
     builder.claim(plan.takeoff_xy_m, 7.0)
     builder.claim(plan.pond_xy_m, 1.25 * plan.pond_radius_m)
     builder.claim(plan.hill_xy_m, 9.0)
@@ -47,11 +46,13 @@ def place_objects(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
             add_snowy_rock(builder, spot, radius)
             builder.claim(spot, radius + 0.8)
     for along in np.arange(-55.0, 56.0, 13.0):
-        spot = lot.points(np.array([along + rng.uniform(-1.0, 1.0), 22.5 + rng.uniform(-1.0, 1.0)]))
+        spot = plot.points(
+            np.array([along + rng.uniform(-1.0, 1.0), 22.5 + rng.uniform(-1.0, 1.0)])
+        )
         if np.abs(spot).max() < HALF_M - 2.0 and builder.is_free(spot, 0.5):
             add_snow_pole(builder, spot)
     turn = rng.uniform(0.0, 2.0 * np.pi)
-    spot = plan.hut_xy_m + 7.0 * np.array([np.cos(turn), np.sin(turn)])
+    spot = plan.hut_xy_m + 7.0 * unit(turn)
     if builder.is_free(spot, 1.0):
         add_snowman(builder, spot)
     bank = plan.pond_xy_m + (plan.pond_radius_m + 3.0) * np.array([-plan.wind[1], plan.wind[0]])
@@ -108,7 +109,7 @@ def _snow_roof(rng: np.random.Generator) -> NDArray[np.uint8]:
 def _place_trees(builder: SceneBuilder, plan: Plan, wood: Wood) -> None:
     """Clumps of conifers, most of them around the survey, a few single ones in it."""
     rng = builder.rng
-    lot = plan.middle
+    plot = plan.middle
 
     def plant(spot: Array) -> None:
         if np.abs(spot).max() > HALF_M - 2.5 or not builder.is_free(spot, 1.6):
@@ -117,20 +118,20 @@ def _place_trees(builder: SceneBuilder, plan: Plan, wood: Wood) -> None:
             add_sapling(builder, wood, spot)
             builder.claim(spot, 1.2)
             return
-        crown = wood.conifers[int(rng.integers(len(wood.conifers)))]
-        add_conifer(builder, wood, spot, crown, wood.needles[int(rng.integers(len(wood.needles)))])
+        crown = pick(rng, wood.conifers)
+        add_conifer(builder, wood, spot, crown, pick(rng, wood.needles))
         builder.claim(spot, 0.75 * crown.radius_m)
 
     for _ in range(15):
         angle = rng.uniform(0.0, 2.0 * np.pi)
         reach = rng.uniform([38.0, 31.0], [52.0, 48.0])
-        middle = lot.points(reach * [np.cos(angle), np.sin(angle)])
+        middle = plot.points(reach * [np.cos(angle), np.sin(angle)])
         for _ in range(int(rng.integers(4, 10))):
             plant(middle + rng.normal(0.0, 4.0, 2))
     for _ in range(int(rng.integers(4, 7))):
-        plant(lot.points(rng.uniform([-24.0, -20.0], [26.0, 20.0])))
+        plant(plot.points(rng.uniform([-24.0, -20.0], [26.0, 20.0])))
     for _ in range(14):
-        spot = lot.points(rng.uniform([-45.0, -40.0], [45.0, 40.0]))
+        spot = plot.points(rng.uniform([-45.0, -40.0], [45.0, 40.0]))
         if np.abs(spot).max() < HALF_M - 2.0 and builder.is_free(spot, 1.0):
             add_shrub(builder, wood, spot)
             builder.claim(spot, 1.0)
@@ -151,7 +152,7 @@ def lay_ice(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
         first, last = axis[cols[0]], axis[cols[-1]]
         half = np.array([0.5 * (last - first) + 0.1 * cell, 0.5 * step * cell, 0.1])
         centre = [0.5 * (first + last), axis[row] + half[1], relief_top(relief) - half[2]]
-        builder.geom("water_ice", ICE, type=GEOM.mjGEOM_BOX, size=half, pos=centre,
+        builder.geom("water_ice", ICE, box=half, pos=centre,
                      group=_HIDDEN_GROUP, friction=[ICE_FRICTION, 0.005, 0.0001], priority=2,
                      rgba=[0.6, 0.7, 0.75, 1])  # fmt: skip
 

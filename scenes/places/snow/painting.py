@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.micro_relief import MicroRelief
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.tracks import (
     OVAL,
     SKIS,
@@ -23,8 +23,6 @@ from touchdown.scenes.authoring.tracks import (
 )
 from touchdown.scenes.authoring.water import upsample
 from touchdown.scenes.places.snow.layout import HALF_M, Plan, Relief, sastrugi
-
-Array = NDArray[np.float64]
 
 
 def fine_relief(rng: np.random.Generator, plan: Plan, relief: Relief) -> MicroRelief:
@@ -51,23 +49,23 @@ def paint_tracks(
 ) -> None:
     """Draws a vehicle's track past the hut, skis across the field, sledges down the hill, and the
     walkers between hut, pond, hill and take-off."""
-    lot = plan.middle
+    plot = plan.middle
     lane = rng.uniform(26.0, 29.0)
-    ends = lot.points(np.array([[-75.0, lane + rng.uniform(-6.0, 6.0)], [75.0, lane + 5.0]]))
+    ends = plot.points(np.array([[-75.0, lane + rng.uniform(-6.0, 6.0)], [75.0, lane + 5.0]]))
     vehicle_track(rng, canvas, fine, wander(rng, ends, 2.5), Ground.PACKED_SNOW)
     for _ in range(3):
         tilt = rng.uniform(-25.0, 25.0)
         start = rng.uniform(-30.0, 30.0)
         cross = np.array([[start, -75.0], [start + tilt, 75.0]])
         cross = cross if rng.random() < 0.5 else np.array([[-75.0, start], [75.0, start + tilt]])
-        line = wander(rng, lot.points(0.75 * cross), 4.0)
+        line = wander(rng, plot.points(0.75 * cross), 4.0)
         runners(canvas, fine, line, SKIS, Ground.PACKED_SNOW)
         for side in (-0.42, 0.42):  # pole marks
             for spot in parallel(line, side)[:: int(rng.integers(16, 24))]:
                 fine.press(spot + 0.05 * OVAL, 0.03)
     for _ in range(int(rng.integers(3, 6))):
         angle = rng.uniform(0.0, 2.0 * np.pi)
-        way = np.array([np.cos(angle), np.sin(angle)])
+        way = unit(angle)
         run = np.array([plan.hill_xy_m + 0.5 * way, plan.hill_xy_m + rng.uniform(15.0, 20.0) * way])
         runners(canvas, fine, wander(rng, run, 0.6), SLEDGE, Ground.PACKED_SNOW)
         back = np.array([run[1] + rng.uniform(-2.0, 2.0, 2), plan.hill_xy_m])
@@ -77,10 +75,10 @@ def paint_tracks(
     )
     door = plan.hut_xy_m + placed(np.zeros(2), plan.hut_angle, np.array([0.0, -3.0]))
     bearing = rng.uniform(-0.2, 0.2) + plan.takeoff_yaw
-    beside = plan.takeoff_xy_m + 5.0 * np.array([np.cos(bearing), np.sin(bearing)])
+    beside = plan.takeoff_xy_m + 5.0 * unit(bearing)
     for origin, end, sway in (
         (door, shore, 1.2), (door, shore, 2.0), (door, plan.hill_xy_m, 2.5), (shore, beside, 2.0),
-        (door, lot.points(np.array([-5.0, 60.0])), 2.0),
+        (door, plot.points(np.array([-5.0, 60.0])), 2.0),
     ):  # fmt: skip
         line = wander(rng, np.array([origin, end]), sway)
         footprints(rng, canvas, fine, line, Ground.PACKED_SNOW)
@@ -110,7 +108,7 @@ def paint_ice(
     for _ in range(int(rng.integers(9, 14))):
         heading = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(rng.normal(0.0, 0.16, 60))
         start = plan.pond_xy_m + rng.uniform(-0.8, 0.8, 2) * plan.pond_radius_m
-        steps = 0.2 * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        steps = 0.2 * unit(heading)
         line = start + np.cumsum(steps, axis=0)
         inner = line[pond.at(line) < -0.3]
         if len(inner) > 4:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from touchdown.scenes.api import Array, Float32
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import Flood, finish, paint_terrain, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.lot import SurveyFrame, draw_frame
+from touchdown.scenes.authoring.plots import SurveyFrame, draw_frame
 from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.turf.airfield import Airfield
@@ -20,9 +20,6 @@ from touchdown.scenes.places.turf.golf import Golf
 from touchdown.scenes.places.turf.layout import HALF_M, Turf, plant_edge, undulation
 from touchdown.scenes.places.turf.pitch import Pitch
 from touchdown.scenes.props.woods import grow_wood
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 POND = WaterLook(body=(40.0, 60.0, 52.0), clarity_m=(0.4, 0.6, 0.45), wave_m=0.7, ripple=0.25)
 EDGE_TREES = 42

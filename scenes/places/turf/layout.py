@@ -6,17 +6,16 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas
-from touchdown.scenes.authoring.lot import Lot
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import pick, unit
+from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.relief import NODES
 from touchdown.scenes.props.street import add_bench, add_bin, add_lamp
 from touchdown.scenes.props.woods import TRUNKS_M, Wood, add_broadleaf, add_conifer, add_shrub
-
-Array = NDArray[np.float64]
 
 HALF_M = 64.0
 LINE_M = 0.12
@@ -25,7 +24,7 @@ LINE_M = 0.12
 class Turf(Protocol):
     """One kind of turf: its relief first, then its texture, then its objects."""
 
-    lot: Lot
+    plot: Plot
 
     def shape(self, heights: Array, xy: Array) -> Array: ...
 
@@ -56,10 +55,10 @@ def stroke(canvas: Canvas, line_m: Array, width_m: float = LINE_M, cover: int = 
                               second + reach + left, first - reach + left]), cover)  # fmt: skip
 
 
-def arc(lot: Lot, u: float, v: float, radius: float, span: tuple[float, float]) -> Array:
-    """(N, 2) world points of a circle's arc between two angles (radians in the lot)."""
+def arc(plot: Plot, u: float, v: float, radius: float, span: tuple[float, float]) -> Array:
+    """(N, 2) world points of a circle's arc between two angles (radians in the plot)."""
     turn = np.linspace(*span, max(6, int(abs(span[1] - span[0]) * radius / 0.4)))
-    return lot.points(np.array([u, v]) + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1))
+    return plot.points(np.array([u, v]) + radius * unit(turn))
 
 
 def plant_edge(builder: SceneBuilder, wood: Wood, turf: Turf, count: int) -> None:
@@ -89,11 +88,11 @@ def plant_one(builder: SceneBuilder, wood: Wood, xy_m: Array, conifer: bool) -> 
     """Adds a single tree."""
     rng = builder.rng
     if conifer:
-        crown = wood.conifers[int(rng.integers(len(wood.conifers)))]
-        add_conifer(builder, wood, xy_m, crown, wood.needles[int(rng.integers(len(wood.needles)))])
+        crown = pick(rng, wood.conifers)
+        add_conifer(builder, wood, xy_m, crown, pick(rng, wood.needles))
     else:
-        crown = wood.crowns[int(rng.integers(len(wood.crowns)))]
-        leaf = wood.leaves[int(rng.integers(len(wood.leaves)))]
+        crown = pick(rng, wood.crowns)
+        leaf = pick(rng, wood.leaves)
         trunk = TRUNKS_M[int(rng.integers(2))]
         add_broadleaf(builder, wood, xy_m, crown, leaf, trunk)
     builder.claim(xy_m, 2.0)
@@ -102,7 +101,7 @@ def plant_one(builder: SceneBuilder, wood: Wood, xy_m: Array, conifer: bool) -> 
 def furnish_path(builder: SceneBuilder, path_m: Array, way_in: float, lamps: bool) -> None:
     """Adds benches, a bin and light poles along a footpath; ``way_in``: heading of the turf from
     it."""
-    aside = np.array([np.cos(way_in), np.sin(way_in)])
+    aside = unit(way_in)
     inside = np.flatnonzero((np.abs(path_m) < HALF_M - 3.0).all(axis=1))
     for index in inside[6::16]:
         spot = path_m[index] + 1.8 * aside

@@ -18,7 +18,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, squared
 from touchdown.landing.classification import labels
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID
-from touchdown.scenes.authoring.ground import present_dressing
+from touchdown.scenes.authoring.ground import present_variation
 
 from support.command import Says
 
@@ -95,7 +95,7 @@ def test_a_share_of_seeds_is_of_other_materials(monkeypatch: pytest.MonkeyPatch)
         pass
 
     def build(config: Any) -> None:
-        found.append(present_dressing() is not None)
+        found.append(present_variation() is not None)
         raise BuiltError
 
     monkeypatch.setattr(patches, "build_scene", build)
@@ -104,7 +104,7 @@ def test_a_share_of_seeds_is_of_other_materials(monkeypatch: pytest.MonkeyPatch)
             with pytest.raises(BuiltError):
                 patches.scene_patches("turf", seed, 1, 40, 0, patches.NewLooks(0.0, share))
     assert not any(found[:40]) and all(found[80:]) and 10 <= sum(found[40:80]) <= 30
-    assert present_dressing() is None
+    assert present_variation() is None
 
 
 def test_a_material_has_one_colour() -> None:

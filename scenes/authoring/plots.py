@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.plane import unit_circle
 from touchdown.scenes.authoring.relief import Pad
-
-Array = NDArray[np.float64]
 
 SURVEY_MIDDLE_M = np.array([25.0, 20.0])
 """Middle of the survey's 50 x 40 m: ahead of the take-off spot, to the left of it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Lot:
+class Plot:
     """A plot: ``u`` metres along ``angle`` and ``v`` metres to its left from ``origin_xy_m``;
-    mirrored lots have ``v`` to the right."""
+    mirrored plots have ``v`` to the right."""
 
     origin_xy_m: Array
     angle: float
@@ -33,7 +34,7 @@ class Lot:
         return np.array([[c, s], [-sign * s, sign * c]])
 
     def points(self, uv_m: Array) -> Array:
-        """(..., 2) lot coordinates -> (..., 2) world."""
+        """(..., 2) plot coordinates -> (..., 2) world."""
         return self.origin_xy_m + np.asarray(uv_m, np.float64) @ self.axes
 
     def at(self, u: float, v: float) -> Array:
@@ -41,7 +42,7 @@ class Lot:
         return self.points(np.array([u, v]))
 
     def coordinates(self, xy_m: Array) -> Array:
-        """(..., 2) world -> (..., 2) lot coordinates."""
+        """(..., 2) world -> (..., 2) plot coordinates."""
         return (np.asarray(xy_m, np.float64) - self.origin_xy_m) @ self.axes.T
 
     def rectangle(self, u: tuple[float, float], v: tuple[float, float]) -> Array:
@@ -64,38 +65,51 @@ class Lot:
         return self.angle + (-0.5 if self.mirrored else 0.5) * np.pi
 
 
-def unit_circle(steps: int) -> Array:
-    """(steps, 2) points of the unit circle, counter-clockwise."""
-    turn = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
-    return np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+class Area(Protocol):
+    """Ground with coordinates of its own."""
+
+    def at(self, u: float, v: float) -> Array:
+        """(2,) world point."""
 
 
 def scatter(
     builder: SceneBuilder,
-    lot: Lot,
+    area: Area,
     count: int,
     u: tuple[float, float],
     v: tuple[float, float],
     gap_m: float,
 ) -> list[Array]:
-    """Returns up to ``count`` free spots in a rectangle of the lot, at least ``gap_m`` clear,
-    claimed."""
+    """Returns up to ``count`` free spots in a rectangle, at least ``gap_m`` clear, claimed."""
+    rng = builder.rng
+    spots = (area.at(rng.uniform(*u), rng.uniform(*v)) for _ in range(12 * count))
+    return claim_free(builder, spots, count, gap_m)
+
+
+def claim_free(
+    builder: SceneBuilder,
+    spots: Iterable[Array],
+    count: int,
+    gap_m: float,
+    claim_m: float | None = None,
+) -> list[Array]:
+    """Returns the first ``count`` of ``spots`` that are ``gap_m`` clear, each claimed, by default
+    with that radius."""
     found: list[Array] = []
-    for _ in range(12 * count):
-        spot = lot.at(builder.rng.uniform(*u), builder.rng.uniform(*v))
+    for spot in spots:
         if len(found) < count and builder.is_free(spot, gap_m):
-            builder.claim(spot, gap_m)
+            builder.claim(spot, gap_m if claim_m is None else claim_m)
             found.append(spot)
     return found
 
 
 def claim_area(
-    builder: SceneBuilder, lot: Lot, u: tuple[float, float], v: tuple[float, float]
+    builder: SceneBuilder, plot: Plot, u: tuple[float, float], v: tuple[float, float]
 ) -> None:
-    """Reserves a rectangle of the lot against later random placements."""
+    """Reserves a rectangle of the plot against later random placements."""
     for along in np.linspace(*u, int((u[1] - u[0]) / 3.0) + 2):
         for across in np.linspace(*v, int((v[1] - v[0]) / 3.0) + 2):
-            builder.claim(lot.at(float(along), float(across)), 2.2)
+            builder.claim(plot.at(float(along), float(across)), 2.2)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -106,19 +120,19 @@ class SurveyFrame:
     takeoff_yaw: float
 
     @property
-    def from_takeoff(self) -> Lot:
+    def from_takeoff(self) -> Plot:
         """Coordinates from the take-off spot."""
-        return Lot(origin_xy_m=self.takeoff_xy_m, angle=self.takeoff_yaw)
+        return Plot(origin_xy_m=self.takeoff_xy_m, angle=self.takeoff_yaw)
 
     @property
-    def from_middle(self) -> Lot:
+    def from_middle(self) -> Plot:
         """Coordinates from the survey's middle."""
-        return Lot(origin_xy_m=self.from_takeoff.points(SURVEY_MIDDLE_M), angle=self.takeoff_yaw)
+        return Plot(origin_xy_m=self.from_takeoff.points(SURVEY_MIDDLE_M), angle=self.takeoff_yaw)
 
 
 def draw_frame(rng: np.random.Generator) -> SurveyFrame:
     """A frame whose survey's middle is within 2 m of the scene's along each axis: the survey
     lies in a square of 128 m for every heading."""
     yaw = float(rng.uniform(-np.pi, np.pi))
-    middle = Lot(origin_xy_m=rng.uniform(-2.0, 2.0, 2), angle=yaw)
+    middle = Plot(origin_xy_m=rng.uniform(-2.0, 2.0, 2), angle=yaw)
     return SurveyFrame(takeoff_xy_m=middle.points(-SURVEY_MIDDLE_M), takeoff_yaw=yaw)

@@ -1,4 +1,4 @@
-"""What of a file's geoms is seen from above, before the vehicle stands among them."""
+"""A file's scene seen from above, before the vehicle stands in it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from touchdown.scenes.api import Array
+from touchdown.sim.files.opening import quiet_libraries
 from touchdown.sim.geometry.quadrics import ShapeTable
 from touchdown.sim.geometry.ray_target import RayTarget, geom_pose
 from touchdown.sim.geometry.tessellation import geom_mesh
 
-Array = NDArray[np.float64]
 Ids = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 
@@ -23,12 +24,14 @@ CELL_M = 0.5
 STEP_M = 0.35
 """Between neighbouring cells of one ground: a kerb, a slab, a slope of 35 degrees."""
 _HIDDEN_GROUP = 3
+_SMALL_M = 4.0
+"""Bounding radius of things that cells may miss"""
 _TOP_M = 1000.0
 _REACH_M = 250.0
 
 
-class FromAbove(NamedTuple):
-    """Cells of ``cell_m``, rows along y, cell (0, 0) at ``origin_xy_m``, world frame."""
+class TopView(NamedTuple):
+    """The top surface in cells, rows along y, cell (0, 0) at ``origin_xy_m``, world frame."""
 
     origin_xy_m: Array
     cell_m: float
@@ -49,6 +52,70 @@ class FromAbove(NamedTuple):
         return min(max(int(row), 0), rows - 1), min(max(int(col), 0), cols - 1)
 
 
+class Place(NamedTuple):
+    """The compiled scene of a file at time 0, and its top view."""
+
+    model: Any
+    data: Any
+    seen: TopView
+    bounds_xy_m: Array
+    """[[x_min, y_min], [x_max, y_max]]"""
+
+    @staticmethod
+    def of(spec: Any, bounds_xy_m: Array) -> Place:
+        """Compiles a copy of ``spec``."""
+        with quiet_libraries():
+            model = spec.copy().compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        return Place(model, data, top_view(model, data, bounds_xy_m), bounds_xy_m)
+
+    def name(self, geom: int) -> str:
+        return str(self.model.geom(geom).name)
+
+    def rotation(self, geom: int) -> Array:
+        """(3, 3) of a geom, world."""
+        return np.asarray(self.data.geom_xmat[geom].reshape(3, 3))
+
+    def box(self, geom: int) -> tuple[Array, Array]:
+        """Middle (3,) and half sides (3,) of the world-aligned box around a geom."""
+        rotation, box = self.rotation(geom), self.model.geom_aabb[geom]
+        return rotation @ box[:3] + self.data.geom_xpos[geom], np.abs(rotation) @ box[3:]
+
+    def is_kind(self, geom: int, *kinds: str) -> bool:
+        """True for a geom of one of the ``kinds``, such as ``PLANE``."""
+        return self.model.geom_type[geom] in [
+            int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in kinds
+        ]
+
+    def collides(self, geom: int) -> bool:
+        return bool(self.model.geom_contype[geom] or self.model.geom_conaffinity[geom])
+
+    def seen_m2(self, where: Mask | None = None) -> Array:
+        """(G,) area of each geom that is seen from above, or seen in the cells ``where``."""
+        cells = self.seen.geom >= 0
+        ids = self.seen.geom[cells if where is None else cells & where]
+        cells_of = np.bincount(ids, minlength=self.model.ngeom)
+        return np.asarray(cells_of * self.seen.cell_m**2, np.float64)
+
+    def with_small_things(self) -> TopView:
+        """The top view with the boxes of geoms that are narrower than its cells, or nearly so."""
+        height, cell_of = self.seen.height_m.copy(), self.seen.cell_of
+        radius = self.model.geom_rbound
+        for geom in np.flatnonzero((radius > 0.0) & (radius < _SMALL_M)).tolist():
+            if is_seen(self.model, geom):
+                middle, reach = self.box(geom)
+                first, last = (cell_of(middle[:2] + side * reach[:2]) for side in (-1.0, 1.0))
+                part = height[first[0] : last[0] + 1, first[1] : last[1] + 1]
+                np.maximum(part, middle[2] + reach[2], out=part, where=np.isfinite(part))
+        return self.seen._replace(height_m=height)
+
+    def points(self) -> Array:
+        """(N, 3) middles of the cells with something below, on the top surface."""
+        high = self.seen.height_m
+        return np.dstack([self.seen.centres(), high])[np.isfinite(high)]
+
+
 def is_seen(model: Any, geom: int) -> bool:
     """True for a geom that sensors see."""
     material = int(model.geom_matid[geom])
@@ -56,9 +123,9 @@ def is_seen(model: Any, geom: int) -> bool:
     return bool(model.geom_group[geom] < _HIDDEN_GROUP and alpha > 0.0)
 
 
-def from_above(
+def top_view(
     model: Any, data: Any, bounds_xy_m: Array, cell_m: float = CELL_M, only: int | None = None
-) -> FromAbove:
+) -> TopView:
     """Casts rays down at the geoms that are seen, or at one of them, within [[x_min, y_min],
     [x_max, y_max]]."""
     low, high = bounds_xy_m
@@ -76,7 +143,7 @@ def from_above(
             continue
         blocks.append((pose.apply(mesh[0]), mesh[1], geom))
         shapes.add(model, geom, pose)
-    found = FromAbove(
+    found = TopView(
         low.copy(), cell_m, np.full((rows, cols), np.nan), np.full((rows, cols), -1, np.int32)
     )
     if blocks:
@@ -91,7 +158,7 @@ def from_above(
     return found
 
 
-def grounds(seen: FromAbove) -> NDArray[np.int32]:
+def grounds(seen: TopView) -> NDArray[np.int32]:
     """(rows, cols) number of the connected surface of each cell, -1 for none: neighbours belong
     together where their heights differ by no more than `STEP_M`."""
     height = seen.height_m
@@ -112,7 +179,7 @@ def largest(labels: NDArray[np.int32]) -> int:
     return int(np.bincount(known).argmax()) if known.size else -1
 
 
-def level_cells(seen: FromAbove, radius_m: float, most_m: float) -> Mask:
+def level_cells(seen: TopView, radius_m: float, most_m: float) -> Mask:
     """Cells around which heights differ by no more than ``most_m`` within ``radius_m``, all of them
     known."""
     reach = int(np.ceil(radius_m / seen.cell_m))
@@ -122,14 +189,3 @@ def level_cells(seen: FromAbove, radius_m: float, most_m: float) -> Mask:
     kind = {"footprint": disc, "mode": "constant", "cval": 1e9}
     spread = ndimage.maximum_filter(known, **kind) - ndimage.minimum_filter(known, **kind)
     return np.asarray(spread <= most_m) & (known < 1e9)
-
-
-def upright(data: Any, geom: int) -> bool:
-    """True where a geom's z axis is the world's, to a degree."""
-    return bool(data.geom_xmat[geom].reshape(3, 3)[2, 2] > np.cos(np.deg2rad(1.0)))
-
-
-def flat_top(model: Any, data: Any, geom: int) -> bool:
-    """True for an upright plane or box."""
-    flat = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX)
-    return int(model.geom_type[geom]) in flat and upright(data, geom)

@@ -9,11 +9,9 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from touchdown.scenes.importers.above import FromAbove, grounds, largest
-
-Array = NDArray[np.float64]
+from touchdown.scenes.api import Array
+from touchdown.scenes.importers.top_view import Place, grounds, largest
 
 WORDS: Mapping[str, str] = {
     word: land_class
@@ -52,8 +50,8 @@ class Look(NamedTuple):
     """a texture that is plain"""
 
 
-class Guess(NamedTuple):
-    """Class of a geom and what it is guessed by."""
+class Inferred(NamedTuple):
+    """Class of a geom and what it is inferred from."""
 
     land_class: str
     why: str
@@ -119,43 +117,34 @@ def is_blue(look: Look) -> bool:
     return bool(not look.pattern and blue > max(1.5 * red, 1.12 * green, 80.0))
 
 
-def guess_classes(
-    model: Any, data: Any, seen: FromAbove, unknown: list[int], takeoff_geom: int
-) -> dict[int, Guess]:
+def infer_classes(place: Place, unknown: list[int], takeoff_geom: int) -> dict[int, Inferred]:
     """The class of each geom in ``unknown``. What the vehicle takes off from is ground, whatever
     it is called, if it is wide enough."""
-    label = grounds(seen)
-    main = largest(label)
-    flat = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
-    area = np.bincount(seen.geom[seen.geom >= 0], minlength=model.ngeom) * seen.cell_m**2
-    on_main = np.bincount(
-        seen.geom[(seen.geom >= 0) & (label == main)], minlength=model.ngeom
-    ) * (seen.cell_m**2)  # fmt: skip
+    label = grounds(place.seen)
+    area, on_main = place.seen_m2(), place.seen_m2(label == largest(label))
     found = {}
     for geom in unknown:
-        word = class_of_words(*names_of(model, geom))
-        kind, look = int(model.geom_type[geom]), look_of(model, geom)
+        word, look = class_of_words(*names_of(place.model, geom)), look_of(place.model, geom)
         wide = area[geom] >= GROUND_M2
         if geom == takeoff_geom and wide and word in (None, "building"):
-            found[geom] = Guess(ground_class(look), "what the vehicle takes off from")
+            found[geom] = Inferred(ground_class(look), "what the vehicle takes off from")
         elif word is not None:
-            found[geom] = Guess(word, "a word of its name")
-        elif kind in flat or on_main[geom] >= max(GROUND_M2, 0.5 * area[geom]):
-            if is_blue(look) and not (look.plain and on_main[geom] > 0.5 * (label == main).sum()):
-                found[geom] = Guess("water", "a blue surface")
-            else:
-                found[geom] = Guess(ground_class(look), "wide ground")
+            found[geom] = Inferred(word, "a word of its name")
+        elif place.is_kind(geom, "PLANE", "HFIELD") or (
+            on_main[geom] >= max(GROUND_M2, 0.5 * area[geom])
+        ):
+            blue, plain = ("water", "a blue surface"), (ground_class(look), "wide ground")
+            found[geom] = Inferred(*(blue if is_blue(look) else plain))
         else:
-            found[geom] = _raised(kind, look, wide)
+            found[geom] = _raised(place, geom, look, wide)
     return found
 
 
-def _raised(kind: int, look: Look, wide: bool) -> Guess:
-    round_kinds = ("SPHERE", "ELLIPSOID", "CAPSULE", "MESH")
-    rounded = kind in [int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in round_kinds]
+def _raised(place: Place, geom: int, look: Look, wide: bool) -> Inferred:
     red, green, blue = look.rgb
+    rounded = place.is_kind(geom, "SPHERE", "ELLIPSOID", "CAPSULE", "MESH")
     if rounded and green > 1.15 * red and green > 1.15 * blue:
-        return Guess("trees", "green and round")
-    if wide and kind == int(mujoco.mjtGeom.mjGEOM_BOX):
-        return Guess("building", "a raised box")
-    return Guess("other", "a thing on the ground")
+        return Inferred("trees", "green and round")
+    if wide and place.is_kind(geom, "BOX"):
+        return Inferred("building", "a raised box")
+    return Inferred("other", "a thing on the ground")

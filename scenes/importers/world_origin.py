@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from touchdown.scenes.api import Array
 
 FAR_M = 1000.0
 """Single precision is exact to a tenth of a millimetre up to there."""

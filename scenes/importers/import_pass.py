@@ -1,0 +1,126 @@
+"""Makes the scene of a file flyable: a take-off where none is named, classes where names say
+nothing, ground that sensors can hold on to, contacts where the ground is seen, light. What is done
+is said, in one line."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from touchdown.scenes.api import Array, ImportOptions, Surface
+from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.importers.class_inference import Inferred, infer_classes
+from touchdown.scenes.importers.contacts import end_planes, touch_meshes
+from touchdown.scenes.importers.given_classes import read_given_classes
+from touchdown.scenes.importers.ground_texturing import featureless_ground, texture_ground
+from touchdown.scenes.importers.lights import DARK, add_sun, ground_light
+from touchdown.scenes.importers.takeoff import takeoff_spot
+from touchdown.scenes.importers.top_view import Place
+from touchdown.sim.files.opening import printable
+
+
+def make_flyable(
+    draft: SceneDraft,
+    unknown: list[str],
+    options: ImportOptions,
+    *,
+    named: bool,
+    surface: Callable[[str], Surface],
+    say: Callable[[str], None],
+) -> SceneDraft:
+    """Returns ``draft`` with its spec changed. ``unknown``: the geoms without a class; ``named``: a
+    take-off is; ``surface``: that of a class; ``say`` takes one line on what was done. Raises
+    ValueError and FileNotFoundError for a file of classes that cannot be used."""
+    spec = draft.spec
+    place = Place.of(spec, draft.bounds_xy_m)
+    if not (place.seen.geom >= 0).any():
+        raise ValueError(
+            "no ground under the take-off spot: add a floor, or a site named 'takeoff' above the "
+            "ground"
+        )
+    notes: list[str] = []
+
+    takeoff_xy = draft.takeoff_xy_m if named else _placed_takeoff(draft, place, notes)
+
+    given = read_given_classes(options.classes, place)
+    start = int(place.seen.geom[place.seen.cell_of(takeoff_xy)])
+    ids = [place.model.geom(name).id for name in unknown]
+    inferred = infer_classes(place, ids, start)
+    inferred = {geom: found for geom, found in inferred.items() if geom not in given.classes}
+    classes = {geom: found.land_class for geom, found in inferred.items()} | given.classes
+    surfaces = draft.surfaces | {
+        place.name(geom): surface(land_class) for geom, land_class in classes.items()
+    }
+    notes += _inference_note(inferred)
+
+    plain = featureless_ground(place, surfaces)
+    touch_meshes(spec, place, plain)
+    textured = texture_ground(spec, place, plain)
+    if ended := end_planes(spec, place, textured):
+        notes.append(f"{_listed(ended)}: planes that collide only where they are drawn")
+    for name, land_class in textured.items():
+        beyond = f"{land_class}_beyond_{name}"
+        if spec.geom(beyond) is not None:
+            surfaces[beyond] = surfaces[name]
+    for geom in spec.geoms:
+        surfaces.setdefault(geom.name, surface("other"))
+    if textured:
+        notes.append(
+            f"featureless ground is dressed "
+            f"({_listed(textured, [f' as {kind}' for kind in textured.values()])}): a texture "
+            "of real ground and a relief of centimetres (--as-is keeps the file as it is)"
+        )
+
+    if ground_light(place) < DARK:
+        add_sun(spec)
+        notes.append("its lamps leave the ground dark: a sun is added")
+
+    if notes:
+        say("; ".join(notes))
+    if not named:
+        half = 0.5 * draft.takeoff_yaw
+        quat = [float(np.cos(half)), 0.0, 0.0, float(np.sin(half))]
+        spec.worldbody.add_site(name="takeoff", pos=[*takeoff_xy, 0.0], quat=quat)
+    return replace(
+        draft,
+        takeoff_xy_m=takeoff_xy,
+        surfaces=surfaces,
+        ground=given.raster(surface),
+        inferred={
+            place.name(geom): (found.land_class, found.why) for geom, found in inferred.items()
+        },
+        textured=tuple(textured),
+    )
+
+
+def _placed_takeoff(draft: SceneDraft, place: Place, notes: list[str]) -> Array:
+    """The take-off spot (2,) of a file that names none."""
+    xy = takeoff_spot(place.with_small_things(), draft.takeoff_xy_m)
+    if np.hypot(*(xy - draft.takeoff_xy_m)) > 0.1:
+        notes.append(
+            f"no take-off is named and the origin is none: it is {xy[0]:.1f}, {xy[1]:.1f} "
+            "(name a site 'takeoff' for another)"
+        )
+    return xy
+
+
+def _inference_note(inferred: dict[int, Inferred]) -> list[str]:
+    if not inferred:
+        return []
+    count = Counter(found.land_class for found in inferred.values())
+    kinds = ", ".join(f"{number} {name}" for name, number in count.most_common())
+    what = f"classes of {len(inferred)} geoms are" if len(inferred) > 1 else "class of 1 geom is"
+    return [
+        f"the {what} guessed by name, shape "
+        f"and colour ({kinds}; `touchdown scenes check` lists them, --classes sets them)"
+    ]
+
+
+def _listed(names: Any, endings: list[str] | None = None) -> str:
+    """The first four names."""
+    shown = [printable(name) + (endings[k] if endings else "") for k, name in enumerate(names)]
+    return ", ".join(shown[:4]) + (" ..." if len(shown) > 4 else "")
