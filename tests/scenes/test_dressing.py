@@ -9,7 +9,7 @@ import pytest
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.authoring import generation
 from touchdown.scenes.authoring.ground import Canvas, Ground, ground_shader, varied_materials
-from touchdown.scenes.authoring.water import WaterLook, dressed
+from touchdown.scenes.authoring.water import WaterLook, varied
 
 CELLS = 4 * len(Ground)
 
@@ -52,11 +52,11 @@ def test_ground_gets_other_materials_of_its_class() -> None:
 
 def test_water_is_between_silt_and_a_pale_bed() -> None:
     look = WaterLook(body=(1.0, 2.0, 3.0), clarity_m=(1.0, 1.0, 1.0), wave_m=0.3)
-    assert dressed(look) == look
+    assert varied(look) == look
     found = []
     for seed in range(40):
         with varied_materials(np.random.default_rng(seed)):
-            found.append(dressed(look))
+            found.append(varied(look))
     assert all(one.wave_m == 0.3 and 0.1 <= one.ripple <= 0.7 for one in found)
     bodies = np.array([one.body for one in found])
     assert (bodies > [24.0, 58.0, 48.0]).all() and (bodies < [118.0, 175.0, 195.0]).all()
@@ -80,4 +80,4 @@ def test_a_flood_has_that_water(monkeypatch: pytest.MonkeyPatch) -> None:
     generation.paint_terrain(builder, _canvas(), {}, flood=flood)
     with varied_materials(np.random.default_rng(5)):
         generation.paint_terrain(builder, _canvas(), {}, flood=flood)
-        assert looks == [planned, dressed(planned)] and looks[0] != looks[1]
+        assert looks == [planned, varied(planned)] and looks[0] != looks[1]
