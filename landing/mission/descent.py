@@ -1,22 +1,27 @@
-"""The descent: second look at 10 m, commitment at 4 m, final descent, touchdown."""
+"""The descent: rechecks at 10 m and 4 m, commitment, final descent, touchdown."""
 
 from __future__ import annotations
 
-from collections.abc import Generator
+import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Phase
-from touchdown.landing.mission.mission_state import Mission, Steps, vertical_move
-from touchdown.landing.mission.second_look import ground_under, look_again
+from touchdown.landing.mission.mission import Mission, RuledSteps, Steps
+from touchdown.landing.mission.rules import Moment
+from touchdown.landing.mission.site_recheck import ground_under, recheck_site
 from touchdown.landing.mission.touchdown import TouchdownDetector
-from touchdown.landing.mission.trajectory import descent_trajectory, straight_trajectory
+from touchdown.landing.mission.trajectory import (
+    descent_trajectory,
+    straight_trajectory,
+    vertical_move,
+)
 
 Array = NDArray[np.float64]
 
-_LOOK_PATIENCE_S = 3.0
+_RECHECK_S = 3.0
+"""time for which a recheck waits for more returns before it refuses the site"""
 _MAX_SHIFT_M = 3.0
 _MAX_LOW_SHIFT_M = 0.8
 _SHIFT_SPEED_MPS = 1.5
@@ -32,96 +37,98 @@ _THRUST_RAMP_S = 0.5
 _MOTORS_OFF_S = 1.0
 
 
-def descend_to(mission: Mission) -> Generator[Setpoint, None, str | None]:
-    """Descends to the commitment height with both looks.
+def descend_to(mission: Mission) -> RuledSteps:
+    """Descends to the commitment height with both rechecks.
 
-    Returns None once committed, else the reason of the refusal as text. In an emergency there is
-    one look, which may move the site but refuses nothing."""
-    mission.phase = Phase.DESCEND
-    params = mission.params
-    looks = params.second_look and (params.check_site or params.site_xy_m is None)
+    Returns None once committed, else the rule that refuses the site. In an emergency there is one
+    recheck, which may move the site."""
+    state, params = mission.state, mission.params
+    state.enter(Phase.DESCEND)
+    rechecks = params.second_look and (params.check_site or params.site_xy_m is None)
     yield from _sink_to(mission, params.look_height_m)
-    if looks:
-        refusal = yield from _look(mission, _MAX_SHIFT_M, "10 m")
-        if refusal is not None and mission.deadline_s is None:
-            return refusal
-    yield from _sink_to(mission, params.commit_height_m)
-    if looks and mission.deadline_s is None:
-        yield from _sweep(mission)
-        refusal = yield from _look(mission, _MAX_LOW_SHIFT_M, "4 m")
+    if rechecks:
+        refusal = yield from _recheck(mission, "10 m", _MAX_SHIFT_M)
         if refusal is not None:
             return refusal
-    _commit(mission)
+    yield from _sink_to(mission, params.commit_height_m)
+    if rechecks and state.deadline_s is None:
+        yield from _sweep(mission)
+        refusal = yield from _recheck(mission, "4 m", _MAX_LOW_SHIFT_M, classify=False)
+        if refusal is not None:
+            return refusal
+    state.commit(mission.view.world(_refreshed_site(mission)))
     return None
 
 
 def _sink_to(mission: Mission, height_m: float) -> Steps:
     """Sinks until the legs are ``height_m`` above the site, if they are higher."""
-    _refresh_ground(mission)
-    assert mission.site_odom is not None
-    here = mission.odom(mission.reference_world)
-    target = mission.site_odom[2] + height_m + mission.leg_height
+    site, here = _refreshed_site(mission), mission.reference_odom
+    target = site[2] + height_m + mission.leg_height
     if target < here[2] - 0.05:
         speed = mission.params.descent_speed_mps
         yield from mission.follow(vertical_move(here, target, speed))
 
 
-def _refresh_ground(mission: Mission) -> None:
-    """Updates the height of the site. A selected site is fixed in the map, a commanded one at its
-    world coordinates."""
-    assert mission.site_odom is not None
-    commanded = mission.commanded_odom
-    xy = mission.site_odom[:2] if commanded is None else commanded
-    ground = ground_under(mission.map_view, xy)
-    mission.site_odom = np.array([*xy, ground if np.isfinite(ground) else mission.site_odom[2]])
+def _refreshed_site(mission: Mission) -> Array:
+    """Returns the site at the height that the ground has now, and takes it over. A selected site is
+    fixed in the map, a commanded one at its world coordinates."""
+    state, commanded = mission.state, mission.view.commanded_odom
+    assert state.site_odom is not None
+    xy = state.site_odom[:2] if commanded is None else commanded
+    ground = ground_under(mission.view.map_view, xy)
+    site = np.array([*xy, ground if np.isfinite(ground) else state.site_odom[2]])
+    state.choose(site, state.site_class)
+    return site
 
 
-def _look(mission: Mission, max_shift_m: float, name: str) -> Generator[Setpoint, None, str | None]:
-    """Hovers, checks the site, and moves to where it is landable. Returns None for a good site (as
-    moved), else the reason of the refusal."""
-    assert mission.site_odom is not None
-    yield from mission.hover(mission.params.look_s)
-    shift = 0.0 if mission.params.site_xy_m is not None else max_shift_m
-    look = look_again(mission.map_view, mission.site_odom, shift, mission.params)
+def _recheck(
+    mission: Mission, height: str, max_shift_m: float, *, classify: bool = True
+) -> RuledSteps:
+    """Hovers, checks the site, and moves to where it is landable. Returns the rule that refuses the
+    site; None for a good one (as moved)."""
+    state, params, site = mission.state, mission.params, mission.state.site_odom
+    assert site is not None
+    yield from mission.hover(params.look_s)
+    shift = 0.0 if params.site_xy_m is not None else max_shift_m
+    found = recheck_site(mission.view.map_view, site, shift, params)
     waited = 0.0
-    patience = _LOOK_PATIENCE_S if mission.deadline_s is None else 0.0
-    while look.position_odom is None and waited < patience:
+    while found.position_odom is None and waited < _RECHECK_S and state.deadline_s is None:
         yield from mission.hover(1.0)
         waited += 1.0
-        look = look_again(mission.map_view, mission.site_odom, shift, mission.params)
-    yield from mission.hover(mission.params.decision_latency_s)
-    if look.position_odom is None:
-        return f"at {name}: {look.reason}"
-    unsafe = _class_refusal(mission, look.position_odom) if max_shift_m == _MAX_SHIFT_M else None
-    if unsafe is not None:
-        return f"at {name}: {unsafe}"
-    mission.note = f"look at {name}: {look.reason}"
-    moved = float(np.linalg.norm(look.position_odom[:2] - mission.site_odom[:2]))
-    mission.site_odom = look.position_odom
-    if moved > 1e-6:
-        here = mission.odom(mission.reference_world)
-        yield from _move(mission, np.array([*look.position_odom[:2], here[2]]), _SHIFT_SPEED_MPS)
+        found = recheck_site(mission.view.map_view, site, shift, params)
+    yield from mission.hover(params.decision_latency_s)
+    unsafe = ""
+    if classify and found.position_odom is not None:
+        unsafe = _class_refusal(mission, found.position_odom)
+    found = dataclasses.replace(found, height=height, unsafe_class=unsafe)
+    state.examine(found)
+    refusal = mission.ask(Moment.RECHECK)
+    if refusal is not None or found.position_odom is None or unsafe:
+        return refusal
+    state.choose(found.position_odom, state.site_class)
+    if float(np.linalg.norm(found.position_odom[:2] - site[:2])) > 1e-6:
+        end = np.array([*found.position_odom[:2], mission.reference_odom[2]])
+        yield from _move(mission, end, _SHIFT_SPEED_MPS)
     return None
 
 
-def _class_refusal(mission: Mission, position: Array) -> str | None:
+def _class_refusal(mission: Mission, position: Array) -> str:
     """Returns the reason why the class of the ground at ``position`` (3,) is refused, as text.
 
-    None where it is safe, or without ground classification. At 4 m the camera sees too small a part
-    of the site to classify it."""
-    if mission.class_check is None:
-        return None
-    site_class = mission.class_check.reclassify(
-        mission.site_class, position, mission.map_view, mission.obs.time_s
-    )
-    refusal = mission.class_check.refusal(site_class, mission.takes_risky)
-    mission.site_class = site_class
-    return None if refusal is None else refusal.text
+    Empty where it is safe, or without ground classification. At 4 m the camera sees too small a
+    part of the site to classify it."""
+    check, state, view = mission.class_check, mission.state, mission.view
+    if check is None or state.site_odom is None:
+        return ""
+    site_class = check.reclassify(state.site_class, position, view.map_view, view.obs.time_s)
+    state.choose(state.site_odom, site_class)
+    refusal = check.refusal(site_class, view.takes_risky)
+    return "" if refusal is None else refusal.text
 
 
 def _sweep(mission: Mission) -> Steps:
     """Moves forward, back and home along the heading, where the LIDAR's field of view is narrow."""
-    centre = mission.odom(mission.reference_world)
+    centre = mission.reference_odom
     yaw = mission.setpoint(centre).yaw_odom
     ahead = mission.params.sweep_m * np.array([np.cos(yaw), np.sin(yaw), 0.0])
     for end in (centre + ahead, centre - ahead, centre):
@@ -129,16 +136,9 @@ def _sweep(mission: Mission) -> Steps:
 
 
 def _move(mission: Mission, end: Array, speed: float) -> Steps:
-    here = mission.odom(mission.reference_world)
+    here = mission.reference_odom
     path = straight_trajectory(here, np.zeros(3), end, speed, mission.params.accel_mps2)
     yield from mission.follow(path)
-
-
-def _commit(mission: Mission) -> None:
-    """Fixes the site that the touchdown is measured against."""
-    _refresh_ground(mission)
-    assert mission.site_odom is not None
-    mission.committed_site_world = mission.world(mission.site_odom)
 
 
 class _Drift:
@@ -160,14 +160,12 @@ def final_descent(mission: Mission) -> Steps:
 
     Near the ground LIDAR and, in the dark, camera see nothing. Once the estimate drifts, the
     vehicle sinks no slower than at ``drift_speed_mps``: less time is left to drift in."""
-    mission.phase = Phase.DESCEND
-    mission.final = True
-    assert mission.site_odom is not None
-    params = mission.params
-    ground = float(mission.site_odom[2])
-    here = mission.odom(mission.reference_world)
+    mission.state.descend_for_good()
+    site, params, here = mission.state.site_odom, mission.params, mission.reference_odom
+    assert site is not None
+    ground = float(site[2])
     path = descent_trajectory(
-        np.array([*mission.site_odom[:2], here[2]]),
+        np.array([*site[:2], here[2]]),
         ground + mission.leg_height + _SLOW_ABOVE_M,
         cruise_speed=params.final_speed_mps,
         touchdown_speed=params.touchdown_speed_mps,
@@ -178,29 +176,31 @@ def final_descent(mission: Mission) -> Steps:
     start, before, correction = mission.now, mission.now, 0.0
     wanted, version = 0.0, -1
     path_s, rate = 0.0, 1.0
-    offset = here[:2] - mission.site_odom[:2]
+    offset = here[:2] - site[:2]
     while True:
         step = mission.now - before
         path_s += rate * step
         position, velocity, acceleration = path.sample(path_s)
-        drifts = drift.update(mission.estimate.position_covariance)
+        drifts = drift.update(mission.view.estimate.position_covariance)
         if drifts and acceleration[2] >= 0.0:  # not while it gathers speed
             sinking = max(-float(velocity[2]), 1e-3)
             faster = rate + params.final_accel_mps2 * step / sinking
             rate = min(max(params.drift_speed_mps / sinking, 1.0), faster)
             velocity = rate * velocity
-        legs_above = mission.position_odom[2] - mission.leg_height - ground - correction
+        legs_above = mission.view.position_odom[2] - mission.leg_height - ground - correction
         if legs_above > _FREEZE_ABOVE_M:
-            if mission.map_view.version != version:
-                version = mission.map_view.version
-                seen = ground_under(mission.map_view, mission.site_odom)
+            if mission.view.map_view.version != version:
+                version = mission.view.map_view.version
+                seen = ground_under(mission.view.map_view, site)
                 wanted = seen - ground if np.isfinite(seen) else correction
             limit = _GROUND_RATE_MPS * step
             correction += float(np.clip(wanted - correction, -limit, limit))
         before = mission.now
         fade = float(np.exp(-(mission.now - start)))
         position = position + np.array([*(fade * offset), correction])
-        if legs_above < _DETECT_BELOW_M and detector.update(mission.obs, mission.estimate):
+        if legs_above < _DETECT_BELOW_M and detector.update(
+            mission.view.obs, mission.view.estimate
+        ):
             break
         yield mission.setpoint(position, velocity, acceleration)
     yield from stop_motors(mission)
@@ -208,9 +208,8 @@ def final_descent(mission: Mission) -> Steps:
 
 def stop_motors(mission: Mission) -> Steps:
     """Reduces thrust to zero over half a second, stops the motors and rests for a second."""
-    mission.phase = Phase.TOUCHDOWN
-    mission.note = "ground contact: motors off"
-    position = mission.position_odom.copy()
+    mission.state.enter(Phase.TOUCHDOWN, "ground contact: motors off")
+    position = mission.view.position_odom.copy()
     start = mission.now
     while (t := mission.now - start) < _THRUST_RAMP_S:
         limit = 0.5 * (1.0 - t / _THRUST_RAMP_S)

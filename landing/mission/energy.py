@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from touchdown.landing.api import LandingParams, SurveyParams
+from touchdown.landing.mission.state import MissionState
+from touchdown.landing.mission.trajectory import PEAK_SPEED, RAMP_S
+from touchdown.landing.mission.view import MissionView
 
-RAMP_S = 3.0
-"""duration of a change of speed"""
 _LOOK_S = 2.5
 _SWEEP_S = 8.0
 _FINAL_S = 6.0
@@ -18,9 +19,9 @@ _MARGIN = 1.2
 
 def travel_time_s(distance_m: float, params: LandingParams) -> float:
     """Returns the time from rest to rest by the minimum-jerk segment of
-    ``landing.mission.trajectory``, whose peak speed is 15/8 of the mean."""
+    ``landing.mission.trajectory``."""
     shortest = np.sqrt(6.0 * max(distance_m, 0.0) / params.accel_mps2)
-    return max(1.875 * distance_m / params.cruise_speed_mps, shortest)
+    return max(PEAK_SPEED * distance_m / params.cruise_speed_mps, shortest)
 
 
 def landing_time_s(height_m: float, params: LandingParams, *, emergency: bool = False) -> float:
@@ -49,8 +50,30 @@ def go_around_time_s(height_m: float, params: LandingParams) -> float:
     return _MARGIN * (climb + landing_time_s(height_m, params))
 
 
-def emergency_reach_m(height_m: float, seconds: float, params: LandingParams) -> float:
-    """Returns the largest distance to a site that can be reached and landed on within
-    ``seconds``."""
-    spare = seconds - landing_time_s(height_m, params, emergency=True)
-    return max(spare, 0.0) * params.cruise_speed_mps / 1.875
+def affords(seconds: float, view: MissionView, state: MissionState) -> bool:
+    """True if the battery lasts for ``seconds`` and then the way home and a landing there."""
+    home = return_time_s(view.away_m, state.survey.height_m, view.params)
+    return view.time_left_s >= seconds + home
+
+
+def affords_search_leg(view: MissionView, state: MissionState) -> bool:
+    """True if the battery lasts for another leg of the survey."""
+    return affords(search_leg_time_s(state.survey, view.params), view, state)
+
+
+def affords_go_around(view: MissionView, state: MissionState) -> bool:
+    """True if the battery lasts for a go-around."""
+    return affords(go_around_time_s(state.survey.height_m, view.params), view, state)
+
+
+def reach_m(view: MissionView, state: MissionState) -> float:
+    """Returns the largest distance to a site (the energy threshold of Eq. 18): the battery must
+    last for a landing there and a go-around, in an emergency for a landing in time."""
+    params, height, left = view.params, state.survey.height_m, view.time_left_s
+    if view.in_emergency:
+        if state.deadline_s is not None:
+            left = min(left, state.deadline_s - view.now_s)
+        reserve = landing_time_s(height, params, emergency=True)
+    else:
+        reserve = 2.0 * go_around_time_s(height, params)
+    return max(left - reserve, 0.0) * params.cruise_speed_mps / PEAK_SPEED

@@ -11,14 +11,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from touchdown.landing.mission.trajectory import PiecewiseTrajectory
+from touchdown.landing.mission.trajectory import PEAK_SPEED, PiecewiseTrajectory
 
 BEGIN_ABOVE_M = 4.0
 """height of the climb above which the vehicle turns"""
-_MOST_RATE = math.radians(40.0)
+_MAX_RATE = math.radians(40.0)
 """rad/s, largest rate of the turn: images blur with it"""
-_PEAK = 1.875
-"""largest rate of a minimum-jerk turn over its mean"""
 _STEP_S = 0.05
 
 
@@ -47,5 +45,5 @@ def turn_in_climb(climb: PiecewiseTrajectory, now_s: float, angle_deg: float) ->
     floor, begin = float(climb.sample(0.0)[0][2]), 0.0
     while begin < climb.duration_s and climb.sample(begin)[0][2] < floor + BEGIN_ABOVE_M:
         begin += _STEP_S
-    shortest = _PEAK * abs(angle) / _MOST_RATE
+    shortest = PEAK_SPEED * abs(angle) / _MAX_RATE
     return HeadingTurn(angle, now_s + begin, max(climb.duration_s - begin, shortest))

@@ -6,9 +6,9 @@ from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import GroundClassifier, LanderView, LandingParams, Phase, SurveyParams
 from touchdown.landing.classification.site_check import SiteClassCheck
-from touchdown.landing.mission.health import HealthWatch, give_up
-from touchdown.landing.mission.mission_state import Mission, Select, Steps
-from touchdown.landing.mission.phases import run_phases
+from touchdown.landing.mission.mission import Mission, Select, Steps
+from touchdown.landing.mission.phases import abort, run_phases
+from touchdown.landing.mission.rules import Action, Moment
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 
 
@@ -31,41 +31,42 @@ class SiteLander:
         class_check = None if classifier is None else SiteClassCheck(classifier, rig, params)
         self._mission = Mission(rig, params, survey, class_check, select)
         self._steps: Steps = run_phases(self._mission)
-        self._health = HealthWatch()
 
     @property
     def phase(self) -> Phase:
         """Current phase of the mission."""
-        return self._mission.phase
+        return self._mission.state.phase
 
     def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:
         """Returns the setpoint of this control step; called once a step."""
         mission = self._mission
         mission.update(obs, estimate, map_view)
-        held = self._health.hold(mission)
-        if held is not None:
-            return held
-        if self._health.lost(mission):
-            self._steps = give_up(mission)
+        ruling = mission.ask(Moment.STEP)
+        if ruling is not None and ruling.action is Action.HOLD:
+            return mission.hold()
+        if ruling is not None and ruling.action is Action.LAND_IN_PLACE:
+            self._steps = abort(mission)
         return next(self._steps)
 
     def view(self) -> LanderView:
         """As `landing.api.Lander.view`."""
-        mission = self._mission
-        site_class = mission.site_class
+        mission, state = self._mission, self._mission.state
+        site, site_class = state.committed_site_world, state.site_class
+        if site is None and state.site_odom is not None:
+            site = mission.view.world(state.site_odom)
         return LanderView(
-            phase=mission.phase,
-            note=mission.note,
-            candidates=mission.candidates,
-            costmap=mission.costmap,
-            site_world=mission.site_world,
-            committed_site_world=mission.committed_site_world,
+            phase=state.phase,
+            note=state.note,
+            candidates=state.candidates,
+            costmap=state.costmap,
+            site_world=site,
+            committed_site_world=state.committed_site_world,
             reference_world=mission.reference_world,
-            no_site=mission.no_site,
-            aborted=mission.aborted,
+            no_site=state.no_site,
+            aborted=state.aborted,
             site_class=None if site_class is None else site_class.name,
             site_class_probability=float("nan") if site_class is None else site_class.probability,
-            events=tuple(mission.events),
-            slowed_s=mission.slowed_s,
-            decisions=mission.decisions,
+            events=state.events,
+            slowed_s=state.slowed_s,
+            decisions=state.decisions,
         )

@@ -40,7 +40,6 @@ _BEHIND_M, _STOP_BEHIND_M = 0.7, 2.0
 _STOPPED = 0.05
 _HALTED = 1e-3
 """rate from which the last of the way to a halt, 8 mm/s at most, is dropped"""
-_PATIENCE_S = 40.0
 _LEARNED_S = 2.0
 _MOST_LEARNED = 1.25
 
@@ -58,14 +57,15 @@ class TimeScaling:
         self._learned = 1.0
         self._next_s = 0.0
         self._target = 1.0
-        self._stopped_s = 0.0
         self.rate, self.change = 1.0, 0.0
         self.lost_s = 0.0
         """time by which the present trajectory is late"""
+        self.stopped_s = 0.0
+        """time for which the clock has stood still"""
 
     def begin(self, path: PiecewiseTrajectory, wind: Array) -> None:
         """Starts a trajectory that begins at rest, at the rate that its first seconds allow."""
-        self.lost_s = self._stopped_s = self._next_s = 0.0
+        self.lost_s = self.stopped_s = self._next_s = 0.0
         self._target = self._look(path, 0.0, wind)
         self.rate, self.change = self._target, 0.0
 
@@ -78,12 +78,12 @@ class TimeScaling:
         behind_m: float,
         *,
         stop: bool = False,
-        least: float = 0.0,
+        min_rate: float = 0.0,
     ) -> None:
         """Moves the clock on by a control step of ``step_s``.
 
         at_s: time on the path; wind (3,) m/s in its frame; behind_m: distance of the vehicle from
-        the reference. ``stop`` lets the clock run out; ``least`` is a rate that it keeps."""
+        the reference. ``stop`` lets the clock run out; ``min_rate`` is a rate that it keeps."""
         if not self._enabled:
             return
         self._next_s -= step_s
@@ -92,16 +92,11 @@ class TimeScaling:
             self._target = self._look(path, at_s, wind)
         share = (_STOP_BEHIND_M - behind_m) / (_STOP_BEHIND_M - _BEHIND_M)
         target = min(self._target, min(max(share, 0.0), 1.0))
-        target = 0.0 if stop else max(target, least)
+        target = 0.0 if stop else max(target, min_rate)
         before = self.rate
         self.rate, self.change = next_rate(self.rate, self.change, target, step_s)
         self.lost_s += step_s * (1.0 - 0.5 * (before + self.rate))
-        self._stopped_s = self._stopped_s + step_s if self.rate < _STOPPED else 0.0
-
-    @property
-    def blocked(self) -> bool:
-        """True where the clock has been stopped for so long that the trajectory cannot be flown."""
-        return self._stopped_s > _PATIENCE_S
+        self.stopped_s = self.stopped_s + step_s if self.rate < _STOPPED else 0.0
 
     def hover_load(self, wind: Array, *, gusts: bool = True) -> float:
         """Need of a hover over what is allowed, ``gusts`` added to the wind or in it; above 1 there

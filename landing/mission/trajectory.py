@@ -21,6 +21,10 @@ from touchdown.sim.frames import rotation_from_yaw
 Array = NDArray[np.float64]
 Sample = tuple[Array, Array, Array]
 
+PEAK_SPEED = 1.875
+"""largest speed of a minimum-jerk segment from rest to rest over its mean"""
+RAMP_S = 3.0
+"""duration of a change of the vertical speed"""
 _MANY_LEGS = 20
 """number of legs above which the shares of the time for a turn shrink with the number of legs"""
 _MOST_LEGS = 10_000
@@ -243,9 +247,9 @@ def straight_trajectory(
     last = State(position_end)
     distance = float(np.linalg.norm(position_end - position_start))
     initial_speed = float(np.linalg.norm(velocity_start))
-    # Peaks of the rest-to-rest quintic: 15/8 d/T in speed, 10/sqrt(3) d/T^2 in acceleration.
+    # Peak acceleration of the rest-to-rest quintic: 10/sqrt(3) d/T^2.
     duration = max(
-        1.875 * distance / max_speed, np.sqrt(10.0 / np.sqrt(3.0) * distance / max_accel), 0.1
+        PEAK_SPEED * distance / max_speed, np.sqrt(10.0 / np.sqrt(3.0) * distance / max_accel), 0.1
     )
     if initial_speed == 0.0 and not np.any(acceleration_start):
         return through([first, last], [duration])
@@ -263,6 +267,23 @@ def straight_trajectory(
             best = excess, trajectory
     assert best is not None
     return best[1]  # an initial acceleration can make a limit unreachable: least excess
+
+
+def vertical_move(start: Array, height: float, speed: float) -> PiecewiseTrajectory:
+    """Returns a vertical trajectory from rest at ``start`` (3,) to rest at z = ``height``.
+
+    ``speed`` is reached and left in three seconds each; where the distance is too short for that,
+    the trajectory is one minimum-jerk segment."""
+    distance = abs(height - float(start[2]))
+    end = np.array([start[0], start[1], height])
+    level = distance - speed * RAMP_S
+    if level <= 0.0:
+        duration = max(PEAK_SPEED * distance / speed, np.sqrt(6.0 * distance / speed), 0.5)
+        return through([State(start), State(end)], [duration])
+    velocity = np.array([0.0, 0.0, np.sign(height - start[2]) * speed])
+    ramp = 0.5 * RAMP_S * velocity
+    states = [State(start), State(start + ramp, velocity), State(end - ramp, velocity), State(end)]
+    return through(states, [RAMP_S, level / speed, RAMP_S])
 
 
 def descent_trajectory(

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 _TIME_CONSTANT_S = 3.0
 _FELT_TIME_CONSTANT_S = 0.7
+_ROUGHNESS_M = 0.1
 
 
 class WindEstimator:
@@ -100,6 +101,24 @@ class FeltWind:
         )
         if np.isfinite(wind).all():
             self._wind += min(step / _FELT_TIME_CONSTANT_S, 1.0) * (wind - self._wind)
+
+
+class WindProfile:
+    """Takes the wind that a climb has felt to another height, by the logarithmic profile of open
+    country."""
+
+    def __init__(self) -> None:
+        self._sum: Array = np.zeros(3)
+        self._samples = 0
+
+    def update(self, felt_odom: Array, height_m: float) -> None:
+        """Adds the felt wind (3,) at a height above the ground."""
+        self._sum += felt_odom / np.log(height_m / _ROUGHNESS_M)
+        self._samples += 1
+
+    def at(self, height_m: float) -> Array:
+        """(3,) m/s, the mean wind at another height; needs one sample at least."""
+        return self._sum / self._samples * np.log(height_m / _ROUGHNESS_M)
 
 
 @njit(cache=True, error_model="numpy")

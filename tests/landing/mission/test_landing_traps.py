@@ -10,7 +10,7 @@ import pytest
 
 from touchdown.experiments.benchmarks.posed_survey import Surveyed
 from touchdown.landing.api import LandingParams
-from touchdown.landing.mission.second_look import look_again
+from touchdown.landing.mission.site_recheck import recheck_site
 from touchdown.landing.selection.selector import check_site
 
 from support.trap_scenes import LAWN, box, ground_with_gap, hover_over, survey, write
@@ -94,18 +94,18 @@ def test_thin_wire_over_a_lawn_is_found_from_4_m_at_the_latest(tmp_path: Path) -
     wire = '<geom name="wire" type="capsule" fromto="12 -30 0.5 12 30 0.5" size="0.006"/>'
     place = survey(write(tmp_path, "wire", LAWN + wire), *SHORTER)
     site = np.array([12.3, 0.0, 0.0])
-    look = look_again(hover_over(place, site, 4.0, 3.0), site, 0.0, PARAMS)
+    look = recheck_site(hover_over(place, site, 4.0, 3.0), site, 0.0, PARAMS)
     assert look.position_odom is None, look.reason
 
 
-def test_ditch_hidden_at_30_m_is_found_on_the_second_look(tmp_path: Path) -> None:
+def test_ditch_hidden_at_30_m_is_found_on_the_recheck(tmp_path: Path) -> None:
     """A slot 15 cm wide and 25 cm deep: at 30 m few pulses reach its bottom."""
     slot = ground_with_gap((12.0, 12.15, -30.0, 30.0)) + box(
         "lawn_bed", (11, -30, -1), (13, 30, -0.25)
     )
     place = survey(write(tmp_path, "ditch", slot), *SHORTER)
     site = np.array([12.4, 0.0, 0.0])
-    look = look_again(hover_over(place, site, 10.0, 4.0), site, 3.0, PARAMS)
+    look = recheck_site(hover_over(place, site, 10.0, 4.0), site, 3.0, PARAMS)
     assert abs(look.position_odom[0] - 12.1) > 1.0, look.reason
     assert "moved" in look.reason
 

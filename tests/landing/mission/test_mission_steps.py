@@ -17,9 +17,11 @@ from touchdown.landing.mission import energy, phases
 from touchdown.landing.mission.choice import choose_sites
 from touchdown.landing.mission.descent import descend_to, final_descent
 from touchdown.landing.mission.heading import HeadingTurn
-from touchdown.landing.mission.health import HealthWatch
-from touchdown.landing.mission.mission_state import Mission, vertical_move
+from touchdown.landing.mission.mission import Mission
+from touchdown.landing.mission.rules import Action, Moment
 from touchdown.landing.mission.touchdown import TouchdownDetector
+from touchdown.landing.mission.trajectory import vertical_move
+from touchdown.landing.mission.view import MissionView
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
@@ -55,18 +57,18 @@ class Stage:
         start = Pose(rotation_from_yaw(yaw), rig.world_from_body_start.translation)
         rig = dataclasses.replace(rig, world_from_body_start=start)
         self.mission = Mission(rig, dataclasses.replace(LandingParams(), **params), QUICK)
-        self.mission.takeoff_s = 0.0
+        self.mission.state.take_off(0.0)
+        self.mission.state.choose(SITE.copy())
         self.maps: Maps = lambda legs: (LEVEL, 1)
         self.position = np.array(position, float)
         self.world_from_odom = Pose.identity()
         self.tick, self.battery = 0, 1.0
         self.carried: Callable[[float], float] = lambda legs: 1.0
         self.spread: Callable[[float], float] = lambda legs: 1e-4
+        self.healthy, self.load_aloft = True, lambda: 0.0
         self.result: Any = None
-        self.mission.obs = landing_support.make_obs(0)
         self.feed()
-        self.mission.reference_world = self.mission.world(self.position)
-        self.mission.site_odom = SITE.copy()
+        self.mission.reference_world = self.mission.view.world(self.position)
 
     def feed(self, velocity: Array | None = None) -> None:
         legs = float(self.position[2]) - landing_support.LEG_HEIGHT
@@ -83,10 +85,17 @@ class Stage:
         )
         estimate = dataclasses.replace(
             estimate, world_from_odom=self.world_from_odom,
-            position_covariance=self.spread(legs) * np.eye(3),
+            position_covariance=self.spread(legs) * np.eye(3), healthy=self.healthy,
         )  # fmt: skip
         view: MapView = dataclasses.replace(landing_support.view_of(COARSE, grid), version=version)
         self.mission.update(obs, estimate, view)
+        self.mission.view = dataclasses.replace(self.mission.view, load_aloft=self.load_aloft())
+
+    def show(self, coarse: GridMap, **changes: Any) -> None:
+        """Replaces the coarse map, and more of the view, until the next control step."""
+        self.mission.view = dataclasses.replace(
+            self.mission.view, map_view=landing_support.view_of(coarse), **changes
+        )
 
     def run(self, steps: Any, seconds: float = 120.0) -> list[Setpoint]:
         """Setpoints to the end of ``steps``; its value is ``result``."""
@@ -130,7 +139,7 @@ def test_descent_looks_at_10_m_and_sweeps_along_the_heading_at_4_m() -> None:
     np.testing.assert_allclose(low[-round(hover_s / STEP_S) :], 0.0, atol=1e-6)
     assert np.linalg.norm(np.diff(path[at_commit], axis=0), axis=1).max() <= 1.2 * STEP_S + 1e-6
     np.testing.assert_allclose(path[-1], [0.0, 0.0, 4.0], atol=0.02)
-    np.testing.assert_allclose(stage.mission.committed_site_world, SITE, atol=0.02)
+    np.testing.assert_allclose(stage.mission.state.committed_site_world, SITE, atol=0.02)
 
 
 @pytest.mark.parametrize(("seen_below", "height"), [(12.0, "10 m"), (6.0, "4 m")])
@@ -138,8 +147,8 @@ def test_each_look_refuses_rubble(seen_below: float, height: str) -> None:
     stage = Stage(SITE + [0.0, 0.0, 15.0])
     stage.maps = lambda legs: (RUBBLE if legs < seen_below else LEVEL, 1)
     setpoints = stage.run(descend_to(stage.mission))
-    assert stage.result is not None and stage.result.startswith(f"at {height}: ")
-    assert stage.mission.committed_site_world is None
+    assert stage.result is not None and stage.result.reason.startswith(f"at {height}: ")
+    assert stage.mission.state.committed_site_world is None
     # patience of three seconds before it gives up
     still = np.abs(places(setpoints)[:, 2] - setpoints[-1].position_odom[2]) < 1e-6
     assert still.sum() * STEP_S > 4.0
@@ -150,9 +159,9 @@ def test_an_emergency_refuses_nothing_and_does_not_sweep(changes: dict[str, Any]
     stage = Stage(SITE + [0.0, 0.0, 15.0], **changes)
     stage.maps = lambda legs: (RUBBLE, 1)
     if not changes:
-        stage.mission.deadline_s = 40.0
+        stage.mission.state.set_deadline(40.0)
     path = places(stage.run(descend_to(stage.mission)))
-    assert stage.result is None and stage.mission.committed_site_world is not None
+    assert stage.result is None and stage.mission.state.committed_site_world is not None
     np.testing.assert_allclose(path[:, :2], np.tile(SITE[:2], (len(path), 1)), atol=1e-6)
 
 
@@ -168,7 +177,7 @@ def test_a_box_on_the_site_is_evaded_at_10_m_and_too_near_at_4_m(
     path = places(stage.run(descend_to(stage.mission)))
     assert (stage.result is not None) == refused
     if not refused:
-        site = stage.mission.committed_site_world
+        site = stage.mission.state.committed_site_world
         assert 1.0 < np.linalg.norm(site[:2] - SITE[:2]) < 3.0
         np.testing.assert_allclose(path[-1, :2], site[:2], atol=1e-6)
 
@@ -185,7 +194,7 @@ def test_final_descent_follows_the_ground_slowly_and_not_near_it() -> None:
     setpoints = stage.run(final_descent(stage.mission))
     flown = [s for s in setpoints if s.thrust_limit is None and s.motors_on]
     path, speed = places(flown), np.array([s.velocity_odom[2] for s in flown])
-    assert stage.mission.final
+    assert stage.mission.state.final
     assert speed.min() == pytest.approx(-LandingParams().final_speed_mps, abs=1e-3)
     added = np.diff(path[:, 2]) / STEP_S - 0.5 * (speed[1:] + speed[:-1])
     assert np.max(added) == pytest.approx(0.05, abs=2e-3) and added.min() > -1e-3
@@ -250,7 +259,7 @@ def test_motors_stop_in_half_a_second_and_rest_for_one() -> None:
     assert len(ramp) * STEP_S == pytest.approx(0.5, abs=STEP_S)
     off = [s for s in setpoints if not s.motors_on]
     assert len(off) * STEP_S == pytest.approx(1.0, abs=STEP_S)
-    assert setpoints[-len(off) :] == off and stage.mission.phase is Phase.TOUCHDOWN
+    assert setpoints[-len(off) :] == off and stage.mission.state.phase is Phase.TOUCHDOWN
 
 
 @pytest.mark.parametrize(
@@ -294,12 +303,15 @@ def test_motors_spin_up_after_the_sensors_have_settled() -> None:
 
 def test_take_off_climbs_to_survey_height_and_turns_the_heading() -> None:
     stage = Stage(np.array([0.0, 0.0, landing_support.LEG_HEIGHT]), yaw=0.3)
-    stage.mission.survey = dataclasses.replace(QUICK, climb_turn_deg=90.0)
-    stage.mission.takeoff_s = None
+    turning = dataclasses.replace(QUICK, climb_turn_deg=90.0)
+    stage.mission = Mission(stage.mission.rig, stage.mission.params, turning)
+    stage.feed()
     setpoints = stage.run(phases.take_off(stage.mission))
     assert setpoints[-1].position_odom == pytest.approx([0.0, 0.0, QUICK.height_m])
     assert setpoints[-1].yaw_odom == pytest.approx(0.3 + np.pi / 2)
-    assert stage.mission.takeoff_s == 0.0 and min(s.velocity_odom[2] for s in setpoints) >= 0.0
+    assert (
+        stage.mission.state.takeoff_s == 0.0 and min(s.velocity_odom[2] for s in setpoints) >= 0.0
+    )
     assert max(s.velocity_odom[2] for s in setpoints) == pytest.approx(3.0, abs=1e-6)
 
 
@@ -315,7 +327,7 @@ def test_the_way_to_the_site_keeps_its_margin(top: float, aside: float, expected
     row, col = int((aside + 10.0) / 0.2), int((8.0 + 10.0) / 0.2)
     height[row : row + 2, col : col + 2] = top
     grid = landing_support.make_grid(height, origin=(-10.0, -10.0), returns=2, sigma=0.0)
-    stage.mission.map_view = landing_support.view_of(grid)
+    stage.show(grid)
     site = np.array([10.0, 0.0, 0.0])
     assert phases.approach_height(stage.mission, stage.position, site) == pytest.approx(expected)
 
@@ -333,9 +345,10 @@ def test_a_decision_takes_its_time_and_sets_the_site() -> None:
     setpoints = stage.run(phases.select(stage.mission))
     assert len(setpoints) * STEP_S == pytest.approx(0.5 + 0.4, abs=3.0 * STEP_S)
     assert np.ptp(places(setpoints), axis=0) == pytest.approx(0.0, abs=1e-9)
-    (decision,) = stage.mission.decisions
-    assert stage.result is decision.candidates[0] and stage.result.accepted
-    np.testing.assert_array_equal(stage.mission.site_odom, stage.result.position_odom)
+    (decision,) = stage.mission.state.decisions
+    site = decision.candidates[0]
+    assert stage.result is None and site.accepted
+    np.testing.assert_array_equal(stage.mission.state.site_odom, site.position_odom)
     assert decision.time_s == pytest.approx(0.5, abs=2.0 * STEP_S)
 
 
@@ -343,11 +356,11 @@ def test_a_refused_site_is_remembered_and_its_decision_says_why() -> None:
     stage = Stage(np.array([0.0, 0.0, 20.0]), go_arounds=0)
     stage.maps = lambda legs: (RUBBLE if legs < 12.0 else None, 1)
     stage.run(phases.land_somewhere(stage.mission))
-    assert stage.result is False and stage.mission.no_site
-    refused, decision = stage.mission.refused_odom, stage.mission.decisions[-1]
+    assert stage.result.action is Action.RETURN and stage.mission.state.no_site
+    refused, decision = stage.mission.state.refused_odom, stage.mission.state.decisions[-1]
     assert len(refused) == 1
     assert refused[0][:2] == pytest.approx(decision.candidates[0].position_odom[:2])
-    assert decision.given_up.startswith("at 10 m: ") and stage.mission.site_odom is None
+    assert decision.given_up.startswith("at 10 m: ") and stage.mission.state.site_odom is None
 
 
 def test_strong_wind_makes_sites_beside_obstacles_less_probable() -> None:
@@ -357,9 +370,9 @@ def test_strong_wind_makes_sites_beside_obstacles_less_probable() -> None:
     found = []
     for wind in (0.0, 12.0):
         stage = Stage(np.array([0.0, 0.0, 20.0]), min_safe_probability=0.0, gust_drift_s=0.1)
-        stage.mission.map_view = landing_support.view_of(grid)
-        stage.mission.wind._wind = np.array([wind, 0.0])
-        found.append(sum(site.safe_probability for site in choose_sites(stage.mission)[:4]))
+        stage.show(grid, wind_mps=wind)
+        sites = choose_sites(stage.mission).candidates[:4]
+        found.append(sum(site.safe_probability for site in sites))
     assert found[1] < found[0] - 0.01
 
 
@@ -371,8 +384,8 @@ def test_the_way_home_is_flown_at_survey_height() -> None:
     assert aside.any()
     np.testing.assert_allclose(path[aside, 2], QUICK.height_m, atol=0.01)
     assert path[-1, :2] == pytest.approx([0.0, 0.0], abs=0.01)
-    assert stage.mission.committed_site_world == pytest.approx([0.0, 0.0, 0.0])
-    assert stage.mission.phase is Phase.TOUCHDOWN
+    assert stage.mission.state.committed_site_world == pytest.approx([0.0, 0.0, 0.0])
+    assert stage.mission.state.phase is Phase.TOUCHDOWN
 
 
 def test_a_search_leg_lies_beside_the_last_one_and_begins_at_its_nearer_end() -> None:
@@ -380,11 +393,12 @@ def test_a_search_leg_lies_beside_the_last_one_and_begins_at_its_nearer_end() ->
     turn = rotation_from_yaw(yaw)
     for here, ends in ((0.0, (0.0, 20.0)), (20.0, (20.0, 0.0))):
         stage = Stage(turn @ [here, 10.0, 20.0], yaw=yaw)
-        path = places(stage.run(phases.search_leg(stage.mission, 1))) @ turn
+        stage.mission.state.begin_search_leg()
+        path = places(stage.run(phases.search_leg(stage.mission))) @ turn
         np.testing.assert_allclose(path[:, 2], 20.0, atol=1e-6)
         assert path[-1] == pytest.approx([ends[1], 30.0, 20.0], abs=0.01)
         passed = np.linalg.norm(path - [ends[0], 30.0, 20.0], axis=1).min()
-        assert passed < 0.01 and stage.mission.phase is Phase.SURVEY
+        assert passed < 0.01 and stage.mission.state.phase is Phase.SURVEY
 
 
 def test_a_go_around_climbs_to_survey_height_on_the_spot() -> None:
@@ -402,7 +416,7 @@ def test_an_aborted_flight_comes_down_where_the_wind_has_blown_it(
     stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
     stage.position = stage.position + [blown, 0.0, 0.0]
     stage.feed()
-    stage.run(phases.come_down_here(stage.mission))
+    stage.run(phases.land_in_place(stage.mission))
     assert stage.position[0] - SITE[0] == pytest.approx(lands_at, abs=0.02)
 
 
@@ -420,7 +434,9 @@ def test_a_hold_and_a_stop_end_a_leg() -> None:
     assert len(setpoints) * STEP_S == pytest.approx(path.duration_s + 1.0, abs=STEP_S)
     assert setpoints[-1].position_odom == pytest.approx([0.0, 0.0, 4.0])
     stage = Stage(np.array([0.0, 0.0, 10.0]), slow_in_wind=True)
-    stopped = stage.run(stage.mission.follow(path, until=lambda: stage.tick > 1200))
+    stage.load_aloft = lambda: 1.1 if stage.tick > 1200 else 0.9
+    stopped = stage.run(stage.mission.follow(path, until=Moment.CLIMB))
+    assert stage.result.rule.name == "wind_aloft"
     assert 4.5 < stopped[-1].position_odom[2] < 9.0
     assert np.linalg.norm(np.diff(places(stopped)[-3:], axis=0), axis=1).max() < 1e-3
 
@@ -449,33 +465,35 @@ def test_costs_of_segments_by_hand() -> None:
 
 def test_time_left_decides_on_search_go_around_reach_and_emergency() -> None:
     stage = Stage(np.array([30.0, 40.0, 20.0]), cruise_speed_mps=5.0)
-    mission, params = stage.mission, stage.mission.params
-    stage.battery, stage.tick = 0.9, 2400
-    stage.feed()
-    assert mission.time_left_s() == np.inf  # four seconds say nothing
+    mission, state, params = stage.mission, stage.mission.state, stage.mission.params
+
+    def at(battery: float) -> MissionView:
+        stage.battery = battery
+        stage.feed()
+        return mission.view
+
+    stage.tick = 2400
+    assert at(0.9).time_left_s == np.inf  # four seconds say nothing
     stage.tick = 60_000
-    stage.feed()
-    assert mission.time_left_s() == pytest.approx(900.0) and mission.away_m == pytest.approx(50.0)
+    view = at(0.9)
+    assert view.time_left_s == pytest.approx(900.0) and view.away_m == pytest.approx(50.0)
     again = energy.go_around_time_s(QUICK.height_m, params)
-    assert mission.reach_m() == pytest.approx((900.0 - 2.0 * again) * 5.0 / 1.875)
+    assert energy.reach_m(view, state) == pytest.approx((900.0 - 2.0 * again) * 5.0 / 1.875)
     home = energy.return_time_s(50.0, QUICK.height_m, params)
     for seconds, affords in (
-        (energy.search_leg_time_s(QUICK, params), mission.affords_search_leg),
-        (again, mission.affords_go_around),
+        (energy.search_leg_time_s(QUICK, params), energy.affords_search_leg),
+        (again, energy.affords_go_around),
     ):
         for spare in (-1.0, 1.0):
             left = seconds + home + spare
-            stage.battery = left / (100.0 + left)
-            stage.feed()
-            assert affords() == (spare > 0.0)
-    assert not mission.in_emergency and not mission.takes_risky
-    stage.battery = 40.0 / 140.0
-    stage.feed()
-    assert mission.in_emergency and mission.takes_risky
-    reach = energy.emergency_reach_m(QUICK.height_m, 40.0, params)
-    assert mission.reach_m() == pytest.approx(reach)
-    mission.deadline_s = mission.now + 35.0
-    assert mission.reach_m() == pytest.approx(reach - 5.0 * 5.0 / 1.875)
+            assert affords(at(left / (100.0 + left)), state) == (spare > 0.0)
+    assert not mission.view.in_emergency and not mission.view.takes_risky
+    view = at(40.0 / 140.0)
+    assert view.in_emergency and view.takes_risky
+    reach = (40.0 - energy.landing_time_s(QUICK.height_m, params, emergency=True)) * 5.0 / 1.875
+    assert energy.reach_m(view, state) == pytest.approx(reach)
+    state.set_deadline(mission.now + 35.0)
+    assert energy.reach_m(view, state) == pytest.approx(reach - 5.0 * 5.0 / 1.875)
 
 
 # ------------------------------------------------------------------------------------- frames
@@ -497,7 +515,7 @@ def test_setpoints_in_the_world_are_turned_into_the_odometry_frame() -> None:
     mission.setpoint(np.array([2.0, -3.0, 9.0]))
     assert mission.reference_world == pytest.approx([4.0, 2.0, 9.0])
     assert mission._wind_for(True) == pytest.approx([0.0, 0.0, 0.0])
-    mission.felt_wind._wind = np.array([0.0, -5.0, 0.0])
+    mission.view = dataclasses.replace(mission.view, felt_wind_odom=np.array([0.0, -5.0, 0.0]))
     assert mission._wind_for(True) == pytest.approx([5.0, 0.0, 0.0])
     assert mission._wind_for(False) == pytest.approx([0.0, -5.0, 0.0])
 
@@ -514,22 +532,24 @@ def test_the_heading_of_setpoints_is_that_of_the_turn() -> None:
 
 
 def test_an_unhealthy_estimate_stops_vehicle_and_clock_but_not_the_final_descent() -> None:
-    stage, watch = Stage(SITE + [0.0, 0.0, 3.0]), HealthWatch()
+    stage = Stage(SITE + [0.0, 0.0, 3.0])
     mission = stage.mission
-    mission.phase = Phase.DESCEND
+    mission.state.enter(Phase.DESCEND)
+    stage.healthy = False
 
-    def hold_at(tick: int) -> Setpoint | None:
+    def actions(tick: int) -> Action | None:
         stage.tick = tick
         stage.feed()
-        mission.estimate = dataclasses.replace(mission.estimate, healthy=False)
-        return watch.hold(mission)
+        ruling = mission.ask(Moment.STEP)
+        return None if ruling is None else ruling.action
 
-    mission.final = True
-    assert (hold_at(0), hold_at(1200)) == (None, None) and mission.now == 2.0
-    mission.final = False
-    assert (hold_at(1200), watch.lost(mission)) == (None, False)
-    held = hold_at(2400)
-    assert held is not None and not held.velocity_odom.any()
+    assert actions(600) is None and actions(1194) is None  # less than a second
+    assert actions(1206) is Action.HOLD
+    before = mission.now
+    held = mission.hold()
+    assert not held.velocity_odom.any()
     np.testing.assert_allclose(held.position_odom, stage.position)
-    assert mission.now == 2.0 and not watch.lost(mission) and hold_at(6001) is None
-    assert [watch.lost(mission), watch.lost(mission)] == [True, False]
+    assert mission.now == pytest.approx(before - 12 / 600.0)
+    assert actions(5400) is Action.LAND_IN_PLACE and mission.state.aborted
+    mission.state.descend_for_good()
+    assert actions(6000) is None

@@ -240,5 +240,5 @@ def test_wind_beyond_reach_ends_the_mission_on_the_ground() -> None:
         if view.phase is Phase.DESCEND and reached[2] < 1.0:
             break
     assert any("leaves no way to fly this leg" in text for text in events)
-    assert any("SURVEY broken off" in text for text in events)
+    assert any("survey_blocked" in text for text in events)
     assert reached[2] < 1.0

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import LandingParams
-from touchdown.landing.mission.second_look import ground_under
+from touchdown.landing.mission.site_recheck import ground_under
 from touchdown.landing.mission.touchdown import TouchdownDetector
 from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, observed_raster
 from touchdown.landing.selection.ground.landable import (

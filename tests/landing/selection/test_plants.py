@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import LandingParams
-from touchdown.landing.mission.second_look import ground_under, look_again
+from touchdown.landing.mission.site_recheck import ground_under, recheck_site
 from touchdown.landing.selection.ground.elevation_raster import observed_raster
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
 from touchdown.landing.selection.selector import select_sites
@@ -125,11 +125,11 @@ def test_look_from_ten_metres_lands_between_and_on_clumps_of_grass() -> None:
             cover[row : row + 8, col : col + 8] = 0.18
     grid = _map(np.zeros((320, 320)), cover, 0.67, cell_m=0.05)
     view = view_of(make_grid(_flat()), grid)
-    look = look_again(view, np.array([8.0, 8.0, 0.0]), 3.0, PARAMS)
+    look = recheck_site(view, np.array([8.0, 8.0, 0.0]), 3.0, PARAMS)
     assert look.position_odom is not None, look.reason
     assert look.position_odom[2] == pytest.approx(0.0, abs=0.03)
     grid.max_height_m[160, 160] = 0.5  # a stake
-    moved = look_again(view, np.array([8.0, 8.0, 0.0]), 3.0, PARAMS)
+    moved = recheck_site(view, np.array([8.0, 8.0, 0.0]), 3.0, PARAMS)
     assert np.hypot(*(moved.position_odom[:2] - 8.0)) > 1.0
 
 
@@ -137,7 +137,7 @@ def test_look_from_ten_metres_lands_between_and_on_clumps_of_grass() -> None:
 def test_stake_in_a_wide_stand_is_seen_wherever_the_cells_lie(row: int) -> None:
     grid = _map(np.zeros((320, 320)), np.full((320, 320), 0.18), 0.67, cell_m=0.05)
     grid.max_height_m[row, 160] = 0.5
-    look = look_again(view_of(make_grid(_flat()), grid), np.array([8.0, 8.0, 0.0]), 0.0, PARAMS)
+    look = recheck_site(view_of(make_grid(_flat()), grid), np.array([8.0, 8.0, 0.0]), 0.0, PARAMS)
     assert look.position_odom is None and "an object" in look.reason
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import Candidate, LandingParams, Selection
-from touchdown.landing.mission.second_look import look_again
+from touchdown.landing.mission.site_recheck import recheck_site
 from touchdown.landing.selection.clustering import Clusters
 from touchdown.landing.selection.ground.elevation_raster import (
     ElevationRaster,
@@ -310,28 +310,28 @@ def fine(height: Array) -> GridMap:
 SITE = np.array([8.0, 8.0, 0.0])
 
 
-def test_the_second_look_moves_no_farther_than_it_must() -> None:
+def test_the_recheck_moves_no_farther_than_it_must() -> None:
     stone = np.zeros((160, 160))
     stone[78:84, 84:90] = 0.25  # 0.2 to 0.5 m east of the site
-    moved = look_again(view_of(level(), fine(stone)), SITE, 3.0, PARAMS).position_odom
+    moved = recheck_site(view_of(level(), fine(stone)), SITE, 3.0, PARAMS).position_odom
     away = float(np.linalg.norm(moved[:2] - SITE[:2]))
     # 1.15 m free around it, and up to a metre of clearance as far as it costs no more than it gives
     assert 0.9 < away < 2.4 and moved[0] < 7.4
 
 
 @pytest.mark.parametrize(("slope_deg", "taken"), [(4.0, True), (6.0, False)])
-def test_the_second_look_checks_the_slope(slope_deg: float, taken: bool) -> None:
+def test_the_recheck_checks_the_slope(slope_deg: float, taken: bool) -> None:
     _, x = np.mgrid[0:160, 0:160] * 0.05
     grid = fine(np.tan(np.deg2rad(slope_deg)) * x)
     params = dataclasses.replace(PARAMS, slope_margin_deg=-20.0)
-    look = look_again(view_of(level(), grid), SITE, 1.0, params)
+    look = recheck_site(view_of(level(), grid), SITE, 1.0, params)
     assert (look.position_odom is not None) is taken
     assert taken or "slope 6.0 deg from closer" in look.reason
 
 
-def test_the_second_look_needs_three_returns_a_cell() -> None:
+def test_the_recheck_needs_three_returns_a_cell() -> None:
     grid = fine(np.zeros((160, 160)))
     grid.count[:] = 0.5  # two by two cells are merged
-    assert look_again(view_of(level(), grid), SITE, 1.0, PARAMS).position_odom is None
+    assert recheck_site(view_of(level(), grid), SITE, 1.0, PARAMS).position_odom is None
     grid.count[:] = 1.0
-    assert look_again(view_of(level(), grid), SITE, 1.0, PARAMS).position_odom is not None
+    assert recheck_site(view_of(level(), grid), SITE, 1.0, PARAMS).position_odom is not None

@@ -1,4 +1,4 @@
-"""The second look at 10 m and 4 m: the check of the site on the fine map."""
+"""The recheck of the site from 10 m and 4 m, on the fine map."""
 
 from __future__ import annotations
 
@@ -32,29 +32,44 @@ _ENOUGH_CLEARANCE_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Look:
-    """Result of a look: where to land (None: go around) and the reason, as text."""
+class Recheck:
+    """Result of a recheck."""
 
     position_odom: Array | None
+    """(3,) where to land; None where the ground is not landable"""
     reason: str
+    height: str = ""
+    """height above the site, as text"""
+    unsafe_class: str = ""
+    """reason why the class of the ground is refused; empty where it is not"""
+
+    @property
+    def passed(self) -> bool:
+        """True where the vehicle may land at ``position_odom``."""
+        return self.position_odom is not None and not self.unsafe_class
+
+    @property
+    def text(self) -> str:
+        """What was found, with the height."""
+        return f"at {self.height}: {self.unsafe_class or self.reason}"
 
 
-def look_again(
+def recheck_site(
     map_view: MapView, site_odom: Array, max_shift_m: float, params: LandingParams
-) -> Look:
+) -> Recheck:
     """Checks the fine map around ``site_odom`` (3,).
 
     Keeps the site where it is landable, else moves it to the landable cell within ``max_shift_m``
     with the most clearance minus distance."""
     raster = _fine_window(map_view, site_odom, max_shift_m, params)
     if raster is None:
-        return Look(position_odom=None, reason="no fine map of the site")
+        return Recheck(position_odom=None, reason="no fine map of the site")
     margin = params.low_margin_m
     planes = ground_planes(raster, params)
     landable = assess(raster, planes, params, margin_m=margin, min_returns=_MIN_RETURNS)
     row, col = raster.cell_of(site_odom)
     if not raster.contains(row, col):
-        return Look(position_odom=None, reason="the site lies outside the fine map")
+        return Recheck(position_odom=None, reason="the site lies outside the fine map")
     if landable.mask[row, col]:
         return _checked_plane(raster, site_odom[:2], params, "as selected")
     defect = explain(raster, landable, row, col, params, margin).text
@@ -64,7 +79,7 @@ def look_again(
     merit = np.where(landable.mask & (away <= max_shift_m), clearance - away, -np.inf)
     best = int(np.argmax(merit))
     if not np.isfinite(merit.flat[best]):
-        return Look(position_odom=None, reason=f"not landable from closer: {defect}")
+        return Recheck(position_odom=None, reason=f"not landable from closer: {defect}")
     row, col = divmod(best, raster.shape[1])
     return _checked_plane(
         raster, raster.centre_of(row, col), params, f"moved {away[row, col]:.1f} m: {defect}"
@@ -111,15 +126,15 @@ def _fine_window(
     return without_plants(seen, plants, params.ground)
 
 
-def _checked_plane(raster: ElevationRaster, xy: Array, params: LandingParams, how: str) -> Look:
+def _checked_plane(raster: ElevationRaster, xy: Array, params: LandingParams, how: str) -> Recheck:
     plane = fit_footprint(raster, xy, params.ground.footprint_m)
     if plane is None:
-        return Look(position_odom=None, reason="the ground under the site is unknown")
+        return Recheck(position_odom=None, reason="the ground under the site is unknown")
     if plane.slope_deg > params.max_slope_deg:
-        return Look(position_odom=None, reason=f"slope {plane.slope_deg:.1f} deg from closer")
+        return Recheck(position_odom=None, reason=f"slope {plane.slope_deg:.1f} deg from closer")
     if plane.roughness_m > params.max_step_m:
-        return Look(position_odom=None, reason=f"{plane.roughness_m:.2f} m off its plane")
-    return Look(
+        return Recheck(position_odom=None, reason=f"{plane.roughness_m:.2f} m off its plane")
+    return Recheck(
         position_odom=plane.position,
         reason=f"{how}; slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m",
     )

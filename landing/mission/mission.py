@@ -1,0 +1,292 @@
+"""One mission: its view of the control step, its state, and the reference that it moves."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Generator
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.controller.api import Setpoint
+from touchdown.estimator.api import Estimate, MapView
+from touchdown.landing.api import (
+    LandingParams,
+    Phase,
+    Selection,
+    SelectorInput,
+    SelectorRig,
+    SurveyParams,
+)
+from touchdown.landing.classification.site_check import SiteClassCheck
+from touchdown.landing.mission.heading import HeadingTurn
+from touchdown.landing.mission.rules import Moment, Ruling, first_ruling
+from touchdown.landing.mission.state import MissionState
+from touchdown.landing.mission.time_scaling import TimeScaling, scaled
+from touchdown.landing.mission.trajectory import PiecewiseTrajectory
+from touchdown.landing.mission.view import MissionView
+from touchdown.landing.mission.wind import FeltWind, WindEstimator, WindProfile
+from touchdown.landing.selection.selector import shipped_selection
+from touchdown.sim.api import Observation, SensorRig
+from touchdown.sim.frames import wrap_angle, yaw_from_rotation
+
+Array = NDArray[np.float64]
+Steps = Generator[Setpoint, None, None]
+RuledSteps = Generator[Setpoint, None, Ruling | None]
+"""steps that end with the rule that ended them, or None"""
+Select = Callable[[SelectorInput], Selection]
+
+_REPORTED_RATE = 0.9
+"""rate of the reference's clock below which a leg is said to be slowed"""
+_LEARN_PERIOD_S = 0.1
+_FEEL_ABOVE_M = 3.0
+"""height from which on the felt wind has settled after the take-off"""
+_GUSTS_ALOFT = 0.25
+"""gusts over the mean wind that a survey at a height must leave room for: two standard deviations
+of the turbulence of MIL-F-8785C at 30 m over the mean wind there"""
+
+
+class LegBlockedError(Exception):
+    """The wind leaves no way along a trajectory. The reference has stopped."""
+
+    def __init__(self, ruling: Ruling) -> None:
+        super().__init__(ruling.reason)
+        self.action = ruling.action
+
+
+class Mission:
+    """A landing mission. Phases read ``view`` and ``state``, change ``state`` by its methods, and
+    move the reference."""
+
+    view: MissionView
+
+    def __init__(
+        self,
+        rig: SensorRig,
+        params: LandingParams,
+        survey: SurveyParams,
+        class_check: SiteClassCheck | None = None,
+        select: Select | None = None,
+    ) -> None:
+        self.rig = rig
+        self.params = params
+        self.select: Select = select or partial(
+            shipped_selection, rig=SelectorRig(vehicle=rig.vehicle, landing=params)
+        )
+        """makes a selection of what is seen"""
+        self.class_check = class_check
+        """ground classification; None where it is off"""
+        self.state = MissionState(survey)
+        start = rig.world_from_body_start
+        self.start_world: Array = start.translation.copy()
+        self.start_yaw = yaw_from_rotation(start.rotation)
+        self.leg_height = rig.vehicle.leg_height_m
+        self.reference_world: Array = self.start_world.copy()
+        """(3,) position of the last setpoint"""
+        self.turn: HeadingTurn | None = None
+        self.wind = WindEstimator(rig.vehicle)
+        self.felt_wind = FeltWind(rig.vehicle)
+        self._profile = WindProfile()
+        self._time_scaling = TimeScaling(rig.vehicle, params)
+        self._next_learning_s = 0.0
+        self._time_s = self._last_s = self._held_s = 0.0
+        self._unhealthy_since_s: float | None = None
+
+    # ------------------------------------------------------------------------------- inputs
+
+    def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> None:
+        """Takes over the inputs of a control step."""
+        state, flying = self.state, self.state.takeoff_s is not None
+        self._last_s, self._time_s = self._time_s, obs.time_s
+        state.begin_step()
+        if self.class_check is not None:
+            self.class_check.update(obs, estimate, map_view)
+        if flying and state.phase is not Phase.TOUCHDOWN:
+            self.wind.update(obs, estimate)
+            if self.params.slow_in_wind:
+                self._feel_wind(obs, estimate)
+        now = obs.time_s - self._held_s
+        self.view = MissionView(
+            params=self.params,
+            start_world=self.start_world,
+            leg_height_m=self.leg_height,
+            obs=obs,
+            estimate=estimate,
+            map_view=map_view,
+            now_s=now,
+            time_left_s=_time_left_s(obs.battery_fraction, now, state.takeoff_s),
+            unhealthy_s=self._unhealthy_s(obs.time_s, estimate.healthy),
+            wind_mps=self.wind.speed_mps,
+            felt_wind_odom=self.felt_wind.wind_odom,
+            load_aloft=self._load_aloft(),
+        )
+
+    def _feel_wind(self, obs: Observation, estimate: Estimate) -> None:
+        self.felt_wind.update(obs, estimate)
+        if obs.time_s >= self._next_learning_s and not self.state.final:
+            self._next_learning_s = obs.time_s + _LEARN_PERIOD_S
+            self._time_scaling.learn(
+                estimate.velocity_odom - self.felt_wind.wind_odom,
+                estimate.acceleration_odom,
+                float(np.mean(obs.rotor_speed_radps)),
+                _LEARN_PERIOD_S,
+            )
+
+    def _unhealthy_s(self, time_s: float, healthy: bool) -> float:
+        if healthy or self.state.takeoff_s is None:
+            self._unhealthy_since_s = None
+            return -1.0
+        if self._unhealthy_since_s is None:
+            self._unhealthy_since_s = time_s
+        return time_s - self._unhealthy_since_s
+
+    def _load_aloft(self) -> float:
+        """Load of a hover at survey height in the mean wind felt so far in the climb. Below
+        ``survey.min_height_m`` the climb goes on in any wind."""
+        survey, ground = self.state.survey, float(self.start_world[2]) - self.leg_height
+        height = float(self.reference_world[2]) - ground
+        climbs = self.state.phase is Phase.TAKEOFF and self.params.slow_in_wind
+        if not climbs or height < _FEEL_ABOVE_M:
+            return 0.0
+        self._profile.update(self.felt_wind.wind_odom, height)
+        if not survey.min_height_m <= height < survey.height_m - 1.0:
+            return 0.0
+        wind = (1.0 + _GUSTS_ALOFT) * self._profile.at(survey.height_m)
+        return self._time_scaling.hover_load(wind, gusts=False)
+
+    @property
+    def now(self) -> float:
+        """Mission time without the control steps that were held, s."""
+        return self.view.now_s
+
+    @property
+    def reference_odom(self) -> Array:
+        """(3,) position of the last setpoint, odom frame by the current estimate."""
+        return self.view.odom(self.reference_world)
+
+    def ask(self, moment: Moment) -> Ruling | None:
+        """Returns the first rule that decides at ``moment``, noted in the state; None where none
+        does."""
+        ruling = first_ruling(moment, self.view, self.state)
+        if ruling is not None:
+            self.state.follow_rule(ruling)
+        return ruling
+
+    # ------------------------------------------------------------------------------ outputs
+
+    def setpoint(
+        self,
+        position: Array,
+        velocity: Array | None = None,
+        acceleration: Array | None = None,
+        *,
+        in_world: bool = False,
+        motors_on: bool = True,
+        thrust_limit: float | None = None,
+    ) -> Setpoint:
+        """Returns a setpoint in the odom frame from a reference in that or in the world frame, and
+        stores the reference for the recording."""
+        velocity = np.zeros(3) if velocity is None else velocity
+        acceleration = np.zeros(3) if acceleration is None else acceleration
+        world_from_odom = self.view.estimate.world_from_odom
+        turned, rate = (0.0, 0.0) if self.turn is None else self.turn.sample(self.now)
+        heading = self.start_yaw + turned
+        if in_world:
+            self.reference_world = position
+            position = self.view.odom(position)
+            velocity = world_from_odom.rotation.T @ velocity
+            acceleration = world_from_odom.rotation.T @ acceleration
+        else:
+            self.reference_world = world_from_odom.apply(position)
+        return Setpoint(
+            position_odom=position,
+            velocity_odom=velocity,
+            acceleration_odom=acceleration,
+            yaw_odom=wrap_angle(heading - yaw_from_rotation(world_from_odom.rotation)),
+            yaw_rate=rate,
+            motors_on=motors_on,
+            thrust_limit=thrust_limit,
+        )
+
+    def hold(self) -> Setpoint:
+        """Returns the setpoint that stays at the reference, and stops the clock of the mission for
+        this control step."""
+        self._held_s += self._time_s - self._last_s
+        self.view = dataclasses.replace(self.view, now_s=self._time_s - self._held_s)
+        return self.setpoint(self.reference_world, in_world=True)
+
+    def follow(
+        self,
+        trajectory: PiecewiseTrajectory,
+        *,
+        in_world: bool = False,
+        hold_s: float = 0.0,
+        until: Moment | None = None,
+        min_rate: float = 0.0,
+    ) -> RuledSteps:
+        """Follows a trajectory that ends at rest, and stays at its end for ``hold_s``.
+
+        In a wind that leaves too little margin the trajectory takes longer, see `time_scaling`;
+        raises LegBlockedError where a rule says that it is blocked. Once a rule of the moment
+        ``until`` decides, the reference comes to rest where it is, and that rule is returned.
+        ``min_rate`` is a rate that the clock keeps in any wind."""
+        scaling, state, start, before = self._time_scaling, self.state, self.now, self.now
+        reported, stop = False, None
+        scaling.begin(trajectory, self._wind_for(in_world))
+        while (t := self.now - start - scaling.lost_s) < trajectory.duration_s + hold_s:
+            sample = trajectory.sample(min(t, trajectory.duration_s))
+            yield self.setpoint(*scaled(sample, scaling.rate, scaling.change), in_world=in_world)
+            if stop is None and until is not None:
+                stop = self.ask(until)
+            late = scaling.lost_s
+            scaling.advance(
+                trajectory,
+                t,
+                self.now - before,
+                self._wind_for(in_world),
+                self._behind_m(),
+                stop=stop is not None,
+                min_rate=min_rate,
+            )
+            before = self.now
+            state.follow_clock(scaling.lost_s - late, scaling.stopped_s)
+            if stop is not None:
+                if scaling.rate == 0.0:
+                    break
+                continue
+            if scaling.rate < _REPORTED_RATE and not reported:
+                reported = True
+                wind = self.view.felt_wind_mps
+                state.report(f"{state.phase}: slowed by a wind of {wind:.1f} m/s")
+            if (blocked := self.ask(Moment.LEG)) is not None:
+                raise LegBlockedError(blocked)
+        if reported and stop is None:
+            set_s = trajectory.duration_s
+            state.report(f"{state.phase}: {set_s + scaling.lost_s:.1f} s instead of {set_s:.1f} s")
+        return stop
+
+    def hover(self, seconds: float) -> Steps:
+        """Stays at the reference for ``seconds``."""
+        position = self.reference_odom
+        start = self.now
+        while self.now - start < seconds:
+            yield self.setpoint(position)
+
+    def _behind_m(self) -> float:
+        """Distance of the vehicle from the reference, as estimated."""
+        here = self.view.estimate.world_from_body.translation
+        return math.dist(here.tolist(), self.reference_world.tolist())
+
+    def _wind_for(self, in_world: bool) -> Array:
+        wind = self.view.felt_wind_odom
+        return self.view.estimate.world_from_odom.rotation @ wind if in_world else wind
+
+
+def _time_left_s(battery_fraction: float, now_s: float, takeoff_s: float | None) -> float:
+    """Remaining flight time of the battery at the mean rate since take-off, s."""
+    used = 1.0 - battery_fraction
+    if takeoff_s is None or now_s - takeoff_s < 5.0 or used <= 0.0:
+        return float("inf")
+    return battery_fraction * (now_s - takeoff_s) / used

@@ -1,0 +1,234 @@
+"""The rules of a mission: what may end or change it, in the order in which they count.
+
+A rule is a function of the view of a control step and of the state; it returns the reason in words
+where it decides, else None. Of the rules that are asked at one moment the first that decides
+counts, and the events of the flight list it by its name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+from touchdown.landing.api import Phase
+from touchdown.landing.mission import energy
+from touchdown.landing.mission.state import MissionState
+from touchdown.landing.mission.view import MissionView
+
+_IN_THE_AIR = frozenset(
+    {Phase.TAKEOFF, Phase.SURVEY, Phase.SELECT, Phase.APPROACH, Phase.DESCEND, Phase.RETURN}
+)
+_MAX_STOP_S = 40.0
+"""time for which a reference waits for a weaker wind"""
+
+
+class Moment(StrEnum):
+    """When a rule is asked."""
+
+    STEP = "each control step"
+    CLIMB = "each control step of the climb"
+    LEG = "each control step of a trajectory"
+    SELECTION = "before a selection"
+    NO_SITE = "after a selection without a site"
+    RECHECK = "after a recheck"
+    REFUSED = "after the refusal of a site"
+
+
+class Action(StrEnum):
+    """What follows from a rule."""
+
+    HOLD = "hold the position"
+    LAND_IN_PLACE = "land in place"
+    LOWER_SURVEY = "lower the survey"
+    END_SURVEY = "end the survey"
+    HURRY = "land by a deadline"
+    SEARCH = "fly another leg"
+    REFUSE = "refuse the site"
+    GO_AROUND = "go around"
+    RETURN = "return and land at the take-off spot"
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One rule, and what follows where it decides."""
+
+    name: str
+    moment: Moment
+    decides: Callable[[MissionView, MissionState], str | None]
+    action: Action
+    outcome: Literal["", "no_site", "aborted"] = ""
+    """what the flight counts as from then on"""
+
+
+@dataclass(frozen=True, slots=True)
+class Ruling:
+    """A rule that has decided, with the reason in words."""
+
+    rule: Rule
+    reason: str
+
+    @property
+    def action(self) -> Action:
+        """What follows."""
+        return self.rule.action
+
+
+def estimate_lost(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the estimate has been unhealthy for ``unhealthy_abort_s``: no target can be
+    reached without an estimate."""
+    if not _interruptible(state) or view.unhealthy_s < view.params.unhealthy_abort_s:
+        return None
+    return "the position estimate stays unhealthy: landing straight down"
+
+
+def estimate_unhealthy(view: MissionView, state: MissionState) -> str | None:
+    """Decides while the estimate has been unhealthy for ``unhealthy_hold_s``. The clock of the
+    mission stops, so that trajectories resume where they stopped."""
+    if not _interruptible(state) or view.unhealthy_s < view.params.unhealthy_hold_s:
+        return None
+    return "the position estimate is unhealthy: holding the position"
+
+
+def wind_aloft(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the wind would leave a hover at survey height no margin."""
+    if view.load_aloft <= 1.0:
+        return None
+    height = state.survey.min_height_m
+    return f"a wind of {view.felt_wind_mps:.1f} m/s, so that the survey is flown at {height:g} m"
+
+
+def survey_blocked(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the wind stops the first survey: sites are chosen on what is mapped."""
+    if state.phase is not Phase.SURVEY or state.decisions or view.params.survey_only:
+        return None
+    reason = _blocked(view, state)
+    return None if reason is None else f"{reason}: landing on what is mapped"
+
+
+def leg_blocked(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the wind stops any other trajectory."""
+    return _blocked(view, state)
+
+
+def battery(view: MissionView, state: MissionState) -> str | None:
+    """Decides, once, where a low battery leaves no time for a better site than the least bad."""
+    if not view.in_emergency or state.deadline_s is not None:
+        return None
+    return f"an emergency: landing within {view.params.emergency_s:g} s"
+
+
+def commanded_site_unsuitable(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the map refuses the commanded site."""
+    if view.params.site_xy_m is None:
+        return None
+    return f"commanded site {view.params.site_xy_m}: {state.candidates[0].reason}"
+
+
+def no_site_in_time(view: MissionView, state: MissionState) -> str | None:
+    """Decides where an emergency finds no site within reach."""
+    hurried = view.in_emergency or state.deadline_s is not None
+    return "no safe site found: landing in place" if hurried else None
+
+
+def another_leg(view: MissionView, state: MissionState) -> str | None:
+    """Decides where ``search_legs`` and the battery allow a further leg."""
+    if state.search_legs >= view.params.search_legs or not energy.affords_search_leg(view, state):
+        return None
+    return "no safe site yet: another leg"
+
+
+def no_site(view: MissionView, state: MissionState) -> str | None:
+    """Decides where no other rule does."""
+    return "no safe site found: returning to the take-off spot"
+
+
+def site_recheck(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the fine map shows no place to land. An emergency lands nevertheless."""
+    found = state.recheck
+    if found is None or found.position_odom is not None or state.deadline_s is not None:
+        return None
+    return found.text
+
+
+def class_recheck(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the ground of the site is not of a safe class, seen from closer. An emergency
+    lands nevertheless."""
+    found = state.recheck
+    if found is None or not found.unsafe_class or state.deadline_s is not None:
+        return None
+    return found.text
+
+
+def commanded_site_refused(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the commanded site was refused from closer."""
+    if view.params.site_xy_m is None:
+        return None
+    return f"the commanded site is refused: {state.decisions[-1].given_up}"
+
+
+def no_energy_to_go_around(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the battery does not last for another landing and the way home."""
+    if energy.affords_go_around(view, state):
+        return None
+    return f"no energy to go around: {state.decisions[-1].given_up}"
+
+
+def go_around(view: MissionView, state: MissionState) -> str | None:
+    """Decides where fewer than ``go_arounds`` were flown."""
+    tried, allowed = len(state.refused_odom), view.params.go_arounds
+    if tried > allowed:
+        return None
+    return f"going around ({tried} of {allowed}): {state.decisions[-1].given_up}"
+
+
+def no_go_around_left(view: MissionView, state: MissionState) -> str | None:
+    """Decides where no other rule does."""
+    return f"no go-around left: {state.decisions[-1].given_up}"
+
+
+RULES: tuple[Rule, ...] = (
+    Rule("estimate_lost", Moment.STEP, estimate_lost, Action.LAND_IN_PLACE, "aborted"),
+    Rule("estimate_unhealthy", Moment.STEP, estimate_unhealthy, Action.HOLD),
+    Rule("wind_aloft", Moment.CLIMB, wind_aloft, Action.LOWER_SURVEY),
+    Rule("survey_blocked", Moment.LEG, survey_blocked, Action.END_SURVEY),
+    Rule("leg_blocked", Moment.LEG, leg_blocked, Action.LAND_IN_PLACE, "aborted"),
+    Rule("battery", Moment.SELECTION, battery, Action.HURRY),
+    Rule(
+        "commanded_site_unsuitable", Moment.NO_SITE, commanded_site_unsuitable, Action.RETURN,
+        "aborted",
+    ),
+    Rule("no_site_in_time", Moment.NO_SITE, no_site_in_time, Action.LAND_IN_PLACE, "no_site"),
+    Rule("another_leg", Moment.NO_SITE, another_leg, Action.SEARCH),
+    Rule("no_site", Moment.NO_SITE, no_site, Action.RETURN, "no_site"),
+    Rule("site_recheck", Moment.RECHECK, site_recheck, Action.REFUSE),
+    Rule("class_recheck", Moment.RECHECK, class_recheck, Action.REFUSE),
+    Rule(
+        "commanded_site_refused", Moment.REFUSED, commanded_site_refused, Action.RETURN, "aborted"
+    ),
+    Rule(
+        "no_energy_to_go_around", Moment.REFUSED, no_energy_to_go_around, Action.RETURN, "no_site"
+    ),
+    Rule("go_around", Moment.REFUSED, go_around, Action.GO_AROUND),
+    Rule("no_go_around_left", Moment.REFUSED, no_go_around_left, Action.RETURN, "no_site"),
+)  # fmt: skip
+"""In the order in which they count."""
+
+
+def first_ruling(moment: Moment, view: MissionView, state: MissionState) -> Ruling | None:
+    """Returns the first of the rules asked at ``moment`` that decides; None where none does."""
+    for rule in RULES:
+        if rule.moment is moment and (reason := rule.decides(view, state)) is not None:
+            return Ruling(rule, reason)
+    return None
+
+
+def _interruptible(state: MissionState) -> bool:
+    return state.phase in _IN_THE_AIR and not state.final
+
+
+def _blocked(view: MissionView, state: MissionState) -> str | None:
+    if state.stopped_s <= _MAX_STOP_S:
+        return None
+    return f"a wind of {view.felt_wind_mps:.1f} m/s leaves no way to fly this leg"

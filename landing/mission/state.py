@@ -1,0 +1,145 @@
+"""What a mission has decided so far."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchdown.landing.api import Candidate, CostmapView, Decision, Phase, SurveyParams
+from touchdown.landing.classification.site_check import SiteClass
+from touchdown.landing.mission.site_recheck import Recheck
+
+if TYPE_CHECKING:
+    from touchdown.landing.mission.rules import Ruling
+
+Array = NDArray[np.float64]
+
+
+class MissionState:
+    """Decisions of a mission. Everybody reads them; they change by the methods below alone."""
+
+    def __init__(self, survey: SurveyParams) -> None:
+        self.phase = Phase.INIT
+        self.note = "waiting for the sensors to settle"
+        """the last decision, as text"""
+        self.events: tuple[str, ...] = ()
+        """messages of this control step"""
+        self.survey = survey
+        self.takeoff_s: float | None = None
+        self.deadline_s: float | None = None
+        """time of the mission by which an emergency ends on the ground"""
+        self.final = False
+        """True in the final descent, which nothing interrupts"""
+        self.decisions: tuple[Decision, ...] = ()
+        self.costmap: CostmapView | None = None
+        self.site_odom: Array | None = None
+        self.site_class: SiteClass | None = None
+        self.committed_site_world: Array | None = None
+        self.recheck: Recheck | None = None
+        """the last check of the site from closer"""
+        self.refused_odom: tuple[Array, ...] = ()
+        self.unsafe_ground_odom: tuple[Array, ...] = ()
+        """sites whose class of ground was refused"""
+        self.search_legs = 0
+        """further legs flown since a site was last refused"""
+        self.no_site = False
+        self.aborted = False
+        self.slowed_s = 0.0
+        """time by which all trajectories so far took longer than they were set"""
+        self.stopped_s = 0.0
+        """time for which the wind has stopped the clock of the present trajectory"""
+        self._ruled = self._ruled_before = ""
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Candidates of the last decision."""
+        return self.decisions[-1].candidates if self.decisions else ()
+
+    def begin_step(self) -> None:
+        """Clears the messages of the last control step."""
+        self.events = ()
+        self._ruled, self._ruled_before = "", self._ruled
+
+    def enter(self, phase: Phase, reason: str = "") -> None:
+        """Begins a phase."""
+        self.phase = phase
+        self.note = reason or self.note
+
+    def report(self, text: str) -> None:
+        """States ``text`` as the last decision and among the events."""
+        self.note = text
+        self.events += (text,)
+
+    def follow_rule(self, ruling: Ruling) -> None:
+        """Notes what a rule has decided and what it means for the outcome. A rule that decides in
+        many control steps in a row is listed in the events once."""
+        self.note = ruling.reason
+        if ruling.rule.name != self._ruled_before:
+            self.events += (f"{self.phase} {ruling.rule.name}: {ruling.reason}",)
+        self._ruled = ruling.rule.name
+        self.no_site |= ruling.rule.outcome == "no_site"
+        self.aborted |= ruling.rule.outcome == "aborted"
+
+    def take_off(self, now_s: float) -> None:
+        """Begins the climb."""
+        self.takeoff_s = now_s
+        self.enter(Phase.TAKEOFF, f"climbing to {self.survey.height_m:.0f} m")
+
+    def lower_survey(self) -> None:
+        """Takes the lowest height for the survey."""
+        self.survey = dataclasses.replace(self.survey, height_m=self.survey.min_height_m)
+
+    def set_deadline(self, deadline_s: float) -> None:
+        """Begins an emergency that ends on the ground by ``deadline_s``."""
+        self.deadline_s = deadline_s
+
+    def begin_search_leg(self) -> None:
+        """Begins a further leg of the survey."""
+        self.enter(Phase.SURVEY)
+        self.search_legs += 1
+
+    def decide(self, decision: Decision, costmap: CostmapView | None, reason: str) -> None:
+        """Adds ``decision`` to those of the flight."""
+        self.decisions += (decision,)
+        self.costmap = costmap
+        self.note = reason
+
+    def choose(self, site_odom: Array, site_class: SiteClass | None = None) -> None:
+        """Takes ``site_odom`` (3,), on the ground, as the site to land on."""
+        self.site_odom, self.site_class = site_odom, site_class
+
+    def examine(self, recheck: Recheck) -> None:
+        """Keeps what a check of the site from closer has found."""
+        self.recheck = recheck
+        self.note = recheck.text
+
+    def refuse(self, ruling: Ruling) -> None:
+        """Gives up the site, for good; its decision says why."""
+        assert self.site_odom is not None
+        self.refused_odom += (self.site_odom,)
+        self.site_odom = self.site_class = None
+        self.search_legs = 0
+        *before, last = self.decisions
+        self.decisions = (*before, dataclasses.replace(last, given_up=ruling.reason))
+
+    def refuse_ground(self, sites_odom: Iterable[Array]) -> None:
+        """Remembers sites whose class of ground is not safe."""
+        self.unsafe_ground_odom += tuple(sites_odom)
+
+    def commit(self, site_world: Array) -> None:
+        """Fixes the site (3,) that the touchdown is measured against."""
+        self.committed_site_world = site_world
+
+    def descend_for_good(self) -> None:
+        """Begins a descent that nothing interrupts."""
+        self.phase, self.final = Phase.DESCEND, True
+
+    def follow_clock(self, late_s: float, stopped_s: float) -> None:
+        """Notes by how much this control step has made the trajectory later, and for how long its
+        clock has stood still."""
+        self.slowed_s += late_s
+        self.stopped_s = stopped_s
