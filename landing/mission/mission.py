@@ -171,7 +171,7 @@ class Mission:
         does."""
         ruling = first_ruling(moment, self.view, self.state)
         if ruling is not None:
-            self.state.follow_rule(ruling)
+            self.state.follow_rule(ruling.rule.name, ruling.reason, ruling.rule.outcome)
         return ruling
 
     # ------------------------------------------------------------------------------ outputs

@@ -112,7 +112,7 @@ def land_somewhere(mission: Mission) -> RuledSteps:
         if refusal is None:
             yield from final_descent(mission)
             return None
-        mission.state.refuse(refusal)
+        mission.state.refuse(refusal.reason)
         ruling = mission.ask(Moment.REFUSED)
         if ruling is None or ruling.action is not Action.GO_AROUND:
             return ruling

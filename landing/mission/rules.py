@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
 
 from touchdown.landing.api import Phase
 from touchdown.landing.mission import energy
-from touchdown.landing.mission.state import MissionState
+from touchdown.landing.mission.state import MissionState, Outcome
 from touchdown.landing.mission.view import MissionView
 
 _IN_THE_AIR = frozenset(
@@ -58,8 +57,7 @@ class Rule:
     moment: Moment
     decides: Callable[[MissionView, MissionState], str | None]
     action: Action
-    outcome: Literal["", "no_site", "aborted"] = ""
-    """what the flight counts as from then on"""
+    outcome: Outcome = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,9 @@ from touchdown.landing.api import Candidate, CostmapView, Decision, Phase, Surve
 from touchdown.landing.classification.site_check import SiteClass
 from touchdown.landing.mission.site_recheck import Recheck
 
-if TYPE_CHECKING:
-    from touchdown.landing.mission.rules import Ruling
-
 Array = NDArray[np.float64]
+Outcome = Literal["", "no_site", "aborted"]
+"""what a flight counts as from a decision on; empty where it changes nothing"""
 
 
 class MissionState:
@@ -74,15 +73,15 @@ class MissionState:
         self.note = text
         self.events += (text,)
 
-    def follow_rule(self, ruling: Ruling) -> None:
-        """Notes what a rule has decided and what it means for the outcome. A rule that decides in
-        many control steps in a row is listed in the events once."""
-        self.note = ruling.reason
-        if ruling.rule.name != self._ruled_before:
-            self.events += (f"{self.phase} {ruling.rule.name}: {ruling.reason}",)
-        self._ruled = ruling.rule.name
-        self.no_site |= ruling.rule.outcome == "no_site"
-        self.aborted |= ruling.rule.outcome == "aborted"
+    def follow_rule(self, name: str, reason: str, outcome: Outcome) -> None:
+        """Notes what the rule ``name`` has decided. A rule that decides in many control steps in a
+        row is listed in the events once."""
+        self.note = reason
+        if name != self._ruled_before:
+            self.events += (f"{self.phase} {name}: {reason}",)
+        self._ruled = name
+        self.no_site |= outcome == "no_site"
+        self.aborted |= outcome == "aborted"
 
     def take_off(self, now_s: float) -> None:
         """Begins the climb."""
@@ -117,14 +116,14 @@ class MissionState:
         self.recheck = recheck
         self.note = recheck.text
 
-    def refuse(self, ruling: Ruling) -> None:
+    def refuse(self, reason: str) -> None:
         """Gives up the site, for good; its decision says why."""
         assert self.site_odom is not None
         self.refused_odom += (self.site_odom,)
         self.site_odom = self.site_class = None
         self.search_legs = 0
         *before, last = self.decisions
-        self.decisions = (*before, dataclasses.replace(last, given_up=ruling.reason))
+        self.decisions = (*before, dataclasses.replace(last, given_up=reason))
 
     def refuse_ground(self, sites_odom: Iterable[Array]) -> None:
         """Remembers sites whose class of ground is not safe."""

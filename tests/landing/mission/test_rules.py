@@ -55,7 +55,7 @@ def refused(mission: Mission, times: int = 1) -> None:
         recheck(mission.state, None)
         ruling = first_ruling(Moment.RECHECK, mission.view, mission.state)
         assert ruling is not None
-        mission.state.refuse(ruling)
+        mission.state.refuse(ruling.reason)
 
 
 def decided(mission: Mission, moment: Moment) -> str | None:
