@@ -19,7 +19,7 @@ def test_scenes_of_the_page_are_landed_on(
 ) -> None:
     """Short flights of `livo`, whose network does not know the photograph of grass."""
     module = tmp_path / "terrains_of_dm_control.py"
-    module.write_text(blocks_of(ROOT / "docs" / "dm-control.md", "python")[0])
+    module.write_text(blocks_of(ROOT / "docs" / "your-own-place.md", "python")[0])
     monkeypatch.syspath_prepend(tmp_path)
     sys.modules.pop(module.stem, None)
     rules = {"preset": "short", "landing.classifier": "off", "record": False}

@@ -1,6 +1,6 @@
 """Flight out of sight of any shore: error growth in five seconds, covariance, and recovery.
 
-`pytest -m slow -s tests/closed_loop/test_open_water.py` prints the figures of docs/faults.md.
+`pytest -m slow -s tests/closed_loop/test_open_water.py` prints the figures.
 """
 
 from dataclasses import dataclass, field

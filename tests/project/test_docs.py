@@ -103,7 +103,7 @@ def test_the_reference_has_every_api() -> None:
 
 @pytest.mark.parametrize(("source", "link", "in_the_site"), [
     ("README.md", "docs/scenes.md#truth-maps", "scenes.md#truth-maps"),
-    ("README.md", "docs/images/costmap.png", "images/costmap.png"),
+    ("README.md", "docs/images/costmap.webp", "images/costmap.webp"),
     ("README.md", "ARCHITECTURE.md", "architecture.md"),
     ("docs/reference/index.md", "../../README.md#results", "../index.md#results"),
     ("docs/results/ideal.md", "../images/pools.jpg", "../images/pools.jpg"),

@@ -71,7 +71,7 @@ def empty(): return mjcf.RootElement()
 def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Modules in the current directory; what is written for them is removed."""
     (tmp_path / "my_places.py").write_text(PLACES)
-    page = blocks_of(ROOT / "docs" / "dm-control.md", "python")[0]
+    page = blocks_of(ROOT / "docs" / "your-own-place.md", "python")[0]
     (tmp_path / "page_places.py").write_text(page)
     (tmp_path / "floor.xml").write_text(FLOOR)
     monkeypatch.chdir(tmp_path)
@@ -175,7 +175,7 @@ def test_entities_attach_to_our_scenes() -> None:
 def test_the_page_prints_what_it_says(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = ROOT / "docs" / "dm-control.md"
+    page = ROOT / "docs" / "your-own-place.md"
     monkeypatch.setattr(ground, "TEXELS", 1024)
     exec(blocks_of(page, "python")[1], {"__name__": "block"})
     assert f"It prints `{capsys.readouterr().out.strip()}`" in page.read_text()

@@ -204,7 +204,7 @@ ALL_AT_DIFFERENT_TIMES = (
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["livo", "zou2024"])
 def test_a_survey_with_all_of_them(estimator: str) -> None:
-    """`pytest -m slow -s tests/sim/faults/test_faults.py` prints the figures of docs/faults.md."""
+    """`pytest -m slow -s tests/sim/faults/test_faults.py` prints the errors."""
     config = load_config(
         None, ["sim.threads=1"], scene="crossroad", seed=0, estimator=estimator,
         survey_only=True, record=False, fault=ALL_AT_DIFFERENT_TIMES,
