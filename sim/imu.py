@@ -10,12 +10,55 @@ import numpy as np
 from numba import njit
 
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample
-from touchdown.sim.imu_errors import ImuErrors
+from touchdown.sim.frames import Pose, cross, matrix_from_quat_wxyz
 from touchdown.sim.typing import Array
 from touchdown.sim.vibration import PropellerVibration
 
 _DRAWN = 64
 _STOPPED = np.zeros(4)
+
+
+class ImuErrors:
+    """Turn-on errors of one IMU, drawn from the seed: scale, alignment of the axes, response of the
+    gyroscope to specific force, saturation."""
+
+    def __init__(self, params: ImuParams, seed: int) -> None:
+        scale, bend = params.scale_sigma, math.radians(params.misalignment_sigma_deg)
+        self.matrix = np.eye(6)
+        """(6, 6): measured rate and force from the true ones"""
+        # Each error has its own stream, so that one at 0 leaves the draws of the others alone.
+        for start in (0, 3):
+            name = b"gyro" if start == 0 else b"accel"
+            block = self.matrix[start : start + 3, start : start + 3]
+            block += np.diag(scale * _normal(seed, name + b" scale", 3))
+            across = ~np.eye(3, dtype=bool)
+            block[across] += bend * _normal(seed, name + b" misalignment", 6)
+        response = _normal(seed, b"gyro g sensitivity", 9).reshape(3, 3)
+        self.matrix[:3, 3:] = params.gyro_g_sensitivity * response
+        limits = np.repeat([params.gyro_range, params.accel_range], 3)
+        self._limits = np.where(limits > 0.0, limits, np.inf)
+        self._least = -self._limits
+        self.distorts = bool((self.matrix != np.eye(6)).any())
+        """False: the matrix is the identity"""
+        self.saturates = bool(np.isfinite(self._limits).any())
+
+    def sizes(self) -> dict[str, float]:
+        """Root mean squares over the axes of both sensors: relative errors of scale, and
+        misalignments in degrees."""
+        blocks = np.array([self.matrix[:3, :3], self.matrix[3:, 3:]]) - np.eye(3)
+        own = np.eye(3, dtype=bool)
+        return {
+            "imu_scale": float(np.sqrt((blocks[:, own] ** 2).mean())),
+            "imu_misalignment_deg": math.degrees(float(np.sqrt((blocks[:, ~own] ** 2).mean()))),
+        }
+
+    def saturated(self, measured: Array) -> Array:
+        """(6,) within the ranges."""
+        return np.minimum(np.maximum(measured, self._least), self._limits)
+
+
+def _normal(seed: int, name: bytes, count: int) -> Array:
+    return np.random.default_rng([seed, crc32(b"imu " + name)]).standard_normal(count)
 
 
 class ImuSensor:
@@ -103,6 +146,46 @@ class ImuSensor:
             if self._vibration.any():
                 shaking = self._vibration * self._vibration_rng.standard_normal((_DRAWN, 6))
             yield from zip(self._noise * white, self._walk * walk, shaking, strict=True)
+
+
+class MountedImu:
+    """An IMU at its place on the vehicle: it measures the motion of its own point."""
+
+    def __init__(self, sensor: ImuSensor, body_from_imu: Pose, hover_square: float) -> None:
+        """``hover_square``: sum of the squares of the rotor speeds in hover, (rad/s)^2."""
+        self.sensor, self._hover_square = sensor, hover_square
+        self._mount = body_from_imu.rotation
+        self._lever = self._mount.T @ body_from_imu.translation
+        self._is_off = bool(self._lever.any())
+
+    def start(self, quat: Array, velocity: Array, angular_velocity: Array) -> None:
+        """Begins a sample: world_from_body wxyz, world velocity (3,) m/s of the body origin, body
+        rate (3,) rad/s."""
+        self._rotation = matrix_from_quat_wxyz(quat) @ self._mount
+        self._velocity = self._own_velocity(velocity, angular_velocity)
+
+    def sample(
+        self, tick: int, quat: Array, velocity: Array, angular_velocity: Array, rotors: Array
+    ) -> ImuSample:
+        """The sample that ends at ``tick``; motion as for ``start``, rotor speeds (4,) rad/s."""
+        rotation, moved = self._rotation, self._velocity
+        self.start(quat, velocity, angular_velocity)
+        return self.sensor.sample(
+            tick,
+            rotation,
+            self._rotation,
+            moved,
+            self._velocity,
+            float(rotors @ rotors) / self._hover_square,
+            rotors,
+        )
+
+    def _own_velocity(self, velocity: Array, angular_velocity: Array) -> Array:
+        """(3,) m/s, world axes, of the IMU's own point, a new array."""
+        own = velocity.copy()
+        if self._is_off:
+            own += self._rotation @ cross(self._mount.T @ angular_velocity, self._lever)
+        return own
 
 
 def _stack(gyro: float, accel: float) -> Array:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Scene
+from touchdown.sim.air import Airflow
 from touchdown.sim.airframe.battery import Battery
 from touchdown.sim.airframe.contacts import ContactSensor
 from touchdown.sim.airframe.deviations import SpeedTelemetry, draw_deviations, true_model
@@ -36,17 +37,15 @@ from touchdown.sim.api import (
 from touchdown.sim.camera.degradations import sun_elevation_deg
 from touchdown.sim.camera.sensor import Snapshot
 from touchdown.sim.clock import check_rates
-from touchdown.sim.effects import Effect, WorldRecord, fault_records
+from touchdown.sim.effects import WorldRecord, fault_records
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.injector import FaultInjector
-from touchdown.sim.frames import Pose, cross, matrix_from_quat_wxyz
+from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
 from touchdown.sim.imaging_sensors import ImagingSensors
-from touchdown.sim.imu import ImuSensor
+from touchdown.sim.imu import ImuSensor, MountedImu
 from touchdown.sim.moving import MovingBodies
 from touchdown.sim.navigation.channels import NavSensors
 from touchdown.sim.typing import Array
-from touchdown.sim.wakes import Wakes, obstacles
-from touchdown.sim.wind import Wind
 
 _Sheet = TypeVar("_Sheet", LidarSheet, ImuSheet, GpsSheet, BarometerSheet)
 
@@ -89,9 +88,6 @@ class MujocoWorld:
         self._imaging.add(needs)
         self._nav = self._make_nav()
         self.rig = self._make_rig()
-        self._imu_mount = self.rig.body_from_imu.rotation
-        self._imu_lever = self._imu_mount.T @ self.rig.body_from_imu.translation
-        self._imu_is_off = bool(self._imu_lever.any())
         self.reset()
 
     # ------------------------------------------------------------------------ preparation
@@ -113,7 +109,6 @@ class MujocoWorld:
         self._velocity = self._data.qvel[velocity : velocity + 3]
         self._angular_velocity = self._data.qvel[velocity + 3 : velocity + 6]
         self._wrench = self._data.xfrc_applied[body_id]
-        self._air = self._model.opt.wind
         self._contact_sensor = ContactSensor(self._model)
         self._ground = GroundProbe(self._model)
         self._probe_ticks = _PROBE_STEPS * self._sim.control_ticks
@@ -122,10 +117,24 @@ class MujocoWorld:
         nav, plants = self._params.nav, self._imaging.plants
         return NavSensors(self._scene, nav, self._sim, self._needs, self._seed, plants)
 
-    def _make_imu(self) -> ImuSensor:
+    def _make_imu(self) -> MountedImu:
         hover = math.sqrt(self._hover_square / len(self._vehicle.rotor_spin))
         sim = self._sim
-        return ImuSensor(self._params.imu, sim.tick_hz, sim.imu_ticks, self._seed, hover)
+        sensor = ImuSensor(self._params.imu, sim.tick_hz, sim.imu_ticks, self._seed, hover)
+        return MountedImu(sensor, self.rig.body_from_imu, self._hover_square)
+
+    def _make_air(self) -> Airflow:
+        leg_height = self._vehicle.leg_height_m
+        return Airflow(
+            self._scene,
+            self._params.wind,
+            self._seed,
+            self._disturbances,
+            self._model.opt.wind,
+            span_m=2.0 * self._vehicle.footprint_radius_m,
+            ground_m=float(self._position[2]) - leg_height,
+            step_s=self._step_s,
+        )
 
     def _make_rig(self) -> SensorRig:
         mounts, params = self._imaging.mounts, self._params
@@ -181,8 +190,11 @@ class MujocoWorld:
         self._imaging.clear()
         state = mujoco.mjtState.mjSTATE_INTEGRATION
         mujoco.mj_setState(self._model, self._data, self._start_state, state)
-        self._wind = Wind(self._params.wind, self._seed, 2.0 * self._vehicle.footprint_radius_m)
-        self._air[:] = self._wind.step(self._step_s, self._vehicle.leg_height_m, 0.0)
+        faults, tick_hz = self._params.faults, self._sim.tick_hz
+        self._faults = FaultInjector(faults, tick_hz)
+        self._disturbances = Disturbances(faults, tick_hz, self._params.wind.mean_kmh, self._seed)
+        self._air = self._make_air()
+        self._air.start(self._vehicle.leg_height_m)
         mujoco.mj_forward(self._model, self._data)
         self._tick = 0
         self._clearance = 0.0
@@ -199,16 +211,6 @@ class MujocoWorld:
         )
         self._imu = self._make_imu()
         self._nav = self._make_nav()
-        faults, tick_hz = self._params.faults, self._sim.tick_hz
-        self._faults = FaultInjector(faults, tick_hz)
-        self._disturbances = Disturbances(faults, tick_hz, self._params.wind.mean_kmh, self._seed)
-        self._ground_z = float(self._position[2]) - self._vehicle.leg_height_m
-        self._wakes: Wakes | None = None
-        if self._params.wind.wakes:
-            direction, found = self._wind.mean_direction, obstacles(self._scene)
-            self._wakes = Wakes(found, direction, self._ground_z, self._seed)
-        self._air_rotation: Array | None = None
-        self._air_effects = {"wakes": Effect(), "rotation": Effect()}
         self._mark_start()
         self._acceleration = np.zeros(3)
         self._peak_acceleration = 0.0
@@ -217,19 +219,14 @@ class MujocoWorld:
 
     def _mark_start(self) -> None:
         """Sets the present state as the earlier state of sensors that compare two."""
-        self._imu_rotation = self._world_from_imu()
-        self._imu_velocity = self._velocity_of_imu(self._imu_rotation)
+        self._imu.start(self._quat, self._velocity, self._angular_velocity)
         self._imaging.start(self._position, self._quat, self._disturbances)
 
     def step(self, command: Command) -> Observation:
         """Advances ``control_ticks``. Raises RuntimeError if the command or the physics is not
         finite."""
         self._take_command(command)
-        height = float(self._position[2]) - self._ground_z
-        airspeed = math.dist(self._velocity.tolist(), self._air.tolist())
-        self._air[:] = self._wind.step(self._step_s, height, airspeed)
-        self._stir(height, airspeed)
-        self._disturbances.add_gust(self._tick, self._wind.mean_direction, self._air)
+        self._air.step(self._tick, self._position, self._velocity)
         if self._clearance < _NEAR_GROUND_M or self._tick % self._probe_ticks == 0:
             self._clearance = self._ground.clearance(self._data, self._position)
         clearance = self._clearance
@@ -245,20 +242,6 @@ class MujocoWorld:
         self._battery.draw(self._rotors.shaft_power(), self._step_s)
         self._check_finite()
         return self._observation(tuple(imu))
-
-    def _stir(self, height: float, airspeed: float) -> None:
-        """Adds wakes and rotational gusts to the air at the vehicle, where they are switched on."""
-        if self._wakes is not None:
-            wind = self._wind
-            roughness = self._params.wind.roughness_length_m
-            free = self._air.copy()
-            self._wakes.add(self._air, self._position, self._step_s, wind.friction, roughness)
-            change = math.dist(free.tolist(), self._air.tolist())
-            self._air_effects["wakes"].add(Effect(1, int(change > 0.0), 1.0, change))
-        if self._wind.rotational:
-            self._air_rotation = self._wind.rotation(self._step_s, height, airspeed)
-            rate = math.degrees(math.hypot(*self._air_rotation.tolist()))
-            self._air_effects["rotation"].add(Effect(1, 1, 1.0, rate))
 
     def start_in_air(self, position_world: Array, yaw: float) -> Observation:
         """Resets to a start in the air: level and at rest at (3,) ``position_world``, rotors at
@@ -299,7 +282,7 @@ class MujocoWorld:
             velocity_world=_frozen(self._velocity),
             acceleration_world=_frozen(self._acceleration),
             angular_velocity_body=_frozen(self._angular_velocity),
-            wind_world=_frozen(self._air),
+            wind_world=_frozen(self._air.velocity),
             rotor_speed_radps=_frozen(self._rotors.speeds),
             contacts=self._contacts,
             peak_contact_accel=self._peak_acceleration,
@@ -314,8 +297,8 @@ class MujocoWorld:
             *self._disturbances.summary(self._step_s),
             *fault_records(self._params.faults, sensors, sun_elevation_deg(self._model)),
         ]
-        drawn = self._deviations.sizes() | self._imu.errors.sizes()
-        return WorldRecord(faults, {**sensors, "air": self._air_effects}, drawn)
+        drawn = self._deviations.sizes() | self._imu.sensor.errors.sizes()
+        return WorldRecord(faults, {**sensors, "air": self._air.effects}, drawn)
 
     def take_textures(self) -> None:
         """Frees the memory that the scene has for its textures once the cameras have them, so that
@@ -343,10 +326,10 @@ class MujocoWorld:
     def _advance_tick(self, clearance_m: float) -> None:
         before = self._velocity.tolist()
         relative_rate = self._angular_velocity
-        if self._air_rotation is not None:  # relative to the air
-            relative_rate = relative_rate - matrix_from_quat_wxyz(self._quat).T @ self._air_rotation
+        if self._air.rotation is not None:  # relative to the air
+            relative_rate = relative_rate - matrix_from_quat_wxyz(self._quat).T @ self._air.rotation
         self._wrench[:] = self._rotors.step(
-            self._quat, self._velocity, relative_rate, self._air, clearance_m
+            self._quat, self._velocity, relative_rate, self._air.velocity, clearance_m
         )
         mujoco.mj_step(self._model, self._data)
         self._tick += 1
@@ -358,38 +341,12 @@ class MujocoWorld:
 
     def _sense(self, imu: list[ImuSample]) -> None:
         """Takes the measurements of this tick."""
+        motion = self._position, self._quat, self._velocity, self._angular_velocity
         if self._tick % self._sim.imu_ticks == 0:
-            imu.append(self._sample_imu())
+            imu.append(self._imu.sample(self._tick, *motion[1:], self._rotors.speeds))
         if self._nav.listening:
-            motion = self._position, self._quat, self._velocity, self._angular_velocity
             self._nav.sense(self._tick, self._data, *motion)
         self._imaging.sense(self._tick, self._data, self._position, self._quat)
-
-    def _sample_imu(self) -> ImuSample:
-        rotation = self._world_from_imu()
-        velocity = self._velocity_of_imu(rotation)
-        sample = self._imu.sample(
-            self._tick,
-            self._imu_rotation,
-            rotation,
-            self._imu_velocity,
-            velocity,
-            float(self._rotors.speeds @ self._rotors.speeds) / self._hover_square,
-            self._rotors.speeds,
-        )
-        self._imu_rotation, self._imu_velocity = rotation, velocity
-        return sample
-
-    def _world_from_imu(self) -> Array:
-        return matrix_from_quat_wxyz(self._quat) @ self._imu_mount
-
-    def _velocity_of_imu(self, world_from_imu: Array) -> Array:
-        """(3,) m/s, world axes, of the IMU's own point, a new array."""
-        velocity = self._velocity.copy()
-        if self._imu_is_off:
-            swing = cross(self._imu_mount.T @ self._angular_velocity, self._imu_lever)
-            velocity += world_from_imu @ swing
-        return velocity
 
     # ------------------------------------------------------------------------ messages
 

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from tests.sim.test_imu import at_rest
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import so3_exp
-from touchdown.sim.imu import ImuSensor
-from touchdown.sim.imu_errors import ImuErrors
+from touchdown.sim.imu import ImuErrors, ImuSensor
 
 from support.worlds import NO_NOISE
 
