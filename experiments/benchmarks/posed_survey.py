@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from touchdown.estimator.api import Estimate, Mapper, MapView, PoseTrack
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.survey_fit import fitted
 from touchdown.experiments.flight.wiring import build_scene, make_world, world_params
-from touchdown.landing.api import Selection
+from touchdown.landing.api import Selection, SelectorInput, SelectorRig
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import Observation, SensorRig
 from touchdown.sim.frames import Pose
@@ -57,8 +56,9 @@ def build_posed_survey(config: Config, scene: Scene) -> PosedSurvey:
         mapper=GridMapper(rig, config.mapper),
         path=survey_trajectory(above, yaw, config.survey),
         yaw=yaw,
-        select=partial(
-            select_sites, params=config.landing, footprint_radius_m=rig.vehicle.footprint_radius_m
+        select=lambda map_view, estimate: select_sites(
+            SelectorInput(map_view=map_view, estimate=estimate),
+            SelectorRig(vehicle=rig.vehicle, landing=config.landing),
         ),
     )
 

@@ -27,7 +27,7 @@ from touchdown.landing.api import (
     SelectorInput,
     SelectorRig,
 )
-from touchdown.landing.selection.selector import shipped_selection
+from touchdown.landing.selection.selector import select_sites
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.sim.api import SensorRig
 
@@ -58,7 +58,7 @@ def lander_rig(
     classifier: GroundClassifier | None,
 ) -> LanderRig:
     """The rig of a lander; without ``select`` with the shipped selector."""
-    shipped = partial(shipped_selection, rig=_selector_rig(config, sensors))
+    shipped = partial(select_sites, rig=_selector_rig(config, sensors))
     return LanderRig(
         sensors=sensors,
         landing=config.landing,

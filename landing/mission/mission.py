@@ -28,7 +28,7 @@ from touchdown.landing.mission.time_scaling import TimeScaling, scaled
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory
 from touchdown.landing.mission.view import MissionView
 from touchdown.landing.mission.wind import FeltWind, WindEstimator, WindProfile
-from touchdown.landing.selection.selector import shipped_selection
+from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.api import Observation, SensorRig
 from touchdown.sim.frames import wrap_angle, yaw_from_rotation
 
@@ -73,7 +73,7 @@ class Mission:
         self.rig = rig
         self.params = params
         self.select: Select = select or partial(
-            shipped_selection, rig=SelectorRig(vehicle=rig.vehicle, landing=params)
+            select_sites, rig=SelectorRig(vehicle=rig.vehicle, landing=params)
         )
         """makes a selection of what is seen"""
         self.class_check = class_check

@@ -20,6 +20,7 @@ from touchdown.landing.selection.ground.landable import (
     explain,
     fit_footprint,
     ground_planes,
+    plane_refusal,
 )
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
 
@@ -130,10 +131,9 @@ def _checked_plane(raster: ElevationRaster, xy: Array, params: LandingParams, ho
     plane = fit_footprint(raster, xy, params.ground.footprint_m)
     if plane is None:
         return Recheck(position_odom=None, reason="the ground under the site is unknown")
-    if plane.slope_deg > params.max_slope_deg:
-        return Recheck(position_odom=None, reason=f"slope {plane.slope_deg:.1f} deg from closer")
-    if plane.roughness_m > params.max_step_m:
-        return Recheck(position_odom=None, reason=f"{plane.roughness_m:.2f} m off its plane")
+    refusal = plane_refusal(plane, params, margins=False)  # many returns, from close
+    if refusal is not None:
+        return Recheck(position_odom=None, reason=refusal.text)
     return Recheck(
         position_odom=plane.position,
         reason=f"{how}; slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m",

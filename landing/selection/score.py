@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams, ScoreTerm, TermLayer, TermName
 from touchdown.landing.selection.terms import (
+    clearance,
     distance,
     flatness,
     ground,
-    level,
     plants,
     probability,
-    room,
+    slope,
     smoothness,
     traffic,
 )
@@ -32,8 +32,8 @@ TERMS: Mapping[TermName, Callable[[Inputs], TermLayer]] = {
     "flatness": flatness.term,
     "smoothness": smoothness.term,
     "distance": distance.term,
-    "room": room.term,
-    "level": level.term,
+    "room": clearance.term,
+    "level": slope.term,
     "traffic": traffic.term,
     "plants": plants.term,
     "ground": ground.term,

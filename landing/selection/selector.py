@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,16 +28,17 @@ from touchdown.landing.selection.ground.landable import (
     assess,
     fit_footprint,
     ground_planes,
+    plane_refusal,
 )
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
 from touchdown.landing.selection.ranking import ranked
 from touchdown.landing.selection.score import c_sum, layers_of, score_of, terms_at
+from touchdown.landing.selection.terms.clearance import cluster_bonus
 from touchdown.landing.selection.terms.distance import distance
 from touchdown.landing.selection.terms.flatness import flatness_of
 from touchdown.landing.selection.terms.ground import allowed_ground
 from touchdown.landing.selection.terms.inputs import Inputs
 from touchdown.landing.selection.terms.probability import safe_probability
-from touchdown.landing.selection.terms.room import cluster_bonus
 from touchdown.landing.selection.terms.smoothness import smoothness_of
 from touchdown.landing.selection.terms.traffic import surfaces_of_sites, traffic_zone
 
@@ -54,27 +54,6 @@ NOTHING_MAPPED = Selection(
     cluster=np.zeros((0, 0), np.int32),
     modes=np.zeros((0, 2), np.int32),
 )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SelectionLimits:
-    """Limits of one selection beyond those in ``LandingParams``; the defaults set none."""
-
-    reach_m: float = np.inf
-    """horizontal distance from the vehicle to a site that the remaining energy allows"""
-    avoid_odom: Sequence[Array] = ()
-    """(3,) each, sites that were refused already"""
-    unsafe_ground_odom: Sequence[Array] = ()
-    """(3,) each, sites refused for their kind of ground: the surfaces they lie on rank lower"""
-    wind_mps: float = 0.0
-    """estimated wind speed"""
-    semantics: SemanticView | None = None
-    """the semantic map"""
-    least_bad: bool = False
-    """accept the most probable site where none is good enough"""
-
-
-NO_LIMITS = SelectionLimits()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -94,24 +73,19 @@ class Assessed:
     score: Float32
 
 
-def select_sites(
-    map_view: MapView,
-    estimate: Estimate,
-    params: LandingParams,
-    *,
-    footprint_radius_m: float,
-    limits: SelectionLimits = NO_LIMITS,
-) -> Selection:
-    """Returns the candidate sites of the observed map by ``params.selector``: accepted ones first,
-    then by their score."""
-    found = _assess(map_view, estimate, params, params.map_margin_m, limits)
+def select_sites(seen: SelectorInput, rig: SelectorRig) -> Selection:
+    """Returns the candidate sites of the observed map by ``rig.landing.selector``, a shipped one:
+    accepted ones first, then by their score. In an emergency the best site is accepted where none
+    is good enough."""
+    params = rig.landing
+    found = _assess(seen, params, params.map_margin_m)
     if found is None:
         return NOTHING_MAPPED
     site, score = found.site, found.score
-    if limits.least_bad and not found.allowed.any() and np.isfinite(score).any():
+    if seen.emergency and not found.allowed.any() and np.isfinite(score).any():
         found.allowed.flat[int(np.nanargmax(score))] = True
     by_score = site.selector.clusters == "score"
-    bandwidth, radius = bandwidths(footprint_radius_m / site.raster.cell_m, params)
+    bandwidth, radius = bandwidths(rig.vehicle.footprint_radius_m / site.raster.cell_m, params)
     clusters = quick_shift(
         score if by_score else site.probability, bandwidth_cells=bandwidth, radius_cells=radius
     )
@@ -119,38 +93,19 @@ def select_sites(
     spots = _best_spots(clusters, clusters.density if by_score else score + bonus, found.allowed)
     candidates = [
         dataclasses.replace(
-            _candidate(found, spot, site.raster.centre_of(*spot), certain=not limits.least_bad),
+            _candidate(found, spot, site.raster.centre_of(*spot), certain=not seen.emergency),
             cluster_bonus=float(bonus[spot]),
         )
         for spot in _shortlist(spots, score, found.allowed, site.raster.cell_m, params)
     ]
     return Selection(
         candidates=ranked(candidates),
-        costmap=_shown(found, limits.semantics),
+        costmap=_shown(found, seen.semantics),
         allowed=found.allowed,
         probability=site.probability,
         cluster=clusters.label,
         modes=clusters.modes,
         traffic_zone=found.zone,
-    )
-
-
-def shipped_selection(seen: SelectorInput, rig: SelectorRig) -> Selection:
-    """Returns the candidate sites by ``rig.landing.selector``, a shipped one, as `select_sites`."""
-    limits = SelectionLimits(
-        reach_m=seen.reach_m,
-        avoid_odom=tuple(seen.avoid_odom),
-        unsafe_ground_odom=tuple(seen.unsafe_ground_odom),
-        wind_mps=seen.wind_mps,
-        semantics=seen.semantics,
-        least_bad=seen.emergency,
-    )
-    return select_sites(
-        seen.map_view,
-        seen.estimate,
-        rig.landing,
-        footprint_radius_m=rig.vehicle.footprint_radius_m,
-        limits=limits,
     )
 
 
@@ -162,7 +117,8 @@ def check_site(
 
     Its margin is smaller than that of selected sites, since an operator chose it.
     """
-    found = _assess(map_view, estimate, params, params.low_margin_m, NO_LIMITS)
+    seen = SelectorInput(map_view=map_view, estimate=estimate)
+    found = _assess(seen, params, params.low_margin_m)
     if found is None:
         return unmapped(xy_odom), None
     spot = found.site.raster.cell_of(xy_odom)
@@ -194,30 +150,24 @@ def unmapped(xy: Array, refusal: Refusal = _OUTSIDE) -> Candidate:
     )
 
 
-def _assess(
-    map_view: MapView,
-    estimate: Estimate,
-    params: LandingParams,
-    margin_m: float,
-    limits: SelectionLimits,
-) -> Assessed | None:
+def _assess(seen: SelectorInput, params: LandingParams, margin_m: float) -> Assessed | None:
     """Returns the terms, gates and score of the observed map; None where nothing was mapped."""
-    mapped = observed_raster(map_view.coarse)
+    mapped = observed_raster(seen.map_view.coarse)
     if mapped is None:
         return None
     selector = params.chosen_selector
     plants = standing_plants(mapped, params.ground)
     raster = without_plants(mapped, plants, params.ground)
     planes = ground_planes(raster, params)
-    position = estimate.odom_from_body.translation
+    position = seen.estimate.odom_from_body.translation
     landable = assess(raster, planes, params, margin_m=margin_m, min_returns=params.min_returns)
     zone = traffic_zone(raster, landable, params)
-    reach_m = limits.reach_m if "reach" in selector.gates else np.inf
+    reach_m = seen.reach_m if "reach" in selector.gates else np.inf
     nothing = np.zeros(raster.shape, np.float32)
     predicted = nothing
     if predicts(selector):
-        drift_m = params.gust_drift_s * limits.wind_mps
-        now_s = estimate.time_s
+        drift_m = params.gust_drift_s * seen.wind_mps
+        now_s = seen.estimate.time_s
         predicted = safe_probability(raster, landable, params, now_s=now_s, drift_m=drift_m)
     site = Inputs(
         params=params,
@@ -229,9 +179,9 @@ def _assess(
         flatness=flatness_of(raster, planes, params),
         distance=distance(raster, position, reach_m),
         probability=predicted,
-        traffic=zone | surfaces_of_sites(raster, limits.unsafe_ground_odom, params),
+        traffic=zone | surfaces_of_sites(raster, seen.unsafe_ground_odom, params),
         plants=plants,
-        ground=allowed_ground(limits.semantics, raster, params),
+        ground=allowed_ground(seen.semantics, raster, params),
         clearance_m=nothing,
     )
     allowed = passing(site)
@@ -241,7 +191,7 @@ def _assess(
         probability=predicted if predicts(selector) else allowed.astype(np.float32),
     )
     avoided = np.zeros(raster.shape, np.bool_)
-    for avoid in limits.avoid_odom:
+    for avoid in seen.avoid_odom:
         x, y = raster.offsets_from(avoid)
         avoided |= np.hypot(x[None, :], y[:, None]) <= params.refused_radius_m
     layers = layers_of(site)
@@ -327,15 +277,11 @@ def _candidate(
     if plane is None:
         return unmapped(xy, _refusal(found, spot))
     predicted = float(site.probability[spot])
-    strict = certain and checks_ground(site.selector)
     refusal = None
     if not found.allowed[spot]:
         refusal = _refusal(found, spot)
-    elif strict and plane.slope_deg > params.max_slope_deg - params.slope_margin_deg:
-        text = f"slope {plane.slope_deg:.1f} deg over the footprint"
-        refusal = Refusal("footprint_slope", text)
-    elif strict and plane.roughness_m > params.max_step_m - params.step_margin_m:
-        refusal = Refusal("footprint_roughness", f"{plane.roughness_m:.2f} m off its plane")
+    elif certain and checks_ground(site.selector):
+        refusal = plane_refusal(plane, params, margins=True)
     clearance, value = float(site.clearance_m[spot]), float(found.score[spot])
     figures = (
         f"score {value:.3f}, slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m, "

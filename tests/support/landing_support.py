@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, Estimate, GridMap, MapView
 from touchdown.estimator.mapping.kernels import Grid, Pulses, accumulate_heights
+from touchdown.landing.api import LandingParams, Selection, SelectorInput, SelectorRig
+from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.api import (
     CameraIntrinsics,
     ImuSample,
@@ -146,3 +148,9 @@ def grid_of_returns(
 
 def view_of(coarse: GridMap, fine: GridMap | None = None) -> MapView:
     return MapView(version=1, coarse=coarse, fine=fine)
+
+
+def select(view: MapView, estimate: Estimate, params: LandingParams, **seen: Any) -> Selection:
+    """What the shipped selector chooses, with more of its input as keywords."""
+    rig = SelectorRig(vehicle=make_rig().vehicle, landing=params)
+    return select_sites(SelectorInput(map_view=view, estimate=estimate, **seen), rig)

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -122,21 +123,15 @@ def _from_outside(config: Config) -> bool:
 def chooser(config: Config, vehicle: VehicleModel) -> Callable[[KeptMap], Selection]:
     """The configured selector as it is asked at the end of a survey. One from outside is built
     once for each configuration."""
-    if not _from_outside(config):
-        return lambda kept: select_sites(
-            kept.map_view,
-            kept.estimate,
-            config.landing,
-            footprint_radius_m=vehicle.footprint_radius_m,
-        )
-    key = config.model_dump_json()
-    if key not in _BUILT:
-        rig = SelectorRig(vehicle=vehicle, landing=config.landing)
-        _BUILT[key] = ExternalSelector(config.landing.selector, params_of(config, "selector"), rig)
-    outside = _BUILT[key]
-    return lambda kept: outside.select(
-        SelectorInput(map_view=kept.map_view, estimate=kept.estimate)
-    )
+    rig = SelectorRig(vehicle=vehicle, landing=config.landing)
+    choose = partial(select_sites, rig=rig)
+    if _from_outside(config):
+        key = config.model_dump_json()
+        if key not in _BUILT:
+            params = params_of(config, "selector")
+            _BUILT[key] = ExternalSelector(config.landing.selector, params, rig)
+        choose = _BUILT[key].select
+    return lambda kept: choose(SelectorInput(map_view=kept.map_view, estimate=kept.estimate))
 
 
 _BUILT: dict[str, ExternalSelector] = {}

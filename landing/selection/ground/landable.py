@@ -129,6 +129,26 @@ def moving_cells(raster: ElevationRaster, limits: GroundParams) -> Mask:
     return dilated(blobs > 0, limits.moving_margin_m / raster.cell_m)
 
 
+def max_slope_deg(params: LandingParams, *, margins: bool) -> float:
+    """Returns the steepest ground that is landed on; with ``margins`` less, for the error of what a
+    map shows of single cells, or from survey height."""
+    return params.max_slope_deg - (params.slope_margin_deg if margins else 0.0)
+
+
+def max_step_m(params: LandingParams, *, margins: bool) -> float:
+    """Returns the highest step that is landed on, as for `max_slope_deg`."""
+    return params.max_step_m - (params.step_margin_m if margins else 0.0)
+
+
+def plane_refusal(plane: Footprint, params: LandingParams, *, margins: bool) -> Refusal | None:
+    """Returns why the plane of a footprint is not landed on; None where it is."""
+    if plane.slope_deg > max_slope_deg(params, margins=margins):
+        return Refusal("footprint_slope", f"slope {plane.slope_deg:.1f} deg over the footprint")
+    if plane.roughness_m > max_step_m(params, margins=margins):
+        return Refusal("footprint_roughness", f"{plane.roughness_m:.2f} m off its plane")
+    return None
+
+
 def ground_planes(raster: ElevationRaster, params: LandingParams) -> PlaneField:
     """Returns the plane through the ground around every cell."""
     return fit_planes(raster.height, raster.cell_m, params.normal_half_width_m)
@@ -162,8 +182,8 @@ def assess(
             (Defect.SPARSE, raster.count < min_returns),
             (Defect.UNKNOWN, ~known | ~np.isfinite(slope)),
             (Defect.ROUGH, raster.std > limits.rough_std_m),
-            (Defect.STEEP, slope > params.max_slope_deg - params.slope_margin_deg),
-            (Defect.STEP, known & (step > params.max_step_m - params.step_margin_m)),
+            (Defect.STEEP, slope > max_slope_deg(params, margins=True)),
+            (Defect.STEP, known & (step > max_step_m(params, margins=True))),
             (Defect.OBSTACLE, peak > params.max_step_m + limits.peak_allowance_m),
             (Defect.MOVING, moving_cells(raster, limits)),
             (Defect.WATER, water_cells(raster, params)),

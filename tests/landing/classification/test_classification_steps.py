@@ -10,11 +10,10 @@ from touchdown.landing.classification import engine, site_check
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.scores import probabilities
 from touchdown.landing.classification.survey_images import SurveyImages, brightened
-from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.frames import Pose
 
 from support.ground_class_support import COLOURS, ByColour, photograph, plain, small_rig
-from support.landing_support import make_estimate, make_grid, make_obs, view_of
+from support.landing_support import make_estimate, make_grid, make_obs, select, view_of
 
 
 def test_the_input_of_a_network_is_light_by_channel() -> None:
@@ -106,8 +105,7 @@ def test_evidence_keeps_a_distribution_and_counts_twenty_pulses_at_most() -> Non
 
 def test_zones_of_traffic_have_borders() -> None:
     view = view_of(make_grid(np.zeros((40, 60)), origin=(-4.0, -2.0)))
-    chosen = select_sites(view, make_estimate(0, pose_at(0, 9)), LandingParams(),
-                          footprint_radius_m=0.5)  # fmt: skip
+    chosen = select(view, make_estimate(0, pose_at(0, 9)), LandingParams())
     assert chosen.traffic_zone.shape == (40, 60)
     chosen.traffic_zone[:] = False
     chosen.traffic_zone[15, 40] = True

@@ -17,7 +17,6 @@ from touchdown.landing.classification.site_check import (
     fuse_lidar_evidence,
     least_bad,
 )
-from touchdown.landing.selection.selector import SelectionLimits, select_sites
 from touchdown.sim.frames import Pose
 
 from support.ground_class_support import (
@@ -28,7 +27,7 @@ from support.ground_class_support import (
     small_rig,
     write_colour_network,
 )
-from support.landing_support import make_estimate, make_grid, make_obs, view_of
+from support.landing_support import make_estimate, make_grid, make_obs, select, view_of
 
 Array = NDArray[np.float64]
 ABOVE = Pose(np.eye(3), np.array([0.0, 0.0, 20.0]))
@@ -336,7 +335,7 @@ def test_in_the_dark_the_class_is_left_to_the_second_look() -> None:
 
 def test_traffic_zone_is_read_at_the_site() -> None:
     view = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
-    selection = select_sites(view, make_estimate(0, ABOVE), LandingParams(), footprint_radius_m=0.5)
+    selection = select(view, make_estimate(0, ABOVE), LandingParams())
     assert selection.costmap is not None
     traffic_zone = np.zeros_like(selection.allowed)
     traffic_zone[:, traffic_zone.shape[1] // 2 :] = True
@@ -353,10 +352,9 @@ def test_refused_surfaces_rank_lower() -> None:
     view, estimate = view_of(grid), make_estimate(0, ABOVE)
     for side in (-1.0, 1.0):
         refused = np.array([8.0 * side, 0.0, 0.0])
-        sites = select_sites(
-            view, estimate, LandingParams(), footprint_radius_m=0.5,
-            limits=SelectionLimits(avoid_odom=[refused], unsafe_ground_odom=[refused]),
-        ).candidates  # fmt: skip
+        sites = select(
+            view, estimate, LandingParams(), avoid_odom=[refused], unsafe_ground_odom=[refused]
+        ).candidates
         assert sites[0].accepted and np.sign(sites[0].position_odom[0]) == -side
 
 

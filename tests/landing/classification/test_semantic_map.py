@@ -11,11 +11,10 @@ from touchdown.landing.api import Candidate, LandingParams, SemanticMapParams
 from touchdown.landing.classification import semantic_map
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.site_check import SiteClassCheck
-from touchdown.landing.selection.selector import SelectionLimits, select_sites
 from touchdown.sim.frames import Pose
 
 from support.ground_class_support import COLOURS, ByColour, photograph, plain, small_rig
-from support.landing_support import make_estimate, make_grid, make_obs, view_of
+from support.landing_support import make_estimate, make_grid, make_obs, select, view_of
 
 Array = NDArray[np.float64]
 FLAT = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
@@ -99,10 +98,7 @@ def test_a_flight_maps_what_it_sees_and_sites_prefer_it() -> None:
     assert chance[west, WATER].max() > 0.9 and chance[east, LAWN].max() > 0.9
     np.testing.assert_allclose(chance[seen.weight == 0.0], 1.0 / 7.0)
     estimate = make_estimate(0, Pose(np.eye(3), np.array([0.0, 0.0, 30.0])))
-    chosen = select_sites(
-        FLAT, estimate, LandingParams(), footprint_radius_m=0.5,
-        limits=SelectionLimits(semantics=seen),
-    )  # fmt: skip
+    chosen = select(FLAT, estimate, LandingParams(), semantics=seen)
     assert chosen.candidates[0].position_odom[0] > 3.0
     assert chosen.costmap is not None
     (layer,) = [term for term in chosen.costmap.terms if term.name == "ground"]

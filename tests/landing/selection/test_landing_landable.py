@@ -17,11 +17,18 @@ from touchdown.landing.selection.ground.landable import (
     fit_footprint,
     ground_planes,
 )
-from touchdown.landing.selection.selector import select_sites
 from touchdown.landing.selection.terms.traffic import traffic_zone
 from touchdown.sim.frames import Pose
 
-from support.landing_support import make_estimate, make_grid, make_imu, make_obs, make_rig, view_of
+from support.landing_support import (
+    make_estimate,
+    make_grid,
+    make_imu,
+    make_obs,
+    make_rig,
+    select,
+    view_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -120,14 +127,14 @@ def test_whole_surface_with_traffic_is_avoided() -> None:
     raster, result = judged(grid)
     zone = traffic_zone(raster, result, PARAMS)
     assert zone[70, 30] and not zone[70, 60]  # the same surface, far from where it moved
-    sites = select_sites(view_of(grid), ABOVE, PARAMS, footprint_radius_m=0.5).candidates
+    sites = select(view_of(grid), ABOVE, PARAMS).candidates
     assert sites[0].accepted
     assert sites[0].position_odom[0] > 9.5  # 2 m less half the averaging window
 
 
 def test_empty_map_gives_no_candidate() -> None:
     empty = make_grid(np.full((20, 20), np.nan))
-    nothing = select_sites(view_of(empty), ABOVE, PARAMS, footprint_radius_m=0.5)
+    nothing = select(view_of(empty), ABOVE, PARAMS)
     assert nothing.candidates == ()
     assert nothing.costmap is None
 

@@ -10,12 +10,11 @@ from touchdown.experiments.benchmarks.selection.stages import (
     staged_selection,
 )
 from touchdown.landing.api import LandingParams
-from touchdown.landing.selection.selector import SelectionLimits, select_sites
 from touchdown.landing.selection.terms import probability as risk
 from touchdown.landing.selection.terms.risk_features import NAMES, RiskFeatures
 from touchdown.sim.frames import Pose
 
-from support.landing_support import make_estimate, make_grid, view_of
+from support.landing_support import make_estimate, make_grid, select, view_of
 
 PARAMS = LandingParams()
 ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
@@ -93,17 +92,15 @@ def test_all_selectors_land_on_the_good_half_and_an_emergency_takes_the_least_ba
         LandingParams(selector="zou2024", flatness_form="literal"),
     ):  # fmt: skip
         view = view_of(make_grid(half))
-        site, *others = select_sites(view, ABOVE, params, footprint_radius_m=0.5).candidates
+        site, *others = select(view, ABOVE, params).candidates
         assert site.accepted and site.reason.startswith("landable")
         assert all(o.accepted or o.reason.startswith("refused") for o in others)
         assert site.position_odom[0] > 9.0
     _, x = np.mgrid[0:80, 0:80] * 0.2
     steep = view_of(make_grid(np.tan(np.deg2rad(7.0)) * x))
-    refused = select_sites(steep, ABOVE, PARAMS, footprint_radius_m=0.5)
+    refused = select(steep, ABOVE, PARAMS)
     assert not any(site.accepted for site in refused.candidates)
-    forced = select_sites(
-        steep, ABOVE, PARAMS, footprint_radius_m=0.5, limits=SelectionLimits(least_bad=True)
-    )
+    forced = select(steep, ABOVE, PARAMS, emergency=True)
     assert forced.candidates[0].accepted
     assert "the least bad" in forced.candidates[0].reason
 

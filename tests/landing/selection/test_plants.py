@@ -11,10 +11,9 @@ from touchdown.landing.api import LandingParams
 from touchdown.landing.mission.site_recheck import ground_under, recheck_site
 from touchdown.landing.selection.ground.elevation_raster import observed_raster
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
-from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.frames import Pose
 
-from support.landing_support import grid_of_returns, make_estimate, make_grid, view_of
+from support.landing_support import grid_of_returns, make_estimate, make_grid, select, view_of
 
 Array = NDArray[np.float64]
 
@@ -41,7 +40,7 @@ def _flat(value: float = 0.0) -> Array:
 
 
 def _allowed(grid: GridMap) -> NDArray[np.bool_]:
-    chosen = select_sites(view_of(grid), ABOVE, PARAMS, footprint_radius_m=0.5)
+    chosen = select(view_of(grid), ABOVE, PARAMS)
     return chosen.allowed
 
 
@@ -112,7 +111,7 @@ def test_low_wall_is_no_clump_although_its_edges_spread() -> None:
 def test_bare_ground_comes_first() -> None:
     cover = _flat()
     cover[:, :55] = 0.25
-    chosen = select_sites(view_of(_map(_flat(), cover)), ABOVE, PARAMS, footprint_radius_m=0.5)
+    chosen = select(view_of(_map(_flat(), cover)), ABOVE, PARAMS)
     assert chosen.allowed[20:60, 20:40].any()
     assert chosen.candidates[0].accepted and chosen.candidates[0].position_odom[0] > 11.0
 

@@ -18,11 +18,9 @@ from touchdown.landing.selection.ground.elevation_raster import (
 )
 from touchdown.landing.selection.ground.landable import Defect, LandableMap, assess, ground_planes
 from touchdown.landing.selection.selector import (
-    SelectionLimits,
     _best_spots,
     _shortlist,
     check_site,
-    select_sites,
 )
 from touchdown.landing.selection.terms.flatness import flatness_of
 from touchdown.landing.selection.terms.risk_features import NAMES, RiskFeatures, risk_features
@@ -30,7 +28,7 @@ from touchdown.landing.selection.terms.smoothness import colour_edges
 from touchdown.landing.selection.terms.traffic import surface_of
 from touchdown.sim.frames import Pose
 
-from support.landing_support import make_estimate, make_grid, view_of
+from support.landing_support import make_estimate, make_grid, select, view_of
 
 Array = NDArray[np.float64]
 
@@ -119,9 +117,7 @@ def test_a_commanded_site_has_the_smaller_margin() -> None:
     view = view_of(changed("max_height_m", 0.2, (40, 46)))
     middle = np.array([8.1, 8.1])
     assert check_site(view, ABOVE, LandingParams(selector="zou2024"), middle)[0].accepted
-    assert not select_sites(
-        view, ABOVE, LandingParams(selector="zou2024"), footprint_radius_m=0.5
-    ).allowed[SPOT]
+    assert not select(view, ABOVE, LandingParams(selector="zou2024")).allowed[SPOT]
 
 
 def features(grid: GridMap, **more: float) -> RiskFeatures:
@@ -174,11 +170,8 @@ def test_unknown_ground_motion_water_and_the_edge_are_closed_whatever_the_weight
     assert not features(wet).open[SPOT]
 
 
-def selected(grid: GridMap, limits: SelectionLimits | None = None, **more: Any) -> Selection:
-    return select_sites(
-        view_of(grid), ABOVE, LandingParams(**more), footprint_radius_m=0.5,
-        limits=limits or SelectionLimits(),
-    )  # fmt: skip
+def selected(grid: GridMap, seen: dict[str, Any] | None = None, **more: Any) -> Selection:
+    return select(view_of(grid), ABOVE, LandingParams(**more), **(seen or {}))
 
 
 def best(grid: GridMap, **more: Any) -> Candidate:
@@ -208,7 +201,7 @@ def test_the_plane_of_the_whole_footprint_is_checked() -> None:
 
 def test_wind_lowers_the_probability_beside_an_obstacle() -> None:
     grid = changed("max_height_m", 0.2)
-    calm, windy = (selected(grid, SelectionLimits(wind_mps=v)).probability for v in (0.0, 25.0))
+    calm, windy = (selected(grid, {"wind_mps": v}).probability for v in (0.0, 25.0))
     assert windy[40, 52] < calm[40, 52] - 5e-5
     assert windy[40, 65] == pytest.approx(calm[40, 65], abs=1e-6)
 
@@ -222,7 +215,7 @@ def test_ground_without_colour_has_no_smoothness() -> None:
 
 
 def test_refused_sites_are_avoided_within_their_radius_alone() -> None:
-    there = SelectionLimits(avoid_odom=[np.array([8.1, 8.1, 0.0])])
+    there = {"avoid_odom": [np.array([8.1, 8.1, 0.0])]}
     for radius_m, cells in ((1.05, 5), (3.05, 15)):
         allowed = selected(level(), there, refused_radius_m=radius_m).allowed
         assert not allowed[40, 40 : 41 + cells].any()
@@ -326,7 +319,7 @@ def test_the_recheck_checks_the_slope(slope_deg: float, taken: bool) -> None:
     params = dataclasses.replace(PARAMS, slope_margin_deg=-20.0)
     look = recheck_site(view_of(level(), grid), SITE, 1.0, params)
     assert (look.position_odom is not None) is taken
-    assert taken or "slope 6.0 deg from closer" in look.reason
+    assert taken or "slope 6.0 deg over the footprint" in look.reason
 
 
 def test_the_recheck_needs_three_returns_a_cell() -> None:

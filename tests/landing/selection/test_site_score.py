@@ -18,10 +18,10 @@ from touchdown.landing.api import (
 )
 from touchdown.landing.selection.clustering import kernel_density
 from touchdown.landing.selection.ranking import ranked, why_chosen
-from touchdown.landing.selection.selector import SelectionLimits, check_site, select_sites
+from touchdown.landing.selection.selector import check_site
 from touchdown.sim.frames import Pose
 
-from support.landing_support import make_estimate, make_grid, view_of
+from support.landing_support import make_estimate, make_grid, select, view_of
 
 Array = NDArray[np.float64]
 
@@ -36,12 +36,8 @@ def _ground(slope_deg: float = 0.0) -> Array:
     return np.tan(np.deg2rad(slope_deg)) * x
 
 
-def _sites(grid: Any, limits: SelectionLimits | None = None, **params: Any) -> list[Candidate]:
-    chosen = select_sites(
-        view_of(grid), ABOVE, LandingParams(**params), footprint_radius_m=0.5,
-        limits=limits or SelectionLimits(),
-    )  # fmt: skip
-    return list(chosen.candidates)
+def _sites(grid: Any, seen: dict[str, Any] | None = None, **params: Any) -> list[Candidate]:
+    return list(select(view_of(grid), ABOVE, LandingParams(**params), **(seen or {})).candidates)
 
 
 def _traffic() -> Any:
@@ -77,7 +73,7 @@ def test_terms_add_up_to_the_value_and_the_value_ranks(selector: str) -> None:
 def test_terms_of_risk_by_hand() -> None:
     """Ground of 2 of at most 5 degrees; the vehicle west of the map, which ends around it."""
     view, params = view_of(make_grid(_ground(2.0), sigma=0.0)), LandingParams()
-    site = select_sites(view, FAR, params, footprint_radius_m=0.5).candidates[0]
+    site = select(view, FAR, params).candidates[0]
     terms = _by_name(site)
     assert list(terms) == [
         "probability",
@@ -112,7 +108,7 @@ def test_zou2024_is_c_sum_and_its_candidates_are_the_modes() -> None:
     grid.max_height_m[:] = np.maximum(grid.max_height_m, grid.min_height_m + 0.25)
     for gates in (("geometry", "reach", "class"), ("reach", "class")):
         params = LandingParams(selector="zou2024", zou2024=Zou2024SelectorParams(gates=gates))
-        chosen = select_sites(view_of(grid), FAR, params, footprint_radius_m=0.5)
+        chosen = select(view_of(grid), FAR, params)
         view = chosen.costmap
         assert view is not None
         np.testing.assert_array_equal(view.value, view.total)
@@ -133,7 +129,7 @@ def test_zou2024_is_c_sum_and_its_candidates_are_the_modes() -> None:
 
 def test_a_selector_without_gates_takes_any_ground() -> None:
     """The geometric gate, the gate of the probability and the reach, each switched off."""
-    steep, away, shown = make_grid(_ground(7.0)), SelectionLimits(reach_m=0.0), {}
+    steep, away, shown = make_grid(_ground(7.0)), {"reach_m": 0.0}, {}
     for gates in ((), ("geometry",), ("probability",), ("reach",)):
         params = SelectorParams(gates=gates, terms=("probability", "level"))
         sites = _sites(steep, away, risk=params)
@@ -163,14 +159,14 @@ def test_rules_name_what_refused_a_site() -> None:
     step[:, 41:] += 0.3
     site = check_site(view_of(make_grid(step)), ABOVE, params, middle)[0]
     assert site.rule == "step" and "safe with probability" in site.reason
-    avoided = SelectionLimits(avoid_odom=[np.array([8.0, 8.0, 0.0])])
+    avoided = {"avoid_odom": [np.array([8.0, 8.0, 0.0])]}
     sites = _sites(make_grid(_ground()), avoided, refused_radius_m=40.0)
     assert {site.rule for site in sites} <= {"near_refused_site"} and sites
-    far = _sites(make_grid(_ground()), SelectionLimits(reach_m=2.0), max_candidates=40)
+    far = _sites(make_grid(_ground()), {"reach_m": 2.0}, max_candidates=40)
     assert {site.rule for site in far if site.accepted} <= {"highest_value", "lower_value"}
     assert all(np.hypot(*(s.position_odom[:2] - 8.0)) <= 2.2 for s in far if s.accepted)
     assert "out_of_reach" in {site.rule for site in far}
-    steep = _sites(make_grid(_ground(7.0)), SelectionLimits(least_bad=True))
+    steep = _sites(make_grid(_ground(7.0)), {"emergency": True})
     assert steep[0].rule == "least_bad" and {s.rule for s in steep[1:]} <= {"steep"}
 
 

@@ -1,4 +1,4 @@
-"""The term room: clearance around a site."""
+"""Clearance around a site: the term ``room``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The term level: ground that slopes less, among ground that is safe."""
+"""Slope of ground that is safe: the term ``level``."""
 
 from __future__ import annotations
 
