@@ -179,7 +179,7 @@ def _assess(seen: SelectorInput, params: LandingParams, margin_m: float) -> Asse
         flatness=flatness_of(raster, planes, params),
         distance=distance(raster, position, reach_m),
         probability=predicted,
-        traffic=zone | surfaces_of_sites(raster, seen.unsafe_ground_odom, params),
+        traffic=zone | surfaces_of_sites(raster, tuple(seen.unsafe_ground_odom), params),
         plants=plants,
         ground=allowed_ground(seen.semantics, raster, params),
         clearance_m=nothing,

@@ -124,7 +124,7 @@ def chooser(config: Config, vehicle: VehicleModel) -> Callable[[KeptMap], Select
     """The configured selector as it is asked at the end of a survey. One from outside is built
     once for each configuration."""
     rig = SelectorRig(vehicle=vehicle, landing=config.landing)
-    choose = partial(select_sites, rig=rig)
+    choose: Callable[[SelectorInput], Selection] = partial(select_sites, rig=rig)
     if _from_outside(config):
         key = config.model_dump_json()
         if key not in _BUILT:
