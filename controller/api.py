@@ -77,7 +77,7 @@ class ControlParams:
     rate_integral_ratio: Positive = 10.0
     """crossover of a rate loop over the corner frequency of its integral"""
     velocity_integral_ratio: Positive = 5.0
-    """the same of the velocity loops"""
+    """ratio of integral to proportional gain of the velocity loops"""
     rate_derivative_s: NotNegative = 0.012
     """derivative time of the rate loops' D term"""
     acceleration_feedback: NotNegative = 0.0

@@ -22,7 +22,8 @@ _MIN_VERTICAL_FORCE = 0.3
 _MAX_VERTICAL_FORCE = 1.8
 """fractions of the weight; below the lower one, tilting has no control authority"""
 _THRUST_SHARE = 0.98
-"""of the rotors' largest thrust, that the wanted force may take; the rest is left to the torques"""
+"""fraction of the rotors' largest thrust that the wanted force may take; the rest is left to the
+torques"""
 
 
 class CascadeController:

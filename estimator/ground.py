@@ -26,22 +26,24 @@ ONE_SURFACE_STD_M = 0.04
 _FEW = 6.0
 """returns, up to which a cell says nothing by itself: those around it decide"""
 _OVERHANG_M = 0.5
-"""above most of the cells around it, from which a cell shows what stands or hangs there alone"""
+"""height above most of the cells around it, from which a cell shows what stands or hangs there
+alone"""
 _WINDOW_M = 0.05
 """half width of the kernel of the mean shift: twice the noise of the ranges"""
 _LEAST_SHARE = 0.03
 _FEW_SHARE = 0.15
-"""of the returns that lie below the start; fewer are errors"""
+"""fraction of the returns that lie below the start; fewer are errors"""
 _NEIGHBOUR_WEIGHT = 0.5
 _REACH_M = 0.2
-"""to the neighbours along each axis"""
+"""distance to the neighbours along each axis"""
 _SLOPE_REACH_M = 0.4
 _SLOPE_LIMIT = 0.6
 """tangent of 31 degrees"""
 _LEAST_STD_M = 0.02
 """noise of one range"""
 _BINS = 96
-"""of the returns of a cell and its neighbours, more than those of a cell, for their slope"""
+"""number of bins for the returns of a cell and its neighbours, more than those of a cell, for their
+slope"""
 _STEPS = 30
 _CONVERGED_M = 1e-4
 

@@ -86,7 +86,7 @@ class CalibratedParams(EstimatorParams):
     """share of its correction that a scan applies to mounts and lens (partial-update Schmidt-Kalman
     filter, Brink 2017); 0: they only widen the covariance"""
     image_calibration_gain: Fraction = 0.0
-    """the same of an image"""
+    """share of its correction that an image applies to mounts and lens"""
     ground_sigma_m: NotNegative = 0.0
     """error that all ranges to the ground share, by plants and range bias, in the reported height:
     no measurement shows it"""
@@ -96,17 +96,17 @@ class CalibratedParams(EstimatorParams):
     mount_rotation_sigma_deg: NotNegative = 0.03
     """prior of the calibration errors: LIDAR relative to camera and IMU"""
     mount_translation_sigma_m: NotNegative = 0.003
-    """the same of the translation"""
+    """prior of the LIDAR's translation relative to camera and IMU"""
     focal_sigma: NotNegative = 5e-4
-    """the same of the focal length, relative"""
+    """prior of the relative error of the focal length"""
     center_sigma_px: NotNegative = 0.1
-    """the same of the principal point"""
+    """prior of the error of the principal point"""
     camera_clock_sigma_s: NotNegative = 0.005
     """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
     camera_rotation_sigma_deg: NotNegative = 0.0
     """prior of the calibration errors: camera relative to the IMU"""
     camera_translation_sigma_m: NotNegative = 0.0
-    """the same of the translation"""
+    """prior of the camera's translation relative to the IMU"""
     imu_scale_sigma: NotNegative = 0.0
     """prior of the relative scale errors of gyroscope and accelerometer"""
     gyro_misalignment_sigma_deg: NotNegative = 0.0
@@ -120,13 +120,13 @@ class LivoParams(CalibratedParams):
     """LIDAR-inertial-visual odometry (``estimator/livo/estimator.py``)."""
 
     gyro_density: NotNegative = 0.0
-    """as in ``FlownImuParams``"""
+    """noise as in ``FlownImuParams``"""
     accel_density: NotNegative = 0.0
-    """as in ``FlownImuParams``"""
+    """noise as in ``FlownImuParams``"""
     gyro_bias_walk: NotNegative = 0.0
-    """as in ``FlownImuParams``"""
+    """noise as in ``FlownImuParams``"""
     accel_bias_walk: NotNegative = 0.0
-    """as in ``FlownImuParams``"""
+    """noise as in ``FlownImuParams``"""
     camera_hz: Count = 5
     """image rate; a divisor of the camera's clock. At 10 a flight costs a quarter more, and
     positions are no better within their spread"""
@@ -139,37 +139,37 @@ class LivoParams(CalibratedParams):
     map_open_s: Positive = 0.3
     """scans enter the map for so long after a keyframe: later ones have drifted against it"""
     image_open_s: Positive = 0.5
-    """the same of the images of intensity, whose cells need more returns"""
+    """scans enter an image of intensity for so long after a keyframe: its cells need more returns"""
     anchor_spacing: Positive = 0.45
     """horizontal distance from the newest keyframe relative to the height, beyond which the map is
     given another part where images fail: a scan covers half the height along the flight"""
     anchor_climb: Positive = 0.3
-    """the same of the vertical distance; both by 21 replays without images"""
+    """vertical distance that counts as ``anchor_spacing`` does; both by 21 replays without images"""
     anchor_turn_deg: ClassVar[float] = 20.0
-    """the same of the rotation since then"""
+    """rotation since the newest keyframe that counts as ``anchor_spacing`` does"""
     plane_sigma_m: NotNegative = 0.003
-    """of any plane of the map, beside the scatter of its returns"""
+    """error of any plane of the map, beside the scatter of its returns"""
     scan_points: Count = 2000
     """returns of a scan that are matched, spread evenly"""
     scan_tilt_sigma_deg: NotNegative = 1.0
     """information floor: errors of a scan as a whole, beside those of its points and of the
     keyframes that the map is anchored to"""
     scan_lateral_sigma_m: NotNegative = 0.3
-    """the same of its horizontal position"""
+    """information floor: error of a scan's horizontal position"""
     scan_yaw_sigma_deg: NotNegative = 0.5
-    """the same of its heading"""
+    """information floor: error of a scan's heading"""
     anchor_height_m: NotNegative = 0.004
     """height error shared by all planes and landmarks of a keyframe"""
     depth_sigma_m: NotNegative = 0.02
-    """of a landmark along its ray"""
+    """standard deviation of a landmark along its ray"""
     depth_shared_sigma_m: NotNegative = 0.0
-    """of an error in height that all landmarks of a keyframe share, such as the bias of the ranges.
-    Needs ``use_calibration``"""
+    """standard deviation of an error in height that all landmarks of a keyframe share, such as the
+    bias of the ranges. Needs ``use_calibration``"""
     assumed_depth_share: NotNegative = 0.4
     """standard deviation, relative to their distance, of features that are assumed to lie on level
     ground below the rangefinder, as new ones are while no scans come"""
     assumed_depth_floor: ClassVar[float] = 0.16
-    """the same at the least, however long parallax has shown their depth"""
+    """least standard deviation of an assumed depth, relative to it, however long parallax has shown it"""
     range_scale_sigma: Positive = 0.01
     """while no scans come, the rangefinder scales the way since a keyframe: relative error of its
     range as the depth of the landmarks around, by relief; chosen on five replays without LIDAR.
@@ -200,9 +200,9 @@ class LivoParams(CalibratedParams):
     weak_sigma_m: NotNegative = 0.1
     """a direction with a larger standard deviation than this counts as degenerate"""
     weak_sigma_deg: NotNegative = 0.3
-    """the same for rotation"""
+    """a rotation with a larger standard deviation than this counts as degenerate"""
     use_intensity: bool = False
-    """where no image measures the pose, the intensities of scans do"""
+    """measure the pose by the intensities of scans where no image does"""
     intensity_after_s: NotNegative = 0.5
     """time without such an image from which on they do; 0: beside images, too"""
     dark_height_sigma_m: NotNegative = 0.05
@@ -280,7 +280,7 @@ class Zou2024Params(CalibratedParams):
     bundle_keyframes: ClassVar[int] = 8
     """youngest keyframes that are adjusted together"""
     depth_sigma_m: NotNegative = 0.05
-    """of a landmark's depth by Eq. 12"""
+    """standard deviation of a landmark's depth by Eq. 12"""
     recent_keyframes: Count = 20
     """newest keyframes, whose landmarks give the odometry"""
     loop_threshold: Fraction = 0.11
@@ -307,9 +307,9 @@ class NavigationParams(EstimatorParams):
     """What the baselines with magnetometer and barometer have."""
 
     heading_sigma_deg: ClassVar[float] = 5.0
-    """of one reading of the magnetometer, ten a second"""
+    """standard deviation of one reading of the magnetometer, ten a second"""
     baro_sigma_m: NotNegative = 0.5
-    """of one reading of the barometer, its drift included"""
+    """standard deviation of one reading of the barometer, its drift included"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -327,11 +327,11 @@ class FlowParams(NavigationParams):
     camera_hz: Count = 10
     """image rate; a divisor of the camera's clock"""
     pixel_sigma: NotNegative = 0.3
-    """of the flow of one corner, or of one vector of the levelled image"""
+    """standard deviation of the flow of one corner, or of one vector of the levelled image"""
     floor_sigma_m: ClassVar[float] = 0.01
     """error floor of a displacement, however many of them it is made of"""
     scale_sigma: ClassVar[float] = 0.05
-    """the same as a share of the displacement, for ground that is not level"""
+    """error of a displacement as a share of it, for ground that is not level"""
     ground_memory_s: ClassVar[float] = 0.5
     """time constant of the ground's height below the rangefinder"""
 
@@ -348,7 +348,7 @@ class OpticalFlowParams(FlowParams):
     ground_memory_s: ClassVar[float] = 0.2
     """time constant of the ground's height below the rangefinder"""
     heading_sigma_deg: ClassVar[float] = 2.0
-    """of one reading of the magnetometer, ten a second"""
+    """standard deviation of one reading of the magnetometer, ten a second"""
     drift_share: ClassVar[float] = 0.005
     """standard deviation that each metre flown adds to the filter's own"""
 
@@ -359,7 +359,7 @@ class HybridFlowParams(FlowParams):
     (``estimator/baselines/hybrid_flow.py``)."""
 
     side_pixels: ClassVar[int] = 256
-    """of the levelled image, a power of two"""
+    """side of the levelled image, a power of two"""
     wander_period_s: ClassVar[float] = 60.0
     """correlation time of the receiver's error"""
     drift_density: ClassVar[float] = 0.03
@@ -375,13 +375,13 @@ class StereoParams(EstimatorParams):
     features: Count = 220
     """corners of a keyframe"""
     pixel_sigma: NotNegative = 1.5
-    """of a corner tracked from the keyframe, the error of its depth included"""
+    """standard deviation of a corner tracked from the keyframe, the error of its depth included"""
     disparity_sigma: NotNegative = 0.15
     """pixels, of one corner"""
     track_sigma: ClassVar[float] = 1.0
     """pixels, of a corner tracked from the keyframe, in the update of its depth by parallax"""
     keyframe_share: ClassVar[float] = 0.55
-    """of a keyframe's corners: with fewer in view a new one is made"""
+    """fraction of a keyframe's corners: with fewer in view a new one is made"""
     disparity_floor_sigma: NotNegative = 0.02
     """pixels, error shared by all disparities of a pair"""
     relief_sigma_m: NotNegative = 2.0

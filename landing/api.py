@@ -89,7 +89,7 @@ class TermLayer:
     """One term of the score in every cell, (rows, cols); NaN unknown."""
 
     name: str
-    """as that of a `ScoreTerm`"""
+    """name of the term, as in `ScoreTerm`"""
     value: NDArray[np.float32]
     """weighted, as it is added"""
     quantity: NDArray[np.float32]
@@ -119,17 +119,18 @@ class Candidate:
     value: float = float("nan")
     """what sites are ranked by, higher is better; NaN out of reach or unknown"""
     terms: tuple[ScoreTerm, ...] = ()
-    """of ``value``"""
+    """terms that add up to ``value``"""
     cluster_bonus: float = 0.0
-    """for clearance, beside ``value``: it chose this cell of its cluster, and ranks none"""
+    """bonus for clearance, beside ``value``: it chose this cell of its cluster, and ranks none"""
     step_m: float = float("nan")
     """highest step within the footprint"""
     safe_probability: float = float("nan")
-    """of a touchdown that is safe by geometry; NaN where the selector has no such term or gate"""
+    """probability of a touchdown that is safe by geometry; NaN where the selector has no such term
+    or gate"""
     class_predicted: str | None = None
     """most probable class of the ground; None where it was not classified"""
     class_probability: float = float("nan")
-    """of ``class_predicted``"""
+    """probability of ``class_predicted``"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -139,7 +140,7 @@ class Decision:
     time_s: float
     selector: str
     candidates: tuple[Candidate, ...]
-    """in the order of rank: accepted ones first, each part by value"""
+    """candidates in the order of rank: accepted ones first, each part by value"""
     positions_world: Array
     """(N, 3) of the candidates, by the estimate of that moment"""
     why: str
@@ -181,7 +182,7 @@ class CostmapView:
     allowed: NDArray[np.bool_]
     """cells that the selector accepts as sites"""
     terms: tuple[TermLayer, ...] = ()
-    """of the selector"""
+    """terms of the selector"""
     semantics: SemanticView | None = None
     """the semantic map that the selector read"""
 
@@ -197,8 +198,8 @@ class Selection:
     allowed: NDArray[np.bool_]
     """cells that the selector accepts as sites"""
     probability: NDArray[np.float32]
-    """of a touchdown that is safe by geometry, by `landing.selection.terms.probability`;
-    for a selector without it 1 where a site is accepted"""
+    """probability of a touchdown that is safe by geometry, by
+    `landing.selection.terms.probability`; for a selector without it 1 where a site is accepted"""
     cluster: NDArray[np.int32]
     """number of the cluster (Eq. 19) that a cell belongs to, -1 outside"""
     modes: NDArray[np.int32]
@@ -225,7 +226,7 @@ class SelectorInput:
     map_view: MapView
     """the elevation map; ``coarse`` covers the survey"""
     estimate: Estimate
-    """where the vehicle hovers"""
+    """pose and motion of the hovering vehicle"""
     reach_m: float = float("inf")
     """horizontal distance to a site that the remaining energy allows"""
     avoid_odom: Array = field(default_factory=lambda: np.zeros((0, 3)))
@@ -248,7 +249,8 @@ class Site:
     position_odom: Array
     """(2,) or (3,) centre, odom frame; the height of the ground is that of the map"""
     terms: tuple[ScoreTerm, ...]
-    """they add up to what ranks the site, higher is better; the same names for each site"""
+    """terms that add up to what ranks the site, higher is better; each site has terms of these
+    names"""
     accepted: bool = True
     reason: str = ""
     """why it is accepted or refused, in words"""
@@ -294,7 +296,7 @@ class LanderView:
     site_class: str | None = None
     """predicted class of the ground at the site; None without ground classification"""
     site_class_probability: float = float("nan")
-    """of ``site_class``"""
+    """probability of ``site_class``"""
     events: tuple[str, ...] = ()
     """messages of this control step, for the result"""
     decisions: tuple[Decision, ...] = ()
@@ -318,7 +320,7 @@ class ClassifierRig:
     """What a ground classifier knows before the flight."""
 
     classes: tuple[str, ...]
-    """of the ground, in the order of probabilities: ``scenes.api.LAND_CLASSES``"""
+    """classes of the ground, in the order of probabilities: ``scenes.api.LAND_CLASSES``"""
     patch_m: float
     """side of the square of ground that an image shows, metres"""
     landing: LandingParams

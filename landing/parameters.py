@@ -17,7 +17,7 @@ class SurveyParams:
     __pydantic_config__ = FORBID_EXTRA
 
     height_m: Positive = 30.0
-    """above the take-off ground"""
+    """height above the take-off ground"""
     legs: Count = 3
     """number of parallel legs"""
     leg_length_m: Positive = 50.0
@@ -77,15 +77,15 @@ class SelectorParams:
     """site for which the term distance is 0: the farthest one within reach, to which the nearest is
     preferred by the weight (Eq. 13), or the nearest, from which it takes away"""
     weight_probability: NotNegative = 1.0
-    """of the probability of a safe touchdown"""
+    """weight of the probability of a safe touchdown"""
     weight_flatness: NotNegative = 0.5
-    """of flatness, 0 to 1 (Eqs. 15 to 17); the largest of the paper (section 4.1)"""
+    """weight of flatness, 0 to 1 (Eqs. 15 to 17); the largest of the paper (section 4.1)"""
     weight_smoothness: NotNegative = 0.3
-    """of smoothness, 0 to 1 (Eq. 14; section 4.1)"""
+    """weight of smoothness, 0 to 1 (Eq. 14; section 4.1)"""
     weight_distance: NotNegative = 0.05
-    """of distance, 0 to 1 (Eq. 18): less than any difference in safety"""
+    """weight of distance, 0 to 1 (Eq. 18): less than any difference in safety"""
     weight_room: NotNegative = 0.1
-    """of a clearance of ``clearance_full_m`` over none; among the cells of one cluster, of
+    """weight of a clearance of ``clearance_full_m`` over none; among the cells of one cluster, of
     ``clearance_enough_m``"""
     weight_level: NotNegative = 0.2
     """taken away on ground at ``max_slope_deg``, nothing on level ground"""
@@ -109,7 +109,7 @@ class Zou2024SelectorParams(SelectorParams):
     clusters: Literal["probability", "score"] = "score"
     distance_zero: Literal["nearest", "farthest"] = "farthest"
     weight_distance: NotNegative = 0.2
-    """of distance, 0 to 1 (Eq. 18; section 4.1)"""
+    """weight of distance, 0 to 1 (Eq. 18; section 4.1)"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -146,16 +146,17 @@ class GroundParams:
     water_min_missing: ClassVar[float] = 3.0
     """fewer missing pulses in the window are chance"""
     plants_spread_m: ClassVar[float] = 0.14
-    """between the lowest and the highest return of a cell, from which it holds more than noise"""
+    """distance between the lowest and the highest return of a cell, from which it holds more than
+    noise"""
     plants_clump: ClassVar[tuple[float, float, float]] = (0.3, 0.33, 0.12)
     """a clump of plants, m: side of the least square that they fill; greatest spread of a cell, its
     height of 0.23 and noise of 0.1; greatest height of the mean over the lowest return, noise of
     0.05 included: most pulses reach the ground"""
     plants_stand: ClassVar[tuple[float, float, float]] = (1.0, 0.42, 0.19)
-    """the same of a wide stand, 0.32 m high"""
+    """a wide stand of plants, 0.32 m high: the three lengths of ``plants_clump``"""
     plants_level_m: ClassVar[float] = 0.06
-    """between the lowest returns of a gap in a clump and of the cells around it: bare ground, no
-    solid top"""
+    """distance between the lowest returns of a gap in a clump and of the cells around it: bare
+    ground, no solid top"""
     plants_edge_cells: ClassVar[int] = 2
     """width of the ragged edge of a clump"""
     plants_ground_std_m: ClassVar[float] = 0.03
@@ -169,7 +170,8 @@ class SemanticMapParams:
     __pydantic_config__ = FORBID_EXTRA
 
     squares: CountOrZero = 2
-    """of ground that are classified every tenth of a second of the flight; 0: no semantic map"""
+    """number of squares of ground that are classified every tenth of a second of the flight; 0: no
+    semantic map"""
     most_views: ClassVar[float] = 1.5
     """independent views that all views of a place count as at most: views of one network over one
     ground share its errors"""
@@ -209,7 +211,8 @@ class LandingParams:
     """distance to ground that is not allowed from which the value no longer rises: twice
     ``clear_radius_m``"""
     clearance_enough_m: ClassVar[float] = 1.0
-    """the same within a cluster: the radius of a footprint"""
+    """distance to ground that is not allowed from which cells of one cluster are equal: the radius
+    of a footprint"""
     refused_radius_m: NotNegative = 3.0
     """radius around a refused site in which no site is accepted again: twice ``clear_radius_m``, so
     that the two do not overlap"""
@@ -226,7 +229,7 @@ class LandingParams:
     emergency: Literal["", "battery"] = ""
     """``battery``: land within ``emergency_s`` on the least bad site; empty: no emergency"""
     emergency_s: Positive = 45.0
-    """from the end of the survey to the ground in an emergency"""
+    """time from the end of the survey to the ground in an emergency"""
     site_xy_m: tuple[float, float] | None = None
     """a commanded site (world frame) instead of a chosen one"""
     check_site: bool = True
@@ -235,7 +238,7 @@ class LandingParams:
     survey_only: bool = False
     """stop after the survey (the positioning experiment)"""
     return_home: bool = False
-    """after the survey back to the take-off spot, and down there, without choosing a site"""
+    """fly after the survey back to the take-off spot, and down there, without choosing a site"""
     second_look: bool = True
     """look at the site again from ``look_height_m`` before landing on it"""
     decision_latency_s: NotNegative = 0.3
@@ -269,7 +272,7 @@ class LandingParams:
     map_margin_m: ClassVar[float] = 0.35
     """margin around the footprint for the error of map and position at survey height"""
     low_margin_m: ClassVar[float] = 0.15
-    """the same margin at 10 m and below"""
+    """margin around the footprint for the error of map and position at 10 m and below"""
     min_returns: NotNegative = 4.0
     """a cell with fewer is refused"""
     max_missing_ratio: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.2
@@ -282,7 +285,8 @@ class LandingParams:
     traffic_near_m: ClassVar[float] = 2.0
     """distance to a surface with traffic up to which a site counts as near it"""
     cluster_bandwidth: ClassVar[float] = 1.5
-    """of the density in Eq. 19, in radii of the vehicle's footprint: about the area of a landing"""
+    """bandwidth of the density in Eq. 19, in radii of the vehicle's footprint: about the area of a
+    landing"""
     cluster_search: ClassVar[float] = 4.0
     """Quick Shift looks for a higher density within this many bandwidths"""
     max_candidates: Count = 12
@@ -353,7 +357,7 @@ class LandingParams:
     classifier_batch_latency_s: NotNegative = 0.1
     """simulated compute time of each batch"""
     classifier_threads: Count = 1
-    """of the processor, for classification"""
+    """threads of the processor for classification"""
     allowed_classes: tuple[LandClass, ...] = ("lawn", "field", "path")
     """classes of ground that the gate ``class`` lets pass"""
     unknown_ground: Literal["refuse", "geometry"] = "refuse"

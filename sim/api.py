@@ -71,7 +71,7 @@ class SimParams:
     lidar_scan_ticks: Count = 60
     """ticks of one LIDAR scan (10 Hz)"""
     compute_latency_ticks: CountOrZero = 36
-    """From the end of a scan, or the exposure of an image, until an estimator may use it."""
+    """Time from the end of a scan, or the exposure of an image, until an estimator may use it."""
     latency_sigma: NotNegative = 0.0
     """Spread of that time from message to message: standard deviation of its natural logarithm,
     about the median ``compute_latency_ticks``. 0: always the same."""
@@ -80,7 +80,7 @@ class SimParams:
     battery_sag: bool = False
     """the voltage falls with charge and load, and the highest rotor speed with it"""
     battery_resistance_ohm: NotNegative = 0.025
-    """of cells and leads, with ``battery_sag``"""
+    """resistance of cells and leads, with ``battery_sag``"""
     threads: Annotated[int, Interval(ge=1, le=2)] = 2
     """2: rendering and ray casting overlap with each other and with everything else; 1: all of it
     in the calling thread.
@@ -179,7 +179,7 @@ class VehicleModel:
     linear_drag: float
     """N per m/s of air-relative velocity in the rotor plane, all four rotors at hover."""
     leg_height_m: float
-    """From the underside of the legs to the body origin."""
+    """Distance from the underside of the legs to the body origin."""
     footprint_radius_m: float
     """Horizontal radius of the circle that holds rotors and legs."""
     rotor_inflow: float = 0.0

@@ -33,8 +33,8 @@ FRICTION = 0.05
 """Friction velocity over the speed of the flow along the ground"""
 THRESHOLD_MPS = 0.35
 FULL_EXTINCTION_PER_M = 0.5
-"""At ``dust.density`` 1 over bare soil, where the wakes reach the ground undiminished: a visibility
-of 8 m"""
+"""Extinction at ``dust.density`` 1 over bare soil, where the wakes reach the ground undiminished: a
+visibility of 8 m"""
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 _AROUND_M = 1.0
@@ -51,7 +51,7 @@ class DustAir:
     extinction: float
     """1/m, for all wavelengths of light: grains are larger than these"""
     depth_m: float
-    """from the vehicle to the ground"""
+    """distance from the vehicle to the ground"""
 
 
 CLEAR = DustAir(0.0, 0.0)

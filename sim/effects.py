@@ -20,7 +20,7 @@ CHANGED_M = 0.1
 """A return has changed where its range has by five standard deviations of the range noise."""
 _MEASURED_KINDS = ("miscalibration", "fog", "rain", "lens_dirt", "low_sun")
 _STRIDE = 8
-"""of the rows and columns of an image that are compared"""
+"""step between the rows and columns of an image that are compared"""
 
 
 @dataclass(slots=True)
@@ -30,7 +30,7 @@ class Effect:
     came: int = 0
     """messages that the effect acted on"""
     messages: int = 0
-    """those of them that it changed"""
+    """messages that it changed"""
     share: float = 0.0
     """changed share of each message's parts (returns, pixels)"""
     amount: float = 0.0
@@ -102,7 +102,7 @@ class WorldRecord(NamedTuple):
     faults: list[dict[str, Any]]
     """records of the scheduled faults"""
     effects: Mapping[str, Mapping[str, Effect]]
-    """on delivered ``scans`` and ``images`` and on the ``air`` at the vehicle, by name"""
+    """effects on delivered ``scans`` and ``images`` and on the ``air`` at the vehicle, by name"""
     deviations: Mapping[str, float]
     """drawn errors of vehicle and IMU: ``mass_share``, ``center_of_mass_m``, ``rotor_share``,
     ``imu_scale``, ``imu_misalignment_deg`` (the last two root mean squares over the axes)"""

@@ -29,7 +29,7 @@ class ImuSheet:
     scale_sigma: NotNegative = 0.0
     """relative error of scale of each axis of gyroscope and accelerometer, standard deviation"""
     misalignment_sigma_deg: NotNegative = 0.0
-    """of every sensing axis towards each of the two others, standard deviation"""
+    """standard deviation of the angle of every sensing axis towards each of the two others"""
     gyro_g_sensitivity: NotNegative = 0.0
     """rad/s per m/s^2: response of each gyroscope axis to each axis of specific force, standard
     deviation"""
@@ -45,8 +45,8 @@ class ImuParams(ImuSheet):
     errors are drawn once a flight."""
 
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """from the MJCF's site ``imu`` to the sensor, body axes (forward, left, up); estimators know it
-    """
+    """distance from the MJCF's site ``imu`` to the sensor, body axes (forward, left, up);
+    estimators know it"""
     vibration_gyro_density: NotNegative = 0.0
     """rad/s/sqrt(Hz) that the propellers shake into the sensor in hover, broad band; grows with the
     square of the rotor speed. 0: a perfectly isolated mount; 4e-3 is the median of unisolated

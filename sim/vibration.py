@@ -21,7 +21,7 @@ from touchdown.sim.api import ImuParams
 from touchdown.sim.typing import Array
 
 ISOLATION_CORNER_HZ = 40.0
-"""above it a damped mount passes ``ImuParams.vibration_isolation`` of the vibration"""
+"""frequency above which a damped mount passes ``ImuParams.vibration_isolation`` of the vibration"""
 
 HARMONIC_RMS = np.array(
     [[0.071, 0.089, 0.018, 1.6, 1.3, 5.5], [0.036, 0.044, 0.0092, 0.81, 0.65, 3.7]]

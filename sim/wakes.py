@@ -32,7 +32,7 @@ from touchdown.scenes.api import Scene, Surface
 from touchdown.sim.typing import Array
 
 CROWN_POROSITY = 0.5
-"""of the flow, not of the pulses of a LIDAR: a crown in leaf (assumed)"""
+"""porosity for the flow, not for the pulses of a LIDAR: a crown in leaf (assumed)"""
 _LOWEST_M, _THINNEST_M = 2.0, 1.0
 """obstacles below this height, or thinner in any direction, leave no wake worth its cost"""
 _TURBULENCE_SHARE = 1.0 / 3.0

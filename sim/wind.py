@@ -34,7 +34,7 @@ REFERENCE_HEIGHT_M = 20.0 * FOOT_M
 MIN_HEIGHT_FT = 10.0
 MAX_HEIGHT_FT = 1000.0
 MIN_AIRSPEED_MPS = 1.0
-"""Below this airspeed V / L no longer describes how fast turbulence passes the vehicle."""
+"""Airspeed below which V / L no longer describes how fast turbulence passes the vehicle."""
 
 _SQRT3 = np.sqrt(3.0)
 

@@ -51,7 +51,8 @@ _Sheet = TypeVar("_Sheet", LidarSheet, ImuSheet, GpsSheet, BarometerSheet)
 
 _NOTHING = SensorNeeds()
 _NEAR_GROUND_M = 4.0
-"""Above it the ground adds less than 0.02 % to the thrust, and is looked at less often."""
+"""Height above which the ground adds less than 0.02 % to the thrust, and is looked at less
+often."""
 _PROBE_STEPS = 8
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from touchdown.estimator.filtering.intake import ArrivingStream
+from touchdown.estimator.filtering.synchronizer import ArrivingStream
 from touchdown.sim.api import (
     BarometerSample,
     CameraImage,

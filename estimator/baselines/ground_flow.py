@@ -53,7 +53,7 @@ class Displacement:
     by_rotation_now: Array
     used: int
     rms: float
-    """of the residuals, metres on the ground"""
+    """root mean square of the residuals, metres on the ground"""
 
 
 def _rotation_jacobian(directions: Array) -> Array:

@@ -41,7 +41,7 @@ _GRID = 10
 """pixels between the flow vectors that are fitted"""
 _MAX_EXPANSION = 0.3
 _PHASE_SIGMA_PX = 1.0
-"""of the shift by phase correlation, taken alone where the dense flow fails"""
+"""standard deviation of the shift by phase correlation, taken alone where the dense flow fails"""
 _LOOKING_DOWN = BODY_FROM_DOWNWARD_OPTICAL
 """world_from_camera of the levelled image"""
 

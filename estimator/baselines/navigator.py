@@ -31,7 +31,7 @@ from touchdown.sim.frames import Pose, rotation_from_yaw, yaw_from_rotation
 
 _DURATION_S = 0.25
 _LOOSE_TILT = math.radians(10.0)
-"""before the alignment"""
+"""error of roll and pitch before the alignment"""
 _CREEP_SIGMA = 1e-3
 """rad: wind and slow rotors shake a vehicle on its legs"""
 _LASTING = math.sqrt(600.0)

@@ -18,7 +18,7 @@ from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 _BLIND_SIGMAS = 4.0
 _BLIND_SHARE = 0.05
 _W, _X, _Y, _Z = range(4)
-"""of a quaternion"""
+"""components of a quaternion"""
 _KNOT_EVERY = 64
 
 

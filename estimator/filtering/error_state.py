@@ -35,7 +35,7 @@ STATE_DIM = 15
 
 # the shared calibration
 MOUNT_ROTATION = slice(0, 3)
-"""of the LIDAR"""
+"""rotation of the LIDAR's mount; its translation follows"""
 MOUNT_TRANSLATION = slice(3, 6)
 FOCAL = slice(6, 8)
 CENTER = slice(8, 10)
@@ -64,7 +64,7 @@ def after(start: int, block: slice) -> slice:
 
 
 IMU_ERRORS = slice(SHARED_DIM, CALIBRATION_DIM)
-"""of a calibration (38,)"""
+"""errors of the IMU among those of a calibration (38,)"""
 
 
 class Frame(NamedTuple):

@@ -42,7 +42,7 @@ from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.frames import Pose, so3_exp
 
 _RATE_SAMPLES = 3
-"""of the IMU, over which the angular rate is a mean: one alone is mostly vibration"""
+"""number of IMU samples over which the angular rate is a mean: one alone is mostly vibration"""
 
 
 _CONVERGED = np.repeat([2e-5, 5e-4], 3)

@@ -60,9 +60,10 @@ _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)
 _LEVEL_SIGMA = 5e-3
 """m/s^2, of the mean specific force at rest, beside the accelerometer's bias"""
 _LIFTING_THRUST = 0.85
-"""of the weight: with less static thrust before the first lift-off the vehicle is on the ground"""
+"""fraction of the weight: with less static thrust before the first lift-off the vehicle is on the
+ground"""
 _IDLE_MARGIN = 1.2
-"""of the idle speed: below it the rotors give no lift"""
+"""multiple of the idle speed: below it the rotors give no lift"""
 
 
 def with_flown_noise(rig: SensorRig, params: FlownImuParams | LivoParams) -> SensorRig:

@@ -119,7 +119,7 @@ class Overlap:
 
     index: int
     share: float
-    """of the keyframe's landmarks"""
+    """fraction of the keyframe's landmarks"""
     scale: float
     """keyframe depth over present depth"""
 

@@ -19,7 +19,7 @@ from touchdown.sim.frames import Pose
 _CLOSE = 0.4
 """share of the neighbourhood whose returns give the depth of a feature on no plane"""
 _MOST_SCATTER = 0.05
-"""of the depth; beyond it the depth counts as unknown"""
+"""fraction of the depth; beyond it the depth counts as unknown"""
 _SIGMA_FACTOR = 2.0
 """assigned sigma in standard deviations of the scatter: the error is the same in all images that
 show the feature"""

@@ -24,7 +24,8 @@ from touchdown.sim.frames import Pose, cross
 
 _NEAREST_M = 0.05
 _FARTHEST_HEIGHTS = 5.0
-"""of the camera's height: a ray that meets level ground farther off, or not at all, counts so"""
+"""multiple of the camera's height: a ray that meets level ground farther off, or not at all, counts
+so"""
 
 
 def at_middle_row(image: CameraImage, rig: SensorRig) -> CameraImage:
@@ -116,7 +117,7 @@ class Shutter:
     """Readout of an image whose last row is exposed at its stamp."""
 
     readout_s: float = 0.0
-    """from the first row to the last; 0: all rows at once"""
+    """time from the first row to the last; 0: all rows at once"""
 
     @property
     def middle_s(self) -> float:

@@ -19,8 +19,8 @@ from touchdown.estimator.livo.intensity_update import PhotometricUpdate
 from touchdown.estimator.typing import Array, Bytes
 
 _SPREAD = 0.12
-"""of a voxel, between two points of a scan that are stored: close to the ground a scan would fill a
-voxel from one corner of it"""
+"""fraction of a voxel between two points of a scan that are stored: close to the ground a scan
+would fill a voxel from one corner of it"""
 
 
 class AnchoredMap:

@@ -47,14 +47,14 @@ class ScanErrors:
     """Error model of a scan."""
 
     range_sigma_m: float
-    """of one return"""
+    """standard deviation of the range of one return"""
     angle_sigma_rad: float
-    """of one beam"""
+    """standard deviation of the direction of one beam"""
     floor_sigmas: Array
     """(6,) rad and m: information floor, errors of the scan, and of each clone's part of the map,
     that do not average out (``limit_information``)"""
     plane_sigma_m: float = 0.003
-    """of any plane, beside the scatter of its returns"""
+    """standard deviation of any plane, beside the scatter of its returns"""
     weak_sigmas: tuple[float, float] | None = None
     """rad and m: directions known less well than these are left out of the update
     (``weak_columns``); None: none are"""

@@ -21,11 +21,11 @@ from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
 _LEAST_HEIGHT_M = 0.5
-"""of the camera above the ground; below it, the beam's error would be much of the depth"""
+"""height of the camera above the ground; below it, the beam's error would be much of the depth"""
 _STEEPEST = 0.2
 """cosine between a ray and the vertical: flatter rays meet level ground far away, if at all"""
 _LEAST_SHARE = 0.2
-"""of its depth that a feature keeps in one step"""
+"""fraction of its depth that a feature keeps in one step"""
 
 
 def assume_level_ground(

@@ -20,7 +20,6 @@ from touchdown.estimator.api import Estimate, LivoParams, PoseTrack
 from touchdown.estimator.filtering.deskew import PlacedScan, thin_out
 from touchdown.estimator.filtering.error_state import POSITION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter, with_flown_noise
-from touchdown.estimator.filtering.intake import Intake
 from touchdown.estimator.filtering.keyframes import Keyframe
 from touchdown.estimator.filtering.online_calibration import (
     calibration_diagnostics,
@@ -29,6 +28,7 @@ from touchdown.estimator.filtering.online_calibration import (
 )
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.rolling_shutter import Shutter
+from touchdown.estimator.filtering.synchronizer import MessageSynchronizer
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.ground_below import GroundBelow
 from touchdown.estimator.livo.anchored_map import AnchoredMap
@@ -53,8 +53,8 @@ _INFLATION, _FLOOR = 1.8, 0.005
 """inflation and floor of the reported covariance: errors of a landmark or a voxel repeat from image
 to image and scan to scan, while the filter takes them for white noise"""
 _DARK_INFLATION = 2.7
-"""the same where intensities measure: the noise of an image of intensity repeats in all scans that
-are compared with it"""
+"""inflation of the reported covariance where intensities measure: the noise of an image of intensity repeats in
+all scans that are compared with it"""
 
 
 class Livo:
@@ -74,7 +74,7 @@ class Livo:
         )  # fmt: skip
         self._eskf = self._filter.eskf
         self._eskf.loosely_coupled = params.loose
-        self._intake = Intake(rig, self._filter, camera_hz)
+        self._synchronizer = MessageSynchronizer(rig, self._filter, camera_hz)
         self._vision = VisualFrontEnd(
             MountedCamera(rig.camera, self._filter.imu_from_camera), params,
             Shutter(rig.camera_readout_s), open_ticks=2 * rig.tick_hz,
@@ -103,24 +103,24 @@ class Livo:
     def update(self, obs: Observation) -> Estimate:
         """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         self._scan_track = None
-        for message in self._intake.ready(obs):
-            if not self._intake.admit(message):
+        for message in self._synchronizer.push(obs):
+            if not self._synchronizer.advance(message):
                 continue
             if isinstance(message, LidarScan):
                 self._take_scan(message)
             else:
                 self._take_image(message)
-        self._intake.finish(obs)
+        self._synchronizer.flush(obs)
         self._ground.take(obs.rangefinder, self._filter.present)
         # the reported pose differs from the best estimate by the decaying jump
         jump = self._filter.jump[POSITION]
-        self._diagnostics["skipped"] = float(self._skipped + self._intake.skipped)
+        self._diagnostics["skipped"] = float(self._skipped + self._synchronizer.skipped)
         self._diagnostics["stationary"] = float(self._filter.stationary)
         dark = self._map.photometric.measures(self._dark_ticks)
         inflation = _DARK_INFLATION if dark else _INFLATION
         return self._filter.estimate(
             obs, self._odom, self._floor + jump * jump[:, None], self._scan_track,
-            dict(self._diagnostics), tuple(self._intake.events), inflation,
+            dict(self._diagnostics), tuple(self._synchronizer.events), inflation,
         )  # fmt: skip
 
     # ------------------------------------------------------------------------ scan update
@@ -135,7 +135,7 @@ class Livo:
         if len(placed) >= _FEWEST_RETURNS:
             self._height = float(np.median(scan.ranges[placed.pulses]))
             report = self._update_with_scan(placed, intensity)
-            self._intake.events += self._degeneracy.events(report)
+            self._synchronizer.events += self._degeneracy.events(report)
         self._filter.trail.follow(self._eskf.state)
         if len(placed) >= _FEWEST_RETURNS and self._lacks_anchor(scan.end_tick):
             self._add_clone(self._vision.new_anchor(self._eskf, self._height, scan.end_tick))

@@ -23,7 +23,7 @@ _ROW = 16
 """values from row to row of what lies flat: a patch, its neighbours, and some to spare"""
 _FLAT = _SIDE * _ROW
 _WIDE = 2 * HALF + 3
-"""of a patch with its neighbours, whose differences are the gradients"""
+"""width of a patch with its neighbours, whose differences are the gradients"""
 _MOST = 64
 """pixels along either side of a warped patch"""
 _INSIDE = np.tile(np.arange(_ROW) < _SIDE, _SIDE).astype(np.float32)
@@ -32,7 +32,7 @@ _COARSER = 0.4
 """ratio of the areas of a patch in the image and in the keyframe, below which the keyframe's next
 coarser level has the right detail: between 1 and a quarter"""
 _ANY_ORDER = {"reassoc", "contract", "nsz", "arcp"}
-"""of sums, so that the processor takes a vector of pixels at a time"""
+"""floating-point sums in any order, so that the processor takes a vector of pixels at a time"""
 
 
 def grey_levels(image: Bytes) -> tuple[Grey, Grey, Grey]:

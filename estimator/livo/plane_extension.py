@@ -28,11 +28,13 @@ _VIEW_MARGIN = 1.5
 _THICKNESS_M = 0.08
 """four standard deviations of a range"""
 _LEAST_DISTANCE_M = 20.0
-"""at a smaller distance, unevenness of that size moves features by more than the tracking error"""
+"""distance to the plane below which unevenness of that size moves features by more than the
+tracking error"""
 _LEAST_SHARE = 0.5
-"""of the image's returns that must lie in the plane"""
+"""fraction of the image's returns that must lie in the plane"""
 _MOST_BELOW = 0.03
-"""of them that may lie beyond it: objects stand on the ground or float on the water"""
+"""fraction of those returns that may lie beyond it: objects stand on the ground or float on the
+water"""
 _LEAST_SPREAD = 0.05
 """standard deviation of the returns along the plane's narrower direction, relative to its distance:
 the plane must be determined up to the edge of the image"""

@@ -52,17 +52,17 @@ from touchdown.estimator.typing import Array, Grey, Indices
 from touchdown.sim.frames import Pose
 
 _GATES_PX = (12.0, 6.0, 3.0, 3.0)
-"""of the iterations"""
+"""largest residuals of the four iterations"""
 _LEAST_LANDMARKS = 15
-"""of an update"""
+"""number of landmarks that an update needs"""
 _LAST_FEW = 4
 """newest keyframes, whose tracking is no loop closure"""
 _LEAST_PLANES = 25
 """features of a keyframe with depth; with fewer, the others are assigned the common plane of the
 returns around, if there is one"""
 _GROUND_SHARE = 0.15
-"""of the image with returns, from which on features elsewhere are not of the ground: beyond its
-edge there may be stars. Over still water most images have returns in a tenth or less."""
+"""fraction of the image with returns, from which on features elsewhere are not of the ground:
+beyond its edge there may be stars. Over still water most images have returns in a tenth or less."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,7 +90,7 @@ class _Track:
     which: Indices
     """(N,) of its features"""
     views: LandmarkViews
-    """as created"""
+    """views of the landmarks as they were created"""
     made_with: Array
     """(C,) calibration at which ``landmarks`` hold"""
 

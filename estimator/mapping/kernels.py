@@ -61,7 +61,7 @@ class Layers(NamedTuple):
 _BLOCK = 256
 """pulses whose pixel indices are computed before any pixel is read"""
 _BINS_BELOW = 4
-"""of a histogram below its first return"""
+"""number of bins of a histogram below its first return"""
 _LOW_RETURNS = 3
 """far below the others from which they are the ground"""
 

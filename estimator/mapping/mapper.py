@@ -46,7 +46,7 @@ _TRACK_LENGTH = 256
 """buffered poses: 1.28 s of control steps, more than a scan plus its delivery"""
 _GROUND_BLOCK_M = 4.0
 _CAMERA_HZ = 5
-"""for the colour of cells, each of which a survey has in view for seconds"""
+"""rate of images for the colour of cells, each of which a survey has in view for seconds"""
 _IMAGES_KEPT = 3
 _PATIENCE_S = 0.3
 """longest time after its end that a scan waits for the estimator's track"""

@@ -37,7 +37,7 @@ from touchdown.sim.frames import Pose
 
 _LEAST_LANDMARKS = 30
 _QUERY_PERIOD_S = 1.0
-"""between keyframes that the dictionary holds and is asked about: ``Rtabmap/DetectionRate``"""
+"""time between keyframes that the dictionary holds and is asked about: ``Rtabmap/DetectionRate``"""
 _AROUND = 2
 """keyframes before and after the one of a hypothesis whose landmarks verify it"""
 

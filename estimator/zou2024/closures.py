@@ -13,7 +13,7 @@ from touchdown.estimator.zou2024.visual_map import MapKeyframe
 from touchdown.sim.frames import Pose, rotation_from_yaw, skew, so3_log
 
 KINDS = ((SIFT_BYTES, False), (BRISK_BYTES, True))
-"""of descriptors: bytes, and whether these are bits"""
+"""kinds of descriptors: number of bytes, and whether these are bits"""
 _ANCHOR_SIGMAS = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
 _LEVEL_SIGMAS = np.array([np.radians(0.05), np.radians(0.05), np.inf, np.inf, np.inf, 0.03])
 _HOP_FLOOR_SIGMAS = np.repeat([2e-5, 1e-3], 3)

@@ -9,9 +9,9 @@ from functools import partial
 from touchdown.estimator.api import Estimate, PoseTrack, Zou2024Params
 from touchdown.estimator.filtering.error_state import POSITION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
-from touchdown.estimator.filtering.intake import Intake
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.online_calibration import prior_sigmas
+from touchdown.estimator.filtering.synchronizer import MessageSynchronizer
 from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.typing import Float32
 from touchdown.estimator.zou2024.camera_pose import CameraPositioning
@@ -41,27 +41,29 @@ class Zou2024Estimator:
         self._energies: list[tuple[CameraImage, Float32]] = []
         self._scan_track: PoseTrack | None = None
         self._skipped = 0
-        self._intake = Intake(rig, self._filter, params.camera_hz, middle_rows=True)
+        self._synchronizer = MessageSynchronizer(
+            rig, self._filter, params.camera_hz, middle_rows=True
+        )
 
     def update(self, obs: Observation) -> Estimate:
         """Processes the arrived messages and returns the estimate at ``obs.tick``."""
         self._scan_track = None
-        arrivals = list(self._intake.ready(obs))
+        arrivals = list(self._synchronizer.push(obs))
         self._images.extend(m for m in arrivals if isinstance(m, CameraImage))
         for message in arrivals:
-            if self._intake.admit(message):
+            if self._synchronizer.advance(message):
                 self._take(message)
-        self._intake.finish(obs)
+        self._synchronizer.flush(obs)
         seconds = self._filter.step_s
         world_from_odom, spread = self._camera.world_from_odom(seconds)
         # the reported pose differs from the best estimate by the decaying jump
         jump = self._filter.jump[POSITION]
         spread = spread + jump * jump[:, None]
         spread[2, 2] += self._params.ground_sigma_m**2
-        skipped = self._skipped + self._intake.skipped + self._camera.failed
+        skipped = self._skipped + self._synchronizer.skipped + self._camera.failed
         diagnostics = self._lidar.diagnostics | self._camera.diagnostics
         diagnostics |= {"skipped": float(skipped)}
-        events = tuple(self._intake.events)
+        events = tuple(self._synchronizer.events)
         return self._filter.estimate(
             obs, world_from_odom, spread, self._scan_track, diagnostics, events
         )

@@ -19,8 +19,8 @@ NEIGHBOURS = 5
 _COUNT, _X, _Y, _Z = range(4)
 _CENTRE, _SENSOR = slice(1, 4), slice(4, 7)
 _COLUMNS = 7
-"""of a voxel: number of points, sums of their coordinates, and the position (3,) that it was first
-seen from"""
+"""columns of a voxel: number of points, sums of their coordinates, and the position (3,) that it
+was first seen from"""
 
 
 _NO_OWNER = -1

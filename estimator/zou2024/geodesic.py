@@ -22,7 +22,7 @@ nearest seed is also the nearest in the image"""
 _FAR = np.float32(1e9)
 _DIAGONAL = 1.4142135623730951
 _LEAST_WEIGHT = 0.4
-"""of the nearest return in Eq. 12, below which a pixel has no depth"""
+"""weight of the nearest return in Eq. 12, below which a pixel has no depth"""
 
 
 @njit(cache=True)

@@ -31,7 +31,7 @@ from touchdown.sim.api import CameraIntrinsics, LidarScan, SensorRig
 from touchdown.sim.frames import Pose
 
 _LASERS = 6
-"""of the Horizon, firing in turn"""
+"""number of lasers of the Horizon, firing in turn"""
 _LONGEST_GAP = 8
 _TURN_SIGMA, _LATERAL_SIGMA_M = np.radians(0.5), 0.3
 """information floor of a scan, and of each clone's part of the map: errors of their points that do

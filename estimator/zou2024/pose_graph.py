@@ -41,7 +41,7 @@ def edge_residual(edge: Edge, source: Pose, target: Pose) -> Array:
 
 
 _TARGET_ROTATION, _TARGET_POSITION = after(POSE_DIM, ROTATION), after(POSE_DIM, POSITION)
-"""of an edge's twelve coordinates, the source's six first"""
+"""coordinates of the target among an edge's twelve, the source's six first"""
 
 
 class PoseGraph:

@@ -41,7 +41,7 @@ _SCATTER_OF_FIVE = 5.0 / 2.0
 """ratio of the variance of points about a plane to the smallest eigenvalue of five: three of their
 degrees of freedom place the plane"""
 _LEAST_SINE = 0.25
-"""of the angle between two sides of the three plane points, below which they are one line"""
+"""sine of the angle between two sides of the three plane points, below which they are one line"""
 
 
 @dataclass(frozen=True, slots=True)

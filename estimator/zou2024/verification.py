@@ -25,7 +25,7 @@ from touchdown.sim.frames import Pose
 _ITERATIONS = 300
 """``Vis/Iterations`` of RTAB-Map"""
 _CLEAR_RATIO = 0.8
-"""of the distances to the nearest descriptor and to the next; ``Vis/CorNNDR`` of RTAB-Map"""
+"""ratio of the distances to the nearest descriptor and to the next; ``Vis/CorNNDR`` of RTAB-Map"""
 _RANSAC_PX = 3.0
 _GATE_PX = 6.0
 _RADIUS_PX = 40.0

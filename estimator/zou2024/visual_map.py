@@ -71,16 +71,16 @@ class MapKeyframe:
 
     number: int
     odom_from_imu: Pose
-    """from the filter, refined by the bundle adjustment while the keyframe is in the window"""
+    """pose by the filter, refined by the bundle adjustment while the keyframe is in the window"""
     map_from_imu: Pose
-    """after loop closures"""
+    """pose after loop closures"""
     depth_m: float
     landmarks: tuple[LandmarkSet, LandmarkSet]
     sightings: Sightings = field(default_factory=no_sightings)
     twist: Array = field(default_factory=lambda: np.zeros(6))
-    """of the IMU: angular rate in its frame, velocity in the odometry frame"""
+    """motion of the IMU: angular rate in its frame, velocity in the odometry frame"""
     calibration: Array = field(default_factory=lambda: np.zeros(0))
-    """of the filter when the depths were measured"""
+    """calibration of the filter when the depths were measured"""
     time_s: float = 0.0
 
 

@@ -1,5 +1,5 @@
 """Conditions of a flight, measured on the truth, on delivered messages and where the world applies
-them: the figures by which `experiments.flight.happened` judges them."""
+them: the figures by which `experiments.flight.condition_checks` judges them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _AIRBORNE_M = 3.0
 """Height over the take-off spot from which wind and vibration count: below it the profile is steep
 and the ground holds the vehicle still."""
 _STRIDE = 16
-"""of the rows and columns whose brightness is taken"""
+"""step between the rows and columns whose brightness is taken"""
 _NOTHING = Effect()
 
 

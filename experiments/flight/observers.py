@@ -68,7 +68,7 @@ class StepObserver:
         self.slowed_s = 0.0
         """time by which wind has made the lander's trajectories longer than they were set"""
         self.decisions: tuple[Decision, ...] = ()
-        """of the lander so far"""
+        """decisions of the lander so far"""
         self.conditions = ConditionsObserver(roughness_length_m)
         self._recorder = recorder
         self._progress = progress

@@ -12,7 +12,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import external_parts, other_parts
 from touchdown.experiments.external.loading import flown_code, imported_code
 from touchdown.experiments.flight.choice import choice_of, missed_ground
-from touchdown.experiments.flight.happened import as_json, judge_conditions
+from touchdown.experiments.flight.condition_checks import as_json, judge_conditions
 from touchdown.experiments.flight.metrics import GroundMap, levelness_error_deg
 from touchdown.experiments.flight.observers import StepObserver
 from touchdown.experiments.flight.referee import Judgement

@@ -211,7 +211,7 @@ class RunResult(_Part):
     faults: list[dict[str, Any]] = Field(default_factory=list)
     measured: Measured | None = None
     conditions: list[dict[str, Any]] = Field(default_factory=list)
-    """verdicts of `experiments.flight.happened`"""
+    """verdicts of `experiments.flight.condition_checks`"""
     _path: Path | None = PrivateAttr(None)
     _settings: dict[str, Any] = PrivateAttr(default_factory=dict)
 

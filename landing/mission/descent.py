@@ -29,7 +29,7 @@ _SWEEP_SPEED_MPS = 1.2
 _SLOW_ABOVE_M = 0.2
 """height of the legs at which touchdown speed is reached"""
 _FREEZE_ABOVE_M = 1.5
-"""below this height, near the shortest LIDAR range, the ground height is no longer updated"""
+"""height below which, near the shortest LIDAR range, the ground height is no longer updated"""
 _GROUND_RATE_MPS = 0.05
 """rate limit of corrections of the ground height"""
 _DETECT_BELOW_M = 0.6

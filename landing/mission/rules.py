@@ -211,7 +211,7 @@ RULES: tuple[Rule, ...] = (
     Rule("go_around", Moment.REFUSED, go_around, Action.GO_AROUND),
     Rule("no_go_around_left", Moment.REFUSED, no_go_around_left, Action.RETURN, "no_site"),
 )  # fmt: skip
-"""In the order in which they count."""
+"""All rules, in the order in which they count."""
 
 
 def first_ruling(moment: Moment, view: MissionView, state: MissionState) -> Ruling | None:

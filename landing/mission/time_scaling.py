@@ -27,11 +27,12 @@ JERK_PER_S2 = 1.0
 """largest change of the rate's derivative per second"""
 _APPROACH_S = 0.4
 _PERIOD_S = 0.05
-"""between two looks ahead"""
+"""time between two looks ahead"""
 _PLANNED_PER_S = 0.2
 """fall of the rate that looking ahead counts on; the rest covers its delay"""
 _AHEAD_S, _AHEAD_POINTS = 2.5, 14
-"""after 1 / (2 * _PLANNED_PER_S) seconds of the path, nothing limits the rate now"""
+"""span and number of points of a look ahead: after 1 / (2 * _PLANNED_PER_S) seconds of the path,
+nothing limits the rate now"""
 _BISECTIONS = 5
 _SPARE = 0.02
 """load beyond the hover's that a motion may take where the hover has no margin left itself"""

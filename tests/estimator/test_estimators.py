@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import Estimate
-from touchdown.estimator.filtering.intake import stamp_of
+from touchdown.estimator.filtering.synchronizer import stamp_of
 from touchdown.sim.api import FaultParams, LidarScan, Observation
 from touchdown.sim.faults.injector import FaultInjector
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from touchdown.estimator.filtering.intake import ArrivingStream, MessageOrder, stamp_of
+from touchdown.estimator.filtering.synchronizer import ArrivingStream, MessageOrder, stamp_of
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SimParams
 from touchdown.sim.delivery import Latency
 

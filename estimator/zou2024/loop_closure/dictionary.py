@@ -8,7 +8,7 @@ import numpy as np
 from touchdown.estimator.typing import Bytes, Float32, Indices
 
 _NEW_WORD_RATIO = 0.8
-"""of the distances to the nearest word and to the next (``Kp/NndrRatio`` of RTAB-Map)"""
+"""ratio of the distances to the nearest word and to the next (``Kp/NndrRatio`` of RTAB-Map)"""
 
 
 class Vocabulary:

@@ -20,7 +20,7 @@ from touchdown.estimator.zou2024.loop_closure.dictionary import Vocabulary
 from touchdown.estimator.zou2024.loop_closure.hypotheses import REACH
 
 _MOST_RETRIEVED = 2
-"""at a time, ``Rtabmap/MaxRetrieved`` of RTAB-Map"""
+"""number of locations retrieved at a time, ``Rtabmap/MaxRetrieved`` of RTAB-Map"""
 
 
 class MemoryLimits(NamedTuple):
@@ -59,7 +59,7 @@ class Memory:
         self.locations: dict[int, Location] = {}
         self._short: list[int] = []
         self._shown: dict[int, dict[int, float]] = {}
-        """by word: the share that it has of the words of each location that shows it"""
+        """by word the fraction that it has of the words of each location that shows it"""
 
     @property
     def working(self) -> list[int]:

@@ -25,7 +25,7 @@ OPTIONS = ("stride", "patchSize", "patchInnerSize", "shrinkNumber", "numberOfTre
            "ssFeatureSmoothingRadius")  # fmt: skip
 SECTIONS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
 _MAX_BYTES = 256 << 20
-"""of a model unpacked; the shipped one has 10 MiB"""
+"""size of a model unpacked; the shipped one has 10 MiB"""
 
 
 def check_model(path: Path) -> None:

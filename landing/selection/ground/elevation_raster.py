@@ -203,7 +203,7 @@ class PlaneField:
     window are known."""
 
     angle_rad: Float32
-    """between the plane's normal and the vertical, (rows, cols)"""
+    """angle between the plane's normal and the vertical, (rows, cols)"""
     level: Float32
     """height of the plane at the cell's centre"""
 

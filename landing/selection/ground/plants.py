@@ -22,7 +22,7 @@ from touchdown.landing.selection.ground.elevation_raster import ElevationRaster
 Mask = NDArray[np.bool_]
 
 _NOISE_M = np.float32(0.05)
-"""of the highest of many returns of bare ground"""
+"""error of the highest of many returns of bare ground"""
 
 
 def standing_plants(

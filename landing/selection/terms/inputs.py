@@ -32,7 +32,7 @@ class Inputs:
     distance: Float32
     """Eq. 18, 1 near to 0 far"""
     probability: Float32
-    """of a touchdown that is safe by geometry"""
+    """probability of a touchdown that is safe by geometry"""
     traffic: Mask
     """near a surface with traffic, or on one whose class was refused"""
     plants: Mask

@@ -7,7 +7,7 @@ import pytest
 from touchdown.experiments.cli.console import condition_lines
 from touchdown.experiments.config.profiles import effects
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.flight.happened import (
+from touchdown.experiments.flight.condition_checks import (
     EFFECT_RULES,
     as_json,
     judge_conditions,

@@ -19,21 +19,22 @@ from touchdown.experiments.io.measured import Measured
 from touchdown.sim.api import Fault, WindParams
 
 LEAST_SHARE = 0.9
-"""of the messages, or of the time, that a lasting fault must have acted on. Not all: the first
-message of a stream cannot repeat another, and another fault may have taken a message away."""
+"""fraction of the messages, or of the time, that a lasting fault must have acted on. Not all: the
+first message of a stream cannot repeat another, and another fault may have taken a message away."""
 MOST_LUX: Mapping[str, float] = {"overcast": 25e3, "dusk": 1e3, "night": 1.0}
 """Most light (illuminance times reflectivity) of an image. Full daylight without direct sun has 10
 to 25 klx, sunrise and sunset 400 lx, a full moon 0.05 to 0.3 lx."""
 WIND_SHARE = 0.35
-"""by which the mean over a flight may miss the mean wind: turbulence of a time scale of up to half
-a minute does not average out in one or two"""
+"""fraction by which the mean over a flight may miss the mean wind: turbulence of a time scale of up
+to half a minute does not average out in one or two"""
 DRAWN_SHARE = 0.2
-"""of its standard deviation or bound that a drawn error must have: three normal deviates together
-are smaller in 0.2 % of flights"""
+"""fraction of its standard deviation or bound that a drawn error must have: three normal deviates
+together are smaller in 0.2 % of flights"""
 HALF = 0.5
-"""of what is asked for that an effect without chance must reach: `field` has half or less of it"""
+"""fraction of what is asked for that an effect without chance must reach: `field` has half or less
+of it"""
 SUN_DEG = 1.0
-"""by which a low sun may miss its elevation"""
+"""angle by which a low sun may miss its elevation"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,7 +42,7 @@ class Condition:
     """The verdict on one condition of a flight."""
 
     name: str
-    """as the configuration names it: ``camera_black@20``, ``night``, ``wind``, ``dust``"""
+    """name as the configuration gives it: ``camera_black@20``, ``night``, ``wind``, ``dust``"""
     happened: bool
     text: str
     """what was measured, in words"""

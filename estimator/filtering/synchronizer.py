@@ -23,7 +23,7 @@ Message = LidarScan | CameraImage
 _REMEMBERED = 64
 """messages by which the delay of a stream is bounded"""
 _MARGIN = 0.5
-"""of the spread of those delays, beyond the longest"""
+"""fraction of the spread of those delays, beyond the longest"""
 _GAPS = 8
 """intervals between stamps by which the period of a stream is known"""
 _LOST_PERIODS = 3.0
@@ -131,9 +131,9 @@ class MessageOrder:
         return other is not None and other.may_bring(before, now)
 
 
-class Intake:
-    """Takes observations in three steps: ``ready`` gives the scans and images that may be used now,
-    ``admit`` carries the filter to one of them, and ``finish`` brings what they corrected to the
+class MessageSynchronizer:
+    """Takes observations in three steps: ``push`` gives the scans and images that may be used now,
+    ``advance`` carries the filter to one of them, and ``flush`` brings what they corrected to the
     present.
 
     ``camera_hz`` 0: no images. ``middle_rows``: images are stamped with the exposure of their
@@ -154,9 +154,9 @@ class Intake:
         self.skipped = 0
         """messages refused since the start"""
         self.events: list[str] = []
-        """of this observation"""
+        """events of this observation"""
 
-    def ready(self, obs: Observation) -> list[Message]:
+    def push(self, obs: Observation) -> list[Message]:
         """Takes the IMU samples; returns the scans and images to be used now, oldest first."""
         obs = self._guard.screen(obs)
         self.events = list(self._guard.events)
@@ -167,7 +167,7 @@ class Intake:
         self._filter.take_imu(obs)
         return self._order.push(obs)
 
-    def admit(self, message: Message) -> bool:
+    def advance(self, message: Message) -> bool:
         """Carries the filter to the message; False if it came too late."""
         tick = stamp_of(message)
         if not self._filter.tick <= tick <= self._filter.present.tick:
@@ -179,7 +179,7 @@ class Intake:
         self._changed = True
         return True
 
-    def finish(self, obs: Observation) -> None:
+    def flush(self, obs: Observation) -> None:
         """Carries a filter that has waited too long; brings its corrections to the present."""
         scan = self._rig.lidar_scan_ticks
         lag = scan + max(self._rig.compute_latency_ticks, self._order.longest_wait_ticks)
