@@ -139,12 +139,14 @@ class LivoParams(CalibratedParams):
     map_open_s: Positive = 0.3
     """scans enter the map for so long after a keyframe: later ones have drifted against it"""
     image_open_s: Positive = 0.5
-    """scans enter an image of intensity for so long after a keyframe: its cells need more returns"""
+    """scans enter an image of intensity for so long after a keyframe: its cells need more
+    returns"""
     anchor_spacing: Positive = 0.45
     """horizontal distance from the newest keyframe relative to the height, beyond which the map is
     given another part where images fail: a scan covers half the height along the flight"""
     anchor_climb: Positive = 0.3
-    """vertical distance that counts as ``anchor_spacing`` does; both by 21 replays without images"""
+    """vertical distance that counts as ``anchor_spacing`` does; both by 21 replays without
+    images"""
     anchor_turn_deg: ClassVar[float] = 20.0
     """rotation since the newest keyframe that counts as ``anchor_spacing`` does"""
     plane_sigma_m: NotNegative = 0.003
@@ -169,7 +171,8 @@ class LivoParams(CalibratedParams):
     """standard deviation, relative to their distance, of features that are assumed to lie on level
     ground below the rangefinder, as new ones are while no scans come"""
     assumed_depth_floor: ClassVar[float] = 0.16
-    """least standard deviation of an assumed depth, relative to it, however long parallax has shown it"""
+    """least standard deviation of an assumed depth, relative to it, however long parallax has shown
+    it"""
     range_scale_sigma: Positive = 0.01
     """while no scans come, the rangefinder scales the way since a keyframe: relative error of its
     range as the depth of the landmarks around, by relief; chosen on five replays without LIDAR.

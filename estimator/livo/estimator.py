@@ -53,8 +53,8 @@ _INFLATION, _FLOOR = 1.8, 0.005
 """inflation and floor of the reported covariance: errors of a landmark or a voxel repeat from image
 to image and scan to scan, while the filter takes them for white noise"""
 _DARK_INFLATION = 2.7
-"""inflation of the reported covariance where intensities measure: the noise of an image of intensity repeats in
-all scans that are compared with it"""
+"""inflation of the reported covariance where intensities measure: the noise of an image of
+intensity repeats in all scans that are compared with it"""
 
 
 class Livo:

@@ -56,8 +56,8 @@ _LEAST_OVERLAP, _MOST_IMAGES = 0.12, 5
 _LEAST_CLEAR = 0.3
 """share of an image's squared gradients that is not noise; below, it has no texture"""
 _FIRST_SIGMA, _LEAST_SIGMA, _MOST_SIGMA = 0.25, 0.1, 0.3
-"""errors of a brightness: the first, the least, the most; an image that fits worse shows something else, as water
-does, whose brightness depends on where it is seen from"""
+"""errors of a brightness: the first, the least, the most; an image that fits worse shows something
+else, as water does, whose brightness depends on where it is seen from"""
 _ASIDE_M, _ROTATION_RAD = 0.03, 5e-4
 """errors of a measurement that do not average out over its returns: the noise of an image is the
 same for all scans compared with it"""
