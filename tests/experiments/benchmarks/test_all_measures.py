@@ -49,7 +49,7 @@ def test_two_checkouts_take_turns(
     assert cli.main(["bench", "compare", *map(str, trees), "--rounds", "2", "--json"]) == 0
     assert log.read_text().split() == ["a", "b"] * 2 * len(COMMANDS)
     found = json.loads(capsys.readouterr().out)
-    assert list(found) == TITLES and 5.0 < found.pop("memory of a landing")["values"][0] < 500.0
+    assert list(found) == TITLES and found.pop("memory of a landing")["values"][0] > 5.0
     assert [one["values"][0] for one in found.values()] == pytest.approx(EXPECTED)
     assert found["landing"]["values"] == [0.5, 0.25] and found["landing"]["ratio"] == 0.5
     words = says(0, "bench", "compare", *map(str, trees)).out.splitlines()[0].split()

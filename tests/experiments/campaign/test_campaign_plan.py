@@ -107,11 +107,11 @@ def test_usage_errors_are_one_line_and_write_nothing(
 def test_a_scene_file_that_is_none_is_refused_before_the_first_flight(
     tmp_path: Path, says: Says
 ) -> None:
-    (tmp_path / "place.xml").write_text("<robot/>")
+    (tmp_path / "place.xml").write_text("<mujoco><wrong/></mujoco>")
     file = tmp_path / "c.toml"
     file.write_text(axes(scene=[str(tmp_path / "place.xml")]))
     error = says(2, "campaign", file, "--out", tmp_path / "out").err
-    assert error.count("\n") == 1 and "the root of 'place.xml' is <robot>" in error
+    assert error.count("\n") == 1 and "'wrong'" in error and "place.xml" in error
     assert not (tmp_path / "out").exists()
 
 

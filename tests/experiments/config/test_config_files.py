@@ -136,7 +136,6 @@ LARGEST = 2**63 - 1
     ("scenes", "export", "flat", "--seed", str(2**63)), ("calibrate", "--seed", str(2**63)),
     ("dataset", "render", "--seed", str(2**63)), ("train", "data", "--seed", "-1"),
     ("bench", "loop", "--seed", str(2**63)),
-    ("bench", "endurance", "--seeds", str(2**63)),
 ], ids=" ".join)  # fmt: skip
 def test_a_seed_that_no_table_holds_is_refused_where_it_enters(
     arguments: tuple[str, ...], says: Says,

@@ -32,7 +32,7 @@ def observe(time_s: float) -> Observation:
 
 
 def test_ramp() -> None:
-    biased = BiasedEstimator(Script(), BiasParams(xy_m=(0.5, -1.0), ramp_s=5.0))
+    biased = BiasedEstimator(Script(), BiasParams(xy_m=(0.5, -1.0)))
     assert biased.needs == SensorNeeds(lidar=True)
     for time_s, share in ((0.0, 0.0), (1.0, 0.0), (3.5, 0.5), (6.0, 1.0), (30.0, 1.0)):
         estimate = biased.update(observe(time_s))
