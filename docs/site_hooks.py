@@ -29,6 +29,8 @@ WIDTH = 96
 """Columns of the help."""
 
 _LINK = re.compile(r"(?<=\]\()([^)\s#:]+)(?=[)#])")
+_EXAMPLE = re.compile(r"^\[.*\]\(\.\./(examples/\w+\.py)\)$", re.MULTILINE)
+"""A link to an example, on a line of its own."""
 
 
 def anchor(heading: str, separator: str = "-") -> str:
@@ -53,6 +55,15 @@ def links_of_the_site(text: str, source: str) -> str:
         return posixpath.relpath(target.removeprefix("docs/"), posixpath.dirname(page) or ".")
 
     return _LINK.sub(moved, text)
+
+
+def with_examples(text: str) -> str:
+    """Markdown with the code of each example in place of the link to it."""
+
+    def printed(match: re.Match[str]) -> str:
+        return f"```python\n{(ROOT / match[1]).read_text(encoding='utf-8')}```"
+
+    return _EXAMPLE.sub(printed, text)
 
 
 def help_of_commands() -> str:
@@ -99,4 +110,4 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.file.src_uri in ROOT_PAGES.values():
         return markdown
-    return links_of_the_site(markdown, f"docs/{page.file.src_uri}")
+    return links_of_the_site(with_examples(markdown), f"docs/{page.file.src_uri}")
