@@ -14,10 +14,10 @@ import numpy as np
 from touchdown.scenes.api import Scene
 from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.api import CameraImage, LidarScan, SensorNeeds, WorldParams
-from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor, GroundEffects
 from touchdown.sim.camera.stamps import ShutterClock, Stamp
+from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.clock import image_period_ticks
 from touchdown.sim.delivery import DeliveryQueue, Latency, make_executor
 from touchdown.sim.dust import DustCloud
@@ -54,7 +54,7 @@ class ImagingSensors:
         self._dust = DustCloud(scene, params.dust) if dusty else None
         self.plants = SurfaceDetail.plants_of(params.lidar, scene)
         """Grass and crops that every sensor sees above the ground; None: there are none"""
-        self._cover = Cover.of(scene, self.plants)
+        self._vegetation = Vegetation.of(scene, self.plants)
         self.camera = self._make_camera(CAMERA_NAME)
         self._right: CameraSensor | None = None
         self._lidar: LidarSensor | None = None
@@ -78,7 +78,7 @@ class ImagingSensors:
             params.faults,
             self._sim.tick_hz,
             params.lamp,
-            GroundEffects(self._dust, self._cover),
+            GroundEffects(self._dust, self._vegetation),
         )
 
     def add(self, needs: SensorNeeds) -> None:

@@ -16,9 +16,9 @@ import numpy as np
 from touchdown.scenes.api import Scene
 from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.api import GRAVITY_MPS2, CameraImage, CameraIntrinsics, LidarScan, WorldParams
-from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.camera.sensor import CameraSensor, GroundEffects
+from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, rotation_from_yaw
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
@@ -66,9 +66,13 @@ class PosedSensors:
         self._data = mujoco.MjData(scene.model)
         self._moving = MovingBodies(scene)
         self._held: dict[str, Pose] = {}
-        cover = Cover.of(scene, SurfaceDetail.plants_of(params.lidar, scene))
+        vegetation = Vegetation.of(scene, SurfaceDetail.plants_of(params.lidar, scene))
         self._camera = CameraSensor(
-            scene, params.camera, seed, lamp=params.lamp, ground=GroundEffects(cover=cover)
+            scene,
+            params.camera,
+            seed,
+            lamp=params.lamp,
+            ground=GroundEffects(vegetation=vegetation),
         )
         self.mounts = sensor_mounts(scene.model)
         """True extrinsics of the sensors"""

@@ -47,7 +47,7 @@ def stage_ms(of: Sequence[str], call: str) -> Callable[[Printed], float]:
     def read(printed: Printed) -> float:
         stages = printed["stages"]
         spent = [
-            row["calls"] * row["ms"] for name, row in stages.items() if name.startswith((*of,))
+            row["calls"] * row["ms"] for name, row in stages.items() if name.startswith(tuple(of))
         ]
         return float(sum(spent) / max(stages[call]["calls"], 1))
 

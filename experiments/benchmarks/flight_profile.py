@@ -34,7 +34,7 @@ _SIM = "touchdown.sim."
 STAGES: Mapping[str, str] = {
     "picture: draw": _SIM + "camera.gl:Stage.colour",
     "picture: depth": _SIM + "camera.gl:Stage.inverse_depth_of_last",
-    "picture: grain": _SIM + "camera.detail:GroundDetail.add",
+    "picture: grain": _SIM + "camera.detail_texture:DetailTexture.add",
     "film": _SIM + "camera.row_exposures:RowExposures.develop",
     "camera": _SIM + "imaging_sensors:ImagingSensors._render",
     "lidar: aim": _SIM + "lidar.sensor:LidarSensor._aim",

@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 
 from touchdown.sim.api import CameraIntrinsics
-from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.gl_contexts import gl_context, put_back
 from touchdown.sim.camera.ground_picture import GroundPicture
+from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.camera.visible import Frustum, Terrain, TerrainTiles, VisibleGeoms
 from touchdown.sim.typing import Array, Bytes, Float32, Int32
 
@@ -55,8 +55,8 @@ SNAPSHOT_FIELDS = ("geom_xpos", "geom_xmat", "light_xpos", "light_xdir", "cam_xp
 
 class Stage:
     """GL context, MuJoCo scene and buffers of one rendering thread, for rasters of ``pinhole`` or
-    bands of their rows. ``samples``: of multisampling, in colour images only. ``cover``: plants on
-    the ground, seen by cameras that do not stand in them.
+    bands of their rows. ``samples``: of multisampling, in colour images only. ``vegetation``: on
+    the ground, seen by cameras that do not stand in it.
 
     Everything comes bottom row first.
     """
@@ -66,10 +66,10 @@ class Stage:
         model: mujoco.MjModel,
         pinhole: CameraIntrinsics,
         samples: int,
-        cover: Cover | None = None,
+        vegetation: Vegetation | None = None,
     ) -> None:
         self._model = model
-        self._cover = cover
+        self._vegetation = vegetation
         self._terrains = Terrain.all_of(model)
         self._tiles: dict[tuple[int, bool], TerrainTiles] = {}  # by field, with or without plants
         self._geoms: VisibleGeoms | None = None
@@ -193,13 +193,17 @@ class Stage:
 
     def _lay_ground(self, context: mujoco.MjrContext, frustum: Frustum) -> None:
         """The tiles of terrain in view, with or without plants as ``frustum`` sees them."""
-        cover = self._cover
+        vegetation = self._vegetation
         for field, terrain in self._terrains.items():
-            covered = cover is not None and cover.field == field and not cover.hides(frustum.eye)
-            if (field, covered) not in self._tiles:
-                model = cover.model if cover is not None and covered else self._model
-                self._tiles[field, covered] = TerrainTiles(terrain, model, self._pictures[field])
-            self._tiles[field, covered].show(context, frustum)
+            planted = (
+                vegetation is not None
+                and vegetation.field == field
+                and not vegetation.hides(frustum.eye)
+            )
+            if (field, planted) not in self._tiles:
+                model = vegetation.model if vegetation is not None and planted else self._model
+                self._tiles[field, planted] = TerrainTiles(terrain, model, self._pictures[field])
+            self._tiles[field, planted].show(context, frustum)
 
     def _frustum(self, snapshot: Snapshot, camera_id: int, first: int, last: int) -> Frustum:
         eye, axes = snapshot.cam_xpos[camera_id], snapshot.cam_xmat[camera_id]

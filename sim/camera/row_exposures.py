@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import LIGHT_LUX
 from touchdown.sim.api import CameraParams, LampParams
 from touchdown.sim.camera.exposure import AutoExposure, Exposure
-from touchdown.sim.camera.film import Exposed, Film, NoisePlace, mean_light, sensor_noise
 from touchdown.sim.camera.gl import InverseDepth
+from touchdown.sim.camera.image_sensor import (
+    Exposed,
+    ImageSensor,
+    NoisePlace,
+    mean_light,
+    sensor_noise,
+)
 from touchdown.sim.camera.lamp import LampField, lamp_field, shines
 from touchdown.sim.camera.optics import Lens
 from touchdown.sim.camera.shutter import CameraMotion, identity_shifts, longest_shift, row_shifts
@@ -37,13 +43,13 @@ def exposes_rows(params: CameraParams, light: str) -> bool:
 
 class RowExposures:
     """The rows of rasters of ``lens`` in a scene's ``light``. Where exposures take no time, images
-    are `Film.shown`, with the grey noise of ideal images."""
+    are `ImageSensor.shown`, with the grey noise of ideal images."""
 
     def __init__(
         self, lens: Lens, params: CameraParams, lamp: LampParams, light: str, key: list[int]
     ) -> None:
         self._params, self._lamp, self._lens = params, lamp, lens
-        self._film = Film(lens)
+        self._image_sensor = ImageSensor(lens)
         self._lux = LIGHT_LUX[light]
         self.takes_time = takes_time(params, light)
         height = params.height
@@ -71,7 +77,7 @@ class RowExposures:
         with an exposure that has settled."""
         if not self.takes_time:
             shifts = self._identity if motion is None else self._at(motion, end_s, 0.0, 1)
-            return self._film.shown(drawn, depth, shifts, grey_noise, place), 1.0
+            return self._image_sensor.shown(drawn, depth, shifts, grey_noise, place), 1.0
         lamp = self._field if shines(self._lamp, depth, self._lux) else None
         lux = mean_light(drawn, depth, lamp, self._lux)
         shifts = self._identity
@@ -83,7 +89,7 @@ class RowExposures:
             shifts = self._at(motion, end_s, exposure.time_s, count)
         self._note(exposure, lux, lit=lamp is not None)
         light = self._exposed(exposure, lamp)
-        image = self._film.exposed(drawn, depth, shifts, self._noise, place, light)
+        image = self._image_sensor.exposed(drawn, depth, shifts, self._noise, place, light)
         return image, light.electrons * light.gain / light.full_well
 
     def _note(self, exposure: Exposure, lux: float, *, lit: bool) -> None:

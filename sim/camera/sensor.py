@@ -19,11 +19,10 @@ import numpy as np
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams, LampParams
-from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.degradations import CameraDegradations, ImageDefects
-from touchdown.sim.camera.detail import GroundDetail
-from touchdown.sim.camera.film import NoisePlace
+from touchdown.sim.camera.detail_texture import DetailTexture
 from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, InverseDepth, Snapshot, Stage
+from touchdown.sim.camera.image_sensor import NoisePlace
 from touchdown.sim.camera.optics import (
     NOISE_MARGIN,
     develop,
@@ -36,6 +35,7 @@ from touchdown.sim.camera.optics import (
 )
 from touchdown.sim.camera.row_exposures import RowExposures, exposes_rows, takes_time
 from touchdown.sim.camera.shutter import CameraMotion, camera_motion, margin_px
+from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.dust import DustCloud
 from touchdown.sim.effects import Effects
 from touchdown.sim.moving import BodyTrack
@@ -52,7 +52,7 @@ class GroundEffects:
 
     dust: DustCloud | None = None
     """raised by the rotors"""
-    cover: Cover | None = None
+    vegetation: Vegetation | None = None
     """of plants"""
 
 
@@ -73,7 +73,8 @@ class CameraSensor:
     ``render``, ``render_depth`` and ``render_segmentation`` show one instant through the same lens;
     they may run in any one thread: the GL context is made at the first image and belongs to the
     thread that asked for it. Grey noise depends on (seed, camera, tick) alone. ``faults`` of the
-    clock ``tick_hz`` and ``dust`` degrade the images of ``render``. ``cover``: plants that it sees.
+    clock ``tick_hz`` and ``dust`` degrade the images of ``render``. ``ground``: what it sees of
+    dust and plants.
 
     Raises ValueError when the model has no such camera or the parameters are impossible; rendering
     raises RuntimeError when there is no way to render on this machine, or when called from a second
@@ -121,9 +122,9 @@ class CameraSensor:
             )  # fmt: skip
             degradations.effects = self.effects
             self._degradations = degradations if degradations.ever else None
-        self._cover = ground.cover
+        self._vegetation = ground.vegetation
         self._detail = (
-            GroundDetail(scene, self._lens.raster, ground.cover) if params.detail else None
+            DetailTexture(scene, self._lens.raster, ground.vegetation) if params.detail else None
         )
         self._stage: Stage | None = None
         self._thread: int | None = None
@@ -229,7 +230,7 @@ class CameraSensor:
         self._stage, self._thread = None, None
 
     def _drawn(self, stage: Stage, instant: Snapshot, first: int, last: int) -> _Drawn:
-        """`Stage.colour` of rows ``first`` to ``last``, with the ground's grain."""
+        """`Stage.colour` of rows ``first`` to ``last``, with the ground's detail texture."""
         drawn, depth = stage.colour(instant, self._camera_id, first, last), None
         if self._detail is not None and self._detail.needed(instant, self._camera_id):
             depth = stage.inverse_depth_of_last(last - first)
@@ -264,7 +265,9 @@ class CameraSensor:
     def _own_stage(self) -> Stage:
         thread = threading.get_ident()
         if self._stage is None:
-            self._stage = Stage(self._model, self._lens.raster, self._params.samples, self._cover)
+            self._stage = Stage(
+                self._model, self._lens.raster, self._params.samples, self._vegetation
+            )
             self._thread = thread
         if self._thread != thread:
             raise RuntimeError(

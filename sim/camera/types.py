@@ -37,8 +37,8 @@ class CameraParams:
     """choose the gain for every image, within 1/4 to 4, so that its mean is a middle grey; without
     effect under ``exposure``"""
     detail: bool = False
-    """grain of the ground below 10 m, from photographs of grass, soil, asphalt, sand, snow ...: a
-    scene's own texture has a texel of 2.5 cm"""
+    """detail texture of the ground below 10 m, from photographs of grass, soil, asphalt, sand,
+    snow ...: a scene's own texture has a texel of 2.5 cm"""
     readout_s: NotNegative = 0.0
     """rolling shutter: time from the exposure of the first row to that of the last; 0: all rows at
     once"""

@@ -12,7 +12,7 @@ import pytest
 from touchdown.scenes.api import DETAILS, NO_DETAIL_ID, Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import CameraParams
-from touchdown.sim.camera import detail
+from touchdown.sim.camera import detail_texture
 from touchdown.sim.camera.sensor import CameraSensor
 
 from support.places import cached_scene
@@ -62,19 +62,19 @@ def fine(image: np.ndarray) -> float:
 
 
 def test_every_photograph_is_free_and_listed() -> None:
-    with (detail.PHOTOGRAPHS / "manifest.csv").open(encoding="utf-8", newline="") as file:
+    with (detail_texture.PHOTOGRAPHS / "manifest.csv").open(encoding="utf-8", newline="") as file:
         rows = {row["file"]: row for row in csv.DictReader(file)}
-    pictures = sorted(detail.PHOTOGRAPHS.glob("*.jpg"))
+    pictures = sorted(detail_texture.PHOTOGRAPHS.glob("*.jpg"))
     assert {path.name for path in pictures} == set(rows) == {f"{name}.jpg" for name in DETAILS}
     for name, row in rows.items():
         assert row["licence"] == "CC0 1.0" and row["licence_evidence"] and row["source"], name
-        assert float(row["side_m"]) == detail.LOOKS[name.removesuffix(".jpg")].side_m, name
+        assert float(row["side_m"]) == detail_texture.LOOKS[name.removesuffix(".jpg")].side_m, name
     assert sum(path.stat().st_size for path in pictures) < 10e6
 
 
 @pytest.mark.parametrize("name", DETAILS)
 def test_grain_keeps_the_colour_and_has_no_large_structures(name: str) -> None:
-    ratio = detail.grain(name).astype(float) / 128.0
+    ratio = detail_texture.texture(name).astype(float) / 128.0
     np.testing.assert_allclose(ratio.mean(axis=(0, 1)), 1.0, atol=0.02)
     assert 0.02 < ratio.mean(axis=2).std() < 0.4
     # A tile's quarters look alike: what differs would be seen to repeat.
@@ -83,22 +83,24 @@ def test_grain_keeps_the_colour_and_has_no_large_structures(name: str) -> None:
 
 
 def test_pyramid_halves_the_photographs() -> None:
-    pyramid = detail.pyramid(("sand", "snow"))
-    side = detail.SIDE_PX
+    pyramid = detail_texture.pyramid(("sand", "snow"))
+    side = detail_texture.SIDE_PX
     sand, snow = pyramid.starts
     first = pyramid.texels[snow[0] : snow[0] + side**2].reshape(side, side)
-    np.testing.assert_array_equal(first & 255, detail.grain("snow")[..., 0])
-    np.testing.assert_array_equal(first >> 16, detail.grain("snow")[..., 2])
+    np.testing.assert_array_equal(first & 255, detail_texture.texture("snow")[..., 0])
+    np.testing.assert_array_equal(first >> 16, detail_texture.texture("snow")[..., 2])
     half = pyramid.texels[sand[1] : sand[1] + (side // 2) ** 2]
-    red = detail.grain("sand")[..., 0].reshape(side // 2, 2, side // 2, 2).mean(axis=(1, 3))
+    red = (
+        detail_texture.texture("sand")[..., 0].reshape(side // 2, 2, side // 2, 2).mean(axis=(1, 3))
+    )
     np.testing.assert_allclose((half & 255).reshape(side // 2, -1), red, atol=0.51)
 
 
 def multiplied(
     ratio: int, depth_m: float, height_m: float = 0.0, kind: int = 0, thing_m: float = 0.0
 ) -> np.ndarray:
-    """A grey image of 100 seen from 2 m straight above, with a grain of ``ratio`` / 128."""
-    side = detail.SIDE_PX
+    """A grey image of 100 seen from 2 m straight above, with a texture of ``ratio`` / 128."""
+    side = detail_texture.SIDE_PX
     texels = np.full(sum((side >> k) ** 2 for k in range(6)), ratio * 0x010101, np.uint32)
     starts = np.cumsum([0] + [(side >> k) ** 2 for k in range(5)])[None]
     image = np.full((4, 6, 3), 100, np.uint8)
@@ -106,11 +108,11 @@ def multiplied(
     levels = np.full((4, 6), (1.0 / depth_m - float(far)) / float(per_level), np.float32)
     levels[:, 2] = (1.0 / (depth_m - thing_m) - float(far)) / float(per_level)
     rays = np.array([[0.0, 0.0, -1.0], [0.01, 0.0, 0.0], [0.0, 0.01, 0.0]], np.float32)
-    detail.multiply_grain(
+    detail_texture.multiply_texture(
         image, levels, far, per_level, np.array([2.0, 2.0, depth_m]), rays,
         np.array([0.0, 0.0, 4.0, 10.0, 9.0]), np.full((16, 16), height_m, np.float32),
         np.full((40, 40), kind, np.uint8), texels, starts, np.array([700.0], np.float32),
-        detail.blend_noise(), np.float32(0.0016),
+        detail_texture.blend_noise(), np.float32(0.0016),
     )  # fmt: skip
     return image
 
@@ -127,7 +129,7 @@ def test_grain_multiplies_near_ground_alone() -> None:
 
 
 def test_lookup_knows_ground_by_its_class(place: Scene) -> None:
-    ground = detail.ground_lookup(place)
+    ground = detail_texture.ground_lookup(place)
 
     def at(x: float, y: float) -> tuple[float, str]:
         cells = [
@@ -151,7 +153,7 @@ def test_raster_says_what_the_ground_is() -> None:
     water = scene.ground.class_id == 5
     assert (scene.ground.detail_id[water] == NO_DETAIL_ID).all()
     assert (scene.ground.detail_id[~water] == DETAILS.index("snow")).mean() > 0.99
-    names = detail.ground_lookup(scene).names
+    names = detail_texture.ground_lookup(scene).names
     assert "snow" in names and "grass" not in names
 
 
@@ -171,7 +173,7 @@ def test_grain_is_seen_and_keeps_the_colour() -> None:
 
 
 def _grain(place: Scene, xy: tuple[float, float], height: float) -> np.ndarray:
-    """What the grain alone adds to a picture."""
+    """What the texture alone adds to a picture."""
     return picture(place, xy, height, detail=True) - picture(place, xy, height)
 
 
@@ -196,7 +198,7 @@ def test_things_and_water_have_no_grain(place: Scene) -> None:
 
 
 def test_bands_and_lens_show_the_same_grain() -> None:
-    """A distorted image, drawn through a wider raster, keeps the grain of its middle."""
+    """A distorted image, drawn through a wider raster, keeps the texture of its middle."""
     scene = cached_scene("flat")
     xy = tuple(scene.takeoff_xy_m)
     straight = picture(scene, xy, 1.0, detail=True)

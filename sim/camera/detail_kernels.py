@@ -1,4 +1,4 @@
-"""Grain of photographs multiplied into a drawn raster: the kernels of `detail`."""
+"""Photographs multiplied into a drawn raster: the kernels of `detail_texture`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from touchdown.sim.typing import Array, Bytes, Float32
 SIDE_BITS = 10
 SIDE_PX = 1 << SIDE_BITS
 FAR_M = 10.0
-"""Depth beyond which no grain is added; it fades in over the next `_FADE_M` towards the camera."""
+"""Depth beyond which nothing is added; it fades in over the next `_FADE_M` towards the camera."""
 _FADE_M = 4.0
 TOLERANCE_M = 0.16
 """What lies nearer to the ground's height than this is ground: a cell's corner lies 0.11 m off its
@@ -28,7 +28,7 @@ _FLAT_M = 0.01
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def multiply_grain(
+def multiply_texture(
     image: Bytes,
     depth: Float32,
     inverse_far: np.float32,
@@ -44,10 +44,10 @@ def multiply_grain(
     noise: Float32,
     metres_per_pixel: np.float32,
 ) -> None:
-    """Multiplies grain into ``image`` (rows, W, 3). depth: (rows, W), 1 / metres along the axis is
-    ``inverse_far`` + ``per_level`` times it; rays: (3, 3) direction of pixel (0, 0), its change per
-    column and per row; frame: origin and cells per metre of ``height`` and of ``kind``; texels,
-    starts: as `Pyramid`; metres_per_pixel: at 1 m.
+    """Multiplies the detail texture into ``image`` (rows, W, 3). depth: (rows, W), 1 / metres along
+    the axis is ``inverse_far`` + ``per_level`` times it; rays: (3, 3) direction of pixel (0, 0),
+    its changes per column and row; frame: origin and cells per metre of ``height`` and ``kind``;
+    texels, starts: as `Pyramid`; metres_per_pixel: at 1 m.
 
     Rows go in runs of `_RUN` pixels. Where both ends of a run lie on one material and its depths
     on one plane, places between them are interpolated; elsewhere each pixel is its own run."""
@@ -59,7 +59,7 @@ def multiply_grain(
     factors = np.empty((cols, 3), np.float32)
     line = factors.reshape(3 * cols)
     for i in range(rows):
-        start, grainy = 0, False
+        start, textured = 0, False
         line[:] = one
         this = _place(0, i, depth, inverse_far, per_level, eye, rays, frame, height, kind, noise)
         while start < cols:
@@ -97,13 +97,13 @@ def multiply_grain(
                 strength = min(one, (far - d) / (far - near))
                 step = (b[1] - x) * part * scale, (b[2] - y) * part * scale
                 shares = share, (b[4] - share) * part
-                grainy = True
-                _grain_run(
+                textured = True
+                _texture_run(
                     factors[at : at + count], layers, shift, (x * scale, y * scale), step, shares,
                     size, strength, frame[4] * scale,
                 )  # fmt: skip
             start, this = stop, then
-        if grainy:
+        if textured:
             pixels = image[i].reshape(3 * cols)
             for j in range(3 * cols):
                 value = np.float32(pixels[j]) * line[j] + rounding
@@ -139,7 +139,7 @@ def _place(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _grain_run(
+def _texture_run(
     factors: Float32, texels: NDArray[np.uint32], shift: int, place: tuple[np.float32, np.float32],
     step: tuple[np.float32, np.float32], shares: tuple[np.float32, np.float32],
     size: np.float32, strength: np.float32, beyond: float,

@@ -87,7 +87,7 @@ def sensor_noise(height: int, width: int, key: list[int]) -> NDArray[np.int8]:
     return np.clip(np.rint(drawn / _NOISE_UNIT), -127, 127).astype(np.int8)
 
 
-class Film:
+class ImageSensor:
     """Develops rasters of ``lens``, drawn bottom row first."""
 
     def __init__(self, lens: Lens) -> None:
@@ -239,14 +239,14 @@ def _show(
             shifts[i, 0], x[i if bent else 0], y[i] if bent else ys, depth, far, per_level, sx, sy
         )
         sample_row(drawn, sx, sy, levels)
-        grain, target = noise[first_row + i, first : first + 3 * width], lines[i]
+        deviates, target = noise[first_row + i, first : first + 3 * width], lines[i]
         for j in range(3 * width):
             at = levels[j]
             # written out, so that the loop becomes vector instructions
             spread = floor + a[0] * min(at, b[0]) + a[1] * min(at, b[1]) + a[2] * min(at, b[2])
             spread += a[3] * min(at, b[3]) + a[4] * min(at, b[4]) + a[5] * min(at, b[5])
             spread += a[6] * min(at, b[6]) + a[7] * min(at, b[7]) + a[8] * min(at, b[8])
-            value = scale * at + spread * (step * np.float32(grain[j]))
+            value = scale * at + spread * (step * np.float32(deviates[j]))
             target[j] = np.uint8(np.int32(min(max(value + half, zero), top)))
 
 
@@ -282,10 +282,10 @@ def _expose(
             sample_row(lit, sx, sy, light)
             for j in range(3 * width):
                 total[j] += per_instant * light[j]
-        grain, target = noise[first_row + i, first : first + 3 * width], lines[i]
+        deviates, target = noise[first_row + i, first : first + 3 * width], lines[i]
         for j in range(3 * width):
             collected = min(total[j], well)
-            noisy = collected + np.sqrt(collected + variance) * (step * np.float32(grain[j]))
+            noisy = collected + np.sqrt(collected + variance) * (step * np.float32(deviates[j]))
             value = min(max(noisy * scale, zero), one)
             target[j] = display[np.uintp(np.sqrt(value) * top + half)]
 

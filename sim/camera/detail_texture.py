@@ -1,4 +1,4 @@
-"""Grain of the ground near the camera: photographs multiplied into the drawn raster.
+"""Detail texture of the ground near the camera: photographs multiplied into the drawn raster.
 
 A scene's ground has one texture with a texel of 2.5 cm, ten pixels of a camera 1.5 m up. Where the
 camera is nearer to the ground than `FAR_M`, each pixel's place follows from its depth and the
@@ -29,9 +29,16 @@ from scipy.ndimage import fourier_gaussian
 
 from touchdown.scenes.api import DETAILS, LAND_CLASSES, NO_DETAIL_ID, OTHER_CLASS_ID, Scene
 from touchdown.sim.api import CameraIntrinsics
-from touchdown.sim.camera.cover import Cover
+from touchdown.sim.camera.detail_kernels import (
+    FAR_M,
+    LEVELS,
+    SIDE_PX,
+    TOLERANCE_M,
+    TURN,
+    multiply_texture,
+)
 from touchdown.sim.camera.gl import InverseDepth, Snapshot
-from touchdown.sim.camera.grain import FAR_M, LEVELS, SIDE_PX, TOLERANCE_M, TURN, multiply_grain
+from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.typing import Array, Bytes, Float32
 
 PHOTOGRAPHS = Path(__file__).parent / "photographs"
@@ -89,7 +96,7 @@ class GroundLookup:
 
 
 class Pyramid(NamedTuple):
-    """Grains at several sizes, each half as wide as the one before."""
+    """Textures at several sizes, each half as wide as the one before."""
 
     texels: NDArray[np.uint32]
     """red | green << 8 | blue << 16; photograph by photograph, level by level, row by row"""
@@ -97,15 +104,18 @@ class Pyramid(NamedTuple):
     """(photographs, LEVELS)"""
 
 
-class GroundDetail:
-    """Adds the grain of a scene's ground, and of the ``cover`` on it, to rasters of ``pinhole``."""
+class DetailTexture:
+    """Adds the detail texture of a scene's ground and the ``vegetation`` on it to rasters of
+    ``pinhole``."""
 
-    def __init__(self, scene: Scene, pinhole: CameraIntrinsics, cover: Cover | None = None) -> None:
+    def __init__(
+        self, scene: Scene, pinhole: CameraIntrinsics, vegetation: Vegetation | None = None
+    ) -> None:
         self._ground = ground_lookup(scene)
-        self._cover = cover
-        self._covered_m = self._ground.height_m
-        if cover is not None:
-            self._covered_m = _covered_heights(self._ground, cover)
+        self._vegetation = vegetation
+        self._planted_m = self._ground.height_m
+        if vegetation is not None:
+            self._planted_m = _heights_with_plants(self._ground, vegetation)
         self._pinhole = pinhole
         self._pyramid = pyramid(self._ground.names)
         looks = [LOOKS[name] for name in self._ground.names]
@@ -127,12 +137,12 @@ class GroundDetail:
     def add(
         self, drawn: Bytes, depth: InverseDepth, snapshot: Snapshot, camera_id: int, last_row: int
     ) -> None:
-        """Multiplies the grain into ``drawn`` (rows, W, 3), in place. It and ``depth`` come bottom
-        row first, as `Stage` draws them; the bottom one is row ``last_row`` - 1 of the raster."""
+        """Multiplies the texture into ``drawn`` (rows, W, 3), in place. It and ``depth`` come
+        bottom row first, as `Stage` draws them; that is row ``last_row`` - 1 of the raster."""
         axes = snapshot.cam_xmat[camera_id].reshape(3, 3)
         k, ground = self._pinhole, self._ground
-        bare = self._cover is not None and self._cover.hides(snapshot.cam_xpos[camera_id])
-        heights = ground.height_m if bare else self._covered_m
+        bare = self._vegetation is not None and self._vegetation.hides(snapshot.cam_xpos[camera_id])
+        heights = ground.height_m if bare else self._planted_m
         # MuJoCo's cameras look along -z, with x to the right and y up.
         right, down, ahead = axes[:, 0] / k.fx, -axes[:, 1] / k.fy, -axes[:, 2]
         corner = ahead - k.cx * right + (last_row - 1 - k.cy) * down
@@ -141,7 +151,7 @@ class GroundDetail:
         beyond = TURN[1] * heights.shape[1] * ground.height_cell_m + 1.0
         cells_per_m = 1.0 / ground.height_cell_m, 1.0 / ground.kind_cell_m
         frame = np.array([*ground.origin_xy_m, *cells_per_m, beyond])
-        multiply_grain(
+        multiply_texture(
             drawn, depth.levels, np.float32(depth.far), np.float32(depth.per_level),
             snapshot.cam_xpos[camera_id], rays, frame, heights, ground.kind,
             self._pyramid.texels, self._pyramid.starts, self._texels_per_m, self._noise,
@@ -179,14 +189,14 @@ def ground_lookup(scene: Scene) -> GroundLookup:
     return GroundLookup(low, cell, heights, kind_cell, number[kinds], names)
 
 
-def _covered_heights(ground: GroundLookup, cover: Cover) -> Float32:
-    """Heights of ``ground`` with the plants of ``cover``."""
+def _heights_with_plants(ground: GroundLookup, vegetation: Vegetation) -> Float32:
+    """Heights of ``ground`` with the plants of ``vegetation``."""
     rows, cols = ground.height_m.shape
     x, y = (low + (np.arange(count) + 0.5) * ground.height_cell_m for low, count in
             zip(ground.origin_xy_m, (cols, rows), strict=True))  # fmt: skip
     places = [axis.ravel() for axis in np.meshgrid(x, y)]
-    raised = cover.raised_at(*places).reshape(rows, cols)
-    bare = cover.ground_at(*places).reshape(rows, cols)
+    raised = vegetation.raised_at(*places).reshape(rows, cols)
+    bare = vegetation.ground_at(*places).reshape(rows, cols)
     open_ground = np.abs(ground.height_m - bare) < TOLERANCE_M
     return np.where(open_ground, ground.height_m + raised, ground.height_m).astype(np.float32)
 
@@ -260,7 +270,7 @@ def _kinds(
     return np.where(below == scene.model.geom(ground.geom_name).id, raster, kinds)
 
 
-def grain(name: str) -> Bytes:
+def texture(name: str) -> Bytes:
     """The photograph ``name`` over its local mean, (1024, 1024, 3) RGB: 128 where it is 1."""
     look = LOOKS[name]
     image = cv2.imread(str(PHOTOGRAPHS / f"{name}.jpg"), cv2.IMREAD_COLOR)
@@ -279,10 +289,10 @@ def grain(name: str) -> Bytes:
 
 
 def pyramid(names: tuple[str, ...]) -> Pyramid:
-    """Mip levels of the grains of ``names``."""
+    """Mip levels of the textures of ``names``."""
     held = _held()
     if new := [name for name in names if name not in held.names]:
-        levels = (level for name in new for level in _levels(grain(name)))
+        levels = (level for name in new for level in _levels(texture(name)))
         held.texels = _filed([held.texels, *levels])
         held.names += new
     sizes = [(SIDE_PX >> step) ** 2 for step in range(LEVELS)]

@@ -22,8 +22,8 @@ from touchdown.sim.api import (
     SimParams,
     WorldParams,
 )
-from touchdown.sim.camera.cover import Cover
 from touchdown.sim.camera.sensor import CameraSensor
+from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.moving import BodyTrack
@@ -105,8 +105,8 @@ def plants() -> SurfaceDetail:
     return found
 
 
-def cover() -> Cover:
-    found = Cover.of(place(), plants())
+def vegetation() -> Vegetation:
+    found = Vegetation.of(place(), plants())
     assert found is not None
     return found
 
@@ -173,7 +173,7 @@ def test_a_low_object_is_not_buried(grown: PosedSensors) -> None:
     assert view.geom_id[middle] == place().model.geom("pad").id
     height = view.world_from_camera.translation[2] - view.depth_m[middle]
     assert height == pytest.approx(GROUND_M + PAD_TOP_M, abs=1e-3)
-    raised, car = cover().raised_at, np.array([[-13.5], [-8.0]])
+    raised, car = vegetation().raised_at, np.array([[-13.5], [-8.0]])
     assert raised(*car)[0] > 0.03  # plants stand beside what is higher
     assert raised(np.array([-12.9]), np.array([8.9]))[0] == 0.0
 
@@ -181,12 +181,12 @@ def test_a_low_object_is_not_buried(grown: PosedSensors) -> None:
 def test_a_camera_in_the_plants_sees_the_ground(grown: PosedSensors, bare: PosedSensors) -> None:
     """And the plants again from above, and the ground once more."""
     lever = grown.mounts.camera.translation[2]
-    for clear, covered in ((0.05, False), (2.0, True), (0.05, False), (2.0, True)):
+    for clear, planted in ((0.05, False), (2.0, True), (0.05, False), (2.0, True)):
         pose = above(MEADOW, clear - lever)
         seen, plain = (s.view(pose, 0.0, 0) for s in (grown, bare))
-        assert (not np.array_equal(seen.depth_m, plain.depth_m)) == covered
-        assert (not np.array_equal(seen.rgb, plain.rgb)) == covered
-        if not covered:
+        assert (not np.array_equal(seen.depth_m, plain.depth_m)) == planted
+        assert (not np.array_equal(seen.rgb, plain.rgb)) == planted
+        if not planted:
             np.testing.assert_allclose(seen.depth_m, clear, atol=1e-3)
 
 
@@ -222,12 +222,12 @@ def test_only_a_level_height_field_is_raised() -> None:
     ground = turned.model.geom("ground").id
     optics = dataclasses.replace(found.optics, ground_geom=ground)
     same = dataclasses.replace(found, optics=optics)
-    assert Cover.of(turned, same) is not None
+    assert Vegetation.of(turned, same) is not None
     turned.model.geom_quat[ground] = [math.cos(0.1), 0.0, 0.0, math.sin(0.1)]
     turned.model.geom_sameframe[ground] = 0
-    assert Cover.of(turned, same) is None
+    assert Vegetation.of(turned, same) is None
     box = dataclasses.replace(found.optics, ground_geom=int(model.geom("pad").id))
-    assert Cover.of(scene, dataclasses.replace(found, optics=box)) is None
+    assert Vegetation.of(scene, dataclasses.replace(found, optics=box)) is None
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
@@ -284,11 +284,11 @@ def test_the_model_of_physics_and_lidar_keeps_its_ground() -> None:
     made.view(above(MEADOW, 4.0), 0.0, 0)
     made.close()
     np.testing.assert_array_equal(model.hfield_data, before)
-    found = cover()
+    found = vegetation()
     assert found.field == int(model.geom_dataid[model.geom("ground").id]) != 0
     assert found.model.hfield_data.max() > 0.0
 
 
 def test_without_vegetation_there_are_no_plants() -> None:
     assert SurfaceDetail.plants_of(BARE, place()) is None
-    assert Cover.of(place(), None) is None
+    assert Vegetation.of(place(), None) is None

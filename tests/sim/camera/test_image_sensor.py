@@ -1,12 +1,19 @@
-"""The film's kernels against known answers: places in the drawing, noise of grey levels."""
+"""The image sensor's kernels against known answers: places in the drawing, noise of grey levels."""
 
 import cv2
 import numpy as np
 import pytest
 
 from touchdown.sim.api import CameraParams, LampParams
-from touchdown.sim.camera.film import _BENDS, GAMMA, Exposed, Film, NoisePlace, quiet_tone
 from touchdown.sim.camera.gl import InverseDepth
+from touchdown.sim.camera.image_sensor import (
+    _BENDS,
+    GAMMA,
+    Exposed,
+    ImageSensor,
+    NoisePlace,
+    quiet_tone,
+)
 from touchdown.sim.camera.lamp import lamp_field, peak_candela
 from touchdown.sim.camera.optics import NOISE_MARGIN, make_lens
 from touchdown.sim.camera.shutter import _RIGID_PX, identity_shifts, sample_row
@@ -60,7 +67,7 @@ def test_the_lamp_adds_to_the_ambient_light(share: float) -> None:
     depth = InverseDepth(np.full((48, 64), 0.49, np.float32), 0.01, 1.0)
     noise = np.zeros((48 + NOISE_MARGIN, 3 * (64 + NOISE_MARGIN)), np.int8)
     drawn = np.full((48, 64, 3), 150, np.uint8)
-    image = Film(lens).exposed(
+    image = ImageSensor(lens).exposed(
         drawn, depth, identity_shifts(48), noise, NoisePlace(0, 0, 1), light
     )  # fmt: skip
     lit = 2e3 * (1.0 + share) * (150.0 / 255.0) ** GAMMA / 25e3

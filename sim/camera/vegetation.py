@@ -24,7 +24,7 @@ _ENDLESS_M = 1e6
 
 
 @dataclass(frozen=True)
-class Cover:
+class Vegetation:
     """Visible surface of the plants on a scene's terrain."""
 
     field: int
@@ -43,7 +43,7 @@ class Cover:
     """mujoco.MjModel of nothing but height fields, the one ``field`` with plants"""
 
     @staticmethod
-    def of(scene: Scene, plants: SurfaceDetail | None) -> Cover | None:
+    def of(scene: Scene, plants: SurfaceDetail | None) -> Vegetation | None:
         """None where no plants are seen, or the ground is no level height field along x and y."""
         model = scene.model
         if plants is None or (geom := plants.optics.ground_geom) < 0:
@@ -64,7 +64,7 @@ class Cover:
         _keep_clear_of_objects(model, rest, geom, x, y, ground, raised)
         if not raised.any():
             return None
-        return Cover(
+        return Vegetation(
             field, geom, origin, size[:2].copy(), ground, raised,
             _fields(model, field, (data + raised / size[2]).ravel()),
         )  # fmt: skip
