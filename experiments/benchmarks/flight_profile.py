@@ -20,9 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.benchmarks.jit_warmup import compiled_before
-from touchdown.experiments.benchmarks.loop import SHORT_SURVEY
-from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.benchmarks.loop import bench_config, compiled_before
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.platform import limit_threads
@@ -114,12 +112,9 @@ def found(place: str) -> tuple[Any, str]:
     return owner, name
 
 
-def profile_config(*, scene: str, estimator: str, profile: str, seed: int, full: bool) -> Config:
+def profile_config(**chosen: Any) -> Config:
     """Configuration of a landing on one core without recording. Raises UsageError."""
-    overrides = ["sim.threads=1", *(() if full else SHORT_SURVEY)]
-    return load_config(
-        None, overrides, scene=scene, estimator=estimator, profile=profile, seed=seed, record=False
-    )
+    return bench_config(overrides=["sim.threads=1"], record=False, **chosen)
 
 
 def profile_flight(config: Config, more: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -48,7 +48,7 @@ def bench_loop(as_json: bool, quiet: bool, **chosen: Any) -> int:
     from touchdown.experiments.benchmarks.loop import bench_config, measure_loop
     from touchdown.experiments.flight.run import fly_with_usage_errors
 
-    config = bench_config(**chosen)
+    config = bench_config(record=True, **chosen)
     progress = make_progress(quiet)
     found = measure_loop(config, lambda cfg, out: fly_with_usage_errors(cfg, out, progress))
     end_progress(quiet)

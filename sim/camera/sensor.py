@@ -8,7 +8,6 @@ is free while pixels are drawn and read.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -138,31 +137,24 @@ class CameraSensor:
         kinematics."""
         return Snapshot(*(getattr(data, name).copy() for name in SNAPSHOT_FIELDS))
 
-    def render(self, snapshot: Snapshot | Sequence[Snapshot], tick: int) -> Bytes:
-        """(H, W, 3) uint8 RGB image, read-only, with the grey noise of ``tick``.
-
-        Several snapshots are the instants of a rolling shutter, oldest first: the image's rows
-        are split evenly among them from the top, each band drawn from its own instant. This is
-        what `render_rows` is measured by.
-        """
-        instants = [snapshot] if isinstance(snapshot, Snapshot) else list(snapshot)
-        if self._rows is not None and len(instants) == 1:
-            return self._develop(instants[0], tick, None, 0.0, 0.0)
+    def render(self, snapshot: Snapshot, tick: int) -> Bytes:
+        """(H, W, 3) uint8 RGB image, read-only, with the grey noise of ``tick``."""
+        if self._rows is not None:
+            return self._develop(snapshot, tick, None, 0.0, 0.0)
         defects = self._degradations.at(tick) if self._degradations is not None else None
-        whole = len(instants) == 1 and self._lens.map_x is None and defects is None
-        if whole:  # the common case: `develop` flips, so that nothing is copied twice
-            stage, height = self._own_stage(), self._params.height
-            raw = self._drawn(stage, instants[0], 0, height).image
+        plain = self._lens.map_x is None and defects is None
+        if plain:  # the common case: `develop` flips, so that nothing is copied twice
+            raw = self._drawn(self._own_stage(), snapshot, 0, self._params.height).image
         else:
-            raw = self._bands(instants, defects)
+            raw = self._through_air_and_lens(snapshot, defects)
         if self._degradations is not None and defects is not None:
-            raw = self._degradations.through_lens(defects, raw, instants[-1])
+            raw = self._degradations.through_lens(defects, raw, snapshot)
         table = exposure_table(self._params, raw)
         if table is not None:
             raw = cv2.LUT(raw, table).astype(np.uint8, copy=False)
         image = np.empty_like(raw)
         row, col, sign = self._noise_place(tick)
-        develop(raw, self._noise, row, col, sign, whole, image)
+        develop(raw, self._noise, row, col, sign, plain, image)
         image.setflags(write=False)
         return image
 
@@ -237,25 +229,17 @@ class CameraSensor:
             self._detail.add(drawn, depth, instant, self._camera_id, last)
         return _Drawn(drawn, depth)
 
-    def _bands(self, instants: Sequence[Snapshot], defects: ImageDefects | None) -> Bytes:
-        """(H, W, 3) image, top row first, of one band of rows for every instant, through the
-        air."""
+    def _through_air_and_lens(self, instant: Snapshot, defects: ImageDefects | None) -> Bytes:
+        """(H, W, 3) image, top row first."""
+        rows = slice(0, self._params.height)
+        first, last = raster_rows(self._lens, rows)
         stage = self._own_stage()
-        height, width = self._params.height, self._params.width
-        image = np.empty((height, width, 3), dtype=np.uint8)
-        edges = np.linspace(0, height, len(instants) + 1).round().astype(int)
-        for instant, start, stop in zip(instants, edges[:-1], edges[1:], strict=True):
-            rows = slice(int(start), int(stop))
-            if rows.start == rows.stop:
-                continue
-            first, last = raster_rows(self._lens, rows)
-            drawn = self._drawn(stage, instant, first, last).image
-            if self._degradations is not None and defects is not None and defects.extinction > 0.0:
-                depth = stage.depth_of_last(last - first)
-                drawn = self._degradations.through_air(defects, drawn, depth, first)
-            drawn = np.ascontiguousarray(drawn[::-1])
-            image[rows] = through_lens(self._lens, drawn, first, rows, smooth=True)
-        return image
+        drawn = self._drawn(stage, instant, first, last).image
+        if self._degradations is not None and defects is not None and defects.extinction > 0.0:
+            depth = stage.depth_of_last(last - first)
+            drawn = self._degradations.through_air(defects, drawn, depth, first)
+        upright = np.ascontiguousarray(drawn[::-1])
+        return through_lens(self._lens, upright, first, rows, smooth=True)
 
     def _bent(self, drawn: Float32) -> Float32:
         """A drawn raster, bottom row first, through the lens without blending neighbours."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.camera.gl import Snapshot
+from touchdown.sim.camera.optics import raster_rows, through_lens
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp
 from touchdown.sim.moving import BodyTrack
@@ -92,3 +93,17 @@ class Stand:
         at_s, margin = drawn / self._hz, round((0.5 * readout_s + 0.02) * self._hz)
         track = self.track(drawn - margin, drawn + margin)
         return sensor.render_rows(self.snapshot(sensor, at_s), at_s, track, end_s, tick)
+
+
+def drawn_by_rows(sensor: CameraSensor, instants: list[Snapshot]) -> NDArray[np.uint8]:
+    """The image without noise of a camera whose rows, split evenly, are each drawn from an instant
+    of their own, the oldest first."""
+    image = np.empty((sensor._params.height, sensor._params.width, 3), dtype=np.uint8)
+    edges = np.linspace(0, len(image), len(instants) + 1).round().astype(int).tolist()
+    for instant, start, stop in zip(instants, edges[:-1], edges[1:], strict=True):
+        rows = slice(start, stop)
+        first, last = raster_rows(sensor._lens, rows)
+        drawn = sensor._drawn(sensor._own_stage(), instant, first, last).image
+        upright = np.ascontiguousarray(drawn[::-1])
+        image[rows] = through_lens(sensor._lens, upright, first, rows, smooth=True)
+    return image

@@ -10,7 +10,7 @@ import pytest
 
 from touchdown.experiments.benchmarks import flight_profile
 from touchdown.experiments.benchmarks.flight_profile import STAGES, StageProfile, found
-from touchdown.experiments.benchmarks.jit_warmup import compiled_before
+from touchdown.experiments.benchmarks.loop import compiled_before
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import cv2
-import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,8 +18,6 @@ from touchdown.sim.clock import readout_ticks
 from touchdown.sim.frames import so3_exp
 
 from support.camera_support import CLEAN, HEIGHT_M, box, centroid, make_scene, posed, take_image
-
-Array = NDArray[np.float64]
 
 BARREL = (-0.11, 0.02, 0.0012, -0.0008, -0.003)
 """Stronger distortion than that of a D435, with tangential terms."""
@@ -168,48 +165,6 @@ def test_auto_exposure_brings_the_mean_to_middle_grey_within_its_range() -> None
     night = take_image(make_scene(floor="0.04 0.04 0.04 1"), auto)
     plain = take_image(make_scene(floor="0.04 0.04 0.04 1"))
     assert night.mean() == pytest.approx(plain.mean() * 4.0 ** (1 / 2.2), abs=1.0)
-
-
-def rolling(params: CameraParams, shifts_m: Array) -> NDArray[np.uint8]:
-    """An image of a long stripe across the rows, the camera moved sideways between instants."""
-    scene = make_scene(
-        '<geom name="stripe" type="box" size="30 0.2 0.001" pos="0 0 0.001" rgba="1 0 0 1"/>'
-    )
-    data = posed(scene)
-    sensor = CameraSensor(scene, params, 0)
-    instants = []
-    for shift in shifts_m:
-        data.qpos[1] = shift
-        mujoco.mj_forward(scene.model, data)
-        instants.append(sensor.snapshot(data))
-    try:
-        return sensor.render(instants, 0)
-    finally:
-        sensor.close()
-
-
-@pytest.mark.parametrize("distortion", [(0.0,) * 5, BARREL])
-def test_rolling_shutter_shears_what_moves_sideways(distortion: tuple[float, ...]) -> None:
-    """0.2 m to the left in 10 instants of 48 rows: the stripe moves to the right by
-    fx 0.2 / 20 = 6.17 pixels from the first to the last row, and stays put without motion."""
-    params = CameraParams(noise_sigma=0.0, distortion=distortion)  # type: ignore[arg-type]
-    still, moved = rolling(params, np.zeros(10)), rolling(params, np.linspace(0.0, 0.2, 10))
-
-    def column(image: NDArray[np.uint8], row: int) -> float:
-        return float(np.nonzero(image[row, :, 0] > 128)[0].mean())
-
-    shift = [column(moved, row) - column(still, row) for row in range(10, 480, 48)]
-    expected = intrinsics_of(params).fx / (HEIGHT_M - 0.002) * np.linspace(0.0, 0.2, 10)
-    np.testing.assert_allclose(shift, expected, atol=0.8)
-
-
-def test_one_instant_is_a_global_shutter() -> None:
-    scene = make_scene(box("spot", 3.0, 4.0, "1 0 0 1"))
-    sensor = CameraSensor(scene, CLEAN, 0)
-    snapshot = sensor.snapshot(posed(scene))
-    whole, banded = sensor.render(snapshot, 0), sensor.render([snapshot] * 7, 0)
-    sensor.close()
-    assert (whole != banded).any(axis=-1).mean() < 1e-3  # rasterisation at the seams
 
 
 def test_readout_must_fit_the_clock() -> None:

@@ -197,7 +197,7 @@ def test_things_and_water_have_no_grain(place: Scene) -> None:
         np.testing.assert_array_equal(plain, picture(place, xy, level + 0.9, detail=True))
 
 
-def test_bands_and_lens_show_the_same_grain() -> None:
+def test_a_lens_shows_the_same_texture() -> None:
     """A distorted image, drawn through a wider raster, keeps the texture of its middle."""
     scene = cached_scene("flat")
     xy = tuple(scene.takeoff_xy_m)

@@ -14,7 +14,7 @@ from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.frames import Pose
 
 from support.camera_support import HEIGHT_M, box, centroid, make_scene
-from support.shutter_support import Motion, Stand, boxes_scene, flight
+from support.shutter_support import Motion, Stand, boxes_scene, drawn_by_rows, flight
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -46,7 +46,7 @@ def row_by_row(
     stand, height = Stand(scene, motion), CameraParams().height
     times = (np.arange(height) / (height - 1) - 1.0) * readout_s
     try:
-        truth = drawn.render([stand.snapshot(drawn, float(t)) for t in times], 0)
+        truth = drawn_by_rows(drawn, [stand.snapshot(drawn, float(t)) for t in times])
         at_once = drawn.render(stand.snapshot(drawn, 0.0), 0)
         return truth, stand.rows(warped, readout_s), at_once
     finally:
