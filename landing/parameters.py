@@ -341,8 +341,7 @@ class LandingParams:
     classifier: str = "auto"
     """``auto``: the network that is shipped with the project, if there is one, for the selector
     ``zou2024`` that of the paper; ``off``: sites are checked by geometry alone; else the path of a
-    network's or an ensemble's file (the semantic map by its first network alone), or
-    MODULE:FUNCTION of an external classifier"""
+    network's file, or MODULE:FUNCTION of an external classifier"""
     classifier_min_probability: Fraction = 0.0
     """probability of a safe class below which a site is refused; 0: the limit in the network's
     file"""

@@ -1,9 +1,9 @@
-"""`touchdown classify`: class maps of aerial photographs, drawn over them."""
+"""`touchdown classify`: class maps of aerial photographs by a sliding window, drawn over them."""
 
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from touchdown.experiments.drawing.class_image import CLASS_RGB, UNSURE_RGB
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, write_png
-from touchdown.landing.classification.engine import Classifier, class_probabilities
-from touchdown.landing.classification.windows import class_map
+from touchdown.landing.classification.engine import OnnxClassifier
+from touchdown.landing.classification.scores import probabilities
 
+Float32 = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 UNSURE = "unsure"
-_COVER = 0.5
-"""opacity of the class colours"""
+_BATCH = 32
+_OPACITY = 0.5
+"""of the class colours"""
 _LEGEND_PX = 34
-_BAND_ROWS = 256
-"""rows that are drawn at a time, to save memory"""
 MAX_CHANCES = 1 << 29
 """probabilities of one image: pixels times classes, 2 GiB"""
 
@@ -32,12 +32,12 @@ MAX_CHANCES = 1 << 29
 def classify_images(
     files: Sequence[Path],
     out: Path,
-    classifier: Classifier,
+    classifier: OnnxClassifier,
     window_px: int | None,
     least: float,
     notes: Any,
 ) -> list[dict[str, Any]]:
-    """Writes ``out``/NAME-classes.png for each file. Returns the share of each class in it.
+    """Writes ``out``/NAME-classes.png for each file. Returns the fraction of each class in it.
 
     ``window_px``: side of the square that is classified, by default a quarter of the image's
     shorter side, at least the network's input size; windows overlap by three quarters. Pixels whose
@@ -49,23 +49,31 @@ def classify_images(
     targets = [out / f"{file.stem}-classes.png" for file in files]
     if len(set(targets)) < len(targets):
         raise UsageError("two of the images have the same name: classify them one by one")
+    classes, size = classifier.facts.classes, classifier.facts.image_size
     for file in files:
         picture = read_picture(file)
-        _window(picture, window_px, classifier.facts.image_size)
-        _check_size(picture, len(classifier.facts.classes), file)
+        _window(picture, window_px, size)
+        _check_size(picture, len(classes), file)
     out.mkdir(parents=True, exist_ok=True)
     rows = []
     for file, target in zip(files, targets, strict=True):
         notes(f"classifying {file}")
         image = read_picture(file)
-        window = _window(image, window_px, classifier.facts.image_size)
-        chance = class_chances(image, classifier, window)
-        write_png(target, class_overlay(image, chance, classifier.facts.classes, least))
+        window = _window(image, window_px, size)
+        way = cv2.INTER_AREA if window >= size else cv2.INTER_LINEAR
+
+        def classify(windows: Image, way: int = way) -> Float32:
+            scaled = [cv2.resize(w, (size, size), interpolation=way) for w in windows]
+            return probabilities(classifier.scores(np.stack(scaled))).astype(np.float32)
+
+        chance = class_map(image, window, max(1, window // 4), classify)
+        numbers = sure_classes(chance, least)
+        write_png(target, class_overlay(image, numbers, classes))
         rows.append({
             "picture": str(file),
             "classes": str(target),
             "window_px": window,
-            "shares": _shares(chance, classifier.facts.classes, least),
+            "shares": fractions(numbers, classes),
         })  # fmt: skip
     return rows
 
@@ -91,16 +99,35 @@ def _window(image: Image, window_px: int | None, size: int) -> int:
     return window
 
 
-def class_chances(image: Image, classifier: Classifier, window: int) -> NDArray[np.float32]:
-    """Returns the probability (H, W, C) of each class at each pixel."""
-    size = classifier.facts.image_size
-    way = cv2.INTER_AREA if window >= size else cv2.INTER_LINEAR
+def window_starts(length: int, window: int, stride: int) -> list[int]:
+    """Returns the first pixels of windows that cover ``length`` pixels, the last one flush with the
+    end."""
+    return sorted({*range(0, length - window + 1, stride), length - window})
 
-    def classify(windows: Image) -> NDArray[np.float64]:
-        scaled = [cv2.resize(w, (size, size), interpolation=way) for w in windows]
-        return class_probabilities(classifier, np.stack(scaled))
 
-    return class_map(image, window, max(1, window // 4), classify)
+def class_map(
+    image: Image, window: int, stride: int, classify: Callable[[Image], Float32]
+) -> Float32:
+    """Returns class probabilities (H, W, C) of the pixels of ``image`` (H, W, 3).
+
+    ``classify`` maps windows (N, window, window, 3) to probabilities (N, C). Windows are ``stride``
+    pixels apart; overlapping ones are averaged with a raised-cosine weight.
+    """
+    rows, cols = (window_starts(length, window, stride) for length in image.shape[:2])
+    places = [np.s_[r : r + window, c : c + window] for r in rows for c in cols]
+    ramp = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(window) + 0.5) / window)
+    weight = np.outer(ramp, ramp).astype(np.float32) + np.float32(1e-3)
+    total, norm = np.zeros(0, np.float32), np.zeros(image.shape[:2], np.float32)
+    for first in range(0, len(places), _BATCH):
+        some = places[first : first + _BATCH]
+        found = classify(np.stack([image[place] for place in some]))
+        if not total.size:
+            total = np.zeros((*image.shape[:2], found.shape[1]), np.float32)
+        for place, chance in zip(some, found, strict=True):
+            total[place] += weight[..., None] * chance
+            norm[place] += weight
+    total /= norm[..., None]
+    return total
 
 
 def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
@@ -115,49 +142,37 @@ def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
     return wheel
 
 
-def _numbers(chance: NDArray[np.float32], least: float) -> NDArray[np.uint8]:
-    """Returns the class (H, W) of each pixel; the number of classes where it is unsure."""
-    numbers = np.empty(chance.shape[:2], np.uint8)
-    for first in range(0, len(chance), _BAND_ROWS):
-        band = chance[first : first + _BAND_ROWS]
-        sure = band.max(axis=2) >= least
-        numbers[first : first + _BAND_ROWS] = np.where(sure, band.argmax(axis=2), chance.shape[2])
-    return numbers
+def sure_classes(chance: Float32, least: float) -> NDArray[np.int64]:
+    """Returns the number of the class (H, W) of each pixel; one more than the last where the best
+    of the probabilities (H, W, C) is below ``least``."""
+    return np.where(chance.max(axis=2) >= least, chance.argmax(axis=2), chance.shape[2])
 
 
-def _shares(chance: NDArray[np.float32], classes: Sequence[str], least: float) -> dict[str, float]:
-    numbers = _numbers(chance, least)
-    counts = np.bincount(numbers.ravel(), minlength=len(classes) + 1) / numbers.size
+def fractions(numbers: NDArray[np.int64], classes: Sequence[str]) -> dict[str, float]:
+    """Returns the fraction of the pixels of each class that occurs; ``numbers`` (H, W) are those of
+    `sure_classes`."""
     names = (*classes, UNSURE)
-    return {name: float(share) for name, share in zip(names, counts, strict=True) if share > 0}
+    counts = np.bincount(numbers.ravel(), minlength=len(names)) / numbers.size
+    return {name: float(count) for name, count in zip(names, counts, strict=True) if count > 0}
 
 
-def class_overlay(
-    image: Image, chance: NDArray[np.float32], classes: Sequence[str], least: float
-) -> Image:
-    """Returns the image in the colours of its classes, white where unsure, with a legend below:
-    (H + legend, W, 3)."""
+def class_overlay(image: Image, numbers: NDArray[np.int64], classes: Sequence[str]) -> Image:
+    """Returns the image in the colours of its classes, ``numbers`` of `sure_classes`, white where
+    unsure, with a legend below: (H + legend, W, 3)."""
     colours = class_colours(classes) | {UNSURE: UNSURE_RGB}
-    palette = np.array(list(colours.values()), np.float32)
-    numbers = _numbers(chance, least)
-    mixed = np.empty_like(image)
-    for first in range(0, len(image), _BAND_ROWS):
-        band = slice(first, first + _BAND_ROWS)
-        mixed[band] = np.round((1.0 - _COVER) * image[band] + _COVER * palette[numbers[band]])
-    shares = np.bincount(numbers.ravel(), minlength=len(colours)) / numbers.size
-    shown = [name for name, share in zip(colours, shares, strict=True) if share >= 0.002]
-    legend = _legend([(n, colours[n], shares[list(colours).index(n)]) for n in shown],
-                     image.shape[1])  # fmt: skip
-    return np.vstack([mixed, legend])
+    palette = np.array(list(colours.values()), np.uint8)
+    mixed = cv2.addWeighted(image, 1.0 - _OPACITY, palette[numbers], _OPACITY, 0.0)
+    shown = {name: part for name, part in fractions(numbers, classes).items() if part >= 0.002}
+    legend = _legend([(f"{n} {part:.0%}", colours[n]) for n, part in shown.items()], image.shape[1])
+    return np.vstack([np.asarray(mixed, np.uint8), legend])
 
 
-def _legend(rows: Sequence[tuple[str, tuple[int, int, int], float]], width: int) -> Image:
-    """Returns the legend, in as many bands as the names need."""
+def _legend(entries: Sequence[tuple[str, tuple[int, int, int]]], width: int) -> Image:
+    """Returns the legend, in as many bands as the texts need."""
     scale, gap = 0.5, 14
     bands = [np.full((_LEGEND_PX, width, 3), 24, np.uint8)]
     left = gap
-    for name, colour, share in rows:
-        text = f"{name} {share:.0%}"
+    for text, colour in entries:
         wide = 30 + cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0] + gap
         if left + wide > width and left > gap:
             bands.append(np.full((_LEGEND_PX, width, 3), 24, np.uint8))

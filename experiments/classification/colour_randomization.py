@@ -5,15 +5,13 @@ texture and shape instead (domain randomisation: Tobin et al., IROS 2017)."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
 
-if TYPE_CHECKING:
-    from touchdown.experiments.classification.image_types import Image, Int32
+Image = NDArray[np.uint8]
+Int32 = NDArray[np.int32]
 
 _MADE, _GROWN, _WATER = (0.35, 0.28, 0.07), (0.15, 0.08, 0.03), (0.2, 0.1, 0.05)
 """standard deviations of the logarithms of brightness, red over blue, and green: of built or bare

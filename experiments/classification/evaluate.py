@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -13,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from touchdown.experiments.classification.data_sets import HELD_OUT_SCENES
+from touchdown.experiments.classification.footprint import measured_footprint
 from touchdown.experiments.classification.image_folders import (
     Entry,
     entries_of,
@@ -21,21 +20,16 @@ from touchdown.experiments.classification.image_folders import (
 )
 from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.classification.reliability import draw_reliability, reliability
-from touchdown.experiments.classification.splits import HELD_OUT_SCENES
 from touchdown.experiments.classification.train import of_classes
-from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.statistics import share_interval
 from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import onboard
 from touchdown.landing.classification.decision import decision_summary
-from touchdown.landing.classification.engine import Classifier
-from touchdown.landing.classification.ensemble import files_of
+from touchdown.landing.classification.engine import OnnxClassifier, all_scores, comes_along
 from touchdown.landing.classification.scores import fitted_temperature, summary
 from touchdown.landing.classification.weights import NetworkFacts, weights_apart
 
 Progress = Callable[[int, int, str], None]
-_BATCH = 32
-_REPEATS = 30
 _HEIGHTS_M = (0.0, 15.0, 25.0, 35.0, 60.0)
 
 
@@ -43,7 +37,6 @@ _HEIGHTS_M = (0.0, 15.0, 25.0, 35.0, 60.0)
 class EvaluateParams:
     """How a network is scored."""
 
-    engine: str = "onnx"
     threads: int = 1
     measure: bool = True
     """memory and time for one image too, in a process of its own"""
@@ -55,52 +48,36 @@ class EvaluateParams:
     """a PNG file for reliability diagrams, by data set"""
 
 
-def load_classifier(network: Path, engine: str, threads: int) -> Classifier:
-    """Returns a network's file loaded in an engine. Raises UsageError where the engine is not
-    installed."""
-    from touchdown.landing.classification.learning import footprint  # torch only where needed
-
+def load_classifier(network: Path | None, threads: int = 1) -> OnnxClassifier:
+    """Returns a network's file in ONNX Runtime, without a name the shipped network. Raises
+    UsageError where ONNX Runtime is not installed."""
     with training_libraries():
-        return footprint.load_classifier(network, engine, threads)
-
-
-def shipped_network() -> Path:
-    """Returns the network that is shipped with the project. Raises UsageError without one."""
-    if not onboard.SHIPPED.is_file():
-        raise UsageError(
-            "no network is shipped with touchdown: give --network, a file of `touchdown train`"
-        )
-    return onboard.SHIPPED
-
-
-def network_file(named: Path | None) -> Path:
-    """Returns the file that a command names, without a name the shipped network. Raises UsageError
-    as `shipped_network`."""
-    return shipped_network() if named is None else named
+        return OnnxClassifier(network or onboard.SHIPPED, threads)
 
 
 def evaluate_network(
-    network: Path,
+    network: Path | None,
     data: Sequence[str],
     split: str,
     progress: Progress,
     *,
     options: EvaluateParams,
 ) -> dict[str, Any]:
-    """Returns the scores on the images of ``split``, overall, by data set and by scene, with the
-    size of the file (ROM), peak memory (RAM) and inference time.
+    """Returns the scores of ``network``, or of the shipped one, on the images of ``split``,
+    overall, by data set and by scene, with the size of the file (ROM), peak memory (RAM) and
+    inference time.
 
-    ``weight`` is the factor of the log-odds at which their loss is least: above 1 the network could
-    claim more, below it claims too much. Raises UsageError and ValueError for bad input.
+    ``weight`` is the factor of the log-odds at which their loss is smallest: above 1 the network
+    could claim more, below it claims too much. Raises UsageError and ValueError for bad input.
     """
-    engine = options.engine
-    classifier = load_classifier(network, engine, options.threads)
+    classifier = load_classifier(network, options.threads)
+    network = network or onboard.SHIPPED
     if options.miss_costs:
         classifier.facts = replace(classifier.facts, miss_costs=tuple(options.miss_costs))
     facts = classifier.facts
     catalogues = [read_catalogue(argument, facts.labels, options.left_out) for argument in data]
     shown = load_images(catalogues, split, facts.labels, facts.image_size, progress, others=True)
-    found = all_scores(classifier, shown, progress)
+    found = all_scores(classifier, shown.images, progress)
     images, scores = of_classes(shown), found[shown.labels >= 0]
     by_source = {
         name: images.source == number
@@ -111,7 +88,6 @@ def evaluate_network(
         "network": facts.network,
         "labels": facts.labels,
         "split": split,
-        "engine": engine,
         "image_size": facts.image_size,
         "classes": list(facts.classes),
         "miss_costs": dict(facts.miss_costs),
@@ -131,7 +107,7 @@ def evaluate_network(
             {name: reliability(scores[of], images.labels[of]) for name, of in groups.items()},
         )
     if options.measure:
-        report |= measured_footprint(network, engine)
+        report |= measured_footprint(network)
     return report
 
 
@@ -144,11 +120,8 @@ def _others(scores: Any, images: LabelledImages, facts: NetworkFacts) -> dict[st
 
 
 def _size_mb(network: Path) -> float:
-    """Size of the file, of an ensemble with its networks, of those that are shipped with their
-    weights."""
-    files = files_of(network)
-    if network.parent == onboard.ZOU2024.parent:
-        files += [apart for file in files for apart in weights_apart(file)]
+    """Size of the file, of one that is shipped with its weights."""
+    files = [network, *(weights_apart(network) if comes_along(network) else ())]
     return sum(file.stat().st_size for file in files) / 1e6
 
 
@@ -182,13 +155,10 @@ def _by_height(
     return found
 
 
-def all_scores(classifier: Classifier, images: LabelledImages, progress: Progress) -> Any:
-    """Returns the scores (N, C) of all images, computed batch by batch."""
-    parts, count = [], len(images.labels)
-    for first in range(0, count, _BATCH):
-        parts.append(classifier.scores(images.images[first : first + _BATCH]))
-        progress(min(first + _BATCH, count), count, "classifying")
-    return np.concatenate(parts)
+def top1(scores: Any, labels: Any) -> float:
+    """Returns the fraction of the images of a class whose best class is right."""
+    known = labels >= 0
+    return float((scores.argmax(axis=1) == labels)[known].mean())
 
 
 def _summary(scores: Any, labels: Any, facts: NetworkFacts) -> dict[str, Any]:
@@ -198,18 +168,4 @@ def _summary(scores: Any, labels: Any, facts: NetworkFacts) -> dict[str, Any]:
     found["weight"] = 1.0 / fitted_temperature(scores, labels)
     if facts.labels == "d_land":
         found["decision"] = decision_summary(scores, labels, facts.limits)
-    return found
-
-
-def measured_footprint(network: Path, engine: str) -> dict[str, float]:
-    """Returns peak memory and time for one image on one thread, measured in a separate process."""
-    command = [
-        sys.executable,
-        "-m",
-        "touchdown.landing.classification.learning.footprint",
-        str(network),
-        engine,
-    ]
-    done = subprocess.run([*command, str(_REPEATS)], capture_output=True, text=True, check=True)
-    found: dict[str, float] = json.loads(done.stdout)
     return found

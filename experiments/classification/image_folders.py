@@ -12,14 +12,22 @@ from typing import TextIO
 
 import numpy as np
 
+from touchdown.experiments.classification.data_sets import (
+    FOLDER_KINDS,
+    SPLITS,
+    Meaning,
+    kind_of_folders,
+    meanings,
+    split_of_file,
+    split_of_ucmerced,
+)
 from touchdown.experiments.classification.photographs import ALL, KINDS, View, photographs
 from touchdown.experiments.classification.render_dataset import COLUMNS, MANIFEST
-from touchdown.experiments.classification.splits import SPLITS, split_of_file, split_of_ucmerced
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import read_picture, squared
 from touchdown.experiments.io.untrusted import inside
 from touchdown.landing.api import LabelledImages
-from touchdown.landing.classification import labels
+from touchdown.landing.classification.labels import SCHEMES
 
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 RENDERED = "rendered"
@@ -62,7 +70,7 @@ def read_catalogue(argument: str, scheme: str, left_out: Sequence[str] = ()) -> 
     photographs of the sources ``left_out`` are for the test. Raises UsageError for a missing
     folder, one without images, one that is not a class, or a manifest of another kind.
     """
-    kinds = (RENDERED, *labels.SOURCES, *KINDS)
+    kinds = (RENDERED, *FOLDER_KINDS, *KINDS)
     kind, _, rest = argument.rpartition("=")
     folder = Path(rest)
     if kind and kind not in kinds:
@@ -79,11 +87,11 @@ def read_catalogue(argument: str, scheme: str, left_out: Sequence[str] = ()) -> 
     if not folders:
         raise UsageError(f"--data: '{folder}' is empty: it has no folder for any class")
     try:
-        kind = kind or labels.kind_of_folders(folders)
-        meanings = labels.meanings(kind, folders)
+        kind = kind or kind_of_folders(folders)
+        found = meanings(kind, folders)
     except ValueError as error:
         raise UsageError(f"--data: '{folder}': {error}") from error
-    return _of_folders(folder, kind, meanings, scheme)
+    return _of_folders(folder, kind, found, scheme)
 
 
 def _is_rendered(folder: Path) -> bool:
@@ -111,7 +119,7 @@ def _rendered(folder: Path, scheme: str) -> Catalogue:
         raise UsageError(
             f"--data: '{folder}' has no {MANIFEST} of `touchdown dataset render` in it"
         )
-    classes = labels.SCHEMES[scheme]
+    classes = SCHEMES[scheme]
     entries, left_out = [], 0
     with _open_manifest(folder / MANIFEST) as file:
         for number, row in enumerate(csv.DictReader(file), start=2):
@@ -144,11 +152,9 @@ def _photographs(kind: str, folder: Path, scheme: str, left_out: Sequence[str]) 
     return _checked(Catalogue(kind, tuple(entries), len(found) - len(entries)), folder)
 
 
-def _of_folders(
-    folder: Path, kind: str, meanings: dict[str, labels.Meaning], scheme: str
-) -> Catalogue:
+def _of_folders(folder: Path, kind: str, found: dict[str, Meaning], scheme: str) -> Catalogue:
     entries, left_out = [], 0
-    for name, meaning in sorted(meanings.items()):
+    for name, meaning in sorted(found.items()):
         files = sorted(
             path for path in (folder / name).iterdir() if path.suffix.lower() in _SUFFIXES
         )
@@ -199,7 +205,7 @@ def load_images(
     return LabelledImages(
         images=images,
         labels=np.array([entry.label for entry in entries], np.int64),
-        classes=labels.SCHEMES[scheme],
+        classes=SCHEMES[scheme],
         source=np.array([sources.index(entry.source) for entry in entries], np.int64),
         sources=sources,
     )

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.classification.colour_randomization import material_image, recoloured
-from touchdown.experiments.classification.image_types import Counts, Image, Int32
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.scene_tools.posed_views import (
@@ -31,6 +30,9 @@ if TYPE_CHECKING:
     from touchdown.sim.posed_sensors import PosedView
 
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Int32 = NDArray[np.int32]
+Counts = NDArray[np.int64]
 
 HEIGHTS_M = (5.0, 60.0)
 SIDES_M = (3.2, 25.6)

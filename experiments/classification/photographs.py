@@ -16,10 +16,10 @@ from zlib import crc32
 import cv2
 import numpy as np
 
+from touchdown.experiments.classification.data_sets import Meaning, classes_of
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import Picture
 from touchdown.experiments.io.untrusted import inside
-from touchdown.landing.classification.labels import AIR, TEXTURES, Meaning
 
 SQUARES = Path(__file__).with_name("caliterra.csv")
 KINDS = ("aerial", "caliterra", "textures")
@@ -104,19 +104,21 @@ def _aerial(folder: Path) -> Iterator[Photograph]:
         # crops of one photograph are in one split
         split = _split(row["source"].split(" ")[0])
         view = View(infrared="falsecolour" in row["file"])
-        yield Photograph(file, view, _meaning(AIR, row["class"]), split, file.name.split("_")[0])
+        yield Photograph(
+            file, view, _meaning("aerial", row["class"]), split, file.name.split("_")[0]
+        )
 
 
 def _caliterra(folder: Path) -> Iterator[Photograph]:
     for row in _table(SQUARES, ("photograph", "left_px", "top_px", "side_px", "ground", "split")):
         view = View(left=int(row["left_px"]), top=int(row["top_px"]), side=int(row["side_px"]))
         file = folder / row["photograph"]
-        yield Photograph(file, view, _meaning(AIR, row["ground"]), row["split"], "caliterra")
+        yield Photograph(file, view, _meaning("aerial", row["ground"]), row["split"], "caliterra")
 
 
 def _textures(folder: Path) -> Iterator[Photograph]:
     for file in sorted(folder.glob("*__*.jpg")):
-        meaning = _meaning(TEXTURES, file.name.split("__")[0])
+        meaning = _meaning("textures", file.name.split("__")[0])
         views = [ALL, *(View(tiles=tiles) for tiles in (2, 3, 5))]
         views += [View(left=x, top=y, side=512) for x in (0, 400) for y in (0, 400)]
         for view in views:
@@ -125,7 +127,7 @@ def _textures(folder: Path) -> Iterator[Photograph]:
     if swatches.is_file():
         for row in _table(swatches, ("file", "category")):
             file = inside(folder, row["file"])
-            meaning = _meaning(TEXTURES, row["category"].lower())
+            meaning = _meaning("textures", row["category"].lower())
             yield Photograph(file, ALL, meaning, _split(file.name), "textures")
 
 
@@ -133,7 +135,8 @@ def _split(origin: str) -> str:
     return "val" if crc32(f"photograph {origin}".encode()) / 2**32 < _VAL_SHARE else "train"
 
 
-def _meaning(table: dict[str, Meaning], name: str) -> Meaning:
+def _meaning(data_set: str, name: str) -> Meaning:
+    table = classes_of(data_set)
     if name not in table:
         raise UsageError(f"--data: unknown class '{name}'; known: {', '.join(table)}")
     return table[name]

@@ -17,12 +17,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.experiments.classification.data_sets import (
+    SPLITS,
+    Meaning,
+    rendered_meaning,
+    split_of_layout,
+)
 from touchdown.experiments.classification.patches import NewLooks, Patch, scene_patches
-from touchdown.experiments.classification.splits import SPLITS, split_of_layout
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import read_picture, write_png
 from touchdown.experiments.io.run_directory import run_directory
-from touchdown.landing.classification.labels import Meaning, rendered_meaning
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.registry import scene_names
 

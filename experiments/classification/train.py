@@ -37,7 +37,6 @@ def train_network(
     notes: Callable[[str], None],
     *,
     start: Path | None = None,
-    compiled: bool = False,
 ) -> dict[str, Any]:
     """Trains to the end; an interrupted training in ``out`` is resumed. Returns the report.
 
@@ -68,7 +67,7 @@ def train_network(
     val = of_classes(seen)
     with _new_folder(out), training_libraries():
         lock = _locked(out)
-        trainer = training.Trainer(params, train, val, out, chosen, start=start, compiled=compiled)
+        trainer = training.Trainer(params, train, val, out, chosen, start=start)
     if trainer.history:
         notes(f"resuming after epoch {len(trainer.history)}")
     while not trainer.finished:

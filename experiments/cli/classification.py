@@ -83,9 +83,6 @@ _CONFIDENCE = click.option(
     "--confidence", type=Number(0.0, 1.0, max_open=True), default=0.95, show_default=True,
     help="That the share is not larger.",
 )  # fmt: skip
-_ENGINE = click.option(
-    "--engine", type=click.Choice(("onnx", "torch")), default="onnx", show_default=True
-)
 
 
 @click.group(cls=CommandGroup)
@@ -104,10 +101,6 @@ def dataset() -> int:
               help="Of layouts, poses and light; scene seeds start at 1000.")  # fmt: skip
 @click.option("--scene", "scenes", multiple=True, metavar="NAME",
               help="Only this scene. May be repeated.  [all]")  # fmt: skip
-@click.option("--size", "pixels", type=click.IntRange(32, 480), default=128, show_default=True,
-              help="Pixels across.")  # fmt: skip
-@click.option("--per-seed", type=click.IntRange(1), default=40, show_default=True,
-              help="Patches of each seed of a scene.")  # fmt: skip
 @click.option("--new-colours", type=Number(0.0, 1.0), default=0.0, show_default=True,
               help="Share of views with random colours of roads, paving, roofs …")  # fmt: skip
 @click.option("--new-materials", type=Number(0.0, 1.0), default=0.0, show_default=True,
@@ -151,13 +144,8 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
 @click.option("--start-from", "start", type=PATH, metavar="PATH",
               help="Folder of another training, or a network's file, with the initial "
               "weights, or imagenet for those of efficientnet_lite0.  [random]")  # fmt: skip
-@click.option("--mean-with", metavar="PATH", multiple=True,
-              help="Another training's folder, or a network's file: the final weights are the mean "
-              "of both, which may generalise better than either. May be repeated.")  # fmt: skip
 @click.option("--teacher", "teachers", metavar="FILE", multiple=True,
-              help="A network or ensemble to learn from, too. May be repeated.")  # fmt: skip
-@click.option("--taught", type=Number(0.0, 1.0, min_open=True), default=0.7, show_default=True,
-              help="Share of the mean of the teachers in what is learnt.")  # fmt: skip
+              help="A network to learn from, too. May be repeated.")  # fmt: skip
 @click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
 @click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
               help="Side of the network's input, pixels.")  # fmt: skip
@@ -166,7 +154,6 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
 @click.option("--batch-size", type=click.IntRange(2), default=64, show_default=True)
 @click.option("--learning-rate", type=Number(0.0, min_open=True), default=1e-3,
               show_default=True)  # fmt: skip
-@click.option("--weight-decay", type=Number(0.0), default=0.05, show_default=True)
 @click.option("--variation", type=Number(0.0, 2.0), default=1.0, show_default=True,
               help="Strength of the augmentation of zoom, light, colour and noise.")  # fmt: skip
 @click.option("--markings", type=Number(0.0, 1.0), default=0.0, show_default=True,
@@ -175,8 +162,6 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
               help="Share of images of another colour: not of plants.")  # fmt: skip
 @click.option("--textures", type=Number(0.0, 1.0), default=0.0, show_default=True,
               help="Share of images with a photographed texture of their class.")  # fmt: skip
-@click.option("--blending", type=Number(0.0, 1.0), default=0.0, show_default=True,
-              help="Strength of the blending of images with one another.")  # fmt: skip
 @click.option("--weather", type=Number(0.0, 2.0), default=0.0, show_default=True,
               help="Share of coarse, hazy, wet, snowy, shaded, over- and underexposed "
               "images.")  # fmt: skip
@@ -189,9 +174,6 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
 @click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
 @click.option("--threads", type=click.IntRange(1), help="Of the processor.  [all]")
-@click.option("--compile", "compiled", is_flag=True,
-              help="Compile the network: slow at each new image size, then faster. "
-              "Needs a C++ compiler.")  # fmt: skip
 @JSON
 @QUIET
 def train(
@@ -200,7 +182,6 @@ def train(
     start: Path | None,
     device: str,
     threads: int | None,
-    compiled: bool,
     as_json: bool,
     quiet: bool,
     **options: Any,
@@ -227,7 +208,6 @@ def train(
                 progress,
                 make_notes(quiet),
                 start=start,
-                compiled=compiled,
             )
         )
     if as_json:
@@ -262,7 +242,6 @@ def _limit_torch(threads: int) -> None:
 @_DATA
 @click.option("--split", type=click.Choice(("train", "val", "test")), default="test",
               show_default=True)  # fmt: skip
-@_ENGINE
 @_miss_cost("[those of the file, which its limits are fitted to]")
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
 @click.option("--cost/--no-cost", "measure", default=True, show_default=True,
@@ -292,7 +271,6 @@ def evaluate(
     from touchdown.experiments.classification.evaluate import (
         EvaluateParams,
         evaluate_network,
-        network_file,
     )
     from touchdown.experiments.classification.score_tables import print_evaluation
     from touchdown.experiments.terminal import progress_bar
@@ -301,7 +279,7 @@ def evaluate(
     with progress_bar(quiet) as progress:
         report = usage_errors(
             lambda: evaluate_network(
-                network_file(network),
+                network,
                 data,
                 split,
                 progress,
@@ -313,12 +291,10 @@ def evaluate(
 
 @click.command()
 @click.argument("network", required=False, type=PATH)
-@click.option("--type", "weight_type", type=click.Choice(("float16", "bfloat16", "int8")),
+@click.option("--type", "weight_type", type=click.Choice(("float16", "int8")),
               default="int8", show_default=True, help="Of the weights.")  # fmt: skip
 @_DATA
 @click.option("--out", type=PATH, required=True, help="A file *.onnx.")
-@click.option("--pictures", type=click.IntRange(1), default=256, show_default=True,
-              help="Number of training images for the ranges of int8 activations.")  # fmt: skip
 @_FALSE_SAFE
 @_CONFIDENCE
 @JSON
@@ -328,22 +304,17 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
 
     Without NETWORK: the one that is shipped with touchdown.
 
-    int8 computes in int8 too; bfloat16 and float16 are stored so and computed in float32. The
-    limits at which ground counts as safe are refitted to the validation images. `touchdown
-    evaluate` measures the result.
+    int8 computes in int8 too; float16 is stored so and computed in float32. The limits at which
+    ground counts as safe are refitted to the validation images. `touchdown evaluate` measures the
+    result.
 
     Example: touchdown quantize trained/network.onnx --data patches --out network-int8.onnx
     """
-    from touchdown.experiments.classification.evaluate import shipped_network
     from touchdown.experiments.classification.quantize import quantize_network
     from touchdown.experiments.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
-        report = usage_errors(
-            lambda: quantize_network(
-                network or shipped_network(), out, progress=progress, **options
-            )
-        )
+        report = usage_errors(lambda: quantize_network(network, out, progress=progress, **options))
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:
@@ -358,7 +329,7 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
 @click.argument("networks", nargs=-1, required=True, type=PATH)
 @_DATA
 @click.option("--out", type=PATH, required=True,
-              help="A file *.json in the folder of the networks.")  # fmt: skip
+              help="A file *.onnx.")  # fmt: skip
 @click.option("--weight", "weights", type=Number(0.0, 4.0), multiple=True,
               help="Of a network's scores; once for each.  [fitted]")  # fmt: skip
 @_miss_cost("[those of the first network]")
@@ -368,13 +339,13 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
 @QUIET
 def ensemble(networks: tuple[Path, ...], out: Path, as_json: bool, quiet: bool,
              **options: Any) -> int:  # fmt: skip
-    """Let several NETWORKS, files of `touchdown train`, classify together.
+    """Join several NETWORKS, files of `touchdown train` for images of one size, in one file.
 
     Their log-probabilities are added with weights that fit the validation images best, and the
     limits at which ground counts as safe are fitted to the same images. Whether an image lies far
-    from the training data is asked of the first network, which alone makes the semantic map.
+    from the training data is asked of the first network.
 
-    Example: touchdown ensemble a/small.onnx a/large.onnx --data patches --out a/both.json
+    Example: touchdown ensemble small.onnx large.onnx --data patches --out both.onnx
     """
     from touchdown.experiments.classification.ensemble import make_ensemble
     from touchdown.experiments.terminal import progress_bar
@@ -406,14 +377,12 @@ def _print_ensemble(report: Mapping[str, Any]) -> None:
               help="Side of the classified square.  [a quarter of the image]")  # fmt: skip
 @click.option("--least", type=Number(0.0, 1.0), default=0.5, show_default=True,
               help="Probability below which the class is unsure.")  # fmt: skip
-@_ENGINE
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
 @JSON
 @QUIET
 def classify(
     images: tuple[Path, ...],
     network: Path | None,
-    engine: str,
     threads: int,
     as_json: bool,
     quiet: bool,
@@ -426,13 +395,13 @@ def classify(
     Example: touchdown classify photograph.jpg --network trained/network.onnx
     """
     from touchdown.experiments.classification.class_map import classify_images
-    from touchdown.experiments.classification.evaluate import load_classifier, network_file
+    from touchdown.experiments.classification.evaluate import load_classifier
     from touchdown.experiments.terminal import make_notes
 
     rows = usage_errors(
         lambda: classify_images(
             images,
-            classifier=load_classifier(network_file(network), engine, threads),
+            classifier=load_classifier(network, threads),
             notes=make_notes(quiet),
             **options,
         )

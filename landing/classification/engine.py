@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.classification import network_check, scores
+from touchdown.landing.classification import network_check
 from touchdown.landing.classification.weights import (
     INPUT,
     NetworkFacts,
@@ -19,21 +19,10 @@ from touchdown.landing.classification.weights import (
 )
 
 Float32 = NDArray[np.float32]
-Array = NDArray[np.float64]
 
-
+_BATCH = 32
 _TRAINED = Path(__file__).resolve().with_name("trained")
 """Folder of the networks of the project itself"""
-
-
-class Classifier(Protocol):
-    """A network loaded in ONNX Runtime or torch."""
-
-    facts: NetworkFacts
-
-    def scores(self, images: NDArray[np.uint8]) -> Float32:
-        """Returns calibrated scores (N, C) with miss costs applied, of images (N, S, S, 3) RGB
-        with S = ``facts.image_size``."""
 
 
 class OnnxClassifier:
@@ -66,7 +55,8 @@ class OnnxClassifier:
         self.facts = facts_of(self._session.get_modelmeta().custom_metadata_map, path)
 
     def scores(self, images: NDArray[np.uint8]) -> Float32:
-        """As ``Classifier.scores``."""
+        """Returns calibrated scores (N, C) with miss costs applied, of images (N, S, S, 3) RGB
+        with S = ``facts.image_size``. Raises ValueError for other images."""
         inputs = as_input(images, self.facts.image_size)
         found = np.asarray(self._session.run(None, {INPUT: inputs})[0], np.float32)
         return apply_miss_costs(found, self.facts)
@@ -78,18 +68,14 @@ def comes_along(path: Path) -> bool:
 
 
 def as_input(images: NDArray[np.uint8], size: int) -> Float32:
-    """Returns images as (N, 3, S, S) float32 in [0, 1]. Raises as `check_images`."""
-    check_images(images, size)
-    return np.ascontiguousarray(images.transpose(0, 3, 1, 2), np.float32) / np.float32(255.0)
-
-
-def check_images(images: NDArray[np.uint8], size: int) -> None:
-    """Raises ValueError for another shape than (N, S, S, 3) or another type than uint8."""
+    """Returns images (N, S, S, 3) uint8 as (N, 3, S, S) float32 in [0, 1]. Raises ValueError for
+    another shape or type."""
     if images.ndim != 4 or images.shape[1:] != (size, size, 3) or images.dtype != np.uint8:
         raise ValueError(
             f"images of shape {images.shape} and type {images.dtype} given, "
             f"(N, {size}, {size}, 3) uint8 needed"
         )
+    return np.ascontiguousarray(images.transpose(0, 3, 1, 2), np.float32) / np.float32(255.0)
 
 
 def apply_miss_costs(found: Float32, facts: NetworkFacts) -> Float32:
@@ -108,14 +94,14 @@ def miss_cost_logs(facts: NetworkFacts) -> Float32:
     return added
 
 
-def class_probabilities(
-    classifier: Classifier, images: NDArray[np.uint8], batch: int = 32
-) -> Array:
-    """Returns calibrated probabilities (N, C)."""
-    return scores.probabilities(all_scores(classifier, images, batch))
-
-
-def all_scores(classifier: Classifier, images: NDArray[np.uint8], batch: int = 32) -> Float32:
+def all_scores(
+    classifier: OnnxClassifier,
+    images: NDArray[np.uint8],
+    progress: Callable[[int, int, str], None] = lambda done, total, note: None,
+) -> Float32:
     """Returns scores (N, C), computed batch by batch."""
-    parts = [classifier.scores(images[i : i + batch]) for i in range(0, len(images), batch)]
+    parts, count = [], len(images)
+    for first in range(0, count, _BATCH):
+        parts.append(classifier.scores(images[first : first + _BATCH]))
+        progress(min(first + _BATCH, count), count, "classifying")
     return np.concatenate(parts)

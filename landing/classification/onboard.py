@@ -1,4 +1,4 @@
-"""``landing.api.GroundClassifier`` of the file of a network or of an ensemble, in ONNX Runtime."""
+"""``landing.api.GroundClassifier`` of a network's file, in ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import GroundClassifier, GroundPrediction
+from touchdown.landing.api import GroundPrediction
 from touchdown.landing.classification.decision import energies
-from touchdown.landing.classification.engine import Classifier
-from touchdown.landing.classification.ensemble import EnsembleClassifier, load_network
+from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.scores import probabilities
 from touchdown.landing.classification.weights import checksum_file
 
@@ -24,11 +23,21 @@ its weights lie in files beside it"""
 _LABELS = "d_land"
 
 
-class NetworkGroundClassifier:
-    """Classifies ground by a loaded classifier of D_Land."""
+class OnnxGroundClassifier:
+    """Classifies ground into the classes of D_Land by a network's file.
 
-    def __init__(self, network: Classifier) -> None:
-        self._network = network
+    Raises ValueError, FileNotFoundError and ImportError as `OnnxClassifier`, and ValueError for
+    other classes than those of D_Land."""
+
+    def __init__(self, path: Path, threads: int = 1) -> None:
+        self._network = OnnxClassifier(path, threads)
+        self._sha256 = checksum_file(path).read_text(encoding="utf-8").split()[0].lower()
+        facts = self._network.facts
+        if facts.labels != _LABELS:
+            raise ValueError(
+                f"'{path}' predicts the classes of '{facts.labels}'; a flight needs a network "
+                f"trained with --labels {_LABELS}"
+            )
 
     @property
     def image_size(self) -> int:
@@ -48,30 +57,6 @@ class NetworkGroundClassifier:
             in_distribution=energies(scores) >= self._network.facts.limits.min_energy,
         )
 
-
-class OnnxGroundClassifier(NetworkGroundClassifier):
-    """Classifies ground into the classes of D_Land by a network's or an ensemble's file.
-
-    Raises ValueError, FileNotFoundError and ImportError as `load_network`, and ValueError for
-    other classes than those of D_Land."""
-
-    def __init__(self, path: Path, threads: int = 1) -> None:
-        super().__init__(load_network(path, threads))
-        self._sha256 = checksum_file(path).read_text(encoding="utf-8").split()[0].lower()
-        facts = self._network.facts
-        if facts.labels != _LABELS:
-            raise ValueError(
-                f"'{path}' predicts the classes of '{facts.labels}'; a flight needs a network "
-                f"trained with --labels {_LABELS}"
-            )
-
-    @property
-    def quick(self) -> NetworkGroundClassifier:
-        """Of an ensemble the first network alone, else the network itself."""
-        if isinstance(self._network, EnsembleClassifier):
-            return NetworkGroundClassifier(self._network.first)
-        return self
-
     def description(self) -> dict[str, Any]:
         """Returns the network's name, image size, checksum (first 16 digits) and limit for a
         result."""
@@ -82,12 +67,6 @@ class OnnxGroundClassifier(NetworkGroundClassifier):
             "sha256": self._sha256[:16],
             "min_probability": facts.limits.min_probability,
         }
-
-
-def for_map(classifier: GroundClassifier) -> GroundClassifier:
-    """Returns what classifies squares of the semantic map, two every tenth of a second: of an
-    ensemble the first network alone, for its time."""
-    return classifier.quick if isinstance(classifier, OnnxGroundClassifier) else classifier
 
 
 def load_onboard_classifier(path: Path, threads: int = 1) -> OnnxGroundClassifier:

@@ -24,7 +24,6 @@ from touchdown.landing.api import (
     Selection,
     SemanticView,
 )
-from touchdown.landing.classification.onboard import for_map
 from touchdown.landing.classification.semantic_map import SemanticMap
 from touchdown.landing.classification.snow import as_snow, is_snow
 from touchdown.landing.classification.survey_images import SurveyImages, detail_share
@@ -78,7 +77,7 @@ class SiteClassCheck:
         self._min_probability = params.classifier_min_probability or classifier.min_probability
         self.images = SurveyImages(rig, params.classifier_images)
         mapped = params.semantics.squares > 0 and "ground" in params.chosen_selector.terms
-        self._semantics = SemanticMap(for_map(classifier), params) if mapped else None
+        self._semantics = SemanticMap(classifier, params) if mapped else None
         self.batches = 0
         """number of batches classified so far"""
         self._class_by_position: dict[bytes, SiteClass] = {}

@@ -228,11 +228,11 @@ _TRAINED = ("--network", "mobilenet_v3_large", "--image-size", "32", "--batch-si
 
 
 def _trained(shared: Path) -> Path:
-    """Data, and a folder with the checkpoints of a training that has just begun; made once."""
+    """Data, and a folder with the checkpoint of a training that has just begun; made once."""
 
     def fill(folder: Path) -> None:
         from touchdown.experiments.cli.main import main
-        from touchdown.landing.classification.learning import checkpoint, training
+        from touchdown.landing.classification.learning import training
 
         from fuzz.grounding import Reached
 
@@ -242,8 +242,7 @@ def _trained(shared: Path) -> Path:
             row = {"epoch": 1.0, "val_macro_f1": 0.5, "val_loss": 1.0, "train_loss": 1.0,
                    "val_top1": 0.5}  # fmt: skip
             trainer.history, trainer.best_epoch = [row], 0
-            checkpoint.write_best(trainer._folder, trainer._average.state_dict())
-            checkpoint.write_last(trainer._folder, trainer.state())
+            trainer.write()
             raise Reached
 
         training.Trainer.run_epoch = note  # type: ignore[method-assign,assignment]
@@ -260,16 +259,13 @@ def _trained(shared: Path) -> Path:
 
 
 def checkpoint_case(rng: Rng, folder: Path, shared: Path) -> Case:
-    """``last.pt`` and ``best.pt``: trees changed, other objects, foreign pickles, damaged zips."""
+    """``last.pt``: trees changed, other objects, foreign pickles, damaged zips."""
     source = _trained(shared)
     shutil.copytree(source / "data", folder / "data")
-    name = pick(rng, ("last.pt", "last.pt", "best.pt"))
-    target = folder / ("out" if name == "last.pt" else "start") / name
+    target = folder / "out" / "last.pt"
     target.parent.mkdir()
-    _put_checkpoint(rng, source / "out" / name, target)
+    _put_checkpoint(rng, source / "out" / "last.pt", target)
     command = ("train", "--data", "data", "--out", "out", *_TRAINED, "--quiet")
-    if name == "best.pt":
-        command = (*command, "--start-from", "start")
     if chance(rng, 0.1):
         command = (*command, "--epochs", "1")
     return Case(arguments=command, writes=("out",))
@@ -293,8 +289,10 @@ def _put_checkpoint(rng: Rng, valid: Path, target: Path) -> None:
     elif kind == 2:
         target.write_bytes(_foreign_pickle(rng))
     elif kind == 3:
-        odd = ({}, [], None, 3, "x", {"identity": 3}, {"identity": {}}, torch.zeros(3),
-               {"identity": {}, "network": {}}, {1: 2}, torch.zeros(1, device="meta"))  # fmt: skip
+        courses = ("[]", "[" * 10**5, '{"identity": 3}', '{"identity": {}, "history": [{}]}',
+                   '{"identity": {}, "history": [], "best_epoch": -1}')  # fmt: skip
+        odd = ({}, [], None, 3, "x", *({"course": text} for text in courses), {"course": 7},
+               torch.zeros(3), {1: 2}, torch.zeros(1, device="meta"))  # fmt: skip
         torch.save(pick(rng, odd), target)
     else:
         state = torch.load(valid, map_location="cpu", weights_only=True)

@@ -1,4 +1,4 @@
-"""Export of torch networks to ONNX files, and their import into torch.
+"""Export of torch networks to ONNX files.
 
 Matrices and filters are stored as float16 under their torch names and cast to float32 before use;
 biases and the parameters of the norms stay float32, a thousandth of the file.
@@ -13,14 +13,10 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
-from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from touchdown.landing.classification.engine import apply_miss_costs, as_input
 from touchdown.landing.classification.learning.training import normalised
-from touchdown.landing.classification.learning.weights_file import load_weights, read_weights
-from touchdown.landing.classification.networks.registry import build_network
 from touchdown.landing.classification.weights import INPUT, OUTPUT, NetworkFacts, write_network
 
 _OPSET = 17
@@ -91,30 +87,3 @@ def _halve(graph: onnx.GraphProto) -> None:
     kept = list(graph.node)
     del graph.node[:]
     graph.node.extend(nodes + kept)
-
-
-class TorchClassifier:
-    """A network's file in torch.
-
-    Raises ValueError and FileNotFoundError as `landing.classification.weights.read_network`.
-    """
-
-    def __init__(self, path: Path, device: torch.device | None = None) -> None:
-        self.facts, weights = read_weights(path)
-        self._device = device or torch.device("cpu")
-        network = build_network(self.facts.network, len(self.facts.classes), self.facts.image_size)
-        self._module = Calibrated(network, 1.0)
-        try:
-            load_weights(self._module, weights)
-        except RuntimeError:
-            raise ValueError(
-                f"'{path}' does not hold the weights of a {self.facts.network}"
-            ) from None
-        self._module.eval().to(self._device)
-
-    def scores(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """As `landing.classification.engine.Classifier.scores`."""
-        inputs = torch.from_numpy(as_input(images, self.facts.image_size))
-        with torch.inference_mode():
-            scores: Tensor = self._module(inputs.to(self._device))
-        return apply_miss_costs(scores.float().cpu().numpy(), self.facts)

@@ -22,13 +22,12 @@ from touchdown.landing.classification.learning import checkpoint
 from touchdown.landing.classification.learning.augment import (
     as_input,
     augmented,
-    blended,
     colour_spreads,
     recoloured,
     textured,
+    weathered,
 )
 from touchdown.landing.classification.learning.teaching import Teachers, taught
-from touchdown.landing.classification.learning.weather import weathered
 from touchdown.landing.classification.networks.registry import (
     FIXED_SIZE,
     build_network,
@@ -46,9 +45,12 @@ _WARM_UP = 0.05
 _ALIKE = 3e-4
 """macro F1 below the best that counts as the best: of two such epochs the later one, at a lower
 rate of learning, is kept; it is surer of what it knows"""
-_MAY_CHANGE = ("epochs", "patience", "mean_with", "miss_costs", "left_out")
+_MAY_CHANGE = ("epochs", "patience", "miss_costs", "left_out")
 """parameters that may change when a training resumes: they affect the length of the schedule and
-the final weights only, or the images, which are compared themselves"""
+the written file only, or the images, which are compared themselves"""
+_WEIGHT_DECAY, _LABEL_SMOOTHING = 0.05, 0.05
+_TAUGHT = 0.7
+"""weight of the teachers' probabilities in the targets (chosen, not fitted)"""
 _SIZES, _SIZE_STEP = 4, 16
 """number of sizes of growing images, and the number of pixels that a size is a multiple of"""
 
@@ -66,8 +68,6 @@ class TrainParams:
     epochs: int = 30
     batch_size: int = 64
     learning_rate: float = 1e-3
-    weight_decay: float = 0.05
-    label_smoothing: float = 0.05
     variation: float = 1.0
     """strength of the augmentation (`augment.augmented`)"""
     markings: float = 0.0
@@ -76,21 +76,14 @@ class TrainParams:
     """share of images of built or bare ground and water of another colour (`augment.recoloured`)"""
     textures: float = 0.0
     """share of images that take on a photographed texture of their class (`augment.textured`)"""
-    blending: float = 0.0
-    """strength of `augment.blended`, up to 1; 0: no blending"""
     weather: float = 0.0
-    """share of `weather.weathered`, relative to its own"""
+    """share of `augment.weathered`, relative to its own"""
     teachers: tuple[str, ...] = ()
     """files of networks or ensembles, whose mean is learnt, too (`teaching.Teachers`)"""
-    taught: float = 0.7
-    """share of the teachers' probabilities in the targets (chosen, not fitted)"""
     frozen: int = 0
     """first layers of the network that keep their initial weights"""
     left_out: tuple[str, ...] = ()
     """sources whose photographs are all for the test"""
-    mean_with: tuple[str, ...] = ()
-    """folders of other trainings, or networks' files: the final weights are the mean of theirs and
-    these, which may generalise better than any (Wortsman et al., ICML 2022, section 2)"""
     miss_costs: tuple[tuple[str, float], ...] = ()
     """as ``NetworkFacts.miss_costs``; they do not affect the training itself"""
     patience: int = 8
@@ -139,11 +132,9 @@ class Trainer:
         device: torch.device,
         *,
         start: Path | None = None,
-        compiled: bool = False,
     ) -> None:
         """``start``: folder of another training of this network, or a network's file, with the
-        initial weights. ``compiled``: use `torch.compile`, which takes a minute for every image
-        size."""
+        initial weights."""
         check_network(params.network, params.image_size)
         check_growth(params)
         self.params, self._train, self._val = params, train, val
@@ -161,21 +152,16 @@ class Trainer:
         torch.manual_seed(params.seed)
         self.network = build_network(params.network, len(train.classes), params.image_size)
         if start is not None:
-            self._load(self.network, start)
-        self._others = [copy.deepcopy(self.network) for _ in params.mean_with]
-        for network, other in zip(self._others, params.mean_with, strict=True):
-            self._load(network, Path(other))
+            checkpoint.begin_with(self.network, params.network, train.classes, start)
         self._still = list(self.network.children())[: params.frozen]
         for layer in self._still:
             layer.requires_grad_(False)
         self.network.to(device)
         # as tensor cores want them, and the vector units of a processor
         nn.utils.convert_conv2d_weight_memory_format(self.network, torch.channels_last)
-        self._compiled = torch.compile(self.network, dynamic=False) if compiled else None
         self._average = copy.deepcopy(self.network).eval().requires_grad_(False)
+        self._best = copy.deepcopy(self._average)
         self._optimizer = _optimizer(self.network, params)
-        self._precision = _precision(device, params.network)
-        self._scaler = torch.amp.GradScaler(device.type, enabled=self._precision is torch.half)
         self.history: list[dict[str, float]] = []
         self.best_epoch = -1
         self._identity = asdict(params) | {
@@ -196,24 +182,25 @@ class Trainer:
         grown = size_of_epoch(self.params, done) == self.params.image_size
         return grown and done - 1 - self.best_epoch >= self.params.patience
 
-    def state(self) -> dict[str, Any]:
-        """Returns the state that the next epoch depends on."""
-        return {
-            "identity": self._identity,
-            "network": self.network.state_dict(),
-            "average": self._average.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
-            "scaler": self._scaler.state_dict(),
-            "history": self.history,
-            "best_epoch": self.best_epoch,
-        }
+    def write(self) -> None:
+        """Writes the checkpoint: all that the next epoch and the result depend on."""
+        state = {name: part.state_dict() for name, part in self._parts().items()}
+        checkpoint.write(self, self._folder, self._identity, state)
 
     def take_state(self, state: dict[str, Any]) -> None:
-        self.network.load_state_dict(state["network"])
-        self._average.load_state_dict(state["average"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self._scaler.load_state_dict(state["scaler"])
-        self.history, self.best_epoch = state["history"], state["best_epoch"]
+        """Takes over the weights of a checkpoint. Raises ValueError for NaN and infinite ones."""
+        if not checkpoint.finite(state["best"]):
+            raise ValueError("weights that are NaN or infinite")
+        for name, part in self._parts().items():
+            part.load_state_dict(state[name])
+
+    def _parts(self) -> dict[str, Any]:
+        return {
+            "network": self.network,
+            "average": self._average,
+            "best": self._best,
+            "optimizer": self._optimizer,
+        }
 
     def run_epoch(self, progress: Progress) -> dict[str, float]:
         """Trains for one epoch, validates the averaged weights, writes the checkpoint."""
@@ -245,24 +232,17 @@ class Trainer:
         self.history.append(row)
         if row["val_macro_f1"] >= best - _ALIKE:
             self.best_epoch = epoch
-            checkpoint.write_best(self._folder, self._average.state_dict())
-        checkpoint.write_last(self._folder, self.state())
+            self._best.load_state_dict(self._average.state_dict())
+        self.write()
         return row
 
     def best(self) -> Trained:
-        """Returns the averaged weights of the best epoch, or the mean of these and ``mean_with``,
-        with their fitted temperature."""
-        network = copy.deepcopy(self._average)
-        network.load_state_dict(checkpoint.read_best(self._folder))
-        for count, other in enumerate(self._others, start=2):
-            _follow(network, other.to(self._device), 1.0 - 1.0 / count)
+        """Returns the averaged weights of the best epoch, with their fitted temperature."""
+        network = copy.deepcopy(self._best)
         found = predict(network, self._val.images, self._device)
         temperature = scores.fitted_temperature(found, self._val.labels)
         calibrated = (found / temperature).astype(np.float32)
         return Trained(network.cpu(), temperature, self.history, self.best_epoch, calibrated)
-
-    def _load(self, network: nn.Module, start: Path) -> None:
-        checkpoint.begin_with(network, self.params.network, self._train.classes, start)
 
     def _step(self, step: int, batch: NDArray[np.int64], generator: torch.Generator) -> float:
         for group in self._optimizer.param_groups:
@@ -280,25 +260,18 @@ class Trainer:
         targets = class_targets(labels, len(self._train.classes))
         if self.params.teachers:
             given = self._teachers.probabilities(images)
-            targets = taught(targets, labels >= 0, given, self.params.taught)
-        if self.params.blending > 0.0:
-            images, targets = blended(images, targets, generator, self.params.blending)
+            targets = taught(targets, labels >= 0, given, _TAUGHT)
         size = size_of_epoch(self.params, step // self.steps)
         if size < images.shape[-1]:
             images = functional.interpolate(images, size=(size, size), mode="area")
-        # the last images of an epoch are too few to be worth compiling for
-        whole = len(batch) == self.params.batch_size
-        network = self._compiled if self._compiled is not None and whole else self.network
         with _autocast(self._device, self.params.network):
             loss = functional.cross_entropy(
-                network(normalised(images)), targets, label_smoothing=self.params.label_smoothing
+                self.network(normalised(images)), targets, label_smoothing=_LABEL_SMOOTHING
             )
         self._optimizer.zero_grad(set_to_none=True)
-        self._scaler.scale(loss).backward()
-        self._scaler.unscale_(self._optimizer)
+        loss.backward()
         nn.utils.clip_grad_norm_(self.network.parameters(), _LARGEST_GRADIENT)
-        self._scaler.step(self._optimizer)
-        self._scaler.update()
+        self._optimizer.step()
         _follow(self._average, self.network, min(_AVERAGE, (1.0 + step) / (10.0 + step)))
         return float(loss.detach())
 
@@ -408,27 +381,23 @@ def _optimizer(network: nn.Module, params: TrainParams) -> torch.optim.AdamW:
     large = [p for p in learnt if p.ndim >= 2]
     small = [p for p in learnt if p.ndim < 2]
     groups = [
-        {"params": large, "weight_decay": params.weight_decay},
+        {"params": large, "weight_decay": _WEIGHT_DECAY},
         {"params": small, "weight_decay": 0.0},
     ]
     return torch.optim.AdamW(groups, lr=params.learning_rate, fused=True)
 
 
-def _precision(device: torch.device, network: str) -> torch.dtype | None:
-    """Returns the type of mixed precision: bfloat16 where the GPU or processor supports it, float16
-    on other GPUs, None on other processors, and on any for a network of single-channel filters,
-    whose gradients take three times as long in it."""
-    if device.type != "cuda" and network == "efficientnet_lite0":
-        return None
-    if device.type != "cuda":
-        able = torch.cpu.get_capabilities()
-        return torch.bfloat16 if able.get("avx512_bf16") or able.get("amx_bf16") else None
-    return torch.bfloat16 if torch.cuda.is_bf16_supported() else torch.half
-
-
 def _autocast(device: torch.device, network: str) -> torch.autocast:
-    precision = _precision(device, network)
-    return torch.autocast(device.type, dtype=precision or torch.bfloat16, enabled=bool(precision))
+    """Returns the context of mixed precision: bfloat16 where the GPU or processor supports it, but
+    on a processor not for a network of single-channel filters, whose gradients take three times as
+    long in it."""
+    if device.type == "cuda":
+        able = torch.cuda.is_bf16_supported()
+    else:
+        features = torch.cpu.get_capabilities()
+        able = bool(features.get("avx512_bf16") or features.get("amx_bf16"))
+        able = able and network != "efficientnet_lite0"
+    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=able)
 
 
 @torch.no_grad()

@@ -15,10 +15,14 @@ from touchdown.experiments.classification.render_dataset import COLUMNS, MANIFES
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.io.images import read_picture
 from touchdown.landing.classification import weights
+from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.labels import D_LAND
 
 from support.command import Says
 from support.labelled_images_support import coloured, coloured_folders
+
+MOBILENET_WEIGHTS = 4_210_008
+"""of seven classes"""
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +48,7 @@ def test_training_leaves_its_files(trained: Path) -> None:
     names = {path.name for path in trained.parent.iterdir()}
     assert names == {
         "network.onnx", "network.onnx.sha256", "curves.csv", "curves.rrd", "training.json",
-        "last.pt", "best.pt",
+        "last.pt",
     }  # fmt: skip
     report = json.loads((trained.parent / "training.json").read_text())
     assert report["epochs"] == 2 and report["parameters"]["network"] == "mobilenet_v3_large"
@@ -52,39 +56,32 @@ def test_training_leaves_its_files(trained: Path) -> None:
     assert len(curves) == 3 and curves[0].startswith("epoch,learning_rate,train_loss,val_loss")
 
 
-def test_both_engines_read_the_same_file(trained: Path) -> None:
-    from touchdown.landing.classification.learning.footprint import load_classifier
+def test_the_file_computes_what_was_trained_in_float16(trained: Path, torch: Any) -> None:
+    """2 bytes a weight; the scores are those of the best weights, rounded, at its temperature."""
+    from touchdown.landing.classification.learning.training import predict
+    from touchdown.landing.classification.networks.registry import build_network
 
-    engines = [load_classifier(trained, name) for name in ("onnx", "torch")]
+    assert 2 * MOBILENET_WEIGHTS < trained.stat().st_size < 2.2 * MOBILENET_WEIGHTS
+    network = build_network("mobilenet_v3_large", 7, 32)
+    network.load_state_dict(torch.load(trained.parent / "last.pt", weights_only=True)["best"])
+    with torch.no_grad():
+        for weight in network.parameters():
+            if weight.ndim >= 2:
+                weight.copy_(weight.half().float())
     images = coloured(6, 8).images
-    first, second = (engine.scores(images) for engine in engines)
-    assert engines[0].facts == engines[1].facts and first.shape == (6, 7)
-    np.testing.assert_allclose(first, second, atol=1e-4)
-    with pytest.raises(ValueError, match=r"\(N, 32, 32, 3\) uint8 needed"):
-        engines[0].scores(images[:, :16])
-
-
-def test_weights_are_float16_and_the_rest_of_training_is_kept(trained: Path, torch: Any) -> None:
-    """2 bytes a weight, and what torch reads back is its own weight, rounded."""
-    from touchdown.landing.classification.learning.export import TorchClassifier
-
-    count = 4_210_008
-    assert 2 * count < trained.stat().st_size < 2.2 * count
-    best = torch.load(trained.parent / "best.pt", weights_only=True)
-    read = TorchClassifier(trained)._module.network.state_dict()
-    for name, own in best.items():
-        if own.ndim >= 2:
-            assert bool((read[name] == own.half().float()).all()), name
-        elif own.is_floating_point():
-            assert bool((read[name] == own).all()), name
+    temperature = json.loads((trained.parent / "training.json").read_text())["temperature"]
+    expected = predict(network, images, torch.device("cpu")) / temperature
+    classifier = OnnxClassifier(trained)
+    np.testing.assert_allclose(classifier.scores(images), expected, atol=1e-4)
+    for wrong in (images[:, :16], images[0]):
+        with pytest.raises(ValueError, match=r"\(N, 32, 32, 3\) uint8 needed"):
+            classifier.scores(wrong)
 
 
 def test_what_a_miss_costs_is_decided_at_the_end(
     trained: Path, folder: Path, tmp_path: Path, torch: Any, says: Says
 ) -> None:
     """The same training, ended with a cost: the same scores but for one class, ln 10 more."""
-    from touchdown.landing.classification.learning.footprint import load_classifier
-
     out = tmp_path / "trained"
     shutil.copytree(trained.parent, out)
     arguments = ["train", "--network", "mobilenet_v3_large", "--data", str(folder), "--out",
@@ -94,12 +91,10 @@ def test_what_a_miss_costs_is_decided_at_the_end(
     assert report["parameters"]["miss_costs"] == [["water", 10.0]]
     images = coloured(6, 8).images
     more = np.where(np.array(D_LAND) == "water", np.log(10.0), 0.0)
-    for engine in ("onnx", "torch"):
-        plain, dear = (
-            load_classifier(path / "network.onnx", engine).scores(images)
-            for path in (trained.parent, out)
-        )
-        np.testing.assert_allclose(dear - plain, np.broadcast_to(more, (6, 7)), atol=1e-4)
+    plain, dear = (
+        OnnxClassifier(path / "network.onnx").scores(images) for path in (trained.parent, out)
+    )
+    np.testing.assert_allclose(dear - plain, np.broadcast_to(more, (6, 7)), atol=1e-4)
     reports = []
     for file, cost in ((out / "network.onnx", []), (trained, ["--miss-cost", "water=10"])):
         whole = ["evaluate", str(file), "--data", str(folder), "--no-cost", "--quiet", "--json"]
@@ -119,7 +114,7 @@ def test_evaluating_by_command(
     assert report["rom_mb"] == trained.stat().st_size / 1e6
     assert report["peak_ram_mb"] > 20.0 and report["image_ms"] > 0.0
     assert list(report["by_source"]) == ["d_land"]
-    assert cli.main([*arguments[:-1], "--no-cost", "--engine", "torch"]) == 0
+    assert cli.main([*arguments[:-1], "--no-cost"]) == 0
     assert "true class by row, predicted class by column" in capsys.readouterr().out
 
 
@@ -174,10 +169,9 @@ def test_broken_networks_are_reported_in_one_line(
     weights.checksum_file(broken).write_bytes(weights.checksum_file(trained).read_bytes())
     output = says(2, "evaluate", broken, "--data", folder, "--quiet").err
     assert "is truncated or changed" in output and output.count("\n") == 1
-    for engine in ("onnx", "torch"):
-        weights.write_network(broken, b"no network at all")
-        output = says(2, "evaluate", broken, "--data", folder, "--engine", engine).err
-        assert "cannot be loaded as a network" in output and output.count("\n") == 1
+    weights.write_network(broken, b"no network at all")
+    output = says(2, "evaluate", broken, "--data", folder).err
+    assert "cannot be loaded as a network" in output and output.count("\n") == 1
 
 
 def test_commands_say_what_is_missing(

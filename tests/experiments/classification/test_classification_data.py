@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.classification import colour_randomization as recolour
-from touchdown.experiments.classification import patches, render_dataset
+from touchdown.experiments.classification import data_sets, patches, render_dataset
+from touchdown.experiments.classification.data_sets import split_of_layout, split_of_ucmerced
 from touchdown.experiments.classification.image_folders import load_images, read_catalogue
 from touchdown.experiments.classification.render_dataset import DatasetParams
-from touchdown.experiments.classification.splits import split_of_layout, split_of_ucmerced
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, squared
-from touchdown.landing.classification import labels
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID
 from touchdown.scenes.authoring.ground import present_variation
 
@@ -24,14 +23,16 @@ from support.command import Says
 
 
 def test_folders_tell_the_kind_of_data() -> None:
-    assert labels.kind_of_folders(["lawn", "water", "trees"]) == "d_land"
-    assert labels.kind_of_folders(["agricultural", "harbor", "forest"]) == "ucmerced"
-    assert labels.kind_of_folders(["BareLand", "Viaduct", "Forest"]) == "aid"
-    assert labels.kind_of_folders(["lake-natural", "bathroom"]) == "places365"
+    assert data_sets.kind_of_folders(["lawn", "water", "trees"]) == "d_land"
+    assert data_sets.kind_of_folders(["agricultural", "harbor", "forest"]) == "ucmerced"
+    assert data_sets.kind_of_folders(["BareLand", "Viaduct", "Forest"]) == "aid"
+    assert data_sets.kind_of_folders(["lake-natural", "bathroom"]) == "places365"
     with pytest.raises(ValueError, match=r"\(cats, dogs, \.\.\.\) are not the classes"):
-        labels.kind_of_folders(["cats", "dogs"])
-    with pytest.raises(ValueError, match="'habor' is no class of ucmerced; did you mean 'harbor'"):
-        labels.meanings("ucmerced", ["river", "habor"])
+        data_sets.kind_of_folders(["cats", "dogs"])
+    with pytest.raises(
+        ValueError, match=r"'habor' is no class of ucmerced \(did you mean 'harbor'"
+    ):
+        data_sets.meanings("ucmerced", ["river", "habor"])
 
 
 def test_uc_merced_is_split_by_number() -> None:
@@ -196,7 +197,7 @@ def test_a_folder_of_uc_merced(folder: Any) -> None:
 @pytest.mark.parametrize(("files", "argument", "message"), [
     ({}, "{}", "is empty"),
     ({"river": 0}, "{}", "is empty: it holds no image of any class"),
-    ({"river": 1, "habor": 1}, "{}", "'habor' is no class of ucmerced; did you mean 'harbor'"),
+    ({"river": 1, "habor": 1}, "{}", r"'habor' is no class of ucmerced \(did you mean 'harbor'"),
     ({"cats": 1}, "{}", "are not the classes of any"),
     ({"lawn": 1}, "rendered={}", "has no manifest.csv"),
     ({"lawn": 1}, "ucmercy={}", r"unknown kind 'ucmercy' \(did you mean 'ucmerced'\?\)"),

@@ -1,5 +1,6 @@
 """A training that is refused leaves nothing behind."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -28,22 +29,19 @@ def test_no_folder_is_left_where_the_start_is_refused(
     torch: Any, data: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "start").mkdir()
-    torch.save({"x": 3}, tmp_path / "start" / "best.pt")
     out = tmp_path / "new" / "er"
     line = _refused(
         capsys, "--data", data, "--out", str(out), "--start-from", str(tmp_path / "start")
     )
-    assert "best.pt" in line and not out.parent.exists()
+    assert "network.onnx' does not exist" in line and not out.parent.exists()
 
 
-def test_a_tensor_for_a_parameter_is_another_training(
+def test_what_lies_in_the_folder_stays_where_it_is_another_training(
     torch: Any, data: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    size = torch.full((3,), 32.0)
-    identity = {"network": _TRAIN[1], "labels": "d_land", "image_size": size}
-    state = {"identity": identity, "history": [], "best_epoch": -1}
     (tmp_path / "out").mkdir()
-    torch.save(state, tmp_path / "out" / "last.pt")
+    course = {"identity": {"network": "vgg19"}, "history": [], "best_epoch": -1}
+    torch.save({"course": json.dumps(course)}, tmp_path / "out" / "last.pt")
     line = _refused(capsys, "--data", data, "--out", str(tmp_path / "out"))
-    assert "holds a training with image_size" in line
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["last.pt"]
+    assert "holds a training with network 'vgg19', not 'mobilenet_v3_large'" in line
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["last.pt"]

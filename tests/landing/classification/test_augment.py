@@ -115,55 +115,30 @@ def test_a_picture_takes_on_the_colour_of_a_texture_and_keeps_its_shadows(torch:
     assert float(textured(images, grain, torch.Generator().manual_seed(1))[0].std()) > 0.05
 
 
-def test_blended_pictures_have_blended_classes(torch: Any) -> None:
-    """Images as bright as their class is high: what is left of a class is left of its light."""
-    from touchdown.landing.classification.learning.augment import blended
-
-    generator = torch.Generator().manual_seed(3)
-    classes = torch.arange(8)
-    images = classes.float()[:, None, None, None].expand(8, 3, 4, 4)
-    targets = torch.nn.functional.one_hot(classes, 8).float()
-    mixed, chances = blended(images, targets, generator, 0.4)
-    torch.testing.assert_close(chances.sum(dim=1), torch.ones(8))
-    torch.testing.assert_close(mixed[:, 0, 0, 0], chances @ classes.float())
-    assert bool((chances[classes, classes] >= 0.5).all()) and bool((chances < 1.0).any())
-
-
-@pytest.mark.parametrize("strength", [0.2, 1.0])
-def test_shares_of_blended_pictures_are_beta_distributed(torch: Any, strength: float) -> None:
-    """Beta(a, a): mean 1/2, variance 1 / (8 a + 4)."""
-    from touchdown.landing.classification.learning.augment import _beta
-
-    generator = torch.Generator().manual_seed(4)
-    draws = np.array([_beta(strength, generator) for _ in range(4000)])
-    assert draws.mean() == pytest.approx(0.5, abs=0.025)
-    assert draws.var() == pytest.approx(1.0 / (8.0 * strength + 4.0), rel=0.06)
-
-
 def test_weather_falls_on_shares_of_the_pictures(torch: Any) -> None:
-    from touchdown.landing.classification.learning import weather
+    from touchdown.landing.classification.learning import augment
 
     plain = torch.full((400, 3, 32, 32), 0.4)
-    changed = weather.weathered(plain, torch.Generator().manual_seed(5))
+    changed = augment.weathered(plain, torch.Generator().manual_seed(5))
     assert float(changed.min()) >= 0.0 and float(changed.max()) <= 1.0
     left = ((changed - plain).abs().amax(dim=(1, 2, 3)) < 1e-5).float().mean()
-    shares = [share for name, share in weather._SHARES.items() if name != "coarse"]
+    shares = [share for name, share in augment._SHARES.items() if name != "coarse"]
     expected = float(np.prod([1.0 - share for share in shares]))
     assert float(left) == pytest.approx(expected, abs=3.0 * np.sqrt(expected / 400))
-    again = weather.weathered(plain, torch.Generator().manual_seed(5))
+    again = augment.weathered(plain, torch.Generator().manual_seed(5))
     assert torch.equal(changed, again)
-    assert torch.equal(weather.weathered(plain, torch.Generator().manual_seed(5), 0.0), plain)
+    assert torch.equal(augment.weathered(plain, torch.Generator().manual_seed(5), 0.0), plain)
 
 
 def test_effects_of_weather_by_their_kind(torch: Any) -> None:
     """Haze loses contrast, wet ground light, coarse pictures detail, and snow is bright."""
-    from touchdown.landing.classification.learning import weather
+    from touchdown.landing.classification.learning import augment
 
     checks = (torch.arange(32) % 2).float()
     board = (0.2 + 0.4 * (checks[:, None] - checks).abs()).expand(8, 3, 32, 32).clone()
 
     def after(name: str) -> Any:
-        return weather._EFFECTS[name](board, torch.Generator().manual_seed(3))
+        return augment._EFFECTS[name](board, torch.Generator().manual_seed(3))
 
     assert float(after("haze").std()) < float(board.std()) and float(after("haze").mean()) > 0.42
     assert float(after("wet").mean()) < 0.9 * float(board.mean())

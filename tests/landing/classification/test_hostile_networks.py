@@ -1,5 +1,6 @@
 """Untrusted networks and checkpoints: checked before and after they are loaded."""
 
+import json
 import pickle
 import zipfile
 from pathlib import Path
@@ -176,107 +177,94 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
     refused(path, "has 2048 MiB, more than 1024 MiB")
 
 
-LAUGHS: list[Any] = []
-"""A list of a thousand bytes that holds ten to the hundredth lists"""
-for _ in range(100):
-    LAUGHS = [LAUGHS] * 10
-
-
 class _Code:
     def __reduce__(self) -> tuple[Any, ...]:
         return (Path.touch, (Path("was_here"),))
 
 
-@pytest.fixture
-def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of an untrusted training."""
-    monkeypatch.chdir(tmp_path)
-    folder = tmp_path / "theirs"
-    folder.mkdir()
-    return folder
+class _Trainer:
+    history: list[dict[str, float]]
+    best_epoch: int
+
+    def __init__(self, part: Any) -> None:
+        self._part = part
+
+    def take_state(self, state: dict[str, Any]) -> None:
+        self._part.load_state_dict(state["network"])
 
 
-def _begin(start: Path) -> None:
-    from touchdown.landing.classification.learning.checkpoint import begin_with
-    from touchdown.landing.classification.networks.registry import build_network
-
-    network = build_network("mobilenet_v3_large", 7, 32)
-    begin_with(network, "mobilenet_v3_large", D_LAND, start)
+def _course(**changes: Any) -> str:
+    row = {"epoch": 1, "val_macro_f1": 0.5}
+    return json.dumps({"identity": {"epochs": [3]}, "history": [row], "best_epoch": 0} | changes)
 
 
-@pytest.mark.parametrize(("kind", "message"), [
-    ("strings", "something else than the weights of a network"),
-    ("list", "something else than weights"),
-    ("numbers", "something else than the weights"), ("keys", "something else than the weights"),
-    ("shapes", "weights of another network or of other classes"),
-    ("nan", "weights that are NaN or infinite"),
-    ("code", "something else than weights, which is not loaded"),
-    ("pickle", "cannot be read as a checkpoint: it is none"),
-    ("wide", "something else than weights"),
-    ("laughs", "something else than the weights"), ("bomb", "more than 4096 MiB"),
-    ("missing", "it does not exist; name the folder"),
-])  # fmt: skip
-def test_checkpoints_that_hold_something_else(start: Path, kind: str, message: str) -> None:
-    torch = pytest.importorskip("torch")
-    from touchdown.landing.classification.networks.registry import build_network
+def _refused_checkpoint(folder: Path, message: str) -> None:
+    from torch import nn
 
-    path = start / "best.pt"
-    sound = build_network("mobilenet_v3_large", 7, 32).state_dict()
-    first = next(iter(sound))
-    contents = {
-        "strings": {name: "text" for name in sound},
-        "list": [1, 2, 3],
-        "numbers": {name: 1.0 for name in sound},
-        "keys": {number: value for number, value in enumerate(sound.values())},
-        "shapes": sound | {first: torch.zeros(3)},
-        "nan": sound | {first: sound[first] * float("nan")},
-        "code": {"a": _Code()},
-        "wide": sound | {first: torch.zeros(1).expand(100_000, 100_000)},
-        "laughs": {"a": LAUGHS},
-    }
-    if kind in contents:
-        torch.save(contents[kind], path)
-    elif kind == "pickle":
-        path.write_bytes(pickle.dumps(_Code()))
-    elif kind == "bomb":
-        torch.save(sound, path)
-        with zipfile.ZipFile(path) as archive:
-            entry = archive.infolist()[0]
-        data = bytearray(path.read_bytes())
-        # the size of the first entry in the archive's directory, in 32 bits
-        at = data.rfind(b"PK\x01\x02", 0, data.find(entry.filename.encode(), len(data) // 2))
-        data[at + 24 : at + 28] = (4_294_967_294).to_bytes(4, "little")
-        path.write_bytes(bytes(data))
+    from touchdown.landing.classification.learning.checkpoint import restore
+
     with pytest.raises(ValueError, match=message) as caught:
-        _begin(start)
+        restore(_Trainer(nn.Linear(2, 2)), folder, {"epochs": [3]})
     assert "\n" not in str(caught.value) and not Path("was_here").exists()
 
 
-def test_a_checkpoint_of_something_else_is_not_resumed(start: Path) -> None:
+@pytest.mark.parametrize(("content", "message"), [
+    ([1, 2, 3], "something else than weights"),
+    ({"a": _Code()}, "something else than weights, which is not loaded"),
+    ({"a": 1}, "is not the checkpoint of a training"),
+    ({"course": "[" * 100_000}, "is not the checkpoint of a training"),
+    ({"course": 7}, "is not the checkpoint"),
+    ({"course": _course(history="x")}, "is not the checkpoint"),
+    ({"course": _course(history=[{}])}, "is not the checkpoint"),
+    ({"course": _course(best_epoch=9)}, "is not the checkpoint"),
+    ({"course": _course(identity=7)}, "is not the checkpoint"),
+    ({"course": _course(identity={"epochs": "x" * 9999})}, r"epochs 'x.*', not .3.; name another"),
+    ({"course": _course(identity={})}, "with epochs None, not .3."),
+    ({"course": _course()}, "does not hold the state of this training"),
+    ({"course": _course(), "network": {"weight": 1.0}}, "does not hold the state of this"),
+    ({"course": _course(), "network": {"weight": "wide"}}, "does not hold the state of this"),
+])  # fmt: skip
+def test_checkpoints_that_hold_something_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: Any, message: str
+) -> None:
     torch = pytest.importorskip("torch")
-    from touchdown.landing.classification.learning.checkpoint import restore
+    monkeypatch.chdir(tmp_path)
+    if isinstance(content, dict) and content.get("network") == {"weight": "wide"}:
+        content = {**content, "network": {"weight": torch.zeros(1).expand(100_000, 100_000)}}
+    torch.save(content, tmp_path / "last.pt")
+    _refused_checkpoint(tmp_path, message)
 
-    class Trainer:
-        def take_state(self, state: dict[str, Any]) -> None:
-            raise KeyError("network")
 
-    row = {"epoch": 1, "val_macro_f1": 0.5}
-    for state, message in (
-        ({"a": 1}, "is not the checkpoint of a training"),
-        ({"identity": {}, "history": "x", "best_epoch": 0}, "is not the checkpoint of a training"),
-        ({"identity": {}, "history": [{}], "best_epoch": 0}, "is not the checkpoint"),
-        ({"identity": {}, "history": [row], "best_epoch": 9}, "is not the checkpoint"),
-        ({"identity": {}, "history": [row], "best_epoch": 0}, "does not hold the state of this"),
-        ({"identity": 7}, "is not the checkpoint"),
-        (
-            {"identity": {"epochs": LAUGHS}, "history": [], "best_epoch": -1},
-            r"holds a training with epochs \[\[\[.*, not .3.; name another",
-        ),
-        (
-            {"identity": {"epochs": [torch.zeros(3)]}, "history": [], "best_epoch": -1},
-            "with epochs",
-        ),
-    ):
-        torch.save(state, start / "last.pt")
-        with pytest.raises(ValueError, match=message):
-            restore(Trainer(), start, {"epochs": [3]} if "epochs" in message else {})
+def test_checkpoints_that_are_no_archives_of_torch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch = pytest.importorskip("torch")
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "last.pt"
+    path.write_bytes(pickle.dumps(_Code()))
+    _refused_checkpoint(tmp_path, "cannot be read as a checkpoint: it is none")
+    torch.save({"a": torch.zeros(3)}, path)
+    with zipfile.ZipFile(path) as archive:
+        entry = archive.infolist()[0]
+    data = bytearray(path.read_bytes())
+    # the size of the first entry in the archive's directory, in 32 bits
+    at = data.rfind(b"PK\x01\x02", 0, data.find(entry.filename.encode(), len(data) // 2))
+    data[at + 24 : at + 28] = (4_294_967_294).to_bytes(4, "little")
+    path.write_bytes(bytes(data))
+    _refused_checkpoint(tmp_path, "more than 4096 MiB")
+
+
+def test_no_training_begins_with_weights_that_are_no_numbers(tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+    from touchdown.landing.classification.learning.checkpoint import begin_with
+    from touchdown.landing.classification.learning.export import export_network
+    from touchdown.landing.classification.networks.registry import build_network
+
+    name = "mobilenet_v3_large"
+    module = build_network(name, 7, 32)
+    facts = NetworkFacts(network=name, labels="d_land", image_size=32, classes=D_LAND)
+    with torch.no_grad():
+        next(module.parameters()).fill_(float("nan"))
+    export_network(tmp_path / "n.onnx", module, 1.0, facts)
+    with pytest.raises(ValueError, match="weights that are NaN or infinite; train anew"):
+        begin_with(module, name, D_LAND, tmp_path / "n.onnx")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.classification import class_map as class_overlays
-from touchdown.landing.classification import scores, weights, windows
+from touchdown.experiments.classification import class_map
+from touchdown.landing.classification import scores, weights
 from touchdown.landing.classification.engine import apply_miss_costs
 from touchdown.landing.classification.labels import D_LAND
 
@@ -54,10 +54,8 @@ def test_summary_leaves_out_classes_that_do_not_occur() -> None:
 
 
 def test_windows_cover_everything() -> None:
-    assert list(windows.window_starts(100, 32, 16)) == [0, 16, 32, 48, 64, 68]
-    assert list(windows.window_starts(32, 32, 8)) == [0]
-    with pytest.raises(ValueError, match="does not fit into 31"):
-        windows.window_starts(31, 32, 8)
+    assert class_map.window_starts(100, 32, 16) == [0, 16, 32, 48, 64, 68]
+    assert class_map.window_starts(32, 32, 8) == [0]
 
 
 def _by_colour(images: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
@@ -72,7 +70,7 @@ def _by_colour(images: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 def test_class_map_finds_the_shore() -> None:
     picture = np.zeros((48, 96, 3), np.uint8)
     picture[:, 48:, 2] = 255
-    chance = windows.class_map(picture, 16, 4, _by_colour)
+    chance = class_map.class_map(picture, 16, 4, _by_colour)
     np.testing.assert_allclose(chance.sum(axis=2), 1.0, rtol=1e-5)
     water = chance[..., D_LAND.index("water")]
     assert (water[:, :36] < 1e-6).all() and (water[:, 60:] > 1.0 - 1e-6).all()
@@ -84,10 +82,11 @@ def test_unsure_ground_stays_white() -> None:
     chance = np.full((16, 40, 7), 0.1, np.float32)
     chance[:, :20, D_LAND.index("water")] = 0.4
     chance[:, 20:, D_LAND.index("lawn")] = 0.9
-    drawn = class_overlays.class_overlay(picture, chance, D_LAND, 0.5)
+    numbers = class_map.sure_classes(chance, 0.5)
+    drawn = class_map.class_overlay(picture, numbers, D_LAND)
     assert (drawn[0, 0] == 128).all() and (drawn[0, 39] == [60, 100, 40]).all()
     assert drawn.shape[1] == 40 and drawn.shape[0] > 16
-    assert class_overlays._shares(chance, D_LAND, 0.5) == {"lawn": 0.5, "unsure": 0.5}
+    assert class_map.fractions(numbers, D_LAND) == {"lawn": 0.5, "unsure": 0.5}
 
 
 def _sum(content: bytes) -> str:

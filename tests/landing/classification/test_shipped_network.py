@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
+from touchdown.experiments.classification.data_sets import HELD_OUT_SCENES, split_of_layout
 from touchdown.experiments.classification.patches import Patch, scene_patches
-from touchdown.experiments.classification.splits import HELD_OUT_SCENES, split_of_layout
 from touchdown.experiments.flight.wiring import build_classifier
 from touchdown.landing.classification import engine, onboard
 from touchdown.landing.classification.engine import OnnxClassifier

@@ -48,7 +48,7 @@ def test_only_images_of_a_class_are_taught(torch: Any) -> None:
 def test_what_is_taught_is_learnt(
     torch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One that knows the labels changes nothing, one that knows nothing does, by its share."""
+    """One that knows the labels changes nothing, one that knows nothing does, by its weight."""
     from touchdown.landing.classification.learning import training
 
     train, val, cpu = coloured(12, 1), coloured(6, 2), torch.device("cpu")
@@ -67,17 +67,17 @@ def test_what_is_taught_is_learnt(
 
     monkeypatch.setattr(training, "Teachers", made)
 
-    def trainer(folder: str, share: float, *teachers: str) -> Any:
+    def trainer(folder: str, weight: float, *teachers: str) -> Any:
+        monkeypatch.setattr(training, "_TAUGHT", weight)
         (tmp_path / folder).mkdir(exist_ok=True)
         params = training.TrainParams(
             network="mobilenet_v3_large", image_size=32, batch_size=12, teachers=teachers,
-            taught=share,
         )  # fmt: skip
         return training.Trainer(params, train, val, tmp_path / folder, cpu)
 
     loss = {
-        name: trainer(name, share, *teachers).run_epoch(lambda *_: None)["train_loss"]
-        for name, share, teachers in (
+        name: trainer(name, weight, *teachers).run_epoch(lambda *_: None)["train_loss"]
+        for name, weight, teachers in (
             ("alone", 0.8, ()), ("knows", 0.8, ["knows"]),
             ("little", 0.2, ["nothing"]), ("nothing", 0.8, ["nothing"]),
         )
