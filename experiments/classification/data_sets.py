@@ -32,7 +32,7 @@ _SEED_CYCLE = 5
 _UC_TEST = range(64, 80)
 """test file numbers of each class of UC Merced"""
 _UC_CYCLE = 8
-_TEST_SHARE, _VAL_SHARE = 0.2, 0.1
+_TEST_FRACTION, _VAL_FRACTION = 0.2, 0.1
 _RENDERED = {
     "crossroad": ("commercial", {"road": "viaduct", "lawn": "park", "field": "farmland",
                                  "trees": "park"}),
@@ -153,6 +153,6 @@ def split_of_file(relative: str) -> str:
     """Returns the split by a hash of ``relative``, class folder and file name: a fifth for the
     test, a tenth for validation."""
     position = crc32(relative.encode()) / 2**32
-    if position < _TEST_SHARE:
+    if position < _TEST_FRACTION:
         return "test"
-    return "val" if position < _TEST_SHARE + _VAL_SHARE else "train"
+    return "val" if position < _TEST_FRACTION + _VAL_FRACTION else "train"

@@ -37,17 +37,17 @@ Counts = NDArray[np.int64]
 HEIGHTS_M = (5.0, 60.0)
 SIDES_M = (3.2, 25.6)
 """side of the square of ground, uniform in its logarithm; flights classify 6.4 m"""
-LEAST_SHARE, LEAST_MIDDLE = 0.6, 0.95
-"""least share of the class in a patch, and in its middle, where a vehicle would stand: below it the
-label is ambiguous"""
+MIN_FRACTION, MIN_MIDDLE_FRACTION = 0.6, 0.95
+"""smallest fraction of the class in a patch, and in its middle, where a vehicle would stand: below
+it the label is ambiguous"""
 _MIDDLE = 0.4
 """width of the middle relative to the patch"""
-_LEAST_PX = 48
+_MIN_PX = 48
 _DRAWN = 192
 """number of squares that are tried in one image"""
 _PER_VIEW, _PER_CLASS = 4, 2
 """largest number of patches of one image, and of one class among them"""
-_MOST_VIEWS = 2
+_MAX_VIEWS = 2
 """largest number of images for each wanted patch"""
 _NOTHING = -1
 _FULL = -1
@@ -61,8 +61,8 @@ class Patch:
     rgb: Image
     """(S, S, 3)"""
     land_class: str
-    share: float
-    """share of its pixels of ``land_class``"""
+    fraction: float
+    """fraction of its pixels of ``land_class``"""
     height_m: float
     """height of the camera above the ground in the middle, along the optical axis"""
     side_m: float
@@ -76,7 +76,7 @@ class _Square:
     col: int
     side: int
     land_class: int
-    share: float
+    fraction: float
     depth_m: float
 
 
@@ -117,14 +117,14 @@ def scene_patches(
     found: list[Patch] = []
     taken = np.zeros(len(LAND_CLASSES), np.int64)
     try:
-        for number in range(_MOST_VIEWS * count):
+        for number in range(_MAX_VIEWS * count):
             view = random_view(camera, scene, rng, number, HEIGHTS_M)
             shown = class_image(view, scene, classes, matrix)
             if looks.colours > 0.0 and colours.uniform() < looks.colours:
                 materials = material_image(scene, view.geom_id[::2, ::2], shown)
                 view = replace(view, rgb=recoloured(view.rgb, materials, colours))
-            # at first, a class that has its share is not taken any more
-            open_to = np.where(taken < _share(count, number), taken, _FULL)
+            # at first, a class that has its quota is not taken any more
+            open_to = np.where(taken < _quota(count, number), taken, _FULL)
             squares = list(_squares(view, shown, matrix, open_to, rng))
             for square in _rarest(squares, open_to, min(_PER_VIEW, count - len(found))):
                 taken[square.land_class] += 1
@@ -136,7 +136,7 @@ def scene_patches(
     return found
 
 
-def _share(count: int, view: int) -> int:
+def _quota(count: int, view: int) -> int:
     """Returns the number of patches of one class up to this image: a fifth, later any number."""
     return max(1, count // 5) if view < count else count
 
@@ -176,15 +176,15 @@ def _squares(
         side = round(side_m * half_focal / depth)
         top, left = row - side // 2, col - side // 2
         inside = top >= 0 and left >= 0 and top + side <= rows and left + side <= cols
-        if not inside or side < _LEAST_PX // 2 or _counts(sums, top, left, side)[_NOTHING] > 0:
+        if not inside or side < _MIN_PX // 2 or _counts(sums, top, left, side)[_NOTHING] > 0:
             continue
-        land_class, share = _majority(sums, top, left, side)
+        land_class, fraction = _majority(sums, top, left, side)
         middle = max(1, round(_MIDDLE * side))
         offset = (side - middle) // 2
-        same, middle_share = _majority(sums, top + offset, left + offset, middle)
-        clear = share >= LEAST_SHARE and middle_share >= LEAST_MIDDLE
+        same, middle_fraction = _majority(sums, top + offset, left + offset, middle)
+        clear = fraction >= MIN_FRACTION and middle_fraction >= MIN_MIDDLE_FRACTION
         if same == land_class and clear:
-            yield _Square(top, left, side, land_class, share, depth)
+            yield _Square(top, left, side, land_class, fraction, depth)
 
 
 def _middles(image: Int32, taken: Counts, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
@@ -232,7 +232,7 @@ def _rarest(squares: list[_Square], taken: Counts, most: int) -> list[_Square]:
             s for s in squares
             if taken[s.land_class] >= 0
             and of_view[s.land_class] < _PER_CLASS
-            and all(_apart(s, c) for c in chosen)
+            and all(_separate(s, c) for c in chosen)
         ]  # fmt: skip
         if not left:
             break
@@ -243,7 +243,7 @@ def _rarest(squares: list[_Square], taken: Counts, most: int) -> list[_Square]:
     return chosen
 
 
-def _apart(a: _Square, b: _Square) -> bool:
+def _separate(a: _Square, b: _Square) -> bool:
     down = a.row + a.side / 2 - b.row - b.side / 2
     across = a.col + a.side / 2 - b.col - b.side / 2
     return max(abs(down), abs(across)) >= max(a.side, b.side) / 2
@@ -258,7 +258,7 @@ def _cut(
     return Patch(
         rgb=np.asarray(cv2.resize(crop, (pixels, pixels), interpolation=way), np.uint8),
         land_class=LAND_CLASSES[square.land_class],
-        share=square.share,
+        fraction=square.fraction,
         height_m=square.depth_m,
         side_m=side * square.depth_m / float(matrix[0, 0]),
     )

@@ -23,7 +23,7 @@ from touchdown.experiments.io.untrusted import inside
 
 SQUARES = Path(__file__).with_name("caliterra.csv")
 KINDS = ("aerial", "caliterra", "textures")
-_VAL_SHARE = 0.15
+_VAL_FRACTION = 0.15
 _DESATURATED = 0.4
 """share of the colour that is kept of a photograph with near infrared in place of red"""
 
@@ -132,7 +132,7 @@ def _textures(folder: Path) -> Iterator[Photograph]:
 
 
 def _split(origin: str) -> str:
-    return "val" if crc32(f"photograph {origin}".encode()) / 2**32 < _VAL_SHARE else "train"
+    return "val" if crc32(f"photograph {origin}".encode()) / 2**32 < _VAL_FRACTION else "train"
 
 
 def _meaning(data_set: str, name: str) -> Meaning:

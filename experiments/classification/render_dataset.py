@@ -39,9 +39,9 @@ PER_SEED = 40
 Progress = Callable[[int, int, str], None]
 FIRST_SEED = 1000
 """above the seeds of flights, so that no flight is over ground that was trained on"""
-_SEEDS_APART = 100_000
+_SEED_SPACING = 100_000
 """between the first seeds of two data sets"""
-_MOST_ROUNDS = 10
+_MAX_ROUNDS = 10
 """rounds of further seeds where layouts did not show enough ground of one class"""
 _SHEET_COLUMNS = 10
 _SHEET_PX, _NAME_PX, _GAP = 96, 110, 4
@@ -126,9 +126,9 @@ def _render(
     folder: Path, scenes: Sequence[str], params: DatasetParams, jobs: int, progress: Progress
 ) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
-    first = FIRST_SEED + _SEEDS_APART * params.seed
+    first = FIRST_SEED + _SEED_SPACING * params.seed
     with _workers(jobs) as run:
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             missing = params.images - len(rows)
             seeds = -(-missing // (len(scenes) * params.per_seed))
             counts = _even(missing, seeds * len(scenes))
@@ -198,7 +198,7 @@ def _row(file: str, layout: _Layout, patch: Patch, meaning: Meaning) -> dict[str
         "split": split_of_layout(layout.scene, layout.seed),
         "height_m": f"{patch.height_m:.2f}",
         "side_m": f"{patch.side_m:.2f}",
-        "share": f"{patch.share:.3f}",
+        "share": f"{patch.fraction:.3f}",
     }
 
 

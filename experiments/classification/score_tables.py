@@ -46,8 +46,8 @@ def decision_text(decision: Mapping[str, Any]) -> str:
         ("safe", "safe_refused", "of safe ground refused"),
     ):
         count, of = decision[wrong], decision[kind]
-        share = f" ({count / of:.2%})" if of else ""
-        parts.append(f"{count} of {of} {text}{share}")
+        part = f" ({count / of:.2%})" if of else ""
+        parts.append(f"{count} of {of} {text}{part}")
     unknown = f"{decision['unsafe_unknown']} and {decision['safe_unknown']} more are unknown"
     return f"at {decision['min_probability']:.3f}: {', '.join(parts)}; {unknown}"
 

@@ -23,12 +23,12 @@ Labels = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 FALSE_SAFE, CONFIDENCE = 0.01, 0.95
-"""share of images of unsafe ground that may count as safe, and the confidence with which limits are
-fitted to stay below it"""
+"""fraction of images of unsafe ground that may count as safe, and the confidence with which limits
+are fitted to stay below it"""
 LEAST = 0.5
 """lower bound of ``Limits.min_probability``"""
-STRANGE = 0.005
-"""share of validation images below ``Limits.min_energy``"""
+ENERGY_QUANTILE = 0.005
+"""fraction of validation images below ``Limits.min_energy``"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,7 +55,7 @@ def energies(scores: Float32) -> Array:
     return np.asarray((top + np.log(np.exp(wide - top).sum(axis=1, keepdims=True)))[:, 0])
 
 
-def taken_for_safe(scores: Float32, limits: Limits) -> Mask:
+def accepted(scores: Float32, limits: Limits) -> Mask:
     """Returns the mask (N,) of images that count as safe."""
     chance = probabilities(scores)
     safe = class_mask()
@@ -69,8 +69,8 @@ def not_known_unsafe(scores: Float32, unknown_unsafe: float) -> Mask:
     return np.asarray(probabilities(scores)[:, class_mask()].sum(axis=1) > 1.0 - unknown_unsafe)
 
 
-def largest_share(count: int, of: int, confidence: float = CONFIDENCE) -> float:
-    """Returns the upper bound of a share of which ``count`` of ``of`` were seen (Clopper and
+def upper_bound(count: int, of: int, confidence: float = CONFIDENCE) -> float:
+    """Returns the upper bound of a fraction of which ``count`` of ``of`` were seen (Clopper and
     Pearson, Biometrika 26, 1934; one-sided); 1 of none."""
     from scipy.special import betaincinv
 
@@ -83,7 +83,7 @@ def allowed_mistakes(unsafe: int, false_safe: float, confidence: float) -> int:
     """Returns how many of ``unsafe`` images may count as safe for the share to be below
     ``false_safe`` with ``confidence``; -1 where they are too few to show that."""
     count = -1
-    while count + 1 < unsafe and largest_share(count + 1, unsafe, confidence) <= false_safe:
+    while count + 1 < unsafe and upper_bound(count + 1, unsafe, confidence) <= false_safe:
         count += 1
     return count
 
@@ -103,7 +103,7 @@ def fitted_limits(
     energy = energies(scores)
     safe = class_mask()
     unsafe = is_unsafe(labels)
-    min_energy = float(np.quantile(energy[labels >= 0], STRANGE, method="lower"))
+    min_energy = float(np.quantile(energy[labels >= 0], ENERGY_QUANTILE, method="lower"))
     chance = probabilities(scores)
     passing = safe[chance.argmax(axis=1)] & (energy >= min_energy)
     tempting = chance[unsafe & passing][:, safe].sum(axis=1)
@@ -128,7 +128,7 @@ def decision_summary(
 ) -> dict[str, Any]:
     """Returns the counts of unsafe images taken for safe and of safe images refused, and those that
     unknown ground adds where it is landed on (`not_known_unsafe`)."""
-    taken, safe = taken_for_safe(scores, limits), ~is_unsafe(labels)
+    taken, safe = accepted(scores, limits), ~is_unsafe(labels)
     mistakes, unsafe = int((~safe & taken).sum()), int((~safe).sum())
     unknown = not_known_unsafe(scores, unknown_unsafe) & ~taken
     return {
@@ -136,7 +136,7 @@ def decision_summary(
         "min_energy": limits.min_energy if np.isfinite(limits.min_energy) else None,
         "unsafe": unsafe,
         "unsafe_taken_for_safe": mistakes,
-        "unsafe_share_at_most": largest_share(mistakes, unsafe),
+        "unsafe_share_at_most": upper_bound(mistakes, unsafe),
         "safe": int(safe.sum()),
         "safe_refused": int((safe & ~taken).sum()),
         "unsafe_unknown": int((~safe & unknown).sum()),

@@ -27,15 +27,15 @@ _DARKEST = 0.005
 """quantile of an image's pixels"""
 _RING = 1.25
 """ratio of the heights that are grouped together"""
-_LEAST_RINGS = 4
+_MIN_RINGS = 4
 """fewer groups do not determine the fit"""
-_LEAST_RISE = 0.05
+_MIN_RISE = 0.05
 """least gain of linear light of the darkest ground from the lowest height to the highest; below it
 the air counts as clear, so that ground that is bright from every height is not taken for haze"""
-_COVERED, _COVERED_SHARE = 0.6, 0.9
+_COVERED, _COVERED_FRACTION = 0.6, 0.9
 """share of the veil that images from high up must reach, and the share of the images that must
 reach it. Trees and roofs lie nearer than the ground, so some images do not; many mean clear air."""
-_LEAST_CLEAR = 0.1
+_MIN_CLEAR = 0.1
 """least share of the ground's light; below it haze removal would only amplify noise"""
 _SCALE = 0.02
 """linear light; scale of the robust loss"""
@@ -54,7 +54,7 @@ class Haze:
 
     def removed(self, rgb: Image, distances_m: Array) -> Image:
         """Returns the image (H, W, 3) in clear air, given the distance of each pixel (H, W)."""
-        clear = np.maximum(np.exp(-self.extinction * distances_m), _LEAST_CLEAR)[..., None]
+        clear = np.maximum(np.exp(-self.extinction * distances_m), _MIN_CLEAR)[..., None]
         light = (_LIGHT[rgb] - self.veil(distances_m)[..., None]) / clear
         return np.asarray(np.rint(255.0 * np.clip(light, 0.0, 1.0) ** (1.0 / _GAMMA)), np.uint8)
 
@@ -75,7 +75,7 @@ def estimate_haze(heights_m: Array, darkest: Array) -> Haze:
     rings = np.rint(np.log(heights_m) / np.log(_RING))
     # most images are from survey height: every group of heights has the same weight
     members = [rings == ring for ring in np.unique(rings)]
-    if len(members) < _LEAST_RINGS:
+    if len(members) < _MIN_RINGS:
         return Haze()
     heights = np.array([np.median(heights_m[one]) for one in members])
     lights = np.array([np.median(darkest[one]) for one in members])
@@ -100,6 +100,6 @@ def estimate_haze(heights_m: Array, darkest: Array) -> Haze:
     rise = (airlight - ground) * (np.exp(-depth * heights.min() / top) - np.exp(-depth))
     high = heights_m > 0.5 * top
     covered = darkest[high] >= _COVERED * haze.veil(heights_m[high])
-    if rise < _LEAST_RISE or covered.mean() < _COVERED_SHARE:
+    if rise < _MIN_RISE or covered.mean() < _COVERED_FRACTION:
         return Haze()
     return haze

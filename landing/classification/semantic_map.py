@@ -180,8 +180,8 @@ def log_odds(chance: Array) -> Array:
 def fused(evidence: Array, weight: Array, most: float) -> Array:
     """Returns the probabilities (..., 7) of sums of weighted log-odds (..., 7); ``weight`` (...) is
     the sum of their weights, of which at most ``most`` counts. Uniform without any."""
-    share = np.minimum(1.0, most / np.maximum(weight, 1e-9))
-    odds = evidence * share[..., None]
+    scale = np.minimum(1.0, most / np.maximum(weight, 1e-9))
+    odds = evidence * scale[..., None]
     grown = np.exp(odds - odds.max(axis=-1, keepdims=True))
     return np.asarray(grown / grown.sum(axis=-1, keepdims=True))
 

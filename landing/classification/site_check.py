@@ -26,7 +26,7 @@ from touchdown.landing.api import (
 )
 from touchdown.landing.classification.semantic_map import SemanticMap
 from touchdown.landing.classification.snow import as_snow, is_snow
-from touchdown.landing.classification.survey_images import SurveyImages, detail_share
+from touchdown.landing.classification.survey_images import SurveyImages, sharpness
 from touchdown.landing.selection.ground.landable import Refusal
 from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES
 from touchdown.sim.api import Observation, SensorRig
@@ -55,7 +55,7 @@ class SiteClass:
     in_distribution: bool
     """False where the image lies far from the training data"""
     detail: float = 1.0
-    """share of the fine detail of a sharp picture, `survey_images.detail_share`"""
+    """share of the fine detail of a sharp picture, `survey_images.sharpness`"""
 
     @property
     def name(self) -> str:
@@ -228,7 +228,7 @@ class SiteClassCheck:
         for row, number in enumerate(seen):
             missing, hits = pulses_around(map_view, sites[number], 0.5 * side)
             traffic_zone = selection is not None and in_traffic_zone(selection, sites[number])
-            predicted, detail = prediction.probabilities[row], detail_share(shown[row])
+            predicted, detail = prediction.probabilities[row], sharpness(shown[row])
             if self._semantics is not None:
                 against = LAND_CLASSES[int(predicted.argmax())] not in self._params.allowed_classes
                 counted = reliability * (1.0 if against or not closer else detail)

@@ -26,7 +26,7 @@ _BRIGHT = 0.5
 """least reflectivity times cosine of a cell; the cosine is 0.75 at the edge of the field of view"""
 _BRIGHT_MEDIAN = 0.6
 """of the cells around a site"""
-_BRIGHT_SHARE = 0.9
+_BRIGHT_FRACTION = 0.9
 """of the cells around a site that must be part of the surface"""
 _STEP_M = 0.25
 """between neighbouring cells of one surface"""
@@ -51,7 +51,7 @@ def is_snow(map_view: MapView, site_odom: Array, half_m: float) -> bool:
         return False
     surface = _surface_at(raster, row, col)
     wide = surface.sum() * raster.cell_m**2 >= _WIDE_M2
-    return bool(wide and surface[around][seen].mean() >= _BRIGHT_SHARE)
+    return bool(wide and surface[around][seen].mean() >= _BRIGHT_FRACTION)
 
 
 def as_snow(probabilities: Array) -> Array:

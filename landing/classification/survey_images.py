@@ -32,13 +32,13 @@ _SPACING = 0.2
 _SPACING_GROWTH = 1.25
 """growth of the spacing where there are too many images"""
 _LOWEST_M = 3.0
-_MOST_PX = 480
+_MAX_PX = 480
 _SIDE_FACTORS = (1.0, 0.7, 0.5)
 """sides of the patch, relative to the wanted one, that are tried in this order"""
 _DIM = 60.0
 """grey level that at most a twentieth of a dim image's pixels exceed"""
 _BLOCK_PX = 16
-_LEAST_STRUCTURE = 2.0
+_MIN_STRUCTURE = 2.0
 """scatter of the means of blocks of a dim image, over what independent noise of its pixels gives,
 up to which it shows nothing"""
 _DAYLIGHT = (110.0 / 255.0) ** 2.2
@@ -164,8 +164,8 @@ class SurveyImages:
         for entry in reversed(self._track):
             if entry[0] <= time_s:
                 span = later[0] - entry[0]
-                share = (time_s - entry[0]) / span if span > 0.0 else 0.0
-                return interpolate_pose(entry[1], later[1], min(share, 1.0))
+                fraction = (time_s - entry[0]) / span if span > 0.0 else 0.0
+                return interpolate_pose(entry[1], later[1], min(fraction, 1.0))
             later = entry
         return None
 
@@ -241,14 +241,14 @@ class SurveyImages:
         """
         images = [*self._kept, *([] if self._newest is None else [self._newest])]
         recent = [kept for kept in images if kept.time_s >= since_s]
-        for share in _SIDE_FACTORS:
+        for factor in _SIDE_FACTORS:
             best: tuple[float, _KeptImage] | None = None
             for kept in recent:
-                rank = self._rank(kept, site_odom, share * side_m)
+                rank = self._rank(kept, site_odom, factor * side_m)
                 if rank is not None and (best is None or rank < best[0]):
                     best = rank, kept
             if best is not None:
-                return self._extract(best[1], site_odom, share * side_m, pixels)
+                return self._extract(best[1], site_odom, factor * side_m, pixels)
         return None
 
     def _rank(self, kept: _KeptImage, site: Array, side_m: float) -> float | None:
@@ -270,7 +270,7 @@ class SurveyImages:
         ``pixels``."""
         depth = float(kept.odom_from_camera.translation[2] - site[2])
         native = round(side_m * self._rig.camera.fx / depth)
-        count = int(np.clip(native, pixels, max(_MOST_PX, pixels)))
+        count = int(np.clip(native, pixels, max(_MAX_PX, pixels)))
         steps = (np.arange(count) + 0.5) / count - 0.5
         points = _ground_points(kept.odom_from_camera, site, side_m, steps)
         where, _ = project(self._rig.camera, kept.odom_from_camera.inverse().apply(points))
@@ -284,7 +284,7 @@ class SurveyImages:
         return brightened(np.asarray(found, np.uint8)) if kept.dim else np.asarray(found, np.uint8)
 
 
-def detail_share(patch: Image) -> float:
+def sharpness(patch: Image) -> float:
     """Share of the fine detail of a sharp picture that a patch (H, W, 3) has, 0 to 1: by the
     contrast below two pixels over that of up to eight. Photographs of ground mostly have all of it;
     enlarged twice, half of them have less than 0.7, four times less than 0.3."""
@@ -304,7 +304,7 @@ def shows_structure(rgb: Image) -> bool:
     grey = rgb.mean(axis=2, dtype=np.float32)
     size = (max(grey.shape[1] // _BLOCK_PX, 1), max(grey.shape[0] // _BLOCK_PX, 1))
     blocks = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    return float(blocks.std()) * _BLOCK_PX > _LEAST_STRUCTURE * float(grey.std())
+    return float(blocks.std()) * _BLOCK_PX > _MIN_STRUCTURE * float(grey.std())
 
 
 def brightened(patch: Image) -> Image:

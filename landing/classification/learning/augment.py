@@ -25,7 +25,7 @@ _MADE, _WATER = (0.4, 0.5, 0.12, 0.0), (0.5, 0.6, 0.2, 1.0)
 light, of built and bare ground and of water; and whether blue may gain on red: what is blue of all
 that one may stand on is rare, and of water it is common"""
 _GAMMA = 2.2
-_LEAST = 0.02
+_MIN_MEAN = 0.02
 """lower bound of a channel's mean, in [0, 1], that a texture's grain is relative to"""
 _ERASED = (0.1, 0.35)
 """side of the rectangle that covers part of one image in four"""
@@ -38,7 +38,7 @@ _DASH, _EDGE = (0.08, 0.4), (0.004, 0.03)
 _COURT, _LINE = (0.1, 0.6), (0.01, 0.05)
 """half of the sides of courts and the width of their lines, relative to the image"""
 
-_SHARES = {
+_FRACTIONS = {
     "coarse": 0.3, "shadows": 0.25, "snow": 0.04, "wet": 0.12, "low sun": 0.12, "lamp": 0.06,
     "haze": 0.15, "exposure": 0.5,
 }  # fmt: skip
@@ -57,7 +57,7 @@ def augmented(
     images: Tensor, generator: torch.Generator, strength: float = 1.0, markings: float = 0.0
 ) -> Tensor:
     """Returns images (B, 3, S, S) in [0, 1] rotated, mirrored, scaled, with changed light, partly
-    covered, and with lines painted on a share ``markings`` of them.
+    covered, and with lines painted on a fraction ``markings`` of them.
 
     With ``strength`` 0 only rotation, mirroring and a shift remain."""
     moved = _moved(images, generator, strength)
@@ -118,8 +118,8 @@ def _hidden(images: Tensor, generator: torch.Generator, strength: float) -> Tens
     return torch.where(covered[:, None].to(images.device), 0.5, images)
 
 
-def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
-    """Paints lines on a share of the images (B, 3, S, S).
+def marked(images: Tensor, generator: torch.Generator, fraction: float) -> Tensor:
+    """Paints lines on a fraction of the images (B, 3, S, S).
 
     Lines are parallel, or in one image of three the outline of a court, whole or dashed, straight
     or wavy, of any colour, half of them white. Lanes, bays and courts are marked on many kinds of
@@ -151,15 +151,17 @@ def marked(images: Tensor, generator: torch.Generator, share: float) -> Tensor:
     paint = torch.where(chance(0.5) & (dashes - torch.floor(dashes) < 0.5), 0.0, paint)
     # lines that begin, and end, somewhere
     paint = torch.where((along - draw(-0.4, 0.4)).abs() < draw(0.2, 1.0), paint, 0.0)
-    paint = paint * draw(0.4, 1.0) * chance(share)
+    paint = paint * draw(0.4, 1.0) * chance(fraction)
     colour = torch.rand(count, 3, 1, 1, generator=generator)
     white = _uniform(generator, (count, 1, 1, 1), 0.75, 1.0)
     colour = torch.where(chance(0.5)[..., None], white, colour).to(images)
     return torch.lerp(images, colour.expand_as(images), paint[:, None].to(images))
 
 
-def recoloured(images: Tensor, spreads: Tensor, generator: torch.Generator, share: float) -> Tensor:
-    """Gives a share of the images (B, 3, S, S) another colour, changed in linear light, by the
+def recoloured(
+    images: Tensor, spreads: Tensor, generator: torch.Generator, fraction: float
+) -> Tensor:
+    """Gives a fraction of the images (B, 3, S, S) another colour, changed in linear light, by the
     ``spreads`` (B, 4) of `colour_spreads`.
 
     Courts are of red clay, roads of pale chippings, pools are turquoise: what is built or bare is
@@ -168,7 +170,7 @@ def recoloured(images: Tensor, spreads: Tensor, generator: torch.Generator, shar
     light, warm, green = (spreads[:, :3] * drawn).unbind(dim=1)
     warm = torch.where(spreads[:, 3] > 0.0, warm, warm.abs())
     gains = torch.exp(torch.stack([light + warm, light + green, light - warm], dim=1))
-    picked = torch.rand(len(images), 1, generator=generator) < share
+    picked = torch.rand(len(images), 1, generator=generator) < fraction
     gains = torch.where(picked, gains, 1.0) ** (1.0 / _GAMMA)
     return (images * gains[..., None, None].to(images)).clamp(0.0, 1.0)
 
@@ -186,16 +188,16 @@ def textured(images: Tensor, textures: Tensor, generator: torch.Generator) -> Te
 
     A scene has one paving and one asphalt; photographs of others make its ground many kinds."""
     turned = _moved(textures, generator)
-    mean = images.mean(dim=(2, 3), keepdim=True).clamp(min=_LEAST)
+    mean = images.mean(dim=(2, 3), keepdim=True).clamp(min=_MIN_MEAN)
     return (images / mean * turned).clamp(0.0, 1.0)
 
 
 def weathered(images: Tensor, generator: torch.Generator, strength: float = 1.0) -> Tensor:
-    """Returns images (B, 3, S, S) in [0, 1], each with every effect by its share times
+    """Returns images (B, 3, S, S) in [0, 1], each with every effect by its fraction times
     ``strength``."""
     changed = images.clone()
-    for name, share in _SHARES.items():
-        chosen = torch.rand(len(images), generator=generator) < share * strength
+    for name, fraction in _FRACTIONS.items():
+        chosen = torch.rand(len(images), generator=generator) < fraction * strength
         if chosen.any():
             where = chosen.to(images.device)
             changed[where] = _EFFECTS[name](changed[where], generator).clamp(0.0, 1.0)

@@ -52,7 +52,7 @@ def _costless(network: OnnxClassifier, images: NDArray[np.uint8]) -> NDArray[np.
     return network.scores(np.stack(scaled).astype(np.uint8)) - miss_cost_logs(network.facts)
 
 
-def taught(targets: Tensor, known: Tensor, given: Tensor, share: float) -> Tensor:
-    """Returns targets (B, C) that are those ``given`` (B, C) to ``share``; ``known`` (B,) tells
+def taught(targets: Tensor, known: Tensor, given: Tensor, weight: float) -> Tensor:
+    """Returns targets (B, C) that are those ``given`` (B, C) with ``weight``; ``known`` (B,) tells
     which images are of a class: the others keep theirs."""
-    return torch.where(known[:, None], torch.lerp(targets, given, share), targets)
+    return torch.where(known[:, None], torch.lerp(targets, given, weight), targets)

@@ -48,18 +48,18 @@ class MeanGrid(nn.Module):
     overlaps, as torch's adaptive average pooling, but written as two matrix products, which every
     engine has also where ``cells`` does not divide ``side``."""
 
-    share: Tensor
+    weights: Tensor
 
     def __init__(self, side: int, cells: int) -> None:
         super().__init__()
-        share = torch.zeros(cells, side)
+        weights = torch.zeros(cells, side)
         for cell in range(cells):
             first, beyond = cell * side // cells, -(-(cell + 1) * side // cells)
-            share[cell, first:beyond] = 1.0 / (beyond - first)
-        self.register_buffer("share", share, persistent=False)
+            weights[cell, first:beyond] = 1.0 / (beyond - first)
+        self.register_buffer("weights", weights, persistent=False)
 
     def forward(self, features: Tensor) -> Tensor:
-        return self.share @ features @ self.share.T
+        return self.weights @ features @ self.weights.T
 
 
 def fresh_weights(network: nn.Module) -> None:

@@ -83,7 +83,7 @@ def test_patches_of_a_place(tmp_path: Path) -> None:
         assert (patch.rgb == same.rgb).all() and patch.rgb.shape == (40, 40, 3)
         middle = patch.rgb[15:25, 15:25].astype(float).mean(axis=(0, 1))
         assert (middle[2] > middle[1]) == (patch.land_class == "water")
-        assert patch.share >= 0.6 and 4.0 < patch.height_m < 75.0 and 3.0 < patch.side_m < 26.0
+        assert patch.fraction >= 0.6 and 4.0 < patch.height_m < 75.0 and 3.0 < patch.side_m < 26.0
     other = patches.scene_patches(str(place), 7, 1, 40, 1)[0]
     assert (other.rgb != found[0].rgb).any()
 

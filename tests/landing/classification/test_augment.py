@@ -122,7 +122,7 @@ def test_weather_falls_on_shares_of_the_pictures(torch: Any) -> None:
     changed = augment.weathered(plain, torch.Generator().manual_seed(5))
     assert float(changed.min()) >= 0.0 and float(changed.max()) <= 1.0
     left = ((changed - plain).abs().amax(dim=(1, 2, 3)) < 1e-5).float().mean()
-    shares = [share for name, share in augment._SHARES.items() if name != "coarse"]
+    shares = [share for name, share in augment._FRACTIONS.items() if name != "coarse"]
     expected = float(np.prod([1.0 - share for share in shares]))
     assert float(left) == pytest.approx(expected, abs=3.0 * np.sqrt(expected / 400))
     again = augment.weathered(plain, torch.Generator().manual_seed(5))

@@ -56,23 +56,23 @@ def test_safe_classes_count_together() -> None:
     """Half lawn, half field is safe ground all the same; half lawn, half water is not."""
     scores = _scores(_chances(lawn=0.5, field=0.46), _chances(lawn=0.55, water=0.44))
     limits = decision.Limits(min_probability=0.9)
-    assert decision.taken_for_safe(scores, limits).tolist() == [True, False]
+    assert decision.accepted(scores, limits).tolist() == [True, False]
     strange = dataclasses.replace(limits, min_energy=1.0)
-    assert not decision.taken_for_safe(scores, strange).any()
+    assert not decision.accepted(scores, strange).any()
 
 
 def test_limits_are_set_by_an_interval_of_the_share_of_unsafe_images() -> None:
     """None of 299 shows, with 95 %, that less than a hundredth passes: 0.99^299 = 0.0496. 800
     images of water, claimed to be lawn with 0.5 to 0.9: three of them may pass, since the binomial
     chance of at most three of 800 at 0.01 is 0.041, and of at most four 0.098."""
-    assert decision.largest_share(0, 299) == pytest.approx(1.0 - 0.05 ** (1.0 / 299.0))
+    assert decision.upper_bound(0, 299) == pytest.approx(1.0 - 0.05 ** (1.0 / 299.0))
     allowed = [decision.allowed_mistakes(n, 0.01, 0.95) for n in (298, 299, 472, 473, 800)]
     assert allowed == [-1, 0, 0, 1, 3]
     claims = np.linspace(0.5, 0.9, 800)
     rows = [_chances(lawn=float(claim)) for claim in claims]
     labels = np.full(800, D_LAND.index("water"))
     limits = decision.fitted_limits(_scores(*rows), labels)
-    taken = decision.taken_for_safe(_scores(*rows), limits)
+    taken = decision.accepted(_scores(*rows), limits)
     assert np.flatnonzero(taken).tolist() == [797, 798, 799]
     found = decision.decision_summary(_scores(*rows), labels, limits)
     assert (found["unsafe"], found["unsafe_taken_for_safe"], found["safe"]) == (800, 3, 0)
