@@ -228,7 +228,7 @@ class Farm(Theme):
         radius, half = 0.72, 0.62
         turn = self.rng.uniform(0.0, np.pi)
         axis = half * np.array([np.cos(turn), np.sin(turn), 0.0])
-        at = builder.on_ground(spot, radius - 0.05)
+        at = builder.on_ground(spot, radius) - [0.0, 0.0, 0.05]
         builder.geom("bale", STRAW, fromto=[*(at - axis), *(at + axis)], cylinder=radius,
                      rgba=[0.80, 0.68, 0.40, 1])  # fmt: skip
         across = np.array([-np.sin(turn), np.cos(turn), 0.0]) * radius
