@@ -60,7 +60,6 @@ def pytest_configure(config: pytest.Config) -> None:
                     held.discard(name)
 
     Dispatcher.compile = compile_in_turn
-    _keep_freed_memory()
     if config.getoption("--write-kernels"):
         _write_kernels(config)
 
@@ -86,16 +85,6 @@ def _write_kernels(config: pytest.Config) -> None:
             file.writelines(f"{line}\n" for line in recorder.lines(0.1) if line not in known)
 
     config.add_cleanup(write)
-
-
-def _keep_freed_memory() -> None:
-    """What a test frees, the next one uses again, as in the set-up of a flight: new pages of the
-    system take 8 % of the time of tests that fly or make scenes. Workers of campaigns are other
-    processes, and unchanged."""
-    from touchdown.experiments.flight import platform
-
-    platform.set_malloc(most_mappings=0, trim_bytes=1 << 30)
-    platform.set_malloc = platform.release_memory = lambda **_: None  # type: ignore[assignment]
 
 
 @pytest.fixture(autouse=True, scope="session")

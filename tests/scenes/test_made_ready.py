@@ -31,7 +31,7 @@ def load(path: Path, ready: ImportOptions | None = ImportOptions()) -> Scene:  #
         return load_scene(str(path), 0, options=ready)
 
 
-@functools.cache
+@functools.lru_cache(maxsize=2)
 def place(name: str) -> Scene:
     with tempfile.TemporaryDirectory() as folder:
         return load(PLACES[name](Path(folder) / name))

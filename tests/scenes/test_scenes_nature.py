@@ -1,86 +1,31 @@
-"""`forest` and `turf`: relief, safe sites, surfaces and determinism."""
-
-import functools
+"""`forest` and `turf`: relief, water, meshes."""
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
-from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.places.forest import relief
 from touchdown.scenes.places.forest.layout import draw_plan
-from touchdown.scenes.places.forest.stand import TREE_TOP_M
 from touchdown.scenes.places.turf.airfield import fuselage_mesh
 from touchdown.scenes.places.turf.generate import level_pools
 from touchdown.scenes.props.tree_shapes import canopy_mesh, conifer_mesh, lathe
-from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
+from touchdown.scenes.truth.maps import truth_maps
 
-from support.places import cached_scene, check_surfaces, check_survey
+from support.places import cached_scene
 
-SURVEY_M = (50.0, 40.0)
-CELL_M = 0.25
 WATER, TREES = LAND_CLASSES.index("water"), LAND_CLASSES.index("trees")
 
 
-def in_survey(scene: Scene, xy: np.ndarray) -> np.ndarray:
-    """(..., 2) world -> (...) True for points inside the survey's legs."""
-    c, s = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
-    ahead_left = (xy - scene.takeoff_xy_m) @ np.array([[c, -s], [s, c]])
-    return ((ahead_left > 0.0) & (ahead_left < SURVEY_M)).all(axis=-1)
-
-
-@functools.cache
-def surveyed(name: str, seed: int) -> tuple[object, np.ndarray, np.ndarray]:
-    """Truth maps around the survey, the cells of the survey, and those near the take-off."""
-    scene = cached_scene(name, seed)
-    maps = truth_maps(scene, CELL_M, np.array([[-42.0, -42.0], [42.0, 42.0]]))
-    rows, cols = np.indices(maps.safe.shape)
-    xy = maps.origin_xy_m + CELL_M * (np.stack([cols, rows], axis=-1) + 0.5)
-    near = np.linalg.norm(xy - scene.takeoff_xy_m, axis=-1) < 8.0
-    return maps, in_survey(scene, xy), near
-
-
-def shaped(seed: int) -> HeightField:
-    """The forest's ground alone, from a stream of its own."""
-    rng = np.random.default_rng(seed)
-    return relief.shape_ground(rng, draw_plan(rng))
-
-
-CASES = [
-    ("forest", 1),
-    ("turf", 0),
-    *(pytest.param("turf", seed, marks=pytest.mark.slow) for seed in (1, 2)),
-]
-
-
-@pytest.mark.parametrize(("name", "seed"), CASES)
-def test_survey_contains_a_safe_site_away_from_the_takeoff(name: str, seed: int) -> None:
-    maps, survey, near = surveyed(name, seed)
-    labels, count = ndimage.label(maps.safe & survey & ~near)  # type: ignore[attr-defined]
-    areas = ndimage.sum(np.ones_like(labels), labels, range(1, count + 1)) * CELL_M**2
-    assert max(areas) > 20.0
-    assert judge_touchdown(cached_scene(name, seed), cached_scene(name, seed).takeoff_xy_m).safe
-
-
-@pytest.mark.parametrize(("name", "seed"), CASES)
-def test_survey_is_inside_and_its_height_is_free(name: str, seed: int) -> None:
-    scene = cached_scene(name, seed)
-    check_survey(scene, trees_m=TREE_TOP_M + 0.5 if name == "forest" else 18.0)
-    check_surfaces(scene)
-
-
 def test_forest_is_rugged_and_wooded() -> None:
-    maps, _, _ = surveyed("forest", 1)
-    scene = cached_scene("forest", 1)
+    scene, rng = cached_scene("forest", 1), np.random.default_rng(1)
+    maps = truth_maps(scene, 0.25, np.array([[-42.0, -42.0], [42.0, 42.0]]))
     assert scene.model.hfield_size[0, 2] > 6.0
-    ground = shaped(1)
+    ground = relief.shape_ground(rng, draw_plan(rng))
     rise = np.gradient(ground.heights_m, ground.cell_m)
-    steep = np.rad2deg(np.arctan(np.hypot(*rise)))
-    assert np.percentile(steep, 90) > 20.0
-    share = (maps.class_id == TREES).mean()  # type: ignore[attr-defined]
-    assert 0.45 < share < 0.95
-    assert (maps.class_id == WATER).any()  # type: ignore[attr-defined]
+    assert np.percentile(np.rad2deg(np.arctan(np.hypot(*rise))), 90) > 20.0
+    assert 0.45 < (maps.class_id == TREES).mean() < 0.95
+    assert (maps.class_id == WATER).any()
 
 
 def test_brook_falls_all_the_way_below_the_ground() -> None:

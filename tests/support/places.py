@@ -15,9 +15,9 @@ from touchdown.scenes.truth.maps import judge_touchdown
 PARTS = ("tex_data", "geom_pos", "hfield_data", "mesh_vert", "light_dir", "qpos0")
 
 
-@functools.lru_cache(maxsize=6)
+@functools.lru_cache(maxsize=2)
 def cached_scene(name: str, seed: int = 0) -> Scene:
-    """From the disk where another process has generated it."""
+    """From the disk where another process has generated it; two of 0.2 GB are kept."""
     return scene_on_disk(name, seed, None, "day")
 
 
