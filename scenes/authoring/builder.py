@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array, Surface
 from touchdown.scenes.authoring.draft import Picture, fill_texture, size_texture
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.meshes import MeshData
+from touchdown.scenes.authoring.relief import HeightField
 
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 GEOM = mujoco.mjtGeom

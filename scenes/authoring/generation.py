@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Protocol
+from zlib import crc32
 
 import mujoco
 import numpy as np
@@ -16,8 +17,8 @@ from touchdown.scenes.api import Array, GroundRaster, MovingBody, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.height_field import HeightField, write_hfield
 from touchdown.scenes.authoring.light import SUN_ELEVATIONS_DEG, draw_sun, ground_texture
+from touchdown.scenes.authoring.relief import HeightField, write_hfield
 from touchdown.scenes.authoring.water import Float32, WaterLook, flood_raster, lay_water, varied
 
 PLACES = Path(__file__).parents[1] / "places"
@@ -53,6 +54,11 @@ class Flood:
     """(n, n) over the terrain's square, row 0 at y_min; negative above the water"""
     draw_look: Callable[[np.random.Generator], WaterLook]
     """called once the ground below the water is painted"""
+
+
+def scene_rng(name: str, seed: int) -> np.random.Generator:
+    """The random stream of a named scene."""
+    return np.random.default_rng([seed, crc32(f"scenes.{name}".encode())])
 
 
 def start_scene(

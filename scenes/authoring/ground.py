@@ -23,7 +23,6 @@ from touchdown.scenes.api import (
     GroundRaster,
     Surface,
 )
-from touchdown.scenes.authoring.ground_cover import PAINT, cover_of
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.shading import ragged_texels, shade
@@ -274,7 +273,7 @@ def _materials() -> tuple[Surface, ...]:
         Surface(
             land_class=_TABLE[material].land_class,
             reflectivity=_TABLE[material].reflectivity,
-            **cover_of(material.name)._asdict(),
+            **vegetation_of(material.name)._asdict(),
         )
         for material in Ground
     ]
@@ -336,3 +335,64 @@ def ground_shader(
               salt)  # fmt: skip
 
     return fill
+
+
+class Vegetation(NamedTuple):
+    """As the fields of `scenes.api.Surface`."""
+
+    spread: float = 0.1
+    canopy_m: float = 0.0
+    leaf_area: float = 0.0
+    dust: float = 0.0
+
+
+_GRASS, _CROP = 1.7, 3.6
+"""leaf area index of grassland and of crops, global means (Asner, Scurlock and Hicke 2003)"""
+
+VEGETATION: dict[str, Vegetation] = {
+    "LAWN": Vegetation(0.08, 0.045, _GRASS),
+    "MEADOW": Vegetation(0.12, 0.25, _GRASS),
+    "SOIL": Vegetation(0.14, dust=1.0),
+    "PAVEMENT": Vegetation(0.08),
+    "SIDE_PAVEMENT": Vegetation(0.08),
+    "ASPHALT": Vegetation(0.15),
+    "NEW_ASPHALT": Vegetation(0.10),
+    "GRAVEL": Vegetation(0.15, dust=0.2),
+    "PAVERS": Vegetation(0.10),
+    "MULCH": Vegetation(0.20),
+    "CAR_PARK": Vegetation(0.15),
+    "WORN": Vegetation(0.15, 0.02, 0.7, dust=0.2),
+    "LITTER": Vegetation(0.20),
+    "FERN": Vegetation(0.20, 0.35, _CROP),
+    "SAND": Vegetation(0.06, dust=0.6),
+    "FAIRWAY": Vegetation(0.07, 0.015, _GRASS),
+    "GREEN": Vegetation(0.05),
+    "ROUGH": Vegetation(0.12, 0.10, _GRASS),
+    "PUDDLE": Vegetation(0.0),
+    "DECK": Vegetation(0.06),
+    "PLANKS": Vegetation(0.12),
+    "PITCH": Vegetation(0.08, 0.03, _GRASS),
+    "CLAY": Vegetation(0.10, dust=0.8),
+    "LANE": Vegetation(0.15, dust=0.4),
+    "COBBLES": Vegetation(0.12),
+    "RUBBER": Vegetation(0.08),
+    "CROPS": Vegetation(0.16, 0.30, _CROP),
+    "BEACH": Vegetation(0.06, dust=0.4),
+    "MUD": Vegetation(0.14),
+    "ROOF_DECK": Vegetation(0.15),
+    "SNOW": Vegetation(0.04),
+    "PACKED_SNOW": Vegetation(0.06),
+    "ICE": Vegetation(0.0),
+    "DUNE": Vegetation(0.06, dust=1.0),
+    "SAND_FLAT": Vegetation(0.06, dust=1.0),
+    "RUTTED_SAND": Vegetation(0.06, dust=1.0),
+    "DRY_GRASS": Vegetation(0.12, 0.20, 0.8, dust=0.2),
+    "BEDROCK": Vegetation(0.15),
+}
+PAINT = Vegetation(0.15)
+"""marking paint and its wear"""
+
+
+def vegetation_of(material: str) -> Vegetation:
+    """Returns the cover of a material by its name; a material that is not listed is bare."""
+    return VEGETATION.get(material, Vegetation())

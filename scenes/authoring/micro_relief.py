@@ -15,9 +15,9 @@ from numba import njit
 
 from touchdown.scenes.api import Array, Bytes, Float32
 from touchdown.scenes.authoring.ground import TEXELS, Canvas
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.relief import HeightField
 
 NEUTRAL = 128
 """Tone of level ground."""

@@ -13,8 +13,8 @@ from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, Array, Image
 from touchdown.scenes.authoring.builder import fill_texture
-from touchdown.scenes.authoring.height_field import HeightField, write_hfield
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.relief import HeightField, write_hfield
 from touchdown.scenes.export import export_spec
 from touchdown.scenes.importers.geotiff import (
     Georeference,

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import LIGHT_LUX, Light
 from touchdown.scenes.authoring import sky
-from touchdown.scenes.authoring.bake import bake_light
 from touchdown.scenes.authoring.builder import Caster
-from touchdown.scenes.authoring.height_field import HeightField
-from touchdown.scenes.authoring.light import draw_sun
+from touchdown.scenes.authoring.light import bake_light, draw_sun
+from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.compose import load_scene
 
 LIGHTS: tuple[Light, ...] = ("day", "overcast", "dusk", "night")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import LAND_CLASSES
-from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.places.forest import relief
 from touchdown.scenes.places.forest.layout import draw_plan
 from touchdown.scenes.places.turf.airfield import fuselage_mesh

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from zlib import crc32
-
 import numpy as np
 
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
+from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.plane import left_of, pick, unit_circle
 from touchdown.scenes.authoring.plots import Plot, scatter
@@ -46,7 +44,7 @@ from touchdown.scenes.props.wires import add_line
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = np.random.default_rng([seed, crc32(b"scenes.cottage")])
+    rng = scene_rng("cottage", seed)
     plan = draw_plan(rng)
     farmsteads = draw_farmsteads(rng, plan)
     pads = [pad for farmstead in farmsteads for pad in farmstead.pads()]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.scenes.api import Array
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.relief import (
     NODES,
     Ditch,
+    HeightField,
     Pad,
     dig_ditches,
     level_pads,

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
+from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.plane import pick, unit
 from touchdown.scenes.places.crossroad import roads
-from touchdown.scenes.places.crossroad.layout import HALF_M, QUADRANTS, Plan, Quarter, draw_plan
+from touchdown.scenes.places.crossroad.layout import (
+    HALF_M,
+    QUADRANTS,
+    Plan,
+    Quarter,
+    draw_plan,
+    shape_ground,
+)
 from touchdown.scenes.places.crossroad.quarters import Common, Farm, Homes, Shop, Theme
-from touchdown.scenes.places.crossroad.relief import shape_ground
 from touchdown.scenes.props.cars import add_car_models, park_car
 from touchdown.scenes.props.plants import Nursery, add_tree, plant_nursery
 from touchdown.scenes.props.street import add_lamp, add_sign
@@ -26,7 +31,7 @@ CAR_MODELS = 8
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = np.random.default_rng([seed, crc32(b"scenes.crossroad")])
+    rng = scene_rng("crossroad", seed)
     plan = draw_plan(rng)
     themes = draw_themes(rng, plan)
     pads = [pad for theme in themes for pad in theme.pads]

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.scenes.api import Array
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plots import Plot, draw_frame
-from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
+from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep
 
 HALF_M = 64.0
 NODES = 321

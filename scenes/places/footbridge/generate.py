@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from zlib import crc32
 
 import numpy as np
 
 from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import Flood, finish, paint_terrain, start_scene
+from touchdown.scenes.authoring.generation import (
+    Flood,
+    finish,
+    paint_terrain,
+    scene_rng,
+    start_scene,
+)
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
-from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.footbridge.banks import draw_paths, furnish, paint_ground
 from touchdown.scenes.places.footbridge.bridge import add_bridge
@@ -21,7 +26,7 @@ from touchdown.scenes.props.plants import plant_nursery
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = np.random.default_rng([seed, crc32(b"scenes.footbridge")])
+    rng = scene_rng("footbridge", seed)
     plan = draw_plan(rng)
     bottom = shape_ground(rng, plan)
     surface = bottom if plan.over_road else np.maximum(bottom, plan.level_m)

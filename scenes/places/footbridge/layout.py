@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.scenes.api import Array
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plots import Plot
-from touchdown.scenes.authoring.relief import NODES, natural_ground, smoothstep
+from touchdown.scenes.authoring.relief import NODES, HeightField, natural_ground, smoothstep
 from touchdown.scenes.authoring.streets import Street, smooth_line
 
 HALF_M = 64.0

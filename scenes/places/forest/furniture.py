@@ -11,8 +11,7 @@ from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import tileable_noise
 from touchdown.scenes.authoring.plane import pick, unit
 from touchdown.scenes.authoring.plots import claim_free
-from touchdown.scenes.places.forest.layout import HALF_M, Clearing, Plan
-from touchdown.scenes.places.forest.relief import WATER_DEPTH_M
+from touchdown.scenes.places.forest.layout import HALF_M, WATER_DEPTH_M, Clearing, Plan
 from touchdown.scenes.props.plants import add_rock
 from touchdown.scenes.props.street import WOOD
 from touchdown.scenes.props.tree_shapes import joined, lathe

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from zlib import crc32
-
 import numpy as np
 
 from touchdown.scenes.api import MovingBody
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
+from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.plane import pick, unit, unit_circle
 from touchdown.scenes.authoring.plots import Plot, scatter
@@ -51,7 +49,7 @@ LOOKS, CAR_MODELS = 6, 7
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = np.random.default_rng([seed, crc32(b"scenes.houses")])
+    rng = scene_rng("houses", seed)
     plan = draw_plan(rng)
     rows = draw_rows(rng, plan)
     homes = [home for row in rows for home in row]

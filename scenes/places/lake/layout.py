@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchdown.scenes.api import Array
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import unit
-from touchdown.scenes.authoring.relief import level_takeoff, natural_ground, smoothstep
+from touchdown.scenes.authoring.relief import HeightField, level_takeoff, natural_ground, smoothstep
 
 HALF_M = 64.0
 NODES = 257

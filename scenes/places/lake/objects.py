@@ -6,9 +6,9 @@ import numpy as np
 
 from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.builder import SceneBuilder
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.plots import claim_free
+from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.places.lake.layout import HALF_M, Basin, Plan, Shore
 from touchdown.scenes.props.boats import add_boat, add_boat_models, add_buoy, add_sailing_boat
 from touchdown.scenes.props.houses import House, add_house

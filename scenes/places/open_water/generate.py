@@ -6,21 +6,19 @@ ground: a raft, a pontoon or an islet, by the seed.
 
 from __future__ import annotations
 
-from zlib import crc32
-
 import cv2
 import numpy as np
 
 from touchdown.scenes.api import Array, Surface
-from touchdown.scenes.authoring.bake import bake_light
 from touchdown.scenes.authoring.builder import SceneBuilder, fill_texture
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import Takeoff, finish, start_scene
+from touchdown.scenes.authoring.generation import Takeoff, finish, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS
-from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.authoring.light import bake_light
 from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, pick
+from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.authoring.water import (
     WATER_REFLECTIVITY,
     Float32,
@@ -47,7 +45,7 @@ _SAND = np.array([198.0, 182.0, 146.0], np.float32)
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = np.random.default_rng([seed, crc32(b"scenes.open_water")])
+    rng = scene_rng("open_water", seed)
     kind = pick(rng, KINDS)
     islet = shape_islet(rng) if kind == "islet" else None
     level = islet.level_m if islet else -FREEBOARD_M

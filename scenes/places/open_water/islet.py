@@ -11,10 +11,9 @@ import numpy as np
 from touchdown.scenes.api import Array, GroundRaster, Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.height_field import HeightField, write_hfield
 from touchdown.scenes.authoring.light import ground_texture
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
+from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep, write_hfield
 from touchdown.scenes.authoring.water import Float32, flood_raster, upsample
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, plant_nursery
 from touchdown.scenes.props.waterside import add_pile

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from zlib import crc32
-
-import numpy as np
-
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import finish, paint_terrain, start_scene
+from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import Ground
 from touchdown.scenes.places.pools.bath import build_bath
 from touchdown.scenes.places.pools.grounds import build_grounds, paint_all
@@ -18,7 +14,7 @@ from touchdown.scenes.props.pools import add_umbrella_models
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = np.random.default_rng([seed, crc32(b"scenes.pools")])
+    rng = scene_rng("pools", seed)
     plan = draw_plan(rng)
     terrain = shape_ground(rng, plan)
     builder = start_scene("pools", rng, terrain)

@@ -8,11 +8,11 @@ import numpy as np
 
 from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.ground import Ground
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.relief import (
     NODES,
+    HeightField,
     Mound,
     Pad,
     level_pads,

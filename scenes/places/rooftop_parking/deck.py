@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Array, Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import pick, unit_circle
+from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.places.rooftop_parking.layout import (
     BAY_WIDTH_M,
     EDGE_M,

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
-from zlib import crc32
 
 import numpy as np
 
 from touchdown.scenes.api import Float32, Surface
-from touchdown.scenes.authoring.bake import bake_light
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import finish, start_scene
+from touchdown.scenes.authoring.generation import finish, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground, shade_ground
-from touchdown.scenes.authoring.height_field import HeightField
+from touchdown.scenes.authoring.light import bake_light
+from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.places.rooftop_parking.deck import (
     deck_heights,
     furnish_deck,
@@ -34,7 +33,7 @@ from touchdown.scenes.props.plants import plant_nursery
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = np.random.default_rng([seed, crc32(b"scenes.rooftop_parking")])
+    rng = scene_rng("rooftop_parking", seed)
     plan = draw_plan(rng)
     houses = draw_houses(rng, plan)
     ground = shape_town(rng, plan, houses)

@@ -9,10 +9,16 @@ import numpy as np
 from touchdown.scenes.api import Image, MovingBody, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import pick, unit_circle
-from touchdown.scenes.authoring.relief import NODES, Pad, level_pads, natural_ground, smoothstep
+from touchdown.scenes.authoring.relief import (
+    NODES,
+    HeightField,
+    Pad,
+    level_pads,
+    natural_ground,
+    smoothstep,
+)
 from touchdown.scenes.authoring.streets import (
     Street,
     band,

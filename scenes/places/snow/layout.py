@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.plots import Plot, draw_frame
-from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
+from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep
 
 HALF_M = 64.0
 _GRID = 512

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from zlib import crc32
-
 import numpy as np
 from scipy import ndimage
 
 from touchdown.scenes.api import Array, Float32
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import Flood, finish, paint_terrain, start_scene
+from touchdown.scenes.authoring.generation import (
+    Flood,
+    finish,
+    paint_terrain,
+    scene_rng,
+    start_scene,
+)
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
-from touchdown.scenes.authoring.height_field import HeightField
 from touchdown.scenes.authoring.plots import SurveyFrame, draw_frame
-from touchdown.scenes.authoring.relief import level_takeoff, smoothstep
+from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.turf.airfield import Airfield
 from touchdown.scenes.places.turf.golf import Golf
@@ -27,7 +30,7 @@ EDGE_TREES = 42
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = np.random.default_rng([seed, crc32(b"scenes.turf")])
+    rng = scene_rng("turf", seed)
     frame = draw_frame(rng)
     turf = draw_turf(seed, rng, frame)
     terrain, depth = shape_ground(rng, frame, turf)
