@@ -97,7 +97,7 @@ def _under_sky(spec: Any, light: Any, direction: Array) -> Array:
     if sky.light == "day":
         return direction if sky.sun is None else lower_sun(light, sky.sun, direction)
     if sky.light == "night":
-        _darken(spec)
+        _switch_off(spec)
         return direction
     level = np.array(light.diffuse) * max(0.0, -float(direction[2]))
     light.specular = [0.0] * 3
@@ -117,7 +117,7 @@ def _under_sky(spec: Any, light: Any, direction: Array) -> Array:
     return lowered
 
 
-def _darken(spec: Any) -> None:
+def _switch_off(spec: Any) -> None:
     """Puts out every lamp of a model; an even light remains."""
     for lamp in spec.lights:
         lamp.active = False
@@ -134,7 +134,7 @@ def light_file(spec: Any) -> None:
         return
     suns = [a for a in spec.lights if a.type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL]
     if sky.light == "night" and not suns:
-        _darken(spec)
+        _switch_off(spec)
     if not suns:
         return
     direction = np.array(suns[0].dir) / np.linalg.norm(suns[0].dir)
