@@ -95,9 +95,10 @@ class SceneBuilder:
 
         One attribute gives its shape: ``mesh`` a name, ``box`` or ``ellipsoid`` half axes, ``ball``
         a radius, ``capsule`` and ``cylinder`` a radius, beside ``fromto`` or with half a length.
-        ``heading`` turns it about +z, radians. The others are MuJoCo's.
+        ``heading`` turns it about +z, radians. The others are MuJoCo's; without a ``name`` it gets
+        the next one of the stem.
         """
-        name = self.unique(stem)
+        name = attributes.pop("name", "") or self.unique(stem)
         self.surfaces[name] = surface
         for shape in _SHAPES.keys() & attributes.keys():
             attributes |= {"type": _SHAPES[shape], "size": np.zeros(3)}

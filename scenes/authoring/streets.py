@@ -251,16 +251,24 @@ def path_length(path: Array) -> float:
     return float(np.linalg.norm(np.roll(path, -1, axis=0) - path, axis=1).sum())
 
 
-def add_mover(
-    builder: SceneBuilder, moving: MovingBody, looks: tuple[str, str], stem: str, surface: Surface
-) -> None:
-    """The mocap body that ``moving`` describes, at its start. looks: names of mesh and material;
-    stem: of the geom's name."""
-    where, heading = along_path(moving.path_world, moving.start_m)
+def add_car(
+    builder: SceneBuilder,
+    path: Array,
+    look: tuple[str, str],
+    surface: Surface,
+    speed_mps: float,
+    start_m: float,
+) -> MovingBody:
+    """Adds ``moving_car_0``, ... as a mocap body at its start on a closed path. look: names of mesh
+    and material."""
+    car = MovingBody(body_name=builder.unique("moving_car"), path_world=path, speed_mps=speed_mps,
+                     start_m=start_m)  # fmt: skip
+    where, heading = along_path(path, start_m)
     body = builder.spec.worldbody.add_body(
-        name=moving.body_name, mocap=True, pos=where, quat=quat_z(heading)
+        name=car.body_name, mocap=True, pos=where, quat=quat_z(heading)
     )
-    builder.geom(stem, surface, body=body, mesh=looks[0], material=looks[1])
+    builder.geom("car_moving", surface, body=body, mesh=look[0], material=look[1])
+    return car
 
 
 def send_round(
@@ -270,17 +278,10 @@ def send_round(
     surface: Surface,
     speed_mps: float,
 ) -> tuple[MovingBody, ...]:
-    """Adds cars ``moving_car_0``, ... spread over one closed path, all at one speed, so that none
-    meets the one ahead. looks: names of mesh and material, one a car."""
-    moving = []
-    for index, look in enumerate(looks):
-        share = (index + float(builder.rng.uniform(0.0, 0.6))) / len(looks)
-        car = MovingBody(
-            body_name=f"moving_car_{index}",
-            path_world=path,
-            speed_mps=speed_mps,
-            start_m=share * path_length(path),
-        )
-        add_mover(builder, car, look, "car_moving", surface)
-        moving.append(car)
-    return tuple(moving)
+    """Adds cars spread over one closed path, all at one speed, so that none meets the one ahead."""
+    length, count = path_length(path), len(looks)
+    return tuple(
+        add_car(builder, path, look, surface, speed_mps,
+                (index + float(builder.rng.uniform(0.0, 0.6))) / count * length)
+        for index, look in enumerate(looks)
+    )  # fmt: skip

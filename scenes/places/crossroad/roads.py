@@ -10,7 +10,7 @@ from touchdown.scenes.api import Array, MovingBody
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.plane import pick
-from touchdown.scenes.authoring.streets import add_mover, band, paint_wear, path_length
+from touchdown.scenes.authoring.streets import add_car, band, paint_wear, path_length
 from touchdown.scenes.places.crossroad.layout import HALF_M, QUADRANTS, ROAD_DEPTH_M, Plan, Road
 from touchdown.scenes.props.cars import CAR_SURFACE, CarShape
 from touchdown.scenes.props.street import add_kerb
@@ -131,20 +131,12 @@ def add_traffic(
 ) -> tuple[MovingBody, ...]:
     """Adds two or three cars that drive to the end of a road and come back on the other lane."""
     moving = []
-    count = int(rng.integers(2, 4))
-    for index in range(count):
-        road = plan.main if index != 1 else plan.side
-        path = lane_loop(builder, road)
-        mesh, material, _ = pick(rng, models)
+    for index in range(int(rng.integers(2, 4))):
+        path = lane_loop(builder, plan.main if index != 1 else plan.side)
+        look = pick(rng, models)[:2]
         start = (0.17 + 0.5 * (index // 2) + rng.uniform(0.0, 0.15)) * path_length(path)
-        car = MovingBody(
-            body_name=f"moving_car_{index}",
-            path_world=path,
-            speed_mps=float(rng.uniform(5.0, 9.0)),
-            start_m=start,
-        )
-        add_mover(builder, car, (mesh, material), "car_moving", CAR_SURFACE)
-        moving.append(car)
+        speed = float(rng.uniform(5.0, 9.0))
+        moving.append(add_car(builder, path, look, CAR_SURFACE, speed, start))
     return tuple(moving)
 
 

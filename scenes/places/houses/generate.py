@@ -13,7 +13,7 @@ from touchdown.scenes.authoring.plane import pick, unit, unit_circle
 from touchdown.scenes.authoring.plots import Plot, scatter
 from touchdown.scenes.authoring.streets import (
     Street,
-    add_mover,
+    add_car,
     lane_loop,
     paint_dashes,
     paint_street,
@@ -229,13 +229,9 @@ def add_traffic(
     path = lane_loop(builder, main, float(inside[0]), float(inside[-1]))
     moving = []
     for index in range(int(rng.integers(1, 3))):
-        mesh, material, _ = pick(rng, models)
-        car = MovingBody(
-            body_name=f"moving_car_{index}", path_world=path, speed_mps=6.5,
-            start_m=(0.1 + 0.5 * index + rng.uniform(0.0, 0.3)) * path_length(path),
-        )  # fmt: skip
-        add_mover(builder, car, (mesh, material), "car_moving", CAR_SURFACE)
-        moving.append(car)
+        look = pick(rng, models)[:2]
+        start = (0.1 + 0.5 * index + rng.uniform(0.0, 0.3)) * path_length(path)
+        moving.append(add_car(builder, path, look, CAR_SURFACE, 6.5, start))
     return tuple(moving)
 
 
