@@ -6,12 +6,15 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.survey_fit import CLEARANCE_M, GROUND_FRACTION, Fit, fit_survey
 from touchdown.experiments.scene_tools.render import load_configured_scene
-from touchdown.experiments.scene_tools.survey_facts import scene_facts, survey_facts
 from touchdown.landing.api import SurveyParams
+from touchdown.scenes.truth.scene_facts import scene_facts
+from touchdown.scenes.truth.survey_facts import survey_facts
 
 STEP_M = 1.0
 """Height difference of the take-off spot to the ground around it that gives a remark"""
@@ -36,9 +39,10 @@ def check_scene_file(
     fit = fit_survey(config, scene)
     if fit is not None:
         config = config.model_copy(update={"survey": fit.survey})
+    reach = survey_reach(config.survey)
     facts = {
-        **dataclasses.asdict(scene_facts(config, scene)),
-        **dataclasses.asdict(survey_facts(config, scene)),
+        **dataclasses.asdict(scene_facts(scene, *reach)),
+        **dataclasses.asdict(survey_facts(scene, *reach)),
     }
     return {
         "place": file,
@@ -46,6 +50,14 @@ def check_scene_file(
         "remarks": _fit_remark(fit) + _remarks(facts),
         "facts": facts,
     }
+
+
+def survey_reach(survey: SurveyParams) -> tuple[float, float, float, float]:
+    """Length and width of the rectangle of the legs, and the reach of the sensors beyond it along
+    and across. A Livox Horizon sees 81.7 x 25.1 degrees: from 30 m, 26 m aside and 6.7 m ahead."""
+    ahead, aside = survey.height_m * np.tan(0.5 * np.deg2rad([25.1, 81.7]))
+    width = (survey.legs - 1) * survey.leg_spacing_m
+    return survey.leg_length_m, width, float(ahead), float(aside)
 
 
 def _fit_remark(fit: Fit | None) -> list[str]:

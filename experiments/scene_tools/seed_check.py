@@ -11,8 +11,8 @@ import numpy as np
 
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.experiments.scene_tools.survey_facts import survey_facts
-from touchdown.scenes.truth.survey_facts import layout_difference, layout_rasters
+from touchdown.experiments.scene_tools.flyability import survey_reach
+from touchdown.scenes.truth.survey_facts import layout_difference, layout_rasters, survey_facts
 
 SAME_HEIGHT_M = 0.01
 SAME_CLASS_SHARE = 0.005
@@ -48,7 +48,7 @@ def check_scene(name: str, seeds: int, progress: Callable[[str], None]) -> dict[
         except (ValueError, OSError) as error:
             failed[seed] = " ".join(str(error).split())
             continue
-        facts[seed] = dataclasses.asdict(survey_facts(config, scene))
+        facts[seed] = dataclasses.asdict(survey_facts(scene, *survey_reach(config.survey)))
         layout = layout_rasters(scene)
         pairs += [
             {
