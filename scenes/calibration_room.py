@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from zlib import crc32
 
 import mujoco
@@ -85,11 +86,12 @@ def _add_board(builder: SceneBuilder, image: Image, width_m: float, height_m: fl
     body.quat = [0.5**0.5, 0.5**0.5, 0.0, 0.0]
     behind = [0.0, 0.0, 0.5 * _THICKNESS_M + 0.002]
     pole = [0.0, 0.0, _THICKNESS_M + 0.5 * _POLE_M]
-    for name, looks in {
+    looks: dict[str, dict[str, Any]] = {
         "board_face": {"mesh": "board_face", "material": "board_image"},
         "board_plate": {"box": [x, y, 0.5 * _THICKNESS_M], "pos": behind,
                         "rgba": [0.8, 0.8, 0.8, 1.0]},
         "board_pole": {"cylinder": (0.02, 0.5 * _POLE_M), "pos": pole,
                        "rgba": [0.3, 0.3, 0.32, 1.0]},
-    }.items():  # fmt: skip
-        builder.geom(name, _PAINT, body, name=name, contype=0, conaffinity=0, **looks)
+    }  # fmt: skip
+    for name, look in looks.items():
+        builder.geom(name, _PAINT, body, name=name, contype=0, conaffinity=0, **look)
