@@ -4,6 +4,7 @@ or from the relief."""
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -22,7 +23,8 @@ from touchdown.scenes.importers.geotiff import (
     read_georeference,
     read_heights,
 )
-from touchdown.scenes.importers.pictures import check_picture, opened_picture
+from touchdown.scenes.importers.pictures import opened_picture
+from touchdown.sim.files.child import run_limited
 
 TEMPLATE = Path(__file__).with_name("dem.xml")
 WINDOW_M = 200.0
@@ -36,6 +38,7 @@ COARSE_M = 2.0
 MAX_TEXELS = 4096
 RELIEF_TEXEL_M = 0.0625
 _FLAT_RADIUS_M = 2.5
+_SMALLER = "cut it smaller, or store it without compression (gdal_translate)"
 # Heights from low to high, and what is too steep for soil; RGB.
 _LOW, _MIDDLE, _HIGH, _ROCK = (90, 98, 66), (118, 112, 78), (142, 132, 112), (116, 110, 104)
 
@@ -69,9 +72,7 @@ def import_dem(
         raise ValueError(f"class '{land_class}' is none of {', '.join(LAND_CLASSES)}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"'{out}' exists already; name a new folder")
-    raster = read_heights(tif, centre_m, window_m)
-    if ortho is not None:
-        check_picture(ortho)
+    raster = run_limited(lambda: read_heights(tif, centre_m, window_m), tif, "to read it", _SMALLER)
     half, step = _grid(raster, cell_m, window_m, tif)
     middle = _window_centre(raster, half, centre_m, tif)
     heights = _filled(raster, middle, half, tif)
@@ -82,7 +83,12 @@ def import_dem(
     if ortho is None:
         colours = relief_texture(terrain)
     else:
-        colours = _cut_ortho(ortho, raster, middle, terrain.half_m)
+        colours = run_limited(
+            partial(_cut_ortho, ortho, raster, middle, terrain.half_m),
+            ortho,
+            "to read it",
+            _SMALLER,
+        )
     spec = mujoco.MjSpec.from_file(str(TEMPLATE))
     spec.modelname = tif.stem
     spec.comment = f"{tif.name}: level {level:.2f} m of the model is height 0"

@@ -7,7 +7,7 @@ import mmap
 import re
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -65,26 +65,23 @@ def read_rgb(path: Path, *, grey: bool = True, what: str = "an image") -> Image:
         return np.ascontiguousarray(np.asarray(turned.convert("RGB")))
 
 
-def check_picture(path: Path) -> None:
-    """Raises FileNotFoundError or ValueError for an aerial image whose header is none."""
-    with opened_picture(path) as picture:
+@contextmanager
+def opened_picture(path: Path) -> Iterator[Picture]:
+    """Yields an aerial image; a GeoTIFF of any size, of which parts are read. Raises as
+    `read_rgb`, and ValueError for an image of fewer than `SMALLEST` pixels along a side."""
+    check_file(path, "aerial image")
+    with ExitStack() as held:
+        picture: Picture = (
+            _TiffPicture(held.enter_context(opened_tiff(path)), path)
+            if path.suffix.lower() in _TIFF_ENDINGS
+            else _WholePicture(path)
+        )
         if min(picture.size) < SMALLEST:
             width, height = picture.size.tolist()
             raise ValueError(
                 f"{path} is not an image of the ground: it has {width} x {height} pixels"
             )
-
-
-@contextmanager
-def opened_picture(path: Path) -> Iterator[Picture]:
-    """Yields an aerial image; a GeoTIFF of any size, of which parts are read. Raises as
-    `read_rgb`."""
-    check_file(path, "aerial image")
-    if path.suffix.lower() in _TIFF_ENDINGS:
-        with opened_tiff(path) as dataset:
-            yield _TiffPicture(dataset, path)
-        return
-    yield _WholePicture(path)
+        yield picture
 
 
 class _WholePicture:

@@ -16,7 +16,18 @@ from touchdown.experiments.io.sensor_log import IMAGE_TOPICS, OBSERVATION_TOPIC,
 
 from fuzz import picture_formats as pictures
 from fuzz.cases import Case
-from fuzz.mutations import NUMBERS, TEXTS, Rng, chance, damaged, flipped, mutate_tree, pick, put
+from fuzz.mutations import (
+    NUMBERS,
+    TEXTS,
+    Rng,
+    chance,
+    damaged,
+    flipped,
+    mutate_rows,
+    mutate_tree,
+    pick,
+    put,
+)
 from fuzz.run_kinds import POSES, write_run
 from support.sensor_logs import Log, read_log, write_log
 
@@ -58,31 +69,26 @@ def _replace(rng: Rng, path: Path, data: str | bytes, share: float = 0.0) -> Non
 
 def _other_tum(rng: Rng, text: str) -> str:
     rows = [line.split() for line in text.split("\n") if line]
+    odd = (
+        *NUMBERS,
+        "x",
+        "1,5",
+        "nan(1)",
+        "-nan",
+        "0x1p3",
+        "١",
+        "#",
+        "# a",
+        "\x1b[31m",
+        "t,x,y",
+        "\0",
+    )
     for _ in range(int(pick(rng, (1, 1, 2, 4)))):
-        if not rows:
-            break
-        at = int(rng.integers(len(rows)))
-        column = int(rng.integers(8))
-        kind = int(rng.integers(10))
-        if kind < 3 and column < len(rows[at]):
-            rows[at][column] = str(
-                pick(rng, (*NUMBERS, "x", "1,5", "nan(1)", "-nan", "0x1p3", "١"))
-            )
-        elif kind == 3:
-            for row in rows:
-                row[column : column + 1] = [str(pick(rng, ("nan", "0", "1e300", "inf")))]
-        elif kind == 4:
-            rows[at] = rows[at][:column]
-        elif kind == 5:
-            rows[at] = rows[at] + ["1"]
-        elif kind == 6:
-            rows = rows[at:] + rows[:at]
-        elif kind == 7:
-            rows.insert(at, list(rows[at]))
-        elif kind == 8:
-            rows = rows[: int(pick(rng, (0, 1, 2)))]
-        else:
-            rows.insert(at, [str(pick(rng, ("#", "# a b", "\x1b[31m", "t,x,y,z", "\0")))])
+        mutate_rows(rng, rows, odd)
+    if chance(rng, 0.1):
+        column, word = int(rng.integers(8)), str(pick(rng, ("nan", "0", "1e300", "inf")))
+        for row in rows:
+            row[column : column + 1] = [word]
     ends = pick(rng, ("\n", "\n", "\n", "\r\n", "\r"))
     return str(ends.join(" ".join(row) for row in rows) + pick(rng, ("\n", "", "\n\n\n")))
 

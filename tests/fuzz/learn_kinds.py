@@ -1,5 +1,6 @@
 """Cases over data sets of images, networks and checkpoints."""
 
+import contextlib
 import hashlib
 import io
 import os
@@ -15,10 +16,26 @@ from fuzz import grounding
 from fuzz import picture_formats as pictures
 from fuzz.cases import Case
 from fuzz.config_kinds import FLOOR
-from fuzz.mutations import MARKED, NUMBERS, TEXTS, Rng, chance, flipped, pick, put, put_special
+from fuzz.mutations import (
+    MARKED,
+    TEXTS,
+    Rng,
+    chance,
+    damaged,
+    flipped,
+    mutate_rows,
+    pick,
+    put,
+    put_special,
+)
 
 _COLUMNS = "file,d_land,d_scene,scene,seed,split,height_m,side_m,share"
 _CLASSES = ("lawn", "water", "road")
+_WORDS = (
+    "", "../../x/keep.txt", "/dev/zero", "/etc/passwd", "lawn", "gone.png", "nan", '"', '"a"b',
+    "a,b", ".", "data/lawn", *MARKED, "d_land",
+)  # fmt: skip
+"""for a cell of a manifest"""
 
 
 def _network(shared: Path) -> Path:
@@ -92,7 +109,7 @@ def csv_case(rng: Rng, folder: Path, shared: Path) -> Case:
     ]  # fmt: skip
     head = _COLUMNS.split(",")
     for _ in range(int(pick(rng, (0, 1, 1, 2, 3)))):
-        _change_rows(rng, head, rows)
+        mutate_rows(rng, rows if chance(rng, 0.8) else [head], _WORDS)
     mark = pick(rng, (",", ",", ",", ",", ";", "\t"))
     ends = pick(rng, ("\n", "\n", "\r\n", "\r"))
     text = ends.join(mark.join(row) for row in (head, *rows)) + ends
@@ -107,30 +124,6 @@ def csv_case(rng: Rng, folder: Path, shared: Path) -> Case:
          "--quiet"),
     )  # fmt: skip
     return Case(arguments=pick(rng, labels), writes=("out.onnx", "out.onnx.sha256"))
-
-
-def _change_rows(rng: Rng, head: list[str], rows: list[list[str]]) -> None:
-    row = pick(rng, (head, *rows)) if chance(rng, 0.3) else pick(rng, rows or [head])
-    at = int(rng.integers(max(len(row), 1)))
-    kind = int(rng.integers(7))
-    odd = (
-        "", "../../x/keep.txt", "/dev/zero", "/etc/passwd", "lawn", "gone.png", "nan", '"', '"a"b',
-        "a,b", ".", "lawn", "data/lawn", *MARKED, "d_land",
-    )  # fmt: skip
-    if kind == 0 and rows:
-        rows.remove(pick(rng, rows))
-    elif kind == 1:
-        rows.append(list(row))
-    elif kind == 2:
-        del row[at:]
-    elif kind == 3:
-        row.insert(at, "x")
-    elif kind == 4 and rows:
-        rng.shuffle(rows)
-    elif row:
-        row[min(at, len(row) - 1)] = "".join(
-            c for c in pick(rng, odd) if not "\ud800" <= c <= "\udfff"
-        )
 
 
 def onnx_case(rng: Rng, folder: Path, shared: Path) -> Case:
@@ -177,51 +170,46 @@ def _put_checksum(rng: Rng, path: Path, data: bytes) -> None:
     put(rng, path, line, 0.03)
 
 
+_SCALARS: dict[type, tuple[Any, ...]] = {
+    str: ("16", "1000000000", "-1", "nan", "1e999", "9" * 5000, "lawn", "d_scene", "water=nan",
+          "lawn=-1", "x=1", "pictures", "scores", "Loop", "If", "Reshape", "NoSuch", "com.evil",
+          *(text for text in TEXTS if text.isascii())),
+    int: (0, -1, 1, 3, 7, 16, 17, 99, 999, 100_000, 2**31, 2**40, 2**62),
+    float: (0.0, -1.0, 1e30, float("nan"), float("inf")),
+}  # fmt: skip
+
+
 def _change_model(rng: Rng, model: Any, onnx: Any) -> None:
-    graph = model.graph
-    kind = int(rng.integers(9))
-    if kind <= 2:  # metadata
-        prop = pick(rng, model.metadata_props)
-        known = ("16", "32", "1000000000", "-1", "0", "nan", "1e999", "9" * 5000, "lawn", "d_scene")
-        new = str(
-            pick(rng, (*known, *NUMBERS, *TEXTS, "water=nan", "lawn=1e999", "x=1", "lawn=-1"))
+    """Another value of one field of a message somewhere in the model, or a field less."""
+    if chance(rng, 0.1):
+        array = model.graph.initializer[0]
+        array.data_location = onnx.TensorProto.EXTERNAL
+        where = ("../../x/keep.txt", "/etc/passwd", "/dev/zero", "gone.bin", "")
+        array.external_data.add(key="location", value=pick(rng, where))
+        return
+    message = model
+    while fields := message.ListFields():
+        field, value = pick(rng, fields)
+        many = not isinstance(value, str | bytes | int | float) and not hasattr(value, "ListFields")
+        at = int(rng.integers(len(value))) if many else 0
+        item = value[at] if many else value
+        if chance(rng, 0.05):
+            message.ClearField(field.name)
+            return
+        if hasattr(item, "ListFields"):
+            message = item
+            continue
+        new = (
+            damaged(rng, item)
+            if isinstance(item, bytes)
+            else pick(rng, _SCALARS.get(type(item), (0, 1)))
         )
-        prop.value = "".join(c for c in new if not "\ud800" <= c <= "\udfff")
-        if chance(rng, 0.15):
-            model.metadata_props.remove(prop)
-    elif kind == 3:  # shapes of input and output
-        value = pick(rng, (graph.input[0], graph.output[0]))
-        dims = value.type.tensor_type.shape.dim
-        at = int(rng.integers(len(dims)))
-        dims[at].dim_value = int(pick(rng, (0, -1, 1, 3, 17, 100_000, 2**40, 2**62)))
-    elif kind == 4:  # an initializer
-        array = graph.initializer[0]
-        change = int(rng.integers(4))
-        if change == 0:
-            array.dims[0] = int(pick(rng, (0, -1, 1, 2**31, 2**62)))
-        elif change == 1:
-            array.data_type = int(pick(rng, (0, 1, 7, 8, 16, 20, 99)))
-        elif change == 2:
-            array.raw_data = array.raw_data[: int(rng.integers(len(array.raw_data)))]
-        else:
-            array.data_location = onnx.TensorProto.EXTERNAL
-            entry = array.external_data.add()
-            where = ("../../x/keep.txt", "/etc/passwd", "/dev/zero", "gone.bin", "")
-            entry.key, entry.value = "location", pick(rng, where)
-    elif kind == 5:
-        node = pick(rng, graph.node)
-        node.op_type = pick(rng, ("Relu", "Loop", "If", "Reshape", "Expand", "NoSuch", "", "Tile"))
-    elif kind == 6:
-        node = pick(rng, graph.node)
-        ends = node.input if chance(rng, 0.5) else node.output
-        ends[0] = pick(rng, ("x", "", "pictures", "scores", "filters", "wide"))
-    elif kind == 7:
-        node = pick(rng, graph.node)
-        node.attribute.append(onnx.helper.make_attribute("pads", [2**31, 0, 0, 2**31]))
-        node.domain = pick(rng, ("", "ai.onnx.ml", "com.evil", "\x1b[31m"))
-    else:
-        model.ir_version = int(pick(rng, (0, 1, 8, 999)))
-        model.opset_import[0].version = int(pick(rng, (0, 1, 17, 999, -1)))
+        with contextlib.suppress(ValueError, TypeError):  # an enumeration, or of 32 bits
+            if many:
+                value[at] = new
+            else:
+                setattr(message, field.name, new)
+        return
 
 
 _TRAINED = ("--network", "mobilenet_v3_large", "--image-size", "32", "--batch-size", "2")
@@ -259,7 +247,7 @@ def _trained(shared: Path) -> Path:
 
 
 def checkpoint_case(rng: Rng, folder: Path, shared: Path) -> Case:
-    """``last.pt``: trees changed, other objects, foreign pickles, damaged zips."""
+    """``last.pt``: trees changed, other objects, pickles of code, damaged zips."""
     source = _trained(shared)
     shutil.copytree(source / "data", folder / "data")
     target = folder / "out" / "last.pt"
@@ -287,7 +275,7 @@ def _put_checkpoint(rng: Rng, valid: Path, target: Path) -> None:
     elif kind == 1:
         put_special(rng, target)
     elif kind == 2:
-        target.write_bytes(_foreign_pickle(rng))
+        target.write_bytes(_code_pickle(rng))
     elif kind == 3:
         courses = ("[]", "[" * 10**5, '{"identity": 3}', '{"identity": {}, "history": [{}]}',
                    '{"identity": {}, "history": [], "best_epoch": -1}')  # fmt: skip
@@ -342,7 +330,7 @@ class _Call:
         return self._made
 
 
-def _foreign_pickle(rng: Rng) -> bytes:
+def _code_pickle(rng: Rng) -> bytes:
     """Pickles that run code where they are trusted, and others that are no checkpoint."""
     call = pick(rng, (_Call(os.system, "touch ../../x/evil"), _Call(exec, "1/0"), {"a": {1, 2}}))
     data = pickle.dumps(call, protocol=int(pick(rng, (0, 2, 4))))

@@ -132,6 +132,29 @@ def _mutate_list(rng: Rng, items: list[Any], at: int) -> None:
         items[at] = neighbour(rng, items[at])
 
 
+def mutate_rows(rng: Rng, rows: list[list[str]], odd: Iterable[Any]) -> None:
+    """Changes a word of a table, or cuts, doubles, moves or removes one of its rows."""
+    if not rows:
+        return
+    row = pick(rng, rows)
+    at = int(rng.integers(max(len(row), 1)))
+    kind = int(rng.integers(9))
+    if kind < 3 and row:
+        row[at] = str(pick(rng, odd))
+    elif kind == 3:
+        del row[at:]
+    elif kind == 4:
+        row.insert(at, str(pick(rng, odd)))
+    elif kind == 5:
+        rows.insert(int(rng.integers(len(rows))), list(row))
+    elif kind == 6:
+        rows.remove(row)
+    elif kind == 7:
+        del rows[int(rng.integers(3)) :]
+    else:
+        rows[:] = rows[len(rows) // 2 :] + rows[: len(rows) // 2]
+
+
 def toml_text(tree: Mapping[str, Any]) -> str:
     """TOML with dotted keys; values that TOML cannot hold are left out."""
     lines = [

@@ -20,7 +20,7 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 # Cases that are not UTF-8 text are seen by the command's own check.
 os.environ["PYTHONUTF8"] = "1"
 
-from fuzz import grounding, kinds, warm, worker  # noqa: E402
+from fuzz import grounding, kinds, worker  # noqa: E402
 
 
 def prepare(kind: str) -> None:
@@ -47,7 +47,6 @@ def serve(home: Path) -> None:
         kind, number = line.split()
         if kind not in prepared:
             prepare(kind)
-            warm.warm(kind, home, shared)
             prepared.add(kind)
         folder = home / f"{kind}-{number}"
         verdict = worker.run(kind, int(number), folder, shared)
