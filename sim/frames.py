@@ -9,7 +9,9 @@ coordinates to world coordinates.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -181,6 +183,52 @@ def interpolate_pose(first: Pose, second: Pose, fraction: float) -> Pose:
         first.rotation @ so3_exp(fraction * step),
         (1.0 - fraction) * first.translation + fraction * second.translation,
     )
+
+
+class TimedPose(NamedTuple):
+    """A pose at a time, s."""
+
+    time_s: float
+    pose: Pose
+
+
+class PoseHistory:
+    """The last ``length`` poses of a body, in the order of time."""
+
+    def __init__(self, length: int) -> None:
+        self._poses: deque[TimedPose] = deque(maxlen=length)
+
+    def add(self, time_s: float, pose: Pose) -> None:
+        """Adds the pose at ``time_s``, unless it is not finite or not newer than the last."""
+        newer = not self._poses or time_s > self._poses[-1].time_s
+        if newer and math.isfinite(float(pose.translation.sum() + pose.rotation.sum())):
+            self._poses.append(TimedPose(time_s, pose))
+
+    def at(self, time_s: float) -> Pose | None:
+        """The pose at ``time_s``, interpolated; the last one after it, None before the first."""
+        later = self._poses[-1] if self._poses else None
+        for entry in reversed(self._poses):
+            assert later is not None
+            if entry.time_s <= time_s:
+                span = later.time_s - entry.time_s
+                share = (time_s - entry.time_s) / span if span > 0.0 else 0.0
+                return interpolate_pose(entry.pose, later.pose, min(share, 1.0))
+            later = entry
+        return None
+
+    def around(self, start_s: float, end_s: float) -> list[TimedPose]:
+        """The poses of a span of time and one on either side, as far as there are any; the oldest
+        two for a span before them, and fewer than two where there are no more."""
+        entries: list[TimedPose] = []
+        for entry in reversed(self._poses):  # the span is close to the newest entry
+            if entry.time_s >= end_s:
+                entries = [entry]
+                continue
+            entries.append(entry)
+            if entry.time_s <= start_s and len(entries) > 1:
+                break
+        entries.reverse()
+        return entries if len(entries) > 1 else list(self._poses)[:2]
 
 
 # A sensor that looks straight down from a body that faces +x: image up is forward, image right is

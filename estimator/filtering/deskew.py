@@ -8,12 +8,19 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from touchdown.estimator.api import PoseTrack
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.trail import ScanPath
 from touchdown.estimator.filtering.vectors import along, turned, turned_back, xyz
 from touchdown.estimator.typing import Array, Float32, Indices
 from touchdown.sim.api import LidarScan, LidarSheet
-from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
+from touchdown.sim.frames import (
+    Pose,
+    TimedPose,
+    interpolate_pose,
+    matrix_from_quat_wxyz,
+    quat_wxyz_from_matrix,
+)
 
 _BLIND_SIGMAS = 4.0
 _BLIND_SHARE = 0.05
@@ -28,6 +35,33 @@ class Track(NamedTuple):
     times: Array  # (M,) s
     positions: Array  # (M, 3) m
     quats_wxyz: Array  # (M, 4)
+
+    @classmethod
+    def of(cls, track: PoseTrack) -> Track:
+        """The track of an estimator, as the kernel takes it."""
+        parts = track.times_s, track.positions_odom, track.quats_wxyz
+        return cls(*(np.ascontiguousarray(part, np.float64) for part in parts))
+
+
+def track_of(poses: list[TimedPose]) -> PoseTrack:
+    """The track through two poses or more."""
+    return PoseTrack(
+        times_s=np.array([entry.time_s for entry in poses]),
+        positions_odom=np.array([entry.pose.translation for entry in poses]),
+        quats_wxyz=np.array([quat_wxyz_from_matrix(entry.pose.rotation) for entry in poses]),
+    )
+
+
+def pose_on(track: PoseTrack, time_s: float) -> Pose:
+    """The pose at ``time_s`` on a track; its ends hold beyond it."""
+    index = int(np.clip(np.searchsorted(track.times_s, time_s) - 1, 0, track.times_s.size - 2))
+    span = track.times_s[index + 1] - track.times_s[index]
+    first, second = (
+        Pose(matrix_from_quat_wxyz(track.quats_wxyz[k]), track.positions_odom[k])
+        for k in (index, index + 1)
+    )
+    share = float(np.clip((time_s - track.times_s[index]) / span, 0.0, 1.0))
+    return interpolate_pose(first, second, share)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,15 +106,29 @@ def place_scan(
     """Deskews the given ``pulses`` (K,) of a scan into the IMU frame at ``path.now``."""
     turn, place = path.rotations[path.now].T, path.positions[path.now]
     quats = np.array([quat_wxyz_from_matrix(rotation) for rotation in turn @ path.rotations])
+    track = Track(path.times, (path.positions - place) @ turn.T, quats)
+    origins, beams = _deskewed(scan, pulses, 0.0, track, imu_from_lidar)
+    return PlacedScan(origins + beams, beams, pulses)
+
+
+def deskewed_points(
+    scan: LidarScan, pulses: Indices, track: PoseTrack, body_from_lidar: Pose
+) -> Array:
+    """Returns the returns of the given ``pulses`` (K,) of a scan, (K, 3), in the frame of the track
+    of the body."""
+    origins, beams = _deskewed(scan, pulses, scan.start_time_s, Track.of(track), body_from_lidar)
+    return origins + beams
+
+
+def _deskewed(
+    scan: LidarScan, pulses: Indices, start_time: float, track: Track, mount: Pose
+) -> tuple[Float32, Array]:
+    """Origins, and beams as long as their ranges, of the given pulses."""
     aims, offsets = scan.directions[pulses], scan.time_offsets[pulses]
     for part in (aims, offsets):  # as those of messages are, for which `deskew` is compiled
         part.setflags(write=False)
-    origins, directions = deskew(
-        aims, offsets, 0.0,
-        Track(path.times, (path.positions - place) @ turn.T, quats), Frame.of(imu_from_lidar),
-    )  # fmt: skip
-    beams = (scan.ranges[pulses, None] * directions).astype(np.float64)
-    return PlacedScan(origins + beams, beams, pulses)
+    origins, directions = deskew(aims, offsets, start_time, track, Frame.of(mount))
+    return origins, (scan.ranges[pulses, None] * directions).astype(np.float64)
 
 
 @njit(cache=True, error_model="numpy")

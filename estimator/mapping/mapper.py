@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import math
 import mmap
 from collections import deque
 from dataclasses import dataclass
@@ -28,19 +27,14 @@ from touchdown.estimator.api import (
     MapView,
     PoseTrack,
 )
-from touchdown.estimator.filtering.deskew import Track, deskew
+from touchdown.estimator.filtering.deskew import Track, deskew, pose_on, track_of
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.mapping import kernels
 from touchdown.estimator.mapping.kernels import Grid, Layers, Lens, Pulses
 from touchdown.estimator.typing import Array, Float32
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
-from touchdown.sim.frames import (
-    Pose,
-    interpolate_pose,
-    matrix_from_quat_wxyz,
-    quat_wxyz_from_matrix,
-)
+from touchdown.sim.frames import Pose, PoseHistory
 
 _TRACK_LENGTH = 256
 """buffered poses: 1.28 s of control steps, more than a scan plus its delivery"""
@@ -61,12 +55,6 @@ def _blank(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
     all of it."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     return np.frombuffer(mmap.mmap(-1, size), dtype).reshape(shape)
-
-
-class _TimedPose(NamedTuple):
-    time_s: float
-    position_odom: Array
-    quat_wxyz: Array
 
 
 class _Grid:
@@ -152,7 +140,7 @@ class GridMapper:
         self._ground_level = np.full((blocks, blocks), np.nan, np.float32)
         self._fine: _Grid | None = None
         self._fine_active = False
-        self._track: deque[_TimedPose] = deque(maxlen=_TRACK_LENGTH)
+        self._history = PoseHistory(_TRACK_LENGTH)
         self._images: deque[_PosedImage] = deque(maxlen=_IMAGES_KEPT)
         self._waiting: deque[_WaitingScan] = deque()
         self._gives_tracks = False
@@ -171,7 +159,7 @@ class GridMapper:
         waits for the track, or for the end of its patience. One whose estimator has given no track
         yet is integrated at its arrival."""
         obs = self._guard.screen(obs)
-        self._remember(estimate)
+        self._history.add(estimate.time_s, estimate.odom_from_body)
         for image in obs.images:
             odom_from_body = self._pose_at(image.time_s, estimate)
             odom_from_camera = odom_from_body @ self._rig.body_from_camera
@@ -205,14 +193,6 @@ class GridMapper:
                 due = number
         return due
 
-    def _remember(self, estimate: Estimate) -> None:
-        if self._track and estimate.time_s <= self._track[-1].time_s:
-            return
-        pose = estimate.odom_from_body
-        quat = quat_wxyz_from_matrix(pose.rotation)
-        if math.isfinite(sum(pose.translation.tolist()) + sum(quat.tolist())):
-            self._track.append(_TimedPose(estimate.time_s, pose.translation.copy(), quat))
-
     def _own_track(self, start_s: float, end_s: float, estimate: Estimate) -> PoseTrack | None:
         slack, track = 1.5 / self._rig.tick_hz, estimate.scan_track
         if track is None or track.times_s.size < 2:
@@ -226,34 +206,13 @@ class GridMapper:
         track = self._own_track(start_s, end_s, estimate)
         if track is not None:
             return track
-        if len(self._track) < 2:
-            return None
-        entries: list[_TimedPose] = []
-        for entry in reversed(self._track):  # the interval is close to the newest entry
-            if entry.time_s >= end_s:
-                entries = [entry]
-                continue
-            entries.append(entry)
-            if entry.time_s <= start_s and len(entries) > 1:
-                break
-        entries.reverse()
-        if len(entries) < 2:
-            entries = [self._track[0], self._track[1]]
-        times, positions, quats = (np.array(part) for part in zip(*entries, strict=True))
-        return PoseTrack(times_s=times, positions_odom=positions, quats_wxyz=quats)
+        entries = self._history.around(start_s, end_s)
+        return track_of(entries) if len(entries) > 1 else None
 
     def _pose_at(self, time_s: float, estimate: Estimate) -> Pose:
-        track = self._track_spanning(time_s, time_s, estimate)
-        if track is None:
-            return estimate.odom_from_body
-        index = int(np.clip(np.searchsorted(track.times_s, time_s) - 1, 0, track.times_s.size - 2))
-        span = track.times_s[index + 1] - track.times_s[index]
-        f = float(np.clip((time_s - track.times_s[index]) / span, 0.0, 1.0))
-        first, second = (
-            Pose(matrix_from_quat_wxyz(track.quats_wxyz[k]), track.positions_odom[k])
-            for k in (index, index + 1)
-        )
-        return interpolate_pose(first, second, f)
+        track = self._own_track(time_s, time_s, estimate)
+        pose = self._history.at(time_s) if track is None else pose_on(track, time_s)
+        return estimate.odom_from_body if pose is None else pose
 
     def _place_fine_grid(self, estimate: Estimate) -> None:
         """Switches the fine grid on below ``fine_below_m`` and keeps it under the vehicle."""
@@ -281,10 +240,8 @@ class GridMapper:
         track = self._track_spanning(scan.start_time_s, scan.end_time_s, estimate)
         if track is None:
             return
-        parts = track.times_s, track.positions_odom, track.quats_wxyz
-        placed = Track(*(np.ascontiguousarray(part, np.float64) for part in parts))
         origins, beams = deskew(
-            scan.directions, scan.time_offsets, scan.start_time_s, placed,
+            scan.directions, scan.time_offsets, scan.start_time_s, Track.of(track),
             Frame.of(self._rig.body_from_lidar),
         )  # fmt: skip
         pulses = Pulses(origins, beams, scan.ranges)

@@ -19,6 +19,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
+from touchdown.estimator.filtering.deskew import track_of
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.costmap_image import costmap_image
 from touchdown.experiments.drawing.map_images import map_points
@@ -31,12 +32,12 @@ from touchdown.experiments.recording.rerun_batches import (
 )
 from touchdown.experiments.recording.rerun_blueprint import TIMELINE, flight_blueprint
 from touchdown.experiments.recording.rerun_scene import log_moving, log_scene, log_vehicle
-from touchdown.experiments.recording.scan_deskew import OdomTrack, height_colours, scan_points_odom
+from touchdown.experiments.recording.scan_deskew import height_colours, scan_points_odom
 from touchdown.experiments.recording.step_record import StepRecord
 from touchdown.landing.api import Candidate, LanderView
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorRig, Truth
-from touchdown.sim.frames import Pose, tilt_from_rotation
+from touchdown.sim.frames import Pose, PoseHistory, tilt_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -47,6 +48,8 @@ _FLUSH_S, _LIVE_FLUSH_S = 2.0, 0.5
 _PATIENCE_S = 10.0
 """for a viewer that does not take the rest of a flight"""
 _MAP_POINT_M = 0.11
+_HISTORY_POSES = 80
+"""number of poses in 0.4 s at 200 Hz: a scan of 0.1 s and its delivery"""
 _SPAN_M = 75.0
 _RING_M, _POLE_M = 1.5, 12.0
 _RGB_ACCEPTED, _RGB_REFUSED, _RGB_CHOSEN = (120, 230, 255), (255, 90, 90), (90, 255, 90)
@@ -99,7 +102,7 @@ class RerunLog:
         self._poses, self._paths = PoseBatch(), PathBatch()
         self._scalars = ScalarBatch()
         self._tiles = MapTiles()
-        self._track = OdomTrack()
+        self._history = PoseHistory(_HISTORY_POSES)
         self._pose_due, self._scalar_due = Every(_POSE_HZ), Every(_SCALAR_HZ)
         self._path_due = Every(_PATH_HZ)
         self._flush_due = Every(1.0 / (_FLUSH_S if live is None else _LIVE_FLUSH_S))
@@ -118,7 +121,7 @@ class RerunLog:
         truth, estimate, lander_view = step.truth, step.estimate, step.lander_view
         time_s = truth.time_s
         self._last = (truth, estimate, step.map_view)
-        self._track.add(estimate)
+        self._history.add(estimate.time_s, estimate.odom_from_body)
         if self._pose_due.due(time_s):
             self._poses.add(time_s, truth.world_from_body)
         if self._path_due.due(time_s):
@@ -224,7 +227,11 @@ class RerunLog:
     def _log_scan(self, scan: LidarScan, estimate: Estimate) -> None:
         track = estimate.scan_track
         if track is None or not (track.times_s[0] <= scan.start_time_s < track.times_s[-1]):
-            track = self._track.around(scan)  # none, or one of an older scan
+            # none, or one of an older scan
+            passed = self._history.around(scan.start_time_s, scan.end_time_s)
+            if len(passed) < 2:
+                return
+            track = track_of(passed)
         points = scan_points_odom(scan, track, self._rig.body_from_lidar, self._params.scan_points)
         pose = estimate.world_from_odom
         points = points @ pose.rotation.T + pose.translation

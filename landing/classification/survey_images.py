@@ -10,7 +10,6 @@ daylight, which is what the classifier knows.
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import cv2
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, image_defect, some_pixels
 from touchdown.landing.classification.haze import Haze, darkest_light, estimate_haze
 from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorRig
-from touchdown.sim.frames import Pose, interpolate_pose
+from touchdown.sim.frames import Pose, PoseHistory
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -105,7 +104,7 @@ class SurveyImages:
         self._spacing = _SPACING
         start = rig.world_from_body_start.translation[2]
         self._ground_world = float(start) - rig.vehicle.leg_height_m
-        self._track: deque[tuple[float, Pose]] = deque(maxlen=_TRACK)
+        self._history = PoseHistory(_TRACK)
         self._kept: list[_KeptImage] = []
         self._newest: _KeptImage | None = None
         self._newest_s = -np.inf
@@ -122,11 +121,11 @@ class SurveyImages:
 
     def update(self, obs: Observation, estimate: Estimate) -> None:
         """Takes over the images of a control step; called once a step."""
-        self._track.append((estimate.time_s, estimate.odom_from_body))
+        self._history.add(estimate.time_s, estimate.odom_from_body)
         if not estimate.healthy:
             return
         for image, dim in self._usable(obs.images):
-            pose = self._pose_at(image.time_s)
+            pose = self._history.at(image.time_s)
             if pose is None:
                 continue
             camera = pose @ self._rig.body_from_camera
@@ -154,20 +153,6 @@ class SurveyImages:
             if not self.dark:
                 found.append((image, dim))
         return found
-
-    def _pose_at(self, time_s: float) -> Pose | None:
-        """Returns odom_from_body at an exposure, interpolated between the causal estimates around
-        it; None before the first of them."""
-        if not self._track or time_s < self._track[0][0]:
-            return None
-        later = self._track[-1]
-        for entry in reversed(self._track):
-            if entry[0] <= time_s:
-                span = later[0] - entry[0]
-                fraction = (time_s - entry[0]) / span if span > 0.0 else 0.0
-                return interpolate_pose(entry[1], later[1], min(fraction, 1.0))
-            later = entry
-        return None
 
     def _far_enough(self, before: _KeptImage, image: _KeptImage) -> bool:
         away = image.odom_from_camera.translation - before.odom_from_camera.translation

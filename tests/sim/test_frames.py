@@ -101,3 +101,22 @@ def test_downward_sensor_axes() -> None:
         frames.BODY_FROM_DOWNWARD_OPTICAL @ [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]
     )
     assert np.linalg.det(frames.BODY_FROM_DOWNWARD_OPTICAL) == pytest.approx(1.0)
+
+
+def test_a_history_interpolates_and_spans_what_it_has() -> None:
+    """Poses at 0.0, 0.1, ... 0.9 s that move by 1 m each, of which the last five are kept."""
+    history = frames.PoseHistory(5)
+    assert history.at(0.0) is None and history.around(0.0, 1.0) == []
+    for k in range(10):
+        history.add(0.1 * k, frames.Pose(np.eye(3), np.array([float(k), 0.0, 0.0])))
+    history.add(0.9, frames.Pose(np.eye(3), np.full(3, 7.0)))  # no newer than the last
+    history.add(1.0, frames.Pose(np.eye(3), np.full(3, np.nan)))
+    places = {time_s: history.at(time_s) for time_s in (0.45, 0.5, 0.75, 2.0)}
+    assert places[0.45] is None
+    for time_s, x in ((0.5, 5.0), (0.75, 7.5), (2.0, 9.0)):
+        found = places[time_s]
+        assert found is not None and found.translation[0] == pytest.approx(x)
+    spans = {(0.62, 0.78): [6, 7, 8], (0.5, 0.5): [5, 6], (0.1, 0.2): [5, 6], (0.85, 2.0): [8, 9]}
+    for (start_s, end_s), expected in spans.items():
+        entries = history.around(start_s, end_s)
+        assert [round(entry.pose.translation[0]) for entry in entries] == expected
