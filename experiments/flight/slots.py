@@ -4,20 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 from touchdown.controller.api import ControllerRig
 from touchdown.estimator.api import MapperRig
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import external_parts, params_of
 from touchdown.experiments.external.loading import check_external
-from touchdown.experiments.external.parts import (
-    ExternalClassifier,
-    ExternalController,
-    ExternalLander,
-    ExternalMapper,
-    ExternalSelector,
-)
 from touchdown.experiments.external.wrapper import ExternalPart
 from touchdown.landing.api import (
     ClassifierRig,
@@ -30,6 +23,8 @@ from touchdown.landing.api import (
 from touchdown.landing.selection.selector import select_sites
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.sim.api import SensorRig
+
+_Part = TypeVar("_Part")
 
 
 def _selector_rig(config: Config, sensors: SensorRig) -> SelectorRig:
@@ -81,51 +76,31 @@ it."""
 
 
 def external_name(config: Config, kind: str) -> str | None:
-    """MODULE:FUNCTION that fills a slot; None where a shipped part does."""
-    return dict(external_parts(config)).get(kind)
+    """MODULE:FUNCTION that fills a slot; None where a shipped part does, or where the part would
+    have nothing to do: selector and classifier in a survey alone, a classifier without the gate
+    ``class``, a mapper where no map is wanted."""
+    landing = config.landing
+    idle = {
+        "selector": landing.survey_only,
+        "classifier": landing.survey_only or "class" not in landing.chosen_selector.gates,
+        "mapper": not config.mapper.enabled,
+    }
+    return None if idle.get(kind) else dict(external_parts(config)).get(kind)
 
 
-def external_selector(config: Config, sensors: SensorRig) -> ExternalSelector | None:
-    """The configured selector; None for a shipped one, and for a survey alone."""
-    name = external_name(config, "selector")
-    if name is None or config.landing.survey_only:
-        return None
-    return ExternalSelector(name, params_of(config, "selector"), _selector_rig(config, sensors))
-
-
-def external_controller(config: Config, sensors: SensorRig) -> ExternalController | None:
-    """The configured controller; None for a shipped one."""
-    name = external_name(config, "controller")
+def external_part(
+    config: Config,
+    kind: str,
+    make: Callable[[str, Mapping[str, Any], Any], _Part],
+    sensors: SensorRig,
+    rig: Any = None,
+) -> _Part | None:
+    """The part from outside in a slot, built with ``rig`` or else with that of `RIGS`; None where
+    `external_name` is."""
+    name = external_name(config, kind)
     if name is None:
         return None
-    return ExternalController(
-        name, params_of(config, "controller"), _controller_rig(config, sensors)
-    )
-
-
-def external_classifier(config: Config, sensors: SensorRig) -> ExternalClassifier | None:
-    """The configured classifier; None for a shipped one, for a survey alone, and for a selector
-    without the gate ``class``."""
-    name = external_name(config, "classifier")
-    gated = "class" in config.landing.chosen_selector.gates
-    if name is None or config.landing.survey_only or not gated:
-        return None
-    rig = _classifier_rig(config, sensors)
-    return ExternalClassifier(name, params_of(config, "classifier"), rig)
-
-
-def external_mapper(config: Config, sensors: SensorRig) -> ExternalMapper | None:
-    """The configured mapper; None for a shipped one, and where no map is wanted."""
-    name = external_name(config, "mapper")
-    if name is None or not config.mapper.enabled:
-        return None
-    return ExternalMapper(name, params_of(config, "mapper"), _mapper_rig(config, sensors))
-
-
-def external_lander(config: Config, rig: LanderRig) -> ExternalLander | None:
-    """The configured lander; None for a shipped one."""
-    name = external_name(config, "lander")
-    return None if name is None else ExternalLander(name, params_of(config, "lander"), rig)
+    return make(name, params_of(config, kind), rig or RIGS[kind](config, sensors))
 
 
 def external_of(*built: Any) -> tuple[ExternalPart, ...]:

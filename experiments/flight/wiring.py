@@ -17,17 +17,20 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import PX4, params_of
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.external.loading import check_external, is_external
+from touchdown.experiments.external.parts import (
+    ExternalClassifier,
+    ExternalController,
+    ExternalLander,
+    ExternalMapper,
+    ExternalSelector,
+)
 from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalPart
 from touchdown.experiments.flight.bias_injection import BiasedEstimator
 from touchdown.experiments.flight.estimator_calibration import nominal_rig
 from touchdown.experiments.flight.slots import (
-    external_classifier,
-    external_controller,
-    external_lander,
-    external_mapper,
     external_name,
     external_of,
-    external_selector,
+    external_part,
     lander_rig,
 )
 from touchdown.landing.api import Lander
@@ -124,11 +127,15 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     try:
         rig = nominal_rig(world.rig, config)
         own_estimator = make_estimator(rig, world.truth)
-        selector, controller = external_selector(config, rig), external_controller(config, rig)
-        own_classifier, own_mapper = external_classifier(config, rig), external_mapper(config, rig)
+        selector = external_part(config, "selector", ExternalSelector, rig)
+        controller = external_part(config, "controller", ExternalController, rig)
+        own_classifier = external_part(config, "classifier", ExternalClassifier, rig)
+        own_mapper = external_part(config, "mapper", ExternalMapper, rig)
         classifier = own_classifier or network
         select = None if selector is None else selector.select
-        own_lander = external_lander(config, lander_rig(config, rig, select, classifier))
+        own_lander = external_part(
+            config, "lander", ExternalLander, rig, lander_rig(config, rig, select, classifier)
+        )
         autopilot = _autopilot(config, rig)
     except ValueError:
         world.close()
@@ -199,18 +206,9 @@ def classifier_file(config: Config) -> Path | None:
 def build_classifier(config: Config) -> OnnxGroundClassifier | None:
     """Loads the ground classifier; None without one. Raises UsageError where the file cannot be
     used or ONNX Runtime is missing."""
-    file, params = classifier_file(config), config.landing
+    file = classifier_file(config)
     if file is None:
         return None
-    if not params.classifier_patch_m > 0.0:
-        raise UsageError(
-            f"landing.classifier_patch_m = {params.classifier_patch_m:g} must be positive"
-        )
-    if not 0.0 <= params.classifier_min_probability <= 1.0:
-        raise UsageError(
-            "landing.classifier_min_probability = "
-            f"{params.classifier_min_probability:g} must be within 0 to 1"
-        )
     from touchdown.landing.classification.onboard import load_onboard_classifier
 
     try:
