@@ -21,7 +21,7 @@ _MAX_JERK_MPS3 = 12.0
 _MIN_VERTICAL_FORCE = 0.3
 _MAX_VERTICAL_FORCE = 1.8
 """fractions of the weight; below the lower one, tilting has no control authority"""
-_THRUST_SHARE = 0.98
+_THRUST_FRACTION = 0.98
 """fraction of the rotors' largest thrust that the wanted force may take; the rest is left to the
 torques"""
 
@@ -52,7 +52,7 @@ class CascadeController:
             vehicle, params.disturbance_radps, step_s, vertical=params.wind_feed_forward
         )
         full = 4.0 * vehicle.thrust_coefficient * vehicle.rotor_speed_max**2
-        self._most_force = _THRUST_SHARE * full if params.wind_feed_forward else np.inf
+        self._most_force = _THRUST_FRACTION * full if params.wind_feed_forward else np.inf
         self._max_correction = params.max_correction_mps
         self._max_slope = float(np.tan(np.radians(params.max_tilt_deg)))
         self._weight = vehicle.mass_kg * GRAVITY_MPS2

@@ -30,8 +30,8 @@ _OVERHANG_M = 0.5
 alone"""
 _WINDOW_M = 0.05
 """half width of the kernel of the mean shift: twice the noise of the ranges"""
-_LEAST_SHARE = 0.03
-_FEW_SHARE = 0.15
+_MIN_FRACTION = 0.03
+_FEW_FRACTION = 0.15
 """fraction of the returns that lie below the start; fewer are errors"""
 _NEIGHBOUR_WEIGHT = 0.5
 _REACH_M = 0.2
@@ -39,7 +39,7 @@ _REACH_M = 0.2
 _SLOPE_REACH_M = 0.4
 _SLOPE_LIMIT = 0.6
 """tangent of 31 degrees"""
-_LEAST_STD_M = 0.02
+_MIN_STD_M = 0.02
 """noise of one range"""
 _BINS = 96
 """number of bins for the returns of a cell and its neighbours, more than those of a cell, for their
@@ -73,7 +73,7 @@ def ground_of(
     around = np.s_[max(top - edge, 0) : bottom + edge, max(left - edge, 0) : right + edge]
     count, mean, spread, missing = (layer[around] for layer in layers)
     with np.errstate(invalid="ignore", divide="ignore"):
-        noise = np.maximum(spread, np.float32(_LEAST_STD_M))
+        noise = np.maximum(spread, np.float32(_MIN_STD_M))
         std: Float32 = (noise / np.sqrt(np.maximum(count, 1.0))).astype(np.float32)
     height = mean.copy()
     above, beside = top - around[0].start, left - around[1].start
@@ -165,7 +165,7 @@ def _own_modes(
             ends[row, col, 0], ends[row, col, 1] = low, high
             if not spread[row, col] > ONE_SURFACE_STD_M:
                 continue
-            start = _start(weights, 0, _LEAST_SHARE)
+            start = _start(weights, 0, _MIN_FRACTION)
             if 0 <= start < bins - 1:
                 own[row, col] = base[row, col] + _climb(weights[: bins - 1], start)[0]
 
@@ -270,11 +270,11 @@ def _pooled_modes(
             lowest = base[row, col] - below * HEIGHT_BIN_M
             _pool(heights, (row, col), reach, (per_col, per_row), lowest, weights)
             if few:
-                low = _start(weights, 0, _FEW_SHARE)
+                low = _start(weights, 0, _FEW_FRACTION)
             else:
-                low = _start(weights, below + ends[row, col, 0], _LEAST_SHARE)
+                low = _start(weights, below + ends[row, col, 0], _MIN_FRACTION)
             if low < 0:
                 continue
             mode, inside, deviation = _climb(weights, low)
             height[row, col] = lowest + mode
-            std[row, col] = max(deviation, _LEAST_STD_M) / np.sqrt(max(inside, 1.0))
+            std[row, col] = max(deviation, _MIN_STD_M) / np.sqrt(max(inside, 1.0))

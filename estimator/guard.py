@@ -24,13 +24,13 @@ _CLUTTER_M = 10.0
 """range within which echoes may come from rain or fog"""
 _CLUTTER_LEVEL, _ISOLATED_LEVEL = 6, 15
 """largest intensity of an echo of rain or fog, and of an isolated one"""
-_MIN_CLUTTER, _CLUTTER_SHARE = 10, 0.8
+_MIN_CLUTTER, _CLUTTER_FRACTION = 10, 0.8
 """weak isolated echoes in a scan, and the share of weak ones among all near echoes, from which the
 scan counts as taken in rain or fog: other near echoes are mostly strong"""
 _CLUTTER_SCANS, _CLUTTER_MEMORY_S = 3, 30.0
 """consecutive scans before rain or fog is assumed, and the duration of this state: near the ground
 all returns are near"""
-_MIN_RETURNS_SHARE = 1e-3
+_MIN_RETURNS_FRACTION = 1e-3
 """share of pulses that must remain after the removal of those echoes"""
 _ISOLATED_GAP_M = 1.0
 _NOWHERE = np.float32(np.inf)
@@ -135,7 +135,7 @@ class InputGuard:
         floating = self._clutter(scan)
         if floating is not None:
             bad = floating if bad is None else bad | floating
-            if np.count_nonzero(ranges[~bad] > 0.0) < _MIN_RETURNS_SHARE * count:
+            if np.count_nonzero(ranges[~bad] > 0.0) < _MIN_RETURNS_FRACTION * count:
                 return None, "nothing but echoes of rain or fog"
         if np.array_equal(ranges, self._ranges, equal_nan=True):
             return None, "the same as the one before"
@@ -278,7 +278,7 @@ def clutter_of(scan: LidarScan) -> tuple[bool, Mask]:
     weak = near & (level <= _CLUTTER_LEVEL)
     floating = near & (level <= _ISOLATED_LEVEL) & steps[:-1] & steps[1:]
     few = np.count_nonzero(floating & weak) < _MIN_CLUTTER
-    if few or weak.sum() < _CLUTTER_SHARE * near.sum():
+    if few or weak.sum() < _CLUTTER_FRACTION * near.sum():
         return False, floating
     return True, floating | weak
 

@@ -35,7 +35,7 @@ CROWN_POROSITY = 0.5
 """porosity for the flow, not for the pulses of a LIDAR: a crown in leaf (assumed)"""
 _LOWEST_M, _THINNEST_M = 2.0, 1.0
 """obstacles below this height, or thinner in any direction, leave no wake worth its cost"""
-_TURBULENCE_SHARE = 1.0 / 3.0
+_TURBULENCE_FRACTION = 1.0 / 3.0
 _MIN_SPEED_MPS = 1.0
 
 
@@ -217,4 +217,4 @@ def _add(
         state[i] = decay * state[i] + spread * noise[i]
     deficit = free - speed
     for i in range(3):
-        wind[i] += _TURBULENCE_SHARE * deficit * state[i] - deficit * direction[i]
+        wind[i] += _TURBULENCE_FRACTION * deficit * state[i] - deficit * direction[i]

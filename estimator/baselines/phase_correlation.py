@@ -17,7 +17,7 @@ from touchdown.estimator.typing import Array, Float32, Grey, Indices
 _MIN_RESPONSE = 0.05
 """share of the energy in the peak's neighbourhood below which a scale is rejected"""
 
-_LEAST_CONTRAST = 0.5
+_MIN_CONTRAST = 0.5
 """grey levels, standard deviation"""
 
 
@@ -67,6 +67,6 @@ def _common(before: Grey, now: Grey, shift: Indices) -> tuple[Float32, Float32] 
     first = before[max(-dy, 0) : height - max(dy, 0), max(-dx, 0) : width - max(dx, 0)]
     second = now[max(dy, 0) : height - max(-dy, 0), max(dx, 0) : width - max(-dx, 0)]
     pair = first.astype(np.float32), second.astype(np.float32)
-    if min(float(image.std()) for image in pair) < _LEAST_CONTRAST:
+    if min(float(image.std()) for image in pair) < _MIN_CONTRAST:
         return None
     return pair[0] - pair[0].mean(), pair[1] - pair[1].mean()

@@ -25,7 +25,7 @@ from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
 _PATIENCE_S = 1.5
-_LEAST_USED = 15
+_MIN_USED = 15
 _GATES_PX = (12.0, 6.0, 3.0, 3.0)
 
 
@@ -153,7 +153,7 @@ class StereoEstimator:
 
     def _iterate(self, pixels: Array, landmarks: Array) -> tuple[int, float]:
         """Iterated update by reprojections (frame to keyframe); nothing changes if fewer than
-        ``_LEAST_USED`` are inliers. Returns their number and their rms in pixels."""
+        ``_MIN_USED`` are inliers. Returns their number and their rms in pixels."""
         eskf = self._nav.eskf
         camera = MountedCamera(self._rig.camera, self._imu_from_camera)
         update, used, rms = IteratedUpdate(eskf), 0, 0.0
@@ -162,7 +162,7 @@ class StereoEstimator:
                 pixels, landmarks, eskf.state.pose, eskf.clones[0], camera,
                 sigma_px=self._params.pixel_sigma, gate_px=gate,
             )  # fmt: skip
-            if used < _LEAST_USED:
+            if used < _MIN_USED:
                 update.abandon()
                 return 0, 0.0
             update.step([0], information, vector)
@@ -184,7 +184,7 @@ class StereoEstimator:
             found, shifts, self._ground.depths(rays, pose), scale, self._params
         )
         good = inverse > 0.0
-        if int(good.sum()) < _LEAST_USED:
+        if int(good.sum()) < _MIN_USED:
             return
         if eskf.clones:
             eskf.remove_clone(0)

@@ -23,7 +23,7 @@ from touchdown.sim.frames import (
 )
 
 _BLIND_SIGMAS = 4.0
-_BLIND_SHARE = 0.05
+_BLIND_FRACTION = 0.05
 _W, _X, _Y, _Z = range(4)
 """components of a quaternion"""
 _KNOT_EVERY = 64
@@ -95,7 +95,7 @@ def screen_scan(scan: LidarScan, lidar: LidarSheet, *, check_blind_zone: bool = 
     pulses = np.flatnonzero(within & (scan.time_offsets >= 0.0))  # false for NaN
     if check_blind_zone and len(pulses):
         blind = lidar.min_range_m + _BLIND_SIGMAS * lidar.range_sigma_m
-        if np.count_nonzero(scan.ranges[pulses] < blind) > _BLIND_SHARE * len(pulses):
+        if np.count_nonzero(scan.ranges[pulses] < blind) > _BLIND_FRACTION * len(pulses):
             return pulses[:0]
     return pulses
 

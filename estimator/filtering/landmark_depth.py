@@ -18,7 +18,7 @@ from touchdown.sim.frames import Pose
 
 _CLOSE = 0.4
 """share of the neighbourhood whose returns give the depth of a feature on no plane"""
-_MOST_SCATTER = 0.05
+_MAX_SCATTER = 0.05
 """fraction of the depth; beyond it the depth counts as unknown"""
 _SIGMA_FACTOR = 2.0
 """assigned sigma in standard deviations of the scatter: the error is the same in all images that
@@ -256,7 +256,7 @@ def feature_planes(
     sigmas = np.zeros(len(rays))
     open_ = np.flatnonzero(~valid)
     rough, depths, scatter = _rough_depths(
-        rays[open_], cells, _CLOSE * radius, min_points, _MOST_SCATTER
+        rays[open_], cells, _CLOSE * radius, min_points, _MAX_SCATTER
     )
     chosen = open_[rough]
     valid[chosen] = True

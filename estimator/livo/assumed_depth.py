@@ -20,11 +20,11 @@ from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
-_LEAST_HEIGHT_M = 0.5
+_MIN_HEIGHT_M = 0.5
 """height of the camera above the ground; below it, the beam's error would be much of the depth"""
 _STEEPEST = 0.2
 """cosine between a ray and the vertical: flatter rays meet level ground far away, if at all"""
-_LEAST_SHARE = 0.2
+_MIN_FRACTION = 0.2
 """fraction of its depth that a feature keeps in one step"""
 
 
@@ -39,7 +39,7 @@ def assume_level_ground(
     standard deviation of ``share`` of their distance; returns their number."""
     missing = np.flatnonzero(~keyframe.valid)
     height = float(camera_from_odom.inverse().translation[2]) - ground_m
-    if height < _LEAST_HEIGHT_M:
+    if height < _MIN_HEIGHT_M:
         return 0
     plane = -camera_from_odom.rotation[:, 2] / height
     rays = bearing_rays(keyframe.pixels[missing], camera)
@@ -82,6 +82,6 @@ def move_along_rays(
         LandmarkViews(pixels, rows, landmarks, jacobians, arms * relative[:, None]),
         *poses, twist, Frame.of(mount.inverse()), lens, noise,
     ).T  # fmt: skip
-    keyframe.planes[part] /= np.maximum(1.0 + moved * relative, _LEAST_SHARE)[:, None]
+    keyframe.planes[part] /= np.maximum(1.0 + moved * relative, _MIN_FRACTION)[:, None]
     least = np.minimum(sigmas, floor * keyframe.depth_m)
     keyframe.sigmas[part] = np.maximum(sigmas * np.sqrt(left), least)

@@ -45,7 +45,7 @@ from touchdown.estimator.typing import Bytes
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, so3_log
 
-_FEWEST_RETURNS = 50
+_MIN_RETURNS = 50
 """minimum of a usable scan"""
 _FRESH_SCANS = 3
 """periods of a scan after which the last one no longer covers the ground in view"""
@@ -132,12 +132,12 @@ class Livo:
             self._skipped += 1
             return
         report, intensity = LidarReport(), scan.intensity[placed.pulses]
-        if len(placed) >= _FEWEST_RETURNS:
+        if len(placed) >= _MIN_RETURNS:
             self._height = float(np.median(scan.ranges[placed.pulses]))
             report = self._update_with_scan(placed, intensity)
             self._synchronizer.events += self._degeneracy.events(report)
         self._filter.trail.follow(self._eskf.state)
-        if len(placed) >= _FEWEST_RETURNS and self._lacks_anchor(scan.end_tick):
+        if len(placed) >= _MIN_RETURNS and self._lacks_anchor(scan.end_tick):
             self._add_clone(self._vision.new_anchor(self._eskf, self._height, scan.end_tick))
         self._map.extend(self._eskf, placed, intensity, mount.translation)
         self._scan_tick = scan.end_tick

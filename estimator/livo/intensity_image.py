@@ -19,12 +19,12 @@ from touchdown.sim.frames import Pose
 
 SIDE = 384
 """cells of a row"""
-_CELL_SHARE = 0.006
+_CELL_FRACTION = 0.006
 """side of a cell relative to the height: a few returns of a second fall into each"""
-_LEAST_CELL_M = 0.02
+_MIN_CELL_M = 0.02
 _FAINTEST = 4.0
 """weaker intensities count as this: the logarithm of single digits is mostly rounding"""
-_MOST_RETURNS = 8
+_MAX_RETURNS = 8
 """a cell takes no further ones: the oldest carry the least drift"""
 _BRIGHTNESS = np.log(np.maximum(np.arange(256.0), _FAINTEST))
 _WEIGHTS = np.array([0.25, 0.5, 0.25])
@@ -50,7 +50,7 @@ def add_returns(
         u = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z + centre[0]
         v = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z + centre[1]
         column, row = int(np.floor(u)) + columns // 2, int(np.floor(v)) + rows // 2
-        if 0 <= row < rows and 0 <= column < columns and counts[row, column] < _MOST_RETURNS:
+        if 0 <= row < rows and 0 <= column < columns and counts[row, column] < _MAX_RETURNS:
             sums[row, column] += values[i]
             counts[row, column] += 1
 
@@ -73,7 +73,7 @@ class IntensityImage:
         """An empty image of a clone, with ``rotation`` odom_from_imu, ``height_m`` above the
         ground."""
         sums, counts = (np.zeros((SIDE, SIDE), dtype) for dtype in (np.float32, np.uint8))
-        cell = max(_CELL_SHARE * height_m, _LEAST_CELL_M)
+        cell = max(_CELL_FRACTION * height_m, _MIN_CELL_M)
         return IntensityImage(rotation[:2].copy(), cell, calibration.copy(), sums, counts)
 
     def add(self, points: Array, values: Array, pose: Pose | None = None) -> None:

@@ -50,12 +50,12 @@ _HEIGHT = POSITION.stop - 1
 _PLANE_TILT = float(np.radians(0.05))
 """rad, information floor of roll and pitch by planes where intensities measure"""
 _ITERATIONS = 4
-_LEAST_USED = 300
-_LEAST_OVERLAP, _MOST_IMAGES = 0.12, 5
+_MIN_USED = 300
+_MIN_OVERLAP, _MAX_IMAGES = 0.12, 5
 """share of a scan that an image covers, and number of images; by 21 replays without images"""
-_LEAST_CLEAR = 0.3
+_MIN_CLEAR = 0.3
 """share of an image's squared gradients that is not noise; below, it has no texture"""
-_FIRST_SIGMA, _LEAST_SIGMA, _MOST_SIGMA = 0.25, 0.1, 0.3
+_FIRST_SIGMA, _MIN_SIGMA, _MAX_SIGMA = 0.25, 0.1, 0.3
 """errors of a brightness: the first, the least, the most; an image that fits worse shows something
 else, as water does, whose brightness depends on where it is seen from"""
 _ASIDE_M, _ROTATION_RAD = 0.03, 5e-4
@@ -269,9 +269,9 @@ class PhotometricUpdate:
             if far > 0.5 * image.cell_m * image.sums.shape[0]:
                 continue
             share = image.share_known(move.apply(points[::8]))
-            if share >= _LEAST_OVERLAP:
+            if share >= _MIN_OVERLAP:
                 overlaps.append((k, share))
-        if len(overlaps) <= _MOST_IMAGES:
+        if len(overlaps) <= _MAX_IMAGES:
             return [k for k, _ in overlaps]
         newest = overlaps.pop()[0]
         variances = np.diag(eskf.covariance)
@@ -280,7 +280,7 @@ class PhotometricUpdate:
             k, share = entry
             return float(variances[eskf.clone_indices(k)[_ASIDE]].sum()) / share
 
-        best = sorted(overlaps, key=worth)[: _MOST_IMAGES - 1]
+        best = sorted(overlaps, key=worth)[: _MAX_IMAGES - 1]
         return sorted([newest, *(k for k, _ in best)])
 
     def update(
@@ -300,7 +300,7 @@ class PhotometricUpdate:
                 eskf, keys, returns, values, sigmas
             )
             sigma = float(sigmas.min())
-            if used < _LEAST_USED:
+            if used < _MIN_USED:
                 update.abandon()
                 return IntensityReport(used=used, images=images, sigma=sigma)
             update.step(keys, information, vector, floors)
@@ -336,10 +336,10 @@ class PhotometricUpdate:
                 returns, values, view, Frame.of(move), self._lever, float(sigmas[slot])
             )
             if part.used:
-                sigmas[slot] = max(part.spread, _LEAST_SIGMA)
+                sigmas[slot] = max(part.spread, _MIN_SIGMA)
             clear = 1.0 - part.noise_share
-            unlike = part.spread > _MOST_SIGMA
-            if part.used < _LEAST_USED or clear < _LEAST_CLEAR or unlike:
+            unlike = part.spread > _MAX_SIGMA
+            if part.used < _MIN_USED or clear < _MIN_CLEAR or unlike:
                 continue
             start = POSE_DIM + shared + CLONE_DIM * slot
             where = np.r_[0:POSE_DIM, start : start + CLONE_DIM]

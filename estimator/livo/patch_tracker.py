@@ -24,7 +24,7 @@ _ROW = 16
 _FLAT = _SIDE * _ROW
 _WIDE = 2 * HALF + 3
 """width of a patch with its neighbours, whose differences are the gradients"""
-_MOST = 64
+_MAX = 64
 """pixels along either side of a warped patch"""
 _INSIDE = np.tile(np.arange(_ROW) < _SIDE, _SIDE).astype(np.float32)
 """1 for values of a flat patch, 0 for those to spare"""
@@ -60,7 +60,7 @@ def _empty_patch() -> _Patch:
     most = (_WIDE + 1) * _ROW
     return _Patch(
         np.zeros(_FLAT, np.float32), np.zeros(_FLAT, np.float32), np.zeros(_FLAT, np.float32),
-        np.zeros(_MOST * (_MOST + 1), np.float32), np.zeros(most, np.float32),
+        np.zeros(_MAX * (_MAX + 1), np.float32), np.zeros(most, np.float32),
     )  # fmt: skip
 
 
@@ -84,7 +84,7 @@ def _template(image: Grey, u: float, v: float, warp: Array, patch: _Patch) -> bo
     height, width = image.shape
     if not (span_u <= u < width - 1 - span_u and span_v <= v < height - 1 - span_v):
         return False
-    if max(span_u, span_v) > 0.5 * _MOST - 2.0:
+    if max(span_u, span_v) > 0.5 * _MAX - 2.0:
         return False
     left, top = int(u - span_u), int(v - span_v)
     right, bottom = int(u + span_u) + 2, int(v + span_v) + 2

@@ -18,7 +18,7 @@ from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
-_LEAST_RETURNS = 150
+_MIN_RETURNS = 150
 _CELL = 0.02
 """side of the image cells, normalised units; one return per cell counts, so that area, not the
 density of returns, decides"""
@@ -27,15 +27,15 @@ _VIEW_MARGIN = 1.5
 """returns are gathered within so many half widths of the image"""
 _THICKNESS_M = 0.08
 """four standard deviations of a range"""
-_LEAST_DISTANCE_M = 20.0
+_MIN_DISTANCE_M = 20.0
 """distance to the plane below which unevenness of that size moves features by more than the
 tracking error"""
-_LEAST_SHARE = 0.5
+_MIN_FRACTION = 0.5
 """fraction of the image's returns that must lie in the plane"""
-_MOST_BELOW = 0.03
+_MAX_BELOW = 0.03
 """fraction of those returns that may lie beyond it: objects stand on the ground or float on the
 water"""
-_LEAST_SPREAD = 0.05
+_MIN_SPREAD = 0.05
 """standard deviation of the returns along the plane's narrower direction, relative to its distance:
 the plane must be determined up to the edge of the image"""
 
@@ -44,7 +44,7 @@ def common_plane(points: Array) -> Array | None:
     """Returns the lowest plane ``n . P = 1``, n (3,), that most of (N, 3) points in the camera
     frame lie in; None if there is none or it is not determined. Random sample consensus (Fischler
     and Bolles 1981) with the same draws every time, then least squares."""
-    if len(points) < _LEAST_RETURNS:
+    if len(points) < _MIN_RETURNS:
         return None
     rng = np.random.default_rng(crc32(b"plane_extension"))
     triples = points[rng.integers(0, len(points), (_TRIALS, 3))]
@@ -54,7 +54,7 @@ def common_plane(points: Array) -> Array | None:
     near = np.abs(points @ normals.T - offsets) < _THICKNESS_M
     inside = points[near[:, int(np.argmax(near.sum(axis=0)))]]
     for _ in range(2):
-        if len(inside) < max(_LEAST_RETURNS, _LEAST_SHARE * len(points)):
+        if len(inside) < max(_MIN_RETURNS, _MIN_FRACTION * len(points)):
             return None
         centre = inside.mean(axis=0)
         values, vectors = np.linalg.eigh(np.cov((inside - centre).T))
@@ -62,9 +62,9 @@ def common_plane(points: Array) -> Array | None:
         distance = float(normal @ centre)
         beyond = points @ normal - distance
         inside = points[np.abs(beyond) < _THICKNESS_M]
-    if distance < _LEAST_DISTANCE_M or np.sqrt(max(values[1], 0.0)) < _LEAST_SPREAD * distance:
+    if distance < _MIN_DISTANCE_M or np.sqrt(max(values[1], 0.0)) < _MIN_SPREAD * distance:
         return None
-    if float((beyond > _THICKNESS_M).mean()) > _MOST_BELOW:
+    if float((beyond > _THICKNESS_M).mean()) > _MAX_BELOW:
         return None
     return np.asarray(normal / distance, dtype=np.float64)
 

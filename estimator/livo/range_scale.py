@@ -18,7 +18,7 @@ from touchdown.estimator.filtering.error_state import CLONE_DIM, POSITION
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.typing import Array
 
-_LEAST_DEPTH_M = 0.5
+_MIN_DEPTH_M = 0.5
 _MAD = 1.4826
 """standard deviation of normal noise in its median absolute deviation"""
 
@@ -34,7 +34,7 @@ class SeenGround(NamedTuple):
 def measure_way(eskf: Eskf, seen: list[SeenGround], spot: Array, params: LivoParams) -> bool:
     """Corrects pose and clone of the keyframe with the longest way by the depth of the ``spot``
     (3,), camera frame; False if nothing is near enough or it does not fit (``range_scale_*``)."""
-    if spot[2] < _LEAST_DEPTH_M:
+    if spot[2] < _MIN_DEPTH_M:
         return False
     known = [
         (ground, ratios) for ground in seen if len(ratios := _ratios(ground, spot, params)) > 0
@@ -60,7 +60,7 @@ def measure_way(eskf: Eskf, seen: list[SeenGround], spot: Array, params: LivoPar
 def _ratios(ground: SeenGround, spot: Array, params: LivoParams) -> Array:
     """Logarithms (N,) of the depth of the spot in that of the landmarks around it; none where they
     are few or the way is short."""
-    points = ground.points[ground.points[:, 2] > _LEAST_DEPTH_M]
+    points = ground.points[ground.points[:, 2] > _MIN_DEPTH_M]
     aside = points[:, :2] / points[:, 2:] - spot[:2] / spot[2]
     near = points[np.hypot(aside[:, 0], aside[:, 1]) < params.range_scale_radius]
     least_m = params.range_scale_way * float(spot[2])

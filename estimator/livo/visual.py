@@ -53,14 +53,14 @@ from touchdown.sim.frames import Pose
 
 _GATES_PX = (12.0, 6.0, 3.0, 3.0)
 """largest residuals of the four iterations"""
-_LEAST_LANDMARKS = 15
+_MIN_LANDMARKS = 15
 """number of landmarks that an update needs"""
 _LAST_FEW = 4
 """newest keyframes, whose tracking is no loop closure"""
-_LEAST_PLANES = 25
+_MIN_PLANES = 25
 """features of a keyframe with depth; with fewer, the others are assigned the common plane of the
 returns around, if there is one"""
-_GROUND_SHARE = 0.15
+_GROUND_FRACTION = 0.15
 """fraction of the image with returns, from which on features elsewhere are not of the ground:
 beyond its edge there may be stars. Over still water most images have returns in a tenth or less."""
 
@@ -171,9 +171,9 @@ class VisualFrontEnd:
         if ground_m is not None:
             share = self._params.assumed_depth_share
             assume_level_ground(keyframe, camera_from_odom, ground_m, self._camera, share)
-        elif int(keyframe.valid.sum()) < _LEAST_PLANES:
+        elif int(keyframe.valid.sum()) < _MIN_PLANES:
             keyframe = self._completed(keyframe, recent, camera_from_odom)
-        if int(keyframe.valid.sum()) < _LEAST_PLANES:
+        if int(keyframe.valid.sum()) < _MIN_PLANES:
             return None
         return keyframe
 
@@ -186,7 +186,7 @@ class VisualFrontEnd:
         every = replace(keyframe, pixels=detect_features(grey, grey.size))
         measure_planes(every, recent, camera_from_odom, self._camera)
         known = every.pixels[every.valid]
-        if len(known) < max(_LEAST_PLANES, _GROUND_SHARE * len(every.pixels)):
+        if len(known) < max(_MIN_PLANES, _GROUND_FRACTION * len(every.pixels)):
             extend_plane(keyframe, recent, camera_from_odom, self._camera)
             return keyframe
         chosen = replace(keyframe, pixels=detect_features(grey, self._params.features, near=known))
@@ -261,7 +261,7 @@ class VisualFrontEnd:
             )  # fmt: skip
             if int(found.sum()) >= 10:
                 tracks.append(self._track(eskf, k, usable[found], pixels[found]))
-        if sum(len(t.views.pixels) for t in tracks) < _LEAST_LANDMARKS:
+        if sum(len(t.views.pixels) for t in tracks) < _MIN_LANDMARKS:
             return VisualReport(best_share=best)
         used, rms = self._iterate(IteratedUpdate(eskf, share), eskf, tracks, delay_s)
         if used:
@@ -316,7 +316,7 @@ class VisualFrontEnd:
         used, rms = 0, 0.0
         for gate in _GATES_PX:
             information, vector, used, rms = self._accumulate(eskf, tracks, delay_s, gate)
-            if used < _LEAST_LANDMARKS:
+            if used < _MIN_LANDMARKS:
                 update.abandon()
                 return 0, 0.0
             if update.step(keys, information, vector) and gate == _GATES_PX[-1]:

@@ -35,7 +35,7 @@ from touchdown.estimator.zou2024.visual_map import (
 from touchdown.sim.api import CameraImage, SensorRig
 from touchdown.sim.frames import Pose
 
-_LEAST_LANDMARKS = 30
+_MIN_LANDMARKS = 30
 _QUERY_PERIOD_S = 1.0
 """time between keyframes that the dictionary holds and is asked about: ``Rtabmap/DetectionRate``"""
 _AROUND = 2
@@ -136,7 +136,7 @@ class CameraPositioning:
 
     def _worth_keeping(self, sightings: Sightings) -> bool:
         """True if the image shows enough that the newest keyframe does not."""
-        if not self._map.keyframes or len(sightings) < _LEAST_LANDMARKS:
+        if not self._map.keyframes or len(sightings) < _MIN_LANDMARKS:
             return True
         newest = self._map.keyframes[-1]
         position = self._filter.eskf.state.position
@@ -229,7 +229,7 @@ class CameraPositioning:
                     found.descriptors[fresh], depth,
                 )
             )  # fmt: skip
-        if sum(len(s.points) for s in sets) + len(sightings) < _LEAST_LANDMARKS:
+        if sum(len(s.points) for s in sets) + len(sightings) < _MIN_LANDMARKS:
             return
         depths = np.concatenate([s.depths for s in sets])
         newest = self._map.keyframes[-1] if self._map.keyframes else None

@@ -21,7 +21,7 @@ STEP_ENERGY = np.float32(0.02)
 nearest seed is also the nearest in the image"""
 _FAR = np.float32(1e9)
 _DIAGONAL = 1.4142135623730951
-_LEAST_WEIGHT = 0.4
+_MIN_WEIGHT = 0.4
 """weight of the nearest return in Eq. 12, below which a pixel has no depth"""
 
 
@@ -176,7 +176,7 @@ def geodesic_depth(
     around = np.column_stack([own, neighbours[own]])
     paths = np.column_stack([np.zeros_like(first), lengths[own]]) + first[:, None]
     weights = np.where(around >= 0, np.exp(-paths.astype(np.float64) / similarity), 0.0)
-    weights[(own < 0) | (weights[:, 0] < _LEAST_WEIGHT)] = np.nan
+    weights[(own < 0) | (weights[:, 0] < _MIN_WEIGHT)] = np.nan
     total, seen = weights.sum(axis=1), depths[around]
     mean = (weights * seen).sum(axis=1) / total
     square = (weights * seen**2).sum(axis=1) / total

@@ -36,7 +36,7 @@ _LONGEST_GAP = 8
 _TURN_SIGMA, _LATERAL_SIGMA_M = np.radians(0.5), 0.3
 """information floor of a scan, and of each clone's part of the map: errors of their points that do
 not average out"""
-_LEAST_RETURNS = 200
+_MIN_RETURNS = 200
 _NONE = np.zeros(0, dtype=np.int64)
 
 
@@ -96,7 +96,7 @@ class LidarPositioning:
             return False
         points = placed.points
         self.diagnostics = {"scan_returns": float(len(points))}
-        if len(points) >= _LEAST_RETURNS:
+        if len(points) >= _MIN_RETURNS:
             chosen = self._features(placed, energy, seen_from)
             features = ScanFeatures(points[chosen.edges], points[chosen.planes], mount.translation)
             if self._params.use_lidar_pose:

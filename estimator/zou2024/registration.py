@@ -31,16 +31,16 @@ WEAK_SIGMAS = float(np.radians(0.3)), 0.1
 """rad and m: of a scan, directions known less well than these are degenerate"""
 _ROUNDS = 3
 _FIRST_STEPS = 2
-_MOST_STEPS = 6
-_KEPT_SHARE = 0.8
+_MAX_STEPS = 6
+_KEPT_FRACTION = 0.8
 _SAME_NEIGHBOURS_M = 0.05
 """displacement of the scan's outermost points up to which their neighbours are not sought again"""
-_LEAST_STEP = 1e-4
+_MIN_STEP = 1e-4
 """rad and m"""
 _SCATTER_OF_FIVE = 5.0 / 2.0
 """ratio of the variance of points about a plane to the smallest eigenvalue of five: three of their
 degrees of freedom place the plane"""
-_LEAST_SINE = 0.25
+_MIN_SINE = 0.25
 """sine of the angle between two sides of the three plane points, below which they are one line"""
 
 
@@ -152,7 +152,7 @@ def _flat_triangles(near: Array) -> Mask:
         b = along(corner, -1.0, xyz(near[i, 0]))
         normal = cross(a, b)
         square = dot(normal, normal)
-        out[i] = square > _LEAST_SINE**2 * dot(a, a) * dot(b, b) and square > 1e-12
+        out[i] = square > _MIN_SINE**2 * dot(a, a) * dot(b, b) and square > 1e-12
     return out
 
 
@@ -186,7 +186,7 @@ def _keep_best(distances: Array, is_edge: Mask) -> Mask:
     for kind in (True, False):
         members = np.flatnonzero(is_edge == kind)
         order = members[np.argsort(distances[members], kind="stable")]
-        keep[order[: int(np.ceil(_KEPT_SHARE * len(order)))]] = True
+        keep[order[: int(np.ceil(_KEPT_FRACTION * len(order)))]] = True
     return keep
 
 
@@ -234,9 +234,9 @@ def register_scan(
             pose, _ = step(pose, found, weak)
         lengths = distances(pose.apply(found.points), found.near, found.is_edge)
         found = found.select(_keep_best(lengths, found.is_edge))
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             pose, size = step(pose, found, weak)
-            if size < _LEAST_STEP:
+            if size < _MIN_STEP:
                 break
         moved = np.abs(pose.apply(extent) - start.apply(extent)).max()
         converged = bool(moved < _SAME_NEIGHBOURS_M)

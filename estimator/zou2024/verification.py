@@ -31,7 +31,7 @@ _GATE_PX = 6.0
 _RADIUS_PX = 40.0
 """``Vis/CorGuessWinSize`` of RTAB-Map"""
 _GUESS_SIGMAS = np.array([0.003, 0.003, 0.05, 2.0, 2.0, 0.2])
-_LEAST_SCALE = 0.7
+_MIN_SCALE = 0.7
 """a large change of scale magnifies the depth errors of landmarks"""
 
 
@@ -58,7 +58,7 @@ class LoopVerifier:
         has ``features``."""
         hosts = [
             host for host in hosts
-            if _LEAST_SCALE < host.depth_m / keyframe.depth_m < 1.0 / _LEAST_SCALE
+            if _MIN_SCALE < host.depth_m / keyframe.depth_m < 1.0 / _MIN_SCALE
         ]  # fmt: skip
         rough = self.by_descriptors(features, hosts)
         if rough is None:

@@ -42,7 +42,7 @@ _STOPPED = 0.05
 _HALTED = 1e-3
 """rate from which the last of the way to a halt, 8 mm/s at most, is dropped"""
 _LEARNED_S = 2.0
-_MOST_LEARNED = 1.25
+_MAX_LEARNED = 1.25
 
 
 class TimeScaling:
@@ -113,7 +113,7 @@ class TimeScaling:
         share, _ = rotor_need(through_air, acceleration, self._coefficients)
         ratio = speed_mean / (share * self._coefficients[FASTEST])
         self._learned += min(step_s / _LEARNED_S, 1.0) * (ratio - self._learned)
-        self._learned = min(max(self._learned, 1.0), _MOST_LEARNED)
+        self._learned = min(max(self._learned, 1.0), _MAX_LEARNED)
 
     def _look(self, path: PiecewiseTrajectory, at_s: float, wind: Array) -> float:
         if not self._enabled:

@@ -9,12 +9,12 @@ import numpy as np
 from touchdown.estimator.api import Estimate
 from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorRig
 
-_REACTION_SHARE = 0.3
+_REACTION_FRACTION = 0.3
 """ground reaction relative to the weight, above that of ground effect and gusts"""
 _STATIONARY_MPS = 0.10
 _HOLD_S = 0.12
 _SMOOTHING = 0.2
-_CARRIED_SHARE, _CARRIED_S = 0.2, 0.8
+_CARRIED_FRACTION, _CARRIED_S = 0.2, 0.8
 """limit of the mean ground reaction relative to the weight, and the time constant of the mean: in
 the air it is 0, or a tenth of the weight in ground effect"""
 
@@ -51,11 +51,11 @@ class TouchdownDetector:
             self._reaction_n += _SMOOTHING * (force - thrust - self._reaction_n)
             self._carried_n += self._slow_smoothing * (force - thrust - self._carried_n)
         weight = self._vehicle.mass_kg * GRAVITY_MPS2
-        if self._carried_n > _CARRIED_SHARE * weight:
+        if self._carried_n > _CARRIED_FRACTION * weight:
             return True
-        pressed = self._reaction_n > _REACTION_SHARE * weight
+        pressed = self._reaction_n > _REACTION_FRACTION * weight
         stationary = abs(float(estimate.velocity_odom[2])) < _STATIONARY_MPS
-        unloaded = thrust < (1.0 - 0.5 * _REACTION_SHARE) * weight
+        unloaded = thrust < (1.0 - 0.5 * _REACTION_FRACTION) * weight
         if not (pressed and stationary and unloaded):
             self._since_s = None
             return False

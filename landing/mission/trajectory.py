@@ -27,7 +27,7 @@ RAMP_S = 3.0
 """duration of a change of the vertical speed"""
 _MANY_LEGS = 20
 """number of legs above which the shares of the time for a turn shrink with the number of legs"""
-_MOST_LEGS = 10_000
+_MAX_LEGS = 10_000
 _MAX_SURVEY_ACCEL = 6.0
 _ZERO = np.zeros(3)
 
@@ -164,8 +164,8 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
             "the survey needs at least one leg, and leg_length_m, leg_spacing_m and duration_s "
             "above 0"
         )
-    if params.legs > _MOST_LEGS:
-        raise ValueError(f"survey.legs = {params.legs} must be {_MOST_LEGS} at most")
+    if params.legs > _MAX_LEGS:
+        raise ValueError(f"survey.legs = {params.legs} must be {_MAX_LEGS} at most")
     shares = np.linspace(0.02, 0.40, 77) * min(1.0, _MANY_LEGS / params.legs)
     # All legs are alike: the first four of many have the same peaks as all of them.
     rated_legs = params.legs if params.legs <= _MANY_LEGS else 4

@@ -23,7 +23,7 @@ _BETTER: dict[str, str] = {
 _YES_OR_NO = ("traffic", "plants")
 _NOTABLE = 0.002
 """difference of a term's value from which it is stated"""
-_MOST_TERMS = 3
+_MAX_TERMS = 3
 
 
 def ranked(sites: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -70,7 +70,7 @@ def _advantages(first: Candidate, second: Candidate) -> list[str]:
     """The terms in which ``first`` is better than ``second``, the largest difference first."""
     pairs = [(a, b) for a, b in zip(first.terms, second.terms, strict=True)]
     pairs.sort(key=lambda pair: pair[1].value - pair[0].value)
-    return [_advantage(a, b) for a, b in pairs[:_MOST_TERMS] if a.value - b.value >= _NOTABLE]
+    return [_advantage(a, b) for a, b in pairs[:_MAX_TERMS] if a.value - b.value >= _NOTABLE]
 
 
 def _advantage(a: ScoreTerm, b: ScoreTerm) -> str:

@@ -19,7 +19,7 @@ from touchdown.estimator.typing import Array, Bytes, Indices
 from touchdown.estimator.zou2024.loop_closure.dictionary import Vocabulary
 from touchdown.estimator.zou2024.loop_closure.hypotheses import REACH
 
-_MOST_RETRIEVED = 2
+_MAX_RETRIEVED = 2
 """number of locations retrieved at a time, ``Rtabmap/MaxRetrieved`` of RTAB-Map"""
 
 
@@ -54,7 +54,7 @@ class Memory:
         """``kinds`` of descriptors: bytes of each, and whether these are bits."""
         self._limits = limits
         # with room for the words of an image and of the locations retrieved for it
-        capacity = limits.words + (1 + _MOST_RETRIEVED) * limits.features
+        capacity = limits.words + (1 + _MAX_RETRIEVED) * limits.features
         self.vocabularies = [Vocabulary(width, bits, capacity) for width, bits in kinds]
         self.locations: dict[int, Location] = {}
         self._short: list[int] = []
@@ -168,7 +168,7 @@ class Memory:
         words are few enough again."""
         near = set() if best is None else {best, *self.locations[best].neighbours}
         missing = [n for n in sorted(near) if self.locations[n].words is None]
-        for number in missing[:_MOST_RETRIEVED]:
+        for number in missing[:_MAX_RETRIEVED]:
             self._recall(number)
         spare = sorted((self.locations[n].weight, n) for n in self.working if n not in near)
         for _, number in spare:

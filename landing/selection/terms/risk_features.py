@@ -30,7 +30,7 @@ _SPREAD_LIMIT_M = 0.05
 _NEIGHBOUR_LIMIT_M = 0.25
 _CLEARANCE_M = 2.0
 """clearance beyond the footprint from which confinement is 0"""
-_MOST = 2.0
+_MAX = 2.0
 """features are clipped at twice the limit"""
 _AGE_S = 60.0
 _IS_HARD = np.isin(np.arange(len(Defect)), (Defect.UNKNOWN, Defect.MOVING, Defect.WATER))
@@ -94,4 +94,4 @@ def _scaled(layer: Float32, zero: float, gain: float, out: Float32) -> None:
     for row in range(rows):
         for col in range(cols):
             value = (layer[row, col] - zero) * gain
-            out[row, col] = min(max(value, 0.0), _MOST) if value == value else _MOST
+            out[row, col] = min(max(value, 0.0), _MAX) if value == value else _MAX
