@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from touchdown.scenes.api import Array, Surface
-from touchdown.scenes.authoring.builder import SceneBuilder, turned
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.meshes import blob
 from touchdown.scenes.authoring.plane import draw_heading, pick
 from touchdown.scenes.authoring.textures import Colour, foliage, hedge_or_soil_tint
@@ -116,9 +116,7 @@ def add_hedge(
     angle = float(np.arctan2(span[1], span[0]))
     builder.geom("trees_hedge", HEDGE, mesh=mesh, material=nursery.hedge_leaf, pos=at,
                  heading=angle)  # fmt: skip
-    corners = [[sx * half[0], sy * half[1], sz * half[2]]
-               for sx in (-1, 1) for sy in (-1, 1) for sz in (-1, 1)]  # fmt: skip
-    builder.cast(turned(np.array(corners), angle, at), 0.95)
+    builder.cast_box((half[0], half[1]), (-half[2], half[2]), angle, at, 0.95)
     builder.claim_line(start_xy_m, end_xy_m, max(2, int(half[0])), 1.0)
 
 

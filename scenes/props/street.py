@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from touchdown.scenes.api import Array, Surface
-from touchdown.scenes.authoring.builder import SceneBuilder, turned
-from touchdown.scenes.authoring.meshes import MeshData, box
+from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.meshes import MeshData, box, boxes
 from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.streets import KERB
 
@@ -53,25 +53,18 @@ def add_sign(builder: SceneBuilder, xy_m: Array, heading: float, rgba: list[floa
 
 def add_bench(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     """Adds a bench with a back; its sitter looks along ``heading``."""
-    z = builder.terrain.point(*xy_m)
-    parts = [
-        box((0.24, 0.85, 0.03), (0.0, 0.0, 0.45)),
-        box((0.03, 0.85, 0.20), (-0.26, 0.0, 0.72)),
-        box((0.22, 0.05, 0.28), (0.0, 0.65, 0.18)),
-        box((0.22, 0.05, 0.28), (0.0, -0.65, 0.18)),
-    ]
+    parts = boxes([0.24, 0.85, 0.03, 0.0, 0.0, 0.45], [0.03, 0.85, 0.20, -0.26, 0.0, 0.72], [0.22,
+                  0.05, 0.28, 0.0, 0.65, 0.18], [0.22, 0.05, 0.28, 0.0, -0.65, 0.18])  # fmt: skip
     name = builder.mesh(builder.unique("bench"), MeshData.join(parts))
-    origin = np.array([*xy_m, z])
+    origin = builder.on_ground(xy_m)
     builder.geom("bench", WOOD, mesh=name, pos=origin, heading=heading, rgba=_WOOD_RGBA)
-    corners = [[sx * 0.27, sy * 0.85, h] for sx in (-1, 1) for sy in (-1, 1) for h in (0.4, 0.5)]
-    builder.cast(turned(np.array(corners), heading, origin))
+    builder.cast_box((0.27, 0.85), (0.4, 0.5), heading, origin)
     builder.claim(xy_m, 1.1)
 
 
 def add_bin(builder: SceneBuilder, xy_m: Array, rgba: list[float]) -> None:
     """Adds a wheeled bin or a litter bin."""
-    z = builder.terrain.point(*xy_m)
-    at = np.array([*xy_m, z + 0.5])
+    at = builder.on_ground(xy_m, 0.5)
     builder.geom("bin", STEEL, rgba=rgba, pos=at, box=[0.28, 0.33, 0.52])
     signs = np.array([[x, y, h] for x in (-1, 1) for y in (-1, 1) for h in (-1, 1)], np.float64)
     builder.cast(at + signs * [0.28, 0.33, 0.52])
@@ -95,18 +88,15 @@ def add_fence(builder: SceneBuilder, start_xy_m: Array, end_xy_m: Array, rgba: l
         parts.append(box((0.05, 0.05, 0.65), (x, 0.0, z + 0.45)))
         if index < panels:
             middle = 0.5 * (z + float(heights[index + 1]) - base)
-            for board in (0.25, 0.58, 0.91):
-                centre = np.array([x + 0.5 * pitch, 0.0, middle + board])
-                parts.append(box(np.array([0.5 * pitch, 0.025, 0.08]), centre))
-            cap = np.array([x + 0.5 * pitch, 0.0, middle + 1.08])
-            parts.append(box(np.array([0.5 * pitch, 0.07, 0.02]), cap))
+            for high, wide, up in ((0.08, 0.025, 0.25), (0.08, 0.025, 0.58), (0.08, 0.025, 0.91),
+                                   (0.02, 0.07, 1.08)):  # fmt: skip
+                centre = (x + 0.5 * pitch, 0.0, middle + up)
+                parts.append(box((0.5 * pitch, wide, high), centre))
     name = builder.mesh(builder.unique("fence"), MeshData.join(parts))
     origin = np.array([*(0.5 * (start_xy_m + end_xy_m)), base])
     builder.geom("fence", WOOD, mesh=name, pos=origin, heading=angle, rgba=rgba)
-    for low, high in ((0.17, 0.33), (0.50, 0.66), (0.83, 0.99), (1.06, 1.10)):
-        ends = [[sx * 0.5 * length, 0.03 * sy, h]
-                for sx in (-1, 1) for sy in (-1, 1) for h in (low, high)]  # fmt: skip
-        builder.cast(turned(np.array(ends), angle, origin))
+    for board in ((0.17, 0.33), (0.50, 0.66), (0.83, 0.99), (1.06, 1.10)):
+        builder.cast_box((0.5 * length, 0.03), board, angle, origin)
     for knot in knots:
         builder.claim(knot, 0.8)
 

@@ -159,8 +159,7 @@ def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
             post = turned(np.array([[x, y, -0.2], [x, y, 0.95]]), heading, origin)
             builder.geom("rail_post", WOOD, fromto=[*post[0], *post[1]], capsule=0.055,
                          rgba=_TIMBER)  # fmt: skip
-    deck = [[sx * 3.1, sy * 1.6, 0.0] for sx in (-1, 1) for sy in (-1, 1)]
-    builder.cast(turned(np.array(deck), heading, origin))
+    builder.cast_box((3.1, 1.6), (0.0,), heading, origin)
     for share in (-2.5, 0.0, 2.5):
         builder.claim(at + share * unit(heading), 2.4)
 
@@ -197,8 +196,7 @@ def add_hide(builder: SceneBuilder, xy_m: Array, toward_xy_m: Array) -> None:
                       heading, origin)  # fmt: skip
         builder.geom("hide_ladder", WOOD, fromto=[*side[0], *side[1]], capsule=0.04, rgba=_TIMBER)
     builder.cast(turned(roof + [0.0, 0.0, floor], heading, origin))
-    corners = [[0.72 * x, 0.72 * y, floor + h] for x in (-1, 1) for y in (-1, 1) for h in (0, 1.7)]
-    builder.cast(turned(np.array(corners), heading, origin))
+    builder.cast_box((0.72, 0.72), (floor, floor + 1.7), heading, origin)
     builder.claim(xy_m, 1.8)
 
 

@@ -223,11 +223,10 @@ def add_aircraft(builder: SceneBuilder, xy_m: Array, heading: float, livery: lis
         ((-0.1, 1.1, 0.25), (0.22, 0.08, 0.25), [0.08, 0.08, 0.08, 1], TYRE),
         ((-0.1, -1.1, 0.25), (0.22, 0.08, 0.25), [0.08, 0.08, 0.08, 1], TYRE),
     ]
-    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], np.float64)
     for centre, half, tint, surface in boxes:
         at = turned(np.array([centre]), heading, origin)[0]
         builder.geom("aircraft_part", surface, box=list(half), rgba=tint, pos=at, heading=heading)
-        builder.cast(turned(signs * half, heading, at))
+        builder.cast_box((half[0], half[1]), (-half[2], half[2]), heading, at)
     struts = ((0.5, 0.5, 0.95, 0.4, 2.6, 2.0), (0.0, 0.3, 1.0, -0.1, 1.1, 0.3))
     for sign in (1.0, -1.0):
         for strut in struts:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from touchdown.scenes.api import Array, Surface
-from touchdown.scenes.authoring.builder import SceneBuilder, turned
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.meshes import box
 from touchdown.scenes.authoring.plane import left_of, pick, unit_circle
@@ -150,9 +150,7 @@ class Pitch:
             at = np.array([*xy_m, z + level])
             builder.geom("floodlight", STEEL, box=[0.10, 1.15, 0.24],
                          rgba=[0.86, 0.87, 0.86, 1], pos=at, heading=heading)  # fmt: skip
-            half = np.array([[0.1 * i, 1.15 * j, 0.24 * k]
-                             for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])  # fmt: skip
-            builder.cast(turned(half, heading, at))
+            builder.cast_box((0.1, 1.15), (-0.24, 0.24), heading, at)
         builder.claim(xy_m, 1.2)
 
     def _stand(self, builder: SceneBuilder, xy_m: Array, heading: float) -> None:
@@ -200,7 +198,5 @@ class Pitch:
             at = np.array([*spot, z + 0.45])
             builder.geom("board", WOOD, box=[0.04, 2.4, 0.45], rgba=tint,
                          pos=at, heading=self.plot.angle)  # fmt: skip
-            half = np.array([[0.04 * i, 2.4 * j, 0.45 * k]
-                             for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])  # fmt: skip
-            builder.cast(turned(half, self.plot.angle, at))
+            builder.cast_box((0.04, 2.4), (-0.45, 0.45), self.plot.angle, at)
             builder.claim(spot, 2.0)
