@@ -5,7 +5,7 @@ import pytest
 
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.authoring.relief import HeightField
-from touchdown.scenes.places.forest import relief
+from touchdown.scenes.places.forest import layout
 from touchdown.scenes.places.forest.layout import draw_plan
 from touchdown.scenes.places.turf.airfield import fuselage_mesh
 from touchdown.scenes.places.turf.generate import level_pools
@@ -21,7 +21,7 @@ def test_forest_is_rugged_and_wooded() -> None:
     scene, rng = cached_scene("forest", 1), np.random.default_rng(1)
     maps = truth_maps(scene, 0.25, np.array([[-42.0, -42.0], [42.0, 42.0]]))
     assert scene.model.hfield_size[0, 2] > 6.0
-    ground = relief.shape_ground(rng, draw_plan(rng))
+    ground = layout.shape_ground(rng, draw_plan(rng))
     rise = np.gradient(ground.heights_m, ground.cell_m)
     assert np.percentile(np.rad2deg(np.arctan(np.hypot(*rise))), 90) > 20.0
     assert 0.45 < (maps.class_id == TREES).mean() < 0.95
@@ -32,13 +32,13 @@ def test_brook_falls_all_the_way_below_the_ground() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         plan = draw_plan(rng)
-        ground = HeightField(heights_m=relief.hills(rng), half_m=64.0)
-        bed = relief.brook_profile(plan.brook, ground)
+        ground = HeightField(heights_m=layout.hills(rng), half_m=64.0)
+        bed = layout.brook_profile(plan.brook, ground)
         inside = (np.abs(plan.brook.line_m) < 62.0).all(axis=1)
         steps = np.diff(bed[inside])
         assert (steps < 1e-9).all() or (steps > -1e-9).all()
         assert abs(steps.sum()) >= 0.8 * 0.012 * inside.sum()
-    assert relief.WATER_DEPTH_M < relief.BROOK_DEPTH_M
+    assert layout.WATER_DEPTH_M < layout.BROOK_DEPTH_M
 
 
 def test_clearings_have_the_slope_of_their_kind() -> None:
@@ -46,7 +46,7 @@ def test_clearings_have_the_slope_of_their_kind() -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)
         plan = draw_plan(rng)
-        terrain = relief.shape_ground(rng, plan)
+        terrain = layout.shape_ground(rng, plan)
         for clearing in plan.clearings:
             grid = np.stack(np.meshgrid(*2 * [np.linspace(-3.0, 3.0, 13)]), axis=-1).reshape(-1, 2)
             z = terrain.at(clearing.centre_xy_m + grid)
