@@ -21,7 +21,7 @@ from touchdown.experiments.classification.image_folders import (
 from touchdown.experiments.classification.optional_import import training_libraries
 from touchdown.experiments.classification.reliability import draw_reliability, reliability
 from touchdown.experiments.classification.train import of_classes
-from touchdown.experiments.reporting.statistics import share_interval
+from touchdown.experiments.reporting.statistics import fraction_interval
 from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import onboard
 from touchdown.landing.classification.decision import decision_summary
@@ -163,7 +163,7 @@ def top1(scores: Any, labels: Any) -> float:
 
 def _summary(scores: Any, labels: Any, facts: NetworkFacts) -> dict[str, Any]:
     found = summary(scores, labels, facts.classes)
-    interval = share_interval(found["hits"], found["pictures"])
+    interval = fraction_interval(found["hits"], found["pictures"])
     found["top1_interval"] = [interval.low, interval.high]
     found["weight"] = 1.0 / fitted_temperature(scores, labels)
     if facts.labels == "d_land":

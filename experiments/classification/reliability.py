@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.io.run_directory import whole_file
-from touchdown.experiments.reporting.statistics import share_interval
+from touchdown.experiments.reporting.statistics import fraction_interval
 from touchdown.landing.classification.scores import probabilities
 from touchdown.landing.selection.terms.probability import calibration
 
@@ -26,7 +26,7 @@ def reliability(scores: NDArray[np.float32], labels: NDArray[np.int64]) -> list[
     right = chance.argmax(axis=1) == labels
     rows = []
     for mean, share, number in calibration(chance.max(axis=1).astype(np.float32), right, BINS)[1]:
-        interval = share_interval(round(share * number), number)
+        interval = fraction_interval(round(share * number), number)
         bounds = [interval.low, interval.high]
         rows.append({"mean": mean, "right": share, "interval": bounds, "pictures": number})
     return rows

@@ -30,7 +30,7 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
     report.html (one file, no network needed), report.md and report.json. Of any other directory: a
     Markdown table of its runs, a line on how they ended, and one for each that found no site or
     gave one up: what was refused, and whether it was safe. Exit code 1 means that runs of a
-    campaign has other outcomes than its file expects.
+    campaign have other outcomes than its file expects.
 
     Example: touchdown report campaigns/positioning
     """
@@ -43,21 +43,24 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
 
 def _print_table(directory: Path, as_json: bool) -> int:
     from touchdown.experiments.io.results import load_runs
+    from touchdown.experiments.reporting.conditions import label_conditions
+    from touchdown.experiments.reporting.flights import frame_of, load_flights
     from touchdown.experiments.reporting.run_table import (
-        LANDING_COLUMNS,
-        as_rows,
-        markdown_table,
         missed_lines,
+        run_table,
         summary,
         summary_line,
     )
 
-    runs = load_runs(directory)
-    totals = summary(runs, directory)
+    runs, rows = load_runs(directory), load_flights(directory)
+    label_conditions(rows)
+    frame = frame_of(rows)
+    totals = summary(frame)
     if as_json:
-        click.echo(json.dumps({"summary": totals, "runs": as_rows(runs)}, indent=2))
+        plain = [{**result.plain(), "run": name} for name, result in runs.items()]
+        click.echo(json.dumps({"summary": totals, "runs": plain}, indent=2))
     else:
-        say(markdown_table(runs, LANDING_COLUMNS))
+        say("\n".join(run_table(frame).lines))
         say(f"\n{summary_line(totals)}")
         for line in missed_lines(runs):
             say(line)
@@ -65,49 +68,35 @@ def _print_table(directory: Path, as_json: bool) -> int:
 
 
 def _write_report(directory: Path, out: Path, as_json: bool) -> int:
-    from touchdown.experiments.campaign.expectations import (
-        all_as_expected,
-        idle_conditions,
-        judge_campaign,
-        lines,
-    )
+    from touchdown.experiments.campaign import expectations
     from touchdown.experiments.campaign.results_table import is_campaign
-    from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.reporting import report
     from touchdown.experiments.reporting.conditions import first_condition
-    from touchdown.experiments.reporting.document import as_json as figures
-    from touchdown.experiments.reporting.document import make_report, markdown_table, write_report
     from touchdown.experiments.reporting.flights import campaign_text, load_flights
 
     rows = load_flights(directory)
-    verdicts = judge_campaign(directory) if is_campaign(directory) else []
-    made = make_report(
+    verdicts = expectations.judge_campaign(directory) if is_campaign(directory) else []
+    made = report.make_report(
         rows,
         title=f"Touchdown: {directory.resolve().name}",
         configuration=campaign_text(directory),
         verdicts=verdicts,
         first=first_condition(directory),
     )
-    try:
-        written = write_report(made, rows, out)
-    except OSError as error:
-        raise UsageError(f"--out {out}: cannot be written: {error.strerror}") from error
+    files = {kind: str(path) for kind, path in report.write_report(made, rows, out).items()}
     if as_json:
-        files = {kind: str(path) for kind, path in written.items()}
-        click.echo(json.dumps({**figures(made, rows), "files": files}, indent=2))
-        return EXIT_DONE if all_as_expected(verdicts) else EXIT_FAILED
-    for section in made.sections[:2]:
-        say(f"{section.title}\n")
-        say("\n".join(f"- {visible(line)}" for line in section.words) + "\n")
-    for section in made.sections:
-        if section.key == "flights":
-            say("\n".join(map(visible, markdown_table(section.tables[0]))) + "\n")
-    for line in idle_conditions(rows):
-        say(f"warning: {visible(line)}\n")
-    if verdicts:
-        say("\n".join(map(visible, lines(verdicts))) + "\n")
-    for path in written.values():
-        say(f"written: {visible(path)}")
-    return EXIT_DONE if all_as_expected(verdicts) else EXIT_FAILED
+        click.echo(json.dumps({**report.as_json(made, rows), "files": files}, indent=2))
+    else:
+        summary, flights, *_ = made.sections
+        say("\n".join(f"- {visible(line)}" for line in summary.words) + "\n")
+        say("\n".join(map(visible, flights.tables[0].lines)) + "\n")
+        for line in expectations.idle_conditions(rows):
+            say(f"warning: {visible(line)}\n")
+        if verdicts:
+            say("\n".join(map(visible, expectations.lines(verdicts))) + "\n")
+        for path in files.values():
+            say(f"written: {visible(path)}")
+    return EXIT_DONE if expectations.all_as_expected(verdicts) else EXIT_FAILED
 
 
 @click.command()

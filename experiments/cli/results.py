@@ -57,9 +57,8 @@ def results(
     """
     from touchdown.experiments.campaign.progress import Display
     from touchdown.experiments.campaign.session import Watcher
-    from touchdown.experiments.results_book.flying import fly, forecasts
-    from touchdown.experiments.results_book.pages import write_book
-    from touchdown.experiments.results_book.sets import chosen
+    from touchdown.experiments.results_tables.pages import write_pages
+    from touchdown.experiments.results_tables.sets import chosen, fly, forecasts
 
     sets = chosen(profile, only)
     todo = forecasts(sets, out, jobs)
@@ -82,7 +81,7 @@ def results(
             "touchdown: flights are missing, so nothing is written; the same command flies them",
             err=True,
         )
-    files = [str(file) for file in write_book(sets, out)] if write and not incomplete else []
+    files = [str(file) for file in write_pages(sets, out)] if write and not incomplete else []
     if as_json:
         click.echo(json.dumps({"sets": summaries, "written": files}, indent=2))
     else:

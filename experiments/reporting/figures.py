@@ -1,325 +1,234 @@
-"""Figures of a report as SVG text whose colours follow the page, light or dark."""
+"""Figures of a report: trajectories, errors by axis, touchdowns."""
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from touchdown.experiments.errors import visible
-from touchdown.experiments.reporting.flights import (
-    Row,
-    Trajectory,
-    airborne,
-    cell,
-    methods_of,
-    read_trajectory,
-    scenes_of,
-    values,
+from touchdown.experiments.reporting.drawing import (
+    FAINT,
+    GRID,
+    INK,
+    METHOD_COLOURS,
+    Picture,
+    colour_of,
+    drawn,
 )
-from touchdown.experiments.reporting.measures import (
-    SET_MARK,
-    estimates,
-    is_marked,
-    mean_of,
-    setting_notes,
-)
+from touchdown.experiments.reporting.flights import ordered, values
+from touchdown.experiments.reporting.measures import AXES, SET_MARK, is_marked, setting_notes
 from touchdown.experiments.reporting.published import ANALYSED_SCENE
-from touchdown.experiments.reporting.queries import CellKey
-from touchdown.experiments.reporting.statistics import Estimate
-from touchdown.experiments.reporting.tables import AXES
+from touchdown.experiments.reporting.statistics import Estimate, mean_interval
+from touchdown.experiments.reporting.tables import groups
+from touchdown.experiments.reporting.trajectories import Trajectory, read_trajectory
 
-INK, FAINT, GRID, PAPER = "#1b1f27", "#6a7280", "#d9dde3", "#fefefe"
-"""Colours of the drawings; `Picture.on_page` replaces them by those of the page."""
-PAGE_COLOURS = {INK: "var(--ink)", FAINT: "var(--faint)", GRID: "var(--line)", PAPER: "none"}
-METHOD_COLOURS = {
-    "livo": "#2f7fd6",
-    "zou2024": "#e0752d",
-    "stereo": "#b8912a",
-    "hybrid_flow": "#2b9c74",
-    "gps": "#8b6fd6",
-    "optical_flow": "#d64f68",
-    "oracle": "#7d8794",
-}
-SPARE_COLOURS = ("#159bb3", "#a3576b", "#6f9a2d", "#b05fc0")
-PATH_POINTS = 300
-_STYLE: Any = {
-    "svg.fonttype": "none",
-    "text.parse_math": False,  # a name may hold dollar signs
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 9,
-    "axes.edgecolor": FAINT,
-    "axes.labelcolor": INK,
-    "axes.titlesize": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "text.color": INK,
-    "xtick.color": FAINT,
-    "ytick.color": FAINT,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "figure.facecolor": PAPER,
-    "axes.facecolor": PAPER,
-    "legend.frameon": False,
-}
+Array = NDArray[np.float64]
+
+_PATH_POINTS = 300
+_COLUMNS = 4
+"""of small drawings beside one another"""
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """``svg`` in the fixed colours; ``name`` is its file name without the ending."""
-
-    name: str
-    title: str
-    caption: str
-    svg: str
-
-    @property
-    def on_page(self) -> str:
-        """The SVG element alone, in the colours of the page around it."""
-        text = self.svg[self.svg.index("<svg") :]
-        for fixed, variable in PAGE_COLOURS.items():
-            text = text.replace(fixed, variable)
-        text = re.sub(
-            r"font: ([^;\"]*?)'DejaVu Sans', sans-serif", r"font: \1system-ui, sans-serif", text
-        )
-        head, rest = text.split(">", 1)
-        width = re.search(r'width="([\d.]+)pt"', head)
-        head = re.sub(r' (width|height)="[^"]*"', "", head)
-        # Small figures keep their size, wide ones shrink to the page.
-        widest = f"{4.0 / 3.0 * float(width[1]):.0f}px" if width else "100%"
-        return f'{head} style="max-width: {widest}">{rest}'
-
-
-def colour_of(method: str, methods: Sequence[str]) -> str:
-    if method in METHOD_COLOURS:
-        return METHOD_COLOURS[method]
-    others = [name for name in methods if name not in METHOD_COLOURS]
-    return SPARE_COLOURS[others.index(method) % len(SPARE_COLOURS)]
-
-
-def draw(
-    name: str, title: str, caption: str, size: tuple[float, float], paint: Callable[[Figure], None]
-) -> Picture:
-    """``paint`` fills a figure of ``size`` inches. The same data give the same text."""
-    style: Any = {**_STYLE, "svg.hashsalt": name}
-    with matplotlib.rc_context(style):
-        figure = Figure(figsize=size, layout="constrained")
-        paint(figure)
-        for words in figure.findobj(Text):
-            words.set_text(visible(words.get_text(), keep="\n"))
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    return Picture(name, title, caption, text.getvalue())
+def pictures_of(frame: pd.DataFrame) -> list[Picture]:
+    """Returns the figures for which the flights have data."""
+    by_mode = {mode: frame[frame["mode"] == mode] for mode in ("fly", "land")}
+    surveys = by_mode["fly"] if len(by_mode["fly"]) else frame
+    found = [
+        _paths_by_scene(by_mode["fly"], "fig9a", "Fig. 9 a: survey trajectories"),
+        _paths_by_scene(by_mode["land"], "fig9b", "Fig. 9 b: landing trajectories"),
+        _paths_by_method(surveys),
+        _error_bars(
+            frame,
+            "path_deviation",
+            Picture(
+                "fig10b",
+                "Fig. 10 b–e: deviation of the flown path from the reference",
+                "Mean absolute deviation between lift-off and the end of the survey",
+            ),
+        ),
+        _error_bars(
+            frame,
+            "position_error_m",
+            Picture(
+                "fig10_estimate",
+                "The same for the estimate: its error against the truth",
+                "Mean absolute error of the estimate between lift-off and the end of the survey",
+            ),
+        ),
+        _touchdowns(by_mode["land"]),
+    ]
+    return [picture for picture in found if picture is not None]
 
 
 # ------------------------------------------------------------------------------------------- paths
 
-
-@dataclass(frozen=True, slots=True)
-class _Paths:
-    truth: Trajectory
-    estimate: Trajectory | None
-    reference: Trajectory | None
+_Paths = dict[str, Trajectory | None]
+"""trajectories of a flight by name: truth, estimate, reference"""
 
 
-def _paths(row: Row) -> _Paths | None:
-    run_dir = Path(row["run_dir"])
-    truth = read_trajectory(run_dir / "truth.tum")
-    if truth is None or airborne(truth) == len(truth.time_s):
-        return None
-    others = (read_trajectory(run_dir / f"{name}.tum") for name in ("estimate", "reference"))
-    return _Paths(truth, *others)
-
-
-def _shown(path: Trajectory, start: int = 0) -> NDArray[np.float64]:
-    """(<= PATH_POINTS, 3) positions from a sample on, thinned."""
-    position = path.position[start:]
-    return position[:: max(1, len(position) // PATH_POINTS)]
-
-
-def first_flight(rows: Sequence[Row], scene: str, method: str, mode: str) -> _Paths | None:
+def _first_flight(own: pd.DataFrame) -> _Paths | None:
     """The flight with the lowest seed that has trajectories and left the ground."""
-    own = [row for row in cell(rows, scene, method) if row["mode"] == mode]
-    for row in sorted(own, key=lambda row: row["seed"]):
-        if (paths := _paths(row)) is not None:
+    for run_dir in own.sort_values("seed", kind="stable")["run_dir"]:
+        names = ("truth", "estimate", "reference")
+        paths = {name: read_trajectory(Path(run_dir) / f"{name}.tum") for name in names}
+        truth = paths["truth"]
+        if truth is not None and truth.lift_off < len(truth.time_s):
             return paths
     return None
 
 
-def survey_and_landing(rows: Sequence[Row]) -> list[Picture]:
-    """Fig. 9: trajectories of surveys and of landings."""
-    pictures = []
-    for mode, name, title in (
-        ("fly", "fig9a", "Fig. 9 a: survey trajectories"),
-        ("land", "fig9b", "Fig. 9 b: landing trajectories"),
-    ):
-        own = [row for row in rows if row["mode"] == mode]
-        method = _shown_method(own)
-        flown = [(s, p) for s in scenes_of(own) if (p := first_flight(own, s, method, mode))]
-        if not flown:
-            continue
-        caption = (
-            f"Flown path (blue, from green to red) and reference (dashed) with `{method}`, lowest "
-            "seed of each scene; the shadow is the plan view. World frame, metres."
-        )
-        width = 3.3 * min(len(flown), 4)
-        rows_needed = -(-len(flown) // 4)
-
-        def paint(figure: Figure, flown: list[tuple[str, _Paths]] = flown) -> None:
-            for index, (scene, paths) in enumerate(flown, start=1):
-                axes = figure.add_subplot(
-                    -(-len(flown) // 4), min(len(flown), 4), index, projection="3d"
-                )
-                _paint_path(axes, paths)
-                axes.set_title(scene)
-
-        pictures.append(draw(name, title, caption, (max(width, 4.2), 3.5 * rows_needed), paint))
-    return pictures
+def _first_flights(own: pd.DataFrame, by: str) -> list[tuple[str, _Paths]]:
+    """The first flight of each scene or method."""
+    names = ordered(own, by)
+    return [(name, paths) for name in names if (paths := _first_flight(own[own[by] == name]))]
 
 
-def _shown_method(rows: Sequence[Row]) -> str:
-    """The paper's method, which its Fig. 9 shows, otherwise the first one."""
-    methods = methods_of(rows)
-    return "zou2024" if "zou2024" in methods else (methods or [""])[0]
+def _points(path: Trajectory, start: int = 0) -> Array:
+    """(<= _PATH_POINTS, 3) positions from a sample on, thinned."""
+    position = path.position[start:]
+    return position[:: max(1, len(position) // _PATH_POINTS)]
+
+
+def _paths_by_scene(frame: pd.DataFrame, name: str, title: str) -> Picture | None:
+    """Fig. 9: a flight of each scene with the paper's method, otherwise with the first one."""
+    methods = ordered(frame, "estimator")
+    method = "zou2024" if "zou2024" in methods else (methods or [""])[0]
+    found = _first_flights(frame[frame["estimator"] == method], "scene")
+    if not found:
+        return None
+    picture = Picture(
+        name,
+        title,
+        f"Flown path (blue, from green to red) and reference (dashed) with `{method}`, lowest seed "
+        "of each scene; the shadow is the plan view. World frame, metres.",
+    )
+    columns, lines = min(len(found), _COLUMNS), -(-len(found) // _COLUMNS)
+    with drawn(picture, max(3.3 * columns, 4.2), 3.5 * lines) as figure:
+        for index, (scene, paths) in enumerate(found, start=1):
+            axes = figure.add_subplot(lines, columns, index, projection="3d", title=scene)
+            _paint_path(axes, paths)
+    return picture
 
 
 def _paint_path(axes: Any, paths: _Paths) -> None:
-    points = _shown(paths.truth)
-    floor = float(points[:, 2].min())
-    axes.plot(points[:, 0], points[:, 1], floor, color=GRID, linewidth=1.6)
-    if paths.reference is not None:
-        planned = _shown(paths.reference, airborne(paths.truth))
+    truth, reference = paths["truth"], paths["reference"]
+    assert truth is not None
+    points = _points(truth)
+    axes.plot(*points[:, :2].T, float(points[:, 2].min()), color=GRID, linewidth=1.6)
+    if reference is not None:
+        planned = _points(reference, truth.lift_off)
         axes.plot(*planned.T, color=FAINT, linewidth=0.9, linestyle=(0, (4, 3)))
     axes.plot(*points.T, color=METHOD_COLOURS["livo"], linewidth=1.6)
     axes.scatter(*points[0], color=METHOD_COLOURS["hybrid_flow"], s=16)
     axes.scatter(*points[-1], color=METHOD_COLOURS["optical_flow"], s=16)
     axes.set_box_aspect((1.0, 1.0, 0.6))
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
-    axes.set_zlabel("z (m)")
+    axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     axes.tick_params(labelsize=7)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.pane.fill = False
         axis.pane.set_edgecolor(GRID)
 
 
-def paths_per_method(rows: Sequence[Row]) -> Picture | None:
+def _paths_by_method(frame: pd.DataFrame) -> Picture | None:
     """Fig. 10 a: the flown path and the reference, one panel per method."""
-    scenes = scenes_of(rows)
+    scenes = ordered(frame, "scene")
     scene = ANALYSED_SCENE if ANALYSED_SCENE in scenes else scenes[0]
-    methods = methods_of(rows)
-    found = [(m, p) for m in methods if (p := first_flight(rows, scene, m, "fly"))]
-    found = found or [(m, p) for m in methods if (p := first_flight(rows, scene, m, "land"))]
+    found = _first_flights(frame[frame["scene"] == scene], "estimator")
     if not found:
         return None
-    columns = min(3, len(found))
-    lines = -(-len(found) // columns)
-
-    def paint(figure: Figure) -> None:
-        grid = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
-        for axes in grid[len(found) :]:
+    columns, lines = min(3, len(found)), -(-len(found) // 3)
+    picture = Picture(
+        "fig10a",
+        f"Fig. 10 a: paths per method, {scene}",
+        f"Plan view over {scene}, lowest seed of each method. The vehicle flies what it believes: "
+        "where the estimate is off, the flown path leaves the reference. World frame, metres.",
+    )
+    methods = ordered(frame, "estimator")
+    with drawn(picture, max(4.2, 3.6 * columns), 2.3 * lines + 0.6) as figure:
+        panels = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
+        for axes in panels[len(found) :]:
             axes.set_visible(False)
-        for axes, (method, paths) in zip(grid, found, strict=False):
+        for axes, (method, paths) in zip(panels, found, strict=False):
             _paint_plan(axes, paths, colour_of(method, methods))
             axes.set_title(method)
-        handles, labels = grid[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=8)
+        _add_legend(figure, panels[0], 3)
         figure.supxlabel("x (m)", fontsize=9)
         figure.supylabel("y (m)", fontsize=9)
-
-    caption = (
-        f"Plan view over {scene}, lowest seed of each method. The vehicle flies what it believes: "
-        "where the estimate is off, the flown path leaves the reference. World frame, metres."
-    )
-    size = (max(4.2, 3.6 * columns), 2.3 * lines + 0.6)
-    return draw("fig10a", f"Fig. 10 a: paths per method, {scene}", caption, size, paint)
+    return picture
 
 
 def _paint_plan(axes: Axes, paths: _Paths, colour: str) -> None:
-    start = airborne(paths.truth)
-    if paths.reference is not None:
-        planned = _shown(paths.reference, start)
-        axes.plot(*planned[:, :2].T, color=FAINT, linewidth=2.4, alpha=0.45, label="reference")
-    flown = _shown(paths.truth, start)
-    axes.plot(*flown[:, :2].T, color=colour, linewidth=1.4, label="flown")
-    if paths.estimate is not None:
-        estimated = _shown(paths.estimate, start)
-        axes.plot(
-            *estimated[:, :2].T,
-            color=INK,
-            linewidth=0.8,
-            linestyle=(0, (1, 1.6)),
-            label="estimated",
-        )
+    truth = paths["truth"]
+    assert truth is not None
+    for path, label, style in (
+        (paths["reference"], "reference", {"color": FAINT, "linewidth": 2.4, "alpha": 0.45}),
+        (truth, "flown", {"color": colour, "linewidth": 1.4}),
+        (paths["estimate"], "estimated", {"color": INK, "linewidth": 0.8, "linestyle": ":"}),
+    ):
+        if path is not None:
+            shown: Any = style
+            axes.plot(*_points(path, truth.lift_off)[:, :2].T, label=label, **shown)
     axes.set_aspect("equal", adjustable="box")
+
+
+def _add_legend(figure: Figure, axes: Axes, columns: int) -> None:
+    """A legend over all panels of what one of them shows."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=columns, fontsize=8)
 
 
 # -------------------------------------------------------------------------------------------- bars
 
 
-def error_bars(rows: Sequence[Row], key: str, name: str, title: str, what: str) -> Picture | None:
+def _error_bars(frame: pd.DataFrame, key: str, picture: Picture) -> Picture | None:
     """Fig. 10 b-e: x, y, z and yaw per method and scene, with intervals."""
-    if not values(rows, f"{key}.x"):
+    if not values(frame, f"{key}.x").size:
         return None
-    scenes, methods = scenes_of(rows), methods_of(rows)
-
-    def paint(figure: Figure) -> None:
-        grid = figure.subplots(2, 2)
-        for axes, (axis, label) in zip(grid.ravel(), AXES, strict=True):
-            _paint_bars(axes, rows, f"{key}.{axis}", scenes, methods)
-            axes.set_ylabel(label)
-        handles, labels = grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(methods), fontsize=8)
-
-    caption = (
-        f"{what}, mean over flights with 95 % bootstrap interval. Axes are logarithmic where the "
-        "methods lie more than a factor of 20 apart; there lengths of bars are no ratios."
+    scenes, methods = ordered(frame, "scene"), ordered(frame, "estimator")
+    picture.caption += (
+        ", mean over flights with 95 % bootstrap interval. Axes are logarithmic where the methods "
+        "lie more than a factor of 20 apart; there lengths of bars are no ratios."
     )
-    caption = " ".join([caption, *setting_notes([f"{key}.x"], methods)])
-    return draw(name, title, caption, (10.4, 6.0), paint)
+    picture.caption = " ".join([picture.caption, *setting_notes([f"{key}.x"], methods)])
+    with drawn(picture, 10.4, 6.0) as figure:
+        panels = figure.subplots(2, 2).ravel()
+        for axes, (axis, name, unit) in zip(panels, AXES, strict=True):
+            _paint_bars(axes, frame, f"{key}.{axis}", scenes, methods)
+            axes.set_ylabel(f"{name} ({unit})")
+        _add_legend(figure, panels[0], len(methods))
+    return picture
 
 
 def _paint_bars(
-    axes: Axes, rows: Sequence[Row], key: str, scenes: Sequence[str], methods: Sequence[str]
+    axes: Axes, frame: pd.DataFrame, column: str, scenes: Sequence[str], methods: Sequence[str]
 ) -> None:
     width = 0.84 / len(methods)
-    heights: list[float] = []
-    by_cell = estimates(rows, mean_of(key))
-    for index, method in enumerate(methods):
-        found = [by_cell.get(CellKey(method, scene)) for scene in scenes]
-        places = [i for i, estimate in enumerate(found) if estimate is not None]
-        shown = [estimate for estimate in found if estimate is not None]
-        at = np.array(places) + (index - 0.5 * (len(methods) - 1)) * width
+    found: dict[str, dict[str, Estimate]] = {method: {} for method in methods}
+    for (method, scene), own in groups(frame, ("estimator", "scene")):
+        if scene in scenes and (figure := mean_interval(values(own, column))) is not None:
+            found[method][scene] = figure
+    for index, (method, by_scene) in enumerate(found.items()):
+        at = [
+            scenes.index(scene) + (index - 0.5 * (len(methods) - 1)) * width for scene in by_scene
+        ]
+        heights = [estimate.value for estimate in by_scene.values()]
+        whiskers = np.array([_whiskers(e) for e in by_scene.values()]).reshape(-1, 2).T
+        label = f"{method} {SET_MARK}" if is_marked(column, [method]) else method
         colour = colour_of(method, methods)
-        heights += [estimate.value for estimate in shown]
-        label = f"{method} {SET_MARK}" if is_marked(key, method) else method
-        axes.bar(at, [e.value for e in shown], 0.9 * width, color=colour, label=label)
+        axes.bar(at, heights, 0.9 * width, color=colour, label=label)
         axes.errorbar(
-            at,
-            [e.value for e in shown],
-            yerr=np.array([_whiskers(e) for e in shown]).reshape(-1, 2).T,
-            fmt="none",
-            ecolor=INK,
-            elinewidth=0.9,
-            capsize=2.0,
+            at, heights, yerr=whiskers, fmt="none", ecolor=INK, elinewidth=0.9, capsize=2.0
         )
-    positive = [height for height in heights if height > 0.0]
+    all_found = [estimate.value for own in found.values() for estimate in own.values()]
+    positive = [height for height in all_found if height > 0.0]
     if positive and max(positive) > 20.0 * min(positive):
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -336,21 +245,90 @@ def _whiskers(estimate: Estimate) -> tuple[float, float]:
     return max(0.0, estimate.value - estimate.low), max(0.0, estimate.high - estimate.value)
 
 
-def all_pictures(rows: Sequence[Row]) -> list[Picture]:
-    """Returns the figures for which the flights have data."""
-    deviation = error_bars(
-        rows,
-        "path_deviation",
-        "fig10b",
-        "Fig. 10 b–e: deviation of the flown path from the reference",
-        "Mean absolute deviation between lift-off and the end of the survey",
+# -------------------------------------------------------------------------------------- touchdowns
+
+_RINGS_M = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+_ZOOM_FROM = 4.0
+"""a second panel shows the nearest method, if possible the nearest two, where the farthest is this
+many times as far"""
+
+
+def offsets_xy(frame: pd.DataFrame) -> Array:
+    """(N, 2) east and north of the first contacts from the commanded spots, or from the committed
+    sites where none was commanded, metres; flights without a position are left out."""
+    names = ("landing.commanded_xy_m", "landing.site_xy_m", "landing.touchdown_xy_m")
+    columns = [frame[name] if name in frame else [None] * len(frame) for name in names]
+    found = [
+        np.subtract(contact, _spot(spot, site))
+        for spot, site, contact in zip(*columns, strict=True)
+        if isinstance(_spot(spot, site), list | np.ndarray)
+        and isinstance(contact, list | np.ndarray)
+    ]
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+def _spot(commanded: Any, site: Any) -> Any:
+    return commanded if isinstance(commanded, list | np.ndarray) else site
+
+
+def _touchdowns(landings: pd.DataFrame) -> Picture | None:
+    """Fig. 12: touchdowns of each method around the spot."""
+    landed = landings[landings["outcome"] == "LANDED"]
+    found = {
+        method: offsets_xy(landed[landed["estimator"] == method])
+        for method in ordered(landed, "estimator")
+    }
+    offsets = {method: points for method, points in found.items() if len(points)}
+    if not offsets:
+        return None
+    commanded = (
+        "landing.commanded_xy_m" in landed and landed["landing.commanded_xy_m"].notna().all()
     )
-    error = error_bars(
-        rows,
-        "position_error_m",
-        "fig10_estimate",
-        "The same for the estimate: its error against the truth",
-        "Mean absolute error of the estimate between lift-off and the end of the survey",
+    spot = "the commanded spot" if commanded else "the site that was committed at 4 m"
+    counts = ", ".join(f"{len(points)} with `{method}`" for method, points in offsets.items())
+    picture = Picture(
+        "fig12",
+        f"Fig. 12: touchdowns around {spot}",
+        f"First contact with the ground relative to {spot} (cross), metres east and north: "
+        f"{counts}. Large open marks are the means of the methods.",
     )
-    found = [paths_per_method(rows), deviation, error]
-    return survey_and_landing(rows) + [picture for picture in found if picture is not None]
+    reaches = sorted(max(float(np.hypot(*p.T).max()), 0.01) for p in offsets.values())
+    near = [reach for reach in reaches[:2] if reaches[-1] > _ZOOM_FROM * reach]
+    spans = [1.15 * reach for reach in (reaches[-1], *near[-1:])]
+    with drawn(picture, 5.0 * len(spans), 5.2) as figure:
+        panels = figure.subplots(1, len(spans), squeeze=False)[0]
+        for axes, span, title in zip(panels, spans, ("all", "the nearest, enlarged"), strict=False):
+            _paint_touchdowns(axes, offsets, span)
+            axes.set_title(title)
+        _add_legend(figure, panels[0], min(6, len(offsets)))
+    return picture
+
+
+def _rings(span_m: float) -> Iterator[tuple[float, Array]]:
+    """Radii of the rings within a span, and their points (2, N)."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+    for radius in _RINGS_M:
+        if 0.15 * span_m < radius < span_m:
+            yield radius, radius * np.array([np.cos(turn), np.sin(turn)])
+
+
+def _paint_touchdowns(axes: Axes, offsets: Mapping[str, Array], span_m: float) -> None:
+    methods = list(offsets)
+    for radius, ring in _rings(span_m):
+        axes.plot(*ring, color=FAINT, linewidth=0.7, linestyle=(0, (4, 3)), zorder=1)
+        axes.annotate(
+            f"{radius:g} m", (0.0, -radius), xytext=(0, 2), textcoords="offset points",
+            ha="center", va="bottom", fontsize=7, color=FAINT,
+        )  # fmt: skip
+    for index, (method, points) in enumerate(offsets.items()):
+        colour, marker = colour_of(method, methods), _MARKERS[index % len(_MARKERS)]
+        axes.scatter(*points.T, s=24, alpha=0.8, linewidths=0, color=colour, marker=marker,
+                     label=method, zorder=3)  # fmt: skip
+        if len(points) > 1:
+            axes.scatter(*points.mean(axis=0), s=130, facecolors="none", edgecolors=colour,
+                         linewidths=1.8, marker=marker, zorder=4)  # fmt: skip
+    axes.plot(0.0, 0.0, marker="+", markersize=16, markeredgewidth=1.4, color=INK, zorder=2)
+    axes.set(xlim=(-span_m, span_m), ylim=(-span_m, span_m), aspect="equal")
+    axes.locator_params(nbins=6)
+    axes.set(xlabel="x, east (m)", ylabel="y, north (m)")

@@ -12,7 +12,7 @@ _MARKUP = re.compile(
     r"|<(?=[A-Za-z/!?])"  # tags, comments, addresses
     r"|&(?=#?\w+;)"  # entities
     r"|\](?=[(\[:])"  # links, images, definitions
-    r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"  # emphasis
+    r"|(?<![^\W_])_|_(?![^\W_])"  # emphasis, but within words
 )
 
 

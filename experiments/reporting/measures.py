@@ -1,46 +1,65 @@
-"""Measures of a report: figures with intervals over the flights of a scene and a method, and which
-figures are set by the configuration instead of measured."""
+"""Measures of a flight by the column of its row: name, unit, and which setting decides them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-
-from touchdown.experiments.reporting.flights import Row
-from touchdown.experiments.reporting.queries import CellKey, numbers_by_cell
-from touchdown.experiments.reporting.statistics import Estimate, mean_interval, variance_interval
 
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """``estimate`` takes one list of numbers per column, over the flights that have them all."""
+    """A number of a flight. ``scale``: from the unit of ``column`` to ``unit``, in which tables
+    print it."""
 
-    columns: tuple[str, ...]
-    estimate: Callable[..., Estimate | None]
+    column: str
+    name: str
+    unit: str = ""
+    scale: float = 1.0
 
-
-def mean_of(column: str) -> Measure:
-    """Mean over flights of a column of the rows."""
-    return Measure((column,), mean_interval)
-
-
-TRAJECTORY_VARIANCE = Measure(("trajectory_error_m", "trajectory_variance_m2"), variance_interval)
-"""sigma^2_tra over the flights, see `variance_interval`"""
+    @property
+    def title(self) -> str:
+        return f"{self.name} ({self.unit})" if self.unit else self.name
 
 
-def estimates(
-    rows: Sequence[Row], measure: Measure, *, pooled: bool = False
-) -> dict[CellKey, Estimate]:
-    """Returns the figure of every cell that has one; with ``pooled``, of every method over all its
-    scenes."""
-    return {
-        key: found
-        for key, numbers in numbers_by_cell(rows, measure.columns, pooled=pooled).items()
-        if (found := measure.estimate(*numbers)) is not None
-    }
+AXES = (("x", "x", "m"), ("y", "y", "m"), ("z", "z", "m"), ("yaw_deg", "yaw", "°"))
+"""Ending of a column, name and unit of the errors by axis."""
+
+_ALL = (
+    Measure("trajectory_error_m", "E_tra", "m"),
+    Measure("trajectory_variance_m2", "σ²_tra", "m²"),
+    Measure("position_error_m.mean", "position error", "m"),
+    Measure("position_error_m.max", "position error at worst", "m"),
+    *(Measure(f"position_error_m.{axis}", f"error {name}", unit) for axis, name, unit in AXES),
+    *(Measure(f"path_deviation.{axis}", f"deviation {name}", unit) for axis, name, unit in AXES),
+    Measure("nees.median", "median NEES"),
+    Measure("nees.below_14_2", "NEES below 14.2", "%", 100.0),
+    Measure("map.duration_s", "T_total", "s"),
+    Measure("map.density_per_m2", "ρ_map", "1/m²"),
+    Measure("map.levelness_error_deg.mean", "Δα", "°"),
+    Measure("map.levelness_error_deg.max", "Δα at worst", "°"),
+    Measure("landing.target_offset_m", "d_L", "m"),
+    Measure("landing.vertical_speed_mps", "v_z", "m/s"),
+    Measure("landing.vertical_accel_mps2", "a_z", "m/s²"),
+    Measure("landing.slope_deg", "α_L", "°"),
+    Measure("landing.tilt_deg", "tilt", "°"),
+    Measure("landing.bounce_m", "bounce", "cm", 100.0),
+    Measure("landing.impact_peak_mps2", "deceleration", "m/s²"),
+    Measure("landing.obstacle_distance_m", "obstacle distance", "m"),
+    Measure("landing.estimate_error_at_commit_m", "error at the commit", "m"),
+    Measure("landing.estimate_error_at_contact_m", "error at contact", "m"),
+    Measure("timing.wall_s", "wall time", "s"),
+    Measure("timing.real_time_factor", "real-time factor"),
+    Measure("cpu_s", "CPU time", "s"),
+)
+MEASURES = {measure.column: measure for measure in _ALL}
 
 
-# ---------------------------------------------------------------------------------- set figures
+def measure_of(column: str) -> Measure:
+    """The measure of a column; one that is called as the column where none is listed."""
+    return MEASURES.get(column) or Measure(column, column)
+
+
+# ------------------------------------------------------------------------- figures that are set
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +76,21 @@ class Setting:
     key: str
     why: str
     methods: tuple[str, ...] = ()
+
+    def has(self, column: str, methods: Iterable[str]) -> bool:
+        """True if it sets the figures of ``column`` with each of ``methods``."""
+        named = any(
+            column == name or (name.endswith(".") and column.startswith(name))
+            for name in self.columns
+        )
+        return named and (not self.methods or set(methods) <= set(self.methods))
+
+    @property
+    def note(self) -> str:
+        return (
+            f"{SET_MARK}: {self.name} is set by `{self.key}`, not measured ({self.why}), and is "
+            "not compared with the paper."
+        )
 
 
 SETTINGS: tuple[Setting, ...] = (
@@ -81,41 +115,28 @@ SETTINGS: tuple[Setting, ...] = (
 SET_MARK = "(set)"
 
 
-def setting_of(column: str, method: str | None = None) -> Setting | None:
-    """The setting that the figure of ``column`` comes from with ``method``; None for a measured
-    figure. Without a method: only a setting of all methods."""
-    for setting in SETTINGS:
-        of_method = not setting.methods or method in setting.methods
-        if of_method and any(
-            column == name or (name.endswith(".") and column.startswith(name))
-            for name in setting.columns
-        ):
-            return setting
-    return None
+def is_always_set(column: str) -> bool:
+    """True if the configuration sets the figures of ``column`` with all methods."""
+    return any(not setting.methods and setting.has(column, ()) for setting in SETTINGS)
 
 
-def is_marked(column: str, method: str) -> bool:
-    """True if a figure is set with ``method`` and measured with others, so that its own cell and
+def is_marked(column: str, methods: Iterable[str]) -> bool:
+    """True if a figure is set with ``methods`` and measured with others, so that its own cell and
     not the title of its column bears the mark."""
-    return setting_of(column, method) is not None and setting_of(column) is None
+    known = list(methods)
+    return bool(known) and any(s.methods and s.has(column, known) for s in SETTINGS)
 
 
 def titled(title: str, column: str) -> str:
-    """``title`` of a column, marked where the configuration sets its figures."""
-    return f"{title} {SET_MARK}" if setting_of(column) else title
+    """``title`` of a column, marked where the configuration sets its figures with all methods."""
+    return f"{title} {SET_MARK}" if is_always_set(column) else title
 
 
 def setting_notes(columns: Iterable[str], methods: Iterable[str]) -> list[str]:
     """A sentence on each setting that ``columns`` show with ``methods``."""
-    known = list(methods)
-    found = {
-        setting.name: setting
-        for column in columns
-        for method in known
-        if (setting := setting_of(column, method)) is not None
-    }
+    shown, flown = list(columns), list(methods)
     return [
-        f"{SET_MARK}: {setting.name} is set by `{setting.key}`, not measured ({setting.why}), and "
-        "is not compared with the paper."
-        for setting in found.values()
+        setting.note
+        for setting in SETTINGS
+        if any(setting.has(column, [method]) for column in shown for method in flown)
     ]

@@ -1,126 +1,70 @@
-"""The Markdown table of runs outside of a campaign."""
+"""The table of runs outside of a campaign, a line each, and what they come to."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from statistics import fmean
+from collections.abc import Mapping
 from typing import Any
 
-from touchdown.experiments.io.results import LANDED, PartNames, RunResult, lookup
-from touchdown.experiments.reporting.conditions import label_conditions
-from touchdown.experiments.reporting.markdown_text import markdown_cell
-from touchdown.experiments.reporting.measures import titled
+import pandas as pd
 
+from touchdown.experiments.io.results import PartNames, RunResult
+from touchdown.experiments.reporting.flights import values
+from touchdown.experiments.reporting.report_tables import UNSAFE, landed_of
+from touchdown.experiments.reporting.tables import Table, groups, make_table, value
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A column of the table; ``path``: the dotted key in ``result.json``."""
-
-    title: str
-    path: str
-    format: str = "{}"
-
-    def text(self, row: Mapping[str, Any]) -> str:
-        """The cell of a row."""
-        value = lookup(row, self.path)
-        if value is None:
-            return "–"
-        if isinstance(value, bool):
-            return "yes" if value else "no"
-        return self.format.format(value)
-
-    @property
-    def heading(self) -> str:
-        """The title, marked where the configuration sets the figures."""
-        return titled(self.title, self.path)
-
-
-LANDING_COLUMNS: tuple[Column, ...] = (
-    Column("run", "run"),
-    Column("scene", "scene"),
-    Column("estimator", "estimator"),
-    *(Column(kind, f"parts.{kind}") for kind in PartNames.model_fields),
-    Column("seed", "seed"),
-    Column("outcome", "outcome"),
-    Column("position error mean (m)", "position_error_m.mean", "{:.3f}"),
-    Column("max (m)", "position_error_m.max", "{:.3f}"),
-    Column("yaw (deg)", "position_error_m.yaw_deg", "{:.3f}"),
-    Column("E_tra (m)", "trajectory_error_m", "{:.3f}"),
-    Column("d_L (m)", "landing.target_offset_m", "{:.3f}"),
-    Column("v_z (m/s)", "landing.vertical_speed_mps", "{:.3f}"),
-    Column("a_z (m/s²)", "landing.vertical_accel_mps2", "{:.3f}"),
-    Column("slope (deg)", "landing.slope_deg", "{:.2f}"),
-    Column("tilt (deg)", "landing.tilt_deg", "{:.2f}"),
-    Column("safe geometry", "landing.safe_geometry"),
-    Column("true class", "landing.class_true"),
-    Column("predicted class", "landing.class_predicted"),
-    Column("levelness (deg)", "map.levelness_error_deg.mean", "{:.2f}"),
-    Column("real-time factor", "timing.real_time_factor", "{:.2f}"),
+_COLUMNS = (
+    *(value(name) for name in ("scene", "estimator")),
+    *(value(f"parts.{kind}", kind) for kind in PartNames.model_fields),
+    *(value(name) for name in ("seed", "outcome")),
+    *(
+        value(column)
+        for column in (
+            "position_error_m.mean",
+            "position_error_m.max",
+            "position_error_m.yaw_deg",
+            "trajectory_error_m",
+            "landing.target_offset_m",
+            "landing.vertical_speed_mps",
+            "landing.vertical_accel_mps2",
+            "landing.slope_deg",
+            "landing.tilt_deg",
+        )
+    ),
+    value("landing.safe_geometry", "safe geometry"),
+    value("landing.class_true", "true class"),
+    value("landing.class_predicted", "predicted class"),
+    value("map.levelness_error_deg.mean"),
+    value("timing.real_time_factor"),
 )
 
 
-def markdown_table(runs: Mapping[str, RunResult], columns: Sequence[Column]) -> str:
-    """Returns a Markdown table with one line per run; columns without any value are left out."""
-    rows = as_rows(runs)
-    kept = [c for c in columns if any(lookup(row, c.path) is not None for row in rows)]
-    lines = ["| " + " | ".join(column.heading for column in kept) + " |"]
-    lines.append("|" + "---|" * len(kept))
-    cells = ([markdown_cell(column.text(row)) for column in kept] for row in rows)
-    lines += [f"| {' | '.join(line)} |" for line in cells]
-    return "\n".join(lines)
+def run_table(frame: pd.DataFrame) -> Table:
+    """A table with a line per run; columns without any value are left out."""
+    return make_table(frame, "runs", "Runs", _COLUMNS, ("run_id",), names=("run",))
 
 
-def as_rows(runs: Mapping[str, RunResult]) -> list[dict[str, Any]]:
-    """The plain results with the name of each run as ``run``."""
-    return [{**result.plain(), "run": name} for name, result in runs.items()]
-
-
-def summary(runs: Mapping[str, RunResult], directory: Path) -> dict[str, Any]:
-    """Counts of outcomes and unsafe touchdowns, and means over the runs below ``directory`` that
-    have the value, by method and condition."""
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for name, row in zip(_group_names(runs, directory), as_rows(runs), strict=True):
-        groups.setdefault(name, []).append(row)
-    unsafe = sum(
-        result.outcome == LANDED
-        and result.landing is not None
-        and result.landing.ground_safe is False
-        for result in runs.values()
-    )
+def summary(frame: pd.DataFrame) -> dict[str, Any]:
+    """Counts of outcomes and unsafe landings, and means over the runs that have the value, by
+    method and condition."""
+    means = {
+        ", ".join(filter(None, names)): {
+            column.column: float(found.mean())
+            for column in _COLUMNS
+            if column.column != "seed" and (found := _numbers(own, column.column)).size
+        }
+        for names, own in groups(frame, ("estimator", "condition"))
+    }
     return {
-        "runs": len(runs),
-        "outcomes": dict(Counter(result.outcome for result in runs.values())),
-        "unsafe_touchdowns": unsafe,
-        "means": {name: _means(rows) for name, rows in groups.items()},
+        "runs": len(frame),
+        "outcomes": {name: int(n) for name, n in frame["outcome"].value_counts().items()},
+        "unsafe_touchdowns": UNSAFE.of(landed_of(frame)),
+        "means": means,
     }
 
 
-def _group_names(runs: Mapping[str, RunResult], directory: Path) -> list[str]:
-    """Method and condition of each run: ``livo``, or ``livo, night`` where these vary."""
-    found: list[dict[str, Any]] = [
-        {
-            "run_id": name,
-            "run_dir": directory if (directory / "result.json").is_file() else directory / name,
-            **{key: getattr(run, key) for key in ("scene", "estimator", "seed", "profile")},
-            "wind_kmh": run.wind_kmh,
-        }
-        for name, run in runs.items()
-    ]
-    label_conditions(found)
-    return [", ".join(filter(None, (row["estimator"], row["condition"]))) for row in found]
-
-
-def _means(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """The mean of every column of numbers."""
-    means: dict[str, float] = {}
-    for column in LANDING_COLUMNS:
-        values = [lookup(row, column.path) for row in rows]
-        if numbers := [value for value in values if isinstance(value, float)]:
-            means[column.path] = fmean(numbers)
-    return means
+def _numbers(own: pd.DataFrame, column: str) -> Any:
+    is_number = column in own and own[column].dtype.kind == "f"
+    return values(own, column) if is_number else values(own, "")
 
 
 def summary_line(totals: Mapping[str, Any]) -> str:

@@ -25,8 +25,6 @@ RESAMPLES = 10_000
 EXACT_PAIRS = 12
 """up to this many pairs every pattern of signs is tried"""
 POWER = 0.8
-_SMALLEST_EFFECT, _CERTAIN_EFFECT = 0.05, 5.0
-"""Standard deviations between which the number of seeds is solved for."""
 
 INTERVAL = (
     "95 % bootstrap interval over flights, percentiles widened for small samples (Hesterberg 2015)"
@@ -123,10 +121,42 @@ def _interval(value: float, drawn: Array, flights: int) -> Estimate:
     return Estimate(value, float(low), float(high), flights)
 
 
-def share_interval(hits: int, flights: int) -> Estimate:
-    """A share with Wilson's score interval (JASA 22, 1927)."""
+def fraction_interval(hits: int, flights: int) -> Estimate:
+    """A fraction with Wilson's score interval (JASA 22, 1927)."""
     interval = stats.binomtest(hits, flights).proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(hits / flights, float(interval.low), float(interval.high), flights)
+
+
+def geometric_ratio(over: Array, under: Array) -> Estimate | None:
+    """Ratio of the geometric means of pairs (n,); None where a value is not positive."""
+    if not (np.all(over > 0.0) and np.all(under > 0.0)):
+        return None
+    found = mean_interval(np.log(over / under))
+    return None if found is None else exponential(found)
+
+
+def exponential(log: Estimate) -> Estimate:
+    """The estimate of a figure of that of its logarithm."""
+    low, high = (None if end is None else math.exp(end) for end in (log.low, log.high))
+    return Estimate(math.exp(log.value), low, high, log.flights)
+
+
+def student_interval(values: Sequence[float]) -> Estimate:
+    """Mean of at least two values with Student's interval."""
+    mean, error = float(np.mean(values)), float(stats.sem(values))
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, len(values) - 1)) * error
+    return Estimate(mean, mean - half, mean + half, len(values))
+
+
+def rank_correlation(a: Array, b: Array) -> Estimate | None:
+    """Spearman's correlation of pairs (n,) with its interval by Fisher's z; None where one side
+    does not vary or pairs are fewer than five."""
+    if len(a) < 5 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
+        return None
+    rank = float(stats.spearmanr(a, b).statistic)
+    half = float(stats.norm.ppf(0.5 + CONFIDENCE / 2.0)) / math.sqrt(len(a) - 3)
+    centre = math.atanh(min(max(rank, -0.9999), 0.9999))
+    return Estimate(rank, math.tanh(centre - half), math.tanh(centre + half), len(a))
 
 
 # ------------------------------------------------------------------------------------------ tests
@@ -216,7 +246,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
 # ------------------------------------------------------------------------------------------ power
 
 
-def fewest_pairs(alpha: float) -> int:
+def min_pairs(alpha: float) -> int:
     """Fewest pairs with which the one-sided sign-flip test can reach ``alpha``."""
     return math.ceil(-math.log2(alpha))
 
@@ -257,24 +287,3 @@ def detectable_unpaired(flights: int, flights_before: int, alpha: float) -> floa
         alternative="larger",
     )
     return float(found)
-
-
-def seeds_needed(differences: Array, alpha: float) -> int | None:
-    """Equal seeds with which the two-sided sign-flip test at level ``alpha`` finds the mean of
-    ``differences`` (pairs,) with 80 % power, for normal differences; the power is that of Student's
-    test. None where the mean is zero.
-    """
-    fewest = fewest_pairs(alpha / 2.0)
-    mean, deviation = abs(float(differences.mean())), float(differences.std(ddof=1))
-    if mean == 0.0:
-        return None
-    effect = mean / deviation if deviation > 0.0 else math.inf
-    if effect >= _CERTAIN_EFFECT:
-        return fewest
-    from statsmodels.stats.power import tt_solve_power
-
-    if effect < _SMALLEST_EFFECT:  # normal limit; the solver does not reach so far
-        z = stats.norm.isf(alpha / 2.0) + stats.norm.ppf(POWER)
-        return math.ceil((z / effect) ** 2)
-    found = tt_solve_power(effect_size=effect, alpha=alpha, power=POWER, alternative="two-sided")
-    return max(fewest, math.ceil(float(np.squeeze(found))))

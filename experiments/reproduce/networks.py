@@ -9,7 +9,7 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
@@ -28,8 +28,6 @@ Notes = Callable[[str], None]
 
 _KEPT = ("network", "labels", "split", "pictures", "loss", "macro_f1", "recall", "top1",
          "top1_interval", "rom_mb", "peak_ram_mb", "image_ms")  # fmt: skip
-_CHECK_INTERVAL_S = 5.0
-"""Interval between two checks of the progress of the trainings."""
 _LEVEL = 0.01
 """gain of macro F1 that is none"""
 _FALLING = 0.05
@@ -141,35 +139,16 @@ def _train(todo: Sequence[Training], jobs: int, notes: Notes) -> None:
         min(jobs, len(todo)), fresh, initializer=_begin_worker, initargs=(os.getpid(),)
     )
     try:
-        _watch(
-            {pool.submit(_trained, training, _ignore_note): training for training in todo}, notes
-        )
+        trainings = {pool.submit(_trained, training, _ignore): training for training in todo}
+        for number, future in enumerate(as_completed(trainings), start=1):
+            future.result()
+            notes(f"{number} of {len(todo)} trained: {trainings[future].name}")
     except BaseException:
         for process in multiprocessing.active_children():
             process.terminate()  # each epoch is kept; a training may be minutes from its next
         raise
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def _watch(trainings: dict[Future[None], Training], notes: Notes) -> None:
-    """Waits for all trainings and reports their progress; raises the error of the first failure."""
-    waiting = set(trainings)
-    while waiting:
-        done, waiting = wait(waiting, timeout=_CHECK_INTERVAL_S, return_when=FIRST_COMPLETED)
-        for future in done:
-            future.result()
-        under_way = [trainings[future] for future in waiting if trainings[future].folder.is_dir()]
-        parts = [f"{training.name}: epoch {_epochs(training)}" for training in under_way]
-        notes(f"{len(trainings) - len(waiting)} of {len(trainings)} trained; " + "; ".join(parts))
-
-
-def _epochs(training: Training) -> str:
-    from touchdown.experiments.classification.train import CURVES
-
-    curves = training.folder / CURVES
-    ended = 0 if no_file(curves) else len(curves.read_text(encoding="utf-8").splitlines()) - 1
-    return f"{min(ended + 1, training.options['epochs'])} of {training.options['epochs']}"
 
 
 def _begin_worker(parent: int) -> None:
@@ -183,7 +162,7 @@ def _trained(training: Training, notes: Notes) -> None:
     from touchdown.experiments.classification.train import train_network
 
     _use_one_thread()
-    train_network(training.data, training.folder, training.options, "auto", _ignore_progress, notes)
+    train_network(training.data, training.folder, training.options, "auto", _ignore, notes)
 
 
 def _use_one_thread() -> None:
@@ -198,11 +177,7 @@ def _on_gpu() -> bool:
     return torch.cuda.is_available()
 
 
-def _ignore_note(_note: str) -> None:
-    pass
-
-
-def _ignore_progress(_done: int, _total: int, _note: str) -> None:
+def _ignore(*_progress: object) -> None:
     pass
 
 
@@ -236,7 +211,7 @@ def _score(training: Training, notes: Notes) -> dict[str, Any]:
             training.folder / "network.onnx",
             training.data,
             split,
-            _ignore_progress,
+            _ignore,
             options=EvaluateParams(measure=split == "test"),
         )
         scores[split] = {key: found[key] for key in _KEPT if key in found}

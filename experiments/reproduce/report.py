@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.reporting.document import (
+from touchdown.experiments.reporting.drawing import Picture
+from touchdown.experiments.reporting.flights import check_revisions, frame_of, load_flights
+from touchdown.experiments.reporting.published import NETWORK_NAMES
+from touchdown.experiments.reporting.report import (
     Report,
     Section,
-    condition_sentences,
+    condition_words,
     make_report,
     tiles,
     write_report,
 )
-from touchdown.experiments.reporting.figures import Picture
-from touchdown.experiments.reporting.flights import check_revisions, load_flights
-from touchdown.experiments.reporting.published_networks import NETWORK_NAMES
-from touchdown.experiments.reproduce.items import item_sentence, item_table
+from touchdown.experiments.reproduce.items import item_table
 from touchdown.experiments.reproduce.networks import PICTURES
 from touchdown.experiments.reproduce.steps import FLIGHTS, PARTS, VEHICLE, Part
 from touchdown.experiments.reproduce.tables import (
@@ -39,54 +39,64 @@ Figures = Mapping[str, Any]
 
 _SECTIONS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "positioning": (
-        ("summary", "published", "accuracy", "axes", "map", "paths", "outcomes", "consistency"),
-        ("fig9a", "fig10a", "fig10b", "fig10_estimate"),
+        ("summary", "flights", "accuracy", "axes", "map", "paths"),
+        ("fig9a", "fig10"),
     ),
-    "commanded_site": (("summary", "landings", "outcomes"), ("fig12",)),
-    "zou2024_sites": (("summary", "landings", "outcomes"), ()),
-    "zou2024": (("summary", "accuracy", "paths", "landings", "outcomes"), ("fig9b",)),
-    "real_sites": (("summary", "landings", "outcomes"), ()),
-    "landing": (("summary", "landings", "outcomes"), ()),
+    "commanded_site": (("summary", "landings"), ("fig12",)),
+    "zou2024_sites": (("summary", "landings"), ()),
+    "zou2024": (("summary", "accuracy", "paths", "landings"), ("fig9b",)),
+    "real_sites": (("summary", "landings"), ()),
+    "landing": (("summary", "landings"), ()),
 }
 """Sections and figures that are copied from the report of each campaign."""
 
-_NOT_SAID = "No flight was to land"
+_PICTURES: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
+    "calibration": (
+        ("fig2", "Fig. 2: the cloud in the colours of the image",
+         "One view of the chessboard from beside the camera: with a correct calibration its "
+         "squares lie flat and undistorted on the board.", "cloud.png"),
+        ("fig2_boards", "The views of the calibration", "Detected corners.", "boards.png"),
+    ),
+    "edges": (
+        ("fig4", "Fig. 4: edge energy and local smoothness",
+         "An image, the energy of its structured edges, f_c of the returns of one scan, and the "
+         "edge and planar points selected by it.", "smoothness.jpg"),
+        ("fig4_edges", "The detector beside Canny and the truth",
+         "On scenes that it was not trained on.", "edges.jpg"),
+    ),
+    "world": (
+        ("fig7", "Fig. 7: the vehicle",
+         "Battery above, LIDAR, camera and computer below; the paper's is a real one.", VEHICLE),
+    ),
+}  # fmt: skip
+"""By part: name, title, caption and file of its pictures."""
 
 
 def write_reproduction(done: Reproduction, out: Path) -> dict[str, Path]:
     """Writes report.html, report.md, report.json and figures/. Raises UsageError if ``out``
     cannot be written."""
-    report, rows = make_reproduction(done)
-    try:
-        return write_report(report, rows, out)
-    except OSError as error:
-        raise UsageError(f"--out {out}: cannot be written: {error.strerror}") from error
-
-
-def make_reproduction(done: Reproduction) -> tuple[Report, list[dict[str, Any]]]:
-    """The report, and the rows of all flights in it."""
     rows: list[dict[str, Any]] = []
-    sections = []
-    for part in PARTS:
-        state = done.states.get(part.name)
-        if state is not None:
-            sections.append(_section(part, state, done.out / part.name, rows))
-    summary = Section("summary", "Summary", _summary_text(done), [], [])
-    items = Section(
-        "items", "Items of the paper and their sections here", [], [item_table(done.states)], []
-    )
-    ends = [Section("conditions", "Conditions", condition_sentences(rows), [], [])] if rows else []
+    sections = [
+        _section(part, done.states[part.name], done.out / part.name, rows)
+        for part in PARTS
+        if part.name in done.states
+    ]
+    sections[:0] = [
+        Section("summary", "Summary", _summary_words(done)),
+        Section("items", "Items of the paper and their sections here",
+                tables=[item_table(done.states)]),
+    ]  # fmt: skip
+    if rows:
+        sections.append(Section("conditions", "Conditions", condition_words(rows)))
     ended = sum(not state.error for state in done.states.values())
-    heads = [("parts ended", f"{ended} of {len(PARTS)}"), *(tiles(rows) if rows else [])]
-    name = "quick edition" if done.quick else "whole edition"
-    title = f"Touchdown: the paper reproduced, {name}"
-    return Report(title, heads, [summary, items, *sections, *ends], ""), rows
+    heads = [("parts ended", f"{ended} of {len(PARTS)}"), *(tiles(frame_of(rows)) if rows else [])]
+    edition = "quick edition" if done.quick else "whole edition"
+    return write_report(
+        Report(f"Touchdown: the paper reproduced, {edition}", heads, sections), rows, out
+    )
 
 
-# ----------------------------------------------------------------------------------------- summary
-
-
-def _summary_text(done: Reproduction) -> list[str]:
+def _summary_words(done: Reproduction) -> list[str]:
     lines = []
     if done.quick:
         lines.append(
@@ -96,47 +106,49 @@ def _summary_text(done: Reproduction) -> list[str]:
         )
     for part in PARTS:
         state = done.states.get(part.name)
-        shows = ", ".join(part.shows)
-        content = f"`{part.name}` ({shows})" if shows else f"`{part.name}`"
+        shows = f" ({', '.join(part.shows)})" if part.shows else ""
         if state is None:
             why = "by `--skip`" if part.name in done.skipped else "not done yet"
             if part.needs_photographs:
                 why = "which `--photographs` names images for"
-            lines.append(f"{content} is left out, {why}.")
+            lines.append(f"`{part.name}`{shows} is left out, {why}.")
         elif state.error:
-            lines.append(f"{content} ended with an error: {state.error}.")
+            lines.append(f"`{part.name}`{shows} ended with an error: {state.error}.")
         elif state.why:
-            lines.append(f"{content} failed its purpose: {state.why}.")
-    return [*lines, item_sentence(done.states)]
+            lines.append(f"`{part.name}`{shows} failed its purpose: {state.why}.")
+    return lines
 
 
 # ---------------------------------------------------------------------------------------- sections
 
 
-def _section(
-    part: Part, state: PartState, folder: Path, rows: list[dict[str, Any]]
-) -> Section:  # fmt: skip
+def _section(part: Part, state: PartState, folder: Path, rows: list[dict[str, Any]]) -> Section:
     """Section of a part; the flights of its campaign are added to ``rows``."""
     revision = f"at revision `{state.git_revision}`" if state.git_revision else "of no revision"
     purpose = f"For {', '.join(part.shows)}" if part.shows else "Beside the paper's own system"
     if part.needs_photographs:
         purpose = "Beside the networks of Tables 3 and 4"
-    text = [f"{purpose}, by the part `{part.name}`, {state.edition} edition, ended {revision}."]
+    words = [f"{purpose}, by the part `{part.name}`, {state.edition} edition, ended {revision}."]
     if state.why or state.error:
-        text.append(f"Not successful: {state.error or state.why}.")
-    section = Section(part.name, part.title, text, [], [])
+        words.append(f"Not successful: {state.error or state.why}.")
+    section = Section(part.name, part.title, words)
     if state.error and not state.figures:
         return section
     if part.name in _SECTIONS:
         _add_campaign(section, folder / FLIGHTS, rows)
-    else:
-        try:
-            _FILLERS[part.name](section, state.figures, folder)
-        except (KeyError, IndexError, TypeError, AttributeError) as error:
-            raise UsageError(
-                f"'{folder / 'part.json'}' lacks figures of its part; delete it, and the part runs "
-                "again"
-            ) from error
+        return section
+    try:
+        section.pictures += [
+            raster(name, title, caption, folder / PICTURES / file)
+            for name, title, caption, file in _PICTURES.get(part.name, ())
+        ]
+        if fill := _FILLERS.get(part.name):
+            fill(section, state.figures, folder)
+    except (KeyError, IndexError, TypeError, AttributeError) as error:
+        raise UsageError(
+            f"'{folder / 'part.json'}' lacks figures of its part; delete it, and the part runs "
+            "again"
+        ) from error
     return section
 
 
@@ -149,58 +161,33 @@ def _add_campaign(section: Section, flights: Path, rows: list[dict[str, Any]]) -
     check_revisions(own, flights)
     rows += own
     keys, pictures = _SECTIONS[section.key]
-    made = make_report(own, title=section.title)
-    for found in made.sections:
-        if found.key not in keys:
-            continue
-        section.words.extend(w for w in found.words if not w.startswith(_NOT_SAID))
-        section.tables.extend(
-            replace(table, key=f"{section.key}_{table.key}") for table in found.tables
-        )
-        # of several conditions, each has its name after that of the figure
-        section.pictures.extend(p for p in found.pictures if p.name.startswith(pictures))
+    for found in make_report(own, title=section.title).sections:
+        if found.key in keys:
+            section.words += found.words
+            section.tables += _renamed(found.tables, section.key)
+            # of several conditions, each has its name after that of the figure
+            section.pictures += [p for p in found.pictures if p.name.startswith(pictures)]
 
 
-def _fill_calibration(section: Section, figures: Figures, folder: Path) -> None:
+def _renamed(tables: list[Any], part: str) -> list[Any]:
+    return [replace(table, key=f"{part}_{table.key}") for table in tables]
+
+
+def _fill_calibration(section: Section, figures: Figures, _folder: Path) -> None:
     section.tables.append(calibration_table(figures))
     section.words.append(
         "Errors are against the simulated camera and LIDAR; the paper prints no errors of its "
         "calibration."
     )
-    home = folder / PICTURES
-    section.pictures.extend([
-        raster("fig2", "Fig. 2: the cloud in the colours of the image",
-               "One view of the chessboard from beside the camera: with a correct calibration "
-               "its squares lie flat and undistorted on the board.", home / "cloud.png"),
-        raster("fig2_boards", "The views of the calibration",
-               "Detected corners.", home / "boards.png"),
-    ])  # fmt: skip
-
-
-def _fill_edges(section: Section, _figures: Figures, folder: Path) -> None:
-    home = folder / PICTURES
-    section.pictures.extend([
-        raster("fig4", "Fig. 4: edge energy and local smoothness",
-               "An image, the energy of its structured edges, f_c of the returns of one scan, and "
-               "the edge and planar points selected by it.", home / "smoothness.jpg"),
-        raster("fig4_edges", "The detector beside Canny and the truth",
-               "On scenes that it was not trained on.", home / "edges.jpg"),
-    ])  # fmt: skip
 
 
 def _fill_world(section: Section, figures: Figures, folder: Path) -> None:
     section.tables.append(rig_table(figures))
-    home = folder / PICTURES
-    section.pictures.append(
-        raster("fig7", "Fig. 7: the vehicle",
-               "Battery above, LIDAR, camera and computer below; the paper's is a real one.",
-               home / VEHICLE)
-    )  # fmt: skip
-    section.pictures.extend(
+    section.pictures += [
         raster(f"fig8_{scene}", f"Fig. 8: {scene}", "Seed 0, from the south-west.",
-               home / f"{scene}.jpg")
+               folder / PICTURES / f"{scene}.jpg")
         for scene in figures["scenes"]
-    )  # fmt: skip
+    ]  # fmt: skip
 
 
 def _fill_sites(section: Section, figures: Figures, folder: Path) -> None:
@@ -209,12 +196,12 @@ def _fill_sites(section: Section, figures: Figures, folder: Path) -> None:
         f"Posed survey: the sensors take the planned poses without a flight; the selector is "
         f"`{figures['selector']}`."
     )
-    section.pictures.extend(
+    section.pictures += [
         raster(f"fig11_{check['scene']}", f"Fig. 11: {check['scene']}",
                "The map in colour, every cost, their sum, the clusters, and the candidates (blue) "
                "with the site (red).", folder / PICTURES / f"site_{check['scene']}.jpg")
         for check in figures["places"]
-    )  # fmt: skip
+    ]  # fmt: skip
 
 
 def _fill_speed(section: Section, figures: Figures, _folder: Path) -> None:
@@ -236,7 +223,7 @@ def _fill_recognition(section: Section, figures: Figures, folder: Path) -> None:
             f"{networks} under {schemes}, small and for few epochs. This checks that training and "
             "evaluation work; it does not measure attainable scores."
         )
-    section.tables.extend(network_tables(figures["networks"]))
+    section.tables += network_tables(figures["networks"])
     section.pictures.append(
         raster("fig5", "Fig. 5: kinds of ground", "Ten rendered images of each class of D_Land.",
                folder / figures["folder"] / PICTURES / "contact_sheet.png")
@@ -255,13 +242,11 @@ def _fill_photographs(section: Section, figures: Figures, _folder: Path) -> None
         f"{converged} of {len(networks)} trainings converged. The paper trains on more images, of "
         "AID and Places365 too, at a size that it does not print."
     )
-    for table in (*network_tables(networks), claim_table(networks)):
-        section.tables.append(replace(table, key=f"{section.key}_{table.key}"))
+    section.tables += _renamed([*network_tables(networks), claim_table(networks)], section.key)
 
 
 _FILLERS: Mapping[str, Callable[[Section, Figures, Path], None]] = {
     "calibration": _fill_calibration,
-    "edges": _fill_edges,
     "world": _fill_world,
     "sites": _fill_sites,
     "speed": _fill_speed,

@@ -6,17 +6,15 @@ import contextlib
 import fcntl
 import importlib.util
 import json
-import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.errors import UsageError, system_message
 from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
-from touchdown.experiments.reproduce.background_worker import BackgroundWorker, send_note
 from touchdown.experiments.reproduce.plans import Extent
 from touchdown.experiments.reproduce.state import (
     _LOCK,
@@ -75,31 +73,12 @@ def reproduce(
         for part in wanted:
             if part not in todo:
                 notes(f"{heads[part.name]}: done already")
-        slots = threading.Semaphore(jobs)
-        aside = _aside(todo, jobs)
-        with BackgroundWorker(slots, notes) as beside:
-            if aside:
-                beside.start(_do_aside, out, extent, {name: heads[name] for name in aside})
-            for part in todo:
-                if part.name in aside:
-                    continue
-                if part.flies:
-                    beside.check()
-                else:
-                    beside.wait()
-                job = Job(
-                    folder=out / part.name,
-                    extent=extent,
-                    jobs=jobs,
-                    notes=notes,
-                    watcher=watcher(),
-                    slots=slots,
-                )
-                _do(part, job, heads[part.name])
-            beside.wait()
-        done = Reproduction(
-            out, quick, read_states(out), skipped, time.perf_counter() - started
-        )  # fmt: skip
+        for part in todo:
+            job = Job(
+                folder=out / part.name, extent=extent, jobs=jobs, notes=notes, watcher=watcher()
+            )
+            _do(part, job, heads[part.name])
+        done = Reproduction(out, quick, read_states(out), skipped, time.perf_counter() - started)
         notes("writing the report")
         write_reproduction(done, out / REPORT)
     return done
@@ -110,19 +89,6 @@ def _left_out(skip: Sequence[str], photographs: Sequence[str]) -> tuple[str, ...
     named = [part_named(name).name for name in skip]
     without = [part.name for part in PARTS if part.needs_photographs and not photographs]
     return tuple(dict.fromkeys([*named, *without]))
-
-
-def _aside(todo: Sequence[Part], jobs: int) -> tuple[str, ...]:
-    """Names of the parts that run while others fly."""
-    if jobs == 1 or not any(part.flies for part in todo):
-        return ()
-    return tuple(part.name for part in todo if part.beside)
-
-
-def _do_aside(out: Path, extent: Extent, heads: Mapping[str, str]) -> None:
-    """Runs the named parts one after the other, in the background process."""
-    for name, head in heads.items():
-        _do(part_named(name), Job(folder=out / name, extent=extent, jobs=1, notes=send_note), head)
 
 
 def _do(part: Part, job: Job, head: str) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -44,8 +43,6 @@ class Job:
     jobs: int = field(default_factory=default_jobs)
     notes: Notes = lambda _note: None
     watcher: Watcher = field(default_factory=Watcher)
-    slots: threading.Semaphore | None = None
-    """each flight occupies one"""
 
     @property
     def edition(self) -> Edition:
@@ -74,9 +71,6 @@ class Part:
     run: Callable[[Job], Done]
     core_seconds: Callable[[Extent], float]
     """approximate time on one core"""
-    beside: bool = False
-    """measures no time and may run while flights are flown"""
-    flies: bool = False
     needs_torch: bool = False
     needs_photographs: bool = False
 
@@ -166,7 +160,7 @@ def _campaign(name: str, job: Job) -> Done:
     figures = fly_campaign(
         plan_of(name, quick=job.extent.quick),
         job.folder / FLIGHTS,
-        make_engine("local", job.jobs, slots=job.slots),
+        make_engine("local", job.jobs),
         watcher=job.watcher,
     )
     kept = ("name", "mode", "runs", "finished", "crashed", "remaining", "outcomes", "errors")
@@ -231,7 +225,6 @@ def _campaign_part(name: str, title: str, *shows: str) -> Part:
         settings=lambda extent: {"flights": digest(plan_of(name, quick=extent.quick))},
         run=partial(_campaign, name),
         core_seconds=lambda extent: core_seconds(plan_of(name, quick=extent.quick)),
-        flies=True,
     )
 
 
@@ -243,7 +236,6 @@ def _drawn(name: str, title: str, run: Callable[[Job], Done], seconds: float, *s
         settings=lambda _extent: {"seed": 0},
         run=run,
         core_seconds=_always(seconds),
-        beside=True,
     )
 
 
@@ -309,8 +301,8 @@ PARTS: tuple[Part, ...] = (
         needs_photographs=True,
     ),
 )
-"""In the order of work: parts that may run beside flights, flights, parts that are timed alone.
-Of the flights the paper's own system comes first, then, without an item of the paper, ours."""
+"""In the order of work: drawings, flights, parts that are timed, networks. Of the flights the
+paper's own system comes first, then, without an item of the paper, ours."""
 
 
 def part_named(name: str) -> Part:

@@ -170,9 +170,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
             report({"event": "finished", "run_id": task.run_id, "row": row})
 
     engine = SimpleNamespace(name="here", jobs=1, run=run)
-    monkeypatch.setattr(
-        "touchdown.experiments.campaign.session.make_engine", lambda *_, slots: engine
-    )
+    monkeypatch.setattr("touchdown.experiments.campaign.session.make_engine", lambda *_: engine)
     for slow in ("campaign.worker.release_memory", "reproduce.networks._use_one_thread"):
         monkeypatch.setattr(f"touchdown.experiments.{slow}", lambda: None)
     # copies of the sources without git are tested, too

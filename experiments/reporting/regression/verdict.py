@@ -8,7 +8,7 @@ from touchdown.experiments.reporting.regression.compare import (
     CellResult,
     Comparison,
 )
-from touchdown.experiments.reporting.statistics import fewest_pairs
+from touchdown.experiments.reporting.statistics import min_pairs
 
 
 def verdict_sentences(found: Comparison) -> list[str]:
@@ -64,7 +64,7 @@ def _power_sentences(found: Comparison) -> list[str]:
 
 def _blind_sentences(found: Comparison) -> list[str]:
     """The last line: cells with too few flights to find any change, and the number needed."""
-    needed = fewest_pairs(ERROR_ALPHA / max(1, len(found.cells)))
+    needed = min_pairs(ERROR_ALPHA / max(1, len(found.cells)))
     if not found.cells:
         return [
             f"Nothing was compared: no scene and method has {FEWEST} flights with a position error "

@@ -34,8 +34,8 @@ from touchdown.experiments.external.trial_selector import hovering, synthetic_ma
 from touchdown.experiments.external.wrapper import LONGEST_CALL_S, ExternalPartError, slowness
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.slots import RIGS
-from touchdown.experiments.reporting.document import part_sentences
 from touchdown.experiments.reporting.regression.baseline import cells_of
+from touchdown.experiments.reporting.report import part_words
 from touchdown.landing.api import SelectorInput, SelectorParams
 from touchdown.sim.api import SensorNeeds
 
@@ -350,10 +350,10 @@ def test_results_and_reports_name_the_parts_that_flew() -> None:
     survey = load_config(selector="zou2024", mapper="a.b:c", survey_only=True)
     assert other_parts(survey) == {"mapper": "a.b:c"} and other_parts(load_config()) == {}
     rows: list[dict[str, Any]] = [{"parts.mapper": "a.b:c"}, {"parts.selector": "zou2024"}]
-    assert part_sentences([*rows, {**rows[0], **rows[1]}]) == [
+    assert part_words([*rows, {**rows[0], **rows[1]}]) == [
         "Selector: `zou2024`, and that by default. Mapper: `a.b:c`, and that by default."
     ]
     same = {"scene": "flat", "estimator": "livo", "seed": 0, "mode": "land", "outcome": "LANDED"}
     cells = cells_of([{**same, **row, "run_id": f"flat-livo-0-{n}"} for n, row in enumerate(rows)])
     assert [variant for _, _, variant in cells] == ["land a.b:c", "land zou2024"]
-    assert part_sentences([rows[0]]) == ["Mapper: `a.b:c`."] and part_sentences([{}]) == []
+    assert part_words([rows[0]]) == ["Mapper: `a.b:c`."] and part_words([{}]) == []

@@ -46,7 +46,7 @@ def test_two_flights_have_no_interval() -> None:
 
 def test_wilson_by_hand() -> None:
     """10 of 10: lower end n / (n + z^2)."""
-    share = statistics.share_interval(10, 10)
+    share = statistics.fraction_interval(10, 10)
     assert share.high == pytest.approx(1.0)
     assert share.low == pytest.approx(10 / (10 + 1.959964**2), abs=1e-6)
 
@@ -83,7 +83,7 @@ def test_detectable_effect_of_ten_pairs_by_hand() -> None:
     effect = statistics.detectable_paired(10, 0.04 / 24)
     assert effect == pytest.approx(norm.ppf(0.8**0.1), abs=0.06)
     assert statistics.detectable_paired(9, 0.04 / 24) is None
-    assert statistics.fewest_pairs(0.04 / 24) == 10 and statistics.detectable_paired(1, 0.5) is None
+    assert statistics.min_pairs(0.04 / 24) == 10 and statistics.detectable_paired(1, 0.5) is None
     assert statistics.detectable_unpaired(3, 3, 0.04) is None, (
         "one of 20 shuffles is no less than 0.05"
     )
@@ -96,17 +96,6 @@ def test_detectable_effect_of_many_flights_nears_the_normal_limit() -> None:
     assert statistics.detectable_unpaired(400, 400, 0.05) == pytest.approx(
         2.486 * math.sqrt(2 / 400), rel=0.01
     )
-
-
-def test_seeds_needed_by_tables_of_the_paired_t_test() -> None:
-    """Effects of 0.5 and 1 at 5 % two-sided: 34 and 10 pairs (Cohen 1988, G*Power). Equal
-    differences need as many as the sign flips have patterns: 2 / 2^6 <= 0.05."""
-    for effect, pairs in ((0.5, 34), (1.0, 10), (0.01, 78489)):
-        pair = effect + np.array([-1.0, 1.0]) / math.sqrt(2.0)
-        assert pair.std(ddof=1) == pytest.approx(1.0)
-        assert statistics.seeds_needed(pair, 0.05) == pairs
-    assert statistics.seeds_needed(np.full(3, 0.7), 0.05) == 6
-    assert statistics.seeds_needed(np.array([-1.0, 1.0]), 0.05) is None
 
 
 def test_unpaired_test_sees_a_shift_and_no_more() -> None:

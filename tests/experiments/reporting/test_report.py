@@ -11,39 +11,14 @@ import pytest
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import load_runs
-from touchdown.experiments.reporting import document
-from touchdown.experiments.reporting.flights import check_revisions, load_flights, path_deviation
-from touchdown.experiments.reporting.narrative import leading_sentences
-from touchdown.experiments.reporting.run_table import LANDING_COLUMNS, markdown_table, summary
+from touchdown.experiments.reporting import report as document
+from touchdown.experiments.reporting.flights import check_revisions, frame_of, load_flights
+from touchdown.experiments.reporting.run_table import run_table, summary
 from touchdown.experiments.reporting.tables import Table
+from touchdown.experiments.reporting.trajectories import path_deviation
 
 from support.command import Says
-from support.report_support import LANDING
-from support.report_support import write_run as write_flight
-
-
-def write_run(directory: Path, seed: int, **changes: object) -> None:
-    directory.mkdir(parents=True)
-    row = {
-        "scene": "crossroad", "estimator": "livo", "seed": seed, "outcome": "LANDED",
-        "position_error_m": {"mean": 0.1 * seed},
-        "landing": {"safe_geometry": True, "target_offset_m": 0.05},
-    }  # fmt: skip
-    (directory / "result.json").write_text(json.dumps(row | changes))
-
-
-def test_runs_are_found_sorted_and_summed_up(tmp_path: Path) -> None:
-    write_run(tmp_path / "b", 2)
-    write_run(tmp_path / "a" / "deep", 1, landing={"safe_geometry": False})
-    write_run(tmp_path / "c", 3, outcome="NO_SITE", landing=None)
-    runs = load_runs(tmp_path)
-    assert [(name, run.seed) for name, run in runs.items()] == [("a/deep", 1), ("b", 2), ("c", 3)]
-    totals = summary(runs, tmp_path)
-    assert totals["outcomes"] == {"LANDED": 2, "NO_SITE": 1} and totals["unsafe_touchdowns"] == 1
-    assert totals["means"]["livo"]["position_error_m.mean"] == pytest.approx(0.2)
-    table = markdown_table(runs, LANDING_COLUMNS).splitlines()
-    assert len(table) == 5 and "| crossroad | livo | 3 | NO_SITE | 0.300 | – |" in table[4]
-    assert "tilt" not in table[0]
+from support.report_support import LANDING, write_run
 
 
 def test_mistakes_are_named(tmp_path: Path) -> None:
@@ -68,10 +43,10 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 changes: dict[str, object] = {"trajectory_error_m": error}
                 if (scene, method, seed) == ("lake", "gps", 2):
                     changes |= {"outcome": "DIVERGED", "reason": "the estimate is 20.1 m off"}
-                write_flight(directory, scene, method, seed, **changes)
+                write_run(directory, scene, method, seed, **changes)
     for seed in (10, 11, 12):
         landing = LANDING | {"safe_geometry": seed != 12}
-        write_flight(
+        write_run(
             directory, "lake", "livo", seed, outcome="LANDED", landing=landing,
             trajectory_error_m=0.1,
         )  # fmt: skip
@@ -98,87 +73,77 @@ def test_deviation_of_the_flown_path_by_hand(campaign: Path) -> None:
     assert found == pytest.approx(
         {"mean": 0.5, "x": 0.3, "y": 0.4, "z": 0.0, "yaw_deg": 2.0}, abs=1e-6
     )
-    assert path_deviation(campaign / "nothing") is None
+    assert path_deviation(campaign / "nothing") == {}
+
+
+def lines_of(found: Table) -> dict[tuple[str, str], list[str]]:
+    """The figures of each line by the method and the scene that name it."""
+    return {(row[0].text, row[1].text): [cell.text for cell in row[2:]] for row in found.rows}
 
 
 def test_table_2_has_the_published_figures_beside_crossroad(report: document.Report) -> None:
-    found = table(report, "table2_error")
-    assert found.header == ["method", "crossroad", "paper prints", "lake", "all scenes"]
-    lines = {line[0].text: line for line in found.rows}
-    assert [cell.text for cell in lines["`zou2024`"]][1:4] == ["0.110", "0.3671", "0.220"]
-    gps = [cell.text for cell in lines["`gps`"]]
-    assert (gps[1], gps[2], gps[4]) == ("1.10 (set)", "–", "1.65 (set)"), "set, so not compared"
-    assert found.notes == [
+    found = table(report, "table2")
+    assert found.header[:6] == [
+        "method", "scene", "E_tra (m)", "paper prints", "σ²_tra (m²)", "paper prints",
+    ]  # fmt: skip
+    lines = lines_of(found)
+    assert lines["`zou2024`", "`crossroad`"][:2] == ["0.110", "0.3671"]
+    assert lines["`zou2024`", "`crossroad`"][3] == "0.1568"
+    assert lines["`zou2024`", "`lake`"][:2] == ["0.220", "–"]
+    assert lines["`gps`", "`crossroad`"][:2] == ["1.10", "–"], "set, so not compared"
+    assert lines["`gps`", "all scenes"][0] == "1.65"
+    gps = next(row for row in found.rows if row[0].text == "`gps`")
+    assert gps[2].detail == "[1.00, 1.20] (set)" and gps[2].kind == ""
+    assert found.notes[-1] == (
         "(set): the error of `gps` is set by `gps.preset`, not measured (the error is the "
         "receiver's, whose preset was fitted to the paper's Table 2), and is not compared with the "
         "paper."
-    ]
-    assert lines["`livo`"][2].text == "–"
-    assert [cell.kind for cell in lines["`livo`"]][1:4:2] == ["best", "best"]
-    assert lines["`livo`"][1].interval == "[0.050, 0.060]"
-    assert table(report, "table2_variance").rows[1][2].text == "0.1568"
-
-
-def test_words_follow_the_data(report: document.Report) -> None:
-    words = "\n".join(line for section in report.sections for line in section.words)
-    assert "21 flights: 3 methods over 2 scenes, 6 seeds." in words
-    assert "2 were not successful (`livo` 1, `gps` 1)" in words
-    assert (
-        "crossroad: `livo` is ahead by E_tra with 0.055 m [0.050, 0.060], then `zou2024`" in words
     )
-    # All differences are ln 2; the level is 0.05 over two scenes: 2 / 2^n <= 0.025 from n = 7 on.
-    assert (
-        "With 3 equal seeds a difference of 0.055 m may be due to chance (adjusted p = 0.5); "
-        "7 seeds per method would show it with 80 % power." in words
-    )
-    assert '0.3671 m printed (Table 2, "Ours"): 3.34 times smaller here.' in words
-    assert "`gps` 1.10 m" not in words, "it does not compete"
-    assert "1.0112" not in words and "(set): the error of `gps` is set" in words
-    assert "table 2 in" not in words.lower(), "of the paper's methods one alone is measured"
+    livo = found.rows[0]
+    assert (livo[2].text, livo[2].detail, livo[2].kind) == ("0.055", "[0.050, 0.060]", "best")
 
 
-def test_a_method_that_never_took_off_does_not_compete(rows: list[dict[str, Any]]) -> None:
+def test_a_method_without_figures_does_not_compete(rows: list[dict[str, Any]]) -> None:
     nothing = {"trajectory_error_m": None, "position_error_m.mean": None, "outcome": "GROUNDED"}
     grounded = [row | nothing if row["estimator"] == "livo" else row for row in rows]
-    flow = [r | {"estimator": "optical_flow"} if r["estimator"] == "gps" else r for r in grounded]
-    words = leading_sentences(flow)
-    assert words[0].startswith("crossroad: `zou2024` is ahead by E_tra")
-    assert "crossroad: no flight with a figure to compare of `livo`." in words
-    best = table(document.make_report(grounded, title="x"), "table2_error").rows
-    assert {line[0].text: line[1].kind for line in best} == {
-        "`livo`": "", "`zou2024`": "best", "`gps`": "",
-    }  # fmt: skip
+    flow = [r | {"estimator": "stereo"} if r["estimator"] == "gps" else r for r in grounded]
+    found = table(document.make_report(flow, title="x"), "table2").rows
+    best = {row[0].text for row in found if row[2].kind == "best"}
+    assert best == {"`zou2024`"} and {row[2].text for row in found[:3]} == {"–"}
+
+
+def test_the_summary_names_what_was_lost(report: document.Report) -> None:
+    words = report.sections[0].words
+    assert words[0].startswith("2 of 21 flights were not successful. Their errors up to")
+    assert "lake, `gps`, seed 2: DIVERGED (the estimate is 20.1 m off)" in words
+    flights = table(report, "flights")
+    assert flights.numbers["gps"]["lake"]["outcomes"] == "COMPLETED 2, DIVERGED 1"
+    lost = lines_of(table(report, "table2"))["`gps`", "`lake`"]
+    assert lost[0] == "2.20", "the lost flight is in the mean"
 
 
 def test_a_path_that_never_left_the_ground_has_no_deviation(tmp_path: Path) -> None:
-    run = write_flight(tmp_path, "flat", "gps", 0)
+    run = write_run(tmp_path, "flat", "gps", 0)
     truth = np.loadtxt(run / "truth.tum")
     truth[:, 1:4] = (0.0, 0.0, 0.05)
     np.savetxt(run / "truth.tum", truth)
-    assert path_deviation(run) is None
+    assert path_deviation(run) == {}
 
 
-def test_lost_flights_are_counted_and_named(report: document.Report) -> None:
-    found = table(report, "outcomes")
-    assert found.numbers["gps"]["lake"] == {"COMPLETED": 2, "DIVERGED": 1}
-    assert found.notes[0].startswith("2 of 21 flights were not successful.")
-    assert "lake, `gps`, seed 2: DIVERGED (the estimate is 20.1 m off)" in found.notes
-    gps = next(line for line in table(report, "table2_error").rows if line[0].text == "`gps`")
-    assert gps[3].text == "2.20 (set)", "the lost flight is in the mean"
-
-
-def test_shares_of_stages_by_hand(report: document.Report) -> None:
+def test_fractions_of_stages_by_hand(report: document.Report) -> None:
     """30 ms of each 0.1 s over 20 s are 6 s of the 10 s; 15 ms are 3 s."""
-    shares = table(report, "time").numbers["zou2024"]["shares"]
-    assert shares == pytest.approx({"world": 0.6, "estimator": 0.3, "other": 0.1})
+    found = table(report, "time").numbers["zou2024"]
+    assert (found["world"], found["estimator"]) == pytest.approx((0.6, 0.3))
 
 
 def test_a_missing_revision_is_stated_with_its_remedy(
     rows: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     without = [rows[0] | {"git_revision": None}, rows[1] | {"git_revision": "unknown"}, *rows[2:]]
-    words = "\n".join(document.condition_sentences(without))
-    assert "Git revision: `0123abc`. Git revision of 2 flights not recorded: Touchdown was" in words
+    words = "\n".join(document.condition_words(without))
+    assert (
+        "Git revision: `0123abc`.\nGit revision of 2 flights not recorded: Touchdown was" in words
+    )
     assert "unknown" not in words
     check_revisions(rows, tmp_path)
     with pytest.raises(UsageError, match=r"2 results have no git revision, .* a git checkout"):
@@ -211,7 +176,9 @@ def test_the_same_flights_the_same_report(campaign: Path, report: document.Repor
 def test_command_writes_everything(campaign: Path, tmp_path: Path, says: Says) -> None:
     out = tmp_path / "deep" / "report"
     tree = json.loads(says(0, "report", campaign, "--out", out, "--json").out)
-    assert tree["tables"]["table2_error"]["zou2024"]["lake"]["value"] == pytest.approx(0.22)
+    assert tree["tables"]["table2"]["zou2024"]["lake"]["trajectory_error_m"][
+        "value"
+    ] == pytest.approx(0.22)
     assert sorted(tree["files"]) == ["html", "json", "markdown"]
     text = (out / "report.md").read_text()
     for target in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text):
@@ -237,6 +204,20 @@ def test_files_of_others_are_no_report_to_be_replaced(
     assert written["markdown"] == mine and mine.read_text() != "mine"
 
 
+def test_runs_are_found_sorted_and_summed_up(campaign: Path) -> None:
+    frame = frame_of(load_flights(campaign))
+    totals = summary(frame)
+    assert totals["outcomes"] == {"COMPLETED": 17, "LANDED": 3, "DIVERGED": 1}
+    assert totals["unsafe_touchdowns"] == 1
+    assert totals["means"]["zou2024"]["trajectory_error_m"] == pytest.approx(0.165)
+    lines = run_table(frame).lines
+    assert len(lines) == 2 + 21 and lines[2].startswith(
+        "| crossroad-gps-s0 | crossroad | gps | 0 |"
+    )
+    assert "0.100 (set)" in lines[2] and "| 0.100 | 0.200 |" in lines[5]
+    assert "bounce" not in lines[0], "nobody has it"
+
+
 def test_a_plain_directory_prints_its_table(
     campaign: Path, says: Says, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -250,10 +231,9 @@ def test_a_plain_directory_prints_its_table(
 
 
 def test_flights_without_a_map_are_not_in_the_tables_of_maps(tmp_path: Path) -> None:
-    write_flight(tmp_path, "lake", "livo", 0)
+    write_run(tmp_path, "lake", "livo", 0)
     nothing = {"duration_s": 18.0, "density_per_m2": 0.0,
                "levelness_error_deg": {"mean": None, "max": None, "places": 0}}  # fmt: skip
-    write_flight(tmp_path, "lake", "gps", 0, map=nothing)
+    write_run(tmp_path, "lake", "gps", 0, map=nothing)
     report = document.make_report(load_flights(tmp_path), title="x")
     assert set(table(report, "table1").numbers) == {"livo"}
-    assert len(table(report, "density").rows) == 1

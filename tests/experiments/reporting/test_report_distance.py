@@ -3,12 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchdown.experiments.reporting.drift import (
-    add_errors_by_distance,
-    distance_tables,
-    error_by_distance,
-)
-from touchdown.experiments.reporting.flights import load_flights
+from touchdown.experiments.reporting.flights import frame_of, load_flights
+from touchdown.experiments.reporting.report_tables import accuracy_tables
+from touchdown.experiments.reporting.trajectories import add_trajectory_columns, error_by_distance
 
 from support.report_support import TIMES_S, write_run, write_tum
 
@@ -32,16 +29,17 @@ def test_a_drift_shows_as_growth(tmp_path: Path) -> None:
     # the middles of 0 to 50 m and so on; 158 m are less than nine tenths of the last bin
     assert found == pytest.approx({"0-50": 0.248, "50-100": 0.748, "100-150": 1.248}, abs=0.005)
     rows = load_flights(tmp_path)
-    add_errors_by_distance(rows)
-    (table,) = distance_tables(rows)
+    add_trajectory_columns(rows)
+    _, table = accuracy_tables(frame_of(rows))
     assert table.header == ["method", "0-50 m", "50-100 m", "100-150 m"]
-    assert table.numbers["livo"]["100-150"] == pytest.approx(1.248, abs=0.005)
-    assert table.numbers["gps"] == pytest.approx({"0-50": 0.0, "50-100": 0.0, "100-150": 0.0})
+    for method, error in (("livo", 1.248), ("gps", 0.0)):
+        figure = table.numbers[method]["error_by_distance.100-150"]
+        assert figure["value"] == pytest.approx(error, abs=0.005)
 
 
 def test_without_trajectories_there_is_no_table(tmp_path: Path) -> None:
     assert error_by_distance(tmp_path) == {}
     write_run(tmp_path, "lake", "livo", 0)  # 48 m: one bin shows no growth
     rows = load_flights(tmp_path)
-    add_errors_by_distance(rows)
-    assert distance_tables(rows) == []
+    add_trajectory_columns(rows)
+    assert [table.key for table in accuracy_tables(frame_of(rows))] == ["table2"]

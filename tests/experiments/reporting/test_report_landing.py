@@ -3,12 +3,14 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from touchdown.experiments.reporting import published
-from touchdown.experiments.reporting.flights import load_flights
-from touchdown.experiments.reporting.landing_figure import landing_pictures
-from touchdown.experiments.reporting.landings import landing_tables, offset_xy
+from touchdown.experiments.reporting.drawing import Picture
+from touchdown.experiments.reporting.figures import offsets_xy, pictures_of
+from touchdown.experiments.reporting.flights import frame_of, load_flights
+from touchdown.experiments.reporting.report_tables import landing_tables
 from touchdown.experiments.reporting.tables import Table
 
 from support.report_support import LANDING, write_run
@@ -57,28 +59,32 @@ def sites(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]], key: str) -> Table:
-    return next(found for found in landing_tables(rows) if found.key == key)
+    return next(found for found in landing_tables(frame_of(rows)) if found.key == key)
 
 
-def lines(found: Table) -> dict[tuple[str, str], list[str]]:
-    return {(row[0].text, row[1].text): [c.text for c in row[2:]] for row in found.rows}
+def lines(found: Table) -> dict[tuple[str, str], dict[str, str]]:
+    """The figures by method and scene, and the title of their column; the paper's after a "+"."""
+    titles = [
+        f"{found.header[n - 1]}+" if title == "paper prints" else title
+        for n, title in enumerate(found.header)
+    ]
+    return {
+        (row[0].text, row[1].text): dict(zip(titles, [cell.text for cell in row], strict=True))
+        for row in found.rows
+    }
 
 
-def test_table_5_has_every_method_of_the_paper(rows: list[dict[str, Any]]) -> None:
-    found = lines(table(rows, "landing"))
-    assert found["`gps`", "paper prints"] == ["–", "–", "–", "1.41", "–", "0.21", "3.11", "–"]
-    assert "v_z (m/s) (set)" in table(rows, "landing").header
-    assert "largest v_z (m/s) (set)" in table(rows, "touchdowns").header
-    assert any("v_z is set by `landing.touch" in n for n in table(rows, "landing").notes)
-    assert found["`gps`", "crossroad"][:4] == ["3", "100 %", "100 %", "1.00"]
-    assert found["`livo`", "crossroad"][:4] == ["4", "75 %", "50 %", "0.050"]
-    # Not flown, but printed: to be compared with.
-    assert found["`zou2024`", "paper prints"][3:7] == ["0.41", "–", "0.04", "1.99"]
-    assert ("`zou2024`", "crossroad") not in found
-
-
-def test_numbers_of_table_5_have_intervals(rows: list[dict[str, Any]]) -> None:
-    offset = table(rows, "landing").numbers["gps"]["crossroad"]["landing.target_offset_m"]
+def test_table_5_has_the_published_figures_of_each_method(rows: list[dict[str, Any]]) -> None:
+    found = table(rows, "table5")
+    gps, livo = (lines(found)[f"`{method}`", "`crossroad`"] for method in ("gps", "livo"))
+    assert (gps["landings"], gps["landed (%)"], gps["safe (%)"]) == ("3", "100", "100")
+    assert (gps["d_L (m)"], gps["d_L (m)+"]) == ("1.00", "1.41")
+    assert (gps["a_z (m/s²)+"], gps["α_L (°)+"]) == ("0.21", "3.11")
+    assert "v_z (m/s) (set)" in gps and "v_z (m/s) (set)+" not in gps
+    assert (livo["landings"], livo["landed (%)"], livo["safe (%)"]) == ("4", "75.0", "50.0")
+    assert (livo["d_L (m)"], livo["d_L (m)+"]) == ("0.050", "–")
+    assert any("v_z is set by `landing.touch" in note for note in found.notes)
+    offset = found.numbers["gps"]["crossroad"]["landing.target_offset_m"]
     assert offset["value"] == pytest.approx(1.0) and offset["low"] < 1.0 < offset["high"]
 
 
@@ -86,42 +92,47 @@ def test_how_landings_went_counts_unsafe_ones_and_finds_extremes(
     rows: list[dict[str, Any]],
 ) -> None:
     found = table(rows, "touchdowns")
-    assert lines(found)["`livo`", "crossroad"] == [
-        "4", "3", "ABORTED 1", "1", "0.060", "0.120", "2.00", "7.50", "2.00",
+    livo, gps = (lines(found)[f"`{method}`", "`crossroad`"] for method in ("livo", "gps"))
+    assert list(livo.values())[2:] == [
+        "4", "ABORTED 1", "1", "0.060", "0.120", "2.00", "7.50", "2.00",
     ]  # fmt: skip
-    assert found.numbers["livo"]["crossroad"]["largest landing.bounce_m"] == pytest.approx(0.02)
-    assert found.numbers["livo"]["crossroad"]["otherwise"] == {"ABORTED": 1}
-    assert lines(found)["`gps`", "crossroad"][2:4] == ["–", "0"]
+    assert livo["largest bounce (cm)"] == "2.00" and "largest v_z (m/s) (set)" in livo
+    numbers = found.numbers["livo"]["crossroad"]
+    assert numbers["landing.bounce_m.largest"] == pytest.approx(0.02)
+    assert (gps["other outcomes"], gps["unsafe touchdowns"]) == ("–", "0")
 
 
 def test_table_6_beside_the_papers(sites: list[dict[str, Any]]) -> None:
-    found = table(sites, "table6_livo")
-    assert [row[0].text for row in found.rows] == ["`turf`", "`footbridge`"]
-    turf, bridge = ([c.text for c in row[1:]] for row in found.rows)
+    found = table(sites, "table6")
+    turf, bridge = (list(line.values())[1:] for line in lines(found).values() if "all" not in line)
     assert turf == [
-        "2 of 2", "5.00", "4.52", "2.00", "3.52", "0.120", "lawn (safe) 2", "Lawn (safe)",
+        "`turf`", "2", "2", "5.00", "4.52", "2.00", "3.52", "0.120", "lawn (safe) 2", "Lawn (safe)",
     ]  # fmt: skip
-    assert bridge[0] == "1 of 2" and bridge[-2:] == ["building (risky) 1", "Road (risky)"]
-    assert found.numbers["turf"]["classes"] == {"lawn": 2}
+    assert bridge[:3] == ["`footbridge`", "2", "1"]
+    assert bridge[-2:] == ["building (risky) 1", "Road (risky)"]
     assert list(published.SITES) == [
         "turf", "rooftop_parking", "cottage", "footbridge", "pools"
     ]  # fmt: skip
 
 
 def test_offsets_are_from_the_commanded_spot(rows: list[dict[str, Any]]) -> None:
-    gps = [row for row in rows if row["estimator"] == "gps"]
-    assert offset_xy(gps[0]) == pytest.approx((0.8, 0.0))
-    chosen = gps[0] | {"landing.commanded_xy_m": None, "landing.site_xy_m": [14.5, -33.5]}
-    assert offset_xy(chosen) == pytest.approx((0.3, 0.0))
-    assert offset_xy(gps[0] | {"landing.touchdown_xy_m": None}) is None
+    gps = next(row for row in rows if row["estimator"] == "gps")
+    chosen = gps | {"landing.commanded_xy_m": None, "landing.site_xy_m": [14.5, -33.5]}
+    nowhere = gps | {"landing.touchdown_xy_m": None}
+    found = offsets_xy(frame_of([gps, chosen, nowhere]))
+    assert found == pytest.approx(np.array([[0.8, 0.0], [0.3, 0.0]]))
+
+
+def touchdowns(rows: list[dict[str, Any]]) -> Picture:
+    return next(found for found in pictures_of(frame_of(rows)) if found.name == "fig12")
 
 
 def test_fig_12_shows_what_landed_and_enlarges_the_nearest(rows: list[dict[str, Any]]) -> None:
-    (picture,) = landing_pictures(rows)
-    assert picture.name == "fig12" and "the commanded spot" in picture.title
+    picture = touchdowns(rows)
+    assert "the commanded spot" in picture.title
     assert "3 with `livo`, 3 with `gps`" in picture.caption
     assert "the nearest, enlarged" in picture.svg
     alone = [row for row in rows if row["estimator"] == "gps"]
-    assert "enlarged" not in landing_pictures(alone)[0].svg
-    (chosen,) = landing_pictures([row | {"landing.commanded_xy_m": None} for row in alone])
-    assert "committed at 4 m" in chosen.title and landing_pictures([]) == []
+    assert "enlarged" not in touchdowns(alone).svg
+    chosen = touchdowns([row | {"landing.commanded_xy_m": None} for row in alone])
+    assert "committed at 4 m" in chosen.title

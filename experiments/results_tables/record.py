@@ -11,7 +11,7 @@ from touchdown.experiments.campaign.results_table import CRASHED, is_campaign, l
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.io.provenance import DIRTY, UNRECORDED_REMEDY
 from touchdown.experiments.io.untrusted import read_object
-from touchdown.experiments.results_book.sets import FlightSet
+from touchdown.experiments.results_tables.sets import FlightSet
 
 FILE = "docs/results/results.json"
 FORMAT = "touchdown-results-1"

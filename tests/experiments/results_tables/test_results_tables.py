@@ -11,17 +11,17 @@ from touchdown.experiments.campaign.directory import settle_plan
 from touchdown.experiments.campaign.results_table import ROW_FILE, RUNS, write_table
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.results_book import flying, tables
-from touchdown.experiments.results_book.pages import BLOCKS, write_book, written
-from touchdown.experiments.results_book.pairs import pairs
-from touchdown.experiments.results_book.record import (
+from touchdown.experiments.reporting.flights import frame_of
+from touchdown.experiments.results_tables import sets, tables
+from touchdown.experiments.results_tables.pages import BLOCKS, write_pages, written
+from touchdown.experiments.results_tables.record import (
     FILE,
     merged,
     read_record,
     record_of,
     record_text,
 )
-from touchdown.experiments.results_book.sets import ROOT, SETS, FlightSet
+from touchdown.experiments.results_tables.sets import ROOT, SETS, FlightSet
 
 from support.command import Says
 
@@ -79,7 +79,7 @@ def cells(lines: list[str], *start: str) -> dict[str, str]:
 
 
 def test_landings_by_scene() -> None:
-    lines = tables.landings(landed())
+    lines = tables.landings(frame_of(landed()))
     lake, every = cells(lines, "`lake`"), cells(lines, "all scenes")
     assert lake["flights"] == "2" and lake["unsafe touchdowns"] == "0"
     assert lake["d_L (m)"] == "0.200"  # of two flights there is no interval
@@ -107,7 +107,7 @@ def surveys() -> list[dict[str, Any]]:
 
 
 def test_positioning_by_method_and_scene() -> None:
-    lines = tables.positioning(surveys(), landed())
+    lines = tables.positioning(frame_of(surveys()), frame_of(landed()))
     assert not any("oracle" in line for line in lines)
     begun = cells(lines, "`livo`", "`lake`")  # the surveys that its landings begin with
     assert begun["outcomes"] == "LANDED 2" and begun["mean error (m)"] == "0.300"
@@ -121,7 +121,7 @@ def test_positioning_by_method_and_scene() -> None:
 
 
 def test_levelness_of_surveys_and_landings() -> None:
-    lines = tables.levelness(surveys(), landed())
+    lines = tables.levelness(frame_of(surveys()), frame_of(landed()))
     assert cells(lines, "`lake`", "survey, `oracle`")["largest at any place (°)"] == "1.00"
     assert cells(lines, "`forest`", "landing, `livo`")["levelness, mean (°)"] == "0.500"
     every = cells(lines, "all scenes", "landing, `livo`")
@@ -136,13 +136,13 @@ def test_blind_flights_by_condition() -> None:
             ("DIVERGED", 0.9, "lake-livo-s1-lidar_dropout.20"),
         )
     ]
-    lines = tables.blind(rows)
+    lines = tables.blind(frame_of(rows))
     assert cells(lines, "`camera_black.0`", "`lake`")["mean error (m)"] == "0.100"
     assert cells(lines, "`lidar_dropout.20`", "`lake`")["outcomes"] == "DIVERGED 1"
 
 
 def test_the_summary_compares_no_figure_that_is_set() -> None:
-    lines = tables.summary(landed(), surveys())
+    lines = tables.summary(frame_of(landed()), frame_of(surveys()))
     speed = next(line for line in lines if line.startswith("| v_z"))
     assert speed.split("|")[1].strip().endswith("(set) (m/s)") and speed.split("|")[2] == " – "
     assert next(line for line in lines if line.startswith("| d_L")).split("|")[2] == " 0.41 "
@@ -185,7 +185,7 @@ def pages_in(root: Path) -> Path:
 def test_the_file_and_the_pages_state_revision_and_plan(tmp_path: Path) -> None:
     root = pages_in(tmp_path / "tree")
     fly(LANDINGS, tmp_path / "out")
-    files = write_book([LANDINGS], tmp_path / "out", root)
+    files = write_pages([LANDINGS], tmp_path / "out", root)
     assert sorted(str(file.relative_to(root)) for file in files) == sorted([FILE, *PAGES])
     entry = read_record(root)["field/landings"]
     assert (entry["revision"], entry["date"]) == (REVISION, "2031-02-03")
@@ -219,7 +219,7 @@ def test_rows_of_no_revision_are_refused(tmp_path: Path, revision: str, message:
 def test_rows_of_two_revisions_are_refused(tmp_path: Path) -> None:
     directory = fly(LANDINGS, tmp_path)
     run = sorted((directory / RUNS).iterdir())[3]
-    (changed,) = [r for r in flying.load_rows(directory) if r["run_id"] == run.name]
+    (changed,) = [r for r in sets.load_rows(directory) if r["run_id"] == run.name]
     write_table([changed | {"git_revision": "fedcba"}], run / ROW_FILE)
     (directory / "results.parquet").unlink()
     with pytest.raises(UsageError, match=r"2 revisions \(0123456789ab, fedcba\); a page is of one"):
@@ -237,7 +237,7 @@ def test_nothing_is_written_of_missing_flights(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = {"directory": "d", "runs": 2, "finished": 1, "missing": 1, "crashed": 0, "outcomes": {}}
-    monkeypatch.setattr("touchdown.experiments.results_book.flying.fly", lambda *_: [found])
+    monkeypatch.setattr("touchdown.experiments.results_tables.sets.fly", lambda *_: [found])
     code = cli.main(["results", "--out", str(tmp_path), "--write", "--quiet"])
     assert code == 1 and "nothing is written" in capsys.readouterr().err
 
@@ -260,10 +260,10 @@ def test_nothing_is_flown_that_could_not_be_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, revision: str | None, message: str
 ) -> None:
     fly(LANDINGS, tmp_path, left_out=1)
-    monkeypatch.setattr(flying, "git_revision", lambda: revision)
-    monkeypatch.setattr(flying, "fly_campaign", lambda *_, **__: pytest.fail("flown"))
+    monkeypatch.setattr(sets, "git_revision", lambda: revision)
+    monkeypatch.setattr(sets, "fly_campaign", lambda *_, **__: pytest.fail("flown"))
     with pytest.raises(UsageError, match=message):
-        flying.fly([LANDINGS], tmp_path, 1, flying.Watcher)
+        sets.fly([LANDINGS], tmp_path, 1, sets.Watcher)
 
 
 def test_the_cost_is_stated_first(tmp_path: Path, says: Says) -> None:
@@ -296,7 +296,7 @@ def test_short_flights_are_paired_with_whole_ones_of_equal_scene_and_seed() -> N
         ]
         for scale in (0.5, 1.0)
     ]  # fmt: skip
-    lines = pairs([*sides[0], row("lake", 9)], sides[1][::-1])
+    lines = tables.pairs(frame_of([*sides[0], row("lake", 9)]), frame_of(sides[1][::-1]))
     error, offset = cells(lines, "position error (m)"), cells(lines, "d_L (m)")
     assert (error["pairs"], error["whole, mean"], error["short, mean"]) == ("6", "0.400", "0.200")
     assert error["short over whole"] == "0.500 [0.500, 0.500]"

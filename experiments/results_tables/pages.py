@@ -9,9 +9,9 @@ from pathlib import Path
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import write_text
-from touchdown.experiments.results_book import tables
-from touchdown.experiments.results_book.pairs import pairs
-from touchdown.experiments.results_book.record import (
+from touchdown.experiments.reporting.flights import frame_of
+from touchdown.experiments.results_tables import tables
+from touchdown.experiments.results_tables.record import (
     FILE,
     SHORT,
     Record,
@@ -20,7 +20,7 @@ from touchdown.experiments.results_book.record import (
     record_of,
     record_text,
 )
-from touchdown.experiments.results_book.sets import ROOT, SETS, FlightSet
+from touchdown.experiments.results_tables.sets import ROOT, SETS, FlightSet
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Block:
                 f"Not flown at a stated revision yet: `{command}` flies it and writes this table."
             )
         flown = [record[key] for key in self.sets]
-        lines = self.lines(*(entry["rows"] for entry in flown))
+        lines = self.lines(*(frame_of(entry["rows"]) for entry in flown))
         return "\n".join([*lines, "", _origin(self.sets, record)])
 
 
@@ -68,7 +68,7 @@ BLOCKS = (
     Block(_FIELD, "positioning", ("field/positioning", "field/landings"), tables.positioning),
     Block(_FIELD, "levelness", ("field/positioning", "field/landings"), tables.levelness),
     Block(_FIELD, "blind", ("field/blind",), tables.blind),
-    Block(_FIELD, "pairs", (f"field/{SHORT}", "field/landings"), pairs),
+    Block(_FIELD, "pairs", (f"field/{SHORT}", "field/landings"), tables.pairs),
     Block(_IDEAL, "landings", ("ideal/landings",), tables.landings),
     Block(
         _IDEAL,
@@ -101,7 +101,7 @@ def written(text: str, page: str, record: Record) -> str:
     return text
 
 
-def write_book(sets: Sequence[FlightSet], out: Path, root: Path = ROOT) -> list[Path]:
+def write_pages(sets: Sequence[FlightSet], out: Path, root: Path = ROOT) -> list[Path]:
     """Writes the sets that are flown below ``out`` into the file of results, and the blocks of all
     pages. Returns the files; raises UsageError, before any is written, where rows or markers are
     missing, or where a page would be of several revisions."""

@@ -1,0 +1,103 @@
+"""Drawings of a report as SVG text whose colours follow the page, light or dark."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from touchdown.experiments.errors import visible
+
+INK, FAINT, GRID, PAPER = "#1b1f27", "#6a7280", "#d9dde3", "#fefefe"
+"""Colours of the drawings; `Picture.on_page` replaces them by those of the page."""
+PAGE_COLOURS = {INK: "var(--ink)", FAINT: "var(--faint)", GRID: "var(--line)", PAPER: "none"}
+METHOD_COLOURS = {
+    "livo": "#2f7fd6",
+    "zou2024": "#e0752d",
+    "stereo": "#b8912a",
+    "hybrid_flow": "#2b9c74",
+    "gps": "#8b6fd6",
+    "optical_flow": "#d64f68",
+    "oracle": "#7d8794",
+}
+SPARE_COLOURS = ("#159bb3", "#a3576b", "#6f9a2d", "#b05fc0")
+_STYLE: Any = {
+    "svg.fonttype": "none",
+    "text.parse_math": False,  # a name may hold dollar signs
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "text.color": INK,
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "figure.facecolor": PAPER,
+    "axes.facecolor": PAPER,
+    "legend.frameon": False,
+}
+
+
+@dataclass(slots=True)
+class Picture:
+    """``svg`` in the fixed colours; ``name`` is its file name without the ending."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str = ""
+
+    @property
+    def on_page(self) -> str:
+        """The SVG element alone, in the colours of the page around it."""
+        text = self.svg[self.svg.index("<svg") :]
+        for fixed, variable in PAGE_COLOURS.items():
+            text = text.replace(fixed, variable)
+        text = re.sub(
+            r"font: ([^;\"]*?)'DejaVu Sans', sans-serif", r"font: \1system-ui, sans-serif", text
+        )
+        head, rest = text.split(">", 1)
+        width = re.search(r'width="([\d.]+)pt"', head)
+        head = re.sub(r' (width|height)="[^"]*"', "", head)
+        # Small figures keep their size, wide ones shrink to the page.
+        widest = f"{4.0 / 3.0 * float(width[1]):.0f}px" if width else "100%"
+        return f'{head} style="max-width: {widest}">{rest}'
+
+
+def colour_of(method: str, methods: Sequence[str]) -> str:
+    """The colour of a method among ``methods``."""
+    if method in METHOD_COLOURS:
+        return METHOD_COLOURS[method]
+    others = [name for name in methods if name not in METHOD_COLOURS]
+    return SPARE_COLOURS[others.index(method) % len(SPARE_COLOURS)]
+
+
+@contextmanager
+def drawn(picture: Picture, width: float, height: float) -> Iterator[Figure]:
+    """Gives a figure, in inches, to be filled, which becomes the SVG of ``picture``. The same data
+    give the same text."""
+    style: Any = {**_STYLE, "svg.hashsalt": picture.name}
+    with matplotlib.rc_context(style):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        yield figure
+        for words in figure.findobj(Text):
+            words.set_text(visible(words.get_text(), keep="\n"))
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    picture.svg = text.getvalue()

@@ -1,0 +1,335 @@
+"""The tables of a report: which columns each has, and its notes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from touchdown.experiments.campaign.expectations import Verdict
+from touchdown.experiments.reporting import published
+from touchdown.experiments.reporting.flights import values
+from touchdown.experiments.reporting.measures import AXES
+from touchdown.experiments.reporting.statistics import Estimate, ratio_interval
+from touchdown.experiments.reporting.tables import (
+    Cell,
+    Column,
+    Table,
+    cell,
+    count,
+    counts,
+    fraction,
+    largest,
+    make_table,
+    mean,
+    pooled_variance,
+)
+from touchdown.experiments.reporting.trajectories import DISTANCES
+from touchdown.scenes.api import RISKY_CLASSES, SAFE_CLASSES
+
+_ERROR, _PATH = "position_error_m.mean", "trajectory_error_m"
+_COMMIT, _CONTACT = (
+    f"landing.estimate_error_at_{when}_m" for when in ("commit", "contact")
+)  # fmt: skip
+FLIGHTS = count("flights")
+LANDED = count("landed", lambda own: own["outcome"] == "LANDED")
+UNSAFE = count("unsafe touchdowns", lambda own: _is(own, "ground_safe", False))
+OUTCOMES = counts("outcomes", "outcome")
+
+
+def _is(own: pd.DataFrame, column: str, wanted: bool) -> Any:
+    """Which flights have ``wanted`` in a column that may be missing, as it may be in each row."""
+    return own[column].eq(wanted) if column in own else np.zeros(len(own), bool)
+
+
+def landed_of(frame: pd.DataFrame) -> pd.DataFrame:
+    """The flights that landed."""
+    return frame[frame["outcome"] == "LANDED"]
+
+
+# ------------------------------------------------------------------------------------- all flights
+
+
+def flight_table(frame: pd.DataFrame, first: str = "") -> Table:
+    """A line for each condition, method and scene. ``first``: the condition that the others are
+    compared with by the ratio of mean errors on equal scenes and seeds, where there are several."""
+    columns = [
+        FLIGHTS,
+        count("successful", lambda own: _is(own, "success", True)),
+        OUTCOMES,
+        mean(_ERROR, "mean error (m)"),
+        largest(_ERROR, "worst flight (m)"),
+        largest("position_error_m.max", "largest error (m)"),
+        mean("nees.below_14_2"),
+        mean(_PATH),
+        mean(_COMMIT),
+        largest(_COMMIT, "worst (m)"),
+        mean(_CONTACT),
+        largest(_CONTACT, "worst (m)"),
+        mean("landing.target_offset_m"),
+    ]
+    if frame["condition"].nunique() > 1 and (frame["condition"] == first).any():
+        base = frame[frame["condition"] == first]
+        columns.append(
+            Column(
+                key="error_ratio",
+                title=f"mean error over that of {first}",
+                of=lambda own: _error_ratio(own, base),
+            )
+        )
+    return make_table(frame, "flights", "Flights by condition, method and scene", columns)
+
+
+def _error_ratio(own: pd.DataFrame, base: pd.DataFrame) -> Estimate | None:
+    """Ratio of the sums of errors over the flights of equal method, scene and seed."""
+    if _ERROR not in own:
+        return None
+    keys = ["estimator", "scene", "seed"]
+    pairs = own[[*keys, _ERROR]].merge(base[[*keys, _ERROR]], on=keys).dropna()
+    return ratio_interval(pairs.iloc[:, -2:].to_numpy(np.float64))
+
+
+def accuracy_tables(frame: pd.DataFrame) -> list[Table]:
+    """Table 2, with the error of the estimate itself and NEES, and how the error grows."""
+    columns = [
+        mean(_PATH, best=True, printed=_of_analysed_scene(published.TRAJECTORY_ERROR_M)),
+        pooled_variance(
+            "trajectory_variance_m2",
+            _PATH,
+            best=True,
+            printed=_of_analysed_scene(published.TRAJECTORY_VARIANCE_M2),
+        ),
+        mean(_ERROR, best=True),
+        mean("nees.median"),
+    ]
+    notes = [
+        "E_tra: mean deviation of the flown path from the reference; σ²_tra: variance of all its "
+        "samples of all flights, each flight weighing the same. Position error: mean 3-D distance "
+        "of the estimate from the truth, not aligned. Median NEES: 2.4 if consistent, above it an "
+        "estimator is overconfident.",
+        "The paper's figures are of a crossroad scene in Gazebo, 10 flights per method.",
+    ]
+    title = "Table 2: deviation of the path, and error of the estimate"
+    by_distance = [mean(f"error_by_distance.{name}", f"{name} m") for name in DISTANCES]
+    growth = make_table(
+        frame,
+        "distance",
+        "Position error (m) over the distance flown",
+        by_distance,
+        ("condition", "estimator"),
+        notes=["All scenes together; the climb to the survey's height counts as distance too."],
+    )
+    shown = sum(bool(values(frame, column.column).size) for column in by_distance) > 1
+    return [make_table(frame, "table2", title, columns, notes=notes), *[growth] * shown]
+
+
+def _of_analysed_scene(figures: Any) -> Callable[[str, str], float | None]:
+    return lambda method, scene: (
+        figures.get(method) if scene in ("", published.ANALYSED_SCENE) else None
+    )
+
+
+def axis_table(frame: pd.DataFrame) -> Table:
+    """The numbers of Fig. 10 b-e."""
+    columns = [
+        mean(f"{kind}.{axis}") for kind in ("path_deviation", "position_error_m")
+        for axis, *_ in AXES
+    ]  # fmt: skip
+    notes = [
+        "Mean absolute deviation of the flown path from the reference, and mean absolute error of "
+        "the estimate. The paper shows its Fig. 10 without numbers, so none are compared."
+    ]
+    return make_table(frame, "axes", "Errors by axis", columns, notes=notes)
+
+
+def map_table(frame: pd.DataFrame) -> Table:
+    """Table 1: scan time, map density, levelness, of the flights that made a map."""
+    mapped = (
+        frame[frame["map.density_per_m2"] > 0.0] if "map.density_per_m2" in frame else frame[:0]
+    )
+    columns = [
+        mean("map.duration_s"),
+        mean("map.density_per_m2"),
+        mean("map.levelness_error_deg.mean"),
+        mean("map.levelness_error_deg.max"),
+    ]
+    printed = ", ".join(f"±{value:g}" for value in published.LEVELNESS_DEG)
+    notes = [
+        "Δα: mean angle between map and true normal at 10 points per flight, drawn from the seed "
+        "where the ground is planar, and that of the worst of them.",
+        "The paper's Table 1 prints T_total and ρ_map run together as "
+        f'"{published.SCAN_TIME_AND_DENSITY}", so neither is compared. For its scenes 1 to 4, '
+        f"which it does not name, it prints Δα = {printed}°, without saying what ± is, and the "
+        f"bound {published.LEVELNESS_BOUND_DEG:g}° over all of them.",
+    ]
+    return make_table(mapped, "table1", "Table 1: scan time, map density and levelness", columns,
+                      notes=notes)  # fmt: skip
+
+
+# ---------------------------------------------------------------------------------------- landings
+
+
+def landing_tables(frame: pd.DataFrame) -> list[Table]:
+    """Tables 5 and 6 and the extremes, of the flights in landing mode."""
+    landings = frame[frame["mode"] == "land"]
+    on_sites = landings[landings["scene"].isin(list(published.SITES))]
+    return [_table_5(landings), _table_6(on_sites), _touchdown_table(landings)]
+
+
+def _when_landed(column: Column) -> Column:
+    """``column`` over the flights that landed."""
+    return replace(column, of=lambda own: column.of(landed_of(own)))
+
+
+def _table_5(landings: pd.DataFrame) -> Table:
+    columns = [
+        count("landings"),
+        fraction("landed", lambda own: own["outcome"] == "LANDED"),
+        fraction("safe", lambda own: (own["outcome"] == "LANDED") & _is(own, "ground_safe", True)),
+        *(
+            _when_landed(mean(column, printed=_by_method(column)))
+            for column in (
+                "landing.target_offset_m",
+                "landing.vertical_speed_mps",
+                "landing.vertical_accel_mps2",
+                "landing.slope_deg",
+                "landing.tilt_deg",
+            )
+        ),
+    ]
+    notes = [
+        "Fractions are of all flights that were to land, with Wilson's 95 % interval; safe means "
+        "that the true ground around the touchdown is safe by geometry, and of a safe class in "
+        "flights with the ground classifier. The other figures are over the flights that landed; "
+        "the paper's are of five flights per method on a real vehicle.",
+        "d_L: from the first contact to the site as committed at 4 m, or as commanded. v_z, a_z: "
+        "mean absolute values over the last 0.5 s. α_L: slope of the true ground. Tilt: of the "
+        "vehicle, the largest from the first contact on.",
+    ]
+    return make_table(landings, "table5", "Table 5: landings", columns, notes=notes)
+
+
+def _by_method(column: str) -> Callable[[str, str], float | None]:
+    figures = published.LANDINGS.get(column, {})
+    return lambda method, _scene: figures.get(method)
+
+
+def _table_6(landings: pd.DataFrame) -> Table:
+    columns = [
+        count("landings"),
+        LANDED,
+        _when_landed(mean("landing.obstacle_distance_m", printed=_of_site("obstacle_distance_m"))),
+        _when_landed(mean("landing.slope_deg", "level (°)", printed=_of_site("level_deg"))),
+        _when_landed(mean("landing.vertical_speed_mps")),
+        _when_landed(
+            Column(
+                key="type of site",
+                title="type of site",
+                of=_types_of_sites,
+                printed=_of_site("site_type"),
+            )
+        ),
+    ]
+    notes = [
+        "Over the flights that landed. Obstacle distance: from the touchdown to the nearest thing "
+        "that stands more than 0.25 m over the ground, 15 m where there is none so near. Level: "
+        "slope of the true ground at the touchdown. Type: the true class of the ground there, with "
+        "the number of landings. The paper's sites are real places, these are made to be alike."
+    ]
+    return make_table(landings, "table6", "Table 6: five kinds of sites", columns, notes=notes)
+
+
+def _of_site(name: str) -> Callable[[str, str], Any]:
+    return lambda _method, scene: getattr(published.SITES.get(scene), name, None)
+
+
+def _types_of_sites(landed: pd.DataFrame) -> str | None:
+    """The true classes of the ground, each with its safety in the paper and its number."""
+    if "landing.class_true" not in landed:
+        return None
+    found = landed["landing.class_true"].dropna().value_counts()
+    return ", ".join(f"{name} ({_safety(name)}) {n}" for name, n in found.items()) or None
+
+
+def _safety(name: str) -> str:
+    return "safe" if name in SAFE_CLASSES else "risky" if name in RISKY_CLASSES else "unsafe"
+
+
+def _touchdown_table(landings: pd.DataFrame) -> Table:
+    columns = [
+        FLIGHTS,
+        counts("other outcomes", "outcome", leave="LANDED"),
+        UNSAFE,
+        *(
+            _when_landed(largest(f"landing.{name}"))
+            for name in ("target_offset_m", "vertical_speed_mps", "bounce_m", "impact_peak_mps2",
+                         "tilt_deg")
+        ),
+    ]  # fmt: skip
+    notes = [
+        "Unsafe touchdowns are counted whatever the outcome; the extremes are over the flights "
+        "that landed. Bounce: how far the vehicle rose again after its first contact. "
+        "Deceleration: its largest acceleration in any tick from the first contact on."
+    ]
+    return make_table(landings, "touchdowns", "How landings went, and the extremes", columns,
+                      notes=notes)  # fmt: skip
+
+
+# -------------------------------------------------------------------------------------------- time
+
+
+def time_table(frame: pd.DataFrame) -> Table:
+    """Wall time, and the fraction of it that each stage took."""
+    prefix = "timing.stage_ms."
+    if "timing.wall_s" in frame:
+        frame = frame.dropna(subset=["timing.wall_s"])
+    stages = [name.removeprefix(prefix) for name in frame if str(name).startswith(prefix)]
+    columns = [
+        FLIGHTS,
+        mean("timing.wall_s"),
+        mean("timing.real_time_factor"),
+        *(
+            Column(key=name, title=f"{name} (%)", of=_stage_fraction(prefix + name), scale=100.0)
+            for name in stages
+        ),
+    ]
+    notes = [
+        f"{len(frame)} flights took {values(frame, 'timing.wall_s').sum() / 3600.0:.2g} hours of "
+        "wall time, added up over processes. Stages: parts of the wall time."
+    ]
+    return make_table(frame, "time", "Wall time and the part of each stage", columns,
+                      ("condition", "estimator"), notes=notes)  # fmt: skip
+
+
+def _stage_fraction(column: str) -> Callable[[pd.DataFrame], float | None]:
+    """``column`` is in ms for 0.1 s of simulated time."""
+
+    def of(own: pd.DataFrame) -> float | None:
+        known = own[[column, "timing.sim_s", "timing.wall_s"]].dropna()
+        spent = float((1e-2 * known[column] * known["timing.sim_s"]).sum())
+        return spent / float(known["timing.wall_s"].sum()) if len(known) else None
+
+    return of
+
+
+# ------------------------------------------------------------------------------------ expectations
+
+
+def expectation_table(verdicts: Sequence[Verdict]) -> Table:
+    """A line for each expectation of the campaign's file."""
+    rows = [
+        [
+            Cell(verdict.name, kind="name"),
+            Cell(verdict.expected),
+            Cell(", ".join(f"{name} {n}" for name, n in sorted(verdict.outcomes.items()))),
+            cell(verdict.largest_error_m),
+            Cell(verdict.word),
+        ]
+        for verdict in verdicts
+    ]
+    header = ["runs", "expected", "outcomes", "largest error, m", "verdict"]
+    notes = [f"`{run_id}`: {why}." for v in verdicts for run_id, why in v.failures.items()]
+    return Table("expected", "Expectations and outcomes", header, rows, notes)

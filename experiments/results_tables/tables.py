@@ -1,0 +1,243 @@
+"""The tables of README and the results pages, as lines of Markdown, of frames of stored rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from touchdown.experiments.reporting import published
+from touchdown.experiments.reporting.conditions import condition_of
+from touchdown.experiments.reporting.flights import ordered
+from touchdown.experiments.reporting.measures import is_marked, setting_notes, titled
+from touchdown.experiments.reporting.report_tables import FLIGHTS, LANDED, OUTCOMES, UNSAFE
+from touchdown.experiments.reporting.statistics import (
+    fraction_interval,
+    geometric_ratio,
+    rank_correlation,
+)
+from touchdown.experiments.reporting.tables import (
+    MISSING,
+    Column,
+    cell,
+    digits,
+    interval_text,
+    largest,
+    make_table,
+    markdown_lines,
+    mean,
+    with_notes,
+)
+
+_ERROR, _PATH, _NEES = "position_error_m.mean", "trajectory_error_m", "nees.below_14_2"
+_LEVEL, _LEVEL_MAX = "map.levelness_error_deg.mean", "map.levelness_error_deg.max"
+_D_L, _V_Z = "landing.target_offset_m", "landing.vertical_speed_mps"
+_A_Z, _SLOPE = "landing.vertical_accel_mps2", "landing.slope_deg"
+_COMMIT = "landing.estimate_error_at_commit_m"
+_INTERVALS = "Brackets: 95 % intervals of the mean over flights (bootstrap), of shares Wilson's."
+_LEVELNESS = (
+    mean(_LEVEL, "levelness, mean (°)"),
+    largest(_LEVEL_MAX, "largest at any place (°)"),
+)
+
+
+def landings(frame: pd.DataFrame) -> list[str]:
+    """A line for each scene and one for all of them."""
+    columns = [
+        FLIGHTS,
+        LANDED,
+        UNSAFE,
+        mean(_ERROR),
+        *(mean(column) for column in (_D_L, _V_Z, _A_Z, _SLOPE)),
+        *_LEVELNESS,
+    ]
+    notes = [
+        "Figures of touchdowns are over the flights that touched ground. "
+        "d_L: from the first contact to the site as committed at 4 m; v_z, a_z: mean absolute "
+        f"values over the last 0.5 s; α_L: slope of the true ground. {_INTERVALS}"
+    ]
+    table = make_table(frame, "landings", "", columns, ("scene",), notes=notes)
+    unsafe = frame["ground_safe"].eq(False)
+    lost = frame[(frame["outcome"] != "LANDED") | unsafe]
+    for row, on_unsafe in zip(lost.to_dict("records"), unsafe[lost.index], strict=True):
+        reason = f" ({row['reason']})" if isinstance(row.get("reason"), str) else ""
+        place = ", on unsafe ground" * on_unsafe
+        table.notes.append(
+            f"`{row['scene']}`, seed {row['seed']}: {row['outcome']}{place}{reason}."
+        )
+    return with_notes(table)
+
+
+def positioning(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
+    """A line for each method and scene, and one for each method over all scenes."""
+    columns = [
+        FLIGHTS,
+        OUTCOMES,
+        mean(_ERROR, "mean error (m)"),
+        largest(_ERROR, "worst flight (m)"),
+        mean(_PATH),
+        mean(_NEES),
+    ]
+    notes = [
+        "mean error: distance of the estimate from the truth, not aligned; E_tra: deviation of the "
+        "flown path from the reference; both from lift-off to the end of the survey. The surveys "
+        f"of `livo` are those of the landings. {_INTERVALS}"
+    ]
+    frame = _positioned(surveys, landed)
+    return with_notes(
+        make_table(frame, "positioning", "", columns, ("estimator", "scene"), notes=notes)
+    )
+
+
+def _positioned(surveys: pd.DataFrame, landed: pd.DataFrame) -> pd.DataFrame:
+    """The flights that show a method's positioning: a landing begins with the same survey, over
+    which position error and deviation from the reference are taken."""
+    return pd.concat([landed, surveys[surveys["estimator"] != "oracle"]])
+
+
+def levelness(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
+    """A line for each scene and kind of flight that made a map: Δα, mean and largest."""
+    kinds = [
+        surveys[surveys["estimator"] == method].assign(flight=f"survey, `{method}`")
+        for method in ("oracle", "zou2024")
+    ]
+    frame = pd.concat([*kinds, landed.assign(flight="landing, `livo`")])
+    printed = ", ".join(f"±{value:g}" for value in published.LEVELNESS_DEG)
+    notes = [
+        "Angle between the normals of map and true ground at 10 places of a flight, at the end of "
+        f"the survey; `oracle` has the true pose. {_INTERVALS}",
+        f"The paper's Table 1 prints {printed}° for its scenes 1 to 4, which it does not name, and "
+        f"the bound {published.LEVELNESS_BOUND_DEG:g}° over all of them.",
+    ]
+    columns = [FLIGHTS, *_LEVELNESS]
+    return with_notes(make_table(frame, "levelness", "", columns, ("scene", "flight"), notes=notes))
+
+
+def blind(frame: pd.DataFrame) -> list[str]:
+    """A line for each condition and scene."""
+    frame = frame.assign(condition=[condition_of(row) for row in _plain(frame)])
+    columns = [
+        FLIGHTS,
+        OUTCOMES,
+        UNSAFE,
+        mean(_ERROR, "mean error (m)"),
+        largest("position_error_m.max", "largest error (m)"),
+        mean(_COMMIT),
+        mean(_NEES),
+    ]
+    table = make_table(frame, "blind", "", columns, ("condition", "scene"), notes=[_INTERVALS])
+    return with_notes(table)
+
+
+def _plain(frame: pd.DataFrame) -> list[dict[str, str]]:
+    """The rows without a condition."""
+    found: list[dict[str, str]] = frame.drop(columns="condition").to_dict("records")
+    return found
+
+
+# ------------------------------------------------------------------------------------------ README
+
+_MEASURES = (
+    ("d_L, offset from the chosen site", "m", _D_L, _D_L),
+    ("v_z before the first contact", "m/s", _V_Z, _V_Z),
+    ("a_z before it", "m/s²", _A_Z, _A_Z),
+    ("α_L, slope of the ground there", "°", _SLOPE, _SLOPE),
+    ("levelness of the map", "°", _LEVEL, _LEVEL_MAX),
+)
+"""Title, unit, and the columns of mean and largest value."""
+
+
+def summary(landed: pd.DataFrame, surveys: pd.DataFrame) -> list[str]:
+    """README's two tables, over all scenes: landings by measure, surveys by method."""
+    positioned = _positioned(surveys, landed)
+    notes = setting_notes([_V_Z, _PATH, _ERROR], ordered(positioned, "estimator"))
+    columns = [
+        Column(key="completed", title="completed", of=_completed),
+        mean(_ERROR),
+        mean(_PATH),
+        Column(key="paper", title="E_tra, paper (m)", of=_printed_path),
+        mean(_NEES),
+    ]
+    heads = [f"surveys, {positioned['scene'].nunique()} scenes"]
+    table = make_table(positioned, "surveys", "", columns, ("estimator",), names=heads)
+    return [*_landing_summary(landed), "", *table.lines, "", " ".join([*notes, _INTERVALS])]
+
+
+def _completed(own: pd.DataFrame) -> str:
+    return f"{own['outcome'].isin(['COMPLETED', 'LANDED']).sum()} of {len(own)}"
+
+
+def _printed_path(own: pd.DataFrame) -> str | None:
+    method = own["estimator"].iloc[0]
+    found = published.TRAJECTORY_ERROR_M.get(method)
+    return None if found is None or is_marked(_PATH, [method]) else f"{found:g}"
+
+
+def _landing_summary(frame: pd.DataFrame) -> list[str]:
+    safe = int((frame["outcome"].eq("LANDED") & frame["ground_safe"].eq(True)).sum())
+    fraction = fraction_interval(safe, len(frame))
+    low, high = 100.0 * (fraction.low or 0.0), 100.0 * (fraction.high or 0.0)
+    counts = (
+        f"{LANDED.of(frame)}; {safe} ({100.0 * fraction.value:.0f} % [{low:.0f}, {high:.0f}]); "
+        f"{UNSAFE.of(frame)}"
+    )
+    rows = [["landed; on safe ground; touched unsafe ground", MISSING, counts, MISSING]]
+    for title, unit, column, worst in _MEASURES:
+        theirs = published.LANDINGS.get(column, {}).get("zou2024", MISSING)
+        if column == _LEVEL:
+            theirs = f"within {published.LEVELNESS_BOUND_DEG:g}"
+        figures = mean(column).of(frame), largest(worst).of(frame)
+        name = f"{titled(title, column)} ({unit})"
+        rows.append([name, str(theirs), *(cell(figure).markdown for figure in figures)])
+    scenes = frame["scene"].nunique()
+    header = [f"{len(frame)} landings with `livo`, {scenes} scenes", "paper", "mean", "largest"]
+    return markdown_lines(header, rows)
+
+
+# ------------------------------------------------------------------------------------ short flights
+
+_COMPARED = (
+    ("position error (m)", _ERROR),
+    ("largest position error (m)", "position_error_m.max"),
+    ("error at the commit (m)", _COMMIT),
+    ("NEES below 14.2 (share)", _NEES),
+    ("E_tra (m)", _PATH),
+    ("d_L (m)", _D_L),
+    ("a_z (m/s²)", _A_Z),
+    ("levelness (°)", _LEVEL),
+    ("CPU time (s)", "cpu_s"),
+)
+
+
+def pairs(short: pd.DataFrame, whole: pd.DataFrame) -> list[str]:
+    """Short flights beside whole ones of equal scene, method and seed, a line for each figure:
+    means, ratio and rank correlation over the pairs."""
+    both = short.merge(whole, on=["scene", "estimator", "seed"], suffixes=("", " whole"))
+    landed = [int((both[name] == "LANDED").sum()) for name in ("outcome", "outcome whole")]
+    header = ["figure", "pairs", "whole, mean", "short, mean", "short over whole",
+              "rank correlation"]  # fmt: skip
+    return [
+        *markdown_lines(header, [_pair_line(title, column, both) for title, column in _COMPARED]),
+        "",
+        f"- Landed: {landed[0]} of {len(both)} short flights, {landed[1]} of {len(both)} whole "
+        "ones. Ratio of the geometric means, with its 95 % interval over pairs (bootstrap); "
+        "Spearman's correlation, with its 95 % interval (Fisher's z).",
+    ]
+
+
+def _pair_line(title: str, column: str, both: pd.DataFrame) -> list[str]:
+    columns = [column, f"{column} whole"]
+    sides = both.reindex(columns=columns).dropna().to_numpy(np.float64)
+    if len(sides) < 2:
+        return [title, str(len(sides)), *[MISSING] * 4]
+    short, whole = sides.T
+    rank = rank_correlation(short, whole)
+    text = f"{rank.value:.2f} [{rank.low:.2f}, {rank.high:.2f}]" if rank else MISSING
+    ratio = geometric_ratio(short, whole)
+    return [
+        title,
+        str(len(sides)),
+        digits(float(whole.mean())),
+        digits(float(short.mean())),
+        f"{digits(ratio.value)} {interval_text(ratio)}".strip() if ratio else MISSING,
+        text,
+    ]
