@@ -210,10 +210,9 @@ class LocalEngine:
 
     name = "local"
 
-    def __init__(self, jobs: int, slots: threading.Semaphore | None = None) -> None:
-        """A run is begun when one of the ``slots`` is free, which others may take too."""
+    def __init__(self, jobs: int) -> None:
         self.jobs = jobs
-        self._slots = slots or threading.Semaphore(jobs)
+        self._slots = threading.Semaphore(jobs)
 
     def run(self, tasks: Sequence[Task], limits: Limits, notify: Callable[[Event], None]) -> None:
         stop = threading.Event()

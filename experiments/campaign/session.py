@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -236,18 +235,13 @@ def default_jobs() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def make_engine(
-    name: str,
-    jobs: int | None,
-    address: str | None = None,
-    slots: threading.Semaphore | None = None,
-) -> Engine:
-    """The engine of that name: ``local``, whose runs wait for one of the ``slots``, or ``ray``,
-    whose cluster is at ``address``. Raises UsageError when it is not available."""
+def make_engine(name: str, jobs: int | None, address: str | None = None) -> Engine:
+    """The engine of that name: ``local``, or ``ray``, whose cluster is at ``address``. Raises
+    UsageError when it is not available."""
     if name == "ray":
         from touchdown.experiments.campaign.executor_ray import RayEngine
 
         return RayEngine(jobs, address)
     if address is not None:
         raise UsageError("--ray-address goes with --engine ray")
-    return LocalEngine(jobs or default_jobs(), slots)
+    return LocalEngine(jobs or default_jobs())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -11,64 +13,66 @@ from touchdown.experiments.drawing.map_axes import INK, PAPER
 from touchdown.landing.api import Candidate, Decision, ScoreTerm
 
 Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_ROW, _MARGIN = 24, 54
-"""height of a row and width of the left margin, of a map of 800 pixels"""
-_FADED = (150, 155, 165)
+_ROW, _MARGIN, _GAP = 24, 54, 28
+"""height of a row, width of the left margin and between columns, of a map of 800 pixels"""
+_LINE_LETTERS = 92
+_WHITE, _FADED = (255, 255, 255), (150, 155, 165)
 
 
 def choice_table(decision: Decision, width: int, scale: float, *, chosen: bool) -> Image:
     """Returns the reason of the choice above a row per candidate, (H, ``width``, 3) RGB.
 
     ``chosen``: the first is the chosen site."""
-    font = 0.5 * scale
-    sentences = _wrapped(decision.why, width - round(2 * _MARGIN * scale), 1.15 * font)
-    header, rows = _cells(decision)
-    lines = len(sentences) + len(rows) + 2
-    image = np.full((round((lines + 0.5) * _ROW * scale), width, 3), PAPER, np.uint8)
-    base = round(_ROW * scale)
-    for sentence in sentences:
-        _write(image, sentence, round(_MARGIN * scale), base, 1.15 * font, (255, 255, 255))
-        base += round(_ROW * scale)
-    base += round(0.4 * _ROW * scale)
-    edges = _edges([header, *rows], width, scale, font)
-    for row, colours in [(header, [_FADED] * len(header)), *_coloured(rows, decision, chosen)]:
-        for text, left, colour in zip(row, edges, colours, strict=True):
-            _write(image, text, left, base, font, colour)
-        base += round(_ROW * scale)
+    sentences = textwrap.wrap(decision.why, round(_LINE_LETTERS * width / (800.0 * scale)))
+    columns = _columns(decision, chosen)
+    height = len(sentences) + len(decision.candidates) + 2.5
+    image = np.full((round(height * _ROW * scale), width, 3), PAPER, np.uint8)
+    left = round(_MARGIN * scale)
+    for line, sentence in enumerate(sentences, start=1):
+        _write(image, sentence, left, line, scale, 0.58, _WHITE)
+    for column in columns:
+        ends = [
+            _write(image, text, left, len(sentences) + 1.4 + row, scale, 0.5, colour)
+            for row, (text, colour) in enumerate(column)
+        ]
+        left = max(ends) + round(_GAP * scale)
     return image
 
 
-def _cells(decision: Decision) -> tuple[list[str], list[list[str]]]:
-    """Returns the header and the texts of each candidate, by column."""
-    terms = next((site.terms for site in decision.candidates if site.terms), ())
+def _columns(decision: Decision, chosen: bool) -> list[list[tuple[str, Colour]]]:
+    """The texts and colours of each column: its title, then those of the candidates, rank and rule
+    in the colour of the candidate's sign."""
+    sites = decision.candidates
+    terms = next((site.terms for site in sites if site.terms), ())
     names = [("= " if not k else "+ ") + t.name.replace("_", " ") for k, t in enumerate(terms)]
-    header = ["", "score", *names, "ground", "slope, step, clearance", "rule"]
-    rows = [
-        _row(number, site, len(terms)) for number, site in enumerate(decision.candidates, start=1)
-    ]
-    return header, rows
+    titles = ["", "score", *names, "ground", "slope, step, clearance", "rule"]
+    rows = [_row(number, site, len(terms)) for number, site in enumerate(sites, start=1)]
+    signs = [colour_of(site, chosen=chosen and not n) for n, site in enumerate(sites)]
+    columns = []
+    for index, title in enumerate(titles):
+        is_signed = index in (0, len(titles) - 1)
+        cells = [
+            (row[index], sign if is_signed else INK) for row, sign in zip(rows, signs, strict=True)
+        ]
+        columns.append([(title, _FADED), *cells])
+    return columns
 
 
 def _row(number: int, site: Candidate, terms: int) -> list[str]:
-    shown = [_term(term) for term in site.terms] if np.isfinite(site.value) else ["-"] * terms
+    shown = [_term(term) for term in site.terms] if np.isfinite(site.value) else []
     ground = "-"
     if site.class_predicted is not None:
         ground = f"{site.class_predicted} {site.class_probability:.2f}"
+    shape = ((site.slope_deg, 1, "deg"), (site.step_m, 2, "m"), (site.clearance_m, 1, "m"))
     return [
         str(number),
         f"{site.value:.3f}" if np.isfinite(site.value) else "-",
         *(shown or ["-"] * terms),
         ground,
-        ", ".join(
-            f"{figure:.{digits}f} {unit}" if np.isfinite(figure) else "-"
-            for figure, digits, unit in (
-                (site.slope_deg, 1, "deg"),
-                (site.step_m, 2, "m"),
-                (site.clearance_m, 1, "m"),
-            )
-        ),
+        ", ".join(f"{v:.{digits}f} {unit}" if np.isfinite(v) else "-" for v, digits, unit in shape),
         site.rule.replace("_", " "),
     ]
 
@@ -80,48 +84,11 @@ def _term(term: ScoreTerm) -> str:
     return f"{term.value:.3f}{quantity}"
 
 
-def _coloured(
-    rows: list[list[str]], decision: Decision, chosen: bool
-) -> list[tuple[list[str], list[tuple[int, int, int]]]]:
-    """The rows with the colour of each text: rank and rule in that of the candidate's sign."""
-    found = []
-    for number, (row, site) in enumerate(zip(rows, decision.candidates, strict=True)):
-        colour = colour_of(site, chosen=chosen and number == 0)
-        found.append((row, [colour, colour, *[INK] * (len(row) - 3), colour]))
-    return found
-
-
-def _edges(table: list[list[str]], width: int, scale: float, font: float) -> list[int]:
-    """Left edges of the columns, the free width shared among them."""
-    widths = [max(_width(text, font) for text in column) for column in zip(*table, strict=True)]
-    margin = round(_MARGIN * scale)
-    gap = max((width - 2 * margin - sum(widths)) // max(len(widths) - 1, 1), round(6 * scale))
-    gap = min(gap, round(34 * scale))
-    edges, at = [], margin
-    for wide in widths:
-        edges.append(at)
-        at += wide + gap
-    return edges
-
-
-def _wrapped(text: str, width: int, font: float) -> list[str]:
-    """Lines of words that fit into ``width`` pixels."""
-    lines: list[str] = []
-    for word in text.split():
-        longer = f"{lines[-1]} {word}" if lines else word
-        if lines and _width(longer, font) <= width:
-            lines[-1] = longer
-        else:
-            lines.append(word)
-    return lines
-
-
-def _width(text: str, font: float) -> int:
-    return int(cv2.getTextSize(text, _FONT, font, max(1, round(2.0 * font)))[0][0])
-
-
 def _write(
-    image: Image, text: str, left: int, base: int, font: float, colour: tuple[int, int, int]
-) -> None:
-    line = max(1, round(2.0 * font))
-    cv2.putText(image, text, (left, base), _FONT, font, colour, line, cv2.LINE_AA)
+    image: Image, text: str, left: int, row: float, scale: float, font: float, colour: Colour
+) -> int:
+    """Writes into a row and returns the column at the end of the text."""
+    size, line = font * scale, max(1, round(2.0 * font * scale))
+    cv2.putText(image, text, (left, round(row * _ROW * scale)), _FONT, size, colour, line,
+                cv2.LINE_AA)  # fmt: skip
+    return left + int(cv2.getTextSize(text, _FONT, size, line)[0][0])

@@ -163,7 +163,7 @@ def _zoom(rows: slice, cols: slice) -> int:
 def _draw_candidates(
     panels: tuple[Colours, Colours], view: LanderView, site_odom: Array | None
 ) -> None:
-    """Draws the candidates into both maps, the rules of refused ones into the second."""
+    """Draws the candidates into both maps."""
     costmap = costmap_of(view)
     rows, cols = seen_box(costmap)
     zoom, height = _zoom(rows, cols), panels[0].shape[0]
@@ -175,13 +175,13 @@ def _draw_candidates(
         return round(col * zoom), round(height - row * zoom)
 
     spots = [pixel(candidate.position_odom) for candidate in view.candidates]
-    for panel, rules in zip(panels, (False, True), strict=True):
+    for panel in panels:
         for number, (spot, candidate) in enumerate(zip(spots, view.candidates, strict=True)):
             if number or not chosen:
                 draw_sign(panel, spot, candidate, round(6 * scale))
         if site_odom is not None:
             draw_winner(panel, pixel(site_odom), round(8 * scale))
-        draw_ranks(panel, spots, view.candidates, scale=scale, chosen=chosen, rules=rules)
+        draw_ranks(panel, spots, view.candidates, scale=scale, chosen=chosen)
 
 
 def _key(frame: MapFrame, view: CostmapView, width: int) -> Colours:
@@ -200,7 +200,7 @@ def _key(frame: MapFrame, view: CostmapView, width: int) -> Colours:
         ("unknown", _UNKNOWN_RGB),
         ("1: the chosen site", CHOSEN_RGB),
         ("accepted", ACCEPTED_RGB),
-        ("refused, and the rule", REFUSED_RGB),
+        ("refused", REFUSED_RGB),
     ):
         at += round(20 * scale)
         strip[top:bottom, at : at + bottom - top] = rgb

@@ -8,32 +8,39 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+from annotated_types import Ge
+from pydantic import AllowInfNan, ConfigDict, TypeAdapter, ValidationError, with_config
 
 from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.config.profiles import PRESETS, WHOLE
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import PartNames
 from touchdown.experiments.io.run_directory import write_text
-from touchdown.experiments.io.untrusted import read_object, shown
+from touchdown.experiments.io.untrusted import read_object
 from touchdown.experiments.reporting.flights import Row, number
 from touchdown.scenes.api import short_name
 from touchdown.sim.files.opening import no_file
 
 FORMAT = "touchdown-baseline-1"
 METRIC = "position_error_m.mean"
+ALL_SCENES = "all scenes"
+
+_Figure = Annotated[float, Ge(0.0), AllowInfNan(False)]
 
 
+@with_config(ConfigDict(strict=True))
 @dataclass(frozen=True, slots=True)
 class Trial:
     """One flight. ``error_m`` is None without a position error; ``bad``: not successful;
     ``figures``: those of `FIGURES` that it has, by column."""
 
     seed: int
-    error_m: float | None
+    error_m: _Figure | None
     outcome: str
     bad: bool
-    figures: Mapping[str, float] = field(default_factory=dict)
+    figures: dict[str, _Figure] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +74,9 @@ FIGURES = (
 Key = tuple[str, str, str]
 """scene, method, variant"""
 Cells = Mapping[Key, Mapping[int, Trial]]
+"""flights by cell and seed"""
+Pairs = Mapping[Key, tuple[Mapping[int, Trial], Mapping[int, Trial]]]
+"""flights of a cell by seed, new and old"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +87,28 @@ class Baseline:
     git_revision: str | None
     config_sha: str
 
+    @property
+    def some_cells(self) -> str:
+        """The names of its first cells."""
+        return "; ".join(map(cell_name, sorted(self.cells)[:6])) or "none"
+
 
 def cell_name(key: Key) -> str:
     scene, method, variant = key
     return f"{scene}, {method}" + (f" ({variant})" if variant else "")
+
+
+def newly_bad(pairs: Pairs) -> list[str]:
+    """Equal seeds that were successful in the baseline and are no longer."""
+    return [
+        f"{cell_name(key)}, seed {seed}: {old[seed].outcome} before, {new[seed].outcome} now"
+        for key, (new, old) in pairs.items()
+        for seed in sorted(new.keys() & old.keys())
+        if new[seed].bad and not old[seed].bad
+    ]
+
+
+# ------------------------------------------------------------------------------------------- rows
 
 
 def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
@@ -95,14 +123,11 @@ def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
                 f"{cell_name(key)} was flown twice with seed {seed} ('{row['run_id']}' is one of "
                 "the runs); keep one of them"
             )
-        trials[seed] = _trial_of(seed, row)
+        found = {figure.column: number(row, figure.column) for figure in FIGURES}
+        figures = {column: value for column, value in found.items() if value is not None}
+        bad = not is_successful(row)
+        trials[seed] = Trial(seed, number(row, METRIC), str(row["outcome"]), bad, figures)
     return cells
-
-
-def _trial_of(seed: int, row: Row) -> Trial:
-    found = {figure.column: number(row, figure.column) for figure in FIGURES}
-    figures = {column: value for column, value in found.items() if value is not None}
-    return Trial(seed, number(row, METRIC), str(row["outcome"]), not is_successful(row), figures)
 
 
 def _variant(row: Row) -> str:
@@ -129,12 +154,26 @@ def configuration_sha(rows: Iterable[Row]) -> str:
     return hashlib.sha256(" ".join(shas).encode()).hexdigest()[:12]
 
 
+# ------------------------------------------------------------------------------------------- file
+
+
+@with_config(ConfigDict(strict=True))
+@dataclass(frozen=True, slots=True)
+class _StoredCell:
+    scene: str
+    estimator: str
+    variant: str
+    flights: list[Trial]
+
+
+_STORED_CELLS = TypeAdapter(list[_StoredCell])
+
+
 def write_baseline(rows: Sequence[Row], path: Path) -> None:
     """Writes the flights of ``rows`` as a baseline, atomically. Raises UsageError, without writing,
     where ``path`` is another kind of file."""
     if path.exists():
         read_baseline(path)
-    cells = cells_of(rows)
     revisions = sorted({str(row["git_revision"]) for row in rows if row.get("git_revision")})
     tree = {
         "format": FORMAT,
@@ -142,13 +181,8 @@ def write_baseline(rows: Sequence[Row], path: Path) -> None:
         "git_revision": ", ".join(revisions) or None,
         "config_sha": configuration_sha(rows),
         "cells": [
-            {
-                "scene": scene,
-                "estimator": method,
-                "variant": variant,
-                "flights": [asdict(trials[seed]) for seed in sorted(trials)],
-            }
-            for (scene, method, variant), trials in sorted(cells.items())
+            asdict(_StoredCell(*key, [trials[seed] for seed in sorted(trials)]))
+            for key, trials in sorted(cells_of(rows).items())
         ],
     }
     try:
@@ -166,40 +200,19 @@ def read_baseline(path: Path) -> Baseline:
         tree = read_object(path)
         if tree["format"] != FORMAT:
             raise ValueError(f"its format is {tree['format']!r}, not {FORMAT!r}")
-        cells = {
-            (str(c["scene"]), str(c["estimator"]), str(c["variant"])): {
-                int(f["seed"]): _trial(f) for f in c["flights"]
-            }
-            for c in tree["cells"]
-        }
+        stored = _STORED_CELLS.validate_python(tree["cells"])
+        cells = {(c.scene, c.estimator, c.variant): {f.seed: f for f in c.flights} for c in stored}
         return Baseline(cells, tree["git_revision"], str(tree["config_sha"]))
     except (OSError, ValueError, TypeError, LookupError) as error:
-        reason = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else str(error)
-        reason = " ".join(reason.split())
         raise UsageError(
-            f"'{path}' is no baseline of `touchdown regress`: {reason}; write one with --update "
-            "to another name"
+            f"'{path}' is no baseline of `touchdown regress`: {_reason(error)}; write one with "
+            "--update to another name"
         ) from None
 
 
-def _trial(tree: Mapping[str, Any]) -> Trial:
-    kinds = {"seed": (int,), "error_m": (int, float, type(None)), "outcome": (str,), "bad": (bool,)}
-    for name, allowed in kinds.items():
-        if type(tree[name]) not in allowed:
-            raise ValueError(f"{name} = {shown(tree[name])} is of another kind")
-    error = tree["error_m"]
-    if error is not None and not 0.0 <= error < math.inf:
-        raise ValueError(f"error_m = {error} is no error")
-    figures = tree.get("figures", {})
-    if not isinstance(figures, dict):
-        raise ValueError(f"figures = {shown(figures)} is of another kind")
-    for column, value in figures.items():
-        if type(value) not in (int, float) or not 0.0 <= value < math.inf:
-            raise ValueError(f"{shown(column)} = {shown(value)} is no figure of a flight")
-    return Trial(
-        tree["seed"],
-        None if error is None else float(error),
-        tree["outcome"],
-        tree["bad"],
-        {str(column): float(value) for column, value in figures.items()},
-    )
+def _reason(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    text = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else str(error)
+    return " ".join(text.split())

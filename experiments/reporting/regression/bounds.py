@@ -18,20 +18,21 @@ from scipy import stats
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.flights import Row
 from touchdown.experiments.reporting.regression.baseline import (
+    ALL_SCENES,
     FIGURES,
     Baseline,
     Cells,
     Figure,
     Key,
+    Pairs,
     Trial,
     cell_name,
     cells_of,
+    newly_bad,
 )
-from touchdown.experiments.reporting.regression.missing_runs import Pairs, newly_bad
 
 ALPHA = 0.01
-"""Share of false alarms of a whole comparison, where equal seeds differ as much as two seeds."""
-ALL_SCENES = "all scenes"
+"""Fraction of false alarms of a whole comparison, where equal seeds differ as much as two seeds."""
 _ROUNDING = 1e-9
 
 
@@ -86,7 +87,7 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
     Student's distribution for `ALPHA` over all figures and cells (Bonferroni). Raises UsageError
     where nothing can be compared.
     """
-    pairs = _equal_seeds(cells_of(rows), baseline.cells)
+    pairs = _equal_seeds(cells_of(rows), baseline)
     groups = _groups(pairs)
     alpha = ALPHA / (len(groups) * len(FIGURES))
     figures, lost = [], newly_bad(pairs)
@@ -107,8 +108,9 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
     return BoundsVerdict(figures=figures, lost=lost, baseline_revision=baseline.git_revision)
 
 
-def _equal_seeds(new: Cells, old: Cells) -> Pairs:
+def _equal_seeds(new: Cells, baseline: Baseline) -> Pairs:
     """Flights of equal seeds by cell, new and old."""
+    old = baseline.cells
     pairs: dict[Key, tuple[dict[int, Trial], dict[int, Trial]]] = {}
     for key in sorted(new.keys() & old.keys()):
         seeds = sorted(new[key].keys() & old[key].keys())
@@ -117,7 +119,7 @@ def _equal_seeds(new: Cells, old: Cells) -> Pairs:
     if not pairs:
         raise UsageError(
             "the baseline has no flight of equal scene, method, preset and seed; it has "
-            f"{'; '.join(cell_name(key) for key in sorted(old)[:6]) or 'none'}"
+            f"{baseline.some_cells}"
         )
     return pairs
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,24 +17,22 @@ from numpy.typing import NDArray
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.flights import Row
 from touchdown.experiments.reporting.regression.baseline import (
+    ALL_SCENES,
     Baseline,
+    Cells,
     Key,
+    Pairs,
     Trial,
     cell_name,
     cells_of,
     configuration_sha,
-)
-from touchdown.experiments.reporting.regression.missing_runs import (
-    Pairs,
-    absent,
     newly_bad,
-    vanished,
 )
 from touchdown.experiments.reporting.statistics import (
-    Estimate,
     detectable_paired,
     detectable_unpaired,
     difference_interval,
+    exponential,
     fisher_p,
     holm,
     mean_interval,
@@ -45,12 +43,11 @@ from touchdown.experiments.reporting.statistics import (
 Array = NDArray[np.float64]
 
 ERROR_ALPHA, OUTCOME_ALPHA = 0.04, 0.01
-"""Shares of the 5 % of false alarms of a whole comparison: most for errors, where exact tests of
+"""Parts of the 5 % of false alarms of a whole comparison: most for errors, where exact tests of
 ten pairs can reach it in up to 40 cells, the rest on outcomes."""
 ERROR_FLOOR_M = 1e-4
 """Smaller errors count as a tenth of a millimetre, so that logarithms stay finite."""
-FEWEST = 2
-ALL_SCENES = "all scenes"
+MIN_FLIGHTS = 2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -98,8 +95,7 @@ class Comparison:
     cells: list[CellResult]
     outcomes: list[OutcomeResult]
     vanished: list[str]
-    """cells that count as worse without a test, see
-    `experiments.reporting.regression.missing_runs.vanished`"""
+    """cells that count as worse without a test, see `_vanished`"""
     newly_bad: list[str]
     missing: list[str]
     """cells and seeds of the baseline that the directory lacks"""
@@ -108,16 +104,10 @@ class Comparison:
     warnings: list[str]
     margin: float
     baseline_revision: str | None
-    regressed: bool = field(init=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self,
-            "regressed",
-            bool(self.vanished)
-            or any(cell.worse for cell in self.cells)
-            or any(o.worse for o in self.outcomes),
-        )
+    @property
+    def regressed(self) -> bool:
+        return bool(self.vanished) or any(one.worse for one in (*self.cells, *self.outcomes))
 
     @property
     def blind(self) -> list[str]:
@@ -132,33 +122,25 @@ class Comparison:
     def as_json(self) -> dict[str, Any]:
         found = asdict(self) | {"compared": len(self.cells), "blind": self.blind}
         found["alpha"] = {"errors": ERROR_ALPHA, "outcomes": OUTCOME_ALPHA}
-        return found
-
-
-# --------------------------------------------------------------------------------- the comparison
+        return found | {"regressed": self.regressed}
 
 
 def compare(rows: Sequence[Row], baseline: Baseline, margin: float = 0.0) -> Comparison:
     """Compares flights with the baseline: worse beyond chance and by more than ``margin``.
 
-    ``margin`` is a share: 0.1 asks whether errors grew by more than 10 %. Raises UsageError when
+    ``margin`` is a fraction: 0.1 asks whether errors grew by more than 10 %. Raises UsageError when
     the two have no cell in common.
     """
     new, old = cells_of(rows), baseline.cells
-    common = sorted(new.keys() & old.keys())
-    if not common:
-        raise UsageError(
-            f"the baseline has no cell of these flights; it has "
-            f"{'; '.join(cell_name(key) for key in sorted(old)[:6]) or 'none'}"
-        )
-    samples = [found for key in common if (found := _sample(key, new[key], old[key])) is not None]
-    cells = _test([*samples, *_over_scenes(samples)], margin)
-    pairs = {key: (new[key], old[key]) for key in common}
-    gone = vanished(pairs)
+    pairs = {key: (new[key], old[key]) for key in sorted(new.keys() & old.keys())}
+    if not pairs:
+        raise UsageError(f"the baseline has no cell of these flights; it has {baseline.some_cells}")
+    samples = [found for key in pairs if (found := _sample(key, *pairs[key])) is not None]
+    gone = _vanished(pairs)
     measured = {sample.key for sample in samples} | gone.keys()
     warnings = [
         f"{cell_name(key)}: too few flights with an error to compare"
-        for key in common
+        for key in pairs
         if key not in measured
     ]
     if configuration_sha(rows) != baseline.config_sha:
@@ -167,24 +149,19 @@ def compare(rows: Sequence[Row], baseline: Baseline, margin: float = 0.0) -> Com
             "them"
         )
     return Comparison(
-        cells=cells,
+        cells=_test([*samples, *_over_scenes(samples)], margin),
         outcomes=_compare_outcomes(pairs),
         vanished=[f"{cell_name(key)}: {why}" for key, why in gone.items()],
         newly_bad=newly_bad(pairs),
-        missing=absent(old, new),
-        added=absent(new, old),
+        missing=_absent(old, new),
+        added=_absent(new, old),
         warnings=warnings,
         margin=margin,
         baseline_revision=baseline.git_revision,
     )
 
 
-def _errors(trials: Mapping[int, Trial]) -> dict[int, float]:
-    return {
-        seed: math.log(max(trial.error_m, ERROR_FLOOR_M))
-        for seed, trial in sorted(trials.items())
-        if trial.error_m is not None
-    }
+# ------------------------------------------------------------------------------------------ errors
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,15 +177,23 @@ class _Sample:
 
 def _sample(key: Key, new: Mapping[int, Trial], old: Mapping[int, Trial]) -> _Sample | None:
     """None with too few flights. Seeds pair up when at least half of the smaller side has them."""
-    a, b = _errors(new), _errors(old)
+    a, b = _logarithms(new), _logarithms(old)
     seeds = sorted(a.keys() & b.keys())
-    fewest = min(len(a), len(b))
-    if len(seeds) >= FEWEST and 2 * len(seeds) >= fewest:
+    smaller = min(len(a), len(b))
+    if len(seeds) >= MIN_FLIGHTS and 2 * len(seeds) >= smaller:
         x, y = (np.array([logs[seed] for seed in seeds]) for logs in (a, b))
         return _Sample(key, x, y, True)
-    if fewest < FEWEST:
+    if smaller < MIN_FLIGHTS:
         return None
     return _Sample(key, np.array(list(a.values())), np.array(list(b.values())), False)
+
+
+def _logarithms(trials: Mapping[int, Trial]) -> dict[int, float]:
+    return {
+        seed: math.log(max(trial.error_m, ERROR_FLOOR_M))
+        for seed, trial in sorted(trials.items())
+        if trial.error_m is not None
+    }
 
 
 def _over_scenes(samples: Sequence[_Sample]) -> list[_Sample]:
@@ -218,16 +203,14 @@ def _over_scenes(samples: Sequence[_Sample]) -> list[_Sample]:
     for method in sorted({sample.key[1] for sample in samples}):
         own = [sample for sample in samples if sample.key[1] == method]
         if len(own) > 1 and all(sample.paired for sample in own):
-            x, y = (
-                np.concatenate(side) for side in zip(*((s.new, s.old) for s in own), strict=True)
-            )
-            found.append(_Sample((ALL_SCENES, method, ""), x, y, True))
+            new, old = (np.concatenate([getattr(s, side) for s in own]) for side in ("new", "old"))
+            found.append(_Sample((ALL_SCENES, method, ""), new, old, True))
     return found
 
 
 def _test(samples: Sequence[_Sample], margin: float) -> list[CellResult]:
     """Tests every sample and corrects over all of them."""
-    raw = _p_values(samples, math.log1p(margin))
+    raw = [_p_value(sample, math.log1p(margin)) for sample in samples]
     alpha = ERROR_ALPHA / max(1, len(samples))
     return [
         _result(sample, p, adjusted, alpha, margin)
@@ -235,24 +218,17 @@ def _test(samples: Sequence[_Sample], margin: float) -> list[CellResult]:
     ]
 
 
-def _p_values(samples: Sequence[_Sample], shift: float) -> list[float]:
-    """One p per sample; samples of equal shape are tested by one matrix product."""
-    groups: dict[tuple[bool, int, int], list[int]] = {}
-    for index, sample in enumerate(samples):
-        shape = (sample.paired, len(sample.new), len(sample.old))
-        groups.setdefault(shape, []).append(index)
-    found = np.ones(len(samples))
-    for (paired, _, _), members in groups.items():
-        new = np.column_stack([samples[index].new for index in members]) - shift
-        old = np.column_stack([samples[index].old for index in members])
-        found[members] = sign_flip_p(new - old) if paired else unpaired_p(new, old)
-    return [float(p) for p in found]
+def _p_value(sample: _Sample, shift: float) -> float:
+    """One-sided p that the new errors are larger by more than ``shift``, of their logarithms."""
+    new = sample.new - shift
+    return float(sign_flip_p(new - sample.old) if sample.paired else unpaired_p(new, sample.old))
 
 
 def _result(sample: _Sample, p: float, adjusted: float, alpha: float, margin: float) -> CellResult:
     x, y = sample.new, sample.old
     change = mean_interval(x - y) if sample.paired else difference_interval(x, y)
     assert change is not None
+    ratio = exponential(change)
     effect, deviation, spread = _power(sample, alpha)
     scene, method, variant = sample.key
     return CellResult(
@@ -260,10 +236,12 @@ def _result(sample: _Sample, p: float, adjusted: float, alpha: float, margin: fl
         method=method,
         variant=variant,
         test="paired" if sample.paired else "unpaired",
-        flights=len(x) if sample.paired else min(len(x), len(y)),
+        flights=min(len(x), len(y)),
         error_m=float(np.exp(x).mean()),
         error_before_m=float(np.exp(y).mean()),
-        **_as_ratio(change),
+        ratio=ratio.value,
+        ratio_low=ratio.low,
+        ratio_high=ratio.high,
         p=p,
         p_adjusted=adjusted,
         detectable=None if effect is None else (1.0 + margin) * math.exp(effect * deviation),
@@ -275,75 +253,88 @@ def _result(sample: _Sample, p: float, adjusted: float, alpha: float, margin: fl
 def _power(sample: _Sample, alpha: float) -> tuple[float | None, float, str]:
     """Detectable effect in standard deviations, the standard deviation, and its source."""
     x, y = sample.new, sample.old
+    freedom = max(1, len(x) + len(y) - 2)
+    pooled = math.sqrt((x.var() * len(x) + y.var() * len(y)) / freedom)
     if not sample.paired:
-        return detectable_unpaired(len(x), len(y), alpha), _pooled_deviation(x, y), "seeds"
+        return detectable_unpaired(len(x), len(y), alpha), pooled, "seeds"
     deviation, spread = float(np.std(x - y, ddof=1)), "pairs"
     if deviation < 1e-9:
         # Equal flights have no spread; that between seeds is an upper bound.
-        deviation, spread = math.sqrt(2.0) * _pooled_deviation(x, y), "seeds, at most"
+        deviation, spread = math.sqrt(2.0) * pooled, "seeds, at most"
     return detectable_paired(len(x), alpha), deviation, spread
 
 
-def _pooled_deviation(x: Array, y: Array) -> float:
-    freedom = max(1, len(x) + len(y) - 2)
-    return math.sqrt((x.var() * len(x) + y.var() * len(y)) / freedom)
-
-
-def _as_ratio(change: Estimate) -> dict[str, Any]:
-    low, high = change.low, change.high
-    return {
-        "ratio": math.exp(change.value),
-        "ratio_low": None if low is None else math.exp(low),
-        "ratio_high": None if high is None else math.exp(high),
-    }
-
-
-# ------------------------------------------------------------------------------------- outcomes
-
-
-class _OutcomeCounts(NamedTuple):
-    """Unsuccessful and all flights, now and in the baseline, in the order of `fisher_p`."""
-
-    bad: int
-    flights: int
-    bad_before: int
-    flights_before: int
+# ---------------------------------------------------------------------------------------- outcomes
 
 
 def _compare_outcomes(pairs: Pairs) -> list[OutcomeResult]:
     """Fisher's test per cell, and per method over all its cells where it has several."""
-    by_cell = {key: _outcome_counts(new, old) for key, (new, old) in pairs.items()}
-    counts = {cell_name(key): found for key, found in by_cell.items()}
-    counts |= _counts_over_scenes(by_cell)
+    counts = {cell_name(key): _outcome_counts(*both) for key, both in pairs.items()}
+    for method in dict.fromkeys(key[1] for key in pairs):
+        own = [_outcome_counts(*both) for key, both in pairs.items() if key[1] == method]
+        if len(own) > 1:
+            total = [sum(column) for column in zip(*own, strict=True)]
+            counts[cell_name((ALL_SCENES, method, ""))] = (total[0], total[1], total[2], total[3])
     raw = [fisher_p(*found) for found in counts.values()]
     return [
         OutcomeResult(
-            name=name, **found._asdict(), p=p, p_adjusted=adjusted, worse=adjusted <= OUTCOME_ALPHA
+            name=name,
+            bad=bad,
+            flights=flights,
+            bad_before=bad_before,
+            flights_before=flights_before,
+            p=p,
+            p_adjusted=adjusted,
+            worse=adjusted <= OUTCOME_ALPHA,
         )
-        for (name, found), p, adjusted in zip(counts.items(), raw, holm(raw), strict=True)
+        for (name, (bad, flights, bad_before, flights_before)), p, adjusted in zip(
+            counts.items(), raw, holm(raw), strict=True
+        )
     ]
 
 
-def _outcome_counts(new: Mapping[int, Trial], old: Mapping[int, Trial]) -> _OutcomeCounts:
+def _outcome_counts(
+    new: Mapping[int, Trial], old: Mapping[int, Trial]
+) -> tuple[int, int, int, int]:
+    """Unsuccessful and all flights, now and in the baseline, in the order of `fisher_p`."""
     bad, bad_before = (sum(trial.bad for trial in trials.values()) for trials in (new, old))
-    return _OutcomeCounts(bad, len(new), bad_before, len(old))
+    return bad, len(new), bad_before, len(old)
 
 
-def _counts_over_scenes(by_cell: Mapping[Key, _OutcomeCounts]) -> dict[str, _OutcomeCounts]:
-    """Sums by method, of the methods with several cells."""
-    import pyarrow as pa
+def _absent(these: Cells, those: Cells) -> list[str]:
+    """Cells, and seeds of common cells, of ``these`` that ``those`` lack."""
+    lines = []
+    for key, trials in sorted(these.items()):
+        seeds = sorted(trials.keys() - those.get(key, {}).keys())
+        if key not in those:
+            lines.append(cell_name(key))
+        elif seeds:
+            lines.append(f"{cell_name(key)}: seed {', '.join(map(str, seeds))}")
+    return lines
 
-    rows = [
-        {"row": row, "method": method, **found._asdict()}
-        for row, ((_, method, _), found) in enumerate(by_cell.items())
-    ]
-    sums = [(name, "sum") for name in _OutcomeCounts._fields]
-    groups = pa.Table.from_pylist(rows).group_by("method", use_threads=False)
-    totals = groups.aggregate([("row", "count"), ("row", "min"), *sums]).sort_by("row_min")
-    return {
-        cell_name((ALL_SCENES, total["method"], "")): _OutcomeCounts(
-            **{name: total[f"{name}_sum"] for name in _OutcomeCounts._fields}
+
+def _vanished(pairs: Pairs) -> dict[Key, str]:
+    """Returns the cells that are worse without a test, each with the reason.
+
+    Either no flight has a position error and some had one in the baseline, or more than half of the
+    successful flights with an error are lost. Equal seeds are compared; without any, the fractions.
+    """
+    found = {}
+    for key, (new, old) in pairs.items():
+        seeds = new.keys() & old.keys()
+        now = [new[seed] for seed in seeds] or list(new.values())
+        before = [old[seed] for seed in seeds] or list(old.values())
+        had, has = (sum(t.error_m is not None for t in trials) for trials in (before, now))
+        successes, kept = (
+            sum(t.error_m is not None and not t.bad for t in trials) for trials in (before, now)
         )
-        for total in totals.to_pylist()
-        if total["row_count"] > 1
-    }
+        if had and not has:
+            found[key] = (
+                f"no flight comes to a position error, {had} of {len(before)} did in the baseline"
+            )
+        elif 2 * kept * len(before) < successes * len(now):
+            found[key] = (
+                f"{kept} of {len(now)} flights end as they should, "
+                f"{successes} of {len(before)} did in the baseline"
+            )
+    return found

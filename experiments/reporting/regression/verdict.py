@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from touchdown.experiments.reporting.regression.compare import (
     ERROR_ALPHA,
-    FEWEST,
+    MIN_FLIGHTS,
     CellResult,
     Comparison,
 )
@@ -54,7 +54,7 @@ def _power_sentences(found: Comparison) -> list[str]:
     seen = [cell for cell in found.cells if cell.detectable is not None]
     if not seen:
         return []
-    best, worst = min(seen, key=_least), max(seen, key=_least)
+    best, worst = min(seen, key=_size), max(seen, key=_size)
     return [
         "Smallest change that would have been found with 80 % power: "
         f"{_detectable(best)} times in {best.name}"
@@ -67,8 +67,8 @@ def _blind_sentences(found: Comparison) -> list[str]:
     needed = min_pairs(ERROR_ALPHA / max(1, len(found.cells)))
     if not found.cells:
         return [
-            f"Nothing was compared: no scene and method has {FEWEST} flights with a position error "
-            f"both here and in the baseline; fly at least {needed} equal seeds."
+            f"Nothing was compared: no scene and method has {MIN_FLIGHTS} flights with a position "
+            f"error both here and in the baseline; fly at least {needed} equal seeds."
         ]
     blind, compared = found.blind, _comparisons(len(found.cells))
     if len(blind) == len(found.cells):
@@ -86,7 +86,7 @@ def _blind_sentences(found: Comparison) -> list[str]:
     ]
 
 
-def _least(cell: CellResult) -> float:
+def _size(cell: CellResult) -> float:
     return cell.detectable or 0.0
 
 

@@ -337,11 +337,23 @@ def test_a_margin_is_a_share(tmp_path: Path, says: Says, margin: str) -> None:
         ("[]", "is no baseline"),
         ('{"format": "other"}', "its format is 'other'"),
         ('{"format": "touchdown-baseline-1"}', "'cells' is missing"),
-        (one_flight('"seed": 0, "error_m": "0"'), "error_m = '0' is of another kind"),
-        (one_flight('"seed": 0, "error_m": true'), "error_m = True is of another kind"),
-        (one_flight('"seed": 0, "error_m": NaN'), "error_m = nan is no error"),
-        (one_flight('"seed": "0", "error_m": 1.0'), "seed = '0' is of another kind"),
-        (one_flight('"seed": 0, "error_m": 1', bad="0"), "bad = 0 is of another kind"),
+        (
+            one_flight('"seed": 0, "error_m": "0"'),
+            "0.flights.0.error_m: Input should be a valid number",
+        ),
+        (
+            one_flight('"seed": 0, "error_m": true'),
+            "0.flights.0.error_m: Input should be a valid number",
+        ),
+        (one_flight('"seed": 0, "error_m": NaN'), "0.flights.0.error_m: Input should be"),
+        (
+            one_flight('"seed": "0", "error_m": 1.0'),
+            "0.flights.0.seed: Input should be a valid integer",
+        ),
+        (
+            one_flight('"seed": 0, "error_m": 1', bad="0"),
+            "0.flights.0.bad: Input should be a valid boolean",
+        ),
     ],
 )
 def test_bad_baselines_are_one_line(
