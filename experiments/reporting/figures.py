@@ -323,11 +323,16 @@ def _paint_touchdowns(axes: Axes, offsets: Mapping[str, Array], span_m: float) -
         )  # fmt: skip
     for index, (method, points) in enumerate(offsets.items()):
         colour, marker = colour_of(method, methods), _MARKERS[index % len(_MARKERS)]
-        axes.scatter(*points.T, s=24, alpha=0.8, linewidths=0, color=colour, marker=marker,
-                     label=method, zorder=3)  # fmt: skip
+        east, north = points.T
+        axes.scatter(
+            east, north, s=24, alpha=0.8, linewidths=0, color=colour, marker=marker, label=method,
+            zorder=3,
+        )  # fmt: skip
         if len(points) > 1:
-            axes.scatter(*points.mean(axis=0), s=130, facecolors="none", edgecolors=colour,
-                         linewidths=1.8, marker=marker, zorder=4)  # fmt: skip
+            axes.scatter(
+                east.mean(), north.mean(), s=130, facecolors="none", edgecolors=colour,
+                linewidths=1.8, marker=marker, zorder=4,
+            )  # fmt: skip
     axes.plot(0.0, 0.0, marker="+", markersize=16, markeredgewidth=1.4, color=INK, zorder=2)
     axes.set(xlim=(-span_m, span_m), ylim=(-span_m, span_m), aspect="equal")
     axes.locator_params(nbins=6)

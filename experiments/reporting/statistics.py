@@ -102,7 +102,9 @@ def ratio_interval(pairs: Sequence[tuple[float, float]]) -> Estimate | None:
     return _interval(float(mean[0] / mean[1]), drawn[:, 0] / drawn[:, 1], len(sample))
 
 
-def variance_interval(means: Sequence[float], variances: Sequence[float]) -> Estimate | None:
+def variance_interval(
+    means: Sequence[float] | Array, variances: Sequence[float] | Array
+) -> Estimate | None:
     """Pooled variance with equal weights of flights: mean of their variances plus variance of their
     means."""
     mean, within = np.asarray(means, dtype=np.float64), np.asarray(variances, dtype=np.float64)

@@ -107,7 +107,8 @@ class Comparison:
 
     @property
     def regressed(self) -> bool:
-        return bool(self.vanished) or any(one.worse for one in (*self.cells, *self.outcomes))
+        worse = [one.worse for one in self.cells] + [one.worse for one in self.outcomes]
+        return bool(self.vanished) or any(worse)
 
     @property
     def blind(self) -> list[str]:
