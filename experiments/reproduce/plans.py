@@ -12,8 +12,7 @@ from typing import Any
 
 from touchdown.experiments.campaign.forecast import stated_core_s
 from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, load_plan
-from touchdown.experiments.reporting.published import ANALYSED_SCENE
-from touchdown.experiments.reporting.published_networks import NETWORK_NAMES
+from touchdown.experiments.reporting.published import ANALYSED_SCENE, NETWORK_NAMES
 
 PLANS = Path(__file__).parent / "plans"
 PAPER_SCENES = ("crossroad", "lake", "houses", "forest")
