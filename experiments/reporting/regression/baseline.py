@@ -200,7 +200,7 @@ def read_baseline(path: Path) -> Baseline:
         tree = read_object(path)
         if tree["format"] != FORMAT:
             raise ValueError(f"its format is {tree['format']!r}, not {FORMAT!r}")
-        stored = _STORED_CELLS.validate_python(tree["cells"])
+        stored = _STORED_CELLS.validate_json(json.dumps(tree["cells"]))
         cells = {(c.scene, c.estimator, c.variant): {f.seed: f for f in c.flights} for c in stored}
         return Baseline(cells, tree["git_revision"], str(tree["config_sha"]))
     except (OSError, ValueError, TypeError, LookupError) as error:
