@@ -15,7 +15,7 @@ from touchdown.experiments.errors import UsageError, usage_errors
 from touchdown.experiments.terminal import say
 
 if TYPE_CHECKING:
-    from touchdown.experiments.external.conformance_report import Findings
+    from touchdown.experiments.external.examination import Findings
 
 _FLOWN = {
     "seed": "--seed",
@@ -168,7 +168,7 @@ def _report(
 def _part(kind: str, name: str, overrides: tuple[str, ...]) -> Findings:
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.config.slots import names_code, params_of
-    from touchdown.experiments.external.examine import EXAMINERS
+    from touchdown.experiments.external.examine import examine
     from touchdown.experiments.external.loading import external_builder
     from touchdown.experiments.external.synthetic_stream import synthetic_rig
     from touchdown.experiments.flight.platform import limit_threads
@@ -184,7 +184,7 @@ def _part(kind: str, name: str, overrides: tuple[str, ...]) -> Findings:
         chosen["preset"] = "short"  # its mission is flown to the end
     config = load_config(None, overrides, **chosen)
     build = external_builder(name, kind)
-    return EXAMINERS[kind](build, RIGS[kind](config, synthetic_rig()), params_of(config, kind))
+    return examine(kind, build, RIGS[kind](config, synthetic_rig()), params_of(config, kind))
 
 
 def _estimator(name: str, run: Path | None, seconds: float, overrides: tuple[str, ...]) -> Findings:

@@ -4,6 +4,7 @@ and how, or None."""
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,14 @@ from touchdown.landing.api import (
     TermLayer,
 )
 from touchdown.sim.api import Command, SensorNeeds, SensorRig
+
+ANSWER_RULES: Mapping[str, Mapping[str, str]] = {
+    "selector": {
+        "terms": "every site has the same named terms, one or more, and the layers are of these"
+    },
+    "classifier": {"probabilities": "those of an image are 0 or more and add up to 1"},
+}
+"""Rules of answers of a kind that go beyond shapes and finite numbers."""
 
 
 def lacks(part: Any, *methods: str) -> str:

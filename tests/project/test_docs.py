@@ -18,7 +18,7 @@ from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.slots import SLOTS
-from touchdown.experiments.external.examine import EXAMINERS
+from touchdown.experiments.external.examine import RULES
 from touchdown.experiments.scene_tools.flyability import check_scene_file
 
 from support.docs_support import (
@@ -221,7 +221,7 @@ def test_the_page_of_slots_holds_the_examples_and_readme_names_slots_that_are_th
         {option for row in rows_of(*table) for option in re.findall(r"--(\w+)", " ".join(row[:2]))}
         for table in (("docs/bring-your-own.md", "slot"), ("README.md", "yours"))
     )
-    assert named == slots == {*EXAMINERS, "estimator"}
+    assert named == slots == RULES.keys()
     for command in (cli.cli.commands["fly"], cli.cli.commands["land"]):
         assert slots <= {param.name for param in command.params}
 

@@ -16,7 +16,13 @@ from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.config.slots import SLOTS, other_parts, params_of
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.external.examine import EXAMINERS, RULES
+from touchdown.experiments.external.examine import (
+    RULES,
+    examine,
+    setpoint_at,
+    textures,
+    true_estimate,
+)
 from touchdown.experiments.external.loading import external_builder
 from touchdown.experiments.external.parts import (
     ExternalClassifier,
@@ -26,11 +32,11 @@ from touchdown.experiments.external.parts import (
     ExternalSelector,
 )
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
-from touchdown.experiments.external.trial_classifier import textures
-from touchdown.experiments.external.trial_controller import setpoint_at
-from touchdown.experiments.external.trial_lander import FollowedSetpoints
-from touchdown.experiments.external.trial_mapper import true_estimate
-from touchdown.experiments.external.trial_selector import hovering, synthetic_map
+from touchdown.experiments.external.synthetic_world import (
+    FollowedSetpoints,
+    hovering,
+    synthetic_map,
+)
 from touchdown.experiments.external.wrapper import LONGEST_CALL_S, ExternalPartError, slowness
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.slots import RIGS
@@ -81,7 +87,7 @@ def brought(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 def examined(kind: str, name: str, *overrides: str) -> Any:
     config = load_config(None, [*LOW, *overrides], **{kind: name})
     rig = RIGS[kind](config, synthetic_rig())
-    return EXAMINERS[kind](external_builder(name, kind), rig, params_of(config, kind))
+    return examine(kind, external_builder(name, kind), rig, params_of(config, kind))
 
 
 # ------------------------------------------------------------------------------------------ names
@@ -289,7 +295,7 @@ def asked(kind: str, name: str) -> Any:
         return classifier.classify(textures(classifier.image_size))
     if kind == "lander":
         lander = ExternalLander(name, params, rig)
-        return lander.update(*FollowedSetpoints(rig).seen()), lander.view()
+        return lander.update(*FollowedSetpoints(rig.sensors).seen()), lander.view()
     if kind == "mapper":
         mapper, stream = ExternalMapper(name, params, rig), SyntheticStream(
             rig.sensors, SensorNeeds(lidar=True), 0.4)  # fmt: skip
