@@ -70,7 +70,7 @@ def _grid(origin: Array, height: Array, seen: NDArray[np.bool_], missing: Any, r
         max_height_m=layer(height + 0.03),
         rgb=np.stack([layer(red)] * 3, axis=-1),
         intensity=layer(60.0),
-        missing=np.where(missing, 9.0, 0.0).astype(np.float32),
+        missing=np.where(missing & np.ones_like(seen), 9.0, 0.0).astype(np.float32),
         last_seen_s=np.where(seen, np.float32(20.0), np.float32(-np.inf)),
     )
 
