@@ -12,10 +12,11 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.campaign.plan import (
-    BOUNDS,
     Plan,
     PlannedRun,
     config_for,
@@ -44,6 +45,7 @@ PLAN_FILE, SOURCE_FILE, LOCK_FILE = "campaign.json", "campaign.toml", ".lock"
 PARTIAL = ".partial"
 """Folder of a campaign's directory in which runs are flown; those of dead processes are swept."""
 Shard = tuple[int, int]
+_Number = Annotated[float, Field(gt=-1e300, lt=1e300)]
 
 
 _OWN = (
@@ -138,11 +140,13 @@ def read_plan_file(directory: Path) -> dict[str, Any]:
         raise UsageError(f"'{directory}' is no campaign: it holds no {PLAN_FILE}") from None
     except (OSError, ValueError) as error:
         raise UsageError(f"'{path}' cannot be read: {reason_of(error)}") from None
-    if not _is_plan(document):
+    try:
+        _WrittenPlan.model_validate(document)
+    except ValidationError:
         raise UsageError(
             f"'{path}' is damaged or of another program; name another directory, or the campaign's "
             "own"
-        )
+        ) from None
     names = [run["run_id"] for run in document["runs"]]
     strange = next((name for name in names if not is_plain_name(name)), None)
     if strange is not None or len(set(names)) < len(names):
@@ -154,56 +158,42 @@ def read_plan_file(directory: Path) -> dict[str, Any]:
     return document
 
 
-def _is_plan(document: Mapping[str, Any]) -> bool:
-    """True if the document has the parts of every plan."""
-    kinds = {"name": str, "mode": str, "created_utc": str, "sessions": list, "runs": list}
-    if "git_revision" not in document:
-        return False
-    if not all(isinstance(document.get(key), kind) for key, kind in kinds.items()):
-        return False
-    runs, sessions, expected = document["runs"], document["sessions"], document.get("expect") or []
-    if not isinstance(expected, list) or not all(map(_is_expectation, expected)):
-        return False
-    return all(
-        isinstance(run, dict)
-        and isinstance(run.get("run_id"), str)
-        and isinstance(run.get("values"), dict)
-        for run in runs
-    ) and all(isinstance(one, dict) and _is_number(one.get("wall_s")) for one in sessions)
+class _Written(BaseModel):
+    """What `settle_plan` and `add_session` write, as far as it is read back."""
+
+    model_config = ConfigDict(strict=True)
 
 
-def _is_expectation(tree: object) -> bool:
-    """True for what `settle_plan` writes of an expectation."""
-    if not isinstance(tree, dict) or not isinstance(tree.get("when"), dict):
-        return False
-    limit = tree.get("position_error_m_max", "")
-    return (
-        all(isinstance(wanted, list) for wanted in tree["when"].values())
-        and isinstance(tree.get("name"), str)
-        and isinstance(tree.get("outcome"), list)
-        and all(isinstance(outcome, str) for outcome in tree["outcome"])
-        and (limit is None or _is_number(limit))
-        and (tree.get("success_at_least") is None or _is_number(tree["success_at_least"]))
-        and all(_are_bounds(tree.get(name, {})) for name in BOUNDS)
-        and isinstance(tree.get("unsafe"), bool)
-        and _are_demands(tree.get("happened", False))
-    )
+class _WrittenExpectation(_Written):
+    name: str
+    when: dict[str, list[Any]]
+    outcome: list[str]
+    position_error_m_max: _Number | None = None
+    at_most: dict[str, _Number] = {}
+    mean_at_most: dict[str, _Number] = {}
+    mean_at_least: dict[str, _Number] = {}
+    success_at_least: _Number | None = None
+    happened: bool | list[str] = False
+    unsafe: bool
 
 
-def _are_demands(tree: object) -> bool:
-    """True for the value of ``happened``."""
-    return isinstance(tree, bool) or (
-        isinstance(tree, list) and all(isinstance(name, str) for name in tree)
-    )
+class _WrittenRun(_Written):
+    run_id: str
+    values: dict[str, Any]
 
 
-def _is_number(value: object) -> bool:
-    number = isinstance(value, float | int) and not isinstance(value, bool)
-    return number and -1e300 < value < 1e300  # type: ignore[operator]
+class _WrittenSession(_Written):
+    wall_s: _Number
 
 
-def _are_bounds(tree: object) -> bool:
-    return isinstance(tree, dict) and all(map(_is_number, tree.values()))
+class _WrittenPlan(_Written):
+    name: str
+    mode: str
+    git_revision: Any
+    created_utc: str
+    sessions: list[_WrittenSession]
+    runs: list[_WrittenRun]
+    expect: list[_WrittenExpectation] | None = None
 
 
 def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:

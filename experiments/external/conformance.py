@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate
-from touchdown.experiments.external.conformance_twist import TwistCheck
+from touchdown.experiments.external.conformance_twist import twist_fault
 from touchdown.experiments.external.estimate_checks import (
     meaningless,
     no_number,
@@ -237,10 +237,7 @@ def continuity(flown: Flown) -> str:
 
 def twist(flown: Flown) -> str:
     """The fields velocity_odom and angular_velocity_body are those of odom_from_body."""
-    check = TwistCheck()
-    for step in flown[1]:
-        check.add(step.estimate)
-    return check.reason()
+    return twist_fault([step.estimate for step in flown[1]])
 
 
 def motion(flown: Flown) -> str:

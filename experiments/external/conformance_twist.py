@@ -6,6 +6,8 @@ must agree in most seconds with motion.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,55 +38,45 @@ _ATTITUDE = _Limits(least=np.deg2rad(10.0), floor=np.deg2rad(5.0), share=0.25)
 """radians"""
 
 
-class TwistCheck:
-    """Collects estimates of valid shapes and numbers, one per control step."""
-
-    def __init__(self) -> None:
-        self._times: list[float] = []
-        self._rows: list[Array] = []
-        self._last: Estimate | None = None
-
-    def add(self, estimate: Estimate) -> None:
-        """Stores the steps (12,) of position and attitude, and the summed velocities."""
-        last, self._last = self._last, estimate
-        if last is None:
-            return
-        step_s = estimate.time_s - last.time_s
-        before, now = last.odom_from_body, estimate.odom_from_body
-        velocity = 0.5 * (last.velocity_odom + estimate.velocity_odom)
-        # Small rotations in the body frame add up to any total rotation.
-        rotation = so3_log(before.rotation.T @ now.rotation)
-        rates = estimate.angular_velocity_body
-        moved = now.translation - before.translation
-        self._times.append(estimate.time_s)
-        self._rows.append(np.concatenate([moved, velocity * step_s, rotation, rates * step_s]))
-
-    def reason(self) -> str:
-        """Disagreement in one line; empty if there is none or less than a second of data."""
-        if not self._times or self._times[-1] - self._times[0] < WINDOW_S:
-            return ""
-        times = np.array(self._times)
-        sums = np.vstack([np.zeros(12), np.cumsum(self._rows, axis=0)])
-        starts = np.arange(times[0], times[-1] - WINDOW_S, _STRIDE_S)
-        first = np.searchsorted(times, starts)
-        windows = sums[np.searchsorted(times, starts + WINDOW_S)] - sums[first]
-        found = _disagreement(windows[:, :3], windows[:, 3:6], _POSITION)
-        if found is not None:
-            moved, summed = windows[found, :3], windows[found, 3:6]
-            return (
-                f"in the second from {starts[found]:.1f} s odom_from_body moved by {_text(moved)} "
-                f"m, but velocity_odom adds up to {_text(summed)} m; it is in m/s, "
-                "in the odom frame"
-            )
-        found = _disagreement(windows[:, 6:9], windows[:, 9:], _ATTITUDE)
-        if found is not None:
-            rotated, summed = np.rad2deg(windows[found, 6:9]), np.rad2deg(windows[found, 9:])
-            return (
-                f"in the second from {starts[found]:.1f} s odom_from_body rotated by "
-                f"{_text(rotated)} degrees, but angular_velocity_body adds up to {_text(summed)} "
-                "degrees; it is in rad/s, in the body frame"
-            )
+def twist_fault(estimates: Sequence[Estimate]) -> str:
+    """Disagreement in one line; empty if there is none or less than a second of data. The estimates
+    are those of successive control steps, valid in shapes and numbers."""
+    times = np.array([estimate.time_s for estimate in estimates[1:]])
+    if len(times) == 0 or times[-1] - times[0] < WINDOW_S:
         return ""
+    steps = [_step(*pair) for pair in itertools.pairwise(estimates)]
+    sums = np.vstack([np.zeros(12), np.cumsum(steps, axis=0)])
+    starts = np.arange(times[0], times[-1] - WINDOW_S, _STRIDE_S)
+    first = np.searchsorted(times, starts)
+    windows = sums[np.searchsorted(times, starts + WINDOW_S)] - sums[first]
+    found = _disagreement(windows[:, :3], windows[:, 3:6], _POSITION)
+    if found is not None:
+        moved, summed = windows[found, :3], windows[found, 3:6]
+        return (
+            f"in the second from {starts[found]:.1f} s odom_from_body moved by {_text(moved)} "
+            f"m, but velocity_odom adds up to {_text(summed)} m; it is in m/s, "
+            "in the odom frame"
+        )
+    found = _disagreement(windows[:, 6:9], windows[:, 9:], _ATTITUDE)
+    if found is not None:
+        rotated, summed = np.rad2deg(windows[found, 6:9]), np.rad2deg(windows[found, 9:])
+        return (
+            f"in the second from {starts[found]:.1f} s odom_from_body rotated by "
+            f"{_text(rotated)} degrees, but angular_velocity_body adds up to {_text(summed)} "
+            "degrees; it is in rad/s, in the body frame"
+        )
+    return ""
+
+
+def _step(last: Estimate, now: Estimate) -> Array:
+    """(12,): the steps of position and attitude, each with that of the velocities."""
+    step_s = now.time_s - last.time_s
+    moved = now.odom_from_body.translation - last.odom_from_body.translation
+    velocity = 0.5 * (last.velocity_odom + now.velocity_odom)
+    # Small rotations in the body frame add up to any total rotation.
+    rotation = so3_log(last.odom_from_body.rotation.T @ now.odom_from_body.rotation)
+    rates = now.angular_velocity_body
+    return np.concatenate([moved, velocity * step_s, rotation, rates * step_s])
 
 
 def _disagreement(moved: Array, summed: Array, limits: _Limits) -> int | None:

@@ -109,7 +109,7 @@ class Examination:
         self.kind, self.rig, self.findings = kind, rig, Findings()
         self._build, self._params, self._wrong = build, params, wrong
         self._kept_calls, self._times_s, self._calls = kept_calls, list[float](), 0
-        self._given: deque[tuple[str, Any, Mapping[str, bytes]]] = deque()
+        self._given: deque[tuple[str, Any, list[tuple[str, bytes]]]] = deque()
         self._answers: list[bytes] = []
         self._expected: list[bytes] | None = None
 
@@ -212,8 +212,8 @@ class Examination:
     def _compare_given(self, kept: int) -> None:
         while len(self._given) > kept:
             what, arguments, before = self._given.popleft()
-            for name, now in _digests(arguments).items():
-                if now != before[name]:
+            for (name, now), (_, old) in zip(_digests(arguments), before, strict=True):
+                if now != old:
                     self.findings.note("inputs", f"{what}: '{name}' modified, which it was given")
 
     def _latency(self) -> tuple[str, str]:
@@ -239,15 +239,14 @@ def _trace_of(error: BaseException | None) -> str:
     return "".join(traceback.format_exception(type(error), error, first))
 
 
-def _digests(arguments: tuple[Any, ...]) -> dict[str, bytes]:
-    """Digests of arguments, of a message by field."""
-    found: dict[str, bytes] = {}
+def _digests(arguments: tuple[Any, ...]) -> list[tuple[str, bytes]]:
+    """Names and digests of arguments, of a message by field."""
+    found: list[tuple[str, bytes]] = []
     for number, value in enumerate(arguments, start=1):
         names = _field_names(cast(Hashable, type(value)))
         if names is None:
-            found[f"argument {number}"] = digest(value)
-        for name in names or ():
-            found[name] = digest(getattr(value, name))
+            found.append((f"argument {number}", digest(value)))
+        found += [(name, digest(getattr(value, name))) for name in names or ()]
     return found
 
 

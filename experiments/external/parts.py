@@ -26,7 +26,7 @@ from touchdown.experiments.external.part_checks import (
     wrong_sites,
     wrong_view,
 )
-from touchdown.experiments.external.wrapper import Defect, ExternalPart, own, read_only
+from touchdown.experiments.external.wrapper import ExternalPart, own, read_only
 from touchdown.landing.api import (
     ClassifierRig,
     GroundPrediction,
@@ -50,10 +50,10 @@ class ExternalSelector:
 
     def offer(self, seen: SelectorInput) -> RankedSites:
         """The sites that it offers, checked."""
-        when = f"at {seen.estimate.time_s:.3f} s"
-        offered: RankedSites = self.part.ask("select", seen, when=when)
-        if wrong := wrong_sites(offered, seen.map_view):
-            raise self.part.error(Defect(wrong.rule, f"{when} select returned {wrong.reason}"))
+        offered: RankedSites = self.part.ask(
+            "select", seen, when=f"at {seen.estimate.time_s:.3f} s",
+            wrong=lambda offered: wrong_sites(offered, seen.map_view),
+        )  # fmt: skip
         return offered
 
     def select(self, seen: SelectorInput) -> Selection:
@@ -70,10 +70,9 @@ class ExternalController:
     def update(self, estimate: Estimate, setpoint: Setpoint) -> Command:
         """The command of the external controller, checked."""
         when = f"at {estimate.time_s:.3f} s"
-        command: Command = self.part.ask("update", estimate, setpoint, when=when)
-        if wrong := wrong_command(command):
-            raise self.part.error(Defect(wrong.rule, f"{when} update returned {wrong.reason}"))
-        checked: Command = own(command)
+        checked: Command = own(
+            self.part.ask("update", estimate, setpoint, when=when, wrong=wrong_command)
+        )
         return checked
 
 
@@ -88,9 +87,10 @@ class ExternalClassifier:
 
     def classify(self, images: NDArray[np.uint8]) -> GroundPrediction:
         """The predictions of the external classifier, checked."""
-        found: GroundPrediction = self.part.ask("classify", images)
-        if wrong := wrong_prediction(found, len(images), self._classes):
-            raise self.part.error(Defect(wrong.rule, f"classify returned {wrong.reason}"))
+        found: GroundPrediction = self.part.ask(
+            "classify", images,
+            wrong=lambda found: wrong_prediction(found, len(images), self._classes),
+        )  # fmt: skip
         table = np.array(found.probabilities, np.float64)
         table /= table.sum(axis=1, keepdims=True)
         return GroundPrediction(probabilities=table, in_distribution=found.in_distribution)
@@ -118,13 +118,17 @@ class ExternalMapper:
 
     def update(self, obs: Observation, estimate: Estimate) -> MapView:
         """The map of the external mapper, checked whenever it is another one."""
-        when = f"at {obs.time_s:.3f} s"
-        view: MapView = self.part.ask("update", obs, estimate, when=when)
-        if view is not self._given or self._view is None:
-            if wrong := wrong_map(view):
-                raise self.part.error(Defect(wrong.rule, f"{when} update returned {wrong.reason}"))
+        view: MapView = self.part.ask(
+            "update", obs, estimate, when=f"at {obs.time_s:.3f} s",
+            wrong=lambda view: None if self._is_known(view) else wrong_map(view),
+        )  # fmt: skip
+        if not self._is_known(view):
             self._given, self._view = view, read_only(view)
+        assert self._view is not None
         return self._view
+
+    def _is_known(self, view: Any) -> bool:
+        return self._view is not None and view is self._given
 
 
 class ExternalLander:
@@ -140,18 +144,14 @@ class ExternalLander:
     def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:
         """The setpoint of the external lander, checked."""
         self._when = f"at {obs.time_s:.3f} s"
-        setpoint: Setpoint = self.part.ask("update", obs, estimate, map_view, when=self._when)
-        self._refuse(wrong_setpoint(setpoint), "update")
-        checked: Setpoint = own(setpoint)
+        checked: Setpoint = own(
+            self.part.ask(
+                "update", obs, estimate, map_view, when=self._when, wrong=wrong_setpoint
+            )
+        )  # fmt: skip
         return checked
 
     def view(self) -> LanderView:
         """The state of the external lander, checked."""
-        view: LanderView = self.part.ask("view", when=self._when)
-        self._refuse(wrong_view(view), "view")
+        view: LanderView = self.part.ask("view", when=self._when, wrong=wrong_view)
         return view
-
-    def _refuse(self, wrong: Defect | None, method: str) -> None:
-        if wrong is not None:
-            text = f"{self._when} {method} returned {wrong.reason}"
-            raise self.part.error(Defect(wrong.rule, text))

@@ -73,8 +73,15 @@ class ExternalPart:
         if reason := wrong(self.inner):
             raise self.error(Defect("builds", reason))
 
-    def ask(self, method: str, *arguments: Any, when: str = "") -> Any:
-        """The answer of a method. ``when``: such as "at 1.200 s", for errors."""
+    def ask(
+        self,
+        method: str,
+        *arguments: Any,
+        when: str = "",
+        wrong: Callable[[Any], Defect | None] = lambda _answer: None,
+    ) -> Any:
+        """The answer of a method, which is not ``wrong``. ``when``: such as "at 1.200 s", for
+        errors."""
         started = time.perf_counter()
         inputs = (read_only(argument) for argument in arguments)
         answer, error = call(getattr(self.inner, method), *inputs)
@@ -82,6 +89,9 @@ class ExternalPart:
         self.seconds += time.perf_counter() - started
         if error is not None:
             raise self.error(raised(f"{when} {method}".strip(), error), error) from error
+        if defect := wrong(answer):
+            text = f"{when} {method} returned {defect.reason}".strip()
+            raise self.error(Defect(defect.rule, text))
         return answer
 
     def get(self, attribute: str) -> Any:
@@ -177,10 +187,12 @@ class ExternalEstimator:
     def update(self, obs: Observation) -> Estimate:
         """Estimate of the external estimator, checked."""
         when = f"at {obs.time_s:.3f} s"
-        estimate: Estimate = self.part.ask("update", obs, when=when)
-        if reason := wrong_estimate(estimate):
-            rule = "finite" if reason.endswith("not finite") else "shapes"
-            rule = rule if isinstance(estimate, Estimate) else "answers"
-            raise self.part.error(Defect(rule, f"{when} update returned {reason}"))
-        checked: Estimate = own(estimate)
+        checked: Estimate = own(self.part.ask("update", obs, when=when, wrong=_defect))
         return checked
+
+
+def _defect(estimate: Any) -> Defect | None:
+    reason = wrong_estimate(estimate)
+    rule = "finite" if reason.endswith("not finite") else "shapes"
+    rule = rule if isinstance(estimate, Estimate) else "answers"
+    return Defect(rule, reason) if reason else None

@@ -2,8 +2,6 @@
 
 import dataclasses
 import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -111,14 +109,3 @@ def test_a_table_has_the_values_of_its_rows() -> None:
     }  # fmt: skip
     assert table_of([]).to_pylist() == []
     assert table_of([]).schema == made.select(table_of([]).column_names).schema
-
-
-def test_a_worker_s_table_needs_no_pandas(tmp_path: Path) -> None:
-    code = f"""if True:
-        import sys
-        from pathlib import Path
-        from touchdown.experiments.campaign.results_table import write_table
-        write_table([{{"run_id": "a", "seed": 1}}], Path({str(tmp_path / "a.parquet")!r}))
-        sys.exit("pandas" in sys.modules)
-        """
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
