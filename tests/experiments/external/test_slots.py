@@ -19,10 +19,10 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.examine import (
     RULES,
     examine,
-    setpoint_at,
     textures,
     true_estimate,
 )
+from touchdown.experiments.external.examine_flight import setpoint_at
 from touchdown.experiments.external.loading import external_builder
 from touchdown.experiments.external.parts import (
     ExternalClassifier,
