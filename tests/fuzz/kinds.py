@@ -30,7 +30,7 @@ KINDS: Mapping[str, Kind] = {
     "parquet": Kind(run_kinds.parquet_case, 14), "baseline": Kind(run_kinds.baseline_case, 14),
     "sql": Kind(data_kinds.sql_case, 14), "geotiff": Kind(scene_kinds.geotiff_case, 14),
     "image": Kind(learn_kinds.image_case, 14), "csv": Kind(learn_kinds.csv_case, 14),
-    "onnx": Kind(learn_kinds.onnx_case, 14), "checkpoint": Kind(learn_kinds.checkpoint_case, 10),
+    "onnx": Kind(learn_kinds.onnx_case, 14), "checkpoint": Kind(learn_kinds.checkpoint_case, 17),
 }  # fmt: skip
 LEARNING = ("onnx", "checkpoint", "csv")
 """Kinds whose commands need torch, which makes forks slower: they come last."""

@@ -140,6 +140,8 @@ def _partial(path: Path) -> Path:
 
 def _read(path: Path) -> dict[str, Any]:
     """The content of a file that `torch.save` wrote: tensors, numbers and text, never code."""
+    if reason := no_file(path):
+        raise ValueError(f"'{path}' {reason}; name another folder")
     if not zipfile.is_zipfile(path):
         raise ValueError(f"'{path}' cannot be read as a checkpoint: it is none, or was cut short")
     try:
