@@ -33,9 +33,8 @@ def fly(config: Config, out: Path) -> RunResult:
     partial.mkdir()
     (partial / "truth.tum").write_text(f"0 {config.seed} 0 0 0 0 0 1\n")
     (partial / "estimate.tum").write_text("0 0 0 0 0 0 0 1\n")
-    if behaviour == "slow":
-        time.sleep(0.2)
-    elif behaviour == "hangs":
+    wait_at_gate(campaign_dir(out), len(attempts) - 1)
+    if behaviour == "hangs":
         time.sleep(600.0)
     elif behaviour == "raises" or (behaviour == "raises_once" and first):
         raise RuntimeError("a wing\ncame off")
@@ -65,6 +64,13 @@ def fly(config: Config, out: Path) -> RunResult:
         (partial / "flight.rrd").write_text("seen")
     os.replace(partial, out)
     return RunResult.model_validate(result)
+
+
+def wait_at_gate(directory: Path, attempt: int) -> None:
+    """Waits while a file ``gate`` beside the campaign holds a smaller number than ``attempt``."""
+    gate = directory.with_name("gate")
+    while gate.exists() and attempt > int(gate.read_text()):
+        time.sleep(0.01)
 
 
 def litter() -> None:

@@ -75,8 +75,20 @@ def flying(out: Path) -> list[int]:
     return [int(pid) for pid in pids if pid and is_alive(int(pid))]
 
 
+def close_gate(out: Path, count: int) -> None:
+    """Of the fake flights of the campaign ``out``, all but the first ``count`` attempts wait."""
+    file = out.with_name("gate.new")
+    file.write_text(str(count))
+    file.replace(out.with_name("gate"))
+
+
+def open_gate(out: Path) -> None:
+    out.with_name("gate").unlink()
+
+
 def flying_after(out: Path, count: int) -> list[int]:
-    """Waits until ``count`` runs are finished and others are flown; returns `flying` of then."""
+    """Waits until ``count`` runs are finished and others wait at the gate (`close_gate`); returns
+    `flying` of then."""
     found: list[int] = []
 
     def in_the_air() -> bool:

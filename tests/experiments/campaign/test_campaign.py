@@ -20,11 +20,13 @@ from support.campaign_flights import (
     MANY,
     attempts,
     axes,
+    close_gate,
     figures,
     fly,
     flying_after,
     is_alive,
     make_plan,
+    open_gate,
     start_campaign,
     wait_for,
 )
@@ -41,11 +43,13 @@ def test_a_killed_and_resumed_campaign_gives_the_same_rows(
     tmp_path: Path, undisturbed: Path
 ) -> None:
     plan, out = make_plan(tmp_path, MANY), tmp_path / "out"
+    close_gate(out, 3)
     parent = start_campaign(tmp_path / "campaign.toml", out)
     workers = flying_after(out, 3)
     parent.kill()
     parent.wait()
     wait_for(lambda: not any(map(is_alive, workers)), "workers outlive their parent")
+    open_gate(out)
     finished = finished_ids(out)
     before = attempts(out)
     assert 3 <= len(finished) < 8
@@ -67,9 +71,12 @@ def test_a_worker_is_replaced_whether_it_or_its_guard_is_killed(
 ) -> None:
     make_plan(tmp_path, MANY)
     out = tmp_path / "out"
+    close_gate(out, 2)
     parent = start_campaign(tmp_path / "campaign.toml", out)
     os.kill(flying_after(out, 2)[0], signal.SIGKILL)
+    close_gate(out, 5)  # the third was killed
     os.kill(psutil.Process(flying_after(out, 4)[0]).ppid(), signal.SIGKILL)
+    open_gate(out)
     assert parent.wait() == 0 and figures(out) == figures(undisturbed)
     assert summary(out)["crashed"] == 0
 
@@ -89,6 +96,7 @@ def test_any_number_of_jobs_and_shards_gives_the_same_rows(
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_costs_no_finished_flight(number: int, tmp_path: Path, undisturbed: Path) -> None:
     plan, out = make_plan(tmp_path, MANY), tmp_path / "out"
+    close_gate(out, 2)
     command = start("campaign", tmp_path / "campaign.toml", "--out", out, "--jobs", "2", "--quiet")
     workers = flying_after(out, 2)
     command.send_signal(number)
@@ -96,6 +104,7 @@ def test_a_signal_costs_no_finished_flight(number: int, tmp_path: Path, undistur
     assert command.returncode == 128 + number
     assert err.startswith("touchdown: stopped; ") and err.count("\n") == 1
     assert "the same command resumes" in err
+    open_gate(out)
     assert not any(map(is_alive, workers)) and not list(out.glob(".partial/*"))
     document = json.loads((out / "campaign.json").read_text())
     assert document["finished_utc"] is None
