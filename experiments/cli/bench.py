@@ -24,7 +24,17 @@ from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import end_progress, make_progress, say
 
 
-@click.group(cls=CommandGroup)
+@click.group(
+    cls=CommandGroup,
+    modules={
+        "all": "bench_all:bench_all",
+        "compare": "bench_all:bench_compare",
+        "estimator": "bench_odometry:bench_estimator",
+        "imu": "bench_odometry:bench_imu",
+        "limit": "bench_odometry:bench_limit",
+        "profile": "bench_all:bench_profile",
+    },
+)
 def bench() -> int:
     """Measure speed.
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,23 @@ def answer(figures: Any, as_json: bool, show: Callable[[Any], object]) -> int:
 
 
 class CommandGroup(click.Group):
-    """Command group whose error for an unknown command names the nearest one."""
+    """Command group whose error for an unknown command names the nearest one, and which imports
+    the command that is run and no other. ``modules`` gives names of commands their module in
+    `experiments.cli` and its attribute, as MODULE:ATTRIBUTE."""
+
+    def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **options: Any):
+        super().__init__(*args, **options)
+        self._modules = modules or {}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted({*super().list_commands(ctx), *self._modules})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name in self._modules and cmd_name not in self.commands:
+            module, _, attribute = self._modules[cmd_name].partition(":")
+            found = importlib.import_module(f"touchdown.experiments.cli.{module}")
+            self.add_command(getattr(found, attribute), cmd_name)
+        return super().get_command(ctx, cmd_name)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

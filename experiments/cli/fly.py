@@ -13,7 +13,6 @@ import click
 
 from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, PATH
 from touchdown.experiments.cli.console import print_result
-from touchdown.experiments.cli.replay import run_replay
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.terminal import end_progress, make_progress
 
@@ -227,6 +226,8 @@ def fly(replayed: Path | None, **options: Any) -> int:
     """
     if replayed is not None:
         _take_scene(options)
+        from touchdown.experiments.cli.replay import run_replay
+
         return run_replay(replayed, options)
     return _run_flight(options, survey_only=True)
 

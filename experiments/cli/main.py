@@ -1,4 +1,4 @@
-"""The command line. Heavy modules are imported inside the commands, so that help is instant."""
+"""The command line. A command imports what it needs when it runs, so that help is instant."""
 
 from __future__ import annotations
 
@@ -15,19 +15,6 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.bench import bench, maps
-from touchdown.experiments.cli.bench_all import bench_all, bench_compare, bench_profile
-from touchdown.experiments.cli.bench_odometry import bench_estimator, bench_imu, bench_limit
-from touchdown.experiments.cli.calibrate import calibrate
-from touchdown.experiments.cli.campaign import campaign
-from touchdown.experiments.cli.classification import (
-    classify,
-    dataset,
-    ensemble,
-    evaluate,
-    quantize,
-    train,
-)
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
     EXIT_USAGE,
@@ -35,24 +22,41 @@ from touchdown.experiments.cli.common import (
     TerminatedError,
     interrupt_code,
 )
-from touchdown.experiments.cli.control import control
-from touchdown.experiments.cli.edges import edges
-from touchdown.experiments.cli.export import export
-from touchdown.experiments.cli.fly import fly, land
-from touchdown.experiments.cli.query import query
-from touchdown.experiments.cli.replay import check_estimator_command, check_plugin_command
-from touchdown.experiments.cli.report import regress, report
-from touchdown.experiments.cli.reproduce import reproduce
-from touchdown.experiments.cli.results import results
-from touchdown.experiments.cli.scenes import scenes
-from touchdown.experiments.cli.view import view
 from touchdown.experiments.errors import system_message
 from touchdown.experiments.external.command_process import run_in_child, runs_external_code
 from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_backend, rendering_fault
 from touchdown.experiments.terminal import end_progress, error_line, warning_line
 
 
-@click.group(cls=CommandGroup, invoke_without_command=True)
+COMMANDS = {
+    "bench": "bench:bench",
+    "calibrate": "calibrate:calibrate",
+    "campaign": "campaign:campaign",
+    "check-estimator": "replay:check_estimator_command",
+    "check-plugin": "replay:check_plugin_command",
+    "classify": "classification:classify",
+    "control": "control:control",
+    "dataset": "classification:dataset",
+    "edges": "edges:edges",
+    "ensemble": "classification:ensemble",
+    "evaluate": "classification:evaluate",
+    "export": "export:export",
+    "fly": "fly:fly",
+    "land": "fly:land",
+    "maps": "bench:maps",
+    "quantize": "classification:quantize",
+    "query": "query:query",
+    "regress": "report:regress",
+    "report": "report:report",
+    "reproduce": "reproduce:reproduce",
+    "results": "results:results",
+    "scenes": "scenes:scenes",
+    "train": "classification:train",
+    "view": "view:view",
+}
+
+
+@click.group(cls=CommandGroup, modules=COMMANDS, invoke_without_command=True)
 @click.version_option(package_name="touchdown", prog_name="touchdown")
 @click.pass_context
 def cli(context: click.Context) -> int:
@@ -63,34 +67,6 @@ def cli(context: click.Context) -> int:
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
     return EXIT_DONE
-
-
-cli.add_command(land)
-cli.add_command(fly)
-cli.add_command(view)
-cli.add_command(report)
-cli.add_command(regress)
-cli.add_command(reproduce)
-cli.add_command(results)
-cli.add_command(scenes)
-cli.add_command(bench)
-cli.add_command(maps)
-bench.add_command(bench_estimator)
-bench.add_command(bench_imu)
-bench.add_command(bench_limit)
-bench.add_command(bench_profile)
-bench.add_command(bench_all)
-bench.add_command(bench_compare)
-cli.add_command(check_plugin_command)
-cli.add_command(check_estimator_command)
-cli.add_command(calibrate)
-cli.add_command(campaign)
-cli.add_command(query)
-cli.add_command(edges)
-cli.add_command(export)
-cli.add_command(control)
-for _command in (dataset, train, evaluate, quantize, ensemble, classify):
-    cli.add_command(_command)
 
 
 # ------------------------------------------------------------------------------------------ entry

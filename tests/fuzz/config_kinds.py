@@ -170,8 +170,9 @@ def leaves(
     if not isinstance(group, click.Group):
         return [(path, group)]
     found = []
-    for name, command in group.commands.items():
-        found += leaves(command, (*path, name))
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        found += leaves(group.get_command(context, name), (*path, name))
     return found
 
 
