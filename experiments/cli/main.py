@@ -27,7 +27,6 @@ from touchdown.experiments.external.command_process import run_in_child, runs_ex
 from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_backend, rendering_fault
 from touchdown.experiments.terminal import end_progress, error_line, warning_line
 
-
 COMMANDS = {
     "bench": "bench:bench",
     "calibrate": "calibrate:calibrate",
