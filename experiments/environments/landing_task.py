@@ -49,13 +49,12 @@ from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.profiles import DEFAULT, PROFILES
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.environments.action_modes import ACTION_MODES, ActionMode
+from touchdown.experiments.environments.action_modes import ACTIONS, Autopilot, rotor_command
 from touchdown.experiments.environments.observations import SENSORS, ObservationBuffer, sensor_needs
 from touchdown.experiments.environments.task_scene import TaskScene, task_scene
-from touchdown.experiments.environments.wiring import EnvBackend, build_env_backend
 from touchdown.experiments.flight.truth_lookup import TruthLookup, stands_on_truth
-from touchdown.experiments.flight.wiring import build_scene
-from touchdown.sim.api import Truth
+from touchdown.experiments.flight.wiring import build_scene, make_world
+from touchdown.sim.api import CameraParams, Command, Truth
 from touchdown.sim.frames import tilt_from_rotation
 
 Array = NDArray[np.float64]
@@ -98,32 +97,18 @@ class TaskOptions:
     """of rendered views, width, height"""
 
     def __post_init__(self) -> None:
-        if self.action not in ACTION_MODES:
-            known = ", ".join(ACTION_MODES)
-            raise ValueError(f"action '{self.action}' is unknown: give one of {known}")
+        for name, known in (("action", ACTIONS), ("profile", tuple(PROFILES))):
+            if getattr(self, name) not in known:
+                given, all_known = getattr(self, name), ", ".join(known)
+                raise ValueError(f"{name} '{given}' is unknown: give one of {all_known}")
         unknown = [name for name in self.sensors if name not in SENSORS]
         if unknown or not (self.sensors or self.privileged):
             given = f"'{unknown[0]}'" if unknown else "none"
             raise ValueError(f"sensors holds {given}: give some of {', '.join(SENSORS)}")
         if not self.start_height_m >= 2.0 or not self.start_spread_m >= 0.0:
             raise ValueError("start_height_m must be 2 or more, start_spread_m 0 or more")
-        if self.profile not in PROFILES:
-            known = ", ".join(PROFILES)
-            raise ValueError(f"profile '{self.profile}' is unknown: give one of {known}")
         if not self.time_limit_s > 0.0:
             raise ValueError(f"time_limit_s is {self.time_limit_s:g}: give a positive time")
-
-
-@dataclass(frozen=True, slots=True)
-class Measures:
-    """What the reward is made of."""
-
-    height_m: float
-    """of the feet over the take-off ground"""
-    distance_m: float
-    """horizontal, to the nearest truly safe point, at most 20"""
-    sink_mps: float
-    """speed downwards at the last control step before now; negative in a climb"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +120,6 @@ class Step:
     terminated: bool
     truncated: bool
     info: dict[str, Any]
-    measures: Measures
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,37 +148,50 @@ class LandingTask:
         if options.action_hz < 1 or control_hz % options.action_hz:
             raise ValueError(f"action_hz is {options.action_hz}: give a divisor of {control_hz}")
         self._steps_per_action = control_hz // options.action_hz
+        self.control_ticks = sim.control_ticks
+        """ticks of a control step, of which an action takes several"""
         self._layout: TaskScene | None = None
-        self._backend: EnvBackend | None = None
+        self._world: Any = None
+        self._view: Any = None
         self._end: _End | None = None
 
     def reset(self, layout_seed: int | None, rng: np.random.Generator) -> Step:
         """Begins an episode on the layout of ``layout_seed`` (None: the present one). ``rng`` draws
         start, wind and sensor errors. The step's reward is 0."""
-        if self._backend is not None:
-            self._backend.close()
-            self._backend = None
+        self.close()
         layout = self.layout(layout_seed)
         world_seed = int(rng.integers(2**31))
-        config = self._config.model_copy(update={"seed": world_seed})
-        needs = sensor_needs(self.options.sensors)
-        pixels = self.options.view_pixels
-        backend = build_env_backend(config, layout.scene, needs, pixels, self._drawn)
-        self._backend = backend
+        self._build(layout, self._config.model_copy(update={"seed": world_seed}))
         self._end = None
-        self._action_mode: ActionMode = ACTION_MODES[self.options.action](backend)
-        rig = backend.world.rig
+        rig = self._world.rig
         self.observations.reset(rig)
         self._home = rig.world_from_body_start.translation - [0.0, 0.0, rig.vehicle.leg_height_m]
-        self._obs = backend.world.start_in_air(*self._start(layout, rng))
-        self._start_z = float(backend.world.truth().world_from_body.translation[2])
+        self._obs = self._world.start_in_air(*self._start(layout, rng))
+        self._start_z = float(self._world.truth().world_from_body.translation[2])
         self._start_tick = round(WARM_UP_S * rig.tick_hz)
         while self._obs.tick < self._start_tick:
-            self._advance(self._action_mode.hold(self._obs))
-        self._before = self._truth
-        measures = self._measures()
-        self._potential = _potential_of(measures)
-        return Step(self._observation(), 0.0, False, False, self._info(None), measures)
+            self._advance(self._autopilot.command(self._obs, np.zeros(4)))
+        self._potential = -PROGRESS_PER_M * self.away_m
+        return Step(self._observation(), 0.0, False, False, self._info(None))
+
+    def _build(self, layout: TaskScene, config: Config) -> None:
+        """World, autopilot and viewing camera of one episode."""
+        from touchdown.controller.cascade import CascadeController
+        from touchdown.estimator.oracle import Oracle
+        from touchdown.experiments.flight.platform import limit_threads
+        from touchdown.sim.camera.sensor import CameraSensor
+
+        limit_threads()
+        self._world = make_world(config, layout.scene, self._drawn)
+        self._world.require(sensor_needs(self.options.sensors))
+        width, height = self.options.view_pixels
+        lens = CameraParams(noise_sigma=0.0, samples=4, width=width, height=height)
+        self._view = CameraSensor(layout.scene, lens, config.seed)
+        self._autopilot = Autopilot(
+            Oracle(self._world.truth),
+            CascadeController(self._world.rig.vehicle, config.control),
+            config.sim.control_ticks / config.sim.tick_hz,
+        )
 
     def step(self, action: NDArray[Any]) -> Step:
         """Flies one action; raises as ``take_action``."""
@@ -210,54 +207,47 @@ class LandingTask:
         Raises ValueError for a wrong shape or values that are not finite, and RuntimeError before
         the first reset.
         """
-        if self._backend is None:
-            raise RuntimeError("reset the environment before its first step")
+        self._require_world()
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (4,) or not np.all(np.isfinite(action)):
             raise ValueError(f"an action is 4 finite numbers, not {action!r}")
-        self._action_mode.set_action(np.clip(action, -1.0, 1.0))
+        self._action = np.clip(action, -1.0, 1.0)
 
     def advance(self) -> bool:
         """Flies one control step of the action; False where it ended the episode."""
-        self._before = self._truth
-        self._advance(self._action_mode.command(self._obs))
-        self._end = self._judge(self._before, self._truth)
+        before = self._truth
+        if self.options.action == "rotors":
+            self._advance(rotor_command(self._action, self._world.rig.vehicle))
+        else:
+            self._advance(self._autopilot.command(self._obs, self._action))
+        self._end = self._judge(before, self._truth)
         return self._end is None
 
     def result(self) -> Step:
         """Returns what the action came to."""
-        assert self._backend is not None
-        time_s = (self._obs.tick - self._start_tick) / self._backend.world.rig.tick_hz
-        measures, end = self._measures(), self._end
-        potential = _potential_of(measures)
-        reward = potential - self._potential - TIME_COST_PER_S / self.options.action_hz
-        self._potential = potential
-        truncated = end is None and time_s >= self.options.time_limit_s
+        end, before = self._end, self._potential
+        self._potential = -PROGRESS_PER_M * self.away_m
+        reward = self._potential - before - TIME_COST_PER_S / self.options.action_hz
         if end is not None:
             reward += end.reward
+        truncated = end is None and self._time_s() >= self.options.time_limit_s
         info = self._info(end, truncated)
-        return Step(self._observation(), reward, end is not None, truncated, info, measures)
+        return Step(self._observation(), reward, end is not None, truncated, info)
 
     @property
     def world(self) -> Any:
         """``sim.world.MujocoWorld`` of the episode. Raises RuntimeError before the first reset."""
-        if self._backend is None:
-            raise RuntimeError("reset the environment before looking at its world")
-        return self._backend.world
+        self._require_world()
+        return self._world
 
     @property
-    def heights_m(self) -> tuple[float, float]:
-        """Least and greatest height of the feet over the take-off ground in the present episode:
-        over the lowest surface, and where the climb ends it."""
-        assert self._layout is not None and self._backend is not None
-        feet = self._start_z - self._backend.world.rig.vehicle.leg_height_m
-        home = float(self._home[2])
-        return self._layout.lowest() - home, feet + MAX_CLIMB_M - home
-
-    @property
-    def control_ticks(self) -> int:
-        """Ticks of a control step, of which an action takes several."""
-        return self._config.sim.control_ticks
+    def away_m(self) -> float:
+        """Height of the feet over the take-off ground, and horizontal distance to the nearest truly
+        safe point, at most 20, together."""
+        assert self._layout is not None
+        position = self._truth.world_from_body.translation
+        feet = position[2] - self._world.rig.vehicle.leg_height_m
+        return float(feet - self._home[2]) + self._layout.distance_at(position[:2])
 
     def layout(self, seed: int | None) -> TaskScene:
         """Returns the layout of a seed (None: the present one), which the next ``reset`` takes."""
@@ -270,17 +260,21 @@ class LandingTask:
     def render(self) -> NDArray[np.uint8]:
         """Returns the vehicle's view downwards, (H, W, 3) uint8. Raises RuntimeError before the
         first reset."""
-        if self._backend is None:
-            raise RuntimeError("reset the environment before rendering it")
-        return self._backend.render().copy()
+        self._require_world()
+        return self._view.render(self._world.snapshot(), 0).copy()  # type: ignore[no-any-return]
 
     def close(self) -> None:
         """Frees the world; a later ``reset`` builds another."""
-        if self._backend is not None:
-            self._backend.close()
-            self._backend = None
+        if self._world is not None:
+            self._view.close()
+            self._world.close()
+            self._world = self._view = None
 
     # ------------------------------------------------------------------------------ inside
+
+    def _require_world(self) -> None:
+        if self._world is None:
+            raise RuntimeError("reset the environment first")
 
     def _start(self, layout: TaskScene, rng: np.random.Generator) -> tuple[Array, float]:
         spread = self.options.start_spread_m
@@ -290,21 +284,10 @@ class LandingTask:
         z = layout.highest_near(xy) + self.options.start_height_m
         return np.array([*xy, z]), float(rng.uniform(-np.pi, np.pi))
 
-    def _advance(self, command: Any) -> None:
-        assert self._backend is not None
-        self._obs = self._backend.world.step(command)
-        self._truth: Truth = self._backend.world.truth()
+    def _advance(self, command: Command) -> None:
+        self._obs = self._world.step(command)
+        self._truth: Truth = self._world.truth()
         self.observations.update(self._obs)
-
-    def _measures(self) -> Measures:
-        assert self._layout is not None and self._backend is not None
-        position = self._truth.world_from_body.translation
-        feet = position[2] - self._backend.world.rig.vehicle.leg_height_m
-        return Measures(
-            height_m=float(feet - self._home[2]),
-            distance_m=self._layout.distance_at(position[:2]),
-            sink_mps=-float(self._before.velocity_world[2]),
-        )
 
     def _judge(self, before: Truth, now: Truth) -> _End | None:
         """Returns the end of the episode, None in flight."""
@@ -338,16 +321,17 @@ class LandingTask:
         return _End(Outcome.LANDED, True, SAFE * (1.0 - 0.5 * max(down, 0.0) / TOUCH_DOWN_MPS))
 
     def _observation(self) -> dict[str, NDArray[Any]]:
-        assert self._backend is not None
-        height = self._backend.world.height_over_ground()
+        height = self._world.height_over_ground()
         return self.observations.observation(self._truth, self._home, height)
+
+    def _time_s(self) -> float:
+        return float((self._obs.tick - self._start_tick) / self._world.rig.tick_hz)
 
     def _info(self, end: _End | None, truncated: bool = False) -> dict[str, Any]:
         outcome = Outcome.TIMEOUT if truncated else end and end.outcome
-        assert self._backend is not None and self._layout is not None
-        ticks = self._obs.tick - self._start_tick
+        assert self._layout is not None
         return {
-            "time_s": ticks / self._backend.world.rig.tick_hz,
+            "time_s": self._time_s(),
             "layout": self._layout.scene.seed,
             "outcome": "" if outcome is None else str(outcome),
             "safe": end is not None and end.safe,
@@ -374,7 +358,3 @@ def _configuration(options: TaskOptions) -> Config:
         estimator="oracle",
         profile=options.profile,
     )
-
-
-def _potential_of(measures: Measures) -> float:
-    return -PROGRESS_PER_M * (measures.height_m + measures.distance_m)

@@ -8,23 +8,10 @@ import mujoco
 import numpy as np
 from dm_control.mujoco.wrapper import MjData
 from dm_control.rl import control
-from dm_control.utils.rewards import tolerance
 from dm_env import specs
 from numpy.typing import NDArray
 
-from touchdown.experiments.api import Outcome
-from touchdown.experiments.environments.landing_task import (
-    FAILED,
-    PROGRESS_PER_M,
-    SAFE,
-    TIME_COST_PER_S,
-    TOUCH_DOWN_MPS,
-    UNSAFE,
-    LandingTask,
-    Measures,
-    Step,
-    TaskOptions,
-)
+from touchdown.experiments.environments.landing_task import LandingTask, Step, TaskOptions
 from touchdown.experiments.environments.physics import LandingPhysics
 from touchdown.experiments.environments.task_scene import MAX_DISTANCE_M
 
@@ -63,7 +50,6 @@ class Landing(control.Task):  # type: ignore[misc]
         self.landing = LandingTask(options, drawn=True)
         self.visualize_reward = False
         self._now: Step | None = None
-        self._closeness = 0.0
 
     @property
     def random(self) -> np.random.RandomState:
@@ -93,8 +79,6 @@ class Landing(control.Task):  # type: ignore[misc]
         self._now = self.landing.reset(self._layout_seed, rng)
         world = self.landing.world
         physics.attach(world.data, self.landing.advance, self.landing.control_ticks)
-        self._heights = self.landing.heights_m
-        self._closeness = self._closeness_of(self._now.measures)
         vehicle = physics.model.body_rootid[physics.model.geom_bodyid] == physics.vehicle
         self._geoms = np.flatnonzero(vehicle)
         self._colours = physics.model.geom_rgba[self._geoms].copy()
@@ -106,20 +90,15 @@ class Landing(control.Task):  # type: ignore[misc]
 
     def after_step(self, physics: LandingPhysics) -> None:
         """Takes what the sensors, and the referee, say of the step."""
-        before, self._now = self._closeness, self.landing.result()
-        measures = self._now.measures
-        self._closeness = self._closeness_of(measures)
-        cost = TIME_COST_PER_S / self.landing.options.action_hz
-        self._reward = self._closeness - before - cost + self._reward_of_the_end(measures)
+        self._now = self.landing.result()
         if self.visualize_reward:
-            share = self._low(measures) * self._near(measures)
+            near = max(0.0, 1.0 - self.landing.away_m / MAX_DISTANCE_M)
             shown = physics.model.geom_rgba
-            shown[self._geoms, :3] = share * _NEAR + (1.0 - share) * self._colours[:, :3]
+            shown[self._geoms, :3] = near * _NEAR + (1.0 - near) * self._colours[:, :3]
 
     def get_reward(self, physics: LandingPhysics) -> float:
-        """Returns the gain in closeness, less 0.01 a second; at the end the worth of the touchdown
-        is added."""
-        return self._reward
+        """Returns that of the last step."""
+        return self._step.reward
 
     def get_termination(self, physics: LandingPhysics) -> float | None:
         """Returns the discount of the last step: 0 where the flight ended, 1 where time ran
@@ -149,42 +128,8 @@ class Landing(control.Task):  # type: ignore[misc]
         names = "\t".join(ACTION_NAMES[self.landing.options.action])
         return specs.BoundedArray((4,), np.float32, -1.0, 1.0, names)
 
-    # ------------------------------------------------------------------------------ reward
-
     @property
     def _step(self) -> Step:
         if self._now is None:
             raise RuntimeError("reset the environment before looking at it")
         return self._now
-
-    def _low(self, measures: Measures) -> float:
-        """1 at the lowest ground of the scene, 0 where a climb ends the episode."""
-        low, high = self._heights
-        return _linear(measures.height_m - low, high - low)
-
-    def _near(self, measures: Measures) -> float:
-        """1 over truly safe ground, 0 at 20 m from it."""
-        return _linear(measures.distance_m, MAX_DISTANCE_M)
-
-    def _closeness_of(self, measures: Measures) -> float:
-        """A tenth of a metre of height or of distance, of which a step is paid the change (Ng,
-        Harada, Russell 1999)."""
-        low, high = self._heights
-        metres = (high - low) * self._low(measures) + MAX_DISTANCE_M * self._near(measures)
-        return PROGRESS_PER_M * metres
-
-    def _reward_of_the_end(self, measures: Measures) -> float:
-        step = self._step
-        if not step.terminated:
-            return 0.0
-        if step.info["outcome"] != str(Outcome.LANDED):
-            return FAILED
-        if not step.info["safe"]:
-            return UNSAFE
-        return SAFE * _linear(measures.sink_mps, TOUCH_DOWN_MPS, at_margin=0.5)
-
-
-def _linear(value: float, margin: float, at_margin: float = 0.0) -> float:
-    """1 up to 0, linear down to ``at_margin`` at ``margin``."""
-    bounds = (-np.inf, 0.0)
-    return float(tolerance(value, bounds, margin, sigmoid="linear", value_at_margin=at_margin))

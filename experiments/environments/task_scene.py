@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchdown.scenes.api import Scene, TruthMaps
-from touchdown.scenes.truth.maps import truth_maps as scene_truth_maps
+from touchdown.scenes.truth.maps import truth_maps
 
 Array = NDArray[np.float64]
 
@@ -43,24 +43,13 @@ class TaskScene:
         seen = window[np.isfinite(window)]
         return float(seen.max()) if seen.size else 0.0
 
-    def lowest(self) -> float:
-        """Height of the lowest surface; 0 where there is none."""
-        seen = self.maps.height_m[np.isfinite(self.maps.height_m)]
-        return float(seen.min()) if seen.size else 0.0
-
 
 def task_scene(scene: Scene) -> TaskScene:
     """Returns the scene with its maps, of cells of 0.25 m."""
-    maps = scene_truth_maps(scene, _MAP_CELL_M)
-    return TaskScene(scene, maps, _distances(maps))
-
-
-def _distances(maps: TruthMaps) -> Array:
-    """(rows, cols) metres to the nearest safe cell, at most 20."""
-    if not maps.safe.any():
-        return np.full(maps.safe.shape, MAX_DISTANCE_M)
+    maps = truth_maps(scene, _MAP_CELL_M)
     metres = ndimage.distance_transform_edt(~maps.safe) * maps.cell_m
-    return np.minimum(metres, MAX_DISTANCE_M)
+    far = np.full(maps.safe.shape, MAX_DISTANCE_M)
+    return TaskScene(scene, maps, np.minimum(metres, far) if maps.safe.any() else far)
 
 
 def _cell_of(maps: TruthMaps, xy: Array) -> tuple[int, int] | None:

@@ -20,7 +20,7 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 from touchdown import UsageError, suite  # noqa: E402
 from touchdown.experiments.environments.gymnasium_env import TouchdownEnv  # noqa: E402
-from touchdown.experiments.environments.landing_task import LandingTask, Step, TaskOptions  # noqa: E402
+from touchdown.experiments.environments.landing_task import LandingTask, TaskOptions  # noqa: E402
 from touchdown.experiments.errors import require_dm_control  # noqa: E402
 
 Array = NDArray[Any]
@@ -65,17 +65,6 @@ def make_task() -> Iterator[MakeTask]:
     yield make
     for task in made:
         task.close()
-
-
-def descend(task: LandingTask, seed: int = 0, speed: float = 0.3) -> tuple[Step, list[Step]]:
-    """Straight down at ``speed`` of the greatest sink rate; the first step and all others."""
-    first = task.reset(0, np.random.default_rng(seed))
-    steps = []
-    for _ in range(1500):
-        steps.append(task.step(np.array([0.0, 0.0, -speed, 0.0])))
-        if steps[-1].terminated or steps[-1].truncated:
-            break
-    return first, steps
 
 
 def test_gymnasium_checker_passes(lawn: str) -> None:
@@ -128,8 +117,8 @@ class TestSuite(test_utils.EnvironmentTestMixin, absltest.TestCase):  # type: ig
 def test_a_descent_of_the_suite_is_gymnasiums(
     place: str, worth: float, make_task: MakeTask, request: pytest.FixtureRequest
 ) -> None:
-    """The reward built of tolerances is the one that Gymnasium gives; the same seed gives the same
-    time steps to the bit; the physics is the world itself, in step with its position."""
+    """Rewards and observations are those that Gymnasium gives; the same seed gives the same time
+    steps to the bit; the physics is the world itself, in step with its position."""
     kwargs = {"random": 3, "layout": 0, "start_spread_m": 1.0, "start_height_m": 4.0, **SMALL}
     scene = request.getfixturevalue(place)
     both = [suite.load(scene, "land_by_velocity", kwargs) for _ in range(2)]
@@ -140,13 +129,14 @@ def test_a_descent_of_the_suite_is_gymnasiums(
     assert physics.data.ptr is both[0].task.landing.world.data
     while not steps[0].last():
         steps, other = [env.step(down) for env in both], task.step(down)
-        assert steps[0].reward == steps[1].reward == pytest.approx(other.reward, abs=1e-9)
+        assert steps[0].reward == steps[1].reward == other.reward
         for name, seen in steps[0].observation.items():
             np.testing.assert_array_equal(seen, steps[1].observation[name])
             np.testing.assert_array_equal(seen, other.observation[name])
         at = physics.named.data.xpos["vehicle/quadrotor"]
         np.testing.assert_allclose(at, physics.data.qpos[:3], atol=1e-12)
-    assert (steps[0].discount, both[0].task.info["outcome"]) == (0.0, "LANDED")
+    info = both[0].task.info
+    assert (steps[0].discount, info["outcome"], info["safe"]) == (0.0, "LANDED", place == "lawn")
     assert steps[0].reward == pytest.approx(worth, abs=0.7)
     assert physics.render(60, 80, camera_id=-1).std() > 10.0
     below = physics.render(60, 80, camera_id="vehicle/camera").mean(axis=(0, 1))
@@ -215,17 +205,6 @@ def test_privileged_state_is_the_truth(lawn: str, make_task: MakeTask) -> None:
     assert first["camera"].shape == (24, 32, 3) and first["camera"].max() > 0
 
 
-def test_soft_touchdown_on_the_lawn_is_rewarded(lawn: str, make_task: MakeTask) -> None:
-    task = make_task(lawn, action="velocity")
-    _, steps = descend(task)
-    last = steps[-1]
-    assert (last.terminated, last.truncated) == (True, False)
-    assert (last.info["outcome"], last.info["safe"]) == ("LANDED", True)
-    speed = 0.3 * 2.5
-    assert last.reward == pytest.approx(10.0 * (1.0 - 0.5 * speed / 1.5), abs=0.7)
-    assert sum(s.reward for s in steps) == pytest.approx(last.reward + 0.1 * 4.0, abs=0.3)
-
-
 def test_shaping_telescopes(lawn: str, make_task: MakeTask) -> None:
     """The shaping sums to the difference of the potentials for any path: 0.1 a metre of height over
     safe ground."""
@@ -236,12 +215,6 @@ def test_shaping_telescopes(lawn: str, make_task: MakeTask) -> None:
     dropped = first.observation["state"][2] - steps[-1].observation["state"][2]
     expected = 0.1 * dropped - 0.01 * 60 / 50
     assert sum(s.reward for s in steps) == pytest.approx(expected, abs=1e-4)
-
-
-def test_landing_on_a_road_is_penalized(road: str, make_task: MakeTask) -> None:
-    _, steps = descend(make_task(road, action="velocity"))
-    assert (steps[-1].info["outcome"], steps[-1].info["safe"]) == ("LANDED", False)
-    assert steps[-1].reward == pytest.approx(-2.0, abs=0.1)
 
 
 def test_moving_towards_safe_ground_is_rewarded(road: str, make_task: MakeTask) -> None:
