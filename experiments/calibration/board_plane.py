@@ -1,5 +1,9 @@
 """Detection of the board in a LIDAR cloud: flat parts by difference of normals, planes by RANSAC,
-the board by its size."""
+the board by its size.
+
+Ioannou, Taati, Harrap and Greenspan, "Difference of normals as a multi-scale operator in
+unorganized point clouds", 3DIMPVT 2012, which the paper applies to find the board.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +11,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import open3d as o3d
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from touchdown.experiments.api import Chessboard
-from touchdown.experiments.calibration.normals import difference_of_normals, voxel_means
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -24,7 +25,7 @@ _MAX_DIFFERENCE = 0.12
 """Sine of half the angle between the normals at the two radii."""
 _LINK_M = 0.09
 """Flat points nearer than this belong to one part."""
-_FEWEST_VOXELS = 60
+_MIN_VOXELS, _MIN_NEIGHBOURS = 60, 5
 _TRIALS = 200
 _INLIER_M = 0.02
 """of a voxel's mean"""
@@ -35,8 +36,8 @@ _SMALLEST_SHARE = 0.4
 """of the plate that has to be seen"""
 _RIM_M = 0.05
 """Returns nearer to the outline than this are left out: beams are split there."""
-_FEWEST_RETURNS = 500
-_CELL_M, _FEWEST_IN_CELL, _FEWEST_CELLS = 0.05, 8, 40
+_MIN_RETURNS = 500
+_CELL_M, _MIN_IN_CELL, _MIN_CELLS = 0.05, 8, 40
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,16 +55,11 @@ class BoardPlane:
 def find_board(points: Array, board: Chessboard, rng: np.random.Generator) -> BoardPlane | None:
     """The board's plane and returns in a cloud (N, 3) of the LIDAR, seen from the origin; None
     when no flat part has the plate's size."""
-    voxels = voxel_means(points, _VOXEL_M)
-    if len(voxels) < _FEWEST_VOXELS:
-        return None
-    difference, _ = difference_of_normals(voxels, _SMALL_RADIUS_M, _LARGE_RADIUS_M)
-    flat = voxels[difference < _MAX_DIFFERENCE]
     best, best_area = None, _SMALLEST_SHARE * float(np.prod(board.size_m))
-    for part in _parts(flat):
+    for part in _flat_parts(points):
         normal, distance, inside = ransac_plane(part, _INLIER_M, _TRIALS, rng)
         members = part[inside]
-        if len(members) < _FEWEST_VOXELS or not _fits(members, normal, board):
+        if len(members) < _MIN_VOXELS or not _fits(members, normal, board):
             continue
         area = _area(members, normal)
         if area > best_area:
@@ -99,15 +95,31 @@ def fit_plane(points: Array) -> tuple[Array, float]:
     return (normal, distance) if distance > 0.0 else (-normal, -distance)
 
 
-def _parts(flat: Array) -> list[Array]:
-    """Connected parts of the flat points, largest first."""
-    pairs = cKDTree(flat).query_pairs(_LINK_M, output_type="ndarray")
-    ones = np.ones(len(pairs), dtype=np.int8)
-    graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(flat), len(flat)))
-    _, label = connected_components(graph, directed=False)
+def difference_of_normals(
+    cloud: o3d.geometry.PointCloud, small_radius_m: float, large_radius_m: float
+) -> Array:
+    """Half the length of the difference of the normals at two radii, (N,) in [0, 1/sqrt(2)]."""
+    normals = []
+    for radius in (small_radius_m, large_radius_m):
+        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamRadius(radius), False)
+        cloud.orient_normals_towards_camera_location()
+        normals.append(np.asarray(cloud.normals).copy())
+    difference: Array = 0.5 * np.linalg.norm(normals[0] - normals[1], axis=1)
+    return difference
+
+
+def _flat_parts(points: Array) -> list[Array]:
+    """Voxel means (M, 3) of the connected flat parts of a cloud (N, 3), largest first."""
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)).voxel_down_sample(_VOXEL_M)
+    cloud, _ = cloud.remove_radius_outlier(_MIN_NEIGHBOURS, _SMALL_RADIUS_M)
+    if len(cloud.points) < _MIN_VOXELS:
+        return []
+    difference = difference_of_normals(cloud, _SMALL_RADIUS_M, _LARGE_RADIUS_M)
+    flat = cloud.select_by_index(np.flatnonzero(difference < _MAX_DIFFERENCE).tolist())
+    label = np.asarray(flat.cluster_dbscan(_LINK_M, 1))
     count = np.bincount(label)
     order = np.argsort(-count, kind="stable")
-    return [flat[label == k] for k in order if count[k] >= _FEWEST_VOXELS]
+    return [np.asarray(flat.points)[label == k] for k in order if count[k] >= _MIN_VOXELS]
 
 
 def _on_plane(points: Array, normal: Array) -> Array:
@@ -137,14 +149,14 @@ def _collect(points: Array, normal: Array, distance: float, members: Array) -> B
     places = _on_plane(_along_beams(near, normal, distance), normal)
     inside = _inside(places, outline.astype(np.float64), _RIM_M)
     near, places = near[inside], places[inside]
-    if len(near) < _FEWEST_RETURNS:
+    if len(near) < _MIN_RETURNS:
         return None
     offsets = near @ normal + distance
     offsets -= np.median(offsets)
     sigma = 1.4826 * float(np.median(np.abs(offsets)))
     kept = np.abs(offsets) <= _GATE_SIGMAS * sigma
     means = _cell_means(near[kept], places[kept])
-    if len(means) < _FEWEST_CELLS:
+    if len(means) < _MIN_CELLS:
         return None
     normal, distance = fit_plane(means)
     return BoardPlane(normal=normal, distance=distance, points=means)
@@ -167,7 +179,7 @@ def _cell_means(points: Array, places: Array) -> Array:
     cells = np.floor(places / _CELL_M).astype(np.int64)
     _, member, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     sums = np.stack([np.bincount(member.ravel(), points[:, a]) for a in range(3)], axis=1)
-    full = count >= _FEWEST_IN_CELL
+    full = count >= _MIN_IN_CELL
     return np.asarray(sums[full] / count[full, None])
 
 

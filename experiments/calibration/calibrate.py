@@ -17,14 +17,14 @@ from touchdown.experiments.calibration.chessboard import (
     fit_camera,
 )
 from touchdown.experiments.calibration.extrinsics import (
-    FEWEST_VIEWS,
+    MIN_VIEWS,
     agreeing_views,
     solve_extrinsics,
 )
 
 Array = NDArray[np.float64]
 
-_MOST_APART_M = 0.5
+_MAX_APART_M = 0.5
 """between camera and LIDAR"""
 
 
@@ -46,28 +46,24 @@ def calibrate(
             refused[number] = "the camera does not see all corners"
         else:
             corners[number] = found
-    if len(corners) < FEWEST_VIEWS:
+    if len(corners) < MIN_VIEWS:
         raise ValueError(
             f"the camera sees the whole chessboard in only {len(corners)} of {len(views)} views; "
-            f"calibration needs {FEWEST_VIEWS} or more"
+            f"calibration needs {MIN_VIEWS} or more"
         )
     height, width = views[0].rgb.shape[:2]
     camera = fit_camera(list(corners.values()), board, (width, height))
-    planes = camera_planes(camera)
     seen: dict[int, BoardPlane] = {}
-    for number in corners:
-        place = camera.translations[list(corners).index(number)]
+    for number, place in zip(corners, camera.translations, strict=True):
         plane = find_board(_as_far(views[number].points, place, board), board, rng)
         if plane is None:
             refused[number] = "no flat part of the LIDAR's cloud has the board's size"
         else:
             seen[number] = plane
-    order = {number: row for row, number in enumerate(corners)}
-    planes = planes.of_views([order[number] for number in seen])
-    boards = list(seen.values())
+    boards, numbers = list(seen.values()), list(seen)
+    planes = camera_planes(camera).of_views([list(corners).index(number) for number in numbers])
     start, agree = agreeing_views(planes, boards, rng)
     fit = solve_extrinsics(planes, boards, agree, start)
-    numbers = list(seen)
     for row in sorted(set(range(len(numbers))) - set(agree.tolist())):
         refused[numbers[row]] = "the planes of camera and LIDAR do not match those of other views"
     used = tuple(numbers[row] for row in agree)
@@ -88,7 +84,7 @@ def calibrate(
 def _as_far(points: Array, board_in_camera: Array, board: Chessboard) -> Array:
     """Returns the points about as far from the LIDAR as the board (its middle, (3,)) is from the
     camera, which does not depend on the sensors' orientations."""
-    slack = _MOST_APART_M + 0.5 * float(np.hypot(*board.size_m))
+    slack = _MAX_APART_M + 0.5 * float(np.hypot(*board.size_m))
     ranges = np.linalg.norm(points, axis=1)
     near = np.abs(ranges - np.linalg.norm(board_in_camera)) < slack
     return points[near]

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from touchdown.experiments.calibration.board_plane import BoardPlane
 from touchdown.experiments.calibration.chessboard import CameraPlanes
@@ -17,16 +19,14 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-FEWEST_VIEWS = 3
+MIN_VIEWS = 3
 _TRIALS = 300
 _MAX_ANGLE = np.deg2rad(3.0)
 _MAX_OFFSET_M = 0.05
-_LEAST_SPREAD = 0.05
+_MIN_SPREAD = 0.05
 """Smallest singular value of the normals, over the root of their number; that of tilts of 5
 degrees."""
-_MAX_ITERATIONS = 60
-_CONVERGED = 1e-10
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e8
+_CONVERGED = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,20 +59,20 @@ def agreeing_views(
     normals = np.array([board.normal for board in boards])
     distances = np.array([board.distance for board in boards])
     views = len(boards)
-    if views < FEWEST_VIEWS:
+    if views < MIN_VIEWS:
         raise ValueError(_too_few(views))
     best = np.arange(0)
     for _ in range(_TRIALS):
-        triple = rng.permutation(views)[:FEWEST_VIEWS]
-        if _spread(normals[triple]) < _LEAST_SPREAD:
+        triple = rng.permutation(views)[:MIN_VIEWS]
+        if _spread(normals[triple]) < _MIN_SPREAD:
             continue
         start = closed_form(planes, normals, distances, triple)
         agree = np.flatnonzero(_agrees(start, planes, normals, distances))
         if len(agree) > len(best):
             best = agree
-    if len(best) >= FEWEST_VIEWS and _spread(normals[best]) >= _LEAST_SPREAD:
+    if len(best) >= MIN_VIEWS and _spread(normals[best]) >= _MIN_SPREAD:
         return closed_form(planes, normals, distances, best), best
-    if _spread(normals) < _LEAST_SPREAD:
+    if _spread(normals) < _MIN_SPREAD:
         raise ValueError(
             "the boards are tilted too much alike to fix the LIDAR's place: tilt them about both "
             "axes, by 20 degrees and more"
@@ -81,46 +81,41 @@ def agreeing_views(
 
 
 def closed_form(planes: CameraPlanes, normals: Array, distances: Array, views: Indices) -> Pose:
-    """Rotation from the normals (Wahba's problem, by SVD) and translation from the distances by
-    least squares: with n_c = R n_l, Eq. 3 leaves n_c . t = d_l - d_c for every view."""
+    """Rotation from the normals (Wahba's problem) and translation from the distances by least
+    squares: with n_c = R n_l, Eq. 3 leaves n_c . t = d_l - d_c for every view."""
     in_camera = planes.normals[views]
-    left, _, right = np.linalg.svd(in_camera.T @ normals[views])
-    mirror = np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
+    rotation, _ = Rotation.align_vectors(in_camera, normals[views])
     offsets = distances[views] - planes.distances[views]
     translation: Array = np.linalg.lstsq(in_camera, offsets, rcond=None)[0].astype(np.float64)
-    return Pose(left @ mirror @ right, translation)
+    return Pose(rotation.as_matrix(), translation)
 
 
 def solve_extrinsics(
     planes: CameraPlanes, boards: Sequence[BoardPlane], views: Indices, start: Pose
 ) -> ExtrinsicFit:
-    """Solves Eq. 5 over ``views`` by Levenberg-Marquardt (Marquardt's damping of the diagonal),
-    with an analytic Jacobian: every view has the same weight, however many points its board has."""
+    """Solves Eq. 5 over ``views`` by Levenberg-Marquardt: every view has the same weight, however
+    many points its board has."""
     blocks = [
         (boards[view].points, planes.normals[view], float(planes.distances[view])) for view in views
     ]
-    pose, damping = start, _FIRST_DAMPING
-    cost, gradient, normal_matrix = _normal_equations(blocks, pose)
-    for _ in range(_MAX_ITERATIONS):
-        damped = normal_matrix + damping * np.diag(np.diag(normal_matrix))
-        step: Array = np.linalg.solve(damped, -gradient).astype(np.float64)
-        trial = Pose(so3_exp(step[:3]) @ pose.rotation, pose.translation + step[3:])
-        trial_cost, trial_gradient, trial_matrix = _normal_equations(blocks, trial)
-        if trial_cost <= cost:
-            pose, cost = trial, trial_cost
-            gradient, normal_matrix = trial_gradient, trial_matrix
-            damping = max(damping / 10.0, _LEAST_DAMPING)
-            if np.abs(step).max() < _CONVERGED:
-                break
-        else:
-            damping *= 10.0
-            if damping > _MOST_DAMPING:
-                break
-    covariance = _covariance(blocks, pose, normal_matrix, planes, views)
+
+    def moved(step: Array) -> Pose:
+        return Pose(so3_exp(step[:3]) @ start.rotation, start.translation + step[3:])
+
+    def weighted(step: Array) -> Array:
+        pose = moved(step)
+        return np.concatenate(
+            [plane_residuals(*block, pose) / len(block[0]) ** 0.5 for block in blocks]
+        )
+
+    found = least_squares(
+        weighted, np.zeros(6), method="lm", xtol=_CONVERGED, ftol=_CONVERGED, gtol=_CONVERGED
+    )
+    pose = moved(found.x)
     squares = [plane_residuals(*block, pose) ** 2 for block in blocks]
     return ExtrinsicFit(
         camera_from_lidar=pose,
-        covariance=covariance,
+        covariance=_covariance(blocks, pose, planes.of_views(views.tolist())),
         rms_m=float(np.sqrt(np.concatenate(squares).mean())),
     )
 
@@ -135,34 +130,21 @@ def _jacobian(block: _Block, pose: Pose) -> Array:
     return np.hstack([np.cross(rotated, normal), np.broadcast_to(normal, rotated.shape)])
 
 
-def _normal_equations(blocks: Sequence[_Block], pose: Pose) -> tuple[float, Array, Array]:
-    """Cost of Eq. 5, half its gradient (6,) and J^T W J (6, 6)."""
-    cost, gradient, matrix = 0.0, np.zeros(6), np.zeros((6, 6))
-    for block in blocks:
-        residuals, jacobian = plane_residuals(*block, pose), _jacobian(block, pose)
-        weight = 1.0 / len(residuals)
-        cost += weight * float(residuals @ residuals)
-        gradient += weight * jacobian.T @ residuals
-        matrix += weight * jacobian.T @ jacobian
-    return cost, gradient, matrix
-
-
-def _covariance(
-    blocks: Sequence[_Block], pose: Pose, matrix: Array, planes: CameraPlanes, views: Indices
-) -> Array:
+def _covariance(blocks: Sequence[_Block], pose: Pose, planes: CameraPlanes) -> Array:
     """Covariance (6, 6). The minimum moves by -H^-1 (J^T W e) with the errors e of the residuals:
     those of the LIDAR are independent from return to return, those of a camera plane are shared by
     all its returns, and the lens's by all views."""
-    from_lidar = np.zeros((6, 6))
+    matrix, from_lidar = np.zeros((6, 6)), np.zeros((6, 6))
     by_plane = np.zeros((6, 4 * len(blocks)))
     for k, block in enumerate(blocks):
         residuals, jacobian = plane_residuals(*block, pose), _jacobian(block, pose)
         count = len(residuals)
+        matrix += jacobian.T @ jacobian / count
         scored = (residuals - residuals.mean())[:, None] * jacobian
         from_lidar += scored.T @ scored / count**2
         lifted = np.column_stack([pose.apply(block[0]), np.ones(count)])
         by_plane[:, 4 * k : 4 * k + 4] = jacobian.T @ lifted / count
-    from_camera = by_plane @ planes.of_views(views.tolist()).covariance @ by_plane.T
+    from_camera = by_plane @ planes.covariance @ by_plane.T
     inverse = np.linalg.inv(matrix)
     return inverse @ (from_lidar + from_camera) @ inverse
 
@@ -181,5 +163,5 @@ def _spread(normals: Array) -> float:
 def _too_few(views: int) -> str:
     return (
         f"only {views} views show the board to camera and LIDAR alike; calibration needs "
-        f"{FEWEST_VIEWS} or more"
+        f"{MIN_VIEWS} or more"
     )

@@ -37,7 +37,7 @@ def write_figures(
     """Writes boards.png, overlay.png and cloud.png. Raises UsageError where writing fails."""
     folder.mkdir(parents=True, exist_ok=True)
     write_image(folder / "boards.png", boards_image(views, result, board))
-    shown = max(result.used, key=lambda number: _showing(result.board_points[number]))
+    shown = max(result.used, key=lambda number: len(result.board_points[number]))
     write_image(folder / "overlay.png", overlay_image(views[shown], result))
     write_image(folder / "cloud.png", cloud_image(views[shown], result, result.corners[shown]))
 
@@ -100,13 +100,6 @@ def cloud_image(view: CalibrationView, result: CalibrationResult, corners: Array
     for rows_of, side in ((order[~near], 2), (order[near], 4)):
         _dot(image, spots[rows_of], colour[ahead][rows_of], side)
     return image
-
-
-def _showing(points: Array) -> float:
-    """Extent of a board that the LIDAR saw, foreshortened."""
-    middle = points.mean(axis=0)
-    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
-    return len(points) * float(abs(normal @ middle) / np.linalg.norm(middle))
 
 
 def _beside(in_camera: Array, pixels: NDArray[np.int64], corners: Array) -> Pose:
