@@ -25,17 +25,19 @@ from touchdown.experiments.benchmarks.odometry_baselines import (
     run_reference,
     settings,
 )
-from touchdown.experiments.benchmarks.true_path import TruePath
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay, replay_config
+from touchdown.experiments.io.tum import Trajectory
 from touchdown.scenes.api import short_name
 
 Array = NDArray[np.float64]
 Report = Callable[[str], None]
 
 SCENES = ("crossroad", "lake", "houses", "forest")
+_SURVEY_BELOW_M = 0.5
+"""The survey begins where the vehicle first is this near to its greatest height."""
 WITHOUT_CAMERA = "livo_no_camera"
 ESTIMATORS: dict[str, tuple[str, tuple[str, ...]]] = {
     "livo": ("livo", ()),
@@ -69,9 +71,12 @@ def bench_log(
         estimator, changes = ESTIMATORS[name]
         for figure, value in replayed(logged, estimator, changes, end_s).items():
             found[figure][name] = value
-    truth, references = TruePath.of_run(logged), [method for method in GRIDS if method in chosen]
+    truth, references = (
+        Trajectory(logged.path / "truth.tum"),
+        [method for method in GRIDS if method in chosen],
+    )
     scans = logged_scans(logged, end_s) if references else []
-    lidar, survey_s = logged.sensors.rig.body_from_lidar, truth.survey_s()
+    lidar, survey_s = logged.sensors.rig.body_from_lidar, _survey_s(truth)
     for method in references:
         rows = []
         for setting in settings(method):
@@ -80,6 +85,12 @@ def bench_log(
             rows.append(_reference_row(track, truth))
         _add_best(found, method, rows)
     return found
+
+
+def _survey_s(truth: Trajectory) -> float:
+    """Time at which the vehicle first reaches the height of the survey."""
+    heights = truth.positions[:, 2]
+    return float(truth.times_s[np.argmax(heights > heights.max() - _SURVEY_BELOW_M)])
 
 
 def _add_best(found: dict[str, Any], method: str, rows: list[dict[str, Any]]) -> None:
@@ -140,7 +151,7 @@ def _badness(row: dict[str, Any]) -> tuple[float, float]:
     )
 
 
-def _reference_row(track: OdometryTrack, truth: TruePath) -> dict[str, Any]:
+def _reference_row(track: OdometryTrack, truth: Trajectory) -> dict[str, Any]:
     true = [truth.pose(time_s).translation for time_s in track.times_s]
     return {
         "setting": track.setting,

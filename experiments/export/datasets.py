@@ -19,16 +19,15 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.export.flown_run import Exported, ExportOptions, FlownRun
-from touchdown.experiments.export.point_cloud import Track, placed_returns
-from touchdown.experiments.export.tables import with_neighbours
+from touchdown.experiments.export.point_cloud import placed_returns
+from touchdown.experiments.export.tables import velocities
 from touchdown.experiments.io import ros2_messages as ros
 from touchdown.experiments.io.sensor_log_reader import (
     PackedImage,
     SensorLogReader,
     unpack_image,
 )
-from touchdown.experiments.io.tum import tum_rows
-from touchdown.experiments.recording.scan_deskew import poses_at
+from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import LidarScan, SensorRig
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 
@@ -100,20 +99,16 @@ def _pngs(image: PackedImage) -> list[NDArray[np.uint8]]:
 
 def _write_truth(flown: FlownRun, root: Path, rig: SensorRig) -> int:
     folder = _sensor(root / "state_groundtruth_estimate0", {"sensor_type": "visual-inertial"})
-    count = 0
+    truth = Trajectory(flown.file("truth.tum"))
+    poses = [pose @ rig.body_from_imu for pose in truth.poses]
+    rows = zip(truth.times_s, poses, velocities(truth.times_s, poses)[0], strict=True)
     with (folder / "data.csv").open("w", encoding="ascii") as file:
         file.write(_TRUTH_HEAD)
-        for (before_s, before), (time_s, here), (after_s, after) in with_neighbours(
-            tum_rows(flown.file("truth.tum"))
-        ):
-            first, pose, last = (one @ rig.body_from_imu for one in (before, here, after))
-            span = after_s - before_s
-            velocity = (last.translation - first.translation) / span if span > 0 else np.zeros(3)
+        for time_s, pose, velocity in rows:
             values = (*pose.translation, *quat_wxyz_from_matrix(pose.rotation), *velocity)
             text = ",".join(f"{value:.9f}" for value in values)
             file.write(f"{round(1e9 * time_s)},{text}{_NO_BIAS}\n")
-            count += 1
-    return count
+    return len(poses)
 
 
 def write_camera(folder: Path, rig: SensorRig, body_from_camera: Pose) -> Path:
@@ -172,7 +167,7 @@ def write_kitti(flown: FlownRun, folder: Path, options: ExportOptions) -> Export
         (sequence / name).mkdir(parents=True)
     (folder / "poses").mkdir()
     _write_calibration(sequence / "calib.txt", rig)
-    moving, truth = (Track(flown.file(f"{name}.tum")) for name in (options.poses, "truth"))
+    moving, truth = (Trajectory(flown.file(f"{name}.tum")) for name in (options.poses, "truth"))
     first: Pose | None = None
     count, late = 0, 0
     with (
@@ -181,20 +176,19 @@ def write_kitti(flown: FlownRun, folder: Path, options: ExportOptions) -> Export
     ):
         for scan, image in _frames(log):
             time_s = 0.5 * (scan.start_time_s + scan.end_time_s)
-            around, true = moving.around(scan), truth.at(time_s)
-            if around is None or true is None:
+            spanned = moving.spans(scan.start_time_s, scan.end_time_s)
+            if not (spanned and truth.spans(time_s, time_s)):
                 late += 1
                 continue
-            points, intensity = placed_returns(scan, around, rig.body_from_lidar, 1)
-            rotations, positions = poses_at(around, np.array([time_s]))
-            here = Pose(rotations[0], positions[0]) @ rig.body_from_lidar
+            points, intensity = placed_returns(scan, moving, rig.body_from_lidar, 1)
+            here = moving.pose(time_s) @ rig.body_from_lidar
             cloud = np.column_stack([here.inverse().apply(points), intensity / 255.0])
             cloud.astype("<f4").tofile(sequence / "velodyne" / f"{count:06}.bin")
             rectified = cv2.undistort(
                 unpack_image(image.png), rig.camera.matrix(), rig.camera.distortion
             )
             cv2.imwrite(str(sequence / "image_2" / f"{count:06}.png"), rectified[..., ::-1])
-            camera = Pose(*true) @ rig.body_from_camera
+            camera = truth.pose(time_s) @ rig.body_from_camera
             first = first or camera
             moved = first.inverse() @ camera
             poses.write(_row(moved.rotation, moved.translation) + "\n")

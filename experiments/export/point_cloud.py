@@ -11,22 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from plyfile import PlyData, PlyParseError
 
-from touchdown.estimator.api import PoseTrack
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.export.flown_run import LIBRARY, Exported, ExportOptions, FlownRun
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
-from touchdown.experiments.io.tum import tum_rows
-from touchdown.experiments.recording.scan_deskew import poses_at
+from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import CameraImage, CameraIntrinsics, LidarScan
-from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.uint8]
 
-_HEADER_BYTES = 400
-_KEPT_S = 2.0
-"""Poses are kept for this time: a scan that arrives later than this after its beginning is left
-out."""
 _KEPT_IMAGES = 4
 _MAX_COLOUR_AGE_S = 0.5
 """Greatest time between a return and the image that colours it."""
@@ -59,7 +53,7 @@ def _write_map(flown: FlownRun, path: Path) -> Exported:
 def _write_scans(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
     log = SensorLogReader(flown.sensors())
     rig = log.rig
-    track = Track(flown.file(f"{options.poses}.tum"))
+    track = Trajectory(flown.file(f"{options.poses}.tum"))
     images: deque[CameraImage] = deque(maxlen=_KEPT_IMAGES)
     late = 0
     with path.open("wb") as file:
@@ -67,11 +61,10 @@ def _write_scans(flown: FlownRun, path: Path, options: ExportOptions) -> Exporte
         for obs in log:
             images.extend(obs.images)
             for scan in obs.scans:
-                around = track.around(scan)
-                if around is None:
+                if not track.spans(scan.start_time_s, scan.end_time_s):
                     late += 1
                     continue
-                points, intensity = placed_returns(scan, around, rig.body_from_lidar, options.every)
+                points, intensity = placed_returns(scan, track, rig.body_from_lidar, options.every)
                 colours = _grey(intensity)
                 _paint(points, colours, scan, images, track, rig.body_from_camera, rig.camera)
                 cloud.add(points, colours, intensity)
@@ -82,57 +75,15 @@ def _write_scans(flown: FlownRun, path: Path, options: ExportOptions) -> Exporte
     return done
 
 
-class Track:
-    """Trajectory that is read as needed; its last seconds are kept."""
-
-    def __init__(self, path: Path) -> None:
-        self._rows = tum_rows(path)
-        self._kept: deque[tuple[float, Pose]] = deque()
-
-    def around(self, scan: LidarScan) -> PoseTrack | None:
-        """Poses that span a scan; None if there are none."""
-        return self._between(scan.start_time_s, scan.end_time_s)
-
-    def at(self, time_s: float) -> tuple[Array, Array] | None:
-        """Rotation (3, 3) and position (3,)."""
-        span = self._between(time_s, time_s)
-        if span is None:
-            return None
-        rotations, positions = poses_at(span, np.array([time_s]))
-        return rotations[0], positions[0]
-
-    def _between(self, first_s: float, last_s: float) -> PoseTrack | None:
-        kept = self._kept
-        while not kept or kept[-1][0] < last_s:
-            row = next(self._rows, None)
-            if row is None:
-                break
-            if not kept or row[0] > kept[-1][0]:
-                kept.append(row)
-        while kept and kept[0][0] < kept[-1][0] - _KEPT_S:
-            kept.popleft()
-        if not kept or first_s < kept[0][0] or last_s > kept[-1][0] or first_s > last_s:
-            return None
-        times = np.array([time_s for time_s, _ in kept])
-        start = max(int(np.searchsorted(times, first_s, "right")) - 1, 0)
-        stop = int(np.searchsorted(times, last_s)) + 1
-        poses = [kept[number][1] for number in range(start, stop)]
-        return PoseTrack(
-            times_s=times[start:stop],
-            positions_odom=np.array([pose.translation for pose in poses]),
-            quats_wxyz=np.array([quat_wxyz_from_matrix(pose.rotation) for pose in poses]),
-        )
-
-
 def placed_returns(
-    scan: LidarScan, track: PoseTrack, body_from_lidar: Pose, every: int
+    scan: LidarScan, track: Trajectory, body_from_lidar: Pose, every: int
 ) -> tuple[Array, NDArray[np.float32]]:
     """(N, 3) world points of a scan's returns, each from the pose at its own time, and (N,)
     intensities."""
     hits = np.flatnonzero((scan.ranges > 0.0) & np.isfinite(scan.ranges))[::every]
     times = scan.start_time_s + scan.time_offsets[hits].astype(np.float64)
     in_lidar = (scan.directions[hits] * scan.ranges[hits, None]).astype(np.float64)
-    rotations, positions = poses_at(track, times)
+    positions, rotations = track.at(times)
     points = np.einsum("nij,nj->ni", rotations, body_from_lidar.apply(in_lidar)) + positions
     return points, scan.intensity[hits].astype(np.float32)
 
@@ -148,7 +99,7 @@ def _paint(
     colours: Colours,
     scan: LidarScan,
     images: deque[CameraImage],
-    track: Track,
+    track: Trajectory,
     body_from_camera: Pose,
     camera: CameraIntrinsics,
 ) -> None:
@@ -158,10 +109,9 @@ def _paint(
     if not near:
         return
     image = min(near, key=lambda each: abs(each.time_s - middle))
-    placed = track.at(image.time_s)
-    if placed is None:
+    if not track.spans(image.time_s, image.time_s):
         return
-    camera_from_world = (Pose(*placed) @ body_from_camera).inverse()
+    camera_from_world = (track.pose(image.time_s) @ body_from_camera).inverse()
     pixels, seen = project(camera_from_world.apply(points), camera)
     column, row = np.rint(pixels[seen]).astype(int).T
     colours[seen] = image.rgb[row, column]
@@ -188,13 +138,13 @@ def project(points: Array, camera: CameraIntrinsics) -> tuple[Array, NDArray[np.
 
 
 class _PlyFile:
-    """PLY file that grows by scans; its header, of fixed length, gets the number of vertices at the
-    end. Not by `plyfile`, which writes arrays that are in memory as a whole."""
+    """PLY file that grows by scans. Not by `plyfile`, which writes arrays that are in memory as a
+    whole."""
 
     def __init__(self, file: BinaryIO, comment: str) -> None:
         self._file, self._comment = file, comment
         self.count = 0
-        file.write(b" " * _HEADER_BYTES)
+        self.finish()
 
     def add(self, points: Array, colours: Colours, intensity: NDArray[np.float32]) -> None:
         rows = np.empty(len(points), dtype=_VERTEX)
@@ -203,14 +153,13 @@ class _PlyFile:
         self.count += len(rows)
 
     def finish(self) -> None:
+        """Writes the header with the present number of vertices, in a field of fixed length."""
+        self._file.seek(0)
         head = (
             f"ply\nformat binary_little_endian 1.0\ncomment {LIBRARY}: {self._comment}\n"
-            f"element vertex {self.count}\n"
+            f"element vertex {self.count:012}\n"
             "property float x\nproperty float y\nproperty float z\n"
             "property uchar red\nproperty uchar green\nproperty uchar blue\n"
-            "property float intensity\ncomment "
+            "property float intensity\nend_header\n"
         )
-        end = "\nend_header\n"
-        padding = "." * (_HEADER_BYTES - len(head) - len(end))
-        self._file.seek(0)
-        self._file.write((head + padding + end).encode("ascii"))
+        self._file.write(head.encode("ascii"))

@@ -37,14 +37,14 @@ from touchdown.experiments.export.flown_run import (
     FlownRun,
     GeodeticPoint,
 )
-from touchdown.experiments.export.tables import PosesAt, with_neighbours
+from touchdown.experiments.export.tables import velocities
 from touchdown.experiments.io import ros2_messages as ros
 from touchdown.experiments.io.ros2_messages import Link
 from touchdown.experiments.io.sensor_log_reader import PackedImage, SensorLogReader, unpack_image
-from touchdown.experiments.io.tum import tum_rows
+from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 from touchdown.sim.files.opening import no_file
-from touchdown.sim.frames import Pose, so3_log
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
@@ -253,63 +253,53 @@ def mounts(rig: SensorRig, sensed: SensorNeeds) -> dict[str, Pose]:
 def _trajectories(flown: FlownRun, options: ExportOptions, bag: Bag) -> Iterator[float]:
     """Writes true and estimated odometry and the moving transforms to the bag, row by row. Yields
     the time of each row before it is written."""
-    chosen = with_neighbours(tum_rows(flown.file(f"{options.poses}.tum")))
-    truth = with_neighbours(tum_rows(flown.file("truth.tum")))
-    drift = _Drift(flown, options.poses)
-    here, true = next(chosen, None), next(truth, None)
-    while here is not None or true is not None:
-        times = [row[1][0] for row in (here, true) if row is not None]
-        time_s = min(times)
+    chosen = Trajectory(flown.file(f"{options.poses}.tum"))
+    truth = Trajectory(flown.file("truth.tum"))
+    drifting = options.poses == "estimate" and not no_file(flown.path / "odometry.tum")
+    local = _local_poses(flown, chosen) if drifting else chosen.poses
+    odometry = _Odometry(ODOM, BODY, chosen.times_s, local)
+    judge = _Odometry(MAP, TRUE_BODY, truth.times_s, truth.poses)
+    map_from_odom = {
+        time_s: Link(MAP, ODOM, pose @ link.inverse())
+        for time_s, pose, link in zip(chosen.times_s, chosen.poses, local, strict=True)
+    }
+    for time_s in np.union1d(chosen.times_s, truth.times_s).tolist():
         yield time_s
-        stamp = round(1e9 * time_s)
-        links: list[Link] = []
-        if here is not None and here[1][0] == time_s:
-            local = [(at, drift.odom_from_body(at, pose)) for at, pose in here]
-            odom_from_body = Link(ODOM, BODY, local[1][1])
-            _put_odometry(bag, "/odom", stamp, odom_from_body, local)
-            map_from_odom = here[1][1] @ local[1][1].inverse()
-            links += [Link(MAP, ODOM, map_from_odom)] if options.tf == "all" else []
-            links.append(odom_from_body)
-            here = next(chosen, None)
-        if true is not None and true[1][0] == time_s:
-            map_from_body = Link(MAP, TRUE_BODY, true[1][1])
-            _put_odometry(bag, "/ground_truth/odom", stamp, map_from_body, list(true))
-            links.append(map_from_body)
-            true = next(truth, None)
+        stamp, links = round(1e9 * time_s), []
+        if time_s in map_from_odom:
+            links += [map_from_odom[time_s]] if options.tf == "all" else []
+            links.append(odometry.put(bag, "/odom", time_s))
+        if time_s in judge.rows:
+            links.append(judge.put(bag, "/ground_truth/odom", time_s))
         if options.tf != "none":
             bag.put("/tf", stamp, ros.transforms_message(stamp, links))
 
 
-class _Drift:
-    """Correction of the odometry frame by loop closures, where the run records it."""
-
-    def __init__(self, flown: FlownRun, poses: str) -> None:
-        file = flown.path / "odometry.tum"
-        recorded = poses == "estimate" and not no_file(file)
-        self._odometry = PosesAt(tum_rows(file)) if recorded else None
-        self._known: dict[float, Pose] = {}
-
-    def odom_from_body(self, time_s: float, map_from_body: Pose) -> Pose:
-        """Pose in the odometry frame at a row of the trajectory or a neighbour of it;
-        ``map_from_body`` where it is unknown."""
-        if self._odometry is None:
-            return map_from_body
-        if time_s not in self._known:
-            found = self._odometry.at(time_s)
-            self._known[time_s] = map_from_body if found is None else found
-            while len(self._known) > 3:
-                del self._known[next(iter(self._known))]
-        return self._known[time_s]
+def _local_poses(flown: FlownRun, chosen: Trajectory) -> list[Pose]:
+    """Poses in the odometry frame at the times of a trajectory, where the run records them; its
+    own where it does not."""
+    odometry = Trajectory(flown.path / "odometry.tum")
+    poses, own = odometry.poses, chosen.poses
+    near = np.searchsorted(odometry.times_s, chosen.times_s - SAME_TIME_S)
+    near = np.minimum(near, len(poses) - 1)
+    known = np.abs(odometry.times_s[near] - chosen.times_s) <= SAME_TIME_S
+    return [poses[near[k]] if known[k] else own[k] for k in range(len(own))]
 
 
-def _put_odometry(
-    bag: Bag, topic: str, stamp: int, link: Link, rows: list[tuple[float, Pose]]
-) -> None:
-    """Writes ``link`` with the velocity between its neighbours; ``rows``: before, here, after."""
-    (before_s, before), (_, here), (after_s, after) = rows
-    span = after_s - before_s
-    velocity = rate = np.zeros(3)
-    if span > 0.0:
-        velocity = here.rotation.T @ (after.translation - before.translation) / span
-        rate = so3_log(before.rotation.T @ after.rotation) / span
-    bag.put(topic, stamp, ros.odometry_message(stamp, link, velocity, rate))
+class _Odometry:
+    """Poses of a child frame as odometry, with the velocity between their neighbours."""
+
+    def __init__(self, parent: str, child: str, times_s: Array, poses: list[Pose]) -> None:
+        self._links = [Link(parent, child, pose) for pose in poses]
+        self._velocity, self._rate = velocities(times_s, poses)
+        self.rows = {time_s: row for row, time_s in enumerate(times_s.tolist())}
+        """number of the pose by its time"""
+
+    def put(self, bag: Bag, topic: str, time_s: float) -> Link:
+        """Writes the message of a time and returns its transform."""
+        row = self.rows[time_s]
+        link = self._links[row]
+        velocity = link.parent_from_child.rotation.T @ self._velocity[row]
+        stamp = round(1e9 * time_s)
+        bag.put(topic, stamp, ros.odometry_message(stamp, link, velocity, self._rate[row]))
+        return link

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.export.datasets import write_euroc, write_kitti
 from touchdown.experiments.export.flown_run import (
     LIBRARY,
     Exported,
@@ -12,7 +13,9 @@ from touchdown.experiments.export.flown_run import (
     FlownRun,
     open_flown,
 )
-from touchdown.experiments.export.tables import _COLUMNS, write_csv, write_tum
+from touchdown.experiments.export.point_cloud import write_cloud
+from touchdown.experiments.export.ros2_bag import WRITTEN_BY, write_bag
+from touchdown.experiments.export.tables import TIME, write_csv, write_tum
 from touchdown.experiments.io.run_directory import (
     RUN_FILES,
     unknown_entries,
@@ -22,7 +25,10 @@ from touchdown.experiments.io.run_directory import (
 from touchdown.experiments.io.sensor_log_checks import damage_reported
 
 BAG_METADATA = "metadata.yaml"
-FORMATS = ("mcap", "ply", "tum", "csv", "euroc", "kitti")
+WRITERS = {
+    "mcap": write_bag, "ply": write_cloud, "tum": write_tum, "csv": write_csv,
+    "euroc": write_euroc, "kitti": write_kitti,
+}  # fmt: skip
 FOLDERS = ("mcap", "euroc", "kitti")
 
 
@@ -45,7 +51,7 @@ def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Ex
         own = _bag_files(out) if kind == "mcap" else ()
         making = whole_folder(out, own) if kind in FOLDERS else whole_file(out)
         with making as partial, damage_reported(_source(flown, kind, options)):
-            done = _write(flown, kind, partial, options)
+            done = WRITERS[kind](flown, partial, options)
     except OSError as error:
         raise UsageError(f"--out {out}: cannot be written: {error.strerror or error}") from error
     done.out = out
@@ -76,26 +82,6 @@ def _check_inputs(flown: FlownRun, kind: str, options: ExportOptions) -> None:
         flown.file(f"{name}.tum")
 
 
-def _write(flown: FlownRun, kind: str, path: Path, options: ExportOptions) -> Exported:
-    if kind == "mcap":
-        from touchdown.experiments.export.ros2_bag import write_bag
-
-        return write_bag(flown, path, options)
-    if kind == "euroc":
-        from touchdown.experiments.export.datasets import write_euroc
-
-        return write_euroc(flown, path, options)
-    if kind == "kitti":
-        from touchdown.experiments.export.datasets import write_kitti
-
-        return write_kitti(flown, path, options)
-    if kind == "ply":
-        from touchdown.experiments.export.point_cloud import write_cloud
-
-        return write_cloud(flown, path, options)
-    return write_tum(flown, path, options) if kind == "tum" else write_csv(flown, path, options)
-
-
 def check_out_file(out: Path, kind: str, run: Path) -> None:
     """Raises UsageError unless ``out`` is new or an earlier export of that kind."""
     if out.name in RUN_FILES and out.resolve().parent == run.resolve():
@@ -123,7 +109,7 @@ def _is_export(path: Path, kind: str) -> bool:
     if kind == "ply":
         return head.startswith(b"ply\n") and f"comment {LIBRARY}".encode() in head
     if kind == "csv":
-        return head.startswith(",".join(_COLUMNS[:3]).encode())
+        return head.startswith(f"{TIME},phase,judged".encode())
     try:
         return len([float(word) for word in head.partition(b"\n")[0].split()]) == 8
     except ValueError:
@@ -135,8 +121,6 @@ def _bag_files(folder: Path) -> tuple[str, str]:
 
 
 def _is_our_bag(folder: Path) -> bool:
-    from touchdown.experiments.export.ros2_bag import WRITTEN_BY
-
     if unknown_entries(folder, _bag_files(folder)):
         return False  # it would go with the bag
     metadata = folder / BAG_METADATA

@@ -2,51 +2,30 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, TextIO
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from touchdown.experiments.errors import UsageError
 from touchdown.experiments.export.flown_run import SAME_TIME_S, Exported, ExportOptions, FlownRun
-from touchdown.experiments.io.tum import TumWriter, tum_rows
+from touchdown.experiments.io.tum import read_tum
 from touchdown.sim.files.opening import no_file
-from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, wrap_angle, yaw_from_rotation
+from touchdown.sim.frames import Pose, matrices_from_quats_wxyz, so3_log
 
 Array = NDArray[np.float64]
 
-
-# ------------------------------------------------------------------------------------------- tables
+TIME = "time_s"
 
 
 def write_tum(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
     """One trajectory, ``t x y z qx qy qz qw``, world frame."""
-    rows = tum_rows(flown.file(f"{options.poses}.tum"))
     first_s, end_s = flown.wanted_s(options.judged)
-    writer, count = TumWriter(path), 0
-    try:
-        for time_s, pose in rows:
-            if first_s <= time_s < end_s:
-                writer.add(time_s, pose)
-                count += 1
-    except ValueError as error:
-        raise UsageError(str(error)) from error
-    finally:
-        writer.close()
-    return Exported(path, {"rows": count})
-
-
-_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "yaw_deg")
-_COLUMNS = (
-    "time_s", "phase", "judged",
-    *(f"truth_{name}" for name in _POSE),
-    *(f"estimate_{name}" for name in _POSE),
-    "reference_x_m", "reference_y_m", "reference_z_m",
-    "error_x_m", "error_y_m", "error_z_m", "error_m", "error_yaw_deg", "deviation_m",
-)  # fmt: skip
+    times, positions, quats = read_tum(flown.file(f"{options.poses}.tum"))
+    rows = np.column_stack([times, positions, quats[:, [1, 2, 3, 0]]])
+    rows = rows[(first_s <= times) & (times < end_s)]
+    np.savetxt(path, rows, fmt="%.9f")
+    return Exported(path, {"rows": len(rows)})
 
 
 def write_csv(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
@@ -55,101 +34,54 @@ def write_csv(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
     value are empty."""
     first_s, end_s = flown.span_s()
     flown.wanted_s(options.judged)  # refuses an empty table
-    truth = tum_rows(flown.file("truth.tum"))
-    others = [_at_times(flown, name) for name in ("estimate", "reference")]
-    phase = _Phases(flown.result)
-    count = 0
-    with path.open("w", encoding="ascii", newline="") as file:
-        _line(file, _COLUMNS)
-        try:
-            for time_s, true in truth:
-                judged = first_s <= time_s < end_s
-                if options.judged and not judged:
-                    continue
-                estimated, reference = (other.at(time_s) for other in others)
-                head = (f"{time_s:.9f}", phase.at(time_s), str(judged))
-                _line(file, (*head, *_cells(true, estimated, reference)))
-                count += 1
-        except ValueError as error:
-            raise UsageError(str(error)) from error
-    return Exported(path, {"rows": count})
+    truth = _poses(flown.file("truth.tum"), "truth")
+    begins = [(p[TIME] - SAME_TIME_S, p["phase"]) for p in flown.result.get("phases") or []]
+    phases = pd.DataFrame(begins, columns=[TIME, "phase"]).astype({TIME: float}).sort_values(TIME)
+    table = pd.merge_asof(truth[[TIME]], phases, on=TIME)
+    table["judged"] = (first_s <= table[TIME]) & (table[TIME] < end_s)
+    table = table.join(truth.drop(columns=TIME))
+    for name in ("estimate", "reference"):
+        rows = _poses(flown.path / f"{name}.tum", name)
+        table = pd.merge_asof(table, rows, on=TIME, tolerance=SAME_TIME_S, direction="nearest")
+    table = table.drop(columns=[f"reference_{name}" for name in _POSE[3:]])
+    error, away = (
+        np.column_stack([table[f"{name}_{axis}"] - table[f"truth_{axis}"] for axis in _POSE[:3]])
+        for name in ("estimate", "reference")
+    )
+    table[["error_x_m", "error_y_m", "error_z_m"]] = error
+    table["error_m"] = np.linalg.norm(error, axis=1)
+    turn = table["estimate_yaw_deg"] - table["truth_yaw_deg"]
+    table["error_yaw_deg"] = (turn + 180.0) % 360.0 - 180.0
+    table["deviation_m"] = np.linalg.norm(away, axis=1)
+    table = table[table["judged"]] if options.judged else table
+    table.to_csv(path, index=False, float_format="%.9f")
+    return Exported(path, {"rows": len(table)})
 
 
-def _cells(true: Pose, estimated: Pose | None, reference: Pose | None) -> Iterator[str]:
-    nothing = np.full(8, np.nan)
-    yield from _numbers(_pose_cells(true))
-    yield from _numbers(nothing if estimated is None else _pose_cells(estimated))
-    yield from _numbers(nothing[:3] if reference is None else reference.translation)
-    if estimated is None:
-        yield from _numbers(nothing[:5])
-    else:
-        error = estimated.translation - true.translation
-        yaw_error = yaw_from_rotation(estimated.rotation) - yaw_from_rotation(true.rotation)
-        size = float(np.linalg.norm(error))
-        yield from _numbers([*error, size, np.degrees(wrap_angle(yaw_error))])
-    away = np.nan if reference is None else np.linalg.norm(reference.translation - true.translation)
-    yield from _numbers([float(away)])
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "yaw_deg")
 
 
-def _pose_cells(pose: Pose) -> Array:
-    w, x, y, z = quat_wxyz_from_matrix(pose.rotation)
-    yaw_deg = np.degrees(yaw_from_rotation(pose.rotation))
-    return np.array([*pose.translation, x, y, z, w, yaw_deg])
+def _poses(path: Path, name: str) -> pd.DataFrame:
+    """Time and pose of each row of a trajectory; none where the run lacks it."""
+    times, positions, quats = (np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
+    if not no_file(path):
+        times, positions, quats = read_tum(path)
+    rotations = matrices_from_quats_wxyz(quats / np.linalg.norm(quats, axis=1, keepdims=True))
+    yaw_deg = np.degrees(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]))
+    cells = np.column_stack([times, positions, quats[:, [1, 2, 3, 0]], yaw_deg])
+    return pd.DataFrame(cells, columns=[TIME, *(f"{name}_{column}" for column in _POSE)])
 
 
-def _numbers(values: Iterable[float]) -> Iterator[str]:
-    return (f"{value:.9f}" if np.isfinite(value) else "" for value in values)
-
-
-def _line(file: TextIO, cells: Iterable[str]) -> None:
-    file.write(",".join(cells) + "\n")
-
-
-class PosesAt:
-    """Rows of a trajectory at ascending times; None where it has no row."""
-
-    def __init__(self, rows: Iterator[tuple[float, Pose]]) -> None:
-        self._rows = rows
-        self._next = next(rows, None)
-
-    def at(self, time_s: float) -> Pose | None:
-        while self._next is not None and self._next[0] < time_s - SAME_TIME_S:
-            self._next = next(self._rows, None)
-        if self._next is None or self._next[0] > time_s + SAME_TIME_S:
-            return None
-        return self._next[1]
-
-
-def _at_times(flown: FlownRun, name: str) -> PosesAt:
-    path = flown.path / f"{name}.tum"
-    return PosesAt(iter(()) if no_file(path) else tum_rows(path))
-
-
-class _Phases:
-    """Phase of a flight by time; empty for runs whose results do not record it."""
-
-    def __init__(self, result: dict[str, Any]) -> None:
-        self._rest = iter([(p["time_s"], p["phase"]) for p in result.get("phases") or []])
-        self._next = next(self._rest, None)
-        self._now = ""
-
-    def at(self, time_s: float) -> str:
-        """Phase at a time; times must ascend."""
-        while self._next is not None and self._next[0] <= time_s + SAME_TIME_S:
-            self._now, self._next = self._next[1], next(self._rest, None)
-        return self._now
-
-
-def with_neighbours(
-    rows: Iterator[tuple[float, Pose]],
-) -> Iterator[tuple[tuple[float, Pose], tuple[float, Pose], tuple[float, Pose]]]:
-    """Each row between its neighbours; first and last row are their own neighbours."""
-    before = here = next(rows, None)
-    if here is None or before is None:
-        return
-    for after in itertools.chain(rows, [None]):
-        if after is None:
-            yield before, here, here
-            return
-        yield before, here, after
-        before, here = here, after
+def velocities(times_s: Array, poses: list[Pose]) -> tuple[Array, Array]:
+    """Velocity (N, 3) in the axes of the trajectory and angular rate (N, 3) in those of the body,
+    between the neighbours of each of N poses; 0 for a single one."""
+    count = len(poses)
+    before = np.maximum(np.arange(count) - 1, 0)
+    after = np.minimum(np.arange(count) + 1, count - 1)
+    span = times_s[after] - times_s[before]
+    velocity, rate = np.zeros((count, 3)), np.zeros((count, 3))
+    for row in np.flatnonzero(span > 0.0):
+        first, last = poses[before[row]], poses[after[row]]
+        velocity[row] = (last.translation - first.translation) / span[row]
+        rate[row] = so3_log(first.rotation.T @ last.rotation) / span[row]
+    return velocity, rate

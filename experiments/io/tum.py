@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
 from touchdown.experiments.errors import UsageError
-from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 
 Array = NDArray[np.float64]
 
@@ -46,17 +48,51 @@ class TumWriter:
 
 def read_tum(path: Path) -> tuple[Array, Array, Array]:
     """Times (N,) s, positions (N, 3) m, quaternions (N, 4) in the order w, x, y, z. Raises
-    UsageError as `tum_rows`."""
+    UsageError for a line that is no pose, or that is earlier than the one before."""
     table = np.array(list(_lines(path))).reshape(-1, 8)
     return table[:, 0], table[:, 1:4], table[:, [7, 4, 5, 6]]
 
 
-def tum_rows(path: Path) -> Iterator[tuple[float, Pose]]:
-    """Yields time (s) and pose of each row, with one row in memory. Raises UsageError for a line
-    that is no pose, or that is earlier than the one before."""
-    for time_s, x, y, z, qx, qy, qz, qw in _lines(path):
-        rotation = matrix_from_quat_wxyz(np.array([qw, qx, qy, qz]))
-        yield time_s, Pose(rotation, np.array([x, y, z]))
+class Trajectory:
+    """The poses of a TUM file and those between them: positions on straight lines, rotations on
+    great circles."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises UsageError as `read_tum`, and for fewer than two times."""
+        times, positions, quats = read_tum(path)
+        self.times_s, rows = np.unique(times, return_index=True)
+        if len(rows) < 2:
+            raise UsageError(f"'{path}' is no trajectory of a flight: it has fewer than two rows")
+        self.positions: Array = positions[rows]
+        """(N, 3)"""
+        self.attitudes = Rotation.from_quat(quats[rows][:, [1, 2, 3, 0]])
+        self._between = Slerp(self.times_s, self.attitudes)
+
+    @cached_property
+    def rotations(self) -> Array:
+        """(N, 3, 3)"""
+        matrices: Array = self.attitudes.as_matrix()
+        return matrices
+
+    @property
+    def poses(self) -> list[Pose]:
+        """All poses."""
+        return [Pose(*both) for both in zip(self.rotations, self.positions, strict=True)]
+
+    def spans(self, first_s: float, last_s: float) -> bool:
+        """True if there are poses from ``first_s`` to ``last_s``."""
+        return bool(self.times_s[0] <= first_s <= last_s <= self.times_s[-1])
+
+    def at(self, times_s: Array) -> tuple[Array, Array]:
+        """Positions (M, 3) and rotations (M, 3, 3) at (M,) times; the last ones beyond an end."""
+        inside = np.clip(times_s, self.times_s[0], self.times_s[-1])
+        axes = [np.interp(inside, self.times_s, axis) for axis in self.positions.T]
+        return np.column_stack(axes), self._between(inside).as_matrix()
+
+    def pose(self, time_s: float) -> Pose:
+        """Pose at one time."""
+        positions, rotations = self.at(np.array([time_s]))
+        return Pose(rotations[0], positions[0])
 
 
 def _lines(path: Path) -> Iterator[list[float]]:

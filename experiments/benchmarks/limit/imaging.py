@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.benchmarks.limit.constants import CLOCK, CONSTANTS, EYE_MOUNT, LENS
 from touchdown.experiments.benchmarks.limit.information import LANDMARK, Indices, Rows, skews
-from touchdown.experiments.benchmarks.limit.ranging import Flight, tangents, voxel_names
+from touchdown.experiments.benchmarks.limit.ranging import Flight, rates_at, tangents, voxel_names
 from touchdown.sim.api import CameraIntrinsics
 
 Array = NDArray[np.float64]
@@ -157,7 +157,7 @@ def image_rows(flight: Flight, lens: CameraIntrinsics, features: Features, image
     landmark[:, :, :3] = back @ np.swapaxes(frame, 1, 2)[features.feature]
     constant = np.zeros((len(state), 3, CONSTANTS))
     constant[:, :, EYE_MOUNT] = np.concatenate([skews(local), -np.eye(3) + 0.0 * back], axis=2)
-    rates = flight.path.rates_at(times)[state]
+    rates = rates_at(flight.path, times)[state]
     constant[:, :, CLOCK] = np.einsum("nij,nj->ni", pose, rates)[..., None]
     constant = shrink @ constant
     constant[:, :, LENS] = _lens_columns(lens, local)

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from touchdown.experiments.benchmarks.limit.constants import CONSTANTS, MOUNT, RANGE
 from touchdown.experiments.benchmarks.limit.information import LANDMARK, Indices, Rows
 from touchdown.experiments.benchmarks.limit.surface import Struck, TrueSurface
-from touchdown.experiments.benchmarks.true_path import TruePath
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import LidarScan
 from touchdown.sim.geometry.ray_target import Hits
 
@@ -54,7 +54,7 @@ class Flight:
 
     config: Config
     surface: TrueSurface
-    path: TruePath
+    path: Trajectory
     period_s: float
     """between states"""
 
@@ -62,6 +62,16 @@ class Flight:
         """(N,) the nearest state."""
         nearest: Indices = np.rint(times_s / self.period_s).astype(np.int64)
         return nearest
+
+
+def rates_at(path: Trajectory, times_s: Array) -> Array:
+    """(N, 6) velocity, m/s, and angular rate, rad/s, both in world axes."""
+    steps = np.diff(path.times_s)[:, None]
+    turns = (path.attitudes[1:] * path.attitudes[:-1].inv()).as_rotvec() / steps
+    both = np.hstack([np.diff(path.positions, axis=0) / steps, turns])
+    k = np.searchsorted(path.times_s, times_s, side="right") - 1
+    rates: Array = both[np.clip(k, 0, len(both) - 1)]
+    return rates
 
 
 class Pulses(NamedTuple):

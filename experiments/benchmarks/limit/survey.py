@@ -27,11 +27,11 @@ from touchdown.experiments.benchmarks.limit.information import (
     motion_information,
 )
 from touchdown.experiments.benchmarks.limit.surface import TrueSurface
-from touchdown.experiments.benchmarks.true_path import TruePath
 from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay, replay_config
 from touchdown.experiments.io.provenance import git_revision
+from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import GRAVITY_MPS2, SensorRig
 
 Array = NDArray[np.float64]
@@ -172,7 +172,7 @@ def _motions(
     rotation = path.rotations @ mount.rotation
     back = np.swapaxes(rotation, 1, 2)
     force = np.einsum("nij,nj->ni", back, force_world)
-    rate = np.einsum("nij,nj->ni", back, path.rates_at(path.times_s)[:, 3:])
+    rate = np.einsum("nij,nj->ni", back, ranging.rates_at(path, path.times_s)[:, 3:])
     found = []
     for k in range(states - 1):
         start, end = np.searchsorted(
@@ -192,7 +192,9 @@ def build(run: Path) -> Problem:
     rig = logged.sensors.rig
     if not np.isfinite(logged.from_s):
         raise UsageError(f"'{run}' never took off: fly a survey with --log-sensors")
-    flight = ranging.Flight(config, TrueSurface(config), TruePath.of_run(logged), PERIOD_S)
+    flight = ranging.Flight(
+        config, TrueSurface(config), Trajectory(logged.path / "truth.tum"), PERIOD_S
+    )
     states = int(min(logged.to_s, float(flight.path.times_s[-1])) / PERIOD_S) + 1
     features = imaging.follow(flight, rig.camera, states)
     end_s = PERIOD_S * (states - 0.5)

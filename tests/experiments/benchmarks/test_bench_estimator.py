@@ -14,10 +14,10 @@ from touchdown.experiments.benchmarks.odometry_baselines import (
     deskew_by_step,
     run_reference,
 )
-from touchdown.experiments.benchmarks.true_path import TruePath
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import open_run
+from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 
 from support.command import Says
@@ -124,12 +124,12 @@ def test_scans_are_those_of_the_judged_span(run: Path) -> None:
 
 def test_the_true_path_is_interpolated(run: Path) -> None:
     logged = open_run(run)
-    path = TruePath.of_run(logged)
+    path = Trajectory(logged.path / "truth.tum")
     before, after = (logged.truth[tick].translation for tick in (900, 912))
     assert path.pose(1.51).translation == pytest.approx(0.5 * (before + after), abs=1e-12)
     assert path.pose(1.5).translation == pytest.approx(before, abs=1e-12)
     heights = [pose.translation[2] for pose in logged.truth.values()]
-    assert max(heights) - path.pose(path.survey_s()).translation[2] < 0.5
+    assert max(heights) - path.pose(odometry._survey_s(path)).translation[2] < 0.5
 
 
 def test_ratios_are_of_the_best_reference_that_is_not_lost() -> None:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from touchdown.experiments.export.flown_run import ExportOptions, GeodeticPoint
 from touchdown.experiments.export.ros2_bag import geodetic
@@ -84,31 +83,12 @@ def test_messages_are_logged_as_they_arrived(bag: Path, stream: list[Observation
     assert [time_ns for topic, time_ns in records if topic == "/lidar/points"] == arrivals
 
 
-def test_a_bag_is_a_rosbag2_folder(bag: Path, messages: dict[str, list[Any]]) -> None:
+def test_a_bag_is_a_rosbag2_folder(bag: Path) -> None:
     assert {path.name for path in bag.iterdir()} == {"metadata.yaml", "flown-bag.mcap"}
     text = (bag / "metadata.yaml").read_text()
     information = pytest.importorskip("yaml").safe_load(text)["rosbag2_bagfile_information"]
     assert information["version"] == 8 and information["storage_identifier"] == "mcap"
     assert information["relative_file_paths"] == ["flown-bag.mcap"]
-    counts = {
-        topic["topic_metadata"]["name"]: topic["message_count"]
-        for topic in information["topics_with_message_count"]
-    }
-    assert counts == {topic: len(found) for topic, found in messages.items()}
-
-
-def test_definitions_are_those_of_current_ros(bag: Path) -> None:
-    """Fields and constants equal those of ROS; readers need the constants of point fields."""
-    for version in (Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY, Stores.LATEST):
-        store = get_typestore(version)
-        with Reader(bag) as reader:
-            for connection in reader.connections:
-                types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
-                assert connection.msgtype in types
-                for name, (constants, fields) in types.items():
-                    theirs, their_fields = store.fielddefs[name]
-                    assert fields == their_fields, (version, name)
-                    assert set(constants) <= set(theirs), (version, name)
 
 
 def test_clouds_hold_what_lidar_odometry_reads(
@@ -256,18 +236,6 @@ def test_fixes_are_where_the_antenna_is(
     options = ExportOptions(images="none", origin=GeodeticPoint(-33.0, 151.0, 0.0))
     _, other = read_bag(export(run, "mcap", tmp_path / "south", options).out)["/gps/fix"][0]
     assert (round(other.latitude, 2), round(other.longitude, 2)) == (-33.0, 151.0)
-
-
-def test_a_log_is_read_without_unpacking_its_images(run: Path, stream: list[Observation]) -> None:
-    from touchdown.experiments.io.sensor_log_reader import unpack_image
-
-    for (obs, images), expected in zip(
-        SensorLogReader(run / "sensors.mcap").packed(), stream, strict=True
-    ):
-        assert (obs.tick, len(obs.scans), obs.images) == (expected.tick, len(expected.scans), ())
-        assert [image.tick for image in images] == [image.tick for image in expected.images]
-        for image, other in zip(images, expected.images, strict=True):
-            assert np.array_equal(unpack_image(image.png), other.rgb)
 
 
 def test_the_reader_of_mcap_decodes_every_message(bag: Path, messages: Any) -> None:

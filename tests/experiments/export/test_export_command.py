@@ -87,8 +87,8 @@ def test_invalid_input_is_one_line_and_leaves_no_files(
     for folder in (blind, broken, cut):
         folder.mkdir()
         (folder / "result.json").write_text("{}")
-        (folder / "truth.tum").write_text("0 0 0 0 0 0 0 1\n")
-        (folder / "estimate.tum").write_text("0 0 0 0 0 0 0 1\n")
+        for name in ("truth", "estimate"):
+            (folder / f"{name}.tum").write_text("0 0 0 0 0 0 0 1\n9 0 0 0 0 0 0 1\n")
     (broken / "truth.tum").write_text("0 0 0 0 0 0 0 1\n1 2 3\n")
     for folder in (broken, cut):
         (folder / "sensors.mcap").write_bytes((run / "sensors.mcap").read_bytes()[:300_000])
