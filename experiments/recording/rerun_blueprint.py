@@ -1,10 +1,11 @@
-"""Layout of a recording in the Rerun viewer."""
+"""Layout and styles of a recording in the Rerun viewer."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
@@ -12,7 +13,15 @@ TIMELINE = "sim_time"
 PATHS = {"true": (70, 220, 110), "estimated": (255, 170, 40), "reference": (90, 160, 255)}
 """Recorded paths and their colours."""
 AXES = {"x": (235, 80, 80), "y": (80, 200, 90), "z": (90, 140, 255)}
-
+_PATH_WIDTHS = {"true": 2.2, "estimated": 1.6, "reference": 1.0}
+"""Widths in screen points; where paths coincide, the wider one is visible as a rim."""
+_MOTION_STYLE = {
+    "height_m": (120, 200, 255),
+    "speed_mps": (255, 200, 80),
+    "tilt_deg": (255, 110, 150),
+    "wind_mps": (150, 150, 160),
+}
+_ROTOR_STYLE = ((240, 120, 90), (250, 200, 90), (110, 200, 130), (110, 160, 250))
 _TRAIL_OF_SCANS_S = 0.5
 
 
@@ -142,3 +151,18 @@ def _world_view(
             **{f"world/{one}scan": recent for one in flights},
         },
     )
+
+
+def log_styles(stream: rr.RecordingStream) -> None:
+    """Sends colours, widths and names once."""
+    for name, colour in PATHS.items():
+        style = rr.LineStrips3D.from_fields(
+            colors=[colour], radii=rr.Radius.ui_points([_PATH_WIDTHS[name]])
+        )
+        stream.log(f"world/path/{name}", style, static=True)
+    series = {f"plots/error/{axis}": (axis, AXES[axis]) for axis in "xyz"}
+    series |= {f"plots/tracking/{axis}": (axis, AXES[axis]) for axis in "xyz"}
+    series |= {f"plots/motion/{name}": (name, rgb) for name, rgb in _MOTION_STYLE.items()}
+    series |= {f"plots/rotors/{i}": (f"rotor {i}", rgb) for i, rgb in enumerate(_ROTOR_STYLE)}
+    for path, (name, colour) in series.items():
+        stream.log(path, rr.SeriesLines(colors=[colour], names=[name], widths=[1.5]), static=True)

@@ -10,34 +10,28 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-from collections import deque
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, MapView
-from touchdown.estimator.filtering.deskew import track_of
+from touchdown.estimator.api import Estimate, GridMap, MapView, PoseTrack
+from touchdown.estimator.filtering.deskew import deskewed_points, track_of
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.costmap_image import costmap_image
 from touchdown.experiments.drawing.map_images import map_points
-from touchdown.experiments.recording.map_tiles import MapTiles
-from touchdown.experiments.recording.rerun_batches import (
-    PathBatch,
-    PoseBatch,
-    ScalarBatch,
-    log_styles,
-)
-from touchdown.experiments.recording.rerun_blueprint import TIMELINE, flight_blueprint
+from touchdown.experiments.recording.recorder import StepRecord
+from touchdown.experiments.recording.rerun_blueprint import TIMELINE, flight_blueprint, log_styles
 from touchdown.experiments.recording.rerun_scene import log_moving, log_scene, log_vehicle
-from touchdown.experiments.recording.scan_deskew import height_colours, scan_points_odom
-from touchdown.experiments.recording.step_record import StepRecord
 from touchdown.landing.api import Candidate, LanderView
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorRig, Truth
-from touchdown.sim.frames import Pose, PoseHistory, tilt_from_rotation
+from touchdown.sim.frames import Pose, PoseHistory, quat_wxyz_from_matrix, tilt_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -52,6 +46,13 @@ _HISTORY_POSES = 80
 """number of poses in 0.4 s at 200 Hz: a scan of 0.1 s and its delivery"""
 _SPAN_M = 75.0
 _RING_M, _POLE_M = 1.5, 12.0
+_HEIGHT_SPAN_M = 12.0
+_TURBO_BGR = np.asarray(cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_TURBO))
+_TURBO_RGB: NDArray[np.uint8] = _TURBO_BGR.reshape(256, 3)[:, ::-1].astype(np.uint8)
+_TILE_M = 16.0
+_GROWTH = 1.5
+"""A tile is recorded again once it holds this many times the returns it held before."""
+_MIN_CELLS = 20
 _RGB_ACCEPTED, _RGB_REFUSED, _RGB_CHOSEN = (120, 230, 255), (255, 90, 90), (90, 255, 90)
 
 
@@ -67,6 +68,34 @@ class Every:
             return False
         self._next_s = time_s + self._period_s
         return True
+
+
+class Columns:
+    """Rows of one kind by entity, each sent to Rerun in one call."""
+
+    def __init__(self, columns: Callable[[list[Any]], rr.ComponentColumnList]) -> None:
+        self._columns = columns
+        self._rows: defaultdict[str, list[tuple[float, Any]]] = defaultdict(list)
+
+    def add(self, time_s: float, values: dict[str, Any]) -> None:
+        """Appends a row to each of the entities that ``values`` names."""
+        for path, value in values.items():
+            self._rows[path].append((time_s, value))
+
+    def send(self, stream: rr.RecordingStream) -> None:
+        """Sends all rows and forgets them."""
+        for path, rows in self._rows.items():
+            times = [time_s for time_s, _ in rows]
+            columns = self._columns([value for _, value in rows])
+            stream.send_columns(path, [rr.TimeColumn(TIMELINE, duration=times)], columns)
+        self._rows.clear()
+
+
+def _pose_columns(poses: list[Pose]) -> rr.ComponentColumnList:
+    return rr.Transform3D.columns(
+        translation=np.array([pose.translation for pose in poses]),
+        quaternion=[quat_wxyz_from_matrix(pose.rotation)[[1, 2, 3, 0]] for pose in poses],
+    )
 
 
 _FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 64
@@ -99,8 +128,10 @@ class RerunLog:
         sinks: list[rr.FileSink | rr.GrpcSink] = [] if path is None else [rr.FileSink(path)]
         sinks += [] if live is None else [rr.GrpcSink(live)]
         self._stream.set_sinks(*sinks, default_blueprint=flight_blueprint(middle, _SPAN_M))
-        self._poses, self._paths = PoseBatch(), PathBatch()
-        self._scalars = ScalarBatch()
+        self._poses = Columns(_pose_columns)
+        self._paths = Columns(lambda pieces: rr.LineStrips3D.columns(strips=pieces))
+        self._path_ends: dict[str, Array] = {}
+        self._scalars = Columns(lambda numbers: rr.Scalars.columns(scalars=numbers))
         self._tiles = MapTiles()
         self._history = PoseHistory(_HISTORY_POSES)
         self._pose_due, self._scalar_due = Every(_POSE_HZ), Every(_SCALAR_HZ)
@@ -123,14 +154,9 @@ class RerunLog:
         self._last = (truth, estimate, step.map_view)
         self._history.add(estimate.time_s, estimate.odom_from_body)
         if self._pose_due.due(time_s):
-            self._poses.add(time_s, truth.world_from_body)
+            self._poses.add(time_s, {"world/vehicle": truth.world_from_body})
         if self._path_due.due(time_s):
-            self._paths.add(
-                time_s,
-                true=truth.world_from_body.translation,
-                estimated=estimate.world_from_body.translation,
-                reference=lander_view.reference_world,
-            )
+            self._add_paths(step)
         if self._scalar_due.due(time_s):
             self._add_scalars(truth, estimate, lander_view, step.command)
         self._log_sensors(step.obs, estimate)
@@ -184,6 +210,17 @@ class RerunLog:
         log_styles(stream)
 
     # -------------------------------------------------------------------------------- channels
+
+    def _add_paths(self, step: StepRecord) -> None:
+        """Adds short pieces, each at its own time; the blueprint shows all pieces up to now."""
+        before = self._path_ends
+        self._path_ends = {
+            "world/path/true": step.truth.world_from_body.translation.copy(),
+            "world/path/estimated": step.estimate.world_from_body.translation.copy(),
+            "world/path/reference": step.lander_view.reference_world.copy(),
+        }
+        pieces = {path: np.stack([start, self._path_ends[path]]) for path, start in before.items()}
+        self._paths.add(step.truth.time_s, pieces)
 
     def _add_scalars(
         self, truth: Truth, estimate: Estimate, lander_view: LanderView, command: Command
@@ -348,3 +385,46 @@ def _candidate_points(candidates: tuple[Candidate, ...]) -> rr.Points3D:
         labels=[f"{n}: score {c.value:.3f}, {c.reason}" for n, c in enumerate(candidates, start=1)],
         show_labels=False,
     )
+
+
+def scan_points_odom(
+    scan: LidarScan, track: PoseTrack, body_from_lidar: Pose, max_points: int
+) -> Array:
+    """(N, 3) returns in the odom frame, about ``max_points`` at most, spread over the scan."""
+    hits = np.flatnonzero(scan.ranges > 0.0)
+    return deskewed_points(scan, hits[:: max(1, len(hits) // max_points)], track, body_from_lidar)
+
+
+def height_colours(heights_m: Array) -> NDArray[np.uint8]:
+    """(N, 3) RGB from blue at the ground to red at ``_HEIGHT_SPAN_M``."""
+    level = np.clip((heights_m + 1.0) / _HEIGHT_SPAN_M, 0.0, 1.0)
+    return _TURBO_RGB[(55 + 200 * level).astype(np.uint8)]
+
+
+class MapTiles:
+    """Number of returns and of coloured cells of each tile when it was last recorded."""
+
+    def __init__(self) -> None:
+        self._recorded: dict[tuple[int, int], tuple[float, int]] = {}
+
+    def changed(self, grid: GridMap, *, everything: bool = False) -> Iterator[tuple[slice, slice]]:
+        """Rows and columns of the tiles that have grown by `_GROWTH` since they were last returned;
+        ``everything``: of all tiles that have grown."""
+        side = max(1, round(_TILE_M / grid.cell_m))
+        growth = 1.0 if everything else _GROWTH
+        returns = _tile_sums(grid.count, side)
+        coloured = _tile_sums(np.isfinite(grid.rgb[:, :, 0]) & (grid.count > 0), side)
+        cells = _tile_sums(grid.count > 0, side)
+        for row, col in np.argwhere(cells >= _MIN_CELLS):
+            had_returns, had_coloured = self._recorded.get((row, col), (0.0, 0))
+            now_returns, now_coloured = (float(returns[row, col]), int(coloured[row, col]))
+            if now_returns > growth * had_returns or now_coloured > growth * had_coloured:
+                self._recorded[(row, col)] = (now_returns, now_coloured)
+                yield (slice(row * side, (row + 1) * side), slice(col * side, (col + 1) * side))
+
+
+def _tile_sums(cells: NDArray[np.generic], side: int) -> NDArray[np.float64]:
+    rows = np.arange(0, cells.shape[0], side)
+    cols = np.arange(0, cells.shape[1], side)
+    summed = np.add.reduceat(cells.astype(np.float32), rows, axis=0)
+    return np.add.reduceat(summed, cols, axis=1, dtype=np.float64)

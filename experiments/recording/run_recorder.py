@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from touchdown.estimator.api import Estimate, MapView
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.map_axes import survey_marks
 from touchdown.experiments.io.tum import TumWriter
-from touchdown.experiments.recording.step_record import StepRecord
+from touchdown.experiments.recording.recorder import NullRecorder, Recorder, StepRecord
 from touchdown.landing.api import LanderView
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import SensorRig
@@ -19,24 +19,6 @@ from touchdown.sim.frames import Pose, rotation_from_yaw
 
 if TYPE_CHECKING:
     from touchdown.experiments.io.sensor_log import SensorLog
-
-
-class Recorder(Protocol):
-    """Observer of every control step, without effect on the flight."""
-
-    def tick(self, step: StepRecord) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class NullRecorder:
-    """Recorder that writes nothing."""
-
-    def tick(self, step: StepRecord) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
 
 
 class RunRecorder:

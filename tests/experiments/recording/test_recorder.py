@@ -11,11 +11,10 @@ from touchdown.estimator.api import GridMap, MapView, PoseTrack
 from touchdown.experiments.drawing.map_images import map_points
 from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
 from touchdown.experiments.io.tum import TumWriter, read_tum
-from touchdown.experiments.recording import mjcf_meshes
-from touchdown.experiments.recording.map_tiles import MapTiles
+from touchdown.experiments.recording import rerun_scene
+from touchdown.experiments.recording.recorder import StepRecord
+from touchdown.experiments.recording.rerun_recorder import MapTiles, scan_points_odom
 from touchdown.experiments.recording.run_recorder import RunRecorder
-from touchdown.experiments.recording.scan_deskew import scan_points_odom
-from touchdown.experiments.recording.step_record import StepRecord
 from touchdown.landing.api import Candidate, CostmapView, Phase, SemanticView
 from touchdown.scenes.api import MovingBody, Scene, Surface
 from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorNeeds, SensorRig
@@ -140,7 +139,7 @@ def test_scan_points_use_the_pose_of_their_own_instant() -> None:
 
 def test_box_mesh_is_closed_and_faces_outwards(scene: Scene) -> None:
     house = scene.model.geom("house").id
-    mesh = mjcf_meshes.merged_mesh(scene.model, [house], mjcf_meshes.geom_poses(scene.model))
+    mesh = rerun_scene.merged_mesh(scene.model, [house], rerun_scene.geom_poses(scene.model))
     corners = mesh.vertices[mesh.faces]
     volume = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
     assert volume == pytest.approx(4 * 2 * 6)
@@ -149,7 +148,7 @@ def test_box_mesh_is_closed_and_faces_outwards(scene: Scene) -> None:
 
 def test_terrain_mesh_spans_the_height_field(scene: Scene) -> None:
     model = scene.model
-    ground = mjcf_meshes.terrain(model, 0, Pose.identity(), max_side=11, texture_pixels=16)
+    ground = rerun_scene.terrain(model, 0, Pose.identity(), max_side=11, texture_pixels=16)
     assert len(ground.vertices) == 11 * 11
     np.testing.assert_allclose(ground.vertices.min(axis=0), [-20.0, -10.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(ground.vertices.max(axis=0), [20.0, 10.0, 2.0], atol=1e-6)

@@ -1,8 +1,9 @@
-"""The record of one control step, as the main loop hands it to recorders."""
+"""What the main loop hands to recorders."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
@@ -21,3 +22,21 @@ class StepRecord:
     lander_view: LanderView
     setpoint: Setpoint
     command: Command
+
+
+class Recorder(Protocol):
+    """Observer of every control step, without effect on the flight."""
+
+    def tick(self, step: StepRecord) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class NullRecorder:
+    """Recorder that writes nothing."""
+
+    def tick(self, step: StepRecord) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
