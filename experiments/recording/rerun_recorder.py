@@ -39,7 +39,7 @@ _POSE_HZ = 20.0
 _SCALAR_HZ = 10.0
 _PATH_HZ = 5.0
 _FLUSH_S, _LIVE_FLUSH_S = 2.0, 0.5
-_PATIENCE_S = 10.0
+_VIEWER_TIMEOUT_S = 10.0
 """for a viewer that does not take the rest of a flight"""
 _MAP_POINT_M = 0.11
 _HISTORY_POSES = 80
@@ -173,7 +173,7 @@ class RerunLog:
             self._log_map(truth.time_s, estimate, map_view, everything=True)
         self._flush()
         with contextlib.suppress(RuntimeError):  # of a viewer that went away
-            self._stream.flush(timeout_sec=_PATIENCE_S)
+            self._stream.flush(timeout_sec=_VIEWER_TIMEOUT_S)
         self._stream.disconnect()
         if self._path is None:
             return

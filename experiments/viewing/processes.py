@@ -10,12 +10,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 from urllib.parse import quote, urlsplit
 
 import click
-import psutil
 
 from touchdown.experiments.campaign import guard
 from touchdown.experiments.errors import UsageError
@@ -24,7 +22,7 @@ from touchdown.experiments.flight.platform import has_display
 LOCALHOST = "127.0.0.1"
 WEB_PORT, DATA_PORT = 9090, 9876
 """Rerun's defaults: the page and the data that it loads."""
-_PATIENCE_S = 5.0
+_SHUTDOWN_S = 5.0
 _START_S = 30.0
 
 
@@ -162,28 +160,9 @@ def _start(command: list[str]) -> subprocess.Popen[bytes]:
 
 
 def _end_group(viewer: subprocess.Popen[bytes]) -> None:
+    """Ends the processes of a viewer; those that outlive its first one are killed."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(viewer.pid, number)
         with contextlib.suppress(subprocess.TimeoutExpired):
-            viewer.wait(_PATIENCE_S)
-            if not _alive(viewer.pid):
-                return
-
-
-def _alive(group: int) -> bool:
-    """True if a process of the group is left that has not ended: in a container what has may wait
-    long for its collector."""
-    deadline = time.monotonic() + _PATIENCE_S
-    while any(map(partial(_is_of, group), psutil.pids())):
-        if time.monotonic() > deadline:
-            return True
-        time.sleep(0.05)
-    return False
-
-
-def _is_of(group: int, pid: int) -> bool:
-    try:
-        return os.getpgid(pid) == group and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
-    except (ProcessLookupError, PermissionError, psutil.Error):
-        return False
+            viewer.wait(_SHUTDOWN_S)

@@ -10,7 +10,6 @@ import pytest
 
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.cli import view
-from touchdown.experiments.viewing import processes
 from touchdown.experiments.viewing.processes import free_port
 
 from support.campaign_flights import wait_for
@@ -71,18 +70,6 @@ def test_a_port_in_use_is_replaced_by_a_free_one() -> None:
         port = taken.getsockname()[1]
         assert free_port(port) != port
     assert free_port(port) == port
-
-
-def test_a_viewer_that_has_ended_is_not_waited_for() -> None:
-    """Though nobody has asked yet how it ended, as in a container without an init process."""
-    ended = subprocess.Popen([sys.executable, "-c", ""], start_new_session=True)
-    os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)
-    assert not processes._alive(ended.pid)
-    ended.wait()
-    waiting = subprocess.Popen(["sleep", "60"], start_new_session=True)
-    assert processes._is_of(waiting.pid, waiting.pid)
-    waiting.kill()
-    waiting.wait()
 
 
 def _default_signals() -> None:
