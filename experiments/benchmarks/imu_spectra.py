@@ -9,15 +9,13 @@ at 5 m/s that of the front rotors lies at 38 Hz, the alias of 82 Hz; in manoeuvr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.errors import UsageError, reason_of
+from touchdown.experiments.errors import UsageError
 from touchdown.sim import vibration
 from touchdown.sim.api import ImuParams
 from touchdown.sim.vibration import PropellerVibration
@@ -31,7 +29,6 @@ RECORDED_HZ = 120.0
 RECORDED_HOVER_HZ, RECORDED_SPREAD_HZ, RECORDED_WANDER_S = 88.0, 8.0, 0.5
 _STEADY, _STEADY_FROM_S, _STEADY_HZ = "StraightLine/path_2", 5.0, 82.0
 _SEGMENT = 256
-_SIMULATED_HZ, _SIMULATED_HOVER = 200.0, 398.0
 _SECONDS = 120.0
 _AS_RECORDED = ImuParams(vibration_harmonics=1.0, vibration_broadband=1.0)
 
@@ -99,14 +96,6 @@ def recorded_vibration(
     share = RECORDED_SPREAD_HZ / RECORDED_HOVER_HZ
     speeds = _wander(rng, round(seconds * RECORDED_HZ), RECORDED_HZ, hover, share)
     model = PropellerVibration(_AS_RECORDED, 1.0 / RECORDED_HZ, hover, seed, levels)
-    return np.array([model.sample(row) for row in speeds])
-
-
-def hover_vibration(params: ImuParams, seconds: float, seed: int = 0) -> Array:
-    """(N, 6) samples of the simulated vehicle's IMU in hover, 200 a second."""
-    rng = np.random.default_rng(seed)
-    speeds = _wander(rng, round(seconds * _SIMULATED_HZ), _SIMULATED_HZ, _SIMULATED_HOVER, 0.01)
-    model = PropellerVibration(params, 1.0 / _SIMULATED_HZ, _SIMULATED_HOVER, seed)
     return np.array([model.sample(row) for row in speeds])
 
 
@@ -182,21 +171,11 @@ def _unit_parts() -> Array:
     return np.array(rows)
 
 
-# ------------------------------------------------------------------------------- figure and text
-
-
-def measure(folder: Path, out: Path | None = None) -> dict[str, Any]:
-    """The fit to the recordings in ``folder``, the model's ``simulated`` root mean squares beside
-    the ``recorded`` ones, and the figure ``imu_spectra.png`` in ``out``. Raises UsageError."""
-    recordings = read_recordings(folder)
-    found: dict[str, Any] = dict(fit(recordings))
+def measure(folder: Path) -> dict[str, Any]:
+    """The fit to the recordings in ``folder``, and the model's ``simulated`` root mean squares
+    beside the ``recorded`` ones. Raises UsageError."""
+    found: dict[str, Any] = dict(fit(read_recordings(folder)))
     found["simulated"] = band_rms(recorded_vibration(_SECONDS), RECORDED_HZ)
-    if out is not None:
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-            draw(recordings, out / "imu_spectra.png")
-        except OSError as error:
-            raise UsageError(f"cannot write into '{out}': {reason_of(error)}") from None
     return found
 
 
@@ -208,44 +187,3 @@ def rows(found: dict[str, Any]) -> list[str]:
         pairs = zip(found["recorded"][axis], found["simulated"][axis], strict=True)
         lines.append(f"{name:8}" + "".join(f"{a:10.4f}{b:8.4f}" for a, b in pairs))
     return lines
-
-
-def draw(recordings: dict[str, Array], path: Path) -> None:
-    """Draws the spectra of all axes."""
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    recorded = [density(r[:, 1:], RECORDED_HZ) for r in recordings.values()]
-    powers = np.array([power for _, power in recorded])
-    as_recorded = density(recorded_vibration(_SECONDS), RECORDED_HZ)
-    harsh = density(hover_vibration(_AS_RECORDED, _SECONDS), _SIMULATED_HZ)
-    field = density(
-        hover_vibration(replace(_AS_RECORDED, vibration_isolation=0.2), _SECONDS), _SIMULATED_HZ
-    )
-    with matplotlib.rc_context({"font.size": 9}):
-        figure = Figure(figsize=(10.0, 5.8), dpi=90, layout="constrained")
-        for axis, plot in enumerate(figure.subplots(2, 3, sharex=True).flat):
-            low, middle, high = np.sqrt(np.percentile(powers[:, 1:, axis], (10, 50, 90), axis=0))
-            above = recorded[0][0][1:]
-            plot.fill_between(above, low, high, color="0.85", label="recorded, 10 to 90 %")
-            plot.plot(above, middle, color="0.45", label="recorded, median")
-            _curve(plot, as_recorded, axis, "k", "model as recorded (120 Hz)")
-            _curve(plot, harsh, axis, "tab:red", "simulated hover, harsh (200 Hz)")
-            _curve(plot, field, axis, "tab:blue", "simulated hover, field")
-            plot.set(title=AXES[axis], xscale="log", yscale="log", xlim=(2.0, 100.0))
-            plot.set_xticks([2, 5, 10, 20, 50, 100], ["2", "5", "10", "20", "50", "100"])
-            plot.grid(True, which="major", alpha=0.3)
-            if axis % 3 == 0:
-                plot.set_ylabel("rad/s/√Hz" if axis == 0 else "m/s²/√Hz")
-            if axis >= 3:
-                plot.set_xlabel("Hz")
-        handles, labels = figure.axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
-        FigureCanvasAgg(figure)
-        figure.savefig(path)
-
-
-def _curve(plot: Any, spectrum: Sequence[Array], axis: int, colour: str, label: str) -> None:
-    frequencies, power = spectrum
-    plot.plot(frequencies[1:], np.sqrt(power[1:, axis]), color=colour, lw=1.0, label=label)

@@ -3,14 +3,14 @@
 One survey per scene is flown with ``livo`` in the loop and its sensors are logged. The estimators
 replay that log as in a flight, causally and from lift-off to the end of the survey. The reference
 implementations get its scans (`odometry_baselines`), each with the best setting of its grid. Errors
-are means of the distance from the true position, not aligned.
+are means of the distance from the true position, not aligned. An ablation replays the same logs
+through an estimator with one part left out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,34 +26,51 @@ from touchdown.experiments.benchmarks.odometry_baselines import (
     settings,
 )
 from touchdown.experiments.config.loading import load_config
-from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.flight.platform import limit_threads
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay, replay_config
+from touchdown.experiments.flight.run import fly
+from touchdown.experiments.io.sensor_log import FILE_NAME
 from touchdown.experiments.io.tum import Trajectory
+from touchdown.experiments.reporting.statistics import mean_interval
 from touchdown.scenes.api import short_name
 
 Array = NDArray[np.float64]
 Report = Callable[[str], None]
+Rows = dict[str, dict[str, Any]]
+"""``error_m``, ``cpu_ms`` and ``lost_s`` by row of a table, see `replayed`"""
 
 SCENES = ("crossroad", "lake", "houses", "forest")
 _SURVEY_BELOW_M = 0.5
 """The survey begins where the vehicle first is this near to its greatest height."""
 WITHOUT_CAMERA = "livo_no_camera"
-ESTIMATORS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "livo": ("livo", ()),
-    WITHOUT_CAMERA: ("livo", ("livo.use_vision=false",)),
-    "zou2024": ("zou2024", ()),
+VARIANTS: dict[str, tuple[str, dict[str, bool]]] = {
+    "livo: tight, all on": ("livo", {}),
+    "livo: LIDAR only": ("livo", {"use_vision": False}),
+    "livo: vision only": ("livo", {"use_lidar": False}),
+    "livo: loose": ("livo", {"loose": True}),
+    "livo: no degeneracy handling": ("livo", {"use_degeneracy": False}),
+    "livo: no closures": ("livo", {"use_closures": False}),
+    "zou2024: all on": ("zou2024", {}),
+    "zou2024: LIDAR only": ("zou2024", {"use_camera_pose": False}),
+    "zou2024: camera only": ("zou2024", {"use_lidar_pose": False}),
+    "zou2024: no f_c": ("zou2024", {"use_colour_smoothness": False}),
+    "zou2024: no Eq. 12": ("zou2024", {"use_geodesic_depth": False}),
+    "zou2024: no bundle": ("zou2024", {"use_bundle": False}),
+    "zou2024: no closures": ("zou2024", {"use_closures": False}),
 }
-"""Estimator and changed parameters by name. References are compared with `WITHOUT_CAMERA`, which
-like them sees no image."""
+"""Estimator and changed parameters by name of the variant."""
 
+_MIN_LOGS = 3
+"""of an interval"""
 
-def flight_config(scene: str, seed: int) -> Config:
-    """Configuration of the logged survey, in the default profile. Raises UsageError."""
-    return load_config(
-        None, scene=scene, seed=seed, estimator="livo", record=False, survey_only=True,
-        log_sensors=True,
-    )  # fmt: skip
+ESTIMATORS = {
+    "livo": "livo: tight, all on",
+    WITHOUT_CAMERA: "livo: LIDAR only",
+    "zou2024": "zou2024: all on",
+}
+"""Variants beside the references, which are compared with `WITHOUT_CAMERA`: like them it sees no
+image."""
 
 
 def bench_log(
@@ -63,28 +80,43 @@ def bench_log(
     these are given: ``error_m``, ``cpu_ms``, ``lost_s`` by method, ``best`` setting of the
     reference implementations, and ``settings`` with every setting and its error. ``methods``: some
     of them, or all. Raises UsageError."""
-    chosen = set(chosen_methods(methods))
-    end_s = math.inf if seconds is None else logged.from_s + seconds
-    found: dict[str, Any] = {"error_m": {}, "cpu_ms": {}, "lost_s": {}, "best": {}, "settings": {}}
+    chosen = chosen_methods(methods)
+    end_s = _end_s(logged, seconds)
+    rows: Rows = {}
     for name in (name for name in ESTIMATORS if name in chosen):
         report(name)
-        estimator, changes = ESTIMATORS[name]
-        for figure, value in replayed(logged, estimator, changes, end_s).items():
-            found[figure][name] = value
-    truth, references = (
-        Trajectory(logged.path / "truth.tum"),
-        [method for method in GRIDS if method in chosen],
-    )
+        rows[name] = replayed(logged, ESTIMATORS[name], end_s)
+    truth, references = Trajectory(logged.path / "truth.tum"), [m for m in GRIDS if m in chosen]
     scans = logged_scans(logged, end_s) if references else []
     lidar, survey_s = logged.sensors.rig.body_from_lidar, _survey_s(truth)
+    tried: dict[str, list[dict[str, Any]]] = {method: [] for method in references}
     for method in references:
-        rows = []
         for setting in settings(method):
             report(f"{method} {setting}")
             track = run_reference(method, setting, scans, truth.pose, lidar, survey_s)
-            rows.append(_reference_row(track, truth))
-        _add_best(found, method, rows)
-    return found
+            tried[method].append(_reference_row(track, truth))
+        rows[method] = min(tried[method], key=_badness)
+    figures = {
+        figure: {name: row[figure] for name, row in rows.items()}
+        for figure in ("error_m", "cpu_ms", "lost_s")
+    }
+    best = {method: rows[method]["setting"] for method in references}
+    return {**figures, "best": best, "settings": tried}
+
+
+def ablate_log(
+    logged: LoggedRun, seconds: float | None, report: Report, methods: Sequence[str] = ()
+) -> Rows:
+    """`replayed` by variant of ``methods`` (`variants`)."""
+    rows: Rows = {}
+    for variant in variants(methods):
+        report(variant)
+        rows[variant] = replayed(logged, variant, _end_s(logged, seconds))
+    return rows
+
+
+def _end_s(logged: LoggedRun, seconds: float | None) -> float:
+    return math.inf if seconds is None else logged.from_s + seconds
 
 
 def _survey_s(truth: Trajectory) -> float:
@@ -93,21 +125,12 @@ def _survey_s(truth: Trajectory) -> float:
     return float(truth.times_s[np.argmax(heights > heights.max() - _SURVEY_BELOW_M)])
 
 
-def _add_best(found: dict[str, Any], method: str, rows: list[dict[str, Any]]) -> None:
-    best = min(rows, key=_badness)
-    for name in ("error_m", "cpu_ms", "lost_s"):
-        found[name][method] = best[name]
-    found["best"][method] = best["setting"]
-    found["settings"][method] = rows
-
-
-def replayed(
-    logged: LoggedRun, estimator: str, changes: tuple[str, ...], end_s: float = math.inf
-) -> dict[str, Any]:
-    """Result of an estimator with ``KEY=VALUE`` ``changes`` on one log until ``end_s``:
-    ``error_m``, ``cpu_ms`` of one core per 0.1 s of data, and ``lost_s``, the time at which its
-    error exceeded the limit of a flight, or None; the error is that until then. Raises UsageError
-    when the log lacks what it needs."""
+def replayed(logged: LoggedRun, variant: str, end_s: float = math.inf) -> dict[str, Any]:
+    """Result of one of `VARIANTS` on one log until ``end_s``: ``error_m``, ``cpu_ms`` of one core
+    per 0.1 s of data, and ``lost_s``, the time at which its error exceeded the limit of a flight,
+    or None; the error is that until then. Raises UsageError when the log lacks what it needs."""
+    estimator, values = VARIANTS[variant]
+    changes = tuple(f"{estimator}.{name}={str(value).lower()}" for name, value in values.items())
     config = replay_config(logged.path, estimator, changes, fresh=True)
     result = replay(logged.path, config, until_s=end_s)
     error, timing = result.position_error_m, result.plain()["timing"]
@@ -166,6 +189,7 @@ def bench_estimator(
     *,
     seeds: Sequence[int],
     runs: Path,
+    ablate: bool = False,
     seconds: float | None = None,
     report: Report = lambda _text: None,
     methods: Sequence[str] = (),
@@ -173,15 +197,25 @@ def bench_estimator(
     """Flies the surveys that ``runs`` lacks, one directory ``SCENE-SEED`` each, and compares.
 
     ``seeds``: one for all scenes, or one each. ``methods``: some of the rows, or all. Returns what
-    `summary` does and the details by log. Raises UsageError.
+    `summary` does and the details by log; with ``ablate`` what `ablate_log` returns, by log. All of
+    it is open loop: the path of the vehicle does not depend on the row. Raises UsageError.
     """
-    chosen_methods(methods)
-    require_references()
+    if ablate:
+        variants(methods)
+    else:
+        chosen_methods(methods)
+        require_references()
     logs, found = logs_of(scenes, seeds), {}
     for name, (scene, seed) in logs.items():
-        report_log = partial(_report_log, report, name)
+
+        def report_log(text: str, log: str = name) -> None:
+            report(f"{log}: {text}")
+
         logged = open_run(logged_survey(scene, seed, runs, report_log))
-        found[name] = bench_log(logged, seconds, report_log, methods)
+        measure = ablate_log if ablate else bench_log
+        found[name] = measure(logged, seconds, report_log, methods)
+    if ablate:
+        return {"seed": list(seeds), "seconds": seconds, "ablation": found}
     seed_of = {name: seed for name, (_, seed) in logs.items()}
     return {"seed": seed_of, "seconds": seconds, **summary(found), "scenes": found}
 
@@ -241,19 +275,67 @@ def logs_of(scenes: Sequence[str], seeds: Sequence[int]) -> dict[str, tuple[str,
     }
 
 
-def _report_log(report: Report, log: str, text: str) -> None:
-    report(f"{log}: {text}")
-
-
 def logged_survey(scene: str, seed: int, runs: Path, report: Report) -> Path:
     """The run directory of a survey with sensor log below ``runs``, flown unless it exists."""
-    from touchdown.experiments.flight.platform import limit_threads
-    from touchdown.experiments.flight.run import fly
-    from touchdown.experiments.io.sensor_log import FILE_NAME
-
     limit_threads()
     run = runs / f"{short_name(scene)}-{seed}"
     if not (run / FILE_NAME).is_file():
-        config = flight_config(scene, seed)
+        config = load_config(
+            None, scene=scene, seed=seed, estimator="livo", record=False, survey_only=True,
+            log_sensors=True,
+        )  # fmt: skip
         fly(config, run, lambda time_s, phase, _note: report(f"flying, {time_s:.0f} s, {phase}"))
     return run
+
+
+# -------------------------------------------------------------------------------------- ablation
+
+
+def whole(variant: str) -> str:
+    """The variant with everything on that ``variant`` is compared with."""
+    return next(name for name, made in VARIANTS.items() if made == (VARIANTS[variant][0], {}))
+
+
+def variants(methods: Sequence[str]) -> list[str]:
+    """Those of the estimators or with the names in ``methods``; all for none. Raises UsageError."""
+    estimators = {estimator for estimator, _ in VARIANTS.values()}
+    for name in methods:
+        if name not in VARIANTS and name not in estimators:
+            one_of = ", ".join([*sorted(estimators), *VARIANTS])
+            raise UsageError(f"--ablate has no '{name}'; name one of: {one_of}")
+    chosen = [v for v in VARIANTS if v in methods or VARIANTS[v][0] in methods]
+    compared = {*chosen, *map(whole, chosen)}
+    return [v for v in VARIANTS if v in compared] if methods else list(VARIANTS)
+
+
+def ablation_table(found: Mapping[str, Rows]) -> str:
+    """Markdown table, one column per log: mean error in metres, or the time of the loss; of three
+    logs and more what leaving the part out adds to the error, with its interval."""
+    logs = list(found)
+    rows = [variant for variant in VARIANTS if variant in found[logs[0]]]
+    heads = ["variant", *logs] + ["more error, 95 %"] * (len(logs) >= _MIN_LOGS)
+    lines = ["| " + " | ".join(heads) + " |", "|---|" + "---|" * (len(heads) - 1)]
+    for variant in rows:
+        cells = [_cell(found[log][variant]) for log in logs]
+        if len(logs) >= _MIN_LOGS:
+            cells.append(_more(found, variant))
+        lines.append(f"| {variant} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _more(found: Mapping[str, Rows], variant: str) -> str:
+    """By how much the error over all logs exceeds that of the whole estimator."""
+    pairs = [(rows[variant], rows[whole(variant)]) for rows in found.values()]
+    if whole(variant) == variant or any(
+        row["lost_s"] is not None for pair in pairs for row in pair
+    ):
+        return "–"
+    errors = np.array([[row["error_m"] for row in pair] for pair in pairs])
+    more = mean_interval(errors[:, 0] - errors[:, 1])
+    assert more is not None
+    return f"{more.value:+.3f} [{more.low:+.3f}, {more.high:+.3f}]"
+
+
+def _cell(row: Mapping[str, Any]) -> str:
+    lost = row["lost_s"]
+    return f"{row['error_m']:.3f}" if lost is None else f"lost at {lost:.0f} s"

@@ -71,24 +71,17 @@ def bench_estimator(
     Example: touchdown bench estimator crossroad --seconds 20 --runs runs/logged
     """
     from touchdown.experiments.benchmarks import odometry as bench
-    from touchdown.experiments.benchmarks.ablation import ablate as run_ablation
-    from touchdown.experiments.benchmarks.ablation import ablation_table
 
-    chosen = scenes or bench.SCENES
     report = _quiet if quiet else _to_stderr
     with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
-        where: dict[str, Any] = {"seeds": seed, "runs": runs or Path(folder), "seconds": seconds}
-        if ablate:
-            table = usage_errors(
-                lambda: run_ablation(chosen, report=report, methods=method, **where)
-            )
-            text = json.dumps({"seed": list(seed), "seconds": seconds, "ablation": table}, indent=2)
-            say(text if as_json else ablation_table(table))
-            return EXIT_DONE
         figures = usage_errors(
-            lambda: bench.bench_estimator(chosen, report=report, methods=method, **where)
-        )
-    say(json.dumps(figures, indent=2) if as_json else _table(figures))
+            lambda: bench.bench_estimator(
+                scenes or bench.SCENES, seeds=seed, runs=runs or Path(folder), ablate=ablate,
+                seconds=seconds, report=report, methods=method,
+            )
+        )  # fmt: skip
+    table = bench.ablation_table(figures["ablation"]) if ablate else _table(figures)
+    say(json.dumps(figures, indent=2) if as_json else table)
     return EXIT_DONE
 
 
@@ -132,18 +125,16 @@ def _error(error_m: float, lost_s: float | None) -> str:
 @click.command("imu")
 @click.option("--data", type=PATH, required=True, metavar="DIR",
               help="Recorded flights of Hurwitz and Klein (2023).")  # fmt: skip
-@click.option("--out", type=PATH, default=None, metavar="DIR",
-              help="Draw imu_spectra.png there.")  # fmt: skip
 @JSON
-def bench_imu(data: Path, out: Path | None, as_json: bool) -> int:
+def bench_imu(data: Path, as_json: bool) -> int:
     """Compare the vibration of the simulated IMU with that of recorded flights, band by band, and
     fit the levels of its model to them.
 
-    Example: touchdown bench imu --data flights --out figures
+    Example: touchdown bench imu --data flights
     """
     from touchdown.experiments.benchmarks import imu_spectra
 
-    found = usage_errors(lambda: imu_spectra.measure(data, out))
+    found = usage_errors(lambda: imu_spectra.measure(data))
     plain = {name: array.tolist() for name, array in found.items()}
     return answer(plain, as_json, lambda _: say("\n".join(imu_spectra.rows(found))))
 

@@ -13,8 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.benchmarks.limit.constants import CLOCK, CONSTANTS, EYE_MOUNT, LENS
-from touchdown.experiments.benchmarks.limit.information import LANDMARK, Indices, Rows, skews
+from touchdown.experiments.benchmarks.limit.information import (
+    CLOCK,
+    CONSTANTS,
+    EYE_MOUNT,
+    LANDMARK,
+    LENS,
+    Indices,
+    Rows,
+    skews,
+)
 from touchdown.experiments.benchmarks.limit.ranging import Flight, rates_at, tangents, voxel_names
 from touchdown.sim.api import CameraIntrinsics
 

@@ -15,18 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.benchmarks.limit import imaging, ranging
-from touchdown.experiments.benchmarks.limit.constants import CONSTANTS, GROUPS, constant_sigmas
 from touchdown.experiments.benchmarks.limit.information import (
+    CONSTANTS,
+    GROUPS,
     STATE,
     Densities,
     Motion,
     Rows,
     bound,
+    constant_sigmas,
     imu_motion,
     landmark_informations,
     motion_information,
 )
-from touchdown.experiments.benchmarks.limit.surface import TrueSurface
 from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay, replay_config
@@ -193,7 +194,7 @@ def build(run: Path) -> Problem:
     if not np.isfinite(logged.from_s):
         raise UsageError(f"'{run}' never took off: fly a survey with --log-sensors")
     flight = ranging.Flight(
-        config, TrueSurface(config), Trajectory(logged.path / "truth.tum"), PERIOD_S
+        config, ranging.TrueSurface(config), Trajectory(logged.path / "truth.tum"), PERIOD_S
     )
     states = int(min(logged.to_s, float(flight.path.times_s[-1])) / PERIOD_S) + 1
     features = imaging.follow(flight, rig.camera, states)

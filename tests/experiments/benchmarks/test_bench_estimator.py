@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks import ablation, odometry
+from touchdown.experiments.benchmarks import odometry
 from touchdown.experiments.benchmarks.odometry_baselines import (
     ScanPoints,
     deskew_by_step,
@@ -40,9 +40,9 @@ def test_an_error_is_the_mean_distance_without_alignment() -> None:
 
 def test_an_estimator_is_measured_from_lift_off_to_the_end(run: Path) -> None:
     logged = open_run(run)
-    whole = odometry.replayed(logged, "livo", ())
+    whole = odometry.replayed(logged, "livo: tight, all on")
     assert whole["error_m"] < 0.03 and whole["lost_s"] is None and whole["cpu_ms"] > 0.0
-    early = odometry.replayed(logged, "livo", (), LIFT_OFF_S + 0.05)
+    early = odometry.replayed(logged, "livo: tight, all on", LIFT_OFF_S + 0.05)
     assert early["error_m"] != whole["error_m"]
 
 
@@ -147,11 +147,6 @@ def test_ratios_are_of_the_best_reference_that_is_not_lost() -> None:
     assert figures["error_m"]["b"]["kiss_icp"] == 0.05 and figures["ms_per_0.1s"]["zou2024"] == 10.0
 
 
-def test_surveys_are_logged_in_the_profile_that_is_flown_by_default() -> None:
-    config = odometry.flight_config("lake", 3)
-    assert (config.profile, config.seed, config.estimator) == ("field", 3, "livo")
-
-
 def test_logs_are_named_by_their_scene_and_where_it_is_named_twice_by_the_seed() -> None:
     assert odometry.logs_of(("lake", "forest"), (4,)) == {
         "lake": ("lake", 4), "forest": ("forest", 4),
@@ -165,12 +160,12 @@ def test_logs_are_named_by_their_scene_and_where_it_is_named_twice_by_the_seed()
 
 def test_ablation_replays_every_variant(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     variants = {"livo: all on": ("livo", {}), "livo: LIDAR only": ("livo", {"use_vision": False})}
-    monkeypatch.setattr(ablation, "VARIANTS", variants)
-    rows = ablation.ablate_log(open_run(run), 0.4, lambda _text: None)
+    monkeypatch.setattr(odometry, "VARIANTS", variants)
+    rows = odometry.ablate_log(open_run(run), 0.4, lambda _text: None)
     assert 0.0 < rows["livo: all on"]["error_m"] < 0.03
     assert rows["livo: LIDAR only"]["error_m"] != rows["livo: all on"]["error_m"]
     lost = {"error_m": 3.0, "lost_s": 12.4, "cpu_ms": 1.0}
-    table = ablation.ablation_table({"here": rows, "there": {**rows, "livo: all on": lost}})
+    table = odometry.ablation_table({"here": rows, "there": {**rows, "livo: all on": lost}})
     lines = table.splitlines()
     assert lines[0] == "| variant | here | there |"
     assert lines[2].startswith("| livo: all on | 0.0") and lines[2].endswith("| lost at 12 s |")
@@ -186,12 +181,12 @@ def test_ablation_tells_by_how_much_each_part_lowers_the_error() -> None:
         }
 
     found = {"a 1": rows(0.1, 0.12), "a 2": rows(0.2, 0.22), "b 1": rows(0.1, 0.12)}
-    lines = ablation.ablation_table(found).splitlines()
+    lines = odometry.ablation_table(found).splitlines()
     assert lines[0] == "| variant | a 1 | a 2 | b 1 | more error, 95 % |"
     assert lines[2].endswith("| – |") and lines[3].endswith("| +0.020 [+0.020, +0.020] |")
     found["b 1"]["zou2024: no f_c"]["lost_s"] = 3.0
-    assert ablation.ablation_table(found).endswith("| lost at 3 s | – |")
-    assert ablation.variants(["zou2024: no f_c"]) == ["zou2024: all on", "zou2024: no f_c"]
-    assert {v.split(":")[0] for v in ablation.variants(["livo"])} == {"livo"}
+    assert odometry.ablation_table(found).endswith("| lost at 3 s | – |")
+    assert odometry.variants(["zou2024: no f_c"]) == ["zou2024: all on", "zou2024: no f_c"]
+    assert {v.split(":")[0] for v in odometry.variants(["livo"])} == {"livo"}
     with pytest.raises(UsageError, match="--ablate has no 'flow'; name one of: livo, zou2024, "):
-        ablation.variants(["flow"])
+        odometry.variants(["flow"])

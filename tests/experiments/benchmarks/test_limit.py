@@ -4,29 +4,28 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from touchdown.experiments.benchmarks.limit import imaging, ranging, survey
-from touchdown.experiments.benchmarks.limit.constants import (
+from touchdown.experiments.benchmarks.limit.information import (
     CLOCK,
     CONSTANTS,
     EYE_MOUNT,
     GROUPS,
+    IMU_CONSTANTS,
+    LANDMARK,
     LENS,
     MOUNT,
     RANGE,
-    constant_sigmas,
-)  # fmt: skip
-from touchdown.experiments.benchmarks.limit.information import (
-    IMU_CONSTANTS,
-    LANDMARK,
     STATE,
     Densities,
     Rows,
     bound,
+    constant_sigmas,
     imu_motion,
     landmark_information,
     motion_information,
-)  # fmt: skip
+)
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.sim.api import CameraIntrinsics
@@ -137,7 +136,9 @@ def _flight():
     where = np.array([BODY.translation]), np.array([BODY.rotation])
     path = SimpleNamespace(
         at=lambda t: [np.repeat(part, len(t), axis=0) for part in where],
-        rates_at=lambda t: np.tile(RATES, (len(t), 1)),
+        times_s=np.arange(2.0),
+        positions=np.array([BODY.translation, BODY.translation + RATES[:3]]),
+        attitudes=Rotation.from_matrix([BODY.rotation, so3_exp(RATES[3:]) @ BODY.rotation]),
     )
     return ranging.Flight(None, SimpleNamespace(mounts=MOUNTS), path, 0.5)
 

@@ -4,7 +4,7 @@ scikit-image's."""
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks.selection.stages import (
+from touchdown.experiments.benchmarks.selection.timing import (
     STAGES,
     reference_selection,
     staged_selection,
