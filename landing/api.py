@@ -199,7 +199,7 @@ class Selection:
     """cells that the selector accepts as sites"""
     probability: NDArray[np.float32]
     """probability of a touchdown that is safe by geometry, by
-    `landing.selection.terms.probability`; for a selector without it 1 where a site is accepted"""
+    `landing.selection.probability`; for a selector without it 1 where a site is accepted"""
     cluster: NDArray[np.int32]
     """number of the cluster (Eq. 19) that a cell belongs to, -1 outside"""
     modes: NDArray[np.int32]

@@ -46,7 +46,7 @@ TermName = Literal[
     "plants",
     "ground",
 ]
-"""Terms of the score of a site, a module each in `landing.selection.terms`."""
+"""Terms of the score of a site, by `landing.selection.terms`."""
 
 LandClass = Literal["lawn", "field", "path", "road", "building"]
 """Classes of solid ground, of `scenes.api.LAND_CLASSES`."""
@@ -224,7 +224,7 @@ class LandingParams:
         11.87, -1.83, -1.21, -0.2, -0.2, -0.2, -5.49, -0.2, -0.2, -1.06, -1.30,
     )  # fmt: skip
     """log-odds of a safe touchdown: constant; slope, step, object, spread, neighbour, confinement,
-    sparsity and age (``landing.selection.terms.risk_features``); the worst of slope, step and
+    sparsity and age (``landing.selection.probability``); the worst of slope, step and
     neighbour, and its excess over 0.8. Fitted by ``touchdown bench selector --fit``"""
     emergency: Literal["", "battery"] = ""
     """``battery``: land within ``emergency_s`` on the least bad site; empty: no emergency"""

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.experiments.reporting.statistics import fraction_interval
-from touchdown.landing.classification.scores import probabilities
-from touchdown.landing.selection.terms.probability import calibration
+from touchdown.landing.classification.scores import calibration, probabilities
 
 BINS = 10
 _PANEL_IN = 3.2

@@ -50,16 +50,29 @@ def log_loss(scores: Float32, labels: Labels) -> float:
     return float((total - shifted[np.arange(len(labels)), labels]).mean())
 
 
+def calibration(
+    predicted: Float32, right: NDArray[np.bool_], bins: int = 10
+) -> tuple[float, list[tuple[float, float, int]]]:
+    """Returns the expected calibration error of probabilities (N,), and the reliability diagram:
+    mean probability, fraction that is right and number of each bin of equal width that holds
+    any."""
+    index = np.minimum((predicted * bins).astype(int), bins - 1)
+    rows, error = [], 0.0
+    for number in range(bins):
+        inside = index == number
+        if inside.any():
+            mean, share = float(predicted[inside].mean()), float(right[inside].mean())
+            rows.append((mean, share, int(inside.sum())))
+            error += abs(mean - share) * float(inside.mean())
+    return error, rows
+
+
 def calibration_error(scores: Float32, labels: Labels) -> float:
     """Returns the expected calibration error of the probability of the best class, in 15
     bins of equal width (Guo et al., ICML 2017)."""
-    from touchdown.landing.selection.terms.probability import (
-        calibration,
-    )  # numba is not loaded for a softmax
-
     chance = probabilities(scores)
-    correct = chance.argmax(axis=1) == labels
-    return float(calibration(chance.max(axis=1).astype(np.float32), correct, _BINS)[0])
+    right = chance.argmax(axis=1) == labels
+    return calibration(chance.max(axis=1).astype(np.float32), right, _BINS)[0]
 
 
 def fitted_temperature(scores: Float32, labels: Labels) -> float:

@@ -21,7 +21,7 @@ from touchdown.landing.api import (
     TermLayer,
 )
 from touchdown.landing.selection.clustering import Clusters, bandwidths, quick_shift
-from touchdown.landing.selection.gates import checks_ground, passing, predicts, refusal_of
+from touchdown.landing.selection.costmap import c_sum, distance, flatness_of, smoothness_of
 from touchdown.landing.selection.ground.elevation_raster import distance_to, observed_raster
 from touchdown.landing.selection.ground.landable import (
     Refusal,
@@ -31,16 +31,21 @@ from touchdown.landing.selection.ground.landable import (
     plane_refusal,
 )
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
+from touchdown.landing.selection.ground.traffic import surfaces_of_sites, traffic_zone
+from touchdown.landing.selection.probability import probability, risk_features
 from touchdown.landing.selection.ranking import ranked
-from touchdown.landing.selection.score import c_sum, layers_of, score_of, terms_at
-from touchdown.landing.selection.terms.clearance import cluster_bonus
-from touchdown.landing.selection.terms.distance import distance
-from touchdown.landing.selection.terms.flatness import flatness_of
-from touchdown.landing.selection.terms.ground import allowed_ground
-from touchdown.landing.selection.terms.inputs import Inputs
-from touchdown.landing.selection.terms.probability import safe_probability
-from touchdown.landing.selection.terms.smoothness import smoothness_of
-from touchdown.landing.selection.terms.traffic import surfaces_of_sites, traffic_zone
+from touchdown.landing.selection.terms import (
+    Inputs,
+    allowed_ground,
+    checks_ground,
+    cluster_bonus,
+    layers_of,
+    passing,
+    predicts,
+    refusal_of,
+    score_of,
+    terms_at,
+)
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -166,9 +171,9 @@ def _assess(seen: SelectorInput, params: LandingParams, margin_m: float) -> Asse
     nothing = np.zeros(raster.shape, np.float32)
     predicted = nothing
     if predicts(selector):
-        drift_m = params.gust_drift_s * seen.wind_mps
-        now_s = seen.estimate.time_s
-        predicted = safe_probability(raster, landable, params, now_s=now_s, drift_m=drift_m)
+        drift_m, now_s = params.gust_drift_s * seen.wind_mps, seen.estimate.time_s
+        features = risk_features(raster, landable, params, now_s=now_s, drift_m=drift_m)
+        predicted = probability(features, params.risk_weights)
     site = Inputs(
         params=params,
         selector=selector,

@@ -34,8 +34,9 @@ from touchdown.experiments.external.parts import ExternalSelector
 from touchdown.experiments.flight.slots import check_parts_available
 from touchdown.experiments.flight.wiring import check_scene_name
 from touchdown.landing.api import CostmapView, Selection, SelectorInput, SelectorRig
+from touchdown.landing.classification.scores import calibration
+from touchdown.landing.selection import probability as risk
 from touchdown.landing.selection.selector import select_sites
-from touchdown.landing.selection.terms import probability as risk
 from touchdown.sim.api import VehicleModel
 
 Array = NDArray[np.float64]
@@ -144,13 +145,13 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
     ``precision_cells`` and ``recall_cells`` of the cells; ``found``: share of scenes with safe
     ground where a site was accepted; ``regret_m``: mean loss of clearance relative to the best safe
     site; ``ms``: mean processor time of a choice; ``calibration_error`` and ``reliability``: see
-    `landing.selection.terms.probability.calibration`, None for a selector from outside."""
+    `landing.classification.scores.calibration`, None for a selector from outside."""
     chosen = [place["chosen_safe"] for place in places if place["chosen_safe"] is not None]
     offered = [place for place in places if place["best_clearance_m"] > 0.0]
     cells = {key: sum(place["cells"][key] for place in places) for key in _CELL_KEYS}
     error, rows = None, None
     if all(place["sample"] is not None for place in places):
-        error, rows = risk.calibration(_gathered(places, "predicted"), _gathered(places, "safe"))
+        error, rows = calibration(_gathered(places, "predicted"), _gathered(places, "safe"))
     regrets = [_regret(place) for place in offered]
     return {
         "places": len(places),
@@ -189,7 +190,7 @@ def fit(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
         weights = risk.fit_weights(_gathered(ours, "features"), _gathered(ours, "safe"))
         predicted.append(risk.predict(_gathered(others, "features"), weights))
         truth.append(_gathered(others, "safe"))
-    error, rows = risk.calibration(np.concatenate(predicted), np.concatenate(truth))
+    error, rows = calibration(np.concatenate(predicted), np.concatenate(truth))
     weights = risk.fit_weights(_gathered(places, "features"), _gathered(places, "safe"))
     return {"weights": list(weights), "calibration_error": error, "reliability": rows}
 

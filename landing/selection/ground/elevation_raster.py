@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import cv2
 import numba
@@ -311,44 +312,6 @@ def distance_to(mask: Mask, cell_m: float) -> Float32:
     return (pixels * np.float32(cell_m)).astype(np.float32)
 
 
-def distance_up_to(mask: Mask, cell_m: float, most_m: float) -> Float32:
-    """Returns the distance of `distance_to`, exact where it is below ``most_m``, larger elsewhere.
-
-    The distance along the column, then the least over the row: so few cells are looked at."""
-    most = int(most_m / cell_m) + 2
-    squares = np.full(mask.shape, most, np.int32)
-    _square_distances(mask, squares, np.full(mask.shape[1] + 2 * most, most * most, np.int32))
-    return np.sqrt(squares.astype(np.float32)) * np.float32(cell_m)
-
-
-@numba.njit(cache=True)
-def _square_distances(mask: Mask, along: Int32, line: Int32) -> None:
-    """Turns ``along``, filled with the longest distance, into squares of distances, in cells;
-    ``line``, of the squares of the longest, is longer by that on both sides."""
-    rows, cols = mask.shape
-    one, most = np.int32(1), np.int32((line.size - cols) // 2)
-    for row in range(rows):
-        seen, above, own = mask[row], along[max(row - 1, 0)], along[row]
-        for col in range(cols):
-            own[col] = 0 if seen[col] else min(above[col] + one, most)
-    for row in range(rows - 2, -1, -1):
-        below, own = along[row + 1], along[row]
-        for col in range(cols):
-            own[col] = min(own[col], below[col] + one)
-    for row in range(rows):
-        own = along[row]
-        for col in range(cols):
-            line[most + col] = own[col] * own[col]
-        for col in range(cols):
-            best, step, square = line[most + col], one, one
-            while square < best:
-                near = min(line[most + col - step], line[most + col + step])
-                best = min(best, near + square)
-                step += one
-                square = step * step
-            own[col] = best
-
-
 def disc_widths(radius_cells: float) -> NDArray[np.int64]:
     """Returns how far each row of the disc reaches to each side, in cells."""
     rows = np.arange(-int(radius_cells), int(radius_cells) + 1)
@@ -358,39 +321,18 @@ def disc_widths(radius_cells: float) -> NDArray[np.int64]:
 def disc_maximum(layer: Float32, radius_cells: float) -> Float32:
     """Returns the maximum over the disc of ``radius_cells`` around each cell. NaN cells are left
     out; -inf where the disc has no other."""
-    widths = disc_widths(radius_cells)
-    best = np.full(layer.shape, -np.inf, np.float32)
-    column = np.empty(layer.shape[1] + widths.size - 1, np.float32)
-    _disc_maximum(np.where(np.isfinite(layer), layer, best), widths, column, best)
-    return best
+    lowest = np.float32(-np.inf)
+    return _over_disc(np.where(np.isfinite(layer), layer, lowest), radius_cells, -np.inf)
 
 
 def dilated(mask: Mask, radius_cells: float) -> Mask:
     """Returns the mask of cells whose centre lies within ``radius_cells`` of that of a True
     cell."""
-    if not mask.any():
-        return np.zeros(mask.shape, np.bool_)
-    return disc_maximum(mask.astype(np.float32), radius_cells) > 0.0
+    return _over_disc(mask.astype(np.uint8), radius_cells, 0.0) > 0
 
 
-@numba.njit(cache=True)
-def _disc_maximum(
-    values: Float32, widths: NDArray[np.int64], column: Float32, best: Float32
-) -> None:
-    """The greatest of the columns that lie ``wide`` from the middle, as high as the rows that are
-    at least as wide; the loops over columns fill the processor's lanes."""
-    rows, cols = values.shape
-    reach = widths.size // 2
-    for row in range(rows):
-        for col in range(column.size):
-            column[col] = -np.inf
-        middle, out = column[reach:], best[row]
-        for wide in range(reach, -1, -1):
-            for k in range(widths.size):
-                if widths[k] == wide and 0 <= row + k - reach < rows:
-                    source = values[row + k - reach]
-                    for col in range(cols):
-                        middle[col] = max(middle[col], source[col])
-            left, right = column[reach - wide :], column[reach + wide :]
-            for col in range(cols):
-                out[col] = max(out[col], max(left[col], right[col]))
+def _over_disc(layer: NDArray[Any], radius_cells: float, outside: float) -> NDArray[Any]:
+    widths = disc_widths(radius_cells)
+    across = np.abs(np.arange(widths.size) - widths.size // 2)
+    disc = (across[None, :] <= widths[:, None]).astype(np.uint8)
+    return cv2.dilate(layer, disc, borderType=cv2.BORDER_CONSTANT, borderValue=outside)

@@ -193,7 +193,7 @@ def assess(
         clear_cells = (params.clear_radius_m + margin_m) / cell
         tall = disc_maximum(raster.high, clear_cells) - raster.height
         mask = ~dilated(defect > 0, footprint_cells) & (tall <= limits.tall_m)
-    mask &= _inside(raster.shape, footprint_cells)
+    mask &= inner_cells(raster.shape, footprint_cells)
     return LandableMap(
         mask=mask,
         defect=defect,
@@ -204,8 +204,8 @@ def assess(
     )
 
 
-def _inside(shape: tuple[int, int], border_cells: float) -> Mask:
-    """Returns the mask of cells whose footprint lies within the raster."""
+def inner_cells(shape: tuple[int, int], border_cells: float) -> Mask:
+    """Returns the mask of cells at least ``border_cells`` away from the border."""
     inside = np.zeros(shape, bool)
     border = int(np.ceil(border_cells))
     inside[border : max(shape[0] - border, 0), border : max(shape[1] - border, 0)] = True

@@ -5,6 +5,14 @@ import pytest
 
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection.clustering import _search_offsets, kernel_density, quick_shift
+from touchdown.landing.selection.costmap import (
+    c_sum,
+    colour_edges,
+    distance,
+    flatness,
+    flatness_kernel,
+    smoothness,
+)
 from touchdown.landing.selection.ground.elevation_raster import (
     ElevationRaster,
     disc_maximum,
@@ -12,11 +20,6 @@ from touchdown.landing.selection.ground.elevation_raster import (
     observed_raster,
     pooled,
 )
-from touchdown.landing.selection.ground.landable import ground_planes
-from touchdown.landing.selection.score import c_sum
-from touchdown.landing.selection.terms.distance import distance
-from touchdown.landing.selection.terms.flatness import flatness, flatness_kernel, normal_angles
-from touchdown.landing.selection.terms.smoothness import colour_edges, smoothness
 
 from support.landing_support import make_grid
 
@@ -38,13 +41,6 @@ def test_planes_recover_slope_and_level_and_skip_unknown_windows() -> None:
     assert planes.angle_rad[5:35, 5:28] == pytest.approx(angle, abs=1e-3)
     assert planes.level[5:35, 5:28] == pytest.approx(height[5:35, 5:28], abs=1e-3)
     assert np.isnan(planes.level[:, 33:]).all()
-
-
-def test_eq15_angle_of_the_normal() -> None:
-    _y, x = np.mgrid[0:30, 0:30] * 0.2
-    raster = raster_of(np.tan(np.deg2rad(7.0)) * x)
-    angles = normal_angles(ground_planes(raster, PARAMS))
-    assert np.rad2deg(angles[5:25, 5:25]) == pytest.approx(7.0, abs=1e-3)
 
 
 def test_eq16_corrected_prefers_level_and_literal_prefers_the_average() -> None:
@@ -93,6 +89,9 @@ def test_eq14_distance_to_the_only_edge() -> None:
     smooth = smoothness(edges, coloured, 0.2, full_m=4.0)
     assert np.isnan(smooth[6, 51])
     assert smooth[6, 56] == pytest.approx(3 * 0.2 / 4.0)
+    corner = (np.indices((9, 9)).sum(axis=0) == 0).astype(np.uint8)
+    smooth = smoothness(corner, np.ones((9, 9), np.bool_), 0.2, full_m=4.0)
+    assert smooth[3, 4] == pytest.approx(5 * 0.2 / 4.0)
 
 
 def test_eq18_distance_and_its_energy_threshold() -> None:

@@ -17,7 +17,7 @@ from touchdown.landing.selection.ground.landable import (
     fit_footprint,
     ground_planes,
 )
-from touchdown.landing.selection.terms.traffic import traffic_zone
+from touchdown.landing.selection.ground.traffic import traffic_zone
 from touchdown.sim.frames import Pose
 
 from support.landing_support import (

@@ -10,8 +10,9 @@ from touchdown.experiments.benchmarks.selection.timing import (
     staged_selection,
 )
 from touchdown.landing.api import LandingParams
-from touchdown.landing.selection.terms import probability as risk
-from touchdown.landing.selection.terms.risk_features import NAMES, RiskFeatures
+from touchdown.landing.classification.scores import calibration
+from touchdown.landing.selection import probability as risk
+from touchdown.landing.selection.probability import NAMES, RiskFeatures
 from touchdown.sim.frames import Pose
 
 from support.landing_support import make_estimate, make_grid, select, view_of
@@ -70,7 +71,7 @@ def test_fit_finds_calibrated_probabilities_and_keeps_signs() -> None:
     safe = rng.uniform(size=20000) < risk.predict(values, weights)
     found = risk.fit_weights(values, safe)
     assert all(weight <= -0.2 for weight in found[1:])
-    error, rows = risk.calibration(risk.predict(values, found), safe)
+    error, rows = calibration(risk.predict(values, found), safe)
     assert error < 0.01
     assert sum(number for _, _, number in rows) == 20000
 
@@ -78,7 +79,7 @@ def test_fit_finds_calibrated_probabilities_and_keeps_signs() -> None:
 def test_calibration_error_by_hand() -> None:
     predict = np.array([0.15, 0.15, 0.95, 0.95], np.float32)
     safe = np.array([True, False, True, True])
-    error, rows = risk.calibration(predict, safe)
+    error, rows = calibration(predict, safe)
     assert error == pytest.approx(0.5 * 0.35 + 0.5 * 0.05, abs=1e-6)
     assert [(share, number) for _, share, number in rows] == [(0.5, 2), (1.0, 2)]
 

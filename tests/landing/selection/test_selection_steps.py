@@ -11,21 +11,20 @@ from touchdown.estimator.api import GridMap
 from touchdown.landing.api import Candidate, LandingParams, Selection
 from touchdown.landing.mission.site_recheck import recheck_site
 from touchdown.landing.selection.clustering import Clusters
+from touchdown.landing.selection.costmap import colour_edges, flatness_of
 from touchdown.landing.selection.ground.elevation_raster import (
     ElevationRaster,
     observed_raster,
     pooled,
 )
 from touchdown.landing.selection.ground.landable import Defect, LandableMap, assess, ground_planes
+from touchdown.landing.selection.ground.traffic import surface_of
+from touchdown.landing.selection.probability import NAMES, RiskFeatures, risk_features
 from touchdown.landing.selection.selector import (
     _best_spots,
     _shortlist,
     check_site,
 )
-from touchdown.landing.selection.terms.flatness import flatness_of
-from touchdown.landing.selection.terms.risk_features import NAMES, RiskFeatures, risk_features
-from touchdown.landing.selection.terms.smoothness import colour_edges
-from touchdown.landing.selection.terms.traffic import surface_of
 from touchdown.sim.frames import Pose
 
 from support.landing_support import make_estimate, make_grid, select, view_of

@@ -1,4 +1,4 @@
-"""The term traffic: sites near surfaces with traffic, by observed motion and LIDAR intensity.
+"""Surfaces with traffic, by observed motion and LIDAR intensity.
 
 A surface on which motion was observed is extended over connected cells of the same intensity, since
 vehicles may drive anywhere on it. The class of the ground is left to ground classification.
@@ -12,21 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import LandingParams, TermLayer
+from touchdown.landing.api import LandingParams
 from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, dilated
 from touchdown.landing.selection.ground.landable import Defect, LandableMap
-from touchdown.landing.selection.terms.inputs import Inputs
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-
-
-def term(site: Inputs) -> TermLayer:
-    """Returns the penalty of cells near traffic or on ground that classification refused."""
-    close = site.traffic.astype(np.float32)
-    value = -np.float32(site.selector.weight_traffic) * close
-    return TermLayer(name="traffic", value=value, quantity=close)
 
 
 def surface_of(raster: ElevationRaster, cells: Mask, params: LandingParams) -> Mask:
