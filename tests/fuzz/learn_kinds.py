@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -233,15 +234,12 @@ def _trained(shared: Path) -> Path:
             trainer.write()
             raise Reached
 
-        training.Trainer.run_epoch = note  # type: ignore[method-assign,assignment]
-        here = os.getcwd()
-        os.chdir(folder)
-        try:
+        with (
+            mock.patch.object(training.Trainer, "run_epoch", note),
+            contextlib.chdir(folder),
+            contextlib.suppress(Reached),
+        ):
             main(["train", "--data", "data", "--out", "out", *_TRAINED, "--quiet"])
-        except Reached:
-            pass
-        finally:
-            os.chdir(here)
 
     return _once(shared / "trained", fill)
 

@@ -18,9 +18,9 @@ _BUILDERS = {
     "resnet50_cbam": "resnet:resnet50_cbam",
     "resnext50": "resnet:resnext50",
     "vgg19": "vgg:vgg19",
-    "mobilenet_v3_large": "mobilenet:mobilenet_v3_large",
+    "mobilenet_v3_large": "mobile:mobilenet_v3_large",
     "inception_v4": "inception:inception_v4",
-    "efficientnet_lite0": "efficientnet:efficientnet_lite0",
+    "efficientnet_lite0": "mobile:efficientnet_lite0",
 }
 PRETRAINED = ("efficientnet_lite0",)
 """networks whose weights for ImageNet a package brings"""

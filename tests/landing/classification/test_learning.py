@@ -225,13 +225,13 @@ def test_weights_for_imagenet_go_where_they_belong(
     """The first filters take half as much of inputs twice as wide; the last layer has classes of
     its own. Padding is more at the far edge: one bright pixel in the near corner is seen by the
     first filter's first column, not its second."""
-    from touchdown.landing.classification.networks import efficientnet
+    from touchdown.landing.classification.networks import mobile
     from touchdown.landing.classification.networks.registry import build_network, load_pretrained
 
     torch.manual_seed(1)
     theirs = build_network("efficientnet_lite0", 1000, 64)
     torch.save(theirs.state_dict(), tmp_path / "weights.pth")
-    monkeypatch.setattr(efficientnet, "imagenet_file", lambda: tmp_path / "weights.pth")
+    monkeypatch.setattr(mobile, "imagenet_file", lambda: tmp_path / "weights.pth")
     ours: Any = build_network("efficientnet_lite0", 7, 64)
     own = ours[-1].weight.clone()
     load_pretrained(ours, "efficientnet_lite0")

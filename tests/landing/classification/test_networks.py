@@ -7,7 +7,7 @@ import pytest
 
 torch: Any = pytest.importorskip("torch")
 
-from touchdown.landing.classification.networks import blocks, cbam, mobilenet  # noqa: E402
+from touchdown.landing.classification.networks import blocks, mobile, resnet  # noqa: E402
 from touchdown.landing.classification.networks.registry import NETWORKS, build_network  # noqa: E402
 
 PUBLISHED = {
@@ -57,7 +57,7 @@ def test_what_cannot_be_built(name: str, size: int, message: str) -> None:
 def test_channel_attention_by_hand() -> None:
     """Means 2 and 0, greatest 4 and 0; the MLP doubles: sigmoid(2 (2 + 4)) and sigmoid(0)."""
     features = torch.tensor([[[[1.0, 1.0], [2.0, 4.0]], [[0.0, 0.0], [0.0, 0.0]]]])
-    weights = cbam.channel_attention(features, lambda pooled: 2.0 * pooled)
+    weights = resnet.channel_attention(features, lambda pooled: 2.0 * pooled)
     assert weights.shape == (1, 2, 1, 1)
     np.testing.assert_allclose(weights.ravel(), [1.0 / (1.0 + np.exp(-12.0)), 0.5], rtol=1e-6)
 
@@ -65,7 +65,7 @@ def test_channel_attention_by_hand() -> None:
 def test_spatial_attention_by_hand() -> None:
     """Over two channels: means 2 and -1, greatest 3 and 1; the window takes their difference."""
     features = torch.tensor([[[[1.0, 1.0]], [[3.0, -3.0]]]])
-    weights = cbam.spatial_attention(features, lambda pools: pools[:, 1:] - pools[:, :1])
+    weights = resnet.spatial_attention(features, lambda pools: pools[:, 1:] - pools[:, :1])
     assert weights.shape == (1, 1, 1, 2)
     expected = 1.0 / (1.0 + np.exp([-1.0, -2.0]))
     np.testing.assert_allclose(weights.ravel(), expected, rtol=1e-6)
@@ -80,13 +80,13 @@ def test_space_is_attended_after_channels() -> None:
         seen.append(pools)
         return torch.zeros(1, 1, 1, 1)
 
-    result = cbam.attend(features, lambda pooled: torch.zeros_like(pooled), window)
+    result = resnet.attend(features, lambda pooled: torch.zeros_like(pooled), window)
     np.testing.assert_allclose(seen[0].ravel(), [1.5, 2.0])
     np.testing.assert_allclose(result.ravel(), [0.5, 1.0])
 
 
 def test_the_window_looks_seven_pixels_across() -> None:
-    module: Any = cbam.Cbam(16).eval()
+    module: Any = resnet.Cbam(16).eval()
     with torch.no_grad():
         module.window[0].weight.fill_(1.0)
         pools = torch.zeros(1, 2, 15, 15)
@@ -105,6 +105,6 @@ def test_mean_grid_is_adaptive_pooling(side: int) -> None:
 
 def test_channels_are_rounded_to_eighths() -> None:
     """MobileNet: 72/4 = 18 would lose more than a tenth at 16; 120/4 = 30 rounds up to 32."""
-    assert [mobilenet.rounded_channels(c / 4) for c in (72, 120, 480, 672, 960)] == [
+    assert [mobile.rounded_channels(c / 4) for c in (72, 120, 480, 672, 960)] == [
         24, 32, 120, 168, 240,
     ]  # fmt: skip
