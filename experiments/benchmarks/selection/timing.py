@@ -27,12 +27,9 @@ from touchdown.experiments.flight.wiring import build_classifier
 from touchdown.landing.api import GroundClassifier, LandingParams
 from touchdown.landing.classification.site_check import SiteClassCheck
 from touchdown.landing.selection.clustering import bandwidths, quick_shift
+from touchdown.landing.selection.costmap import c_sum, distance, flatness_of, smoothness_of
 from touchdown.landing.selection.ground.elevation_raster import observed_raster
 from touchdown.landing.selection.ground.landable import ground_planes
-from touchdown.landing.selection.score import c_sum
-from touchdown.landing.selection.terms.distance import distance
-from touchdown.landing.selection.terms.flatness import flatness_of
-from touchdown.landing.selection.terms.smoothness import smoothness_of
 from touchdown.sim.api import Observation, SensorRig
 
 Array = NDArray[np.float64]
