@@ -120,3 +120,7 @@ def usage_errors(action: Callable[[], Any]) -> Any:
 
 class UsageError(ValueError):
     """A mistake of the user, with a message of one line. The command line exits with code 2."""
+
+
+class ExternalPartError(UsageError):
+    """Error of an external part, in one line."""

@@ -266,13 +266,13 @@ def _flown(
 ) -> RunResult:
     _prepare()
     from touchdown.experiments.flight.run import fly_with_usage_errors
-    from touchdown.experiments.io.sensor_log import FILE_NAME
+    from touchdown.experiments.io.run_directory import SENSORS_FILE
     from touchdown.experiments.terminal import end_progress
 
     folder = _path(out)
-    if folder is not None and (folder / FILE_NAME).is_file() and not config.log.sensors:
+    if folder is not None and (folder / SENSORS_FILE).is_file() and not config.log.sensors:
         raise UsageError(
-            f"'{folder}' holds {FILE_NAME}, and this run would replace it without one; give "
+            f"'{folder}' holds {SENSORS_FILE}, and this run would replace it without one; give "
             "another `out`, or remove it"
         )
     result = fly_with_usage_errors(config, folder, _progress(progress), live)

@@ -30,6 +30,9 @@ def short_name(scene: str) -> str:
     return scene.replace(":", ".") if names_function(scene) else Path(scene).stem
 
 
+VEHICLE_BODY, VEHICLE_GROUP = "vehicle/quadrotor", 4
+"""name of the vehicle's body, and group of its geoms, which sensors do not see"""
+
 LAND_CLASSES: tuple[str, ...] = ("lawn", "field", "path", "road", "building", "water", "trees")
 """The paper's seven-class scheme D_Land; a class id is an index into this tuple."""
 SAFE_CLASSES: frozenset[str] = frozenset({"lawn", "field", "path"})

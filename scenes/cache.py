@@ -25,8 +25,7 @@ import numpy as np
 import scipy
 
 from touchdown.scenes.api import ImportOptions, Light, LowSun, Scene
-from touchdown.scenes.authoring.ground import present_variation
-from touchdown.scenes.compose import load_scene
+from touchdown.scenes.authoring.variation import present_variation
 from touchdown.scenes.registry import scene_names
 
 DIRECTORY_VARIABLE = "TOUCHDOWN_SCENE_CACHE"
@@ -49,6 +48,8 @@ def cached_scene(
     anew each time. Raises as `load_scene`; a cache that cannot be read or written is none."""
 
     def load() -> Scene:
+        from touchdown.scenes.compose import load_scene  # what makes scenes
+
         return load_scene(name_or_path, seed, sun, light, options)
 
     own = name_or_path in scene_names() and seed >= 0 and present_variation() is None

@@ -10,16 +10,21 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from touchdown.scenes.api import Array, ImportOptions, Light, LowSun, Scene
+from touchdown.scenes.api import (
+    VEHICLE_BODY,
+    VEHICLE_GROUP,
+    Array,
+    ImportOptions,
+    Light,
+    LowSun,
+    Scene,
+)
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.light import light_file
 from touchdown.scenes.authoring.sky import lit_by, set_sky
-from touchdown.scenes.importers.mjcf import read_mjcf
 from touchdown.scenes.registry import scene_generator
 
 VEHICLE_XML = Path(__file__).parent / "vehicle" / "quadrotor.xml"
-VEHICLE_BODY = "vehicle/quadrotor"
-VEHICLE_GROUP = 4
 TICK_HZ = 600
 AIR_DENSITY_KGPM3 = 1.225
 AIR_VISCOSITY_PAS = 1.8e-5
@@ -117,6 +122,8 @@ def _draft(name_or_path: str, seed: int, options: ImportOptions | None = None) -
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
     if _is_file(name_or_path):
+        from touchdown.scenes.importers.mjcf import read_mjcf
+
         draft = read_mjcf(Path(name_or_path), options)
         light_file(draft.spec)
     else:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from touchdown.scenes.authoring.draft import SceneDraft
+if TYPE_CHECKING:
+    from touchdown.scenes.authoring.draft import SceneDraft
 
 _GENERATORS = {
     "footbridge": "touchdown.scenes.places.footbridge.generate",

@@ -30,7 +30,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.platform import limit_threads
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay, replay_config
 from touchdown.experiments.flight.run import fly
-from touchdown.experiments.io.sensor_log import FILE_NAME
+from touchdown.experiments.io.run_directory import SENSORS_FILE
 from touchdown.experiments.io.tum import Trajectory
 from touchdown.experiments.reporting.statistics import mean_interval
 from touchdown.scenes.api import short_name
@@ -279,7 +279,7 @@ def logged_survey(scene: str, seed: int, runs: Path, report: Report) -> Path:
     """The run directory of a survey with sensor log below ``runs``, flown unless it exists."""
     limit_threads()
     run = runs / f"{short_name(scene)}-{seed}"
-    if not (run / FILE_NAME).is_file():
+    if not (run / SENSORS_FILE).is_file():
         config = load_config(
             None, scene=scene, seed=seed, estimator="livo", record=False, survey_only=True,
             log_sensors=True,

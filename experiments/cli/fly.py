@@ -6,8 +6,9 @@ import json
 import math
 import re
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,6 +16,9 @@ from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, PATH
 from touchdown.experiments.cli.console import print_result
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.terminal import end_progress, make_progress
+
+if TYPE_CHECKING:
+    from touchdown.experiments.viewing.processes import LiveView
 
 
 class SiteType(click.ParamType):
@@ -246,13 +250,20 @@ def _take_scene(options: dict[str, Any]) -> None:
     options["scene"] = made
 
 
+def _viewer(target: str | None) -> AbstractContextManager[LiveView | None]:
+    if target is None:
+        return nullcontext()
+    from touchdown.experiments.viewing.processes import live_viewer
+
+    return live_viewer(target)
+
+
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.config.slots import external_parts
     from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
-    from touchdown.experiments.viewing.processes import live_viewer
 
     _take_scene(options)
     if options["scene"] is None:
@@ -274,7 +285,7 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         )
         out = default_out_dir(config.scene, config.estimator, config.seed, suffix)
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
-    with live_viewer(options["live"]) as view:
+    with _viewer(options["live"]) as view:
         with none_left():
             address = None if view is None else view.address
             result = fly_with_usage_errors(config, out, make_progress(quiet), address)

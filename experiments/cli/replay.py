@@ -190,8 +190,8 @@ def _part(kind: str, name: str, overrides: tuple[str, ...]) -> Findings:
 def _estimator(name: str, run: Path | None, seconds: float, overrides: tuple[str, ...]) -> Findings:
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.config.slots import params_of
+    from touchdown.experiments.errors import ExternalPartError
     from touchdown.experiments.external.conformance import examine_estimator
-    from touchdown.experiments.external.wrapper import ExternalPartError
     from touchdown.experiments.flight.platform import limit_threads
     from touchdown.experiments.flight.replay import check_needs, open_run, replay_config, seen_by
     from touchdown.experiments.flight.wiring import build_estimator

@@ -11,7 +11,7 @@ from dm_control import mujoco as dm_mujoco
 from dm_control.mujoco.wrapper import MjData
 from dm_control.rl.control import PhysicsError
 
-from touchdown.scenes.compose import VEHICLE_BODY
+from touchdown.scenes.api import VEHICLE_BODY
 
 
 class LandingPhysics(dm_mujoco.Physics):  # type: ignore[misc]

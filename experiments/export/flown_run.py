@@ -72,14 +72,14 @@ class FlownRun:
 
     def sensors(self) -> Path:
         """The sensor log of the run, or of the flight that it replayed. Raises UsageError."""
-        from touchdown.experiments.io.sensor_log import FILE_NAME
+        from touchdown.experiments.io.run_directory import SENSORS_FILE
 
-        own, replayed = self.path / FILE_NAME, self.result.get("replay_of")
+        own, replayed = self.path / SENSORS_FILE, self.result.get("replay_of")
         if not own.is_file() and isinstance(replayed, str) and self._is_replay_of(Path(replayed)):
-            return Path(replayed) / FILE_NAME
+            return Path(replayed) / SENSORS_FILE
         if not own.is_file():
             raise UsageError(
-                f"'{self.path}' has no {FILE_NAME}: fly with --log-sensors to export sensor "
+                f"'{self.path}' has no {SENSORS_FILE}: fly with --log-sensors to export sensor "
                 "data; tum, csv and the map as ply do not need it"
             )
         return own
@@ -87,7 +87,7 @@ class FlownRun:
     def _is_replay_of(self, flight: Path) -> bool:
         """True if the run directory ``flight``, whose path is that of the result, is of the flight
         that the result describes and has a log."""
-        from touchdown.experiments.io.sensor_log import FILE_NAME
+        from touchdown.experiments.io.run_directory import SENSORS_FILE
 
         try:
             flown = read_object(flight / "result.json")
@@ -97,7 +97,7 @@ class FlownRun:
         return (
             same
             and self.result.get("flown_by") in (None, flown.get("estimator"))
-            and (flight / FILE_NAME).is_file()
+            and (flight / SENSORS_FILE).is_file()
         )
 
     def span_s(self) -> tuple[float, float]:

@@ -155,3 +155,13 @@ class ExternalLander:
         """The state of the external lander, checked."""
         view: LanderView = self.part.ask("view", when=self._when, wrong=wrong_view)
         return view
+
+
+PARTS = {
+    "selector": ExternalSelector,
+    "controller": ExternalController,
+    "classifier": ExternalClassifier,
+    "mapper": ExternalMapper,
+    "lander": ExternalLander,
+}
+"""by slot; an estimator is an `ExternalEstimator`"""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, spare_sensors
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import ExternalPartError
 from touchdown.experiments.external.estimate_checks import (
     call,
     describe_error,
@@ -33,10 +33,6 @@ LONGEST_CALL_S: Mapping[str, float] = {
 """Mean wall time of a call from which on a part is slow: a control step of 5 ms for what runs in
 each; a fifth of a scan's period for what gets most of its work with a scan; a second for what the
 vehicle hovers for."""
-
-
-class ExternalPartError(UsageError):
-    """Error of an external part, in one line."""
 
 
 class Defect(NamedTuple):

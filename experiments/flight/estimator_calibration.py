@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
@@ -14,9 +15,11 @@ from numpy.typing import NDArray
 from touchdown.experiments.api import CalibrationErrorParams, StartParams
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.calibration_file import CalibrationFile, read_calibration
 from touchdown.sim.api import CameraIntrinsics, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log, yaw_from_rotation
+
+if TYPE_CHECKING:
+    from touchdown.experiments.io.calibration_file import CalibrationFile
 
 Array = NDArray[np.float64]
 
@@ -54,7 +57,11 @@ def nominal_rig(rig: SensorRig, config: Config) -> SensorRig:
 
 def check_calibration(config: Config) -> CalibrationFile | None:
     """Reads the calibration file of a flight; None without one. Raises UsageError."""
-    return None if config.calibration is None else read_calibration(Path(config.calibration))
+    if config.calibration is None:
+        return None
+    from touchdown.experiments.io.calibration_file import read_calibration
+
+    return read_calibration(Path(config.calibration))
 
 
 def known_start(rig: SensorRig, start: StartParams) -> SensorRig:

@@ -78,9 +78,9 @@ def open_run(run: Path) -> LoggedRun:
     for name in ("result.json", "truth.tum"):
         if reason := no_file(run / name):
             raise UsageError(f"'{run}' is no run directory: its {name} {reason}")
-    from touchdown.experiments.io.sensor_log import FILE_NAME
+    from touchdown.experiments.io.run_directory import SENSORS_FILE
 
-    sensors = SensorLogReader(run / FILE_NAME)
+    sensors = SensorLogReader(run / SENSORS_FILE)
     result = load_result(run / "result.json")
     try:
         times, positions, quats = read_tum(run / "truth.tum")

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import external_parts, other_parts
-from touchdown.experiments.external.loading import flown_code, imported_code
 from touchdown.experiments.flight.choice import choice_of, missed_ground
 from touchdown.experiments.flight.condition_checks import as_json, judge_conditions
 from touchdown.experiments.flight.metrics import GroundMap, levelness_error_deg
@@ -39,11 +38,8 @@ def make_result(
     observer: StepObserver,
 ) -> RunResult:
     """Returns the result of a finished flight."""
-    code: dict[str, Any] = {**flown_code(config.estimator), **_parts(config)}
     origin = stack.scene.origin_m
     place: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
-    if names_function(config.scene):
-        place["scene_sha"] = imported_code(config.scene)
     record = stack.record()
     measured = observer.conditions.measured(record, stack.world.rig, stack.nominal_rig)
     conditions = judge_conditions(config, measured, record.faults, judgement.sim_s)
@@ -55,7 +51,7 @@ def make_result(
         scene=config.scene,
         seed=config.seed,
         estimator=config.estimator,
-        **code,
+        **_parts(config),
         profile=config.profile,
         preset=config.preset,
         wind_kmh=config.wind.mean_kmh,
@@ -84,11 +80,19 @@ def make_result(
 
 
 def _parts(config: Config) -> dict[str, Any]:
-    """The parts beside the estimator that are not those by default, and the code of external
-    ones."""
-    others = other_parts(config)
-    code = {kind: imported_code(name) for kind, name in external_parts(config) if kind in others}
-    told = {"parts": PartNames(**others)} if others else {}
+    """The parts beside the estimator that are not those by default, and the code of all that is
+    from outside."""
+    others, external = other_parts(config), dict(external_parts(config))
+    told: dict[str, Any] = {"parts": PartNames(**others)} if others else {}
+    own_place = names_function(config.scene)
+    if not (external or own_place):
+        return told
+    from touchdown.experiments.external.loading import flown_code, imported_code
+
+    told |= flown_code(config.estimator)
+    if own_place:
+        told["scene_sha"] = imported_code(config.scene)
+    code = {kind: imported_code(name) for kind, name in external.items() if kind in others}
     return told | ({"parts_sha": PartNames(**code)} if code else {})
 
 

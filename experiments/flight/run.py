@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.errors import UsageError, input_message
-from touchdown.experiments.external.wrapper import ExternalPartError
+from touchdown.experiments.errors import ExternalPartError, UsageError, input_message
 from touchdown.experiments.flight.estimator_calibration import check_calibration
 from touchdown.experiments.flight.inactive_faults import inactive_faults
 from touchdown.experiments.flight.loop import run_flight
@@ -31,7 +30,7 @@ from touchdown.experiments.flight.wiring import (
     check_estimator_name,
 )
 from touchdown.experiments.io.results import RunResult
-from touchdown.experiments.io.run_directory import check_out_dir, run_directory
+from touchdown.experiments.io.run_directory import SENSORS_FILE, check_out_dir, run_directory
 from touchdown.experiments.recording.recorder import NullRecorder, Recorder
 from touchdown.experiments.recording.run_recorder import RunRecorder
 from touchdown.landing.api import LandingParams
@@ -128,10 +127,12 @@ def _warn_of_inactive_faults(config: Config, stack: FlightStack) -> None:
 
 
 def _sensor_log(folder: Path, stack: FlightStack) -> SensorLog:
-    from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
+    from touchdown.experiments.io.sensor_log import SensorLog
 
     shared = stack.mapper.needs | stack.lander.needs
-    return SensorLog(folder / FILE_NAME, stack.nominal_rig, stack.estimator.needs | shared, shared)
+    return SensorLog(
+        folder / SENSORS_FILE, stack.nominal_rig, stack.estimator.needs | shared, shared
+    )
 
 
 def fly_and_judge(

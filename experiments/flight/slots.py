@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from touchdown.controller.api import ControllerRig
 from touchdown.estimator.api import MapperRig
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import external_parts, params_of
-from touchdown.experiments.external.loading import check_external
-from touchdown.experiments.external.wrapper import ExternalPart
 from touchdown.landing.api import (
     ClassifierRig,
     GroundClassifier,
@@ -24,7 +22,8 @@ from touchdown.landing.selection.selector import select_sites
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.sim.api import SensorRig
 
-_Part = TypeVar("_Part")
+if TYPE_CHECKING:
+    from touchdown.experiments.external.wrapper import ExternalPart
 
 
 def _selector_rig(config: Config, sensors: SensorRig) -> SelectorRig:
@@ -91,24 +90,27 @@ def external_name(config: Config, kind: str) -> str | None:
 def external_part(
     config: Config,
     kind: str,
-    make: Callable[[str, Mapping[str, Any], Any], _Part],
     sensors: SensorRig,
     rig: Any = None,
-) -> _Part | None:
+) -> Any:
     """The part from outside in a slot, built with ``rig`` or else with that of `RIGS`; None where
     `external_name` is."""
     name = external_name(config, kind)
     if name is None:
         return None
-    return make(name, params_of(config, kind), rig or RIGS[kind](config, sensors))
+    from touchdown.experiments.external.parts import PARTS
+
+    return PARTS[kind](name, params_of(config, kind), rig or RIGS[kind](config, sensors))
 
 
 def external_of(*built: Any) -> tuple[ExternalPart, ...]:
     """The external parts among ``built``."""
-    return tuple(one.part for one in built if isinstance(getattr(one, "part", None), ExternalPart))
+    return tuple(one.part for one in built if hasattr(one, "part"))
 
 
 def check_parts_available(config: Config) -> None:
     """Raises UsageError unless all external parts import; `wiring` knows the estimators' names."""
     for kind, name in external_parts(config):
+        from touchdown.experiments.external.loading import check_external
+
         check_external(name, kind)

@@ -14,18 +14,8 @@ from touchdown.controller.api import Controller
 from touchdown.estimator.api import Estimator, Mapper
 from touchdown.experiments.config.keys import hint_for_value
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.config.slots import PX4, params_of
+from touchdown.experiments.config.slots import PX4, SLOTS, names_code, params_of
 from touchdown.experiments.errors import UsageError, nearest
-from touchdown.experiments.external.loading import check_external, is_external
-from touchdown.experiments.external.parts import (
-    ExternalClassifier,
-    ExternalController,
-    ExternalLander,
-    ExternalMapper,
-    ExternalSelector,
-)
-from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalPart
-from touchdown.experiments.flight.bias_injection import BiasedEstimator
 from touchdown.experiments.flight.estimator_calibration import nominal_rig
 from touchdown.experiments.flight.slots import (
     external_name,
@@ -41,6 +31,7 @@ from touchdown.sim.effects import WorldRecord
 from touchdown.sim.files.opening import no_file
 
 if TYPE_CHECKING:
+    from touchdown.experiments.external.wrapper import ExternalPart
     from touchdown.experiments.px4.autopilot import Px4Autopilot
     from touchdown.landing.classification.onboard import OnnxGroundClassifier
 
@@ -127,14 +118,14 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     try:
         rig = nominal_rig(world.rig, config)
         own_estimator = make_estimator(rig, world.truth)
-        selector = external_part(config, "selector", ExternalSelector, rig)
-        controller = external_part(config, "controller", ExternalController, rig)
-        own_classifier = external_part(config, "classifier", ExternalClassifier, rig)
-        own_mapper = external_part(config, "mapper", ExternalMapper, rig)
+        selector = external_part(config, "selector", rig)
+        controller = external_part(config, "controller", rig)
+        own_classifier = external_part(config, "classifier", rig)
+        own_mapper = external_part(config, "mapper", rig)
         classifier = own_classifier or network
         select = None if selector is None else selector.select
         own_lander = external_part(
-            config, "lander", ExternalLander, rig, lander_rig(config, rig, select, classifier)
+            config, "lander", rig, lander_rig(config, rig, select, classifier)
         )
         autopilot = _autopilot(config, rig)
     except ValueError:
@@ -263,7 +254,11 @@ def build_estimator(config: Config, rig: SensorRig) -> Estimator:
 
 
 def _biased(estimator: Estimator, config: Config) -> Estimator:
-    return BiasedEstimator(estimator, config.bias) if any(config.bias.xy_m) else estimator
+    if not any(config.bias.xy_m):
+        return estimator
+    from touchdown.experiments.flight.bias_injection import BiasedEstimator
+
+    return BiasedEstimator(estimator, config.bias)
 
 
 _EstimatorFactory = Callable[[SensorRig, Callable[[], Truth]], Estimator]
@@ -331,7 +326,7 @@ ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {
 def check_estimator_name(name: str) -> None:
     """Raises UsageError, naming the nearest estimator, unless ``name`` is a known estimator or has
     the form MODULE:FUNCTION. Imports nothing; `check_estimator_available` does."""
-    if name not in ESTIMATORS and not is_external(name):
+    if name not in ESTIMATORS and not names_code(SLOTS["estimator"], name):
         known = ", ".join(ESTIMATORS)
         raise UsageError(
             f"unknown estimator '{name}'{hint_for_value('estimator', name, ESTIMATORS)}; "
@@ -342,7 +337,9 @@ def check_estimator_name(name: str) -> None:
 def check_estimator_available(name: str) -> None:
     """Raises UsageError unless ``name`` is a known estimator or an external one that imports."""
     check_estimator_name(name)
-    if is_external(name):
+    if name not in ESTIMATORS:
+        from touchdown.experiments.external.loading import check_external
+
         check_external(name)
 
 
@@ -350,6 +347,8 @@ def _estimator_factory(config: Config) -> _EstimatorFactory:
     check_estimator_name(config.estimator)
     if config.estimator in ESTIMATORS:
         return ESTIMATORS[config.estimator](config)
+    from touchdown.experiments.external.wrapper import ExternalEstimator
+
     return lambda rig, _truth: ExternalEstimator(
         config.estimator, params_of(config, "estimator"), rig
     )

@@ -21,9 +21,10 @@ from touchdown.scenes.api import short_name
 _PARTIAL = re.compile(r"\.(?P<name>.+?)\.partial-(?:(?P<host>.+)\.)?(?P<process>\d+)")
 """Names of unfinished files and folders: of what they become, and the machine and the process that
 write them."""
+SENSORS_FILE = "sensors.mcap"
 RUN_FILES = frozenset({
     "classes.png", "config.json", "costmap.png", "estimate.tum", "flight.rrd", "map.ply",
-    "odometry.tum", "px4.log", "px4.ulg", "reference.tum", "result.json", "sensors.mcap",
+    "odometry.tum", "px4.log", "px4.ulg", "reference.tum", "result.json", SENSORS_FILE,
     "truth.tum",
 })  # fmt: skip
 """Names of all files that a flight or a replay writes into its run directory."""
@@ -114,11 +115,9 @@ def check_log_kept(out_dir: Path, *, logs: bool, force: bool) -> None:
     be what other commands count on. ``logs``: the new run writes one."""
     if force or logs:
         return
-    from touchdown.experiments.io.sensor_log import FILE_NAME
-
-    if (out_dir / FILE_NAME).is_file():
+    if (out_dir / SENSORS_FILE).is_file():
         raise UsageError(
-            f"'{out_dir}' holds {FILE_NAME}, and this run would replace it without one; name "
+            f"'{out_dir}' holds {SENSORS_FILE}, and this run would replace it without one; name "
             "another directory with --out, or give --force"
         )
 

@@ -22,8 +22,6 @@ from touchdown.experiments.io.dataclass_json import to_plain
 from touchdown.experiments.io.message_log import MessageLog
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 
-FILE_NAME = "sensors.mcap"
-"""of the log in a run directory"""
 FORMAT = "1"
 METADATA = "touchdown"
 """name of the record that holds the rig and what was sensed"""

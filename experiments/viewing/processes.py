@@ -53,13 +53,11 @@ class LiveView:
 
 
 @contextlib.contextmanager
-def live_viewer(target: str | None) -> Iterator[LiveView | None]:
+def live_viewer(target: str) -> Iterator[LiveView]:
     """Opens the viewer for a flight: ``window``, ``web`` (a page on this machine), ``auto`` (a
-    window where there is a display), or the address of a viewer that runs. None: no viewer.
+    window where there is a display), or the address of a viewer that runs.
     Raises UsageError where none can be reached."""
-    if target is None:
-        yield None
-    elif target == "window" or (target == "auto" and has_display()):
+    if target == "window" or (target == "auto" and has_display()):
         yield LiveView(_spawned())
     elif target in ("web", "auto"):
         command, page, data = web_viewer()

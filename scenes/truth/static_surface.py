@@ -14,8 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Array, Scene
-from touchdown.scenes.compose import VEHICLE_BODY, VEHICLE_GROUP
+from touchdown.scenes.api import VEHICLE_BODY, VEHICLE_GROUP, Array, Scene
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.quadrics import ShapeTable
 from touchdown.sim.geometry.ray_target import RayTarget, geom_pose

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from touchdown.scenes.api import ImportOptions, Scene
-from touchdown.scenes.compose import VEHICLE_BODY, load_scene
+from touchdown.scenes.api import VEHICLE_BODY, ImportOptions, Scene
+from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth.raycast import cast_down
 
 FLOOR = '<geom name="lawn" type="plane" size="40 40 1"/>'

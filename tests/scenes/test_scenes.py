@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
+from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, VEHICLE_BODY, Scene
 from touchdown.scenes.authoring import ground
 from touchdown.scenes.authoring.relief import HeightField
-from touchdown.scenes.compose import START_GAP_M, VEHICLE_BODY, load_scene, spec_of_scene
+from touchdown.scenes.compose import START_GAP_M, load_scene, spec_of_scene
 from touchdown.scenes.export import export_spec
 from touchdown.scenes.places.crossroad.layout import ROAD_DEPTH_M
 from touchdown.scenes.registry import scene_names

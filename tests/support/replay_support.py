@@ -9,7 +9,8 @@ import numpy as np
 
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
-from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
+from touchdown.experiments.io.run_directory import SENSORS_FILE
+from touchdown.experiments.io.sensor_log import SensorLog
 from touchdown.experiments.io.tum import TumWriter
 from touchdown.sim.api import SensorNeeds
 from touchdown.sim.frames import Pose
@@ -28,7 +29,7 @@ def make_run(
     rig = synthetic_rig()
     run.mkdir(parents=True)
     stream = SyntheticStream(rig, needs, seconds)
-    log = SensorLog(run / FILE_NAME, rig, needs, shared)
+    log = SensorLog(run / SENSORS_FILE, rig, needs, shared)
     writers = [TumWriter(run / f"{name}.tum") for name in ("truth", "estimate")]
     for obs in stream:
         log.add(obs)

@@ -16,12 +16,12 @@ from touchdown.experiments.campaign.directory import check_external_code
 from touchdown.experiments.campaign.results_table import make_row, write_table
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import dump_config
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import ExternalPartError, UsageError
 from touchdown.experiments.external.conformance import TURN_RAD, check_estimator
 from touchdown.experiments.external.conformance_twist import twist_fault
 from touchdown.experiments.external.loading import code_now, external_builder, flown_code
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
-from touchdown.experiments.external.wrapper import ExternalEstimator, ExternalPartError
+from touchdown.experiments.external.wrapper import ExternalEstimator
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.wiring import ESTIMATORS, build_estimator
 from touchdown.experiments.io.results import load_result

@@ -15,7 +15,7 @@ from touchdown.experiments.campaign.directory import check_external_code, parts_
 from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.config.slots import SLOTS, other_parts, params_of
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import ExternalPartError, UsageError
 from touchdown.experiments.external.examine import (
     RULES,
     examine,
@@ -37,7 +37,7 @@ from touchdown.experiments.external.synthetic_world import (
     hovering,
     synthetic_map,
 )
-from touchdown.experiments.external.wrapper import LONGEST_CALL_S, ExternalPartError, slowness
+from touchdown.experiments.external.wrapper import LONGEST_CALL_S, slowness
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.slots import RIGS
 from touchdown.experiments.reporting.regression.baseline import cells_of

@@ -12,7 +12,7 @@ import pytest
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import open_run, replay, replay_config, seen_by
-from touchdown.experiments.io.sensor_log import FILE_NAME
+from touchdown.experiments.io.run_directory import SENSORS_FILE
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import read_tum
 from touchdown.sim.api import Observation, SensorNeeds
@@ -124,7 +124,7 @@ def test_an_estimator_sees_what_its_own_flight_would_show(tmp_path: Path) -> Non
     path = make_run(
         tmp_path / "rich", seconds=0.7, needs=everything, shared=SensorNeeds(lidar=True)
     )
-    reader = SensorLogReader(path / FILE_NAME)
+    reader = SensorLogReader(path / SENSORS_FILE)
 
     def seen(**needs: Any) -> list[Observation]:
         return list(seen_by(SensorNeeds(**needs), reader))
@@ -205,7 +205,7 @@ def test_wrong_directories_are_one_line(run: Path, tmp_path: Path, run_cli: RunC
         code, _, err = run_cli(*arguments)
         assert code == 2 and words in err and err.count("\n") == 1, err
     silent = make_run(tmp_path / "silent", seconds=0.3)
-    (silent / FILE_NAME).unlink()
+    (silent / SENSORS_FILE).unlink()
     with pytest.raises(UsageError, match="--log-sensors"):
         replay(silent, replay_config(silent))
     (silent / "truth.tum").write_text("one two\n")
@@ -239,7 +239,7 @@ def test_a_flight_is_repeated_to_the_byte_by_its_own_log(tmp_path: Path, run_cli
     )  # fmt: skip
     assert code == 0
     result = json.loads(out)
-    size_mb = (flown / FILE_NAME).stat().st_size / 1e6
+    size_mb = (flown / SENSORS_FILE).stat().st_size / 1e6
     assert size_mb / result["timing"]["sim_s"] <= 15.0
     code, out, _ = run_cli("fly", "--replay", flown, "--out", again, "--quiet", "--json")
     assert code == 0

@@ -14,8 +14,8 @@ from touchdown.experiments.flight.referee import Referee
 from touchdown.experiments.flight.truth_lookup import TruthLookup, stands_on_truth
 from touchdown.experiments.io.results import Landing
 from touchdown.landing.api import Phase
-from touchdown.scenes.api import MovingBody, Scene
-from touchdown.scenes.compose import VEHICLE_BODY, load_scene
+from touchdown.scenes.api import VEHICLE_BODY, MovingBody, Scene
+from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth import static_surface
 from touchdown.sim.airframe.contacts import ContactSensor
 from touchdown.sim.api import Contact

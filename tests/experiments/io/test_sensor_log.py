@@ -13,7 +13,8 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.experiments.io.dataclass_json import from_plain, to_plain
 from touchdown.experiments.io.ros2_messages import stamp_ns, tick_ns
-from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
+from touchdown.experiments.io.run_directory import SENSORS_FILE
+from touchdown.experiments.io.sensor_log import SensorLog
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds
 
@@ -54,7 +55,7 @@ def stream() -> list[Observation]:
 
 @pytest.fixture(scope="module")
 def log(stream: list[Observation], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_log(tmp_path_factory.mktemp("log") / FILE_NAME, stream)
+    return write_log(tmp_path_factory.mktemp("log") / SENSORS_FILE, stream)
 
 
 def test_observations_are_read_back_bit_equal_repeatedly(
@@ -98,7 +99,7 @@ def test_faulty_messages_are_read_back_unchanged(tmp_path: Path) -> None:
         ),
         Observation(tick=159, time_s=0.265, rotor_speed_radps=np.zeros(4), battery_fraction=0.3),
     ]  # fmt: skip
-    back = list(SensorLogReader(write_log(tmp_path / FILE_NAME, stream)))
+    back = list(SensorLogReader(write_log(tmp_path / SENSORS_FILE, stream)))
     assert all(same(one, other) for one, other in zip(back, stream, strict=True))
 
 
@@ -143,7 +144,7 @@ def test_invalid_files_are_one_clear_line(tmp_path: Path, log: Path) -> None:
 
 
 def test_memory_is_bounded_by_writing_as_it_goes(tmp_path: Path, stream: list[Observation]) -> None:
-    path = tmp_path / FILE_NAME
+    path = tmp_path / SENSORS_FILE
     log = SensorLog(path, synthetic_rig(), ALL)
     for _ in range(8):
         for obs in stream:

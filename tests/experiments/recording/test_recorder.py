@@ -9,7 +9,8 @@ import pytest
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import GridMap, MapView, PoseTrack
 from touchdown.experiments.drawing.map_images import map_points
-from touchdown.experiments.io.sensor_log import FILE_NAME, SensorLog
+from touchdown.experiments.io.run_directory import SENSORS_FILE
+from touchdown.experiments.io.sensor_log import SensorLog
 from touchdown.experiments.io.tum import TumWriter, read_tum
 from touchdown.experiments.recording import rerun_scene
 from touchdown.experiments.recording.recorder import StepRecord
@@ -232,7 +233,7 @@ def test_run_directory_holds_all_files(tmp_path: Path, scene: Scene, rig: Sensor
 def test_with_sensors_the_odometry_is_kept_apart(
     tmp_path: Path, scene: Scene, rig: SensorRig
 ) -> None:
-    log = SensorLog(tmp_path / FILE_NAME, rig, SensorNeeds(lidar=True))
+    log = SensorLog(tmp_path / SENSORS_FILE, rig, SensorNeeds(lidar=True))
     _fly(RunRecorder(tmp_path, scene, rig, load_config(record=False), log), steps=100)
     odometry, estimate = ((tmp_path / f"{name}.tum") for name in ("odometry", "estimate"))
     assert odometry.read_bytes() == estimate.read_bytes()  # its frame is the world's
