@@ -7,8 +7,8 @@ from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.places.forest import layout
 from touchdown.scenes.places.forest.layout import draw_plan
+from touchdown.scenes.places.turf import level_pools
 from touchdown.scenes.places.turf.airfield import fuselage_mesh
-from touchdown.scenes.places.turf.generate import level_pools
 from touchdown.scenes.props.tree_shapes import canopy_mesh, conifer_mesh, lathe
 from touchdown.scenes.truth.maps import truth_maps
 

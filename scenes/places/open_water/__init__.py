@@ -1,1 +1,359 @@
-"""Open water around a raft, a pontoon or an islet: the only ground to land on."""
+"""`open_water`: a level sheet of 256 x 256 m around the only ground to land on: a raft, a pontoon
+or an islet, by the seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import mujoco
+import numpy as np
+
+from touchdown.scenes.api import Array, GroundRaster, Image, Surface
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture
+from touchdown.scenes.authoring.draft import SceneDraft
+from touchdown.scenes.authoring.generation import Takeoff, finish, scene_rng, start_scene
+from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
+from touchdown.scenes.authoring.light import bake_light, ground_texture
+from touchdown.scenes.authoring.meshes import MeshData, box, polygon
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import draw_heading, pick, unit
+from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep, write_hfield
+from touchdown.scenes.authoring.textures import to_texture
+from touchdown.scenes.authoring.water import (
+    WATER_REFLECTIVITY,
+    Float32,
+    WaterLook,
+    flood_raster,
+    lay_water,
+    upsample,
+    varied,
+)
+from touchdown.scenes.props.boats import add_boat, add_boat_models, add_buoy, add_sailing_boat
+from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, plant_nursery
+from touchdown.scenes.props.waterside import PILE, Deck, add_deck, add_pile, planks
+
+CONCRETE = Surface(land_class="path", reflectivity=0.36)
+FREEBOARD_M = 0.45
+"""Of both kinds of deck."""
+
+
+def place_raft(builder: SceneBuilder) -> None:
+    """Adds a bathing raft of boards on drums, a flagpole at a corner, a rowing boat alongside."""
+    rng = builder.rng
+    size = (float(rng.uniform(6.4, 8.0)), float(rng.uniform(6.0, 7.0)))
+    deck = Deck(
+        centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size, top_m=0.0
+    )
+    tone = rng.uniform(0.85, 1.15)
+    add_deck(builder, deck, planks(rng, size, 128.0, (168.0 * tone, 140.0 * tone, 108.0 * tone)))
+    builder.claim(np.zeros(2), 0.75 * max(size))
+    x, y = 0.5 * size[0], 0.5 * size[1]
+    for side in (-1.0, 1.0):
+        along = side * (y - 0.35)
+        ends = deck.points(np.array([[-x + 0.2, along], [x - 0.2, along]]))
+        builder.geom("drum", PILE, capsule=0.33, rgba=[0.16, 0.24, 0.36, 1],
+                     fromto=[*ends[0], -0.5, *ends[1], -0.5])  # fmt: skip
+    _flagpole(builder, deck.points(np.array([[x - 0.25, y - 0.25]]))[0])
+    _ladder(builder, deck, -x)
+    model = add_boat_models(builder, 1)[0]
+    spot = deck.points(np.array([[0.8, -y - 1.1]]))[0]
+    add_boat(builder, model, spot, deck.angle + rng.uniform(-0.06, 0.06))
+
+
+def place_pontoon(builder: SceneBuilder) -> None:
+    """Adds a concrete work pontoon with a painted circle, bollards, a rail and crates."""
+    rng = builder.rng
+    size = (float(rng.uniform(9.0, 12.0)), float(rng.uniform(6.2, 7.4)))
+    deck = Deck(centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size,
+                top_m=0.0, thick_m=0.9)  # fmt: skip
+    add_deck(builder, deck, _concrete(rng, size), CONCRETE)
+    builder.claim(np.zeros(2), 0.7 * max(size))
+    x, y = 0.5 * size[0], 0.5 * size[1]
+    corners = deck.points(np.array([[sx * (x - 0.3), sy * (y - 0.3)]
+                                    for sx in (-1, 1) for sy in (-1, 1)]))  # fmt: skip
+    for corner in corners:
+        builder.geom("bollard", PILE, type=GEOM.mjGEOM_CYLINDER, size=[0.12, 0.2, 0],
+                     pos=[*corner, 0.18], rgba=[0.80, 0.64, 0.12, 1])  # fmt: skip
+        _square_shadow(builder, corner, 0.12, 0.0, 0.36)
+    side = -1.0 if rng.random() < 0.5 else 1.0
+    posts = deck.points(
+        np.array([[side * (x - 0.1), t] for t in np.linspace(-y + 0.8, y - 0.8, 4)])
+    )
+    for post in posts:
+        builder.geom("rail_post", PILE, capsule=0.03,
+                     fromto=[*post, 0.0, *post, 1.05], rgba=[0.86, 0.86, 0.84, 1])  # fmt: skip
+        _square_shadow(builder, post, 0.03, 0.0, 1.05)
+    for height in (0.55, 1.05):
+        builder.geom("rail", PILE, capsule=0.025, fromto=[*posts[0], height, *posts[-1], height],
+                     rgba=[0.86, 0.86, 0.84, 1])  # fmt: skip
+    for index in range(int(rng.integers(1, 4))):
+        spot = deck.points(np.array([[-side * (x - 0.8), -y + 1.0 + 1.3 * index]]))[0]
+        half = rng.uniform([0.35, 0.3, 0.25], [0.5, 0.45, 0.45])
+        builder.geom("crate", PILE, box=half, pos=[*spot, half[2]],
+                     heading=deck.angle + rng.uniform(-0.3, 0.3),
+                     rgba=[0.30, 0.36 + 0.08 * index, 0.46, 1])  # fmt: skip
+
+
+def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Image:
+    """Slabs with joints and rust, a yellow edge and a white ring in the middle."""
+    px = 96.0
+    width, height = (round(s * px) for s in size_m)
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32) / px
+    tone = 150.0 + 7.0 * fractal_noise(rng, (height, width), 1.2 * px, 4, 0.6)
+    tone += 5.0 * rng.standard_normal((height, width), dtype=np.float32)
+    pitch = size_m[0] / round(size_m[0] / 2.5)
+    tone[((x % pitch) < 0.025) | (np.abs(y - 0.5 * size_m[1]) < 0.012)] *= 0.6
+    image = tone[..., None] * np.array([1.0, 0.985, 0.955], np.float32)
+    rust = np.clip(fractal_noise(rng, (height, width), 0.7 * px, 4, 0.6) - 1.5, 0.0, 0.8)
+    image += rust[..., None] * (np.array([132.0, 84.0, 56.0], np.float32) - image)
+    edge = np.minimum(np.minimum(x, size_m[0] - x), np.minimum(y, size_m[1] - y))
+    worn = fractal_noise(rng, (height, width), 0.15 * px, 3, 0.6) > -1.1
+    image[(edge > 0.12) & (edge < 0.27) & worn] = (206.0, 170.0, 48.0)
+    ring = np.abs(np.hypot(x - 0.5 * size_m[0], y - 0.5 * size_m[1]) - 1.9) < 0.1
+    image[ring & worn] = (224.0, 224.0, 220.0)
+    return to_texture(image)
+
+
+def _flagpole(builder: SceneBuilder, xy_m: Array) -> None:
+    builder.geom("flagpole", PILE, cylinder=0.03,
+                 fromto=[*xy_m, 0.0, *xy_m, 2.8], rgba=[0.92, 0.92, 0.92, 1])  # fmt: skip
+    turn = draw_heading(builder.rng)
+    flag = xy_m + 0.38 * unit(turn)
+    builder.geom("flag", PILE, box=[0.36, 0.01, 0.22], pos=[*flag, 2.55],
+                 heading=turn, rgba=[0.86, 0.16, 0.12, 1])  # fmt: skip
+    _square_shadow(builder, xy_m, 0.03, 0.0, 2.8)
+
+
+def _ladder(builder: SceneBuilder, deck: Deck, x: float) -> None:
+    """Two bent tubes over the edge at ``x`` of the deck."""
+    for y in (-0.25, 0.25):
+        foot = deck.points(np.array([[x - 0.05, y]]))[0]
+        builder.geom("ladder", PILE, capsule=0.025,
+                     fromto=[*foot, -0.9, *foot, 0.75], rgba=[0.75, 0.77, 0.78, 1])  # fmt: skip
+
+
+def _square_shadow(
+    builder: SceneBuilder, xy_m: Array, half_m: float, low_m: float, top_m: float
+) -> None:
+    corners = [[sx * half_m, sy * half_m, z] for sx in (-1, 1) for sy in (-1, 1)
+               for z in (low_m, top_m)]  # fmt: skip
+    builder.cast(np.array([*xy_m, 0.0]) + np.array(corners))
+
+
+ISLET_HALF_M = 16.0
+ISLET_NODES = 97
+ISLET_TEXELS = 1280
+_SUNK_M = 0.2
+"""The height field ends this far below the water, the bed goes on in the texture alone."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Islet:
+    """An islet about the origin."""
+
+    terrain: HeightField
+    """sunk to `_SUNK_M` below the water at the rim"""
+    shore_m: Array
+    """(N, N) metres from the waterline at its nodes, negative in the water"""
+    level_m: float
+
+
+def shape_islet(rng: np.random.Generator) -> Islet:
+    """Returns sand that rises out of the water to a grassy hump; the height at the origin is 0."""
+    flat = HeightField(heights_m=np.zeros((ISLET_NODES, ISLET_NODES)), half_m=ISLET_HALF_M)
+    x, y = flat.node_grid()
+    order = np.arange(2, 6)
+    amplitude = rng.uniform(0.3, 1.0, 4) * np.array([0.16, 0.08, 0.05, 0.04])
+    phase = rng.uniform(0.0, 2.0 * np.pi, 4)
+    turn = np.arctan2(y, x)
+    outline = rng.uniform(7.0, 8.8) * (
+        1.0 + np.cos(np.multiply.outer(turn, order) + phase) @ amplitude
+    )
+    ragged = 0.3 * fractal_noise(rng, x.shape, 3.0 / flat.cell_m, 3).astype(np.float64)
+    shore = outline - np.hypot(x, y) + ragged
+    hump = rng.uniform(0.5, 0.75) * smoothstep(0.0, 5.0, shore) + 0.05 * np.maximum(shore, 0.0)
+    lumps = 0.05 * fractal_noise(rng, x.shape, 2.0 / flat.cell_m, 2).astype(np.float64)
+    land = hump + lumps * smoothstep(1.0, 3.0, shore)
+    heights = np.where(shore > 0.0, land, np.maximum(0.16 * shore, -_SUNK_M))
+    level = -float(HeightField(heights_m=heights, half_m=ISLET_HALF_M).point(0.0, 0.0))
+    terrain = level_takeoff(heights, ISLET_HALF_M, np.zeros(2))
+    return Islet(terrain=terrain, shore_m=shore, level_m=level)
+
+
+def bed_depth(islet: Islet, size: int, half_m: float) -> Float32:
+    """(size, size) depth of the water over a square of +-half_m about the islet, row 0 at y_min:
+    shallows that fall off to 7 m."""
+    inner = round(size * ISLET_HALF_M / half_m)
+    shore = np.full((size, size), -40.0, np.float32)
+    first = (size - inner) // 2
+    shore[first : first + inner, first : first + inner] = upsample(islet.shore_m, inner)
+    axis = (np.arange(size) + 0.5) / size * 2.0 * half_m - half_m
+    reach = np.hypot(*np.meshgrid(axis, axis)).astype(np.float32)
+    out = np.where(shore > -30.0, -shore, reach - 8.0)
+    out = np.where(reach > ISLET_HALF_M - 4.0, np.maximum(out, reach - 8.5), out)
+    out = cv2.GaussianBlur(out.astype(np.float32), (0, 0), 1.5)
+    far = smoothstep(3.0, 16.0, np.asarray(out, np.float64))
+    return np.asarray(0.16 * np.minimum(out, 6.0) + 6.0 * far, np.float32)
+
+
+def add_islet(builder: SceneBuilder, islet: Islet) -> GroundRaster:
+    """Adds the islet with its texture, after all objects that cast a shadow on it."""
+    spec, rng = builder.spec, builder.rng
+    spec.add_texture(name="islet", type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
+    canvas = Canvas.of_size(ISLET_HALF_M, ISLET_TEXELS)
+    shore = upsample(islet.shore_m, ISLET_TEXELS)
+    fray = fractal_noise(rng, shore.shape, 60.0, 4, 0.6)
+    canvas.material[:] = int(Ground.BEACH)
+    canvas.material[shore > 2.1 + 0.35 * fray] = int(Ground.MEADOW)
+    canvas.material[(shore > 3.0 + 0.5 * fray) & (fray > -0.5)] = int(Ground.LAWN)
+    canvas.material[(shore < 0.7) & (fray > 0.7)] = int(Ground.GRAVEL)
+    local = replace(builder, terrain=islet.terrain)
+    shade = ground_texture(local, canvas, dict.fromkeys(Ground, float(rng.uniform(0, 3))))
+    texture = np.empty((*canvas.material.shape, 3), np.uint8)
+    shade(texture)
+    # The strand is wet up to a hand's breadth above the water.
+    wet = np.clip(1.0 - shore / 0.6, 0.0, 1.0)[::-1, :, None]
+    texture[:] = (texture * (1.0 - 0.34 * wet)).astype(np.uint8)
+    fill_texture(spec.texture("islet"), texture)
+    depth = upsample(islet.level_m - islet.terrain.heights_m, ISLET_TEXELS)
+    return flood_raster(canvas.raster("islet"), depth)
+
+
+def place_islet(builder: SceneBuilder, islet: Islet) -> None:
+    """Adds the height field and, around a clear middle, bushes, rocks and a beacon."""
+    spec, rng = builder.spec, builder.rng
+    material = spec.add_material(name="islet", specular=0.0, shininess=0.0)
+    textures = list(material.textures)
+    textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "islet"
+    material.textures = textures
+    spec.add_hfield(name="islet", nrow=ISLET_NODES, ncol=ISLET_NODES, size=[1.0, 1.0, 1.0, 1.0])
+    surface = Surface(land_class="field", reflectivity=0.42)
+    builder.surfaces["islet"] = surface
+    spec.worldbody.add_geom(
+        name="islet", type=GEOM.mjGEOM_HFIELD, hfieldname="islet", material="islet"
+    )
+    write_hfield(spec, "islet", "islet", islet.terrain, base_m=0.3)
+    builder.claim(np.zeros(2), 3.2)
+    nursery: Nursery = plant_nursery(builder)
+    shore = HeightField(heights_m=islet.shore_m, half_m=ISLET_HALF_M)
+    wanted = {"bush": int(rng.integers(2, 5)), "rock": int(rng.integers(7, 12)), "beacon": 1}
+    ranges = {"bush": (1.6, 4.5), "rock": (-1.2, 1.2), "beacon": (1.0, 3.5)}
+    for what, count in wanted.items():
+        for _ in range(60 * count):
+            spot = rng.uniform(-11.0, 11.0, 2)
+            low, high = ranges[what]
+            if count and low < float(shore.at(spot)) < high and builder.is_free(spot, 0.9):
+                count -= 1
+                if what == "bush":
+                    add_bush(builder, nursery, spot)
+                elif what == "rock":
+                    add_rock(builder, spot, rng.uniform(0.25, 0.7))
+                else:
+                    add_beacon(builder, spot)
+
+
+def add_beacon(builder: SceneBuilder, xy_m: Array) -> None:
+    """Adds a mast of 4.5 m with a striped board."""
+    z = builder.terrain.point(*xy_m)
+    add_pile(builder, xy_m, z + 4.5, 0.07)
+    for index, rgba in enumerate(([0.85, 0.12, 0.10, 1], [0.95, 0.95, 0.93, 1])):
+        builder.geom("beacon_board", Surface(land_class="other", reflectivity=0.5), box=[0.04, 0.4,
+                     0.3], pos=[*xy_m, z + 4.2 - 0.6 * index], rgba=rgba)  # fmt: skip
+    builder.claim(xy_m, 0.8)
+
+
+HALF_M = 128.0
+KINDS = ("islet", "raft", "pontoon")
+_NODES = 257
+_DEPTH_PX = TEXELS // 4
+_SAND = np.array([198.0, 182.0, 146.0], np.float32)
+
+
+def generate(seed: int) -> SceneDraft:
+    """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
+    rng = scene_rng("open_water", seed)
+    kind = pick(rng, KINDS)
+    islet = shape_islet(rng) if kind == "islet" else None
+    level = islet.level_m if islet else -FREEBOARD_M
+    builder = start_scene("open_water", rng, _surface(level, islet))
+    if islet:
+        place_islet(builder, islet)
+    elif kind == "raft":
+        place_raft(builder)
+    else:
+        place_pontoon(builder)
+    _place_boats(builder)
+    ground = add_islet(builder, islet) if islet else None
+    if islet:
+        depth = bed_depth(islet, _DEPTH_PX, HALF_M)
+    else:
+        depth = np.full((_DEPTH_PX, _DEPTH_PX), 7.0, np.float32)
+    _spread_water(builder, level, depth)
+    plan = Takeoff(takeoff_xy_m=np.zeros(2), takeoff_yaw=float(rng.uniform(-np.pi, np.pi)))
+    return finish(plan, builder, ground)
+
+
+def _surface(level_m: float, islet: Islet | None) -> HeightField:
+    """Surface below all objects: the water, and the islet where it is higher."""
+    heights = np.full((_NODES, _NODES), level_m)
+    terrain = HeightField(heights_m=heights, half_m=HALF_M)
+    if islet is not None:
+        xy = np.stack(terrain.node_grid(), axis=-1)
+        near = (np.abs(xy) < islet.terrain.half_m).all(axis=-1)
+        heights[near] = np.maximum(islet.terrain.at(xy[near]), level_m)
+    return terrain
+
+
+def _place_boats(builder: SceneBuilder) -> None:
+    """Adds yachts at anchor and fairway buoys, none within 70 m: the survey sees nothing but water
+    once the take-off spot is out of view."""
+    rng = builder.rng
+    wanted = int(rng.integers(3, 6))
+    spots: list[Array] = []
+    while len(spots) < wanted + 4:
+        spot = rng.uniform(-HALF_M + 8.0, HALF_M - 8.0, 2)
+        if np.hypot(*spot) > 85.0 and builder.is_free(spot, 9.0):
+            builder.claim(spot, 5.0)
+            spots.append(spot)
+    wind = rng.uniform(0.0, 2.0 * np.pi)
+    for spot in spots[:wanted]:
+        add_sailing_boat(builder, spot, wind + rng.uniform(-0.25, 0.25))
+    for index, spot in enumerate(spots[wanted:]):
+        colour = [0.82, 0.13, 0.10, 1] if index % 2 else [0.10, 0.48, 0.22, 1]
+        add_buoy(builder, spot, 0.55, colour)
+
+
+def _spread_water(builder: SceneBuilder, level_m: float, depth: Float32) -> None:
+    """The sheet and its texture, after all objects that cast a shadow on it."""
+    spec, rng = builder.spec, builder.rng
+    top = HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
+    uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    below = box((HALF_M, HALF_M, 0.25), (0.0, 0.0, -0.252), 1e3)
+    mesh = builder.mesh("water", MeshData.join([polygon(top, uv), below]))
+    water = Surface(land_class="water", reflectivity=WATER_REFLECTIVITY, water=True)
+    builder.geom("water", water, mesh=mesh, material="water", pos=[0.0, 0.0, level_m])
+    light = bake_light(builder.casters, builder.terrain, builder.sun, TEXELS // 2, ambient=0.50)
+    bed = fractal_noise(rng, (_DEPTH_PX, _DEPTH_PX), 20.0, 4, 0.6)
+    coarse = np.clip(_SAND * (1.0 + 0.08 * bed[..., None]), 0.0, 255.0).astype(np.uint8)
+    image = np.asarray(cv2.resize(coarse, (TEXELS, TEXELS)), np.uint8)
+    lay_water(rng, image, depth, HALF_M, varied(draw_look(rng)), builder.sun)
+    # A shadow takes the sun from the water's body but leaves the mirrored sky.
+    dim = (0.35 + 0.65 * light) / (0.35 + 0.65 * light.max())
+    shade = cv2.resize((255.0 * dim[::-1]).astype(np.uint8), (TEXELS, TEXELS))
+    for channel in range(3):
+        image[..., channel] = cv2.multiply(image[..., channel], shade, scale=1.0 / 255.0)
+    fill_texture(spec.texture("water"), image)
+
+
+def draw_look(rng: np.random.Generator) -> WaterLook:
+    """Returns the look of blue, green or grey water with waves of some metres."""
+    colours = np.array([[18.0, 66.0, 96.0], [22.0, 80.0, 84.0], [46.0, 76.0, 88.0]])
+    red, green, blue = rng.dirichlet(np.ones(3)) @ colours
+    return WaterLook(
+        body=(red, green, blue),
+        clarity_m=(0.7, 1.5, 1.4),
+        wave_m=float(rng.uniform(2.5, 5.0)),
+        ripple=float(rng.uniform(0.45, 0.75)),
+        wind_angle=draw_heading(rng),
+    )
