@@ -96,7 +96,7 @@ class ImportOptions:
     """How a scene from a file is made flyable (`scenes.importers.import_pass`)."""
 
     classes: str = ""
-    """file of classes (`scenes.importers.given_classes`) that overrules names and guesses"""
+    """file of classes (`scenes.importers.classes`) that overrules names and guesses"""
 
 
 DETAILS: tuple[str, ...] = (

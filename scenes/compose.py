@@ -20,8 +20,7 @@ from touchdown.scenes.api import (
     Scene,
 )
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.light import light_file
-from touchdown.scenes.authoring.sky import lit_by, set_sky
+from touchdown.scenes.authoring.light import light_file, lit_by, set_sky
 from touchdown.scenes.registry import scene_generator
 
 VEHICLE_XML = Path(__file__).parent / "vehicle" / "quadrotor.xml"

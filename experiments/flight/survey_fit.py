@@ -17,7 +17,7 @@ from touchdown.landing.api import SurveyParams
 from touchdown.scenes.api import Scene
 
 if TYPE_CHECKING:
-    from touchdown.scenes.truth.scene_facts import SurveyGround
+    from touchdown.scenes.truth.survey_facts import SurveyGround
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -76,7 +76,7 @@ def fit_survey(config: Config, scene: Scene) -> Fit | None:
     half of the pictures and scans are empty, and an estimate moves by up to a metre."""
     if not _may_fit(config, scene):
         return None
-    from touchdown.scenes.truth.scene_facts import survey_ground
+    from touchdown.scenes.truth.survey_facts import survey_ground
 
     survey = config.survey
     width = survey.legs * survey.leg_spacing_m

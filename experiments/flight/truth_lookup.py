@@ -36,7 +36,7 @@ class TruthLookup:
 
     def surface_points(self, xy: Array, radius_m: float) -> Array:
         """(N, 3) points of the true surface on a grid of 5 cm in the disc around ``xy``."""
-        from touchdown.scenes.truth.raycast import cast_down
+        from touchdown.scenes.truth.static_surface import cast_down
 
         cell = 0.05
         cells = int(radius_m / cell)
@@ -53,7 +53,7 @@ class TruthLookup:
         surface around them, moving bodies left out; positive above it, infinite where the truth map
         has no surface, None without such a contact. A point between the lowest and the highest
         surface within 2 cm has none."""
-        from touchdown.scenes.truth.raycast import cast_points
+        from touchdown.scenes.truth.static_surface import cast_points
 
         points = [
             contact.point_world

@@ -13,8 +13,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.survey_fit import CLEARANCE_M, GROUND_FRACTION, Fit, fit_survey
 from touchdown.experiments.scene_tools.render import load_configured_scene
 from touchdown.landing.api import SurveyParams
-from touchdown.scenes.truth.scene_facts import scene_facts
-from touchdown.scenes.truth.survey_facts import survey_facts
+from touchdown.scenes.truth.survey_facts import scene_facts, survey_facts
 
 STEP_M = 1.0
 """Height difference of the take-off spot to the ground around it that gives a remark"""
@@ -28,7 +27,7 @@ def check_scene_file(
     """Builds the scene of an MJCF file once and checks the requirements of the configured survey.
 
     ``place``: the file; ``problems``: reasons why it cannot be flown, one sentence each;
-    ``remarks``: probable mistakes; ``facts``: `scenes.truth.scene_facts.SceneFacts` and the safe
+    ``remarks``: probable mistakes; ``facts``: `scenes.truth.survey_facts.SceneFacts` and the safe
     ground of `scenes.truth.survey_facts.SurveyFacts`. Raises UsageError for a file that cannot be
     read.
     """

@@ -12,8 +12,7 @@ from touchdown.scenes.authoring.meshes import MeshData, boxes, polygon
 from touchdown.scenes.authoring.plane import pick, unit, unit_circle
 from touchdown.scenes.authoring.textures import planks
 from touchdown.scenes.props.houses import gable_roof_mesh, wall_mesh
-from touchdown.scenes.props.street import STEEL, WOOD
-from touchdown.scenes.props.wires import add_post, add_wire
+from touchdown.scenes.props.street import STEEL, WOOD, add_post, add_wire
 
 SHED = Surface(land_class="building", reflectivity=0.38)
 GLASS = Surface(land_class="building", reflectivity=0.12)

@@ -11,8 +11,7 @@ from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.meshes import box, plate
 from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.props.garden import CLOTH
-from touchdown.scenes.props.street import WOOD
-from touchdown.scenes.props.wires import add_post, add_wire
+from touchdown.scenes.props.street import WOOD, add_post, add_wire
 
 NET = Surface(land_class="other", reflectivity=0.35, porosity=0.7)
 _STEEL_RGBA = [0.80, 0.26, 0.18, 1.0]

@@ -17,8 +17,7 @@ from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.streets import KERB
 from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.props.garden import CLOTH, drum
-from touchdown.scenes.props.street import WOOD
-from touchdown.scenes.props.wires import add_post
+from touchdown.scenes.props.street import WOOD, add_post
 
 WATER = Surface(land_class="water", reflectivity=0.03, water=True)
 COVER = Surface(land_class="water", reflectivity=0.32)

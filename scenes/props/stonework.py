@@ -14,8 +14,7 @@ from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import left_of, unit_circle
 from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.props.garden import drum, plank_material
-from touchdown.scenes.props.street import WOOD
-from touchdown.scenes.props.wires import add_post, add_wire
+from touchdown.scenes.props.street import WOOD, add_post, add_wire
 
 STONE = Surface(land_class="building", reflectivity=0.33)
 FLEECE = Surface(land_class="other", reflectivity=0.60)

@@ -1,10 +1,12 @@
-"""Reeds, decks on piles, and objects of a shore."""
+"""Reeds, decks on piles, boats, buoys and objects of a shore."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array, Image, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder, quat_z, turned
@@ -187,3 +189,176 @@ def add_molehill(builder: SceneBuilder, xy_m: Array) -> None:
     builder.geom("field_molehill", EARTH, ellipsoid=half, pos=at,
                  rgba=[tone, 0.78 * tone, 0.58 * tone, 1])  # fmt: skip
     builder.claim(xy_m, 0.4)
+
+
+BOAT = Surface(land_class="other", reflectivity=0.40)
+BUOY = Surface(land_class="other", reflectivity=0.45)
+PAINTS: tuple[Colour, ...] = ((196.0, 52.0, 44.0), (232.0, 232.0, 226.0), (40.0, 92.0, 150.0),
+              (54.0, 116.0, 92.0), (226.0, 172.0, 60.0), (120.0, 88.0, 62.0))  # fmt: skip
+_BEAM = np.array([0.72, 0.86, 0.96, 1.0, 0.98, 0.90, 0.74, 0.46, 0.05])
+"""Half width at stations from the stern to the bow, as a share of the greatest."""
+_OUTSIDE, _INSIDE = 0.05, 0.45
+"""Where a texture's skin and boards begin, as a share of its height."""
+
+
+def hull_mesh(length_m: float, width_m: float, rim_m: float, decked: bool) -> MeshData:
+    """Returns a round hull, bow along x: open with three thwarts, or ``decked`` over."""
+    share = np.linspace(0.0, 1.0, len(_BEAM))
+    x = (share - 0.5) * length_m
+    half = 0.5 * width_m * _BEAM
+    rim = rim_m * (1.0 + 0.55 * share**3)
+    keel = -0.16 + (0.16 + 0.4 * rim_m) * share**7
+    skin = _section(x, [half, 0.74 * half, 0.0 * half], [rim, keel + 0.07, keel])
+    parts = _loft(skin[:, ::-1], _OUTSIDE, length_m)
+    stern = skin[0]
+    parts.append(polygon(stern, _board_uv(stern[:, 1], stern[:, 2], _OUTSIDE)))
+    if decked:
+        lid = _section(x, [half], [rim])
+        parts += _loft(lid, _INSIDE, length_m)
+        return MeshData.join(parts)
+    inner = np.maximum(half - 0.06, 0.005)
+    floor = np.minimum(np.maximum(keel + 0.1, 0.04), rim - 0.06)
+    well = _section(x, [inner, 0.7 * inner], [rim, floor])
+    parts += _loft(well, _INSIDE, length_m)
+    for left, right in ((skin[:, 0], well[:, 0]), (well[:, -1], skin[:, -1])):
+        parts += _loft(np.stack([left, right], axis=1), 0.9, length_m)
+    parts.append(polygon(well[0, ::-1], _board_uv(well[0, ::-1, 1], well[0, ::-1, 2], _INSIDE)))
+    for at in (0.18, 0.45, 0.72):
+        beam = 0.5 * width_m * float(np.interp(at, share, _BEAM)) - 0.05
+        centre = np.array([(at - 0.5) * length_m, 0.0, 0.78 * rim_m])
+        seat = box(np.array([0.13, beam, 0.02]), centre)
+        uv = np.column_stack([seat.uv[:, 0], np.full(len(seat.uv), 0.93)])
+        parts.append(MeshData(vertices=seat.vertices, faces=seat.faces, uv=uv))
+    return MeshData.join(parts)
+
+
+def _section(x: Array, halves: list[Array], heights: list[Array]) -> Array:
+    """(S, K, 3) stations of points from the left rim over the keel to the right rim."""
+    left = [np.stack([x, h, z], axis=-1) for h, z in zip(halves, heights, strict=True)]
+    right = [points * [1.0, -1.0, 1.0] for points in left if points[:, 1].any()]
+    return np.stack([*left, *right[::-1]], axis=1)
+
+
+def _board_uv(along: Array, across: Array, first: float) -> Array:
+    """Texture coordinates of a band of the texture that begins at ``first`` of its height."""
+    return np.stack([0.5 * along, first + 0.08 + 0.15 * np.clip(across + 0.5, 0.0, 2.0)], axis=-1)
+
+
+def _loft(stations: Array, first: float, length_m: float) -> list[MeshData]:
+    """Quads between neighbouring stations; the points run from the left to the
+    right of what faces up."""
+    parts = []
+    across = np.linspace(0.02, 0.36, stations.shape[1])
+    if first > 0.8:
+        across = np.full(stations.shape[1], 0.05)
+    for one, two in pairwise(stations):
+        for k in range(stations.shape[1] - 1):
+            corners = np.array([one[k], one[k + 1], two[k + 1], two[k]])
+            v = first + across[[k, k + 1, k + 1, k]]
+            parts.append(polygon(corners, np.stack([corners[:, 0] / length_m + 0.5, v], axis=-1)))
+    return parts
+
+
+def boat_texture(rng: np.random.Generator, paint: Colour, decked: bool) -> NDArray[np.uint8]:
+    """(256, 256, 3): painted strakes above, boards of the inside or the deck below, rim at the
+    foot."""
+    rows, cols = np.mgrid[0:256, 0:256] / 256.0
+    image = np.empty((256, 256, 3), np.float32)
+    image[:] = np.array(paint, np.float32)
+    image *= np.where((rows * 28.0) % 1.0 < 0.16, 0.72, 1.0)[..., None]
+    wood = np.array((222.0, 214.0, 196.0) if decked else (164.0, 124.0, 82.0), np.float32)
+    boards = (rows > _INSIDE) & (rows < 0.88)
+    tone = 1.0 + 0.12 * np.sin(np.floor(rows * 48.0) * 12.9)
+    tone *= np.where((rows * 48.0) % 1.0 < 0.14, 0.6, 1.0)
+    tone *= np.where(np.abs((cols * 9.0) % 1.0 - 0.5) < 0.05, 0.8 if not decked else 1.0, 1.0)
+    image[boards] = (tone[..., None] * wood)[boards].astype(np.float32)
+    image[rows >= 0.88] = (202.0, 176.0, 132.0)
+    image *= 1.0 + 0.07 * fractal_noise(rng, (256, 256), 40.0, 4)[..., None]
+    return to_texture(image)
+
+
+def add_boat_models(builder: SceneBuilder, count: int) -> list[tuple[str, str, float]]:
+    """``count`` differing rowing boats: (mesh, material, length in metres)."""
+    models = []
+    paints = builder.rng.permutation(len(PAINTS))
+    for index in range(count):
+        length = float(builder.rng.uniform(3.4, 4.8))
+        mesh = builder.mesh(f"boat_{index}", hull_mesh(length, 0.36 * length, 0.36, False))
+        paint = PAINTS[int(paints[index % len(PAINTS)])]
+        image = boat_texture(builder.rng, paint, False)
+        models.append((mesh, builder.material(f"boat_paint_{index}", image, 0.1), length))
+    return models
+
+
+def add_boat(
+    builder: SceneBuilder,
+    model: tuple[str, str, float],
+    xy_m: Array,
+    heading: float,
+    upturned: bool = False,
+) -> None:
+    """Adds a rowing boat afloat, or upturned on the ground."""
+    mesh, material, length = model
+    z = builder.terrain.point(*xy_m) + (0.38 if upturned else 0.0)
+    origin = np.array([*xy_m, z])
+    half = 0.5 * heading
+    # Upturned: half a turn about the boat's long axis first.
+    quat = [0.0, np.cos(half), np.sin(half), 0.0] if upturned else quat_z(heading)
+    builder.geom("boat", BOAT, mesh=mesh, material=material, pos=origin, quat=quat)
+    outline = np.stack([(np.linspace(0, 1, len(_BEAM)) - 0.5) * length, 0.18 * length * _BEAM], -1)
+    both = np.concatenate([outline, outline * [1.0, -1.0]])
+    top = np.column_stack([both, np.full(len(both), 0.1 if upturned else 0.36)])
+    builder.cast(turned(top, heading, origin), 0.9)
+    builder.claim(xy_m, 0.5 * length + 0.4)
+
+
+def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
+    """Adds a small yacht at anchor, sails furled: cabin, mast of 8 m, boom, stays."""
+    rng = builder.rng
+    name = builder.unique("yacht")
+    length = float(rng.uniform(6.2, 8.0))
+    paint = PAINTS[int(rng.integers(1, 4))]
+    material = builder.material(name, boat_texture(rng, paint, True), 0.2)
+    mesh = builder.mesh(name, hull_mesh(length, 0.33 * length, 0.72, True))
+    origin = builder.on_ground(xy_m)
+    pose = {"pos": origin, "heading": heading}
+    builder.geom("boat", BOAT, mesh=mesh, material=material, **pose)
+
+    def at(x: float, y: float, z: float) -> Array:
+        return turned(np.array([[x, y, z]]), heading, origin)[0]
+
+    builder.geom("boat_cabin", BOAT, box=[0.15 * length, 0.10 * length, 0.2], rgba=[0.93, 0.92,
+                 0.88, 1], pos=at(0.03 * length, 0, 0.95), heading=heading)  # fmt: skip
+    builder.geom("boat_cockpit", BOAT, box=[0.12 * length, 0.08 * length, 0.02], rgba=[0.42, 0.31,
+                 0.22, 1], pos=at(-0.27 * length, 0, 0.77), heading=heading)  # fmt: skip
+    mast, tip, stern = at(0.12 * length, 0, 0.7), at(0.12 * length, 0, 8.0), (-0.34 * length)
+    bow = at(0.47 * length, 0, 1.1)
+    boom = at(0.1 * length, 0, 1.75), at(stern, 0, 1.75)
+    lines = (
+        (mast, tip, 0.06, [0.80, 0.80, 0.82, 1]),
+        (bow, tip, 0.015, [0.5, 0.5, 0.52, 1]),
+        (*boom, 0.13, [0.92, 0.90, 0.84, 1]),
+    )
+    for start, end, radius, rgba in lines:
+        builder.geom("boat_mast", BOAT, fromto=[*start, *end], capsule=radius, rgba=rgba)
+        spread = np.array([[radius, 0, 0], [-radius, 0, 0], [0, radius, 0]])
+        builder.cast(np.concatenate([start + spread, end + spread]))
+    outline = np.stack([(np.linspace(0, 1, len(_BEAM)) - 0.5) * length, 0.165 * length * _BEAM], -1)
+    both = np.concatenate([outline, outline * [1.0, -1.0]])
+    builder.cast(turned(np.column_stack([both, np.full(len(both), 0.75)]), heading, origin), 0.95)
+    builder.claim(xy_m, 0.5 * length + 1.0)
+
+
+def add_buoy(builder: SceneBuilder, xy_m: Array, radius_m: float, rgba: list[float]) -> None:
+    """Adds a ball that floats half out of the water; large ones carry a pole with a topmark."""
+    z = builder.terrain.point(*xy_m)
+    at = np.array([*xy_m, z + 0.3 * radius_m])
+    builder.geom("buoy", BUOY, ball=radius_m, pos=at, rgba=rgba)
+    turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
+    ring = radius_m * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
+    builder.cast(np.concatenate([at + ring, at + [[0.0, 0.0, radius_m]]]), 0.9)
+    if radius_m > 0.35:
+        builder.geom("buoy_pole", BUOY, cylinder=0.05, rgba=rgba,
+                     fromto=[*at, *(at + [0.0, 0.0, 2.3])])  # fmt: skip
+        builder.geom("buoy_mark", BUOY, box=[0.2, 0.2, 0.2], rgba=rgba, pos=at + [0.0, 0.0, 2.4])
+    builder.claim(xy_m, radius_m + 0.3)

@@ -20,7 +20,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, SAFE_CLASSES, Array, Scene, TruthMaps
-from touchdown.scenes.truth.raycast import bare_ground, cast_down, class_ids, raise_thin_things
+from touchdown.scenes.truth.static_surface import (
+    bare_ground,
+    cast_down,
+    class_ids,
+    raise_thin_things,
+)
 
 SLOPE_RADIUS_M = 0.5
 PAD_RADIUS_M = 1.0

@@ -1,4 +1,5 @@
-"""Safe area in view of a survey, and the difference between two seeds of a scene."""
+"""Facts that decide if a survey can be flown over a scene: take-off spot, ground, obstacles,
+classes, safe area in view; and the difference between two seeds of a scene."""
 
 from __future__ import annotations
 
@@ -8,10 +9,146 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from touchdown.scenes.api import Scene
+from touchdown.scenes.api import LAND_CLASSES, Array, Scene
 from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.maps import truth_maps
-from touchdown.scenes.truth.raycast import cast_down, class_ids
+from touchdown.scenes.truth.static_surface import cast_down, class_ids
+
+CELL_M = 0.5
+_AROUND_M = (4.0, 12.0)
+"""distances from the take-off spot between which the surrounding ground is sampled"""
+_CLEAR_OF_LEGS_M = 3.0
+"""objects this near to the legs' rectangle count as obstacles"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SceneFacts:
+    """Facts of one scene for one survey."""
+
+    takeoff_xy_m: tuple[float, float]
+    takeoff_yaw_deg: float
+    origin_m: tuple[float, float, float]
+    """of the world's origin in the coordinates of the scene's file"""
+    takeoff_geom: str
+    """geom below the vehicle"""
+    takeoff_class: str
+    """its land class, or ``other``"""
+    takeoff_above_m: float
+    """height above the surrounding ground (median)"""
+    legs_share: float
+    """share of the legs' rectangle with ground below"""
+    seen_share: float
+    """the same for the area in view of the sensors"""
+    highest_m: float
+    """the highest object within `_CLEAR_OF_LEGS_M` of that rectangle, above the take-off spot"""
+    without_class: tuple[str, ...]
+    """names of geoms that count as ``other``"""
+    guessed: tuple[tuple[str, str, str], ...]
+    """name, class and reason of geoms whose class is guessed"""
+    dressed: tuple[str, ...]
+    """names of geoms of featureless ground that were given texture and relief"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SurveyGround:
+    """Ground around a take-off spot, in its axes."""
+
+    local: Array
+    """(rows, cols, 2) metres along and to the left of the take-off heading"""
+    height_m: Array
+    """(rows, cols) above the take-off spot; NaN where there is none"""
+
+    def share(self, length_m: float, width_m: float) -> float:
+        """Share of the legs' rectangle with ground below."""
+        inside = _distance_from_box(self.local, length_m, width_m) == 0.0
+        return float(np.isfinite(self.height_m[inside]).mean())
+
+    def turns_share(self, length_m: float, legs: int, spacing_m: float, room_m: float) -> float:
+        """Share of the turns with ground below: half circles, ``room_m`` wider than they are flown,
+        at the far end of the first leg, at the near end of the second, and so on."""
+        along, left = np.moveaxis(self.local, -1, 0)
+        inside = np.zeros(along.shape, bool)
+        for turn in range(legs - 1):
+            beyond = -along if turn % 2 else along - length_m
+            aside = left - (turn + 0.5) * spacing_m
+            inside |= (beyond > 0.0) & (np.hypot(beyond, aside) <= 0.5 * spacing_m + room_m)
+        return float(np.isfinite(self.height_m[inside]).mean()) if inside.any() else 1.0
+
+    def highest_m(self, length_m: float, width_m: float) -> float:
+        """The highest object within 3 m of that rectangle, above the take-off spot."""
+        near = _distance_from_box(self.local, length_m, width_m) <= _CLEAR_OF_LEGS_M
+        return float(np.nanmax(self.height_m[near]))
+
+
+def survey_ground(scene: Scene, length_m: float, width_m: float) -> SurveyGround:
+    """Samples the ground below legs of up to ``length_m`` that cover up to ``width_m``."""
+    local, heights, _ = _around_the_legs(scene, np.array([length_m, width_m]), _AROUND_M[1])
+    start = np.argmin(np.hypot(*np.moveaxis(local, -1, 0)))
+    return SurveyGround(local=local, height_m=heights - float(heights.flat[start]))
+
+
+def scene_facts(
+    scene: Scene, length_m: float, width_m: float, reach_ahead_m: float, reach_aside_m: float
+) -> SceneFacts:
+    """Samples a scene around legs of ``length_m`` along the take-off heading that start at the
+    take-off spot and cover ``width_m`` to the left of it, with a sensor that reaches
+    ``reach_ahead_m`` fore and aft and ``reach_aside_m`` to both sides."""
+    local, heights, geoms = _around_the_legs(
+        scene, np.array([length_m, width_m]), max(reach_ahead_m, reach_aside_m, _AROUND_M[1])
+    )
+    far = _distance_from_box(local, length_m, width_m)
+    ground = np.isfinite(heights)
+    seen = (np.abs(local[..., 0] - 0.5 * length_m) <= 0.5 * length_m + reach_ahead_m) & (
+        np.abs(local[..., 1] - 0.5 * width_m) <= 0.5 * width_m + reach_aside_m
+    )
+    start = np.argmin(np.hypot(*np.moveaxis(local, -1, 0)))
+    level = float(heights.flat[start])
+    distance = np.hypot(local[..., 0], local[..., 1])
+    around = ground & (distance >= _AROUND_M[0]) & (distance <= _AROUND_M[1])
+    name = scene.model.geom(int(geoms.flat[start])).name
+    x, y = scene.takeoff_xy_m.tolist()
+    return SceneFacts(
+        takeoff_xy_m=(x, y),
+        takeoff_yaw_deg=float(np.rad2deg(scene.takeoff_yaw)),
+        origin_m=(*scene.origin_m.tolist(),),
+        takeoff_geom=name,
+        takeoff_class=scene.surfaces[name].land_class if name in scene.surfaces else "other",
+        takeoff_above_m=level - float(np.median(heights[around])) if around.any() else 0.0,
+        legs_share=float(ground[far == 0.0].mean()),
+        seen_share=float(ground[seen].mean()),
+        highest_m=float(heights[ground & (far <= _CLEAR_OF_LEGS_M)].max()) - level,
+        without_class=tuple(
+            geom for geom, surface in scene.surfaces.items()
+            if surface.land_class not in LAND_CLASSES
+        ),
+        guessed=tuple((geom, *found) for geom, found in scene.inferred.items()),
+        dressed=scene.textured,
+    )  # fmt: skip
+
+
+def _around_the_legs(
+    scene: Scene, size_m: Array, margin_m: float
+) -> tuple[Array, Array, NDArray[np.int32]]:
+    """Cells around the legs' rectangle, one with its centre on the take-off spot: (rows, cols, 2)
+    coordinates along and to the left of the take-off heading, heights and geoms."""
+    c, s = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]) * size_m
+    world = corners @ np.array([[c, s], [-s, c]])
+    before = np.ceil((margin_m - world.min(axis=0)) / CELL_M).astype(int)
+    after = np.ceil((margin_m + world.max(axis=0)) / CELL_M).astype(int)
+    cols, rows = before + after + 1
+    origin = scene.takeoff_xy_m - (before + 0.5) * CELL_M
+    heights, geoms = cast_down(scene, origin, CELL_M, (int(rows), int(cols)))
+    row, col = np.indices(heights.shape)
+    offset = np.stack([col - before[0], row - before[1]], axis=-1) * CELL_M
+    return np.stack([offset @ [c, s], offset @ [-s, c]], axis=-1), heights, geoms
+
+
+def _distance_from_box(local: Array, length_m: float, width_m: float) -> Array:
+    """(rows, cols) metres from the rectangle of the legs, 0 inside."""
+    beyond = np.maximum(-local, local - [length_m, width_m]).max(axis=-1)
+    return np.maximum(beyond, 0.0)
+
 
 TRUTH_CELL_M = 0.2
 LAYOUT_CELL_M = 0.5

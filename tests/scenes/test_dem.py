@@ -17,7 +17,7 @@ from touchdown.scenes.compose import load_scene
 from touchdown.scenes.importers.dem import import_dem
 from touchdown.scenes.importers.geotiff import METRES_PER_DEGREE, read_heights
 from touchdown.scenes.truth.maps import judge_touchdown
-from touchdown.scenes.truth.raycast import cast_down
+from touchdown.scenes.truth.static_surface import cast_down
 
 from support.command import Says
 

@@ -10,9 +10,16 @@ from numpy.random import default_rng
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import LIGHT_LUX, Light
-from touchdown.scenes.authoring import sky
 from touchdown.scenes.authoring.builder import Caster
-from touchdown.scenes.authoring.light import bake_light, draw_sun
+from touchdown.scenes.authoring.light import (
+    DUSK_SUN_DEG,
+    DUSK_SUN_SHARE,
+    bake_light,
+    draw_sun,
+    light_in_shadow,
+    lit_by,
+    sun_shines,
+)
 from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.compose import load_scene
 
@@ -35,7 +42,7 @@ def suns() -> dict[Light, tuple[mujoco.MjSpec, NDArray[np.float64], float]]:
     drawn: dict[Light, tuple[mujoco.MjSpec, NDArray[np.float64], float]] = {}
     for light in LIGHTS:
         spec, rng = mujoco.MjSpec.from_string(FILE.replace("high", "sun")), default_rng(3)
-        with sky.lit_by(light):
+        with lit_by(light):
             drawn[light] = spec, draw_sun(rng, spec), rng.uniform()
     return drawn
 
@@ -54,7 +61,7 @@ def test_the_sun_of_each_light() -> None:
     assert grey.mean() == pytest.approx(-direction[2] * colour.mean(), rel=1e-3)
     np.testing.assert_allclose(made["overcast"][1], direction, atol=1e-6)
     low, red = lights["dusk"].dir, lights["dusk"].diffuse
-    assert np.rad2deg(np.arcsin(-low[2])) == pytest.approx(sky.DUSK_SUN_DEG, abs=0.01)
+    assert np.rad2deg(np.arcsin(-low[2])) == pytest.approx(DUSK_SUN_DEG, abs=0.01)
     assert low[0] * direction[1] == pytest.approx(low[1] * direction[0], abs=1e-6)
     assert red[0] > 1.5 * red[1] > 1.5 * red[2]
     assert not any(lamp.active for lamp in made["night"][0].lights)
@@ -74,14 +81,14 @@ def test_shadows_are_those_of_the_light() -> None:
     low = np.array([np.cos(0.2), 0.0, -np.sin(0.2)])
 
     def baked(light: Light, direction: NDArray[np.float64]) -> NDArray[np.float32]:
-        with sky.lit_by(light):
+        with lit_by(light):
             return bake_light([wall], terrain, direction, 256, 0.5)[128]
 
     place = {x: 128 + 4 * x for x in (3, 12, 25)}
     day, dusk = baked("day", sun), baked("dusk", low)
     assert day[place[3]] == pytest.approx(0.5, abs=0.03)
     assert day[place[12]] == pytest.approx(1.0, abs=0.01)
-    assert dusk[place[12]] == pytest.approx(1.0 - sky.DUSK_SUN_SHARE, abs=0.03)
+    assert dusk[place[12]] == pytest.approx(1.0 - DUSK_SUN_SHARE, abs=0.03)
     assert dusk[place[25]] == pytest.approx(1.0, abs=0.01)
     for light in ("overcast", "night"):
         even = baked(light, sun)  # type: ignore[arg-type]
@@ -101,19 +108,17 @@ def test_scenes_from_files_have_every_light(tmp_path: Path) -> None:
     assert active["fill"] == [True, False, False, False]
     assert active["lamp"] == [True, True, True, False]
     np.testing.assert_allclose(overcast.light("high").dir, [0.0, 0.0, -1.0], atol=1e-6)
-    assert -dusk.light("high").dir[2] == pytest.approx(
-        np.sin(np.deg2rad(sky.DUSK_SUN_DEG)), abs=1e-4
-    )
+    assert -dusk.light("high").dir[2] == pytest.approx(np.sin(np.deg2rad(DUSK_SUN_DEG)), abs=1e-4)
     skies = [m.tex_data[: 64 * 64 * 3].mean() for m in (day, overcast, dusk, night)]
     assert skies[3] < 0.3 * skies[0]
     assert len({round(float(s)) for s in skies}) == 4
 
 
 def test_the_light_ends_with_its_context() -> None:
-    with sky.lit_by("night"):
-        assert not sky.sun_shines()
-        with pytest.raises(ValueError, match="stop"), sky.lit_by("dusk"):
+    with lit_by("night"):
+        assert not sun_shines()
+        with pytest.raises(ValueError, match="stop"), lit_by("dusk"):
             raise ValueError("stop")
-        assert sky.light_in_shadow(0.5) == 1.0
-    assert sky.sun_shines()
-    assert sky.light_in_shadow(0.5) == 0.5
+        assert light_in_shadow(0.5) == 1.0
+    assert sun_shines()
+    assert light_in_shadow(0.5) == 0.5

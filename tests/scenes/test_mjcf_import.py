@@ -10,7 +10,7 @@ import pytest
 
 from touchdown.scenes.api import VEHICLE_BODY, ImportOptions, Scene
 from touchdown.scenes.compose import load_scene
-from touchdown.scenes.truth.raycast import cast_down
+from touchdown.scenes.truth.static_surface import cast_down
 
 FLOOR = '<geom name="lawn" type="plane" size="40 40 1"/>'
 TRIANGLES = "v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 2\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"

@@ -15,7 +15,7 @@ from touchdown.scenes.export import export_spec
 from touchdown.scenes.places.crossroad.layout import ROAD_DEPTH_M
 from touchdown.scenes.registry import scene_names
 from touchdown.scenes.truth.maps import judge_touchdown, point_slope_deg, truth_maps
-from touchdown.scenes.truth.raycast import cast_down
+from touchdown.scenes.truth.static_surface import cast_down
 
 from support.places import cached_scene
 

@@ -6,9 +6,17 @@ import pytest
 
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.micro_relief import NEUTRAL, MicroRelief, Ripples
+from touchdown.scenes.authoring.micro_relief import (
+    NEUTRAL,
+    SKIS,
+    MicroRelief,
+    Ripples,
+    footprints,
+    parallel,
+    runners,
+    wander,
+)
 from touchdown.scenes.authoring.relief import HeightField
-from touchdown.scenes.authoring.tracks import SKIS, footprints, parallel, runners, wander
 from touchdown.scenes.places import dunes
 from touchdown.scenes.places.snow import layout as snow
 from touchdown.scenes.truth.maps import judge_touchdown

@@ -13,7 +13,7 @@ from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.scenes.places.footbridge import bridge as bridge_layout
 from touchdown.scenes.places.rooftop_parking import deck as roof_layout
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
-from touchdown.scenes.truth.raycast import cast_down, class_ids
+from touchdown.scenes.truth.static_surface import cast_down, class_ids
 from touchdown.sim.airframe.ground_probe import GroundProbe
 from touchdown.sim.airframe.physics import settle_on_ground
 

@@ -11,7 +11,7 @@ from touchdown.scenes.api import LAND_CLASSES, Scene, TruthMaps
 from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.streets import STEP_M, Street, smooth_line
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
-from touchdown.scenes.truth.raycast import cast_down
+from touchdown.scenes.truth.static_surface import cast_down
 
 from support.places import cached_scene
 

@@ -9,7 +9,7 @@ from touchdown.scenes.places.forest import layout
 from touchdown.scenes.places.forest.layout import draw_plan
 from touchdown.scenes.places.turf import level_pools
 from touchdown.scenes.places.turf.airfield import fuselage_mesh
-from touchdown.scenes.props.tree_shapes import canopy_mesh, conifer_mesh, lathe
+from touchdown.scenes.props.woods import canopy_mesh, conifer_mesh, lathe
 from touchdown.scenes.truth.maps import truth_maps
 
 from support.places import cached_scene

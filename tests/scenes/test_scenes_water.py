@@ -6,7 +6,7 @@ import pytest
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.scenes.authoring.water import WaterLook, lay_water, upsample
 from touchdown.scenes.truth.maps import truth_maps
-from touchdown.scenes.truth.raycast import cast_down, class_ids
+from touchdown.scenes.truth.static_surface import cast_down, class_ids
 
 from support.places import cached_scene
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.scenes.importers.takeoff import takeoff_spot
-from touchdown.scenes.importers.top_view import CELL_M, TopView
+from touchdown.scenes.importers.top_view import CELL_M, TopView, takeoff_spot
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import pytest
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth.maps import judge_touchdown
-from touchdown.scenes.truth.raycast import cast_points
+from touchdown.scenes.truth.static_surface import cast_points
 
 from support.truth_rays import SingleRays
 

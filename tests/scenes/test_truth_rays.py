@@ -8,7 +8,7 @@ import pytest
 
 from touchdown.scenes.registry import scene_names
 from touchdown.scenes.truth.maps import truth_maps
-from touchdown.scenes.truth.raycast import cast_points
+from touchdown.scenes.truth.static_surface import cast_points
 
 from support.places import cached_scene
 from support.truth_rays import SingleRays

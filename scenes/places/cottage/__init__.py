@@ -60,8 +60,7 @@ from touchdown.scenes.props.stonework import (
     add_well,
     thatch,
 )
-from touchdown.scenes.props.street import add_bench, add_sign
-from touchdown.scenes.props.wires import add_line, add_wire
+from touchdown.scenes.props.street import add_bench, add_line, add_sign, add_wire
 
 HALF_M = 64.0
 VERGE_M = 0.8

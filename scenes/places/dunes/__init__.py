@@ -14,7 +14,14 @@ from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.meshes import MeshData, blob
-from touchdown.scenes.authoring.micro_relief import MicroRelief, Ripples
+from touchdown.scenes.authoring.micro_relief import (
+    MicroRelief,
+    Ripples,
+    footprints,
+    sidled,
+    vehicle_track,
+    wander,
+)
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import draw_heading, pick, unit
 from touchdown.scenes.authoring.plots import Plot, draw_frame
@@ -26,11 +33,10 @@ from touchdown.scenes.authoring.textures import (
     hedge_or_soil_tint,
     to_texture,
 )
-from touchdown.scenes.authoring.tracks import footprints, sidled, vehicle_track, wander
 from touchdown.scenes.authoring.water import upsample
-from touchdown.scenes.props.tree_shapes import canopy_mesh
+from touchdown.scenes.props.street import add_post
 from touchdown.scenes.props.waterside import reed_texture, tuft_mesh
-from touchdown.scenes.props.wires import add_post
+from touchdown.scenes.props.woods import canopy_mesh
 
 SCRUB = Surface(land_class="trees", reflectivity=0.36, porosity=0.30)
 TUFT = Surface(land_class="lawn", reflectivity=0.42, porosity=0.45)

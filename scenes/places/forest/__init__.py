@@ -25,7 +25,6 @@ from touchdown.scenes.places.forest.layout import (
 )
 from touchdown.scenes.props.plants import add_rock
 from touchdown.scenes.props.street import WOOD
-from touchdown.scenes.props.tree_shapes import joined, lathe
 from touchdown.scenes.props.woods import (
     LOG,
     TRUNKS_M,
@@ -37,6 +36,8 @@ from touchdown.scenes.props.woods import (
     add_shrub,
     add_stump,
     grow_wood,
+    joined,
+    lathe,
 )
 
 WATER = Surface(land_class="water", reflectivity=0.05, water=True)

@@ -56,8 +56,7 @@ from touchdown.scenes.props.playground import (
     add_slackline,
     add_swing,
 )
-from touchdown.scenes.props.street import add_bench, add_kerb, add_lamp
-from touchdown.scenes.props.wires import add_line, add_sagging_wire
+from touchdown.scenes.props.street import add_bench, add_kerb, add_lamp, add_line, add_sagging_wire
 
 HALF_M = 64.0
 ROAD_DEPTH_M, GUTTER_M = 0.12, 0.45

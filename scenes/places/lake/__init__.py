@@ -26,17 +26,20 @@ from touchdown.scenes.authoring.plane import draw_heading, unit
 from touchdown.scenes.authoring.plots import claim_free
 from touchdown.scenes.authoring.relief import HeightField, level_takeoff, natural_ground, smoothstep
 from touchdown.scenes.authoring.water import WaterLook, upsample
-from touchdown.scenes.props.boats import add_boat, add_boat_models, add_buoy, add_sailing_boat
 from touchdown.scenes.props.houses import House, add_house
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, add_tree, plant_nursery
 from touchdown.scenes.props.street import add_bench, add_bin, add_fence, add_sign
 from touchdown.scenes.props.waterside import (
     Deck,
+    add_boat,
+    add_boat_models,
+    add_buoy,
     add_deck,
     add_molehill,
     add_net,
     add_pile,
     add_reeds,
+    add_sailing_boat,
     grow_reeds,
     planks,
 )

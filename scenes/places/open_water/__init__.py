@@ -29,9 +29,18 @@ from touchdown.scenes.authoring.water import (
     upsample,
     varied,
 )
-from touchdown.scenes.props.boats import add_boat, add_boat_models, add_buoy, add_sailing_boat
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, plant_nursery
-from touchdown.scenes.props.waterside import PILE, Deck, add_deck, add_pile, planks
+from touchdown.scenes.props.waterside import (
+    PILE,
+    Deck,
+    add_boat,
+    add_boat_models,
+    add_buoy,
+    add_deck,
+    add_pile,
+    add_sailing_boat,
+    planks,
+)
 
 CONCRETE = Surface(land_class="path", reflectivity=0.36)
 FREEBOARD_M = 0.45

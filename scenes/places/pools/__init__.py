@@ -42,8 +42,14 @@ from touchdown.scenes.props.pools import (
     kidney_outline,
     rectangle_outline,
 )
-from touchdown.scenes.props.street import add_bench, add_bin, add_fence, add_lamp
-from touchdown.scenes.props.wires import add_post, add_wire
+from touchdown.scenes.props.street import (
+    add_bench,
+    add_bin,
+    add_fence,
+    add_lamp,
+    add_post,
+    add_wire,
+)
 
 Span = tuple[float, float]
 

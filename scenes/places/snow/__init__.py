@@ -8,14 +8,11 @@ import numpy as np
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
-from touchdown.scenes.authoring.micro_relief import MicroRelief
-from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.plane import unit
-from touchdown.scenes.authoring.relief import HeightField
-from touchdown.scenes.authoring.tracks import (
+from touchdown.scenes.authoring.micro_relief import (
     OVAL,
     SKIS,
     SLEDGE,
+    MicroRelief,
     footprints,
     parallel,
     placed,
@@ -23,6 +20,9 @@ from touchdown.scenes.authoring.tracks import (
     vehicle_track,
     wander,
 )
+from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.authoring.water import upsample
 from touchdown.scenes.places.snow.layout import (
     HALF_M,

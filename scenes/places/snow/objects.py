@@ -18,8 +18,18 @@ from touchdown.scenes.props.houses import House, HouseLooks, add_house
 from touchdown.scenes.props.plants import ROCK
 from touchdown.scenes.props.stonework import add_log_pile
 from touchdown.scenes.props.street import add_bench, add_fence
-from touchdown.scenes.props.tree_shapes import bark, canopy_mesh, conifer_mesh, lathe, needles
-from touchdown.scenes.props.woods import Crown, Wood, add_conifer, add_sapling, add_shrub
+from touchdown.scenes.props.woods import (
+    Crown,
+    Wood,
+    add_conifer,
+    add_sapling,
+    add_shrub,
+    bark,
+    canopy_mesh,
+    conifer_mesh,
+    lathe,
+    needles,
+)
 
 CAP = Surface(land_class="other", reflectivity=0.87)
 POLE = Surface(land_class="other", reflectivity=0.35)

@@ -22,8 +22,7 @@ from touchdown.scenes.authoring.relief import (
 from touchdown.scenes.places.turf.layout import HALF_M, furnish_path, stroke
 from touchdown.scenes.props.garden import add_table
 from touchdown.scenes.props.houses import House, add_house
-from touchdown.scenes.props.street import add_fence, add_lamp
-from touchdown.scenes.props.wires import add_post
+from touchdown.scenes.props.street import add_fence, add_lamp, add_post
 from touchdown.scenes.props.woods import Wood
 
 AIRCRAFT = Surface(land_class="other", reflectivity=0.55)

@@ -14,8 +14,7 @@ from touchdown.scenes.authoring.plots import Plot, SurveyFrame
 from touchdown.scenes.authoring.relief import smoothstep
 from touchdown.scenes.places.turf.layout import HALF_M, furnish_path, plant_one
 from touchdown.scenes.props.plants import add_rock
-from touchdown.scenes.props.street import WOOD, add_bench, add_bin
-from touchdown.scenes.props.wires import add_post
+from touchdown.scenes.props.street import WOOD, add_bench, add_bin, add_post
 from touchdown.scenes.props.woods import Wood
 
 _COARSE = 1280

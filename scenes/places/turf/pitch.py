@@ -15,8 +15,7 @@ from touchdown.scenes.authoring.plots import Plot, SurveyFrame
 from touchdown.scenes.authoring.relief import Ditch, dig_ditches, smoothstep
 from touchdown.scenes.places.turf.layout import arc, furnish_path, stroke
 from touchdown.scenes.props.playground import add_goal
-from touchdown.scenes.props.street import STEEL, WOOD
-from touchdown.scenes.props.wires import add_post
+from touchdown.scenes.props.street import STEEL, WOOD, add_post
 from touchdown.scenes.props.woods import Wood
 
 STAND = Surface(land_class="building", reflectivity=0.40)

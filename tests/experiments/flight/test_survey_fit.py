@@ -10,7 +10,7 @@ from touchdown.experiments.flight import survey_fit
 from touchdown.experiments.flight.survey_fit import fitted
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.landing.api import SurveyParams
-from touchdown.scenes.importers import takeoff
+from touchdown.scenes.importers import top_view as takeoff
 
 TAKEOFF = '<site name="takeoff" pos="0 0 0"/>'
 PLANE = f'<geom name="lawn" type="plane" size="0 0 1"/>{TAKEOFF}'

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.flight.wiring import low_sun
 from touchdown.scenes.api import LowSun, Scene
-from touchdown.scenes.authoring.light import air_mass, lower_sun, sun_colour
-from touchdown.scenes.authoring.sky import lit_by
+from touchdown.scenes.authoring.light import air_mass, lit_by, lower_sun, sun_colour
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import CameraParams, FaultParams, LidarParams, LidarScan
 from touchdown.sim.camera.degradations import (
