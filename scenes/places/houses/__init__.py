@@ -198,7 +198,8 @@ def paint_green(canvas: Canvas, green: Green, rng: np.random.Generator) -> None:
     canvas.fill(frame.rectangle((u - 8.5, u + 4.5), (v - 4.6, v + 4.6)), Ground.RUBBER)
     canvas.fill(frame.ring(u + 8.0, v, 3.4), Ground.SAND)
     # A kick-about field worn by feet.
-    for spot in (green.plan.takeoff_xy_m + rng.normal(0.0, 3.0, 2) for _ in range(3)):
+    for _ in range(3):
+        spot = green.plan.takeoff_xy_m + rng.normal(0.0, 3.0, 2)
         blot = rng.uniform(0.5, 1.1, 14)[:, None] * frame.ring(0.0, 0.0, 1.0, 14)
         canvas.fill(spot + blot, Ground.WORN)
 
@@ -241,9 +242,6 @@ def build_green(builder: SceneBuilder, green: Green, nursery: Nursery) -> None:
         spot = green.path_m[index] + 1.6 * unit(frame.away)
         if builder.is_free(spot, 0.0) or index:
             add_lamp(builder, spot, frame.away + np.pi, 4.0)
-
-
-LOOKS, CAR_MODELS = 6, 7
 
 
 def generate(seed: int) -> SceneDraft:
@@ -310,15 +308,15 @@ def place_objects(
     """Adds all objects and cars. Returns the moving cars."""
     rng = builder.rng
     nursery = plant_nursery(builder)
-    models = add_car_models(builder, CAR_MODELS)
-    looks = paint_house_looks(builder, [tiled_roof(rng, 11.0, 5.4) for _ in range(LOOKS)])
+    models = add_car_models(builder, 7)
+    looks = paint_house_looks(builder, [tiled_roof(rng, 11.0, 5.4) for _ in range(6)])
     builder.claim(plan.takeoff_xy_m, 6.0)
     homes = [home for row in rows for home in row]
     place_kerbs(builder, plan, homes)
     build_green(builder, green, nursery)
     order = rng.permutation(len(homes))
     for index, home in enumerate(homes):
-        build_home(builder, home, looks[int(order[index]) % LOOKS], nursery, models)
+        build_home(builder, home, looks[int(order[index]) % 6], nursery, models)
     for row in rows:
         for index, home in enumerate(row):
             fence_home(builder, home, nursery, index == 0)
@@ -406,12 +404,8 @@ def light_and_park(
 def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
     """Adds trees behind the gardens."""
     frame, rng = plan.frame, builder.rng
-    corners = (
-        ((-60.0, -18.0), (40.0, 60.0)),
-        ((34.0, 60.0), (40.0, 60.0)),
-        ((42.0, 60.0), (-60.0, -34.0)),
-    )
-    for u, v in corners:
+    north = 40.0, 60.0
+    for u, v in (((-60.0, -18.0), north), ((34.0, 60.0), north), ((42.0, 60.0), (-60.0, -34.0))):
         for spot in scatter(builder, frame, 1, u, v, 2.8):
             add_tree(builder, nursery, spot, rng.uniform(0.9, 1.25))
         for spot in scatter(builder, frame, 1, u, v, 2.0):
