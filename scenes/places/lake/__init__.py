@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from enum import IntEnum
-
 import cv2
 import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
 
 from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.builder import SceneBuilder
@@ -24,7 +19,7 @@ from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, unit
 from touchdown.scenes.authoring.plots import claim_free
-from touchdown.scenes.authoring.relief import HeightField, level_takeoff, natural_ground, smoothstep
+from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.lake.layout import HALF_M, Basin, Plan, Shore, draw_plan, shape_basin
 from touchdown.scenes.props.houses import House, add_house
