@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, Array, Scene
-from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.maps import truth_maps
 from touchdown.scenes.truth.static_surface import cast_down, class_ids
 
@@ -231,6 +230,8 @@ def survey_facts(
 
 def layout_rasters(scene: Scene) -> LayoutRasters:
     """Samples a scene at the resolution of the comparison."""
+    from touchdown.scenes.render import render_scene  # a landing needs none
+
     low, high = scene.bounds_xy_m
     cells = np.round((high - low) / LAYOUT_CELL_M).astype(int)
     heights, geoms = cast_down(scene, low, LAYOUT_CELL_M, (int(cells[1]), int(cells[0])))
