@@ -12,7 +12,7 @@ from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.plane import pick, unit
+from touchdown.scenes.authoring.plane import pick, unit, unit_circle
 from touchdown.scenes.authoring.plots import Plot, claim_area, scatter
 from touchdown.scenes.authoring.relief import (
     NODES,
@@ -118,8 +118,7 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     }
     small_u = middle["leisure"] + (13.5 if order.index("leisure") < 1 else -13.5)
     small_u = float(np.clip(small_u, -34.0, 34.0))
-    turn = np.linspace(0.0, 2.0 * np.pi, 28, endpoint=False)
-    round_ = 2.4 * unit(turn) + [small_u, v - 10.6]
+    round_ = 2.4 * unit_circle(28) + [small_u, v - 10.6]
     pools = (
         Pool(plot=frame, outline_m=outlines["lanes"], lanes=lanes),
         Pool(plot=frame, outline_m=outlines["leisure"]),
@@ -218,12 +217,8 @@ def _add_buildings(builder: SceneBuilder, plan: Plan) -> None:
               ridge_m=0.0))  # fmt: skip
     side = -1.0 if u > 0.0 else 1.0
     first = u + side * 17.0
-    tints = (
-        [0.80, 0.26, 0.20, 1],
-        [0.93, 0.80, 0.28, 1],
-        [0.22, 0.48, 0.70, 1],
-        [0.93, 0.92, 0.88, 1],
-    )
+    tints = ([0.80, 0.26, 0.20, 1], [0.93, 0.80, 0.28, 1], [0.22, 0.48, 0.70, 1],
+             [0.93, 0.92, 0.88, 1])  # fmt: skip
     for index in range(9):
         spot = frame.at(first + side * 1.55 * index, 34.5)
         z = builder.terrain.point(*spot)
@@ -383,10 +378,8 @@ def paint_all(rng: np.random.Generator, plan: Plan) -> Canvas:
     _paint_car_park(canvas, plan, rng)
     for _ in range(40):
         spot = frame.at(rng.uniform(u0, u1), rng.uniform(v0, v1))
-        turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-        blot = rng.uniform(0.2, 0.8) * rng.uniform(0.6, 1.2, 12)
-        ring = blot[:, None] * unit(turn)
-        canvas.soil(spot + ring, int(rng.integers(18, 60)))
+        blot = rng.uniform(0.2, 0.8) * rng.uniform(0.6, 1.2, (12, 1)) * unit_circle(12)
+        canvas.soil(spot + blot, int(rng.integers(18, 60)))
     return canvas
 
 
@@ -412,10 +405,7 @@ def _paint_pitch(canvas: Canvas, plan: Plan) -> None:
         line((end + reach, middle_v - 6.0), (end + reach, middle_v + 6.0))
         for v in (middle_v - 6.0, middle_v + 6.0):
             line((end, v), (end + reach, v))
-    outer, inner = (
-        frame.ring(middle_u, middle_v, 3.06, 60),
-        frame.ring(middle_u, middle_v, 2.94, 60),
-    )
+    outer, inner = (frame.ring(middle_u, middle_v, radius, 60) for radius in (3.06, 2.94))
     for i in range(60):
         j = (i + 1) % 60
         canvas.mark(np.array([outer[i], outer[j], inner[j], inner[i]]), 235)
