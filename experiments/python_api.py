@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from touchdown.experiments.config.files import check_named_code
-from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.keys import flatten, renewed
 from touchdown.experiments.config.loading import (
     OPTION_KEYS,
     config_of,
@@ -224,7 +224,7 @@ def _changed(
     values: dict[str, Any], sources: dict[str, str], overrides: Overrides | None, **arguments: Any
 ) -> Config:
     """The configuration of ``values`` with overrides and then arguments put in."""
-    for key, value in (overrides or {}).items():
+    for key, value in renewed(overrides or {}, "overrides").items():
         values[key], sources[key] = _plain(value), "overrides"
     for name, value in arguments.items():
         if value is not None:

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.run_names import AXES, run_name
 from touchdown.experiments.config.files import check_named_code, read_tree
-from touchdown.experiments.config.keys import flatten, hint_for
+from touchdown.experiments.config.keys import flatten, renewed
 from touchdown.experiments.config.loading import config_of, is_key, known_keys, parse_override
 from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT, PRESET_KEY
 from touchdown.experiments.config.schema import Config
@@ -161,12 +161,12 @@ def load_plan(
     if not allow_code:
         sets = [*axes.items(), *((k, [v]) for k, v in _set_in(spec))]
         check_named_code(file, ((key, value) for key, values in sets for value in values))
-    base = dict(flatten(spec.base))
+    base = renewed(dict(flatten(spec.base)), f"[base] of {file}")
     _check_settable(base, axes, f"[base] of {file}")
     if preset is not None:
         _check_settable([PRESET_KEY], axes, f"--preset {preset}")
         base[PRESET_KEY] = preset
-    given = dict(map(parse_override, overrides))
+    given = renewed(dict(map(parse_override, overrides)), "--set")
     _check_settable(given, axes, "--set")
     base |= given
     changes = [_override(entry, axes, f"[[override]] {number} of {file}")
@@ -207,6 +207,7 @@ def of_version_before_profiles(plan: Plan) -> Plan:
 
 def config_for(values: Mapping[str, Any], source: str) -> Config:
     """The configuration of a run's ``values``. Raises UsageError naming ``source``."""
+    values = renewed(values, source)
     return config_of(values, dict.fromkeys(values, source))
 
 
@@ -280,7 +281,7 @@ def _axes(tree: Mapping[str, Any], source: str) -> dict[str, list[Any]]:
     for key, values in given.items():
         settable = is_key(key) and key not in _OWN_KEYS
         if key not in AXES and not settable:
-            hint = hint_for(key, [*AXES, "seeds", *known_keys()])
+            hint = nearest(key, [*AXES, "seeds", *known_keys()])
             raise UsageError(f"unknown axis '{key}' in {source}{hint}")
         if not isinstance(values, list) or not values:
             raise UsageError(f"axis '{key}' in {source} must be a list of one or more values")
@@ -307,7 +308,7 @@ def _override(
     entry: Override, axes: Mapping[str, list[Any]], source: str
 ) -> tuple[dict[str, list[Any]], dict[str, Any]]:
     when = _when(entry.when, axes, source)
-    settings = dict(flatten(entry.set))
+    settings = renewed(dict(flatten(entry.set)), source)
     _check_settable(settings, axes, source)
     return when, settings
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import warnings
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from touchdown.experiments.config.external_table import PREFIX
-from touchdown.experiments.errors import nearest
 
 RENAMED: Mapping[str, str] = {
     "livo.mount_turn_sigma_deg": "livo.mount_rotation_sigma_deg",
@@ -38,27 +38,32 @@ RENAMED_VALUES: Mapping[tuple[str, str], str] = {
 """Values of earlier versions, by key, and their names now."""
 
 
-def present_name(key: str) -> str:
-    """The name now of a key of an earlier version; ``key`` itself where it was not renamed."""
+def renewed(values: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """``values`` by the keys, and with the names, of this version. Those of earlier versions are
+    told in one warning that names ``source``."""
+    found: dict[str, Any] = {}
+    told = []
+    for key, value in values.items():
+        now, value_now = _present_key(key), _present_value(key, value)
+        found[now] = value_now
+        if now != key:
+            told.append(f"'{key}' is '{now}'")
+        elif value_now is not value and value_now != value:
+            told.append(f"{key} = {value!r} is {value_now!r}")
+    if told:
+        warnings.warn(f"{source}: earlier names: {'; '.join(told)} now", stacklevel=3)
+    return found
+
+
+def _present_key(key: str) -> str:
     group, dot, rest = key.partition(".")
     return RENAMED.get(key) or f"{RENAMED_GROUPS.get(group, group)}{dot}{rest}"
 
 
-def present_value(key: str, value: Any) -> Any:
-    """The name now of a value of an earlier version; ``value`` itself where it was not renamed."""
+def _present_value(key: str, value: Any) -> Any:
+    if isinstance(value, list):
+        return [_present_value(key, item) for item in value]
     return RENAMED_VALUES.get((key, value), value) if isinstance(value, str) else value
-
-
-def hint_for(key: str, known: Iterable[str]) -> str:
-    """The hint with the present name of a renamed key, else with the nearest known one."""
-    now, known = present_name(key), tuple(known)
-    return f" (it is '{now}' now)" if now != key and now in known else nearest(now, known)
-
-
-def hint_for_value(key: str, value: str, known: Iterable[str]) -> str:
-    """The hint with the present name of a renamed value, else with the nearest known one."""
-    now = present_value(key, value)
-    return f" (it is '{now}' now)" if now != value else nearest(value, known)
 
 
 def is_external_key(key: str) -> bool:

@@ -33,11 +33,8 @@ from touchdown.experiments.config.files import read_tree as read_tree
 from touchdown.experiments.config.keys import (
     REMOVED_GROUPS,
     flatten,
-    hint_for,
-    hint_for_value,
     is_external_key,
-    present_name,
-    present_value,
+    renewed,
 )
 from touchdown.experiments.config.profiles import (
     BEFORE_PROFILES,
@@ -58,7 +55,7 @@ from touchdown.experiments.config.ranges import (
 )
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import SLOTS, check_part_names
-from touchdown.experiments.errors import UsageError, plain_fault
+from touchdown.experiments.errors import UsageError, nearest, plain_fault
 
 OPTION_KEYS: Mapping[str, str] = {
     "scene": "scene",
@@ -114,13 +111,14 @@ def load_config(
                 values[key], sources[key] = value, str(file)
     given: dict[str, Any] = {}
     for text in overrides:
-        key, value = parse_override(text)
-        given[key], sources[key] = value, f"--set {text}"
+        source = f"--set {text}"
+        for key, value in renewed(dict([parse_override(text)]), source).items():
+            given[key], sources[key] = value, source
     for name, value in options.items():
         if value is not None:
-            key = OPTION_KEYS[name]
-            given[key] = list(value) if isinstance(value, tuple) else value
-            sources[key] = f"--{name.replace('_', '-')}"
+            key, source = OPTION_KEYS[name], f"--{name.replace('_', '-')}"
+            given |= renewed({key: list(value) if isinstance(value, tuple) else value}, source)
+            sources[key] = source
     if file is not None:
         values = under_base(file, values, given)
     values |= given
@@ -136,12 +134,10 @@ def load_config(
 
 def read_values(file: Path) -> dict[str, Any]:
     """The values by dotted key of a configuration file. A JSON file is the ``config.json`` of a
-    run: without a profile it is of a version that had none, and its keys and values may be of a
-    version that named them otherwise. Raises ``UsageError``."""
-    values = dict(flatten(read_tree(file)))
+    run: without a profile it is of a version that had none. Raises ``UsageError``."""
+    now = renewed(dict(flatten(read_tree(file))), f"'{file}'")
     if file.suffix != ".json":
-        return values
-    now = {present_name(key): present_value(key, value) for key, value in values.items()}
+        return now
     if constants := [key for key in now if is_constant(key)]:
         warnings.warn(f"'{file}': constants now, left out: {', '.join(constants)}", stacklevel=2)
     return {KEY: BEFORE_PROFILES} | {key: now[key] for key in now if key not in constants}
@@ -238,7 +234,7 @@ def _check_key(key: str, source: str) -> None:
     group, _, rest = key.partition(".")
     if rest and difflib.get_close_matches(group, ["external"], cutoff=0.7):
         keys = (*keys, f"external.{rest}")
-    hint = hint_for(key, keys) or _same_last_name(key, keys)
+    hint = nearest(key, keys) or _same_last_name(key, keys)
     raise UsageError(f"unknown key '{key}' in {source}{hint or f'; groups: {_groups()}'}")
 
 
@@ -303,7 +299,7 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
         value = next((name for name in value if name not in names), value)
     given = f"{value:g}" if isinstance(value, float) else json.dumps(value, default=str)
     if names:
-        hint = hint_for_value(key, str(value), names)
+        hint = nearest(str(value), names)
         known = ", ".join(name or "''" for name in names)
         return f"{key} = {given[:60]} in {where} is unknown{hint}; known: {known}"
     return f"{key} = {given} in {where} is wrong: {message}"

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from touchdown.controller.api import Controller
 from touchdown.estimator.api import Estimator, Mapper
-from touchdown.experiments.config.keys import hint_for_value
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import PX4, SLOTS, names_code, params_of
 from touchdown.experiments.errors import UsageError, nearest
@@ -329,7 +328,7 @@ def check_estimator_name(name: str) -> None:
     if name not in ESTIMATORS and not names_code(SLOTS["estimator"], name):
         known = ", ".join(ESTIMATORS)
         raise UsageError(
-            f"unknown estimator '{name}'{hint_for_value('estimator', name, ESTIMATORS)}; "
+            f"unknown estimator '{name}'{nearest(name, ESTIMATORS)}; "
             f"known: {known}, or MODULE:FUNCTION of your own"
         )
 

@@ -49,7 +49,6 @@ def test_the_program_ends_without_searching_what_is_left() -> None:
     (("fly", "crossroad", "--light", "nigth"), ["--light", "nigth", "night"]),
     (("land", "crossroad", "--site", "3"), ["X,Y"]),
     (("land", "crossroad", "--site", "nan,1"), ["finite"]),
-    (("land", "flat", "--estimator", "paper"), ["'paper' (it is 'zou2024' now); known: livo"]),
     (("land", "crossroad", "--set", "wind.mean_kph=3"), ["did you mean 'wind.mean_kmh'"]),
     (("land", "crossroad", "--config", "gone.toml"), ["gone.toml", "does not exist"]),
     (("view", "gone"), ["flight.rrd", "does not exist"]),
