@@ -128,7 +128,7 @@ def test_names_of_earlier_versions_are_read_with_one_warning(tmp_path: Path) -> 
     file = tmp_path / "config.json"
     old = {"livo.mount_turn_sigma_deg": 0.7, "paper.use_bundle": False}
     file.write_text(json.dumps({**old, "estimator": "paper", "gps.preset": "paper"}))
-    with pytest.warns(UserWarning) as told:
+    with pytest.warns(UserWarning, match="earlier names") as told:
         config = load_config(file, ["livo.camera_turn_sigma_deg=0.1"])
     assert [str(one.message) for one in told] == [
         f"'{file}': earlier names: 'livo.mount_turn_sigma_deg' is "
