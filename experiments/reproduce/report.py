@@ -245,6 +245,7 @@ def _fill_photographs(section: Section, figures: Figures, _folder: Path) -> None
     section.tables += _renamed([*network_tables(networks), claim_table(networks)], section.key)
 
 
+_JPEG_QUALITY = 80
 _FILLERS: Mapping[str, Callable[[Section, Figures, Path], None]] = {
     "calibration": _fill_calibration,
     "world": _fill_world,
@@ -257,12 +258,15 @@ _FILLERS: Mapping[str, Callable[[Section, Figures, Path], None]] = {
 
 def raster(name: str, title: str, caption: str, file: Path) -> Picture:
     """Embeds an image file in an SVG, so that a page needs no other file."""
-    from touchdown.experiments.benchmarks.selection.figures import jpeg
+    import cv2
+
     from touchdown.experiments.io.images import read_picture
 
     image = read_picture(file)
     height, width = image.shape[:2]
-    data = base64.b64encode(jpeg(image)).decode("ascii")
+    pixels = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    _, jpeg = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    data = base64.b64encode(jpeg.tobytes()).decode("ascii")
     svg = (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{0.75 * width:g}pt" '
         f'height="{0.75 * height:g}pt" viewBox="0 0 {width} {height}">'
