@@ -49,12 +49,10 @@ def bench_compare(a: Path, b: Path, rounds: int, as_json: bool) -> int:
 @click.option("--profile", default="field", show_default=True)
 @click.option("--seed", type=SEED, default=0, show_default=True)
 @click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
-@click.option("--stage", "more", multiple=True, metavar="MODULE:NAME",
-              help="Another function as a stage of its own; repeatable.")  # fmt: skip
 @click.option("--out", type=PATH, default=None, metavar="DIR",
               help="Write stages.json and, with py-spy, flame.svg there.")  # fmt: skip
 @JSON
-def bench_profile(more: tuple[str, ...], out: Path | None, as_json: bool, **chosen: Any) -> int:
+def bench_profile(out: Path | None, as_json: bool, **chosen: Any) -> int:
     """Fly once on one core, without recording: the processor time of each stage, and a flame graph.
 
     The time of a stage is without that of the stages that it calls. The flame graph needs py-spy
@@ -66,8 +64,6 @@ def bench_profile(more: tuple[str, ...], out: Path | None, as_json: bool, **chos
 
     def measure() -> dict[str, Any]:
         config = flight_profile.profile_config(**chosen)
-        for place in more:
-            flight_profile.found(place)
         figures = None
         if out is not None:
             if out.exists() and not out.is_dir():
@@ -76,11 +72,11 @@ def bench_profile(more: tuple[str, ...], out: Path | None, as_json: bool, **chos
             again = [chosen["scene"]]
             for name in ("estimator", "profile", "seed"):
                 again += [f"--{name}", str(chosen[name])]
-            again += [*(["--full"] if chosen["full"] else []), *(f"--stage={p}" for p in more)]
+            again += ["--full"] if chosen["full"] else []
             figures = flight_profile.profile_with_flames(again, out / "flame.svg")
             if figures is None:
                 say("no flame graph: py-spy is not installed (pip install py-spy)", err=True)
-        figures = figures or flight_profile.profile_flight(config, more)
+        figures = figures or flight_profile.profile_flight(config)
         if out is not None:
             (out / "stages.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
         return figures

@@ -11,8 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pymap3d
@@ -75,7 +74,7 @@ _BEAM_DOWN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """body_from_rangefinder: x, along the beam, points down"""
 
 
-class Bag:
+class Bag(Writer):
     """A rosbag2 folder with MCAP storage, complete when the context ends without an error.
 
     Memory does not grow with the number of messages but for the file's index. Version 8 of the
@@ -83,36 +82,24 @@ class Bag:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._writer = Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP)
-        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-        self._writer.set_custom_data(WRITTEN_BY, LIBRARY)
-        self._connections: dict[str, Connection] = {}
-        self.counts: Counter[str] = Counter()
+        super().__init__(folder, version=8, storage_plugin=StoragePlugin.MCAP)
+        self.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self.set_custom_data(WRITTEN_BY, LIBRARY)
+        self._by_topic: dict[str, Connection] = {}
+        self.messages: Counter[str] = Counter()
         """messages so far, by topic"""
-
-    def __enter__(self) -> Self:
-        self._writer.open()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._writer.__exit__(kind, error, trace)
 
     def put(self, topic: str, time_ns: int, message: Any) -> None:
         """Appends a message of `ros2_messages`. All messages of a topic have one type."""
-        if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(
+        if topic not in self._by_topic:
+            self._by_topic[topic] = self.add_connection(
                 topic,
                 message.__msgtype__,
                 typestore=ros.typestore(),
                 offered_qos_profiles=[_LATCHED] if topic == _STATIC else [],
             )
-        self._writer.write(self._connections[topic], time_ns, ros.serialized(message))
-        self.counts[topic] += 1
+        self.write(self._by_topic[topic], time_ns, ros.serialized(message))
+        self.messages[topic] += 1
 
 
 def write_bag(flown: FlownRun, folder: Path, options: ExportOptions) -> Exported:
@@ -123,7 +110,7 @@ def write_bag(flown: FlownRun, folder: Path, options: ExportOptions) -> Exported
         bag = _fill(log, flown, folder, options)
     except ValueError as error:
         raise error if isinstance(error, UsageError) else UsageError(str(error)) from error
-    done = Exported(folder, dict(sorted(bag.counts.items())))
+    done = Exported(folder, dict(sorted(bag.messages.items())))
     done.facts["imu_from_lidar"] = _plain(log.rig.body_from_imu.inverse() @ log.rig.body_from_lidar)
     if not (flown.path / "odometry.tum").is_file():
         done.notes.append("the run has no odometry.tum: odom and map are the same frame here")

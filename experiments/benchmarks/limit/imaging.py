@@ -25,6 +25,7 @@ from touchdown.experiments.benchmarks.limit.information import (
 )
 from touchdown.experiments.benchmarks.limit.ranging import Flight, rates_at, tangents, voxel_names
 from touchdown.sim.api import CameraIntrinsics
+from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
@@ -40,15 +41,6 @@ _FARTHER = 2.0
 _LEAST_COSINE = 0.1
 
 
-class Eye(NamedTuple):
-    """The camera at one instant."""
-
-    center: Array
-    """(3,) world"""
-    rotation: Array
-    """(3, 3) world_from_camera"""
-
-
 class Features(NamedTuple):
     """Points of the surface, and when each was seen."""
 
@@ -62,9 +54,10 @@ class Features(NamedTuple):
     """(N,)"""
 
 
-def pixels(lens: CameraIntrinsics, eye: Eye, points: Array) -> tuple[Array, Array]:
-    """(N, 2) pixels of an undistorted lens, and (N, 3) camera coordinates."""
-    local = (points - eye.center) @ eye.rotation
+def pixels(lens: CameraIntrinsics, eye: Pose, points: Array) -> tuple[Array, Array]:
+    """(N, 2) pixels of an undistorted lens at ``eye`` (world_from_camera), and (N, 3) camera
+    coordinates."""
+    local = eye.inverse().apply(points)
     depth = np.where(np.abs(local[:, 2:]) > 1e-9, local[:, 2:], 1e-9)
     return local[:, :2] / depth * [lens.fx, lens.fy] + [lens.cx, lens.cy], local
 
@@ -78,10 +71,10 @@ def follow(flight: Flight, lens: CameraIntrinsics, states: int) -> Features:
     names: Indices = np.zeros(0, dtype=np.int64)
     seen: list[tuple[int, Indices]] = []
     for k in range(states):
-        eye = Eye(position[k] + rotation[k] @ mount.translation, rotation[k] @ mount.rotation)
+        eye = Pose(rotation[k], position[k]) @ mount
         visible, cells = _visible(flight, lens, eye, points, first)
         free = np.setdiff1d(np.arange(COLUMNS * LINES), cells)
-        down = eye.rotation.T @ (_below(flight, position[k], rotation[k]) - eye.center)
+        down = eye.rotation.T @ (_below(flight, position[k], rotation[k]) - eye.translation)
         new, facing, distance = _new(flight, eye, np.vstack([_middles(lens, free), down]))
         own = voxel_names(new, facing)
         _, fresh = np.unique(own, return_index=True)
@@ -95,7 +88,7 @@ def follow(flight: Flight, lens: CameraIntrinsics, states: int) -> Features:
 
 
 def _visible(
-    flight: Flight, lens: CameraIntrinsics, eye: Eye, points: Array, first: Array
+    flight: Flight, lens: CameraIntrinsics, eye: Pose, points: Array, first: Array
 ) -> tuple[Indices, Indices]:
     """The features in view, the oldest of each cell, and these cells."""
     none = np.zeros(0, dtype=np.int64)
@@ -111,8 +104,10 @@ def _visible(
     k = np.flatnonzero(inside)
     if not k.size:
         return none, none
-    towards = (points[k] - eye.center) / distance[k, None]
-    struck = flight.surface.strike(flight.surface.seen, np.tile(eye.center, (len(k), 1)), towards)
+    towards = (points[k] - eye.translation) / distance[k, None]
+    struck = flight.surface.strike(
+        flight.surface.seen, np.tile(eye.translation, (len(k), 1)), towards
+    )
     k = k[np.abs(struck.distance - distance[k]) < _SAME * distance[k]]
     col, line = (pixel[k] / size * [COLUMNS, LINES]).astype(np.int64).T
     cells, oldest = np.unique(line * COLUMNS + col, return_index=True)
@@ -135,15 +130,15 @@ def _below(flight: Flight, position: Array, rotation: Array) -> Array:
     return below
 
 
-def _new(flight: Flight, eye: Eye, local: Array) -> tuple[Array, Array, Array]:
+def _new(flight: Flight, eye: Pose, local: Array) -> tuple[Array, Array, Array]:
     """Points, normals and distances of the surface in these directions (N, 3), camera axes."""
     ahead = (local / np.linalg.norm(local, axis=1)[:, None]) @ eye.rotation.T
-    surface, origins = flight.surface, np.tile(eye.center, (len(local), 1))
+    surface, origins = flight.surface, np.tile(eye.translation, (len(local), 1))
     struck = surface.strike(surface.seen, origins, ahead)
     good = np.isfinite(struck.distance) & (struck.distance > _NEAREST_M)
     good &= ~((surface.optics.porosity > 0.0) | surface.optics.water)[struck.hits.geom]
     good &= -np.einsum("ni,ni->n", struck.normal, ahead) > _LEAST_COSINE
-    points = eye.center + struck.distance[good, None] * ahead[good]
+    points = eye.translation + struck.distance[good, None] * ahead[good]
     return points, struck.normal[good], struck.distance[good]
 
 

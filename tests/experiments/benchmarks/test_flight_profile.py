@@ -12,7 +12,6 @@ from touchdown.experiments.benchmarks import flight_profile
 from touchdown.experiments.benchmarks.flight_profile import STAGES, StageProfile, found
 from touchdown.experiments.benchmarks.loop import compiled_before
 from touchdown.experiments.cli import main as cli
-from touchdown.experiments.errors import UsageError
 
 
 def test_a_stage_has_its_time_without_that_of_the_stages_within(
@@ -44,12 +43,6 @@ def test_every_stage_is_a_function_and_is_put_back() -> None:
         within = [vars(owner)[name] for owner, name in map(found, STAGES.values())]
     assert all(old is not new for old, new in zip(before, within, strict=True))
     assert [vars(owner)[name] for owner, name in map(found, STAGES.values())] == before
-
-
-@pytest.mark.parametrize("place", ["no.such:thing", "json:nothing", "json", "json:JSONDecoder.no"])
-def test_a_place_without_a_function_is_named(place: str) -> None:
-    with pytest.raises(UsageError, match=place):
-        found(place)
 
 
 def test_the_flame_graph_is_of_the_same_flight(

@@ -160,7 +160,7 @@ def test_pixels_move_as_their_rows_say():
         body = _moved(pose)
         turned = MOUNTS.camera.rotation @ so3_exp(mount[:3])
         center = MOUNTS.camera.translation + MOUNTS.camera.rotation @ mount[3:]
-        eye = imaging.Eye(body.apply(center), body.rotation @ turned)
+        eye = Pose(body.rotation @ turned, body.apply(center))
         return imaging.pixels(LENS_OF, eye, points + local @ frame)[0].ravel()
 
     for k in range(6):
