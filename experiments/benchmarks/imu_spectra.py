@@ -1,4 +1,4 @@
-"""Vibration of a simulated IMU beside that of recorded flights, and the fit of the model to them.
+"""Vibration of a simulated IMU beside that of recorded flights.
 
 The logs are those of Hurwitz and Klein ("Quadrotor Dead Reckoning with Multiple Inertial Sensors",
 2023): four Xsens DOT IMUs on a DJI Phantom 4. Rotor speeds are not in them. While it hovers, the
@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.errors import UsageError
-from touchdown.sim import vibration
 from touchdown.sim.api import ImuParams
 from touchdown.sim.vibration import PropellerVibration
 
@@ -27,23 +26,16 @@ BANDS_HZ = ((10, 20), (20, 30), (30, 40), (40, 50), (50, 60))
 """below 10 Hz the vehicle's own motion covers the vibration"""
 RECORDED_HZ = 120.0
 RECORDED_HOVER_HZ, RECORDED_SPREAD_HZ, RECORDED_WANDER_S = 88.0, 8.0, 0.5
-_STEADY, _STEADY_FROM_S, _STEADY_HZ = "StraightLine/path_2", 5.0, 82.0
 _SEGMENT = 256
 _SECONDS = 120.0
 _AS_RECORDED = ImuParams(vibration_harmonics=1.0, vibration_broadband=1.0)
 
 
-def density(samples: Array, rate_hz: float) -> tuple[Array, Array]:
-    """Frequencies (F,) Hz and power spectral density (F, 6) of (N, 6) samples (Welch)."""
+def band_rms(samples: Array, rate_hz: float) -> Array:
+    """(6, bands) root mean square of each axis of (N, 6) samples within ``BANDS_HZ`` (Welch)."""
     from scipy.signal import welch
 
     frequencies, found = welch(samples, rate_hz, nperseg=_SEGMENT, axis=0)
-    return frequencies, found
-
-
-def band_rms(samples: Array, rate_hz: float) -> Array:
-    """(6, bands) root mean square of each axis within ``BANDS_HZ``."""
-    frequencies, found = density(samples, rate_hz)
     return np.stack([_within(frequencies, found, low, high) for low, high in BANDS_HZ], axis=1)
 
 
@@ -87,15 +79,13 @@ def _read(file: Path) -> Array:
     return table
 
 
-def recorded_vibration(
-    seconds: float, seed: int = 0, levels: tuple[Array, Array] = vibration.LEVELS
-) -> Array:
+def recorded_vibration(seconds: float, seed: int = 0) -> Array:
     """(N, 6) samples of the model at the recorded vehicle's rotor speeds, as its sensor samples."""
     rng = np.random.default_rng(seed)
     hover = 2.0 * np.pi * RECORDED_HOVER_HZ
     share = RECORDED_SPREAD_HZ / RECORDED_HOVER_HZ
     speeds = _wander(rng, round(seconds * RECORDED_HZ), RECORDED_HZ, hover, share)
-    model = PropellerVibration(_AS_RECORDED, 1.0 / RECORDED_HZ, hover, seed, levels)
+    model = PropellerVibration(_AS_RECORDED, 1.0 / RECORDED_HZ, hover, seed)
     return np.array([model.sample(row) for row in speeds])
 
 
@@ -112,71 +102,14 @@ def _wander(
     return speeds
 
 
-# ------------------------------------------------------------------------------- the fit
-
-
-def fit(recordings: dict[str, Array]) -> dict[str, Array]:
-    """``harmonics`` (2, 6) and ``modes`` (M, 6): the levels of ``sim.vibration`` that reproduce the
-    ``recorded`` (6, bands) root mean squares, medians over all recordings.
-
-    The line of the rotors' turns comes from the steady flight, where it stands apart: its power
-    above the floor beside it, over what the mean over a sample leaves of it. The rest is a least
-    squares fit of powers that are not negative. The mean hides most of blade pass, so that it is
-    held between half and three times that line.
-    """
-    from scipy.optimize import lsq_linear
-
-    recorded = np.median([band_rms(r[:, 1:], RECORDED_HZ) for r in recordings.values()], axis=0)
-    steady = [r for name, r in recordings.items() if name.startswith(_STEADY)]
-    if not steady:
-        raise UsageError(f"the recordings lack {_STEADY}, whose rotor speeds are steady")
-    turns = np.median([_line(r) for r in steady], axis=0)
-    parts = _unit_parts() ** 2
-    levels = np.zeros((len(parts), 6))
-    for axis in range(6):
-        relative = (parts / recorded[axis] ** 2).T
-        # of the power of any band at most 0.6; where no line stands out, next to nothing
-        most_line = 0.6 / float(relative[:, 0].max())
-        line = float(np.clip(turns[axis] ** 2, 1e-6 * most_line, most_line))
-        least, most = np.zeros(len(parts) - 1), np.full(len(parts) - 1, np.inf)
-        least[0], most[0] = 0.25 * line, 9.0 * line
-        found = lsq_linear(relative[:, 1:], 1.0 - relative[:, 0] * line, bounds=(least, most))
-        levels[:, axis] = np.sqrt([line, *found.x])
-    levels *= levels >= 0.1 * recorded.min(axis=1)
-    return {"recorded": recorded, "harmonics": levels[:2], "modes": levels[2:]}
-
-
-def _line(recording: Array) -> Array:
-    """(6,) root mean square of the line of the turns in the steady flight, in hover."""
-    frequencies, found = density(recording[recording[:, 0] > _STEADY_FROM_S, 1:], RECORDED_HZ)
-    line = (frequencies >= 33.0) & (frequencies < 43.0)
-    beside = ((frequencies >= 27.0) & (frequencies < 32.0)) | (
-        (frequencies >= 45.0) & (frequencies < 50.0)
-    )
-    power = (found[line] - found[beside].mean(axis=0)).sum(axis=0)
-    step = frequencies[1] - frequencies[0]
-    left = np.sinc(_STEADY_HZ / RECORDED_HZ) * (_STEADY_HZ / RECORDED_HOVER_HZ) ** 2
-    rms: Array = np.sqrt(np.maximum(power * step, 0.0)) / left
-    return rms
-
-
-def _unit_parts() -> Array:
-    """(2 + M, bands) root mean squares, in the recordings' samples, of each part at level 1."""
-    rows = []
-    for part in range(2 + len(vibration.MODE_HZ)):
-        lines, modes = np.zeros((2, 6)), np.zeros((len(vibration.MODE_HZ), 6))
-        (lines if part < 2 else modes)[part if part < 2 else part - 2] = 1.0
-        samples = recorded_vibration(_SECONDS, levels=(lines, modes))
-        rows.append(np.sqrt((band_rms(samples, RECORDED_HZ) ** 2).mean(axis=0)))
-    return np.array(rows)
-
-
 def measure(folder: Path) -> dict[str, Any]:
-    """The fit to the recordings in ``folder``, and the model's ``simulated`` root mean squares
-    beside the ``recorded`` ones. Raises UsageError."""
-    found: dict[str, Any] = dict(fit(read_recordings(folder)))
-    found["simulated"] = band_rms(recorded_vibration(_SECONDS), RECORDED_HZ)
-    return found
+    """Root mean squares (6, bands): ``recorded``, the medians over the recordings in ``folder``,
+    and ``simulated``. Raises UsageError."""
+    recorded = [band_rms(one[:, 1:], RECORDED_HZ) for one in read_recordings(folder).values()]
+    return {
+        "recorded": np.median(recorded, axis=0),
+        "simulated": band_rms(recorded_vibration(_SECONDS), RECORDED_HZ),
+    }
 
 
 def rows(found: dict[str, Any]) -> list[str]:

@@ -141,13 +141,6 @@ def replayed(logged: LoggedRun, variant: str, end_s: float = math.inf) -> dict[s
     }
 
 
-def mean_error_m(true: Sequence[Array], estimated: Sequence[Array]) -> float:
-    """Mean distance of N positions (3,), not aligned: the APE of the translation."""
-    if len(true) < 2:
-        return math.nan
-    return float(np.linalg.norm(np.array(estimated) - np.array(true), axis=1).mean())
-
-
 def logged_scans(logged: LoggedRun, end_s: float) -> list[ScanPoints]:
     """The returns of the scans between lift-off and ``end_s`` or the end of the survey."""
     scans: list[ScanPoints] = []
@@ -175,10 +168,10 @@ def _badness(row: dict[str, Any]) -> tuple[float, float]:
 
 
 def _reference_row(track: OdometryTrack, truth: Trajectory) -> dict[str, Any]:
-    true = [truth.pose(time_s).translation for time_s in track.times_s]
+    off = np.reshape(track.positions, (-1, 3)) - truth.at(np.array(track.times_s))[0]
     return {
         "setting": track.setting,
-        "error_m": mean_error_m(true, track.positions),
+        "error_m": float(np.linalg.norm(off, axis=1).mean()) if len(off) > 1 else math.nan,
         "cpu_ms": 1e3 * track.cpu_s / max(track.data_s / 0.1, 1e-9),
         "lost_s": track.lost_s,
     }

@@ -11,7 +11,7 @@ import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,14 +76,6 @@ class OdometryTrack:
     """duration of the scans that took ``cpu_s``"""
     lost_s: float | None = None
     """time at which it was lost"""
-
-
-class Odometry(Protocol):
-    """Poses of scans relative to the first one."""
-
-    def register(self, points: Array, shares: Array) -> Array:
-        """The (4, 4) pose ``first_from_scan`` of (N, 3) points with times (N,) in 0 to 1."""
-        ...
 
 
 def require_references() -> None:
@@ -157,7 +149,11 @@ class SmallGicp:
         return self._pose
 
 
-ODOMETRY: dict[str, Callable[..., Odometry]] = {"kiss_icp": KissIcp, "small_gicp": SmallGicp}
+ODOMETRY: dict[str, Callable[..., KissIcp | SmallGicp]] = {
+    "kiss_icp": KissIcp, "small_gicp": SmallGicp,
+}  # fmt: skip
+"""Methods whose ``register`` takes points (N, 3) with times (N,) in 0 to 1 and returns the (4, 4)
+pose of a scan in the frame of the first one."""
 
 
 def deskew_by_step(points: Array, shares: Array, step: Array) -> Array:

@@ -127,8 +127,7 @@ def _error(error_m: float, lost_s: float | None) -> str:
               help="Recorded flights of Hurwitz and Klein (2023).")  # fmt: skip
 @JSON
 def bench_imu(data: Path, as_json: bool) -> int:
-    """Compare the vibration of the simulated IMU with that of recorded flights, band by band, and
-    fit the levels of its model to them.
+    """Compare the vibration of the simulated IMU with that of recorded flights, band by band.
 
     Example: touchdown bench imu --data flights
     """

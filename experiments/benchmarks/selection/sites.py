@@ -50,7 +50,6 @@ SCENES = (
 """all scenes except ``flat`` and ``open_water``, which offer no choice"""
 SAMPLES = 4000
 """cells of a scene by which calibration is judged"""
-_CELL_KEYS = ("safe", "allowed", "both")
 CLEARANCE_CAP_M = 3.0
 """distance to unsafe ground from which the clearance no longer rises"""
 
@@ -148,7 +147,9 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
     `landing.classification.scores.calibration`, None for a selector from outside."""
     chosen = [place["chosen_safe"] for place in places if place["chosen_safe"] is not None]
     offered = [place for place in places if place["best_clearance_m"] > 0.0]
-    cells = {key: sum(place["cells"][key] for place in places) for key in _CELL_KEYS}
+    cells = {
+        key: sum(place["cells"][key] for place in places) for key in ("safe", "allowed", "both")
+    }
     error, rows = None, None
     if all(place["sample"] is not None for place in places):
         error, rows = calibration(_gathered(places, "predicted"), _gathered(places, "safe"))
@@ -171,7 +172,8 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _regret(place: dict[str, Any]) -> float:
-    return float(place["best_clearance_m"]) - _chosen_clearance(place)
+    chosen = place["clearance_m"] if place["chosen_safe"] else 0.0
+    return float(place["best_clearance_m"]) - float(chosen)
 
 
 def fit(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -197,10 +199,6 @@ def fit(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def _gathered(places: Sequence[dict[str, Any]], key: str) -> NDArray[Any]:
     return np.concatenate([place["sample"][key] for place in places])
-
-
-def _chosen_clearance(place: dict[str, Any]) -> float:
-    return float(place["clearance_m"]) if place["chosen_safe"] else 0.0
 
 
 def _share(part: int, whole: int) -> float | None:
@@ -256,14 +254,6 @@ Place = tuple[str, int, str] | Path
 """Scene, seed and profile of a survey; or the file of a kept map."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Task:
-    place: Place
-    selectors: tuple[str | None, ...]
-    overrides: tuple[str, ...]
-    figure: Path | None = None
-
-
 def make_maps(
     source: Posed, out: Path, jobs: int, overrides: Sequence[str], report: Callable[[Path], None]
 ) -> list[Path]:
@@ -317,16 +307,16 @@ def run(
         from touchdown.experiments.benchmarks.selection.figures import figure_files
 
         files = dict(zip(places, figure_files(list(map(_name_of, places)), pictures), strict=True))
+    check = partial(_checked, selectors=names, overrides=given)
     first = files if worst is None else {}
-    tasks = [_Task(place, names, given, first.get(place)) for place in places]
     found: list[list[dict[str, Any]]] = []
-    for results in _mapped(_checked, tasks, jobs):
+    for results in _mapped(check, [(place, first.get(place)) for place in places], jobs):
         report(results[0])
         found.append(results)
     if worst is not None:
         order = sorted(range(len(places)), key=lambda n: _regret(found[n][0]), reverse=True)
-        drawn = [_Task(places[n], names[:1], given, files.get(places[n])) for n in order[:worst]]
-        list(_mapped(_checked, drawn, jobs))
+        draw = partial(_checked, selectors=names[:1], overrides=given)
+        list(_mapped(draw, [(places[n], files.get(places[n])) for n in order[:worst]], jobs))
     mine = [results[0] for results in found]
     chosen = names[0] or _config("field", None, given, "flat", 0).landing.selector
     figures: dict[str, Any] = {"selector": chosen, "summary": summary(mine)}
@@ -343,18 +333,22 @@ def run(
     return figures
 
 
-def _checked(task: _Task) -> list[dict[str, Any]]:
-    """`check_map` of one place by each selector."""
-    if isinstance(task.place, Path):
-        kept = read_map(task.place)
+def _checked(
+    task: tuple[Place, Path | None],
+    selectors: tuple[str | None, ...],
+    overrides: tuple[str, ...],
+) -> list[dict[str, Any]]:
+    """`check_map` of one place by each selector; the choice of the first one is drawn."""
+    place, figure = task
+    if isinstance(place, Path):
+        kept = read_map(place)
     else:
-        scene, seed, profile = task.place
-        kept = make_map(_config(profile, None, task.overrides, scene, seed))
-    results = []
-    for number, name in enumerate(task.selectors):
-        config = _config(kept.profile, name, task.overrides, kept.scene, kept.seed)
-        results.append(check_map(kept, config, None if number else task.figure))
-    return results
+        scene, seed, profile = place
+        kept = make_map(_config(profile, None, overrides, scene, seed))
+    configs = [_config(kept.profile, name, overrides, kept.scene, kept.seed) for name in selectors]
+    return [
+        check_map(kept, config, None if number else figure) for number, config in enumerate(configs)
+    ]
 
 
 @functools.lru_cache(maxsize=256)
@@ -397,10 +391,7 @@ def row(place: dict[str, Any]) -> str:
     """Returns the result of one scene as a line of text."""
     verdict = {True: "safe", False: "UNSAFE", None: "no site"}[place["chosen_safe"]]
     cells = place["cells"]
-    precision, recall = (
-        _share(cells["both"], cells["allowed"]),
-        _share(cells["both"], cells["safe"]),
-    )
+    precision, recall = (_share(cells["both"], cells[whole]) for whole in ("allowed", "safe"))
     return (
         f"{place['scene']:16} seed {place['seed']:4}  {verdict:8}"
         f" sites {place['accepted_safe']}/{place['accepted']}"

@@ -1,4 +1,4 @@
-"""``touchdown bench imu``: reading recordings, and the fit of the vibration's levels."""
+"""``touchdown bench imu``: reading recordings, and levels beside those of the model."""
 
 from pathlib import Path
 
@@ -10,12 +10,10 @@ from touchdown.experiments.benchmarks import imu_spectra
 from touchdown.experiments.benchmarks.imu_spectra import (
     RECORDED_HZ,
     band_rms,
-    fit,
     read_recordings,
     recorded_vibration,
 )
 from touchdown.experiments.errors import UsageError
-from touchdown.sim.vibration import HARMONIC_RMS, PropellerVibration
 
 HEADER = "time,Euler_X,Euler_Y,Euler_Z,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z"
 
@@ -56,25 +54,12 @@ def test_unusable_recordings_are_named(tmp_path: Path, count: int, header: str, 
         read_recordings(tmp_path)
 
 
-def test_the_line_of_a_steady_flight_has_its_level() -> None:
-    """Rotors at 82 Hz appear at 38 Hz, weakened by the mean; the level is that in hover."""
-    hover = 2.0 * np.pi * imu_spectra.RECORDED_HOVER_HZ
-    model = PropellerVibration(imu_spectra._AS_RECORDED, 1.0 / RECORDED_HZ, hover, 5)
-    rotors = 2.0 * np.pi * np.array([81.0, 81.7, 82.4, 83.0])
-    samples = np.array([model.sample(rotors) for _ in range(6000)])
-    found = imu_spectra._line(np.column_stack([10.0 + np.arange(6000) / RECORDED_HZ, samples]))
-    # about the vertical the line is lost on the flank of the resonance at 57 Hz
-    clear = [0, 1, 3, 4, 5]
-    np.testing.assert_allclose(found[clear], HARMONIC_RMS[0, clear], rtol=0.25)
-
-
-def test_a_fit_reproduces_the_bands_of_what_it_is_given(
+def test_recorded_and_simulated_levels_stand_side_by_side(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Recordings that the model made: the fitted levels give the same band levels again."""
+    """Recordings that the model made have its levels."""
     monkeypatch.setattr(imu_spectra, "_SECONDS", 40.0)
     write(tmp_path, recorded_vibration(seconds=60.0, seed=9))
-    found = fit(read_recordings(tmp_path))
-    levels = found["harmonics"], found["modes"]
-    again = band_rms(recorded_vibration(seconds=60.0, seed=3, levels=levels), RECORDED_HZ)
-    np.testing.assert_allclose(again, found["recorded"], rtol=0.25)
+    found = imu_spectra.measure(tmp_path)
+    np.testing.assert_allclose(found["simulated"], found["recorded"], rtol=0.25)
+    assert len(imu_spectra.rows(found)) == 1 + len(imu_spectra.AXES)
