@@ -136,7 +136,7 @@ def regress(directory: Path, baseline: Path, update: bool, as_json: bool, **more
     """Exit 1 when DIRECTORY's flights are worse than the baseline's. FILE.toml is a campaign, which
     is flown first.
 
-    Compares each scene and method: a paired test on equal seeds, a bootstrap where seeds differ,
+    Compares each scene and method: a paired test on equal seeds, Welch's where seeds differ,
     corrected over all of them, so that chance alone fails at most 5 comparisons of 100. Flights
     with an error in the baseline and none now are worse without a test, and so is
     a directory with nothing to compare. --bounds compares six figures of few flights instead.
@@ -201,8 +201,11 @@ def _print_comparison(
     margin: float,
     require_power: bool,
 ) -> int:
-    from touchdown.experiments.reporting.regression.compare import compare
-    from touchdown.experiments.reporting.regression.verdict import table_lines, verdict_sentences
+    from touchdown.experiments.reporting.regression.compare import (
+        compare,
+        table_lines,
+        verdict_sentences,
+    )
 
     found = compare(rows, baseline, margin)
     if as_json:

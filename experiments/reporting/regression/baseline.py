@@ -1,46 +1,40 @@
-"""The baseline of `touchdown regress`: errors and outcomes of a campaign's flights."""
+"""The baseline of `touchdown regress`: outcomes and figures of a campaign's flights."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from annotated_types import Ge
-from pydantic import AllowInfNan, ConfigDict, TypeAdapter, ValidationError, with_config
+from pydantic import AllowInfNan, BaseModel, ConfigDict, NonNegativeFloat
 
 from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.config.profiles import PRESETS, WHOLE
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.io.results import PartNames
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.io.untrusted import read_object
+from touchdown.experiments.reporting.conditions import condition_of
 from touchdown.experiments.reporting.flights import Row, number
-from touchdown.scenes.api import short_name
 from touchdown.sim.files.opening import no_file
 
-FORMAT = "touchdown-baseline-1"
 METRIC = "position_error_m.mean"
 ALL_SCENES = "all scenes"
 
-_Figure = Annotated[float, Ge(0.0), AllowInfNan(False)]
 
+class Trial(BaseModel):
+    """One flight. ``bad``: not successful; ``figures``: those of `FIGURES` that it has, by
+    column."""
 
-@with_config(ConfigDict(strict=True))
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """One flight. ``error_m`` is None without a position error; ``bad``: not successful;
-    ``figures``: those of `FIGURES` that it has, by column."""
+    model_config = ConfigDict(strict=True, frozen=True)
 
     seed: int
-    error_m: _Figure | None
     outcome: str
     bad: bool
-    figures: dict[str, _Figure] = field(default_factory=dict)
+    figures: dict[str, Annotated[NonNegativeFloat, AllowInfNan(False)]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +102,14 @@ def newly_bad(pairs: Pairs) -> list[str]:
     ]
 
 
+def over_scenes(keys: Iterable[Key]) -> dict[Key, list[Key]]:
+    """The cells of each method and variant that has several, by the key of all of them together."""
+    found: dict[Key, list[Key]] = {}
+    for key in keys:
+        found.setdefault((ALL_SCENES, *key[1:]), []).append(key)
+    return {total: own for total, own in found.items() if len(own) > 1}
+
+
 # ------------------------------------------------------------------------------------------- rows
 
 
@@ -125,27 +127,21 @@ def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
             )
         found = {figure.column: number(row, figure.column) for figure in FIGURES}
         figures = {column: value for column, value in found.items() if value is not None}
-        bad = not is_successful(row)
-        trials[seed] = Trial(seed, number(row, METRIC), str(row["outcome"]), bad, figures)
+        trials[seed] = Trial(
+            seed=seed, outcome=str(row["outcome"]), bad=not is_successful(row), figures=figures
+        )
     return cells
 
 
 def _variant(row: Row) -> str:
     """The variant of a run: "land" for landings, the preset of a flight that is not whole, then the
     further axes at the end of its name, or the parts that are not those by default."""
-    name = str(row["run_id"]).rpartition("/")[2]
-    start = f"{short_name(row['scene'])}-{row['estimator']}-s{row['seed']}-"
-    parts = ["land"] if row["mode"] == "land" else []
     preset = row.get("preset") or WHOLE
-    if preset != WHOLE:
-        parts.append(preset)
-    if name.startswith(start):
-        further = [p for p in name.removeprefix(start).split("-") if p not in PRESETS]
-        parts += ["-".join(further)] if further else []
-    else:
-        named = (row.get(f"parts.{kind}") for kind in PartNames.model_fields)
-        parts += [str(part) for part in named if part]
-    return " ".join(parts)
+    axes = "-".join(part for part in condition_of(row).split("-") if part not in PRESETS)
+    parts = [str(row[f"parts.{kind}"]) for kind in PartNames.model_fields
+             if row.get(f"parts.{kind}")]  # fmt: skip
+    found = ["land" * (row["mode"] == "land"), preset if preset != WHOLE else ""]
+    return " ".join(filter(None, [*found, *([axes] if axes else parts)]))
 
 
 def configuration_sha(rows: Iterable[Row]) -> str:
@@ -157,16 +153,18 @@ def configuration_sha(rows: Iterable[Row]) -> str:
 # ------------------------------------------------------------------------------------------- file
 
 
-@with_config(ConfigDict(strict=True))
-@dataclass(frozen=True, slots=True)
-class _StoredCell:
+class _StoredCell(BaseModel):
     scene: str
     estimator: str
     variant: str
     flights: list[Trial]
 
 
-_STORED_CELLS = TypeAdapter(list[_StoredCell])
+class _File(BaseModel):
+    format: Literal["touchdown-baseline-1"] = "touchdown-baseline-1"
+    git_revision: str | None
+    config_sha: str
+    cells: list[_StoredCell]
 
 
 def write_baseline(rows: Sequence[Row], path: Path) -> None:
@@ -175,19 +173,17 @@ def write_baseline(rows: Sequence[Row], path: Path) -> None:
     if path.exists():
         read_baseline(path)
     revisions = sorted({str(row["git_revision"]) for row in rows if row.get("git_revision")})
-    tree = {
-        "format": FORMAT,
-        "metric": METRIC,
-        "git_revision": ", ".join(revisions) or None,
-        "config_sha": configuration_sha(rows),
-        "cells": [
-            asdict(_StoredCell(*key, [trials[seed] for seed in sorted(trials)]))
-            for key, trials in sorted(cells_of(rows).items())
-        ],
-    }
+    cells = [
+        _StoredCell(scene=scene, estimator=estimator, variant=variant,
+                    flights=[trials[seed] for seed in sorted(trials)])
+        for (scene, estimator, variant), trials in sorted(cells_of(rows).items())
+    ]  # fmt: skip
+    file = _File(
+        git_revision=", ".join(revisions) or None, config_sha=configuration_sha(rows), cells=cells
+    )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps(tree, indent=1) + "\n")
+        write_text(path, file.model_dump_json(indent=1) + "\n")
     except OSError as error:
         raise UsageError(f"--baseline {path}: cannot be written: {error.strerror}") from error
 
@@ -197,22 +193,11 @@ def read_baseline(path: Path) -> Baseline:
     if reason := no_file(path):
         raise UsageError(f"baseline '{path}' {reason}; write it with --update")
     try:
-        tree = read_object(path)
-        if tree["format"] != FORMAT:
-            raise ValueError(f"its format is {tree['format']!r}, not {FORMAT!r}")
-        stored = _STORED_CELLS.validate_json(json.dumps(tree["cells"]))
-        cells = {(c.scene, c.estimator, c.variant): {f.seed: f for f in c.flights} for c in stored}
-        return Baseline(cells, tree["git_revision"], str(tree["config_sha"]))
-    except (OSError, ValueError, TypeError, LookupError) as error:
+        file = _File.model_validate({"format": "", **read_object(path)})
+    except (OSError, ValueError) as error:
         raise UsageError(
-            f"'{path}' is no baseline of `touchdown regress`: {_reason(error)}; write one with "
+            f"'{path}' is no baseline of `touchdown regress`: {reason_of(error)}; write one with "
             "--update to another name"
         ) from None
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, ValidationError):
-        first = error.errors(include_url=False)[0]
-        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-    text = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else str(error)
-    return " ".join(text.split())
+    cells = {(c.scene, c.estimator, c.variant): {t.seed: t for t in c.flights} for c in file.cells}
+    return Baseline(cells, file.git_revision, file.config_sha)

@@ -18,7 +18,6 @@ from scipy import stats
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.flights import Row
 from touchdown.experiments.reporting.regression.baseline import (
-    ALL_SCENES,
     FIGURES,
     Baseline,
     Cells,
@@ -29,7 +28,9 @@ from touchdown.experiments.reporting.regression.baseline import (
     cell_name,
     cells_of,
     newly_bad,
+    over_scenes,
 )
+from touchdown.experiments.reporting.tables import markdown_lines
 
 ALPHA = 0.01
 """Fraction of false alarms of a whole comparison, where equal seeds differ as much as two seeds."""
@@ -88,11 +89,12 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
     where nothing can be compared.
     """
     pairs = _equal_seeds(cells_of(rows), baseline)
-    groups = _groups(pairs)
+    groups = {key: [key] for key in pairs} | over_scenes(pairs)
     alpha = ALPHA / (len(groups) * len(FIGURES))
     figures, lost = [], newly_bad(pairs)
     for figure in FIGURES:
-        for name, keys in groups:
+        for total, keys in groups.items():
+            name = cell_name(total)
             values = [
                 (figure.log_of(new[seed]), figure.log_of(old[seed]))
                 for new, old in (pairs[key] for key in keys)
@@ -103,8 +105,10 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
             if gone and len(keys) == 1:
                 lost.append(f"{name}: {gone} of {len(values)} flights have no {figure.title}")
             if both:
-                margin = _margin(figure, baseline.cells, keys, len(both), alpha)
-                figures.append(_bounded(name, figure, both, *margin))
+                spread, freedom = _spread(figure, baseline.cells, total)
+                t = float(stats.t.ppf(1.0 - alpha / (1 + figure.both_sides), freedom))
+                margin = t * spread * math.sqrt(2.0 / len(both))
+                figures.append(_bounded(name, figure, both, spread, margin))
     return BoundsVerdict(figures=figures, lost=lost, baseline_revision=baseline.git_revision)
 
 
@@ -124,24 +128,13 @@ def _equal_seeds(new: Cells, baseline: Baseline) -> Pairs:
     return pairs
 
 
-def _groups(pairs: Pairs) -> list[tuple[str, list[Key]]]:
-    """Every cell, and all cells of a method and variant that has several."""
-    groups = [(cell_name(key), [key]) for key in pairs]
-    for method, variant in dict.fromkeys(key[1:] for key in pairs):
-        own = [key for key in pairs if key[1:] == (method, variant)]
-        if len(own) > 1:
-            groups.append((cell_name((ALL_SCENES, method, variant)), own))
-    return groups
-
-
-def _margin(
-    figure: Figure, cells: Cells, keys: Sequence[Key], flights: int, alpha: float
-) -> tuple[float, float]:
-    """The spread between seeds, and the difference of mean logarithms that it allows."""
+def _spread(figure: Figure, cells: Cells, total: Key) -> tuple[float, int]:
+    """The standard deviation between seeds, pooled over the cells of the method and variant of
+    ``total``, and its degrees of freedom."""
     freedom, squares = 0, 0.0
     for key, trials in cells.items():
         logs = [x for trial in trials.values() if (x := figure.log_of(trial)) is not None]
-        if key[1:] == keys[0][1:] and len(logs) > 1:
+        if key[1:] == total[1:] and len(logs) > 1:
             freedom += len(logs) - 1
             squares += float(np.var(logs)) * len(logs)
     if not freedom:
@@ -149,9 +142,7 @@ def _margin(
             f"the baseline has no spread of the {figure.title}: write it from flights of several "
             "seeds of each scene"
         )
-    spread = math.sqrt(squares / freedom)
-    quantile = float(stats.t.ppf(1.0 - alpha / (1 + figure.both_sides), freedom))
-    return spread, quantile * spread * math.sqrt(2.0 / flights)
+    return math.sqrt(squares / freedom), freedom
 
 
 def _bounded(
@@ -172,22 +163,20 @@ def _bounded(
 
 def bounds_lines(found: BoundsVerdict) -> list[str]:
     """A Markdown table of each figure against its bound, and a line for everything worse."""
-    lines = [
-        "| figure | scene, method | now | was | bound | spread between seeds | flights | |",
-        "|---|---|---|---|---|---|---|---|",
+    header = ["figure", "scene, method", "now", "was", "bound", "spread between seeds", "flights",
+              ""]  # fmt: skip
+    rows = [
+        [one.figure, one.name, f"{one.now:.4g}", f"{one.before:.4g}", one.bounds,
+         f"{100.0 * math.expm1(one.spread):.0f} %", str(one.flights), "WORSE" * one.worse]
+        for one in found.figures
+    ]  # fmt: skip
+    lines = [*markdown_lines(header, rows), "", *(f"LOST   {line}" for line in found.lost)]
+    lines += [
+        f"WORSE  {one.name}: {one.figure} {one.now:.4g}, was {one.before:.4g}: "
+        f"{one.now / one.before:.3g} times; bound {one.bounds}"
+        for one in found.figures
+        if one.worse
     ]
-    for one in found.figures:
-        lines.append(
-            f"| {one.figure} | {one.name} | {one.now:.4g} | {one.before:.4g} | {one.bounds} | "
-            f"{100.0 * math.expm1(one.spread):.0f} % | {one.flights} | {'WORSE' * one.worse} |"
-        )
-    lines.append("")
-    lines += [f"LOST   {line}" for line in found.lost]
-    for one in (figure for figure in found.figures if figure.worse):
-        lines.append(
-            f"WORSE  {one.name}: {one.figure} {one.now:.4g}, was {one.before:.4g}: "
-            f"{one.now / one.before:.3g} times; bound {one.bounds}"
-        )
     if not found.failed:
         lines.append(f"All {len(found.figures)} figures are within their bounds.")
     return lines

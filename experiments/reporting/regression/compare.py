@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.flights import Row
 from touchdown.experiments.reporting.regression.baseline import (
-    ALL_SCENES,
+    METRIC,
     Baseline,
     Cells,
+    Figure,
     Key,
     Pairs,
     Trial,
@@ -27,6 +28,7 @@ from touchdown.experiments.reporting.regression.baseline import (
     cells_of,
     configuration_sha,
     newly_bad,
+    over_scenes,
 )
 from touchdown.experiments.reporting.statistics import (
     detectable_paired,
@@ -36,17 +38,18 @@ from touchdown.experiments.reporting.statistics import (
     fisher_p,
     holm,
     mean_interval,
+    min_pairs,
     sign_flip_p,
     unpaired_p,
 )
+from touchdown.experiments.reporting.tables import markdown_lines
 
 Array = NDArray[np.float64]
 
 ERROR_ALPHA, OUTCOME_ALPHA = 0.04, 0.01
 """Parts of the 5 % of false alarms of a whole comparison: most for errors, where exact tests of
 ten pairs can reach it in up to 40 cells, the rest on outcomes."""
-ERROR_FLOOR_M = 1e-4
-"""Smaller errors count as a tenth of a millimetre, so that logarithms stay finite."""
+_ERROR = Figure("position error (m)", METRIC, 1e-4)
 MIN_FLIGHTS = 2
 
 
@@ -75,8 +78,21 @@ class CellResult:
     def name(self) -> str:
         return cell_name((self.scene, self.method, self.variant))
 
+    def ratio_text(self, unit: str = "") -> str:
+        interval = ""
+        if self.ratio_low is not None and self.ratio_high is not None:
+            interval = f" [{self.ratio_low:.3g}, {self.ratio_high:.3g}]"
+        return f"{self.ratio:.3g}{unit}{interval}"
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+    @property
+    def detectable_text(self) -> str:
+        """The detectable ratio; an upper bound where the pairs are equal."""
+        if self.detectable is None:
+            return "–"
+        return ("at most " if self.spread == "seeds, at most" else "") + f"{self.detectable:.3g}"
+
+
+@dataclass(frozen=True, slots=True)
 class OutcomeResult:
     """Unsuccessful flights, now (``bad``) and in the baseline."""
 
@@ -190,22 +206,20 @@ def _sample(key: Key, new: Mapping[int, Trial], old: Mapping[int, Trial]) -> _Sa
 
 
 def _logarithms(trials: Mapping[int, Trial]) -> dict[int, float]:
-    return {
-        seed: math.log(max(trial.error_m, ERROR_FLOOR_M))
-        for seed, trial in sorted(trials.items())
-        if trial.error_m is not None
-    }
+    logs = {seed: _ERROR.log_of(trial) for seed, trial in sorted(trials.items())}
+    return {seed: log for seed, log in logs.items() if log is not None}
 
 
 def _over_scenes(samples: Sequence[_Sample]) -> list[_Sample]:
     """One sample of all pairs for every method with several paired cells: it is the most sensitive
     to a change that all scenes share."""
+    by_key = {sample.key: sample for sample in samples}
     found = []
-    for method in sorted({sample.key[1] for sample in samples}):
-        own = [sample for sample in samples if sample.key[1] == method]
-        if len(own) > 1 and all(sample.paired for sample in own):
+    for total, keys in over_scenes(by_key).items():
+        own = [by_key[key] for key in keys]
+        if all(sample.paired for sample in own):
             new, old = (np.concatenate([getattr(s, side) for s in own]) for side in ("new", "old"))
-            found.append(_Sample((ALL_SCENES, method, ""), new, old, True))
+            found.append(_Sample(total, new, old, True))
     return found
 
 
@@ -270,36 +284,24 @@ def _power(sample: _Sample, alpha: float) -> tuple[float | None, float, str]:
 
 def _compare_outcomes(pairs: Pairs) -> list[OutcomeResult]:
     """Fisher's test per cell, and per method over all its cells where it has several."""
-    counts = {cell_name(key): _outcome_counts(*both) for key, both in pairs.items()}
-    for method in dict.fromkeys(key[1] for key in pairs):
-        own = [_outcome_counts(*both) for key, both in pairs.items() if key[1] == method]
-        if len(own) > 1:
-            total = [sum(column) for column in zip(*own, strict=True)]
-            counts[cell_name((ALL_SCENES, method, ""))] = (total[0], total[1], total[2], total[3])
-    raw = [fisher_p(*found) for found in counts.values()]
+    counts = {key: _outcome_counts(*both) for key, both in pairs.items()}
+    for total, keys in over_scenes(pairs).items():
+        own = [counts[key] for key in keys]
+        counts[total] = {name: sum(one[name] for one in own) for name in own[0]}
+    raw = [fisher_p(**counted) for counted in counts.values()]
     return [
         OutcomeResult(
-            name=name,
-            bad=bad,
-            flights=flights,
-            bad_before=bad_before,
-            flights_before=flights_before,
-            p=p,
-            p_adjusted=adjusted,
+            name=cell_name(key), **counted, p=p, p_adjusted=adjusted,
             worse=adjusted <= OUTCOME_ALPHA,
         )
-        for (name, (bad, flights, bad_before, flights_before)), p, adjusted in zip(
-            counts.items(), raw, holm(raw), strict=True
-        )
-    ]
+        for (key, counted), p, adjusted in zip(counts.items(), raw, holm(raw), strict=True)
+    ]  # fmt: skip
 
 
-def _outcome_counts(
-    new: Mapping[int, Trial], old: Mapping[int, Trial]
-) -> tuple[int, int, int, int]:
-    """Unsuccessful and all flights, now and in the baseline, in the order of `fisher_p`."""
+def _outcome_counts(new: Mapping[int, Trial], old: Mapping[int, Trial]) -> dict[str, int]:
+    """Unsuccessful and all flights, now and in the baseline, as `fisher_p` takes them."""
     bad, bad_before = (sum(trial.bad for trial in trials.values()) for trials in (new, old))
-    return bad, len(new), bad_before, len(old)
+    return {"bad": bad, "flights": len(new), "bad_before": bad_before, "flights_before": len(old)}
 
 
 def _absent(these: Cells, those: Cells) -> list[str]:
@@ -325,9 +327,9 @@ def _vanished(pairs: Pairs) -> dict[Key, str]:
         seeds = new.keys() & old.keys()
         now = [new[seed] for seed in seeds] or list(new.values())
         before = [old[seed] for seed in seeds] or list(old.values())
-        had, has = (sum(t.error_m is not None for t in trials) for trials in (before, now))
+        had, has = (sum(METRIC in t.figures for t in trials) for trials in (before, now))
         successes, kept = (
-            sum(t.error_m is not None and not t.bad for t in trials) for trials in (before, now)
+            sum(METRIC in t.figures and not t.bad for t in trials) for trials in (before, now)
         )
         if had and not has:
             found[key] = (
@@ -339,3 +341,80 @@ def _vanished(pairs: Pairs) -> dict[Key, str]:
                 f"{successes} of {len(before)} did in the baseline"
             )
     return found
+
+
+# ------------------------------------------------------------------------------------------- words
+
+
+def verdict_sentences(found: Comparison) -> list[str]:
+    """Returns one line per regression with its size and p; the last line states the cells without
+    power."""
+    lines = [f"WORSE  {line}" for line in found.vanished]
+    lines += [
+        f"WORSE  {cell.name}: position error {cell.error_m:.4g} m, was "
+        f"{cell.error_before_m:.4g} m: {cell.ratio_text(' times')}, "
+        f"adjusted p = {cell.p_adjusted:.2g}, {cell.flights} flights, {cell.test}"
+        for cell in found.cells
+        if cell.worse
+    ]
+    lines += [
+        f"WORSE  {one.name}: {one.bad} of {one.flights} flights did not end as they should, was "
+        f"{one.bad_before} of {one.flights_before}, adjusted p = {one.p_adjusted:.2g}"
+        for one in found.outcomes
+        if one.worse
+    ]
+    if not lines and found.cells:
+        limit = f" by more than {100 * found.margin:g} %" if found.margin else ""
+        lines.append(f"Nothing got worse{limit} beyond chance in {_comparisons(len(found.cells))}.")
+    lines += _power_sentences(found)
+    lines += [f"newly lost: {line}" for line in found.newly_bad]
+    lines += [f"missing: {line}" for line in found.missing]
+    lines += [f"not in the baseline: {line}" for line in found.added]
+    lines += [f"note: {line}" for line in found.warnings]
+    return lines + _blind_sentences(found)
+
+
+def _power_sentences(found: Comparison) -> list[str]:
+    """The smallest and the largest detectable change of the cells."""
+    seen = sorted(
+        (cell for cell in found.cells if cell.detectable is not None),
+        key=lambda cell: cell.detectable or 0.0,
+    )
+    if not seen:
+        return []
+    ends = dict.fromkeys(f"{c.detectable_text} times in {c.name}" for c in (seen[0], seen[-1]))
+    return [f"Smallest change that would have been found with 80 % power: {', '.join(ends)}."]
+
+
+def _blind_sentences(found: Comparison) -> list[str]:
+    """The last line: cells with too few flights to find any change, and the number needed."""
+    needed = min_pairs(ERROR_ALPHA / max(1, len(found.cells)))
+    if not found.cells:
+        return [
+            f"Nothing was compared: no scene and method has {MIN_FLIGHTS} flights with a position "
+            f"error both here and in the baseline; fly at least {needed} equal seeds."
+        ]
+    blind = found.blind
+    if not blind:
+        return []
+    return [
+        f"No change could have been found in {len(blind)} of {_comparisons(len(found.cells))} "
+        f"({', '.join(blind[:4])}{', ...' if len(blind) > 4 else ''}): one needs {needed} equal "
+        "seeds."
+    ]
+
+
+def _comparisons(count: int) -> str:
+    return f"{count} comparison{'s' * (count != 1)}"
+
+
+def table_lines(found: Comparison) -> list[str]:
+    """Returns a Markdown table with one line per cell, the smallest p first."""
+    header = ["scene, method", "error (m)", "was (m)", "ratio", "adjusted p", "detectable ratio",
+              "test"]  # fmt: skip
+    rows = [
+        [cell.name, f"{cell.error_m:.4g}", f"{cell.error_before_m:.4g}", cell.ratio_text(),
+         f"{cell.p_adjusted:.2g}", cell.detectable_text, f"{cell.test}, {cell.flights}"]
+        for cell in sorted(found.cells, key=lambda cell: (cell.p_adjusted, -cell.ratio))
+    ]  # fmt: skip
+    return markdown_lines(header, rows)

@@ -92,15 +92,6 @@ def test_flights_of_other_presets_and_seeds_are_not_compared() -> None:
             against(rows, flights())
 
 
-def test_figures_survive_the_file(tmp_path: Path) -> None:
-    baseline.write_baseline(flights(), tmp_path / "b.json")
-    assert baseline.read_baseline(tmp_path / "b.json").cells == baseline.cells_of(flights())
-    text = (tmp_path / "b.json").read_text().replace('"nees.mean": 3.0', '"nees.mean": "3"', 1)
-    (tmp_path / "b.json").write_text(text)
-    with pytest.raises(UsageError, match=r"nees\.mean: Input should be a valid number"):
-        baseline.read_baseline(tmp_path / "b.json")
-
-
 def test_the_command_flies_a_campaign_and_compares_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import norm, t
 
 from touchdown.experiments.reporting import statistics
 
@@ -37,6 +38,7 @@ def test_fisher_by_hand() -> None:
 
 
 def test_two_flights_have_no_interval() -> None:
+    assert statistics.mean_interval([]) is None
     for flights in (1, 2):
         found = statistics.mean_interval([0.1, 0.3][:flights])
         assert found is not None and found.low is None and found.high is None
@@ -60,12 +62,6 @@ def test_pooled_variance_is_that_of_all_samples_together() -> None:
     assert found.low is not None and found.high is not None and found.low < found.value < found.high
 
 
-def test_one_flight_has_no_interval() -> None:
-    found = statistics.mean_interval([0.3])
-    assert found is not None and (found.value, found.low, found.high) == (0.3, None, None)
-    assert statistics.mean_interval([]) is None and not found.excludes(5.0)
-
-
 @pytest.mark.parametrize(("flights", "least"), [(5, 0.89), (10, 0.93), (20, 0.94)])
 def test_intervals_cover_as_often_as_they_say(flights: int, least: float) -> None:
     """1000 normal samples. Plain percentiles cover 0.82 and 0.90 for five and ten flights; five
@@ -78,16 +74,10 @@ def test_intervals_cover_as_often_as_they_say(flights: int, least: float) -> Non
 
 def test_detectable_effect_of_ten_pairs_by_hand() -> None:
     """At 0.04/24 all ten differences must be positive: Phi(effect)^10 = 0.8, effect = 2.01."""
-    from scipy.stats import norm
-
     effect = statistics.detectable_paired(10, 0.04 / 24)
     assert effect == pytest.approx(norm.ppf(0.8**0.1), abs=0.06)
     assert statistics.detectable_paired(9, 0.04 / 24) is None
     assert statistics.min_pairs(0.04 / 24) == 10 and statistics.detectable_paired(1, 0.5) is None
-    assert statistics.detectable_unpaired(3, 3, 0.04) is None, (
-        "one of 20 shuffles is no less than 0.05"
-    )
-    assert statistics.detectable_unpaired(4, 4, 0.04) is not None
 
 
 def test_detectable_effect_of_many_flights_nears_the_normal_limit() -> None:
@@ -98,9 +88,9 @@ def test_detectable_effect_of_many_flights_nears_the_normal_limit() -> None:
     )
 
 
-def test_unpaired_test_sees_a_shift_and_no_more() -> None:
-    rng = np.random.default_rng(1)
-    new, old = rng.normal(size=(10, 200)), rng.normal(size=(10, 200))
-    alike = statistics.unpaired_p(new, old)
-    assert (alike <= 0.05).mean() == pytest.approx(0.05, abs=0.03)
-    assert np.median(statistics.unpaired_p(new + 3.0, old)) < 1e-3
+def test_welch_by_hand() -> None:
+    """Means 2 and 0, variances 1 and 4 of three values each: t = 2 / sqrt(5 / 3)."""
+    new, old = np.array([1.0, 2.0, 3.0]), np.array([-2.0, 0.0, 2.0])
+    freedom = (5 / 3) ** 2 / ((1 / 3) ** 2 / 2 + (4 / 3) ** 2 / 2)
+    assert statistics.unpaired_p(new, old) == pytest.approx(t.sf(2 / (5 / 3) ** 0.5, freedom))
+    assert statistics.unpaired_p(np.ones(3), np.ones(4)) == 1.0, "no spread, no difference"
