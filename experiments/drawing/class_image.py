@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
+import matplotlib
 import numpy as np
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from touchdown.experiments.drawing.costmap_image import enlarged, frame_of, photo_of, seen_box
-from touchdown.experiments.drawing.map_axes import PAPER, MapFrame, Marks
+from touchdown.experiments.drawing.costmap_image import extent_of, photo_of, seen_box
+from touchdown.experiments.drawing.map_axes import draw_marks
+from touchdown.experiments.drawing.map_images import Marks
+from touchdown.experiments.drawing.style import STYLE, new_figure, write_figure
 from touchdown.landing.api import CostmapView
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.sim.frames import Pose
 
-Colours = NDArray[np.uint8]
 Numbers = NDArray[np.int64]
 
 CLASS_RGB = {
@@ -27,9 +29,9 @@ CLASS_RGB = {
     "trees": (20, 100, 50),
 }
 UNSURE_RGB = (255, 255, 255)
-_COVER = 0.5
-"""opacity of the class colours"""
-_LEAST = 0.5
+_OPACITY = 0.5
+"""of the class colours"""
+_MIN_PROBABILITY = 0.5
 """probability below which a class is unsure"""
 _UNSURE, _UNSEEN = len(LAND_CLASSES), len(LAND_CLASSES) + 1
 _CAPTION = "x east, y north (m, world); class of the ground by all views of the flight"
@@ -39,14 +41,21 @@ def write_classes(path: Path, costmap: CostmapView, world_from_odom: Pose, marks
     """Writes the map of ``costmap`` in the colours of its semantic map, with ticks in metres of the
     world frame, take-off, the survey's rectangle and the share of each class. Raises ValueError
     without a semantic map."""
-    numbers = class_numbers(costmap)
-    frame = frame_of(costmap, world_from_odom)
-    panel = enlarged(_covered(photo_of(costmap), numbers), costmap)
-    frame.draw_marks(panel, marks)
-    image = frame.around((panel,), _CAPTION)
-    image = frame.below(image, _key(frame, numbers, panel.shape[1]))
-    if not cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
-        raise OSError(f"{path} cannot be written")
+    numbers, (extent, _) = class_numbers(costmap), extent_of(costmap, world_from_odom)
+    palette = np.array([*(CLASS_RGB[name] for name in LAND_CLASSES), UNSURE_RGB, (0, 0, 0)]) / 255.0
+    alpha = np.where(numbers == _UNSEEN, 0.0, _OPACITY)
+    counts = np.bincount(numbers.ravel(), minlength=_UNSEEN + 1)[:_UNSEEN]
+    shares = zip((*LAND_CLASSES, "unsure"), counts / max(1, counts.sum()), palette, strict=False)
+    key = [Patch(facecolor=rgb, edgecolor="black", label=f"{name} {share:.0%}")
+           for name, share, rgb in shares if share >= 0.002]  # fmt: skip
+    with matplotlib.rc_context(STYLE):
+        figure = new_figure(8.0, 8.0 * (extent[3] - extent[2]) / (extent[1] - extent[0]) + 0.8)
+        axes = figure.add_subplot(xlabel=_CAPTION)
+        for layer in (photo_of(costmap), np.dstack([palette[numbers], alpha])):
+            axes.imshow(layer, origin="lower", extent=extent, interpolation="nearest")
+        draw_marks(axes, marks)
+        figure.legend(handles=key, loc="outside upper center", ncols=max(1, len(key)))
+    write_figure(path, figure)
 
 
 def class_numbers(costmap: CostmapView) -> Numbers:
@@ -57,7 +66,9 @@ def class_numbers(costmap: CostmapView) -> Numbers:
         raise ValueError("nothing was classified: there is no semantic map to draw")
     seen, (rows, cols) = costmap.semantics, seen_box(costmap)
     best = np.where(
-        seen.probabilities.max(axis=2) < _LEAST, _UNSURE, seen.probabilities.argmax(axis=2)
+        seen.probabilities.max(axis=2) < _MIN_PROBABILITY,
+        _UNSURE,
+        seen.probabilities.argmax(axis=2),
     )
     best = np.where(seen.weight > 0.0, best, _UNSEEN)
     at = []
@@ -73,27 +84,3 @@ def class_numbers(costmap: CostmapView) -> Numbers:
     numbers[inside] = best[row[inside], col[inside]]
     numbers[~np.isfinite(costmap.total[rows, cols])] = _UNSEEN
     return numbers
-
-
-def _covered(photo: Colours, numbers: Numbers) -> Colours:
-    palette = np.array([*(CLASS_RGB[name] for name in LAND_CLASSES), UNSURE_RGB], np.float32)
-    shown = numbers != _UNSEEN
-    mixed = photo.copy()
-    mixed[shown] = np.round((1.0 - _COVER) * photo[shown] + _COVER * palette[numbers[shown]])
-    return mixed
-
-
-def _key(frame: MapFrame, numbers: Numbers, width: int) -> Colours:
-    """The colours of the classes, and the share of the classified ground of each."""
-    scale = frame.scale
-    top, bottom, base = round(6 * scale), round(24 * scale), round(20 * scale)
-    strip = np.full((round(34 * scale), width, 3), PAPER, np.uint8)
-    counts = np.bincount(numbers.ravel(), minlength=_UNSEEN + 1)[:_UNSEEN]
-    at = 0
-    for name, count in zip((*LAND_CLASSES, "unsure"), counts / max(1, counts.sum()), strict=True):
-        if count < 0.002:
-            continue
-        strip[top:bottom, at : at + bottom - top] = CLASS_RGB.get(name, UNSURE_RGB)
-        at = frame.write(strip, f"{name} {count:.0%}", at + bottom - top + round(6 * scale), base)
-        at += round(16 * scale)
-    return strip

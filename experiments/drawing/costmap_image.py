@@ -2,84 +2,61 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-import cv2
+import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from touchdown.experiments.drawing.candidate_signs import (
-    ACCEPTED_RGB,
-    CHOSEN_RGB,
-    REFUSED_RGB,
-    draw_ranks,
-    draw_sign,
-    draw_winner,
+from touchdown.experiments.drawing.map_axes import RIM, Extent, draw_marks
+from touchdown.experiments.drawing.map_images import Marks
+from touchdown.experiments.drawing.style import (
+    FAINT,
+    INK,
+    STYLE,
+    new_figure,
+    pixels_of,
+    write_figure,
 )
-from touchdown.experiments.drawing.choice_table import choice_table
-from touchdown.experiments.drawing.map_axes import PAPER, MapFrame, Marks
-from touchdown.landing.api import CostmapView, LanderView
+from touchdown.landing.api import Candidate, CostmapView, Decision, LanderView
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 Colours = NDArray[np.uint8]
 
-_UNKNOWN_RGB = (30, 32, 38)
-_PANEL_PIXELS = 1200
+UNKNOWN_RGB = (30, 32, 38)
+CHOSEN, ACCEPTED, REFUSED = "#1f9d3a", "#1f8fd6", "#e03131"
 _MARGIN_CELLS = 8
+_PANEL_IN, _ROW_IN = 6.5, 0.19
+_LINE_LETTERS = 150
 _CAPTION = "x east, y north (m, world); white circle: take-off; dashed: the survey's legs"
-_DARKEST, _BRIGHTEST = 48, 120
-"""grey levels of refused ground, by its score"""
 
 
 def costmap_image(view: LanderView, site_odom: Array | None) -> Colours:
-    """Returns the coloured map beside the map of the score that ranks the sites, north up, with the
-    candidates of the last decision: (H, W, 3) RGB. Raises ValueError as `costmap_of`."""
-    left, right = _maps(costmap_of(view))
-    _draw_candidates((left, right), view, site_odom)
-    gap = np.full((left.shape[0], 12, 3), 255, np.uint8)
-    return np.hstack([left, gap, right])
+    """Returns the coloured map beside the map of the score that ranks the sites, north up in the
+    odom frame, with the candidates of the last decision: (H, W, 3) RGB. Raises ValueError as
+    `costmap_of`."""
+    return pixels_of(_figure(view, site_odom, Pose.identity(), None))
 
 
 def write_costmap(
     path: Path, view: LanderView, site_odom: Array | None, world_from_odom: Pose, marks: Marks
 ) -> None:
     """Writes the image of `costmap_image` with ticks in metres of the world frame, take-off
-    point, the survey's rectangle, a key of its colours and a table of the candidates' terms."""
-    costmap = costmap_of(view)
-    panels = _maps(costmap)
-    frame = frame_of(costmap, world_from_odom)
-    for panel in panels:
-        frame.draw_marks(panel, marks)
-    _draw_candidates(panels, view, site_odom)
-    image = frame.around(panels, _CAPTION)
-    image = frame.below(image, _key(frame, costmap, image.shape[1]))
-    if view.decisions:
-        table = choice_table(
-            view.decisions[-1], image.shape[1], frame.scale, chosen=site_odom is not None
-        )
-        image = np.vstack([image, table])
-    if not cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
-        raise OSError(f"{path} cannot be written")
+    point, the survey's rectangle and a table of the candidates' terms."""
+    write_figure(path, _figure(view, site_odom, world_from_odom, marks))
 
 
-def frame_of(costmap: CostmapView, world_from_odom: Pose) -> MapFrame:
-    """Returns the frame, in the world, of maps that show the seen part of ``costmap``."""
-    rows, cols = seen_box(costmap)
-    corner = costmap.origin_xy_m + costmap.cell_m * np.array([cols.start, rows.start])
-    size_m = costmap.cell_m * np.array([cols.stop - cols.start, rows.stop - rows.start])
-    # The frames differ by a rotation of a fraction of a degree: exact in the middle of the map,
-    # approximate elsewhere.
-    middle = np.array([*(corner + 0.5 * size_m), 0.0])
-    west, south = (corner + (world_from_odom.apply(middle) - middle)[:2]).tolist()
-    zoom = _zoom(rows, cols)
-    return MapFrame(
-        west_m=west,
-        south_m=south,
-        pixels_per_m=zoom / costmap.cell_m,
-        scale=zoom * (cols.stop - cols.start) / 800.0,
-    )
+def costmap_of(view: LanderView) -> CostmapView:
+    """Returns the costmap. Raises ValueError for a view without one."""
+    if view.costmap is None:
+        raise ValueError("nothing is mapped: there is no costmap to draw")
+    return view.costmap
 
 
 def seen_box(view: CostmapView) -> tuple[slice, slice]:
@@ -97,112 +74,136 @@ def seen_box(view: CostmapView) -> tuple[slice, slice]:
     return spans[0], spans[1]
 
 
-def score_colours(view: CostmapView) -> Colours:
-    """Returns the colours (rows, cols, 3) RGB of the score that ranks: viridis where a site is
-    accepted, over the range of these cells; grey where none is; dark where it is unknown."""
-    low, high = _accepted_range(view)
-    image = _viridis((view.value - low) / max(high - low, 1e-6))
-    known = np.isfinite(view.value)
-    refused = known & ~view.allowed
-    if refused.any():
-        least, most = np.percentile(view.value[refused], (1.0, 99.0))
-        share = np.clip((view.value - least) / max(most - least, 1e-6), 0.0, 1.0)
-        grey = _DARKEST + (_BRIGHTEST - _DARKEST) * np.nan_to_num(share)
-        image[refused] = grey.astype(np.uint8)[refused][:, None]
-    image[~known] = _UNKNOWN_RGB
-    return image
-
-
-def _accepted_range(view: CostmapView) -> tuple[float, float]:
-    """Least and highest score of accepted ground, but for the lowest fiftieth; (0, 1) without."""
-    values = view.value[view.allowed & np.isfinite(view.value)]
-    if not values.size:
-        return 0.0, 1.0
-    return float(np.percentile(values, 2.0)), float(values.max())
-
-
-def _viridis(share: Float32) -> Colours:
-    """(H, W) in [0, 1] to (H, W, 3) RGB."""
-    levels = np.nan_to_num(np.clip(share, 0.0, 1.0) * 255.0).astype(np.uint8)
-    return np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)[:, :, ::-1]).copy()
-
-
-def costmap_of(view: LanderView) -> CostmapView:
-    """Returns the costmap. Raises ValueError for a view without one."""
-    if view.costmap is None:
-        raise ValueError("nothing is mapped: there is no costmap to draw")
-    return view.costmap
-
-
-def _maps(costmap: CostmapView) -> tuple[Colours, Colours]:
-    """Coloured map and score, (H, W, 3) RGB each."""
-    rows, cols = seen_box(costmap)
-    score = score_colours(costmap)[rows, cols]
-    return enlarged(photo_of(costmap), costmap), enlarged(score, costmap)
-
-
 def photo_of(costmap: CostmapView) -> Colours:
     """Returns the colours (H, W, 3) of the seen part of the map, south first."""
     rows, cols = seen_box(costmap)
     photo = costmap.rgb[rows, cols].copy()
-    photo[~np.isfinite(costmap.total[rows, cols]) & ~photo.any(axis=2)] = _UNKNOWN_RGB
+    photo[~np.isfinite(costmap.total[rows, cols]) & ~photo.any(axis=2)] = UNKNOWN_RGB
     return photo
 
 
-def enlarged(source: Colours, costmap: CostmapView) -> Colours:
-    """Returns a map of the seen part with whole pixels for a cell, north up."""
-    zoom = _zoom(*seen_box(costmap))
-    return np.ascontiguousarray(np.repeat(np.repeat(source[::-1], zoom, axis=0), zoom, axis=1))
+def extent_of(costmap: CostmapView, world_from_odom: Pose) -> tuple[Extent, Array]:
+    """The edges of the seen part of ``costmap`` in the world, and what is added to x and y (2,) of
+    the odom frame. The frames differ by a rotation of a fraction of a degree: exact in the middle
+    of the map, approximate elsewhere."""
+    rows, cols = seen_box(costmap)
+    low = costmap.origin_xy_m + costmap.cell_m * np.array([cols.start, rows.start])
+    high = costmap.origin_xy_m + costmap.cell_m * np.array([cols.stop, rows.stop])
+    middle = np.array([*(0.5 * (low + high)), 0.0])
+    offset = (world_from_odom.apply(middle) - middle)[:2]
+    (west, south), (east, north) = (low + offset).tolist(), (high + offset).tolist()
+    return (west, east, south, north), offset
 
 
-def _zoom(rows: slice, cols: slice) -> int:
-    """Pixels per cell."""
-    return max(1, round(_PANEL_PIXELS / max(rows.stop - rows.start, cols.stop - cols.start)))
+def _figure(
+    view: LanderView, site_odom: Array | None, world_from_odom: Pose, marks: Marks | None
+) -> Figure:
+    """Two maps; with ``marks`` they and the terms of the last decision, too."""
+    costmap, is_chosen = costmap_of(view), site_odom is not None
+    extent, offset = extent_of(costmap, world_from_odom)
+    decision = view.decisions[-1] if marks is not None and view.decisions else None
+    words = [] if decision is None else _table(decision)
+    height = _PANEL_IN * (extent[3] - extent[2]) / (extent[1] - extent[0]) + 1.0
+    with matplotlib.rc_context(STYLE):
+        figure = new_figure(2.0 * _PANEL_IN + 1.5, height + _ROW_IN * len(words))
+        panels = figure.subplots(1, 2, sharex=True, sharey=True)
+        panels[0].imshow(photo_of(costmap), origin="lower", extent=extent, interpolation="nearest")
+        shown = _draw_score(panels[1], costmap, extent)
+        figure.colorbar(shown, ax=panels, shrink=0.7, pad=0.01, label="score of accepted ground; "
+                        "refused ground is grey, brighter for a higher score")  # fmt: skip
+        for axes in panels:
+            if marks is not None:
+                draw_marks(axes, marks)
+                axes.set_xlabel(_CAPTION)
+            _draw_candidates(axes, view.candidates, offset, chosen=is_chosen)
+        if words:
+            _write_table(figure, words, _sign_colours(view.candidates, is_chosen))
+    return figure
+
+
+def _draw_score(axes: Axes, costmap: CostmapView, extent: Extent) -> Any:
+    """Viridis where a site is accepted, but for the lowest fiftieth; grey where none is; dark where
+    the score is unknown. Returns the image of accepted ground."""
+    rows, cols = seen_box(costmap)
+    value, allowed = costmap.value[rows, cols], costmap.allowed[rows, cols]
+    axes.set_facecolor(tuple(np.array(UNKNOWN_RGB) / 255.0))
+    where: Any = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
+    for mask, colours, ends in (
+        (~allowed, "gray", (1.0, 99.0)),
+        (allowed, "viridis", (2.0, 100.0)),
+    ):
+        layer = np.where(mask, value, np.nan)
+        known = layer[np.isfinite(layer)]
+        low, high = np.percentile(known, ends) if known.size else (0.0, 1.0)
+        shown = axes.imshow(layer, cmap=colours, vmin=low, vmax=max(high, low + 1e-6), **where)
+    return shown
+
+
+def _sign_colours(candidates: Sequence[Candidate], chosen: bool) -> list[str]:
+    """The colour of each candidate's sign; ``chosen``: the first is the chosen site."""
+    found = [ACCEPTED if candidate.accepted else REFUSED for candidate in candidates]
+    return [CHOSEN, *found[1:]] if chosen and found else found
 
 
 def _draw_candidates(
-    panels: tuple[Colours, Colours], view: LanderView, site_odom: Array | None
+    axes: Axes, candidates: Sequence[Candidate], offset: Array, *, chosen: bool
 ) -> None:
-    """Draws the candidates into both maps."""
-    costmap = costmap_of(view)
-    rows, cols = seen_box(costmap)
-    zoom, height = _zoom(rows, cols), panels[0].shape[0]
-    scale, chosen = panels[0].shape[1] / 800.0, site_odom is not None
-
-    def pixel(position: Array) -> tuple[int, int]:
-        col = (position[0] - costmap.origin_xy_m[0]) / costmap.cell_m - cols.start
-        row = (position[1] - costmap.origin_xy_m[1]) / costmap.cell_m - rows.start
-        return round(col * zoom), round(height - row * zoom)
-
-    spots = [pixel(candidate.position_odom) for candidate in view.candidates]
-    for panel in panels:
-        for number, (spot, candidate) in enumerate(zip(spots, view.candidates, strict=True)):
-            if number or not chosen:
-                draw_sign(panel, spot, candidate, round(6 * scale))
-        if site_odom is not None:
-            draw_winner(panel, pixel(site_odom), round(8 * scale))
-        draw_ranks(panel, spots, view.candidates, scale=scale, chosen=chosen)
+    """Draws a ring at an accepted site, a cross at a refused one and a cross hair at the chosen
+    site, each with its rank."""
+    axes.autoscale(False)
+    colours = _sign_colours(candidates, chosen)
+    for number, (site, colour) in enumerate(zip(candidates, colours, strict=True), start=1):
+        at = site.position_odom[:2] + offset
+        marks = [("o", 9.0), ("+", 26.0)] if colour == CHOSEN else [("ox"[not site.accepted], 8.0)]
+        for marker, size in marks:
+            axes.plot(*at, marker=marker, markersize=size, markerfacecolor="none",
+                      markeredgecolor=colour, markeredgewidth=2.0, path_effects=RIM)  # fmt: skip
+        axes.annotate(str(number), tuple(at), xytext=(6, 6), textcoords="offset points",
+                      color="white", fontsize=10, path_effects=RIM)  # fmt: skip
 
 
-def _key(frame: MapFrame, view: CostmapView, width: int) -> Colours:
-    """The colours of the score and the signs of the candidates."""
-    scale = frame.scale
-    top, bottom, base = round(6 * scale), round(24 * scale), round(20 * scale)
-    strip = np.full((round(34 * scale), width, 3), PAPER, np.uint8)
-    low, high = _accepted_range(view)
-    at = frame.write(strip, f"score of accepted ground (no unit)  {low:.2f}", 0, base)
-    ramp = np.linspace(0.0, 1.0, round(170 * scale), dtype=np.float32)
-    at += round(8 * scale)
-    strip[top:bottom, at : at + len(ramp)] = np.repeat(_viridis(ramp[None]), bottom - top, axis=0)
-    at = frame.write(strip, f"{high:.2f} (best)", at + len(ramp) + round(8 * scale), base)
-    for name, rgb in (
-        ("refused ground, brighter for a higher score", (_BRIGHTEST,) * 3),
-        ("unknown", _UNKNOWN_RGB),
-        ("1: the chosen site", CHOSEN_RGB),
-        ("accepted", ACCEPTED_RGB),
-        ("refused", REFUSED_RGB),
-    ):
-        at += round(20 * scale)
-        strip[top:bottom, at : at + bottom - top] = rgb
-        at = frame.write(strip, name, at + bottom - top + round(8 * scale), base)
-    return strip
+# ------------------------------------------------------------------------------------------- terms
+
+
+def _table(decision: Decision) -> list[str]:
+    """The reason of a choice, the titles of its columns, and a line for each candidate with the
+    terms that add up to its score."""
+    sites = decision.candidates
+    terms = next((site.terms for site in sites if site.terms), ())
+    names = [("= " if not k else "+ ") + t.name.replace("_", " ") for k, t in enumerate(terms)]
+    titles = ["", "score", *names, "ground", "slope, step, clearance", "rule"]
+    rows = [titles, *(_row(n, site, len(terms)) for n, site in enumerate(sites, start=1))]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
+    return [*textwrap.wrap(decision.why, _LINE_LETTERS), *lines]
+
+
+def _row(number: int, site: Candidate, terms: int) -> list[str]:
+    is_known = bool(np.isfinite(site.value))
+    shown = []
+    for term in site.terms if is_known else ():
+        told = term.unit and np.isfinite(term.quantity)
+        shown.append(f"{term.value:.3f}" + (f" ({term.quantity:.1f} {term.unit})" if told else ""))
+    ground = "-"
+    if site.class_predicted is not None:
+        ground = f"{site.class_predicted} {site.class_probability:.2f}"
+    shape = ((site.slope_deg, 1, "deg"), (site.step_m, 2, "m"), (site.clearance_m, 1, "m"))
+    return [
+        str(number),
+        f"{site.value:.3f}" if is_known else "-",
+        *(shown or ["-"] * terms),
+        ground,
+        ", ".join(f"{v:.{digits}f} {unit}" if np.isfinite(v) else "-" for v, digits, unit in shape),
+        site.rule.replace("_", " "),
+    ]
+
+
+def _write_table(figure: Figure, words: Sequence[str], signs: Sequence[str]) -> None:
+    """Writes lines below the maps, those of the candidates in the colours of their signs."""
+    height = float(figure.get_figheight())
+    engine: Any = figure.get_layout_engine()
+    engine.set(rect=(0.0, _ROW_IN * len(words) / height, 1.0, 1.0))
+    colours = [INK] * (len(words) - len(signs) - 1) + [FAINT, *signs]
+    for line, (text, colour) in enumerate(zip(words, colours, strict=True), start=1):
+        figure.text(0.03, _ROW_IN * (len(words) - line + 0.4) / height, text, family="monospace",
+                    fontsize=8, color=colour)  # fmt: skip

@@ -1,15 +1,18 @@
-"""Maps as coloured points, and PLY files of them."""
+"""What is drawn of maps: coloured points and PLY files of them, take-off and survey."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
+from touchdown.landing.api import SurveyParams
 from touchdown.sim.frames import Pose
 
+Array = NDArray[np.float64]
 Points = NDArray[np.float32]
 Colours = NDArray[np.uint8]
 
@@ -49,3 +52,25 @@ def write_ply(path: Path, points: Points, colours: Colours) -> None:
 def transform_points(pose: Pose, points: Points) -> Points:
     """(N, 3) float32 through a pose."""
     return (points @ pose.rotation.T.astype(np.float32)) + pose.translation.astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Marks:
+    """Take-off and survey of a flight on a map, world frame."""
+
+    takeoff_xy_m: Array
+    """(2,)"""
+    yaw: float
+    """heading of the take-off, rad"""
+    corners_xy_m: Array
+    """(4, 2) of the rectangle of the survey's legs"""
+
+
+def survey_marks(takeoff_xy_m: Array, yaw: float, survey: SurveyParams) -> Marks:
+    """Marks of a survey whose legs run along the heading from the take-off point, each next leg to
+    the left."""
+    length, width = survey.leg_length_m, (survey.legs - 1) * survey.leg_spacing_m
+    local = np.array([[0.0, 0.0], [length, 0.0], [length, width], [0.0, width]])
+    c, s = np.cos(yaw), np.sin(yaw)
+    corners = local @ np.array([[c, s], [-s, c]]) + takeoff_xy_m
+    return Marks(takeoff_xy_m=takeoff_xy_m, yaw=yaw, corners_xy_m=corners)

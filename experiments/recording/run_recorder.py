@@ -9,7 +9,7 @@ import numpy as np
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.drawing.map_axes import survey_marks
+from touchdown.experiments.drawing.map_images import survey_marks
 from touchdown.experiments.io.tum import TumWriter
 from touchdown.experiments.recording.recorder import NullRecorder, Recorder, StepRecord
 from touchdown.landing.api import LanderView

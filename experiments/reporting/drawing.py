@@ -13,11 +13,11 @@ import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from touchdown.experiments.drawing.style import FAINT, GRID, INK, PAPER, STYLE, new_figure
 from touchdown.experiments.errors import visible
 
-INK, FAINT, GRID, PAPER = "#1b1f27", "#6a7280", "#d9dde3", "#fefefe"
-"""Colours of the drawings; `Picture.on_page` replaces them by those of the page."""
 PAGE_COLOURS = {INK: "var(--ink)", FAINT: "var(--faint)", GRID: "var(--line)", PAPER: "none"}
+"""Colours of the style, and what `Picture.on_page` replaces them by."""
 METHOD_COLOURS = {
     "livo": "#2f7fd6",
     "zou2024": "#e0752d",
@@ -29,28 +29,14 @@ METHOD_COLOURS = {
 }
 SPARE_COLOURS = ("#159bb3", "#a3576b", "#6f9a2d", "#b05fc0")
 _STYLE: Any = {
+    **STYLE,
     "svg.fonttype": "none",
-    "text.parse_math": False,  # a name may hold dollar signs
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 9,
-    "axes.edgecolor": FAINT,
-    "axes.labelcolor": INK,
-    "axes.titlesize": 10,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": GRID,
     "grid.linewidth": 0.6,
-    "text.color": INK,
-    "xtick.color": FAINT,
-    "ytick.color": FAINT,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "figure.facecolor": PAPER,
-    "axes.facecolor": PAPER,
-    "legend.frameon": False,
 }
 
 
@@ -94,7 +80,7 @@ def drawn(picture: Picture, width: float, height: float) -> Iterator[Figure]:
     give the same text."""
     style: Any = {**_STYLE, "svg.hashsalt": picture.name}
     with matplotlib.rc_context(style):
-        figure = Figure(figsize=(width, height), layout="constrained")
+        figure = new_figure(width, height)
         yield figure
         for words in figure.findobj(Text):
             words.set_text(visible(words.get_text(), keep="\n"))

@@ -13,11 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
+from touchdown.experiments.drawing.style import FAINT, GRID, INK
 from touchdown.experiments.errors import visible
 from touchdown.experiments.reporting.drawing import (
-    FAINT,
-    GRID,
-    INK,
     METHOD_COLOURS,
     Picture,
     colour_of,

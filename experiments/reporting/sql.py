@@ -35,7 +35,6 @@ _READING = {"SELECT", "EXPLAIN", "MULTI"}
 """Kinds of statements that read; MULTI is a PIVOT."""
 _PLAIN = re.compile(r"BOOLEAN|(U?(TINY|SMALL|BIG|HUGE)INT)|U?INTEGER|FLOAT|DOUBLE|VARCHAR|\"NULL\"")
 """Types whose values are numbers, text and booleans of Python."""
-_NESTED = ("list", "array", "struct", "map", "union")
 
 
 class QueryResult(NamedTuple):
@@ -73,9 +72,10 @@ def connect(directory: Path) -> duckdb.DuckDBPyConnection:
 def run_sql(directory: Path, sql: str) -> QueryResult:
     """Returns the result of one statement over the table ``runs``.
 
-    Decimal numbers are floats; times, intervals, identifiers, binary data and the like are
-    DuckDB's text. Ctrl-C ends the query. Raises UsageError for SQL that is wrong, that does not
-    read, or that takes more than `MEMORY_BYTES`, and for a result that is too large.
+    Values of other types than text, numbers and booleans are those of DuckDB's JSON: times,
+    intervals, identifiers and binary data are text. Ctrl-C ends the query. Raises UsageError for
+    SQL that is wrong, that does not read, or that takes more than `MEMORY_BYTES`, and for a result
+    that is too large.
     """
     import duckdb
 
@@ -110,13 +110,14 @@ def _fetched(connection: duckdb.DuckDBPyConnection, sql: str) -> QueryResult:
     relation: Any = connection.sql(_one_statement(connection, sql))
     if relation is None:
         return QueryResult([], [])
-    columns, types = list(relation.columns), list(relation.types)
-    casts = [_cast(f"#{n}", kind) for n, kind in enumerate(types, 1)]
-    rows = relation.project(", ".join(casts)).limit(MAX_ROWS + 1).fetchall()
+    coded = [n for n, kind in enumerate(relation.types) if not _PLAIN.fullmatch(str(kind))]
+    values = (
+        f"to_json(#{n + 1})" if n in coded else f"#{n + 1}" for n in range(len(relation.types))
+    )
+    rows = relation.project(", ".join(values)).limit(MAX_ROWS + 1).fetchall()
     if len(rows) > MAX_ROWS:
         raise UsageError(f"it gives more than {MAX_ROWS} rows; add `limit`, or group them")
-    nested = [n for n, kind in enumerate(types) if kind.id in _NESTED]
-    return QueryResult(columns, [_parsed(row, nested) for row in rows] if nested else rows)
+    return QueryResult(list(relation.columns), [_parsed(row, coded) for row in rows])
 
 
 def _one_statement(connection: duckdb.DuckDBPyConnection, sql: str) -> str:
@@ -134,19 +135,10 @@ def _one_statement(connection: duckdb.DuckDBPyConnection, sql: str) -> str:
     return sql
 
 
-def _cast(column: str, kind: Any) -> str:
-    """SQL of the values of a column as numbers, booleans or text; nested ones as JSON."""
-    if _PLAIN.fullmatch(str(kind)):
-        return column
-    if kind.id == "decimal":
-        return f"cast({column} as double)"
-    return f"cast({column} as {'json' if kind.id in _NESTED else 'varchar'})"
-
-
-def _parsed(row: tuple[Any, ...], nested: list[int]) -> tuple[Any, ...]:
-    """The row with the JSON of its nested values read."""
+def _parsed(row: tuple[Any, ...], coded: list[int]) -> tuple[Any, ...]:
+    """The row with the JSON of its values ``coded`` read."""
     values = list(row)
-    for n in nested:
+    for n in coded:
         values[n] = None if values[n] is None else plain_json(json.loads(values[n]))
     return tuple(values)
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.drawing.map_axes import PAPER, MapFrame, survey_marks, write_text
+from touchdown.experiments.drawing.map_axes import framed_map
+from touchdown.experiments.drawing.map_images import survey_marks
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
@@ -37,6 +38,7 @@ _BRIGHTEST = 100.0
 _SUN = np.array([-0.5, 0.5, 0.7]) / np.linalg.norm([-0.5, 0.5, 0.7])
 _RELIEF_GAIN = 2.0
 _STRIP_PIXELS = 46
+_INK, _PAPER = (235, 235, 235), 24
 ABOVE_HALF_SPANS = 0.51
 """Half the width of level ground at height 0 in the image from above, in spans of the scene"""
 _LIDAR_ASIDE_M, _LIDAR_AHEAD_M = 28.0, 10.0
@@ -71,14 +73,15 @@ class SceneViews:
             drawn, key = image[:-_STRIP_PIXELS], image[-_STRIP_PIXELS:]
             west, south = self.truth.origin_xy_m.tolist()
             across_m = self.truth.cell_m * self.truth.class_id.shape[1]
-        frame = MapFrame(west_m=west, south_m=south, pixels_per_m=drawn.shape[1] / across_m)
-        marked = drawn.copy()
+        extent = (west, west + across_m, south, south + across_m * drawn.shape[0] / drawn.shape[1])
         scene = self._scene
-        frame.draw_marks(
-            marked, survey_marks(scene.takeoff_xy_m, scene.takeoff_yaw, self._config.survey)
-        )
-        done = frame.around([marked], MAP_WORDS)
-        return done if key is None else frame.below(done, key)
+        marks = survey_marks(scene.takeoff_xy_m, scene.takeoff_yaw, self._config.survey)
+        done = framed_map(drawn, extent, marks, MAP_WORDS)
+        if key is None:
+            return done
+        wide = np.full((key.shape[0], done.shape[1], 3), _PAPER, np.uint8)
+        wide[:, : key.shape[1]] = key[:, : done.shape[1]]
+        return np.vstack([done, wide])
 
     @cached_property
     def truth(self) -> TruthMaps:
@@ -237,7 +240,7 @@ def _north_up(image: Image) -> Image:
 
 def _with_scale(image: Image, colormap: int, low: str, high: str) -> Image:
     """A strip below with the colour scale from ``low`` to ``high``."""
-    strip = np.full((_STRIP_PIXELS, image.shape[1], 3), PAPER, np.uint8)
+    strip = np.full((_STRIP_PIXELS, image.shape[1], 3), _PAPER, np.uint8)
     left = 20 + _text(strip, low, 12)
     right = min(left + 360, image.shape[1] - 130)
     strip[12:34, left:right] = _coloured(np.linspace(0.0, 1.0, right - left)[None], colormap)
@@ -247,7 +250,7 @@ def _with_scale(image: Image, colormap: int, low: str, high: str) -> Image:
 
 def _with_key(image: Image, key: list[tuple[str, tuple[int, int, int]]]) -> Image:
     """A strip below with a coloured square and a name for each entry."""
-    strip = np.full((_STRIP_PIXELS, image.shape[1], 3), PAPER, np.uint8)
+    strip = np.full((_STRIP_PIXELS, image.shape[1], 3), _PAPER, np.uint8)
     at = 12
     for name, colour in key:
         strip[12:34, at : at + 22] = colour
@@ -257,4 +260,6 @@ def _with_key(image: Image, key: list[tuple[str, tuple[int, int, int]]]) -> Imag
 
 def _text(strip: Image, text: str, left: int) -> int:
     """Writes into a strip in place and returns the column where the text ends."""
-    return write_text(strip, text, left, 29, 0.55)
+    font, size, line = cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1
+    cv2.putText(strip, text, (left, 29), font, size, _INK, line, cv2.LINE_AA)
+    return left + int(cv2.getTextSize(text, font, size, line)[0][0])

@@ -1,18 +1,34 @@
 """The picture of a choice: colours of the score, signs of the candidates, places of the ranks."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
+from matplotlib import colormaps
+from matplotlib.colors import to_rgb
 
-from touchdown.experiments.drawing import candidate_signs as signs
-from touchdown.experiments.drawing.class_image import class_numbers
-from touchdown.experiments.drawing.costmap_image import costmap_image, score_colours
-from touchdown.landing.api import Candidate, CostmapView, Phase, ScoreTerm, SemanticView
+from touchdown.experiments.drawing import costmap_image as drawing
+from touchdown.experiments.drawing.class_image import CLASS_RGB, class_numbers, write_classes
+from touchdown.experiments.drawing.costmap_image import costmap_image
+from touchdown.experiments.drawing.map_images import survey_marks
+from touchdown.experiments.io.images import read_picture
+from touchdown.landing.api import (
+    Candidate,
+    CostmapView,
+    Decision,
+    Phase,
+    ScoreTerm,
+    SemanticView,
+    SurveyParams,
+)
 from touchdown.scenes.api import LAND_CLASSES
+from touchdown.sim.frames import Pose
 
 from support.flight_fakes import make_view
+
+viridis = colormaps["viridis"]
 
 
 def _costmap() -> CostmapView:
@@ -35,39 +51,45 @@ def _candidate(x: float, y: float, *, accepted: bool = True) -> Candidate:
     )  # fmt: skip
 
 
-def test_colours_span_accepted_ground_and_refused_ground_is_grey() -> None:
-    colours = score_colours(_costmap()).astype(int)
-    best = cv2.applyColorMap(np.array([[255]], np.uint8), cv2.COLORMAP_VIRIDIS)[0, 0, ::-1]
-    worst = cv2.applyColorMap(np.array([[0]], np.uint8), cv2.COLORMAP_VIRIDIS)[0, 0, ::-1]
-    assert colours[5, 39].tolist() == best.tolist() and colours[5, 20].tolist() == worst.tolist()
-    refused = colours[5, 10:20]
-    assert (refused.max(axis=1) == refused.min(axis=1)).all() and (np.diff(refused[:, 0]) > 0).all()
-    assert colours[5, 5].tolist() == [30, 32, 38]
+def _has(image: np.ndarray, colour: Any) -> bool:
+    """True where a pixel is of ``colour``, a name or numbers from 0 to 1, but for rounding."""
+    rgb = 255.0 * np.array(to_rgb(colour))
+    return bool((np.abs(image - rgb).max(axis=2) <= 1.0).any())
 
 
-@pytest.mark.parametrize("accepted", [True, False])
-def test_a_ring_marks_accepted_sites_and_a_cross_refused_ones(accepted: bool) -> None:
-    image = np.zeros((60, 60, 3), np.uint8)
-    signs.draw_sign(image, (30, 30), _candidate(0.0, 0.0, accepted=accepted), 10)
-    colour = signs.ACCEPTED_RGB if accepted else signs.REFUSED_RGB
-    middle, side = image[30, 30].tolist(), image[30, 40].tolist()
-    assert (middle == list(colour)) is not accepted  # a ring is open in the middle
-    assert (side == list(colour)) is accepted
-
-
-def test_image_shows_the_winner_beside_the_other_candidates() -> None:
+def test_image_shows_score_and_winner_beside_the_other_candidates() -> None:
     sites = (_candidate(30.0, 30.0), _candidate(25.0, 10.0), _candidate(15.0, 20.0, accepted=False))
     view = make_view(Phase.SELECT, costmap=_costmap(), candidates=sites)
     image = costmap_image(view, sites[0].position_odom)
-    for rgb in (signs.CHOSEN_RGB, signs.ACCEPTED_RGB, signs.REFUSED_RGB):
-        assert (image == rgb).all(axis=2).any()
+    for colour in (drawing.CHOSEN, drawing.ACCEPTED, drawing.REFUSED):
+        assert _has(image, colour)
     nobody = costmap_image(view, None)
-    assert not (nobody == signs.CHOSEN_RGB).all(axis=2).any()
+    assert not _has(nobody, drawing.CHOSEN)
+    right = nobody[:, nobody.shape[1] // 2 :]
+    for share in (0.0, 0.5, 1.0):
+        assert _has(right, viridis(share)), "accepted ground"
+    assert _has(right, "black") and _has(right, np.array(drawing.UNKNOWN_RGB) / 255.0)
     with pytest.raises(ValueError, match="no costmap"):
         costmap_image(make_view(Phase.SELECT), None)
 
 
-def test_semantic_map_is_drawn_where_it_lies() -> None:
+def test_pictures_of_a_flight_have_a_table_of_the_choice(tmp_path: Path) -> None:
+    sites = (_candidate(30.0, 30.0), _candidate(15.0, 20.0, accepted=False))
+    decision = Decision(
+        time_s=1.0, selector="risk", candidates=sites, positions_world=np.zeros((2, 3)),
+        why="all is well " * 30,
+    )  # fmt: skip
+    view = make_view(Phase.SELECT, costmap=_costmap(), candidates=sites, decisions=(decision,))
+    marks = survey_marks(np.array([20.0, 20.0]), 0.5, SurveyParams())
+    drawing.write_costmap(tmp_path / "c.png", view, np.zeros(3), Pose.identity(), marks)
+    assert read_picture(tmp_path / "c.png").shape[0] > costmap_image(view, np.zeros(3)).shape[0]
+    lines = drawing._table(decision)
+    assert " ".join(lines[-3].split()) == "score = room ground slope, step, clearance rule"
+    assert lines[-1].split("  ")[:3] == ["2", "0.900", "0.900 (2.0 m)"]
+    assert lines[-2].endswith("1.0 deg, 0.02 m, 2.0 m  lower value")
+
+
+def test_semantic_map_is_drawn_where_it_lies(tmp_path: Path) -> None:
     chance = np.full((5, 4, 7), 0.1 / 6, np.float32)
     chance[:, :2, LAND_CLASSES.index("water")] = 0.9  # nodes at x = 12 and 18
     chance[:, 2:, LAND_CLASSES.index("lawn")] = 0.9  # at 24 and 30
@@ -86,5 +108,10 @@ def test_semantic_map_is_drawn_where_it_lies() -> None:
         assert found[y, x - 2] == LAND_CLASSES.index(name), (y, x)
     assert found[29, 18] == unsure and found[5, 18] == unseen
     assert found[15, 6] == found[15, 36] == unseen, "unknown ground, and ground beyond the nodes"
+    marks = survey_marks(np.array([20.0, 20.0]), 0.5, SurveyParams())
+    costmap = replace(_costmap(), semantics=semantics)
+    write_classes(tmp_path / "classes.png", costmap, Pose.identity(), marks)
+    water = (0.5 * np.array([90, 90, 90]) + 0.5 * np.array(CLASS_RGB["water"])) / 255.0
+    assert _has(read_picture(tmp_path / "classes.png"), water)
     with pytest.raises(ValueError, match="no semantic map"):
         class_numbers(_costmap())
