@@ -1,8 +1,12 @@
-"""Commands ``touchdown bench ...``, which measure speed and accuracy."""
+"""Commands ``touchdown bench ...``, which measure speed and accuracy, and ``touchdown maps``."""
 
 from __future__ import annotations
 
 import json
+import math
+import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,30 +15,40 @@ import click
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
     EXIT_FAILED,
+    JOB_COUNT,
     JSON,
     OVERRIDES,
     PATH,
+    PROFILE,
     QUIET,
     SEED,
+    SEEDS,
     CommandGroup,
+    Number,
     answer,
+    answered,
 )
 from touchdown.experiments.cli.console import print_stages
-from touchdown.experiments.errors import usage_errors
+from touchdown.experiments.errors import UsageError, usage_errors
 from touchdown.experiments.terminal import end_progress, make_progress, say
 
+_SCENE = click.option("--scene", default="crossroad", show_default=True)
+_ESTIMATOR = click.option("--estimator", default="livo", show_default=True)
+_FULL = click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
+_ONE_JOB = click.option("--jobs", type=JOB_COUNT, default=1, show_default=True)
 
-@click.group(
-    cls=CommandGroup,
-    modules={
-        "all": "bench_all:bench_all",
-        "compare": "bench_all:bench_compare",
-        "estimator": "bench_odometry:bench_estimator",
-        "imu": "bench_odometry:bench_imu",
-        "limit": "bench_odometry:bench_limit",
-        "profile": "bench_all:bench_profile",
-    },
-)
+
+def _rounds(default: int) -> Any:
+    return click.option("--rounds", type=click.IntRange(1, 100), default=default,
+                        show_default=True, help="Medians are printed.")  # fmt: skip
+
+
+def _seeds(default: str) -> Any:
+    return click.option("--seeds", default=default, show_default=True,
+                        help="Such as 0-24 or 100,101.")  # fmt: skip
+
+
+@click.group(cls=CommandGroup)
 def bench() -> int:
     """Measure speed.
 
@@ -44,10 +58,10 @@ def bench() -> int:
 
 
 @bench.command("loop")
-@click.option("--scene", default="crossroad", show_default=True)
-@click.option("--estimator", default="livo", show_default=True)
-@click.option("--seed", type=SEED, default=0, show_default=True)
-@click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
+@_SCENE
+@_ESTIMATOR
+@SEED
+@_FULL
 @JSON
 @QUIET
 def bench_loop(as_json: bool, quiet: bool, **chosen: Any) -> int:
@@ -62,45 +76,54 @@ def bench_loop(as_json: bool, quiet: bool, **chosen: Any) -> int:
     progress = make_progress(quiet)
     found = measure_loop(config, lambda cfg, out: fly_with_usage_errors(cfg, out, progress))
     end_progress(quiet)
-    if as_json:
-        click.echo(json.dumps(found["figures"], indent=2))
-    else:
-        print_stages(found["result"])
+    answer(found["figures"], as_json, lambda _figures: print_stages(found["result"]))
     return EXIT_DONE if found["result"].is_success else EXIT_FAILED
 
 
+def _print_lidar(figures: dict[str, Any]) -> None:
+    for name, rate in figures["rays_per_s"].items():
+        beside = f"  sensor {figures['ratio'][name]:.2f}x" if name in figures["ratio"] else ""
+        click.echo(f"{name:13} {rate / 1e6:7.2f} million rays/s{beside}")
+
+
 @bench.command("lidar")
-@click.option("--scene", default="crossroad", show_default=True)
+@_SCENE
 @click.option("--preset", default="horizon", show_default=True, help="horizon, avia or mid360.")
-@click.option("--seed", type=SEED, default=0, show_default=True)
-@click.option("--rounds", type=click.IntRange(1, 100), default=7, show_default=True)
-@JSON
-def bench_lidar(as_json: bool, **options: Any) -> int:
+@SEED
+@_rounds(7)
+@answered(_print_lidar)
+def bench_lidar(**options: Any) -> dict[str, Any]:
     """Measure rays per second of the LIDAR sensor and of bare ray casters, one thread each.
 
     Example: touchdown bench lidar --json
     """
     from touchdown.experiments.benchmarks.lidar import bench_lidar as measure
 
-    def show(figures: dict[str, Any]) -> None:
-        for name, rate in figures["rays_per_s"].items():
-            beside = f"  sensor {figures['ratio'][name]:.2f}x" if name in figures["ratio"] else ""
-            click.echo(f"{name:13} {rate / 1e6:7.2f} million rays/s{beside}")
+    return measure(**options)
 
-    return answer(usage_errors(lambda: measure(**options)), as_json, show)
+
+def _print_landing(figures: dict[str, Any]) -> None:
+    beside = figures.get("reference_ms", {})
+    for name, milliseconds in figures["stage_ms"].items():
+        other = f"{beside[name]:9.1f}" if name in beside else ""
+        click.echo(f"{name:14}{milliseconds:8.2f} ms{other}")
+    if "classifier_ms" in figures:
+        sites, ms = figures["classified_sites"], figures["classifier_ms"]
+        click.echo(f"{'ten patches':14}{ms['ten_patches']:8.2f} ms")
+        click.echo(f"{'with classes':14}{ms['selection']:8.2f} ms ({sites} sites classified)")
+    if beside:
+        click.echo(f"ratio.reference {figures['ratio']['reference']:.1f}")
 
 
 @bench.command("landing")
-@click.option("--scene", default="crossroad", show_default=True)
-@click.option("--seed", type=SEED, default=0, show_default=True)
-@click.option("--rounds", type=click.IntRange(1, 100), default=9, show_default=True)
+@_SCENE
+@SEED
+@_rounds(9)
 @click.option("--reference/--no-reference", default=True, help="Time the reference code too.")
-@click.option("--network", type=PATH, default=None,
-              help="Ground classifier (ONNX).  [the one that comes with touchdown]")  # fmt: skip
-@click.option("--threads", type=click.IntRange(1, 1024), default=2, show_default=True,
-              help="Processor threads of the network.")  # fmt: skip
-@JSON
-def bench_landing(reference: bool, threads: int, as_json: bool, **options: Any) -> int:
+@click.option("--network", type=PATH, help="Ground classifier (ONNX).  [the shipped one]")
+@click.option("--threads", type=JOB_COUNT, default=2, show_default=True, help="Of the network.")
+@answered(_print_landing)
+def bench_landing(**options: Any) -> dict[str, Any]:
     """Time each step of site selection on the map of a whole survey, in milliseconds (Table 7 of
     the paper), beside the same steps by Open3D, SciPy and scikit-image, one thread each.
 
@@ -111,36 +134,22 @@ def bench_landing(reference: bool, threads: int, as_json: bool, **options: Any) 
     """
     from touchdown.experiments.benchmarks.selection.timing import bench_landing as measure
 
-    figures = usage_errors(lambda: measure(reference=reference, threads=threads, **options))
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-        return EXIT_DONE
-    beside = figures.get("reference_ms", {})
-    for name, milliseconds in figures["stage_ms"].items():
-        other = f"{beside[name]:9.1f}" if name in beside else ""
-        click.echo(f"{name:14}{milliseconds:8.2f} ms{other}")
-    if "classifier_ms" in figures:
-        sites, ms = figures["classified_sites"], figures["classifier_ms"]
-        click.echo(f"{'ten patches':14}{ms['ten_patches']:8.2f} ms on {threads} threads")
-        click.echo(f"{'with classes':14}{ms['selection']:8.2f} ms ({sites} sites classified)")
-    if reference:
-        click.echo(f"ratio.reference {figures['ratio']['reference']:.1f}")
-    return EXIT_DONE
+    return measure(**options)
 
 
 @bench.command("selector")
 @click.argument("scenes", nargs=-1)
-@click.option("--seeds", default="0-24", show_default=True, help="Such as 0-24 or 100,101.")
-@click.option("--maps", type=PATH, default=None, metavar="DIR",
+@_seeds("0-24")
+@click.option("--maps", type=PATH, metavar="DIR",
               help="Take the maps that `touchdown maps make` kept in DIR.")  # fmt: skip
 @click.option("--selector", "selectors", multiple=True, metavar="NAME",
               help="risk, zou2024, or MODULE:FUNCTION, which both are compared with. May be "
               "repeated.  [risk]")  # fmt: skip
-@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
+@_ONE_JOB
 @click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these maps.")
-@click.option("--pictures", type=PATH, default=None, metavar="DIR",
+@click.option("--pictures", type=PATH, metavar="DIR",
               help="Draw the steps to each site (Fig. 11 of the paper) into DIR.")  # fmt: skip
-@click.option("--worst", type=click.IntRange(1), default=None, metavar="N",
+@click.option("--worst", type=click.IntRange(1), metavar="N",
               help="Draw the N places of the largest regret alone.")  # fmt: skip
 @OVERRIDES
 @JSON
@@ -158,24 +167,17 @@ def bench_selector(
 
     Example: touchdown bench selector --maps maps --selector examples.flat_disc:build
     """
-    from touchdown.experiments.benchmarks.selection import sites as selector_check
-    from touchdown.experiments.errors import UsageError
+    from touchdown.experiments.benchmarks.selection import sites
 
     if maps is not None and scenes:
         raise UsageError("SCENES and --maps exclude each other: maps are of their own scenes")
     named = list(selectors)
     if any(":" in name for name in named):
         named += [name for name in ("risk", "zou2024") if name not in named]
-    posed = selector_check.Posed(scenes or selector_check.SCENES, seeds)
-    figures = usage_errors(
-        lambda: selector_check.run(
-            posed if maps is None else maps,
-            named,
-            report=lambda result: say(selector_check.row(result), err=as_json),
-            **options,
-        )
-    )
-    return answer(figures, as_json, lambda figures: say(selector_check.text(figures)))
+    source = maps or sites.Posed(scenes or sites.SCENES, seeds)
+    options["report"] = lambda result: say(sites.row(result), err=as_json)
+    figures = usage_errors(lambda: sites.run(source, named, **options))
+    return answer(figures, as_json, lambda found: say(sites.text(found)))
 
 
 @click.group(cls=CommandGroup)
@@ -189,11 +191,10 @@ def maps() -> int:
 
 @maps.command("make")
 @click.argument("scenes", nargs=-1)
-@click.option("--seeds", default="0-11", show_default=True, help="Such as 0-24 or 100,101.")
-@click.option("--profile", type=click.Choice(["ideal", "field", "harsh"]), default="field",
-              show_default=True)  # fmt: skip
+@_seeds("0-11")
+@click.option("--profile", type=PROFILE, default="field", show_default=True)
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder of the maps.")
-@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True)
+@_ONE_JOB
 @OVERRIDES
 @JSON
 def maps_make(
@@ -204,12 +205,229 @@ def maps_make(
 
     Example: touchdown maps make --out maps --jobs 2
     """
-    from touchdown.experiments.benchmarks.selection import sites as selector_check
+    from touchdown.experiments.benchmarks.selection import sites
 
-    source = selector_check.Posed(scenes or selector_check.SCENES, seeds, profile)
-    files = usage_errors(
-        lambda: selector_check.make_maps(
-            source, out, report=lambda file: say(str(file), err=as_json), **options
-        )
-    )
+    source = sites.Posed(scenes or sites.SCENES, seeds, profile)
+    options["report"] = lambda file: say(file, err=as_json)
+    files = usage_errors(lambda: sites.make_maps(source, out, **options))
     return answer({"maps": [str(file) for file in files]}, as_json, lambda _figures: None)
+
+
+@bench.command("all")
+@_rounds(1)
+@JSON
+def bench_all(rounds: int, as_json: bool) -> int:
+    """Measure what a flight costs: a landing on one core as a worker flies it, the real-time factor
+    with recording, the LIDAR beside other ray casters, the choice of a site.
+
+    Example: touchdown bench all --json
+    """
+    import touchdown
+
+    return _measure([Path(touchdown.__file__).parents[2]], rounds, as_json)
+
+
+@bench.command("compare")
+@click.argument("a", type=PATH)
+@click.argument("b", type=PATH)
+@_rounds(1)
+@JSON
+def bench_compare(a: Path, b: Path, rounds: int, as_json: bool) -> int:
+    """Run the measures of `bench all` on the checkouts A and B in turns, in this environment.
+
+    Example: touchdown bench compare ../touchdown-before .
+    """
+    return _measure([a, b], rounds, as_json)
+
+
+def _measure(trees: Sequence[Path], rounds: int, as_json: bool) -> int:
+    """Figures by title: unit, values of the checkouts, and the last over the first of two."""
+    from touchdown.experiments.benchmarks.all_measures import measure_all
+
+    plain: dict[str, Any] = {}
+
+    def run() -> None:
+        for name, figures in measure_all(trees, rounds):
+            for one in figures:
+                ratio = {"ratio": one.ratio} if len(one.values) > 1 else {}
+                plain[one.measure.title] = {
+                    "unit": one.measure.unit, "values": list(one.values), **ratio
+                }  # fmt: skip
+            say(f"bench {name}: done" if as_json else "\n".join(map(_line, figures)), err=as_json)
+
+    usage_errors(run)
+    return answer(plain, as_json, lambda _figures: None)
+
+
+def _line(one: Any) -> str:
+    values = "".join("         -" if v is None else f"{v:10.3g}" for v in one.values)
+    ratio = f"  x {one.ratio:.2f}" if len(one.values) > 1 and one.ratio is not None else ""
+    return f"{one.measure.title:38}{values} {one.measure.unit}{ratio}"
+
+
+def _print_profile(figures: dict[str, Any]) -> None:
+    from touchdown.experiments.benchmarks.flight_profile import table
+
+    say(table(figures))
+
+
+@bench.command("profile")
+@click.argument("scene", default="crossroad")
+@_ESTIMATOR
+@click.option("--profile", default="field", show_default=True)
+@SEED
+@_FULL
+@click.option("--out", type=PATH, metavar="DIR",
+              help="Write stages.json and, with py-spy, flame.svg there.")  # fmt: skip
+@answered(_print_profile)
+def bench_profile(out: Path | None, **chosen: Any) -> dict[str, Any]:
+    """Fly once on one core, without recording: the processor time of each stage, and a flame graph.
+
+    The time of a stage is without that of the stages that it calls. The flame graph needs py-spy
+    (pip install py-spy).
+
+    Example: touchdown bench profile forest --out profile
+    """
+    from touchdown.experiments.benchmarks import flight_profile
+
+    config = flight_profile.profile_config(**chosen)
+    if out is None:
+        return flight_profile.profile_flight(config)
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out '{out}' is a file: name a directory")
+    out.mkdir(parents=True, exist_ok=True)
+    again = [chosen["scene"], *(["--full"] if chosen["full"] else [])]
+    again += [f"--{name}={chosen[name]}" for name in ("estimator", "profile", "seed")]
+    figures = flight_profile.profile_with_flames(again, out / "flame.svg")
+    if figures is None:
+        say("no flame graph: py-spy is not installed (pip install py-spy)", err=True)
+        figures = flight_profile.profile_flight(config)
+    (out / "stages.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    return figures
+
+
+def _print_estimators(figures: dict[str, Any]) -> None:
+    """One row a method: methods are many, scenes are few."""
+    from touchdown.experiments.benchmarks.odometry import ablation_table
+
+    if "ablation" in figures:
+        return say(ablation_table(figures["ablation"]))
+    scenes, details = list(figures["error_m"]), figures["scenes"]
+    say("| method | " + " | ".join(scenes) + " | CPU for 0.1 s of data (ms) |")
+    say("|---|" + "---|" * (len(scenes) + 1))
+    for name, cost in figures["ms_per_0.1s"].items():
+        cells = [_error(details[s]["error_m"][name], details[s]["lost_s"][name]) for s in scenes]
+        say(f"| {name} | " + " | ".join(cells) + f" | {cost:.1f} |")
+    ratios = figures["ratio"]
+    if ratios:
+        cells = [f"{ratios[log]:.1f}" if log in ratios else "" for log in scenes]
+        say("| best reference / livo_no_camera | " + " | ".join(cells) + " | |")
+    say("\nmean error in metres, not aligned")
+    if ratios:
+        say(f"geometric mean of the ratio: {ratios['geometric_mean']:.2f}")
+    for scene in scenes:
+        for method, setting in details[scene]["best"].items():
+            text = ", ".join(f"{name} {value}" for name, value in setting.items())
+            say(f"{scene}: best of {method}: {text}")
+
+
+def _error(error_m: float, lost_s: float | None) -> str:
+    if lost_s is None:
+        return f"{error_m:.3f}"
+    until = "" if math.isnan(error_m) else f"{error_m:.2f} until "
+    return f"{until}lost at {lost_s:.0f} s"
+
+
+def _report(quiet: bool, text: str) -> None:
+    if not quiet and sys.stderr.isatty():
+        print(f"\r\x1b[K{text}"[:160], end="", file=sys.stderr, flush=True)
+
+
+@bench.command("estimator")
+@click.argument("scenes", nargs=-1)
+@click.option("--ablate", is_flag=True,
+              help="Leave out one part of the estimators after the other instead.")  # fmt: skip
+@click.option("--seed", type=SEEDS, multiple=True, default=(0,), show_default="0",
+              help="Seed of the surveys; once for all scenes, or once for each.")  # fmt: skip
+@click.option("--method", multiple=True, metavar="NAME",
+              help="Only this row of the table, or with --ablate the rows of this estimator; may "
+              "be given more than once.  [all]")  # fmt: skip
+@click.option("--seconds", type=Number(min=0.0, max=86400.0, min_open=True),
+              help="Duration of each log after lift-off.  [all]")  # fmt: skip
+@click.option("--runs", type=PATH,
+              help="Keep the logged surveys here, and use those that are there.")  # fmt: skip
+@answered(_print_estimators)
+@QUIET
+def bench_estimator(
+    scenes: tuple[str, ...],
+    ablate: bool,
+    seed: tuple[int, ...],
+    method: tuple[str, ...],
+    seconds: float | None,
+    runs: Path | None,
+    quiet: bool,
+) -> dict[str, Any]:
+    """Compare positioning error and cost with odometry of others on equal logs.
+
+    One survey per scene (crossroad, lake, houses and forest unless named) is flown with livo, in
+    the default profile. A scene may be named more than once, with a seed each. The log is replayed
+    through livo, zou2024 and the reference implementations KISS-ICP and small_gicp, these on the
+    scans alone and with the best of a grid of settings. With --ablate it is replayed through livo
+    and zou2024 with one part after the other left out; of three logs and more the table has an
+    interval of what each part is worth. All of it is open loop.
+
+    Example: touchdown bench estimator crossroad --seconds 20 --runs runs/logged
+    """
+    from touchdown.experiments.benchmarks import odometry
+
+    with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
+        return odometry.bench_estimator(
+            scenes or odometry.SCENES, seeds=seed, runs=runs or Path(folder), ablate=ablate,
+            seconds=seconds, report=lambda text: _report(quiet, text), methods=method,
+        )  # fmt: skip
+
+
+def _print_spectra(figures: dict[str, Any]) -> None:
+    from touchdown.experiments.benchmarks.imu_spectra import rows
+
+    say("\n".join(rows(figures)))
+
+
+@bench.command("imu")
+@click.option("--data", type=PATH, required=True, metavar="DIR",
+              help="Recorded flights of Hurwitz and Klein (2023).")  # fmt: skip
+@answered(_print_spectra)
+def bench_imu(data: Path) -> dict[str, Any]:
+    """Compare the vibration of the simulated IMU with that of recorded flights, band by band.
+
+    Example: touchdown bench imu --data flights
+    """
+    from touchdown.experiments.benchmarks.imu_spectra import measure
+
+    return {name: array.tolist() for name, array in measure(data).items()}
+
+
+def _print_limit(figures: dict[str, Any]) -> None:
+    from touchdown.experiments.benchmarks.limit.survey import table
+
+    say(table(figures["runs"]))
+
+
+@bench.command("limit")
+@click.argument("runs", nargs=-1, required=True, type=PATH)
+@click.option("--replay/--no-replay", "replays", default=True, show_default=True,
+              help="Replay livo on the same logs.")  # fmt: skip
+@answered(_print_limit)
+@QUIET
+def bench_limit(runs: tuple[Path, ...], replays: bool, quiet: bool) -> dict[str, Any]:
+    """Print the Cramér-Rao bound of the position error of logged surveys, by sets of sensors, and
+    the error of livo on the same logs.
+
+    RUNS: run directories flown with --log-sensors. The bound is computed from the true path, the
+    true surface and the noises; it is no estimator.
+
+    Example: touchdown bench limit runs/survey
+    """
+    from touchdown.experiments.benchmarks.limit import survey
+
+    return {"runs": [survey.measure(run, replays, lambda t: _report(quiet, t)) for run in runs]}

@@ -1,43 +1,40 @@
-"""Commands for many flights: ``touchdown campaign ...``."""
+"""Commands for many flights: ``touchdown campaign``, ``results`` and ``reproduce``."""
 
 from __future__ import annotations
 
-import json
 import re
-import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
     EXIT_FAILED,
+    JOBS,
     JSON,
     OVERRIDES,
     PATH,
+    PRESET,
     QUIET,
     CommandGroup,
+    Parsed,
     answer,
-    interrupt_code,
+    resumable,
 )
 from touchdown.experiments.errors import visible
+from touchdown.experiments.terminal import say
+
+if TYPE_CHECKING:
+    from touchdown.experiments.campaign.forecast import Forecast
 
 
-class ShardType(click.ParamType):
-    """``I/N``: the I-th of N parts, from 1."""
-
-    name = "I/N"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[int, int]:
-        if isinstance(value, tuple):
-            return value
-        found = re.fullmatch(r"(\d+)/(\d+)", str(value))
-        if not found or not 1 <= int(found[1]) <= int(found[2]):
-            self.fail(f"'{value}' is not of the form I/N, such as 1/4 to 4/4", param, ctx)
-        return int(found[1]), int(found[2])
+def _shard(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise ValueError
+    return int(found[1]), int(found[2])
 
 
 class CampaignGroup(CommandGroup):
@@ -80,27 +77,22 @@ def campaign() -> int:
 @click.argument("file", type=PATH, metavar="FILE.toml")
 @click.option("--out", type=PATH, metavar="DIR",
               help="The campaign's directory; an existing one is resumed.")  # fmt: skip
-@click.option("--jobs", type=click.IntRange(1, 1024), help="Flights at a time.  [cores]")
+@JOBS
 @click.option("--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option("--ray-address", metavar="ADDRESS", help="Of a Ray cluster.  [a local one]")
-@click.option("--shard", type=ShardType(), help="Fly the I-th of N parts, on one of N machines.")
+@click.option("--shard", type=Parsed("I/N", "such as 1/4 to 4/4", _shard),
+              help="Fly the I-th of N parts, on one of N machines.")  # fmt: skip
 @click.option("--allow-code", is_flag=True,
               help="Import external estimators that a campaign.toml of results names.")  # fmt: skip
-@click.option("--preset", type=click.Choice(["whole", "short"]),
-              help="How much each run flies: short is one leg of 12 m.  [whole]")  # fmt: skip
+@PRESET
 @OVERRIDES
 @click.option("--dry-run", is_flag=True,
               help="Print the number of flights and their expected cost; fly nothing.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+@JSON
 @QUIET
 @click.pass_context
 def fly_file(
-    context: click.Context,
-    file: Path,
-    out: Path | None,
-    shard: tuple[int, int] | None,
-    allow_code: bool,
-    **more: Any,
+    context: click.Context, file: Path, out: Path | None, as_json: bool, **more: Any
 ) -> int:
     """Fly all runs of FILE.toml: scenes x estimators x seeds x winds, in parallel.
 
@@ -121,32 +113,28 @@ def fly_file(
         make_engine,
     )
 
-    plan = load_plan(file, allow_code=allow_code, preset=more["preset"],
-                     overrides=more["overrides"])  # fmt: skip
+    shard = more["shard"]
+    plan = load_plan(file, **{key: more[key] for key in ("allow_code", "preset", "overrides")})
     expected = forecast(plan, runs_of_shard(plan, shard), out, more["jobs"] or default_jobs())
     if more["dry_run"]:
-        click.echo(json.dumps(expected.as_json(), indent=2) if more["as_json"] else
-                   "\n".join(map(visible, lines(expected))))  # fmt: skip
-        return EXIT_DONE
+        return answer(
+            expected.as_json(), as_json, lambda _: say("\n".join(map(visible, lines(expected))))
+        )
     if out is None:
         raise click.MissingParameter(ctx=context, param_hint="'--out'", param_type="option")
     flown_by = make_engine(more["engine"], more["jobs"], more["ray_address"])
     watcher = Watcher() if more["quiet"] else Display(lines(expected))
-    try:
+    with resumable(
+        "runs are kept, and the same command resumes the campaign "
+        f"(see 'touchdown campaign status {out}')"
+    ):
         figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)
-    except KeyboardInterrupt as error:
-        print(
-            "touchdown: stopped; finished runs are kept, and the same command resumes the "
-            f"campaign (see 'touchdown campaign status {out}')",
-            file=sys.stderr,
-        )
-        return interrupt_code(error)
-    answer(figures, more["as_json"], print_summary)
+    answer(figures, as_json, print_summary)
     if missing := figures["missing"]:
-        print(
+        say(
             f"touchdown: {len(missing)} runs have no row, such as {missing[0]}; give the same "
             "command again to fly them",
-            file=sys.stderr,
+            err=True,
         )
     failed = figures["crashed"] or missing or not figures["as_expected"]
     return EXIT_FAILED if failed else EXIT_DONE
@@ -167,3 +155,156 @@ def status(directory: Path, as_json: bool) -> int:
     figures = summary(directory)
     answer(figures, as_json, print_summary)
     return EXIT_DONE if figures["as_expected"] else EXIT_FAILED
+
+
+@click.command()
+@click.option("--out", type=PATH, metavar="DIR", required=True,
+              help="Directory of the flights; an earlier one is continued.")  # fmt: skip
+@click.option("--profile", type=click.Choice(["field", "ideal"]), default="field",
+              show_default=True, help="The sets of which world.")  # fmt: skip
+@click.option("--only", multiple=True, metavar="NAME",
+              help="One set: landings, positioning, blind or short. May be repeated.")  # fmt: skip
+@click.option("--write", is_flag=True,
+              help="Write docs/results/results.json and the tables of the pages.")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Print what it would cost, and fly nothing.")
+@JOBS
+@JSON
+@QUIET
+def results(
+    out: Path,
+    profile: str,
+    only: tuple[str, ...],
+    write: bool,
+    dry_run: bool,
+    jobs: int | None,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Fly what README and the results pages print, and write their tables.
+
+    Of a git checkout of Touchdown, without changes that are not committed. It may be interrupted at
+    any time; the same command resumes it. --write takes rows of one revision only, which the pages
+    state. Exit code 1 means that a flight has no outcome, 2 invalid input.
+
+    Example: touchdown results --out runs/results --write
+    """
+    from touchdown.experiments.campaign.progress import Display
+    from touchdown.experiments.campaign.session import Watcher
+    from touchdown.experiments.results_tables.pages import write_pages
+    from touchdown.experiments.results_tables.sets import chosen, fly, forecasts
+
+    sets = chosen(profile, only)
+    todo = forecasts(sets, out, jobs)
+    if dry_run:
+        return answer(_costs(todo), as_json, lambda _figures: _print_costs(todo, err=False))
+    if not quiet:
+        _print_costs(todo, err=True)
+    with resumable("flights are kept, and the same command resumes the rest"):
+        summaries = fly(sets, out, jobs, Watcher if quiet else Display)
+    incomplete = any(found["missing"] for found in summaries)
+    if write and incomplete:
+        say(
+            "touchdown: flights are missing, so nothing is written; the same command flies them",
+            err=True,
+        )
+    files = [str(file) for file in write_pages(sets, out)] if write and not incomplete else []
+    answer({"sets": summaries, "written": files}, as_json, _print_sets)
+    return EXIT_FAILED if any(f["crashed"] or f["missing"] for f in summaries) else EXIT_DONE
+
+
+def _print_sets(figures: Mapping[str, Any]) -> None:
+    for found in figures["sets"]:
+        counts = ", ".join(f"{name} {n}" for name, n in found["outcomes"].items())
+        say(f"{found['directory']}: {found['finished']} of {found['runs']} flights; {counts}")
+    for file in figures["written"]:
+        say(f"written: {file}")
+
+
+def _costs(found: Sequence[Forecast]) -> dict[str, Any]:
+    """Flights and expected CPU time of each set by condition, then of all."""
+    return {
+        "sets": [one.as_json() for one in found],
+        "left": sum(one.flights - one.finished for one in found),
+        "core_hours": sum(one.core_hours for one in found),
+    }
+
+
+def _print_costs(found: Sequence[Forecast], *, err: bool) -> None:
+    from touchdown.experiments.campaign.forecast import lines
+
+    for one in found:
+        say("\n".join(lines(one)), err=err)
+    costs, wall_min = _costs(found), sum(one.wall_s for one in found) / 60.0
+    say(
+        f"together: {costs['left']} flights, {costs['core_hours']:.2f} core-hours, about "
+        f"{wall_min:.0f} min here",
+        err=err,
+    )
+
+
+@click.command()
+@click.option("--out", type=PATH, metavar="DIR",
+              help="Directory; required without --list. An earlier one is continued.")  # fmt: skip
+@click.option("--quick", is_flag=True, help="Few flights and one small network.")
+@JOBS
+@click.option("--skip", multiple=True, metavar="PART",
+              help="Leave a part out, such as recognition. May be repeated.")  # fmt: skip
+@click.option("--photographs", multiple=True, metavar="[KIND=]DIR",
+              help="Train the networks on these labelled photographs too, as --data of "
+              "touchdown train. May be repeated.")  # fmt: skip
+@click.option("--list", "only_list", is_flag=True,
+              help="Print the parts, their tables and figures, and approximate times.")  # fmt: skip
+@JSON
+@QUIET
+def reproduce(
+    out: Path | None,
+    jobs: int | None,
+    only_list: bool,
+    as_json: bool,
+    quiet: bool,
+    **chosen: Any,
+) -> int:
+    """Reproduce all tables and figures of the paper and compare them with the published ones.
+
+    Calibrates, flies the campaigns of positioning and landing, trains networks, and writes
+    DIR/report: report.html (one file, no network needed), report.md and report.json. It may be
+    interrupted at any time; the same command resumes it, and without --quick extends a quick
+    edition to a whole one. Exit code 1 means that a part failed its purpose, 2 invalid input.
+
+    Example: touchdown reproduce --out runs/reproduction --quick
+    """
+    from touchdown.experiments.campaign.progress import Display
+    from touchdown.experiments.campaign.session import Watcher, default_jobs
+    from touchdown.experiments.reproduce.report import figures_of
+    from touchdown.experiments.reproduce.run import overview
+    from touchdown.experiments.reproduce.run import reproduce as run
+    from touchdown.experiments.reproduce.state import REPORT
+    from touchdown.experiments.terminal import make_notes
+
+    chosen["jobs"] = jobs or default_jobs()
+    if only_list:
+        return answer({"parts": overview(**chosen)}, as_json, _print_list)
+    if out is None:
+        raise click.UsageError("missing option '--out'", click.get_current_context())
+    with resumable("parts are kept, and the same command resumes the rest"):
+        done = run(out, notes=make_notes(quiet), watcher=Watcher if quiet else Display, **chosen)
+    answer(figures_of(done, out / REPORT), as_json, _print_parts)
+    return EXIT_DONE if done.successful else EXIT_FAILED
+
+
+def _print_list(figures: Mapping[str, Any]) -> None:
+    parts = figures["parts"]
+    for part in parts:
+        minutes = part["core_minutes"]
+        click.echo(f"{part['part']:15} {minutes:8.1f} min of one core   {', '.join(part['shows'])}")
+    click.echo(f"{'together':15} {sum(p['core_minutes'] for p in parts):8.1f} min of one core")
+
+
+def _print_parts(figures: Mapping[str, Any]) -> None:
+    for part in figures["parts"]:
+        verdict = "done" if part["good"] else f"FAILED: {part['why']}"
+        click.echo(f"{part['part']:15} {part['edition']:6} {part['wall_s']:8.0f} s  {verdict}")
+    for name in figures["skipped"]:
+        click.echo(f"{name:15} left out")
+    for path in figures["files"].values():
+        click.echo(f"written: {path}")

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,69 +12,39 @@ import click
 
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
-    JSON,
     PATH,
     QUIET,
     SEED,
+    SEEDS,
     CommandGroup,
     Number,
-    answer,
+    Parsed,
+    answered,
 )
-from touchdown.experiments.errors import usage_errors
-from touchdown.experiments.terminal import say
+from touchdown.experiments.terminal import make_notes, progress_bar, say
 
 SCHEMES = ("d_land", "d_scene")
 """Keys of `landing.classification.labels.SCHEMES`, repeated to keep `--help` fast."""
 
 
-class MissCostType(click.ParamType):
-    """Parses ``water=10`` to ("water", 10.0); the class is checked once the labels are known."""
-
-    name = "cost"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, float]:
-        """Returns class and cost. Fails for a cost that is not above 0."""
-        if isinstance(value, tuple):
-            return value
-        name, equals, number = str(value).partition("=")
-        try:
-            cost = float(number)
-        except ValueError:
-            cost = float("nan")
-        if not (equals and cost > 0.0 and cost < float("inf")):
-            self.fail(f"'{value}': give a class and a number above 0, such as water=10", param, ctx)
-        return name.strip(), cost
+def _cost(text: str) -> tuple[str, float]:
+    """``water=10`` as ("water", 10.0); the class is checked once the labels are known."""
+    name, equals, number = text.partition("=")
+    if not equals or not 0.0 < float(number) < math.inf:
+        raise ValueError
+    return name.strip(), float(number)
 
 
 _DATA = click.option(
-    "--data",
-    multiple=True,
-    required=True,
-    metavar="[KIND=]DIR",
+    "--data", multiple=True, required=True, metavar="[KIND=]DIR",
     help="Of `touchdown dataset render`, UC Merced, AID, Places365, or folders named as the "
     "classes of D_Land; aerial=, caliterra= and textures= for such folders of photographs. May be "
     "repeated.",
-)
+)  # fmt: skip
 _LEFT_OUT = click.option(
     "--left-out", multiple=True, metavar="SOURCE",
     help="Photographs of this source are all for the test. May be repeated.",
 )  # fmt: skip
-
-
-def _miss_cost(default: str) -> Callable[[Any], Any]:
-    return click.option(
-        "--miss-cost",
-        "miss_costs",
-        type=MissCostType(),
-        multiple=True,
-        metavar="CLASS=K",
-        help="Cost of predicting another class for CLASS, relative to any other error, such as "
-        f"water=10. May be repeated.  {default}",
-    )
-
-
 _FALSE_SAFE = click.option(
     "--false-safe", type=Number(0.0, 1.0), default=0.01, show_default=True,
     help="Share of unsafe ground that may count as safe.",
@@ -83,6 +53,28 @@ _CONFIDENCE = click.option(
     "--confidence", type=Number(0.0, 1.0, max_open=True), default=0.95, show_default=True,
     help="That the share is not larger.",
 )  # fmt: skip
+_NETWORK = click.argument("network", required=False, type=PATH)
+_NETWORK_OUT = click.option("--out", type=PATH, required=True, help="A file *.onnx.")
+
+
+def _miss_cost(default: str) -> Callable[[Any], Any]:
+    return click.option(
+        "--miss-cost", "miss_costs", multiple=True,
+        type=Parsed("CLASS=K", "with K above 0, such as water=10", _cost),
+        help="Cost of predicting another class for CLASS, relative to any other error, such as "
+        f"water=10. May be repeated.  {default}",
+    )  # fmt: skip
+
+
+def _share(name: str, help_text: str, most: float = 1.0) -> Callable[[Any], Any]:
+    return click.option(
+        name, type=Number(0.0, most), default=0.0, show_default=True, help=help_text
+    )
+
+
+def _threads(default: int | None, shown: str = "") -> Callable[[Any], Any]:
+    return click.option("--threads", type=click.IntRange(1), default=default, show_default=True,
+                        help=f"Of the processor.{shown}")  # fmt: skip
 
 
 @click.group(cls=CommandGroup)
@@ -94,22 +86,26 @@ def dataset() -> int:
     return EXIT_DONE
 
 
+def _print_dataset(done: Mapping[str, Any]) -> None:
+    for kind in ("classes", "splits"):
+        say("  ".join(f"{name} {count}" for name, count in done[kind].items()))
+    say(f"written: {done['directory']} ({done['images']} images)")
+
+
 @dataset.command("render")
 @click.option("--out", type=PATH, required=True, help="A new folder.")
 @click.option("--images", type=click.IntRange(1, 10_000_000), default=4000, show_default=True)
-@click.option("--seed", type=SEED, default=0, show_default=True,
+@click.option("--seed", type=SEEDS, default=0, show_default=True,
               help="Of layouts, poses and light; scene seeds start at 1000.")  # fmt: skip
 @click.option("--scene", "scenes", multiple=True, metavar="NAME",
               help="Only this scene. May be repeated.  [all]")  # fmt: skip
-@click.option("--new-colours", type=Number(0.0, 1.0), default=0.0, show_default=True,
-              help="Share of views with random colours of roads, paving, roofs …")  # fmt: skip
-@click.option("--new-materials", type=Number(0.0, 1.0), default=0.0, show_default=True,
-              help="Share of seeds whose ground is of other materials of its class.")  # fmt: skip
+@_share("--new-colours", "Share of views with random colours of roads, paving, roofs …")
+@_share("--new-materials", "Share of seeds whose ground is of other materials of its class.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
               help="Processes; the images do not depend on it.")  # fmt: skip
-@JSON
+@answered(_print_dataset)
 @QUIET
-def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: Any) -> int:
+def dataset_render(out: Path, jobs: int, quiet: bool, **options: Any) -> dict[str, Any]:
     """Render patches of the scenes by the vehicle's camera, labelled by the class of their ground.
 
     Heights from 5 to 60 m, squares of ground from 3 to 26 m, random light, blur and noise. Writes
@@ -118,19 +114,19 @@ def dataset_render(out: Path, jobs: int, as_json: bool, quiet: bool, **options: 
     Example: touchdown dataset render --out patches --images 4000 --jobs 2
     """
     from touchdown.experiments.classification.render_dataset import DatasetParams, render_dataset
-    from touchdown.experiments.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
-        done = usage_errors(
-            lambda: render_dataset(out, DatasetParams(**options), jobs=jobs, progress=progress)
-        )
-    return answer(done, as_json, _print_dataset)
+        return render_dataset(out, DatasetParams(**options), jobs=jobs, progress=progress)
 
 
-def _print_dataset(done: Mapping[str, Any]) -> None:
-    for kind in ("classes", "splits"):
-        say("  ".join(f"{name} {count}" for name, count in done[kind].items()))
-    say(f"written: {done['directory']} ({done['images']} images)")
+def _print_training(report: Mapping[str, Any]) -> None:
+    best = report["validation"]
+    say(
+        f"best epoch {report['best_epoch']} of {report['epochs']}: validation top-1 "
+        f"{best['val_top1']:.3f}, macro F1 {best['val_macro_f1']:.3f}\n"
+        f"written, validation top-1 {report['written']['top1']:.3f}: "
+        f"{report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
+    )
 
 
 @click.command()
@@ -152,29 +148,23 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
 @click.option("--first-size", type=click.IntRange(32, 512),
               help="Image size of the first epochs; it grows.  [--image-size]")  # fmt: skip
 @click.option("--batch-size", type=click.IntRange(2), default=64, show_default=True)
-@click.option("--learning-rate", type=Number(0.0, min_open=True), default=1e-3,
-              show_default=True)  # fmt: skip
+@click.option("--learning-rate", type=Number(0.0, min_open=True), default=1e-3, show_default=True)
 @click.option("--variation", type=Number(0.0, 2.0), default=1.0, show_default=True,
               help="Strength of the augmentation of zoom, light, colour and noise.")  # fmt: skip
-@click.option("--markings", type=Number(0.0, 1.0), default=0.0, show_default=True,
-              help="Share of images with painted lines, as of lanes and bays.")  # fmt: skip
-@click.option("--colours", type=Number(0.0, 1.0), default=0.0, show_default=True,
-              help="Share of images of another colour: not of plants.")  # fmt: skip
-@click.option("--textures", type=Number(0.0, 1.0), default=0.0, show_default=True,
-              help="Share of images with a photographed texture of their class.")  # fmt: skip
-@click.option("--weather", type=Number(0.0, 2.0), default=0.0, show_default=True,
-              help="Share of coarse, hazy, wet, snowy, shaded, over- and underexposed "
-              "images.")  # fmt: skip
+@_share("--markings", "Share of images with painted lines, as of lanes and bays.")
+@_share("--colours", "Share of images of another colour: not of plants.")
+@_share("--textures", "Share of images with a photographed texture of their class.")
+@_share("--weather", "Share of coarse, hazy, wet, snowy, shaded, over- and underexposed images.", 2)
 @click.option("--frozen", type=click.IntRange(0), default=0, show_default=True,
               help="First layers that keep the weights of --start-from.")  # fmt: skip
 @_LEFT_OUT
 @_miss_cost("[1 each]")
 @click.option("--patience", type=click.IntRange(1), default=8, show_default=True,
               help="Epochs without a better validation score before training ends.")  # fmt: skip
-@click.option("--seed", type=SEED, default=0, show_default=True)
+@SEED
 @click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
-@click.option("--threads", type=click.IntRange(1), help="Of the processor.  [all]")
-@JSON
+@_threads(None, "  [all]")
+@answered(_print_training)
 @QUIET
 def train(
     data: tuple[str, ...],
@@ -182,10 +172,9 @@ def train(
     start: Path | None,
     device: str,
     threads: int | None,
-    as_json: bool,
     quiet: bool,
     **options: Any,
-) -> int:
+) -> dict[str, Any]:
     """Train a network to classify ground.
 
     Writes network.onnx (float16 weights) and its checksum, curves.csv, curves.rrd for the Rerun
@@ -194,71 +183,40 @@ def train(
 
     Example: touchdown train --data patches --out trained --epochs 20
     """
-    from touchdown.experiments.classification.train import train_network
-    from touchdown.experiments.terminal import make_notes, progress_bar
-
-    _use_threads(threads)
-    with progress_bar(quiet) as progress:
-        report = usage_errors(
-            lambda: train_network(
-                data,
-                out,
-                options,
-                device,
-                progress,
-                make_notes(quiet),
-                start=start,
-            )
-        )
-    if as_json:
-        click.echo(json.dumps(report, indent=2))
-    else:
-        best = report["validation"]
-        say(
-            f"best epoch {report['best_epoch']} of {report['epochs']}: validation top-1 "
-            f"{best['val_top1']:.3f}, macro F1 {best['val_macro_f1']:.3f}\n"
-            f"written, validation top-1 {report['written']['top1']:.3f}: "
-            f"{report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
-        )
-    return EXIT_DONE
-
-
-def _use_threads(threads: int | None) -> None:
-    if threads is not None:
-        usage_errors(lambda: _limit_torch(threads))
-
-
-def _limit_torch(threads: int) -> None:
     from touchdown.experiments.classification.optional_import import training_libraries
+    from touchdown.experiments.classification.train import train_network
 
-    with training_libraries():
-        import torch
+    if threads is not None:
+        with training_libraries():
+            import torch
+        torch.set_num_threads(threads)
+    with progress_bar(quiet) as progress:
+        return train_network(data, out, options, device, progress, make_notes(quiet), start=start)
 
-    torch.set_num_threads(threads)
+
+def _print_scores(report: Mapping[str, Any]) -> None:
+    from touchdown.experiments.classification.score_tables import print_evaluation
+
+    print_evaluation(report)
 
 
 @click.command()
-@click.argument("network", required=False, type=PATH)
+@_NETWORK
 @_DATA
 @click.option("--split", type=click.Choice(("train", "val", "test")), default="test",
               show_default=True)  # fmt: skip
 @_miss_cost("[those of the file, which its limits are fitted to]")
-@click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
+@_threads(1)
 @click.option("--cost/--no-cost", "measure", default=True, show_default=True,
               help="Measure RAM and run time in a process of its own.")  # fmt: skip
 @_LEFT_OUT
 @click.option("--reliability", "diagram", type=PATH, metavar="PNG",
               help="Write reliability diagrams.")  # fmt: skip
-@JSON
+@answered(_print_scores)
 @QUIET
 def evaluate(
-    network: Path | None,
-    data: tuple[str, ...],
-    split: str,
-    as_json: bool,
-    quiet: bool,
-    **options: Any,
-) -> int:
+    network: Path | None, data: tuple[str, ...], split: str, quiet: bool, **options: Any
+) -> dict[str, Any]:
     """Score NETWORK, a file of `touchdown train`, on images that it was not trained on.
 
     Without NETWORK: the one that is shipped with touchdown.
@@ -268,38 +226,31 @@ def evaluate(
 
     Example: touchdown evaluate trained/network.onnx --data patches
     """
-    from touchdown.experiments.classification.evaluate import (
-        EvaluateParams,
-        evaluate_network,
-    )
-    from touchdown.experiments.classification.score_tables import print_evaluation
-    from touchdown.experiments.terminal import progress_bar
+    from touchdown.experiments.classification.evaluate import EvaluateParams, evaluate_network
 
     params = EvaluateParams(**options)
     with progress_bar(quiet) as progress:
-        report = usage_errors(
-            lambda: evaluate_network(
-                network,
-                data,
-                split,
-                progress,
-                options=params,
-            )
-        )
-    return answer(report, as_json, print_evaluation)
+        return evaluate_network(network, data, split, progress, options=params)
+
+
+def _print_quantized(report: Mapping[str, Any]) -> None:
+    say(
+        f"validation top-1 {report['top1_before']:.4f} before, {report['top1']:.4f} after\n"
+        f"written: {report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
+    )
 
 
 @click.command()
-@click.argument("network", required=False, type=PATH)
-@click.option("--type", "weight_type", type=click.Choice(("float16", "int8")),
-              default="int8", show_default=True, help="Of the weights.")  # fmt: skip
+@_NETWORK
+@click.option("--type", "weight_type", type=click.Choice(("float16", "int8")), default="int8",
+              show_default=True, help="Of the weights.")  # fmt: skip
 @_DATA
-@click.option("--out", type=PATH, required=True, help="A file *.onnx.")
+@_NETWORK_OUT
 @_FALSE_SAFE
 @_CONFIDENCE
-@JSON
+@answered(_print_quantized)
 @QUIET
-def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
+def quantize(quiet: bool, **options: Any) -> dict[str, Any]:
     """Write NETWORK, a file of `touchdown train`, with smaller weights.
 
     Without NETWORK: the one that is shipped with touchdown.
@@ -311,48 +262,9 @@ def quantize(network: Path | None, out: Path, as_json: bool, quiet: bool, **opti
     Example: touchdown quantize trained/network.onnx --data patches --out network-int8.onnx
     """
     from touchdown.experiments.classification.quantize import quantize_network
-    from touchdown.experiments.terminal import progress_bar
 
     with progress_bar(quiet) as progress:
-        report = usage_errors(lambda: quantize_network(network, out, progress=progress, **options))
-    if as_json:
-        click.echo(json.dumps(report, indent=2))
-    else:
-        say(
-            f"validation top-1 {report['top1_before']:.4f} before, {report['top1']:.4f} after\n"
-            f"written: {report['network_file']} ({report['bytes'] / 1e6:.1f} MB)"
-        )
-    return EXIT_DONE
-
-
-@click.command()
-@click.argument("networks", nargs=-1, required=True, type=PATH)
-@_DATA
-@click.option("--out", type=PATH, required=True,
-              help="A file *.onnx.")  # fmt: skip
-@click.option("--weight", "weights", type=Number(0.0, 4.0), multiple=True,
-              help="Of a network's scores; once for each.  [fitted]")  # fmt: skip
-@_miss_cost("[those of the first network]")
-@_FALSE_SAFE
-@_CONFIDENCE
-@JSON
-@QUIET
-def ensemble(networks: tuple[Path, ...], out: Path, as_json: bool, quiet: bool,
-             **options: Any) -> int:  # fmt: skip
-    """Join several NETWORKS, files of `touchdown train` for images of one size, in one file.
-
-    Their log-probabilities are added with weights that fit the validation images best, and the
-    limits at which ground counts as safe are fitted to the same images. Whether an image lies far
-    from the training data is asked of the first network.
-
-    Example: touchdown ensemble small.onnx large.onnx --data patches --out both.onnx
-    """
-    from touchdown.experiments.classification.ensemble import make_ensemble
-    from touchdown.experiments.terminal import progress_bar
-
-    with progress_bar(quiet) as progress:
-        report = usage_errors(lambda: make_ensemble(networks, out, progress=progress, **options))
-    return answer(report, as_json, _print_ensemble)
+        return quantize_network(progress=progress, **options)
 
 
 def _print_ensemble(report: Mapping[str, Any]) -> None:
@@ -368,6 +280,38 @@ def _print_ensemble(report: Mapping[str, Any]) -> None:
 
 
 @click.command()
+@click.argument("networks", nargs=-1, required=True, type=PATH)
+@_DATA
+@_NETWORK_OUT
+@click.option("--weight", "weights", type=Number(0.0, 4.0), multiple=True,
+              help="Of a network's scores; once for each.  [fitted]")  # fmt: skip
+@_miss_cost("[those of the first network]")
+@_FALSE_SAFE
+@_CONFIDENCE
+@answered(_print_ensemble)
+@QUIET
+def ensemble(quiet: bool, **options: Any) -> dict[str, Any]:
+    """Join several NETWORKS, files of `touchdown train` for images of one size, in one file.
+
+    Their log-probabilities are added with weights that fit the validation images best, and the
+    limits at which ground counts as safe are fitted to the same images. Whether an image lies far
+    from the training data is asked of the first network.
+
+    Example: touchdown ensemble small.onnx large.onnx --data patches --out both.onnx
+    """
+    from touchdown.experiments.classification.ensemble import make_ensemble
+
+    with progress_bar(quiet) as progress:
+        return make_ensemble(progress=progress, **options)
+
+
+def _print_classes(report: Mapping[str, Any]) -> None:
+    for row in report["pictures"]:
+        shares = "  ".join(f"{name} {share:.0%}" for name, share in row["shares"].items())
+        say(f"{row['classes']}: {shares}")
+
+
+@click.command()
 @click.argument("images", nargs=-1, required=True, type=PATH)
 @click.option("--network", type=PATH,
               help="A file of `touchdown train`.  [the shipped one]")  # fmt: skip
@@ -377,17 +321,12 @@ def _print_ensemble(report: Mapping[str, Any]) -> None:
               help="Side of the classified square.  [a quarter of the image]")  # fmt: skip
 @click.option("--least", type=Number(0.0, 1.0), default=0.5, show_default=True,
               help="Probability below which the class is unsure.")  # fmt: skip
-@click.option("--threads", type=click.IntRange(1), default=1, show_default=True)
-@JSON
+@_threads(1)
+@answered(_print_classes)
 @QUIET
 def classify(
-    images: tuple[Path, ...],
-    network: Path | None,
-    threads: int,
-    as_json: bool,
-    quiet: bool,
-    **options: Any,
-) -> int:
+    images: tuple[Path, ...], network: Path | None, threads: int, quiet: bool, **options: Any
+) -> dict[str, Any]:
     """Draw the classes of ground over aerial photographs.
 
     A window slides over each image; the predictions of overlapping windows are averaged.
@@ -396,20 +335,7 @@ def classify(
     """
     from touchdown.experiments.classification.class_map import classify_images
     from touchdown.experiments.classification.evaluate import load_classifier
-    from touchdown.experiments.terminal import make_notes
 
-    rows = usage_errors(
-        lambda: classify_images(
-            images,
-            classifier=load_classifier(network, threads),
-            notes=make_notes(quiet),
-            **options,
-        )
-    )
-    if as_json:
-        click.echo(json.dumps({"pictures": rows}, indent=2))
-    else:
-        for row in rows:
-            shares = "  ".join(f"{name} {share:.0%}" for name, share in row["shares"].items())
-            say(f"{row['classes']}: {shares}")
-    return EXIT_DONE
+    classifier = load_classifier(network, threads)
+    rows = classify_images(images, classifier=classifier, notes=make_notes(quiet), **options)
+    return {"pictures": rows}

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import importlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
 from touchdown.experiments.config.files import LARGEST
+from touchdown.experiments.errors import nearest, usage_errors
 
 EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_TERMINATED = 0, 1, 2, 130, 143
+T = TypeVar("T")
 
 
 class TerminatedError(KeyboardInterrupt):
@@ -23,6 +27,15 @@ class TerminatedError(KeyboardInterrupt):
 def interrupt_code(error: BaseException | None) -> int:
     """The exit code after Ctrl-C or SIGTERM: 128 and the number of the signal."""
     return EXIT_TERMINATED if isinstance(error, TerminatedError) else EXIT_INTERRUPTED
+
+
+@contextlib.contextmanager
+def resumable(what: str) -> Iterator[None]:
+    """Says at Ctrl-C or SIGTERM that ``what`` is finished is kept."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise KeyboardInterrupt(f"stopped; finished {what}") from error
 
 
 class Number(click.FloatRange):
@@ -39,28 +52,61 @@ class Number(click.FloatRange):
         return number
 
 
-class SeedType(click.ParamType):
-    """A whole number that tables of results have room for."""
+class Parsed(click.ParamType):
+    """Text of the form ``name``, read by a function that raises ValueError for any other text.
+    ``example``: what the error shows."""
 
-    name = "INTEGER"
+    def __init__(self, name: str, example: str, read: Callable[[str], Any]) -> None:
+        self.name, self._example, self._read = name, example, read
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not isinstance(value, str):
+            return value
         try:
-            seed = int(value)
+            return self._read(value)
         except ValueError:
-            self.fail(f"'{value}' is no whole number", param, ctx)
-        if not 0 <= seed <= LARGEST:
-            self.fail(f"{value} is no seed: seeds go from 0 to {LARGEST}", param, ctx)
-        return seed
+            self.fail(f"'{value}' is not of the form {self.name}, {self._example}", param, ctx)
 
 
-SEED = SeedType()
+def finite_numbers(text: str, count: int) -> tuple[float, ...]:
+    """``count`` numbers with commas between them. Raises ValueError for other text."""
+    numbers = tuple(map(float, text.split(",")))
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError
+    return numbers
+
+
 PATH = click.Path(path_type=Path)
+JOB_COUNT = click.IntRange(1, 1024)
+PROFILE = click.Choice(["ideal", "field", "harsh"])
+LIGHT = click.Choice(["day", "overcast", "dusk", "night"])
+"""Names of `scenes.api.Light`, repeated so that help is instant."""
+SEEDS = click.IntRange(0, LARGEST)
+"""Whole numbers that tables of results have room for."""
+
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 QUIET = click.option("--quiet", is_flag=True, help="No progress on stderr.")
 OVERRIDES = click.option(
-    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="May be repeated."
-)
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE",
+    help="Any key of the configuration, such as survey.height_m=20. May be repeated.",
+)  # fmt: skip
+CONFIG = click.option("--config", "config_file", type=PATH,
+                      help="A TOML file, or the config.json of an earlier run.")  # fmt: skip
+SEED = click.option("--seed", type=SEEDS, default=0, show_default=True)
+JOBS = click.option("--jobs", type=JOB_COUNT, help="Flights at a time.  [cores]")
+PRESET = click.option(
+    "--preset", type=click.Choice(["whole", "short"]),
+    help="How much is flown: short is one leg of 12 m at 15 m.  [whole]",
+)  # fmt: skip
+
+
+def many(*options: Callable[[T], T]) -> Callable[[T], T]:
+    """A decorator that adds several options, the first of them on top."""
+
+    def add(command: T) -> T:
+        return functools.reduce(lambda done, option: option(done), reversed(options), command)
+
+    return add
 
 
 def answer(figures: Any, as_json: bool, show: Callable[[Any], object]) -> int:
@@ -72,10 +118,24 @@ def answer(figures: Any, as_json: bool, show: Callable[[Any], object]) -> int:
     return EXIT_DONE
 
 
+def answered(show: Callable[[Any], object]) -> Callable[[Callable[..., Any]], Callable[..., int]]:
+    """Decorator of a command that returns figures: adds ``--json``, and prints them as `answer`
+    does. Its ValueError and OSError are mistakes of the user."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., int]:
+        @functools.wraps(command)
+        def run(as_json: bool, **options: Any) -> int:
+            return answer(usage_errors(lambda: command(**options)), as_json, show)
+
+        return JSON(run)
+
+    return decorate
+
+
 class CommandGroup(click.Group):
     """Command group whose error for an unknown command names the nearest one, and which imports
-    the command that is run and no other. ``modules`` gives names of commands their module in
-    `experiments.cli` and its attribute, as MODULE:ATTRIBUTE."""
+    the command that is run and no other. ``modules``: names of commands and their MODULE:ATTRIBUTE
+    in `experiments.cli`."""
 
     def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **options: Any):
         super().__init__(*args, **options)
@@ -95,8 +155,6 @@ class CommandGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
-            from touchdown.experiments.errors import nearest
-
             known = self.list_commands(ctx)
             raise click.UsageError(
                 f"unknown command '{args[0]}'{nearest(args[0], known)}; known: {', '.join(known)}"

@@ -13,7 +13,7 @@ from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import make_console, make_table
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.text import Text
 
     from touchdown.experiments.io.results import RunResult
 
@@ -42,10 +42,6 @@ _STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorde
 
 def print_result(result: RunResult, out_dir: Path | None) -> None:
     """Prints the table of a flight and the paths of its files."""
-    from rich.table import Table
-    from rich.text import Text
-
-    console = make_console()
     title = f"{result.scene}, {result.estimator}, seed {result.seed}"
     title += f", {result.profile}" if result.profile else ""
     title += f", {result.preset}" if result.preset not in (None, "whole") else ""
@@ -53,40 +49,60 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
     title += "".join(f", {kind} {visible(name)}" for kind, name in parts.items())
     title += "" if result.wind_kmh is None else f", wind {result.wind_kmh:g} km/h"
     title += "".join(f", {visible(text)}" for text in fault_texts(result))
+    rows: list[tuple[str, str | Text]] = []
+    for label, path, form in _ROWS:
+        value = result.value(path)
+        if path == "outcome":
+            rows.append((label, _verdict(str(value), result.is_success)))
+        elif isinstance(value, bool):
+            rows.append((label, _yes(value)))
+        elif value is not None and value != "":
+            rows.append((label, form.format(value)))
+    if remark := _remark(result):
+        rows.append(("remark", remark))
+    _print_facts(title, rows)
+    lines = [*_print_choice(result), *condition_lines(result), *_last_events(result)]
+    if out_dir is not None:
+        lines.append(f"run directory: {out_dir}")
+        if (out_dir / "flight.rrd").exists():
+            program = "touchdown" if shutil.which("touchdown") else f"{sys.executable} -m touchdown"
+            lines.append(f"recording:     {out_dir / 'flight.rrd'}")
+            lines.append(f"view it:       {program} view {out_dir}")
+    _print_lines(lines)
+
+
+def _print_facts(title: str, rows: Iterable[tuple[str, str | Text]]) -> None:
+    from rich.table import Table
+
     table = Table(title=title, show_header=False, title_justify="left", min_width=52)
     table.add_column(style="dim")
     table.add_column(justify="right")
-    for label, path, form in _ROWS:
-        value = result.value(path)
-        if value is None or value == "":
-            continue
-        if isinstance(value, bool):
-            value = "yes" if value else "no"
-        text: Any = form.format(value)
-        if path == "outcome":
-            text = Text(visible(text), style=f"bold {'green' if result.is_success else 'red'}")
-        table.add_row(label, text)
-    if remark := _remark(result):
-        table.add_row("remark", remark)
-    console.print(table)
-    _print_choice(result, console)
-    for line in condition_lines(result):
-        console.print(line, soft_wrap=True)
-    for line in _last_events(result):
-        console.print(line, soft_wrap=True)
-    if out_dir is not None:
-        console.print(f"run directory: {out_dir}", soft_wrap=True)
-        if (out_dir / "flight.rrd").exists():
-            console.print(f"recording:     {out_dir / 'flight.rrd'}", soft_wrap=True)
-            program = "touchdown" if shutil.which("touchdown") else f"{sys.executable} -m touchdown"
-            console.print(f"view it:       {program} view {out_dir}", soft_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    make_console().print(table)
 
 
-def _print_choice(result: RunResult, console: Console) -> None:
-    """Prints the first candidates of the last decision, and why the first one won."""
+def _print_lines(lines: Iterable[str]) -> None:
+    console = make_console()
+    for line in lines:
+        console.print(line, soft_wrap=True)
+
+
+def _verdict(text: str, good: bool) -> Text:
+    from rich.text import Text
+
+    return Text(visible(text), style=f"bold {'green' if good else 'red'}")
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
+
+
+def _print_choice(result: RunResult) -> list[str]:
+    """Prints the first candidates of the last decision; returns why the first one won."""
     choice = result.choice
     if choice is None:
-        return
+        return []
     heads = ("", "x, y (m)", "score", "slope", "clearance", "ground", "rule")
     title = f"candidate sites, selector {choice.selector}"
     table = make_table(title, *heads, left=("ground", "rule"))
@@ -102,13 +118,14 @@ def _print_choice(result: RunResult, console: Console) -> None:
             site.rule.replace("_", " "),
         )
     if choice.candidates:
-        console.print(table)
-    console.print(choice.why, soft_wrap=True)
+        make_console().print(table)
+    lines = [choice.why]
     if choice.missed is not None:
-        console.print(f"missed: {choice.missed.sentence()}", soft_wrap=True)
+        lines.append(f"missed: {choice.missed.sentence()}")
     for earlier in choice.earlier:
         end = f"given up: {earlier.given_up}" if earlier.given_up else earlier.why
-        console.print(f"before, at {earlier.time_s:.1f} s: {end}", soft_wrap=True)
+        lines.append(f"before, at {earlier.time_s:.1f} s: {end}")
+    return lines
 
 
 def _figure(form: str, value: float | None) -> str:
@@ -133,9 +150,8 @@ def _remark(result: RunResult) -> str:
 def condition_lines(result: RunResult) -> list[str]:
     """One line for each condition of a flight; those that did not happen begin with ``warning``."""
     return [
-        visible(str(one.get("text", one.get("name"))))
-        if one.get("happened") is True
-        else f"warning: did not happen: {visible(str(one.get('text', one.get('name'))))}"
+        ("" if one.get("happened") is True else "warning: did not happen: ")
+        + visible(one.get("text", one.get("name")))
         for one in result.conditions
     ]
 
@@ -171,10 +187,10 @@ def print_stages(result: RunResult) -> None:
     console.print(f"real-time factor {timing['real_time_factor']:.2f} ({timing['sim_s']:.1f} s)")
 
 
-def print_margins(rows: list[dict[str, Any]]) -> None:
+def print_margins(figures: Mapping[str, Any]) -> None:
     heads = ("gain (dB)", "phase (deg)", "crossover (rad/s)")
     table = make_table("loop margins", "loop", *heads)
-    for row in rows:
+    for row in figures["loops"]:
         table.add_row(
             row["name"],
             f"{row['gain_margin_db']:.1f}",
@@ -214,8 +230,7 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
         "safe ground: least and median share of the area seen",
         style="dim",
     )
-    for note in notes:
-        console.print(note, soft_wrap=True)
+    _print_lines(notes)
 
 
 def _origin_row(origin_m: Sequence[float]) -> list[tuple[str, str]]:
@@ -241,22 +256,15 @@ def _guessed_rows(guessed: Iterable[tuple[str, str, str]]) -> list[tuple[str, st
 
 def print_place(row: Mapping[str, Any]) -> None:
     """Prints the facts of an imported scene, its problems and remarks."""
-    from rich.table import Table
-    from rich.text import Text
-
     facts, usable = row["facts"], not row["problems"]
     x, y = facts["takeoff_xy_m"]
-    table = Table(title=row["place"], show_header=False, title_justify="left", min_width=52)
-    table.add_column(style="dim")
-    table.add_column(justify="right")
-    verdict: Any = Text("yes", style="bold green") if usable else Text("no", style="bold red")
-    for label, text in (
-        ("can be flown", verdict),
+    _print_facts(row["place"], [
+        ("can be flown", _verdict(_yes(usable), usable)),
         ("take-off", f"{x:.1f}, {y:.1f} m, heading {facts['takeoff_yaw_deg']:.0f} deg"),
         *_origin_row(facts["origin_m"]),
         ("ground at take-off", f"{facts['takeoff_geom']} ({facts['takeoff_class']})"),
         ("height above surroundings", f"{facts['takeoff_above_m'] + 0.0:.1f} m"),
-        ("take-off point is safe to land on", "yes" if facts["takeoff_safe"] else "no"),
+        ("take-off point is safe to land on", _yes(facts["takeoff_safe"])),
         ("ground under the legs", f"{facts['legs_share']:.0%}"),
         ("ground in the surveyed view", f"{facts['seen_share']:.0%}"),
         ("highest below the legs", f"{facts['highest_m'] + 0.0:.1f} m"),
@@ -265,13 +273,8 @@ def print_place(row: Mapping[str, Any]) -> None:
         ("geoms without a class", _some(facts["without_class"])),
         ("dressed ground", _some(facts["dressed"])),
         *_guessed_rows(facts["guessed"]),
-    ):
-        table.add_row(label, text)
-    console = make_console()
-    console.print(table)
-    for kind in ("problems", "remarks"):
-        for sentence in row[kind]:
-            console.print(f"{kind[:-1]}: {sentence}", soft_wrap=True)
+    ])  # fmt: skip
+    _print_lines(f"{kind[:-1]}: {text}" for kind in ("problems", "remarks") for text in row[kind])
 
 
 def print_calibration(report: Mapping[str, Any]) -> None:
@@ -290,13 +293,31 @@ def print_calibration(report: Mapping[str, Any]) -> None:
         f"{1e3 * error['translation_m']:.2f} mm",
         f"{1e3 * math.hypot(*sigma['translation_m']):.2f} mm",
     )
-    for (name, percent), spread in zip(
-        error["camera_percent"].items(), sigma["camera_px"], strict=True
-    ):
+    spreads = zip(error["camera_percent"].items(), sigma["camera_px"], strict=True)
+    for (name, percent), spread in spreads:
         table.add_row(name, f"{percent:+.3f} %", f"{spread:.2f} px")
-    console = make_console()
-    console.print(table)
-    for number, why in views["refused"].items():
-        console.print(f"view {int(number) + 1} not used: {why}", soft_wrap=True)
-    console.print(f"error and covariance agree: {'yes' if agreed else 'no'}")
-    console.print(f"written: {report['file']}", soft_wrap=True)
+    make_console().print(table)
+    refused = views["refused"].items()
+    _print_lines(f"view {int(number) + 1} not used: {why}" for number, why in refused)
+    _print_lines([f"error and covariance agree: {_yes(agreed)}", f"written: {report['file']}"])
+
+
+def print_scores(report: Mapping[str, Any]) -> None:
+    """Prints the scores of the edge detector beside those of Canny."""
+    from touchdown.experiments.edges.figures import DETECTOR_LABELS
+
+    scenes = list(next(iter(report["scenes"].values())))
+    heads = ("ODS", "OIS", "AP", "precision", "recall", *(f"ODS {scene}" for scene in scenes))
+    table = make_table(f"{report['pictures']} pictures", "", *heads)
+    for name, row in report["detectors"].items():
+        figures = [*row.values(), *report["scenes"][name].values()]
+        table.add_row(DETECTOR_LABELS.get(name, name), *(f"{figure:.3f}" for figure in figures))
+    make_console().print(table)
+    blur, threshold = (report["canny_setting"][key] for key in ("sigma_px", "threshold"))
+    _print_lines(
+        [
+            f"Canny at its best: blur {blur:.1f} px, threshold {threshold:.0f}",
+            f"ODS above Canny's: {report['ods_above_canny']:+.3f}",
+            f"one picture: {report['detect_ms']:.1f} ms of one core",
+        ]
+    )

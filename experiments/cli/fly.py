@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -12,193 +10,113 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, PATH
+from touchdown.experiments.cli.common import (
+    CONFIG,
+    EXIT_DONE,
+    EXIT_FAILED,
+    JSON,
+    LIGHT,
+    OVERRIDES,
+    PATH,
+    PRESET,
+    PROFILE,
+    QUIET,
+    Parsed,
+    answer,
+    finite_numbers,
+    many,
+)
 from touchdown.experiments.cli.console import print_result
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.terminal import end_progress, make_progress
+from touchdown.experiments.terminal import end_progress, make_progress, say
 
 if TYPE_CHECKING:
+    from touchdown.experiments.io.results import RunResult
     from touchdown.experiments.viewing.processes import LiveView
 
 
-class SiteType(click.ParamType):
-    """``X,Y`` in metres, world frame."""
-
-    name = "X,Y"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float]:
-        if isinstance(value, tuple):
-            return value
-        try:
-            x, y = (float(part) for part in str(value).split(","))
-        except ValueError:
-            self.fail(f"'{value}' is not of the form X,Y in metres, such as 12.5,-3", param, ctx)
-        if not (math.isfinite(x) and math.isfinite(y)):
-            self.fail(f"'{value}' must be two finite numbers", param, ctx)
-        return x, y
+def _viewer_address(text: str) -> str:
+    if not re.fullmatch(r"auto|window|web|rerun(\+https?)?://[^/\s]+/proxy", text):
+        raise ValueError
+    return text
 
 
-class LiveType(click.ParamType):
-    """``window``, ``web``, or the address of a viewer."""
-
-    name = "live"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        text = str(value)
-        if text not in ("auto", "window", "web") and not re.fullmatch(
-            r"rerun(\+https?)?://[^/\s]+/proxy", text
-        ):
-            self.fail(
-                f"'{text}' is none of window, web and an address such as "
-                "rerun+http://127.0.0.1:9876/proxy (give the scene before --live)",
-                param,
-                ctx,
-            )
-        return text
-
-
-_Command = Callable[..., int]
-_FLIGHT_OPTIONS = (
-    click.option(
-        "--estimator",
-        metavar="NAME",
-        help="livo, zou2024, gps, optical_flow, hybrid_flow, stereo, oracle, or MODULE:FUNCTION.",
-    ),
-    *(
-        click.option(f"--{kind}", metavar="NAME", help=f"{text}, or MODULE:FUNCTION.  [{default}]")
-        for kind, text, default in (
-            ("selector", "What chooses the site: risk, zou2024 (Zou, Sun and Kong 2024)", "risk"),
-            ("lander", "What flies the mission: site", "site"),
-            ("controller", "What turns setpoints into rotor speeds: cascade, px4", "cascade"),
-            ("mapper", "What makes the map: grid", "grid"),
-            ("classifier", "What tells the class of ground: auto, off, a file", "auto"),
-        )
-    ),
-    click.option(
-        "--px4",
-        metavar="PATH",
-        help="PX4's SITL build for --controller px4.  [TOUCHDOWN_PX4]",
-    ),
-    click.option("--px4-port", type=int, help="Port on which PX4 finds its simulator.  [4560]"),
-    click.option(
-        "--px4-connect", is_flag=True, default=None, help="Wait for a PX4 that you start."
-    ),
-    click.option(
-        "--px4-aid",
-        type=click.Choice(["none", "gps"]),
-        help="What PX4 is given beside the estimate.  [none]",
-    ),
-    click.option("--seed", type=int, help="Varies the scene, the wind and all noise.  [0]"),
-    click.option(
-        "--profile",
-        type=click.Choice(["ideal", "field", "harsh"]),
-        help="How kind the world is.  [field]",
-    ),
-    click.option(
-        "--preset",
-        type=click.Choice(["whole", "short"]),
-        help="How much is flown: short is one leg of 12 m at 15 m.  [whole]",
-    ),
-    click.option(
-        "--light",
-        type=click.Choice(["day", "overcast", "dusk", "night"]),
-        help="Light of the scene; a lamp lights the ground where lamp.below_m says so.  [day]",
-    ),
-    click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
-    click.option(
-        "--calibration",
-        metavar="FILE",
-        help="File of `touchdown calibrate`: the calibration given to the estimator.",
-    ),
-    click.option(
-        "--config",
-        "config_file",
-        type=PATH,
-        help="A TOML file, or the config.json of an earlier run.",
-    ),
-    click.option(
-        "--allow-code",
-        is_flag=True,
-        help="Import the external parts that a run's config.json names.",
-    ),
-    click.option(
-        "--set",
-        "overrides",
-        multiple=True,
-        metavar="KEY=VALUE",
-        help="Any key of the configuration, such as survey.height_m=20. May be repeated.",
-    ),
-    click.option(
-        "--fault",
-        multiple=True,
-        metavar="KIND@START[+SECONDS|*N]",
-        help="A fault at START seconds, such as lidar_dropout@20+1 or fog@0. May be repeated.",
-    ),
-    click.option(
-        "--scene-from",
-        metavar="MODULE:FUNCTION",
-        help="A function makes the scene: a PyMJCF root, a Composer entity or an MjSpec.",
-    ),
-    click.option(
-        "--as-is",
-        is_flag=True,
-        default=None,
-        help="Take the scene of a file as it is: nothing is dressed or guessed.",
-    ),
-    click.option(
-        "--classes",
-        metavar="FILE",
-        help="Classes of a file's geoms: TOML by name, or a PNG from above.",
-    ),
-    click.option("--out", type=PATH, help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]"),
-    click.option("--force", is_flag=True, help="Replace a run whose sensors.mcap would be lost."),
-    click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
-    click.option(
-        "--log-sensors",
-        is_flag=True,
-        default=None,
-        help="Write sensors.mcap, every message of the sensors, for --replay and other tools.",
-    ),
-    click.option(
-        "--live",
-        type=LiveType(),
-        is_flag=False,
-        flag_value="auto",
-        metavar="[window|web|URL]",
-        help="Show the flight in the Rerun viewer while it goes on: in a window, on a page of this "
-        "machine, or in the viewer at URL.",
-    ),
-    click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object."),
-    click.option("--quiet", is_flag=True, help="No progress on stderr."),
+_SITE = Parsed(
+    "X,Y", "two finite numbers in metres, such as 12.5,-3", lambda text: finite_numbers(text, 2)
+)
+_LIVE = Parsed(
+    "window|web|URL",
+    "a URL such as rerun+http://127.0.0.1:9876/proxy (give the scene before --live)",
+    _viewer_address,
 )
 
 
+def _part(kind: str, text: str) -> Callable[[Any], Any]:
+    """The option that names what fills a slot."""
+    return click.option(f"--{kind}", metavar="NAME", help=text)
+
+
+_flight_options = many(
+    _part("estimator", "livo, zou2024, gps, optical_flow, hybrid_flow, stereo, oracle, or "
+          "MODULE:FUNCTION."),
+    _part("selector", "What chooses the site: risk, zou2024, or MODULE:FUNCTION.  [risk]"),
+    _part("lander", "What flies the mission: site, or MODULE:FUNCTION.  [site]"),
+    _part("controller", "Setpoints to rotor speeds: cascade, px4, or MODULE:FUNCTION.  [cascade]"),
+    _part("mapper", "What makes the map: grid, or MODULE:FUNCTION.  [grid]"),
+    _part("classifier", "Class of ground: auto, off, a file, or MODULE:FUNCTION.  [auto]"),
+    click.option("--px4", metavar="PATH", help="PX4's SITL build.  [TOUCHDOWN_PX4]"),
+    click.option("--px4-port", type=int, help="Port on which PX4 finds its simulator.  [4560]"),
+    click.option("--px4-connect", is_flag=True, default=None, help="Wait for a PX4 that runs."),
+    click.option("--px4-aid", type=click.Choice(["none", "gps"]),
+                 help="What PX4 is given beside the estimate.  [none]"),
+    click.option("--seed", type=int, help="Varies the scene, the wind and all noise.  [0]"),
+    click.option("--profile", type=PROFILE, help="How kind the world is.  [field]"),
+    PRESET,
+    click.option("--light", type=LIGHT, help="Light of the scene; see lamp.below_m.  [day]"),
+    click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
+    click.option("--calibration", metavar="FILE",
+                 help="Of `touchdown calibrate`: the calibration given to the estimator."),
+    CONFIG,
+    click.option("--allow-code", is_flag=True,
+                 help="Import the external parts that a run's config.json names."),
+    OVERRIDES,
+    click.option("--fault", multiple=True, metavar="KIND@START[+SECONDS|*N]",
+                 help="Such as lidar_dropout@20+1 or fog@0, in seconds. May be repeated."),
+    click.option("--scene-from", metavar="MODULE:FUNCTION",
+                 help="What makes the scene: a PyMJCF root, a Composer entity or an MjSpec."),
+    click.option("--as-is", is_flag=True, default=None,
+                 help="Take the scene of a file as it is: nothing is dressed or guessed."),
+    click.option("--classes", metavar="FILE",
+                 help="Classes of a file's geoms: TOML by name, or a PNG from above."),
+    click.option("--out", type=PATH, help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]"),
+    click.option("--force", is_flag=True, help="Replace a run whose sensors.mcap would be lost."),
+    click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
+    click.option("--log-sensors", is_flag=True, default=None,
+                 help="Write sensors.mcap, all messages of the sensors, as for --replay."),
+    click.option("--live", type=_LIVE, is_flag=False, flag_value="auto",
+                 metavar="[window|web|URL]",
+                 help="Show the flight while it goes on: in a window, on a page of this machine, "
+                 "or in the Rerun viewer at URL."),
+    JSON,
+    QUIET,
+)  # fmt: skip
+
 _CONFIG_OPTIONS = (
-    "scene", "estimator", "seed", "profile", "preset", "light", "wind_kmh", "record",
-    "calibration", "log_sensors", "as_is", "classes",
-    "selector", "lander", "controller", "mapper", "classifier",
+    "seed", "profile", "preset", "light", "wind_kmh", "record", "calibration", "log_sensors",
+    "as_is", "classes", "selector", "lander", "controller", "mapper", "classifier",
     "px4", "px4_port", "px4_connect", "px4_aid",
 )  # fmt: skip
-"""The options that `experiments.config.loading.load_config` takes."""
-
-
-def _flight_options(command: _Command) -> _Command:
-    for option in reversed(_FLIGHT_OPTIONS):
-        command = option(command)
-    return command
+"""The options of `experiments.config.loading.load_config` that say how the sensors' data come
+about; a replay has them already."""
 
 
 @click.command()
 @click.argument("scene", required=False)
 @_flight_options
-@click.option("--site", type=SiteType(), help="Land here (metres, world frame).")
-@click.option(
-    "--emergency",
-    type=click.Choice(["battery"]),
-    help="Land within landing.emergency_s of the survey's end, on the safest site in reach.",
-)
+@click.option("--site", type=_SITE, help="Land here (metres, world frame).")
+@click.option("--emergency", type=click.Choice(["battery"]),
+              help="Land within landing.emergency_s of the survey's end, on the safest site in "
+              "reach.")  # fmt: skip
 def land(site: tuple[float, float] | None, emergency: str | None, **options: Any) -> int:
     """Take off, survey, map, choose a landing site and land on it.
 
@@ -213,13 +131,8 @@ def land(site: tuple[float, float] | None, emergency: str | None, **options: Any
 @click.command()
 @click.argument("scene", required=False)
 @_flight_options
-@click.option(
-    "--replay",
-    "replayed",
-    metavar="RUN",
-    type=PATH,
-    help="Run directory with sensors.mcap: its sensors replace the simulation.",
-)
+@click.option("--replay", "replayed", metavar="RUN", type=PATH,
+              help="Run directory with sensors.mcap, which replaces the simulation.")  # fmt: skip
 def fly(replayed: Path | None, **options: Any) -> int:
     """Fly the survey alone and report the positioning error.
 
@@ -228,23 +141,20 @@ def fly(replayed: Path | None, **options: Any) -> int:
 
     Example: touchdown fly crossroad --estimator oracle --set survey.height_m=20
     """
-    if replayed is not None:
-        _take_scene(options)
-        from touchdown.experiments.cli.replay import run_replay
-
-        return run_replay(replayed, options)
-    return _run_flight(options, survey_only=True)
+    if replayed is None:
+        return _run_flight(options, survey_only=True)
+    return _run_replay(replayed, options)
 
 
 def _take_scene(options: dict[str, Any]) -> None:
     """Takes ``--scene-from`` as the scene."""
+    from touchdown.scenes.api import names_function
+
     made = options.pop("scene_from")
     if made is None:
         return
     if options["scene"] is not None:
         raise UsageError(f"--scene-from makes the scene; leave out '{options['scene']}'")
-    from touchdown.scenes.api import names_function
-
     if not names_function(made):
         raise UsageError(f"--scene-from '{made}' is not of the form MODULE:FUNCTION")
     options["scene"] = made
@@ -269,31 +179,58 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     if options["scene"] is None:
         context = click.get_current_context()
         raise click.MissingParameter(ctx=context, param_hint="'SCENE'", param_type="argument")
-    quiet, out = options["quiet"], options["out"]
     config = load_config(
         options["config_file"],
         options["overrides"],
         allow_code=options["allow_code"],
-        **{key: options[key] for key in _CONFIG_OPTIONS},
+        **{key: options[key] for key in ("scene", "estimator", *_CONFIG_OPTIONS)},
         fault=options["fault"] or None,
         **more,
     )
-    if out is None:
-        suffix = "" if config.preset == "whole" else f"-{config.preset}"
-        suffix += "".join(
-            f"-{n.replace(':', '.')}" for k, n in external_parts(config) if k != "estimator"
-        )
-        out = default_out_dir(config.scene, config.estimator, config.seed, suffix)
+    suffix = "" if config.preset == "whole" else f"-{config.preset}"
+    suffix += "".join(
+        f"-{n.replace(':', '.')}" for k, n in external_parts(config) if k != "estimator"
+    )
+    out = options["out"] or default_out_dir(config.scene, config.estimator, config.seed, suffix)
     check_log_kept(out, logs=config.log.sensors, force=options["force"])
     with _viewer(options["live"]) as view:
         with none_left():
             address = None if view is None else view.address
-            result = fly_with_usage_errors(config, out, make_progress(quiet), address)
-        end_progress(quiet)
-        if options["as_json"]:
-            click.echo(json.dumps({**result.plain(), "run_dir": str(out)}, indent=2))
-        else:
-            print_result(result, out)
+            result = fly_with_usage_errors(config, out, make_progress(options["quiet"]), address)
+        code = _print(result, out, options)
         if view is not None:
             view.stay()
+    return code
+
+
+def _run_replay(run: Path, options: dict[str, Any]) -> int:
+    from touchdown.experiments.external.processes import none_left
+    from touchdown.experiments.flight.replay import replay, replay_config
+    from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
+
+    _take_scene(options)
+    for name in (*_CONFIG_OPTIONS, "config_file", "live"):
+        if options[name] not in (None, False):
+            option = name.removesuffix("_file").replace("_", "-")
+            raise UsageError(f"--{option} does not go with --replay: the flight is over")
+    config = replay_config(
+        run, options["estimator"], options["overrides"], allow_code=options["allow_code"]
+    )
+    if options["scene"] not in (None, config.scene):
+        raise UsageError(f"'{run}' was flown over {config.scene}, not {options['scene']}")
+    out = options["out"] or default_out_dir(config.scene, config.estimator, config.seed, "-replay")
+    if out.resolve() != run.resolve():  # `replay` reports that with its own message
+        check_log_kept(out, logs=False, force=options["force"])
+    with none_left():
+        result = replay(run, config, out, make_progress(options["quiet"]), options["fault"])
+    code = _print(result, out, options)
+    if not options["as_json"]:
+        say(f"replayed open loop, judged at {result.judged_hz:g} Hz")
+    return code
+
+
+def _print(result: RunResult, out: Path, options: dict[str, Any]) -> int:
+    end_progress(options["quiet"])
+    figures = {**result.plain(), "run_dir": str(out)}
+    answer(figures, options["as_json"], lambda _figures: print_result(result, out))
     return EXIT_DONE if result.is_success else EXIT_FAILED

@@ -22,36 +22,26 @@ from touchdown.experiments.cli.common import (
     TerminatedError,
     interrupt_code,
 )
-from touchdown.experiments.errors import system_message
+from touchdown.experiments.errors import UsageError, system_message, visible
 from touchdown.experiments.external.command_process import run_in_child, runs_external_code
 from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_backend, rendering_fault
 from touchdown.experiments.terminal import end_progress, error_line, warning_line
 
+_MODULES = {
+    "bench": ("bench", "maps"),
+    "campaign": ("campaign", "reproduce", "results"),
+    "classification": ("classify", "dataset", "ensemble", "evaluate", "quantize", "train"),
+    "fly": ("fly", "land"),
+    "parts": ("calibrate", "check-estimator", "check-plugin", "control", "edges"),
+    "report": ("query", "regress", "report"),
+    "scenes": ("scenes",),
+    "view": ("export", "view"),
+}
+"""The commands of each module."""
 COMMANDS = {
-    "bench": "bench:bench",
-    "calibrate": "calibrate:calibrate",
-    "campaign": "campaign:campaign",
-    "check-estimator": "replay:check_estimator_command",
-    "check-plugin": "replay:check_plugin_command",
-    "classify": "classification:classify",
-    "control": "control:control",
-    "dataset": "classification:dataset",
-    "edges": "edges:edges",
-    "ensemble": "classification:ensemble",
-    "evaluate": "classification:evaluate",
-    "export": "export:export",
-    "fly": "fly:fly",
-    "land": "fly:land",
-    "maps": "bench:maps",
-    "quantize": "classification:quantize",
-    "query": "query:query",
-    "regress": "report:regress",
-    "report": "report:report",
-    "reproduce": "reproduce:reproduce",
-    "results": "results:results",
-    "scenes": "scenes:scenes",
-    "train": "classification:train",
-    "view": "view:view",
+    name: f"{module}:{name.replace('-', '_')}"
+    for module, names in _MODULES.items()
+    for name in names
 }
 
 
@@ -109,13 +99,11 @@ def _run(arguments: Sequence[str] | None) -> int:
         )
         if sys.stdout is not None:
             sys.stdout.flush()  # errors here are reported below, not at the interpreter's end
-    except click.exceptions.NoArgsIsHelpError as error:
-        return _fail(_missing_command(error))
     except click.ClickException as error:
         return _fail(_click_message(error))
     except (click.Abort, KeyboardInterrupt) as error:
         end_progress(quiet=False)
-        print("touchdown: interrupted", file=sys.stderr)
+        print(f"touchdown: {visible(error) or 'interrupted'}", file=sys.stderr)
         return interrupt_code(error.__cause__ or error)
     except SystemExit:
         # click raises this when the reader of a pipe has gone, which is no failure.
@@ -125,11 +113,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except BrokenPipeError:
         _let_go_of_stdout()
         return EXIT_DONE
-    except ValueError as error:
-        from touchdown.experiments.errors import UsageError
-
-        if not isinstance(error, UsageError):
-            raise
+    except UsageError as error:
         return _fail(str(error))
     except OSError as error:
         message = system_message(error)
@@ -181,17 +165,13 @@ def _fail(message: str) -> int:
     return EXIT_USAGE
 
 
-def _missing_command(error: click.exceptions.NoArgsIsHelpError) -> str:
-    context = error.ctx
-    if context is None or not isinstance(context.command, click.Group):
-        return _click_message(error)
-    known = ", ".join(context.command.list_commands(context))
-    return f"'{context.command_path}' needs a command: {known}"
-
-
 def _click_message(error: click.ClickException) -> str:
     """Click's message in one line, with the command that prints the help."""
+    context: click.Context | None = getattr(error, "ctx", None)
+    no_command = isinstance(error, click.exceptions.NoArgsIsHelpError)
+    if context is not None and no_command and isinstance(context.command, click.Group):
+        known = ", ".join(context.command.list_commands(context))
+        return f"'{context.command_path}' needs a command: {known}"
     message = error.format_message().rstrip(".")
     message = message[:1].lower() + message[1:]
-    context = getattr(error, "ctx", None)
     return f"{message}; see '{context.command_path} --help'" if context else message

@@ -1,20 +1,33 @@
-"""Commands that read finished flights: ``touchdown report`` and ``touchdown regress``."""
+"""Commands that read finished flights: ``touchdown report``, ``regress`` and ``query``."""
 
 from __future__ import annotations
 
-import json
+import atexit
+import csv
+import gc
+import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, JSON, PATH, Number
-from touchdown.experiments.errors import visible
-from touchdown.experiments.terminal import say
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    JSON,
+    PATH,
+    PRESET,
+    Number,
+    answer,
+)
+from touchdown.experiments.errors import UsageError, visible
+from touchdown.experiments.terminal import make_console, say
 
 if TYPE_CHECKING:
     from touchdown.experiments.reporting.regression.baseline import Baseline
+    from touchdown.experiments.reporting.sql import QueryResult
 
 
 @click.command()
@@ -56,15 +69,12 @@ def _print_table(directory: Path, as_json: bool) -> int:
     label_conditions(rows)
     frame = frame_of(rows)
     totals = summary(frame)
-    if as_json:
-        plain = [{**result.plain(), "run": name} for name, result in runs.items()]
-        click.echo(json.dumps({"summary": totals, "runs": plain}, indent=2))
-    else:
-        say("\n".join(run_table(frame).lines))
-        say(f"\n{summary_line(totals)}")
-        for line in missed_lines(runs):
-            say(line)
-    return EXIT_DONE
+
+    def show(_figures: Mapping[str, Any]) -> None:
+        say("\n".join([*run_table(frame).lines, "", summary_line(totals), *missed_lines(runs)]))
+
+    plain = [{**result.plain(), "run": name} for name, result in runs.items()]
+    return answer({"summary": totals, "runs": plain}, as_json, show)
 
 
 def _write_report(directory: Path, out: Path, as_json: bool) -> int:
@@ -84,9 +94,8 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
         first=first_condition(directory),
     )
     files = {kind: str(path) for kind, path in report.write_report(made, rows, out).items()}
-    if as_json:
-        click.echo(json.dumps({**report.as_json(made, rows), "files": files}, indent=2))
-    else:
+
+    def show(_figures: Mapping[str, Any]) -> None:
         summary, flights, *_ = made.sections
         say("\n".join(f"- {visible(line)}" for line in summary.words) + "\n")
         say("\n".join(map(visible, flights.tables[0].lines)) + "\n")
@@ -96,6 +105,8 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
             say("\n".join(map(visible, expectations.lines(verdicts))) + "\n")
         for path in files.values():
             say(f"written: {visible(path)}")
+
+    answer({**report.as_json(made, rows), "files": files}, as_json, show)
     return EXIT_DONE if expectations.all_as_expected(verdicts) else EXIT_FAILED
 
 
@@ -127,8 +138,7 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
     help="Compare position error, NEES, stated sigma, d_L and levelness with bounds from the "
     "baseline's spread between seeds; for few flights.",
 )
-@click.option("--preset", type=click.Choice(["whole", "short"]),
-              help="With FILE.toml: how much each run flies.  [whole]")  # fmt: skip
+@PRESET
 @click.option("--out", type=PATH, metavar="DIR",
               help="With FILE.toml: a new directory that keeps the flights.  [none]")  # fmt: skip
 @JSON
@@ -149,11 +159,11 @@ def regress(directory: Path, baseline: Path, update: bool, as_json: bool, **more
     rows = _rows_of(directory, more["preset"], more["out"])
     if before is None:
         write_baseline(rows, baseline)
-        if as_json:
-            click.echo(json.dumps({"baseline": str(baseline), "flights": len(rows)}))
-        else:
-            say(f"written: {baseline}, {len(rows)} flights")
-        return EXIT_DONE
+        return answer(
+            {"baseline": str(baseline), "flights": len(rows)},
+            as_json,
+            lambda _figures: say(f"written: {baseline}, {len(rows)} flights"),
+        )
     if more["bounds"]:
         return _print_bounds(rows, before, as_json)
     return _print_comparison(rows, before, as_json, more["margin"], more["require_power"])
@@ -167,7 +177,6 @@ def _rows_of(source: Path, preset: str | None, out: Path | None) -> list[dict[st
     from touchdown.experiments.campaign.progress import Display
     from touchdown.experiments.campaign.results_table import is_campaign
     from touchdown.experiments.campaign.session import fly_campaign, make_engine
-    from touchdown.experiments.errors import UsageError
     from touchdown.experiments.reporting.flights import load_flights
 
     if source.suffix != ".toml":
@@ -187,10 +196,7 @@ def _print_bounds(rows: list[dict[str, Any]], baseline: Baseline, as_json: bool)
     from touchdown.experiments.reporting.regression.bounds import bounds_lines, check_bounds
 
     found = check_bounds(rows, baseline)
-    if as_json:
-        click.echo(json.dumps(found.as_json(), indent=2))
-    else:
-        say("\n".join(map(visible, bounds_lines(found))))
+    answer(found.as_json(), as_json, lambda _: say("\n".join(map(visible, bounds_lines(found)))))
     return EXIT_FAILED if found.failed else EXIT_DONE
 
 
@@ -208,9 +214,72 @@ def _print_comparison(
     )
 
     found = compare(rows, baseline, margin)
-    if as_json:
-        click.echo(json.dumps({**found.as_json(), "words": verdict_sentences(found)}, indent=2))
-    else:
-        table = [*table_lines(found), ""] if found.cells else []
-        say("\n".join(map(visible, [*table, *verdict_sentences(found)])))
+    words = verdict_sentences(found)
+    table = [*table_lines(found), ""] if found.cells else []
+
+    def show(_figures: Mapping[str, Any]) -> None:
+        say("\n".join(map(visible, [*table, *words])))
+
+    answer({**found.as_json(), "words": words}, as_json, show)
     return EXIT_FAILED if found.failed(require_power) else EXIT_DONE
+
+
+@click.command()
+@click.argument("directory", type=PATH, metavar="DIR")
+@click.argument("sql")
+@JSON
+@click.option("--csv", "as_csv", is_flag=True, help="Print comma-separated values.")
+def query(directory: Path, sql: str, as_json: bool, as_csv: bool) -> int:
+    """Run SQL over the runs in DIR, a campaign or any directory of runs. The table is `runs`.
+
+    Names with a dot are quoted: "position_error_m.mean". `describe runs` lists them all. A query
+    reads this table alone, no files, and may be interrupted.
+
+    Example: touchdown query runs/positioning 'select estimator, avg("position_error_m.mean") from
+    runs group by all'
+    """
+    from touchdown.experiments.reporting.sql import run_sql
+
+    if as_json and as_csv:
+        raise UsageError("--json and --csv exclude each other; give one of them")
+    atexit.unregister(gc.freeze)  # of `main`; with it the library prints what it takes for leaks
+    found = run_sql(directory, sql)
+    show = _print_csv if as_csv else _print_rows
+    return answer(_objects(found) if as_json else None, as_json, lambda _: show(found))
+
+
+def _objects(found: QueryResult) -> dict[str, Any]:
+    from touchdown.experiments.io.provenance import plain_json
+
+    twice = [name for n, name in enumerate(found.columns) if name in found.columns[:n]]
+    if twice:
+        raise UsageError(
+            f"two columns are called '{twice[0]}', and a JSON object holds one; name one of them, "
+            "such as select seed as first"
+        )
+    rows = [dict(zip(found.columns, row, strict=True)) for row in found.rows]
+    return {"columns": found.columns, "rows": plain_json(rows)}
+
+
+def _print_csv(found: QueryResult) -> None:
+    """The values as they are; on a terminal, control characters as escapes."""
+
+    def shown(value: Any) -> Any:
+        return visible(value) if isinstance(value, str) and sys.stdout.isatty() else value
+
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(map(shown, found.columns))
+    writer.writerows([shown(value) for value in row] for row in found.rows)
+
+
+def _print_rows(found: QueryResult) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table()
+    for title in found.columns:
+        table.add_column(title)
+    for row in found.rows:
+        cells = (f"{v:.6g}" if isinstance(v, float) else "" if v is None else str(v) for v in row)
+        table.add_row(*(Text(visible(cell, keep="\n")) for cell in cells))
+    make_console().print(table)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +13,14 @@ from touchdown.experiments.cli.common import (
     EXIT_DONE,
     EXIT_FAILED,
     JSON,
+    LIGHT,
+    OVERRIDES,
     PATH,
     QUIET,
     SEED,
     CommandGroup,
     Number,
+    answer,
 )
 from touchdown.experiments.cli.console import print_place, print_scene_check
 from touchdown.experiments.errors import usage_errors
@@ -28,8 +31,6 @@ if TYPE_CHECKING:
 
 VIEW_NAMES = ("above", "oblique", "camera", "depth", "lidar", "height", "slope", "class", "safe")
 """Keys of `experiments.scene_tools.views.VIEWS`, repeated so that help is instant."""
-LIGHTS = ("day", "overcast", "dusk", "night")
-"""Names of `scenes.api.Light`, likewise."""
 
 
 @click.group(cls=CommandGroup)
@@ -50,31 +51,22 @@ def scenes_list(as_json: bool) -> int:
     """
     from touchdown.scenes.registry import scene_names
 
-    names = scene_names()
-    say(json.dumps({"scenes": names}) if as_json else "\n".join(names))
-    return EXIT_DONE
+    return answer({"scenes": scene_names()}, as_json, lambda found: say("\n".join(found["scenes"])))
 
 
 @scenes.command("render")
 @click.argument("scene", required=False)
 @click.option("--all", "every_scene", is_flag=True, help="Every view of every scene.")
 @click.option("--all-views", is_flag=True, help="Every view of SCENE.")
-@click.option(
-    "--out",
-    type=PATH,
-    help="PNG file, or directory for several.  [SCENE-VIEW.png, SCENE-SEED, scenes-SEED]",
-)
-@click.option("--seed", type=SEED, default=0, show_default=True)
-@click.option(
-    "--view",
-    type=click.Choice(VIEW_NAMES),
-    default="above",
-    show_default=True,
-    help="From above or from a corner; the camera, its depth and one second of LIDAR (coloured by "
-    "intensity) from 30 m above the take-off; the true height, slope, class and safe ground.",
-)
-@click.option("--light", type=click.Choice(LIGHTS), default="day", show_default=True,
-              help="Light of the scene.")  # fmt: skip
+@click.option("--out", type=PATH,
+              help="PNG file, or directory for several.  [SCENE-VIEW.png, SCENE-SEED, "
+              "scenes-SEED]")  # fmt: skip
+@SEED
+@click.option("--view", type=click.Choice(VIEW_NAMES), default="above", show_default=True,
+              help="From above or from a corner; the camera, its depth and one second of LIDAR "
+              "(coloured by intensity) from 30 m above the take-off; the true height, slope, class "
+              "and safe ground.")  # fmt: skip
+@click.option("--light", type=LIGHT, default="day", show_default=True, help="Light of the scene.")
 @JSON
 @QUIET
 def scenes_render(
@@ -111,16 +103,14 @@ def scenes_render(
         target = out or Path(f"{short_name(scene or '')}-{view}.png")
         scene_tools.render_view(scene or "", seed, view, target, light)
         done = {"picture": str(target)}
-    say(json.dumps(done) if flags["as_json"] else "\n".join(done.values()))
-    return EXIT_DONE
+    return _written(done, flags["as_json"])
 
 
 @scenes.command("check")
 @click.argument("names", nargs=-1, metavar="[SCENE]...")
 @click.option("--seeds", type=click.IntRange(1), default=25, show_default=True,
               help="Seeds of a named scene; a file has none.")  # fmt: skip
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE",
-              help="Key of a file's survey, such as survey.legs=1. May be repeated.")  # fmt: skip
+@OVERRIDES
 @click.option("--as-is", is_flag=True, default=None, help="Check a file as it is.")
 @click.option("--classes", metavar="FILE",
               help="Classes of a file's geoms: TOML by name, or a PNG from above.")  # fmt: skip
@@ -149,13 +139,14 @@ def scenes_check(
     chosen = names or tuple(known)
     places = [check_scene_file(name, overrides, **more) for name in chosen if name not in known]
     rows = check_scenes([n for n in chosen if n in known], seeds, make_notes(quiet))
-    if as_json:
-        click.echo(json.dumps({"scenes": rows, "places": places}, indent=2))
-    else:
+
+    def show(_figures: Mapping[str, Any]) -> None:
         for place in places:
             print_place(place)
         if rows:
             print_scene_check(rows)
+
+    answer({"scenes": rows, "places": places}, as_json, show)
     good = passed(rows) and not any(place["problems"] for place in places)
     return EXIT_DONE if good else EXIT_FAILED
 
@@ -163,7 +154,7 @@ def scenes_check(
 @scenes.command("export")
 @click.argument("scene")
 @click.option("--out", type=PATH, help="Directory.  [SCENE-SEED]")
-@click.option("--seed", type=SEED, default=0, show_default=True)
+@SEED
 @JSON
 def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int:
     """Write a scene's MJCF with its assets, to open in MuJoCo's own viewer.
@@ -176,58 +167,38 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
 
     target = out or Path(f"{short_name(scene)}-{seed}")
     model_file = export_scene_files(scene, seed, target)
-    say(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
-    return EXIT_DONE
+    return _written({"mjcf": str(model_file)}, as_json)
 
 
 @scenes.command("import-dem")
 @click.argument("dem", type=PATH)
 @click.argument("out", type=PATH)
-@click.option(
-    "--ortho", type=PATH, help="Aerial image of the same extent, or a GeoTIFF.  [relief in colours]"
-)
+@click.option("--ortho", type=PATH,
+              help="Aerial image of that extent, or a GeoTIFF.  [relief in colours]")  # fmt: skip
 @click.option("--cell", "cell_m", type=Number(), metavar="M", help="Node spacing.  [the model's]")
 @click.option("--window", "window_m", type=Number(), default=200.0, show_default=True, metavar="M",
               help="Side of the square that is cut out.")  # fmt: skip
-@click.option("--centre", nargs=2, type=Number(), metavar="E N",
+@click.option("--centre", "centre_m", nargs=2, type=Number(), metavar="E N",
               help="Its centre, metres from the south-west corner.  [the middle]")  # fmt: skip
 @click.option("--class", "land_class", default="field", show_default=True,
               help="Land class of the ground.")  # fmt: skip
 @JSON
-def scenes_import_dem(
-    dem: Path,
-    out: Path,
-    ortho: Path | None,
-    cell_m: float | None,
-    window_m: float,
-    centre: tuple[float, float] | None,
-    land_class: str,
-    as_json: bool,
-) -> int:
+def scenes_import_dem(dem: Path, out: Path, as_json: bool, **options: Any) -> int:
     """Make a scene of DEM, a GeoTIFF of heights, in the new folder OUT.
 
     Example: touchdown scenes import-dem hill.tif --ortho hill.png hill &&
     touchdown land hill/scene.xml
     """
-
-    model_file, notes = usage_errors(
-        lambda: import_dem(
-            dem, out, ortho=ortho, cell_m=cell_m, window_m=window_m, centre_m=centre,
-            land_class=land_class,
-        )
-    )  # fmt: skip
-    for note in notes:
-        say(f"touchdown: {note}", err=True)
-    say(json.dumps({"mjcf": str(model_file)}) if as_json else str(model_file))
-    return EXIT_DONE
-
-
-def import_dem(tif: Path, out: Path, **options: Any) -> tuple[Path, list[str]]:
-    """Makes a scene of an elevation model with `scenes.importers.dem.import_dem`; returns the MJCF
-    file and the warnings."""
-    from touchdown.scenes.importers.dem import import_dem as import_model
+    from touchdown.scenes.importers.dem import import_dem
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        path = import_model(tif, out, **options)
-    return path, [str(warning.message) for warning in caught]
+        model_file = usage_errors(lambda: import_dem(dem, out, **options))
+    for warning in caught:
+        say(f"touchdown: {warning.message}", err=True)
+    return _written({"mjcf": str(model_file)}, as_json)
+
+
+def _written(done: Mapping[str, str], as_json: bool) -> int:
+    """Prints the paths of what was written."""
+    return answer(done, as_json, lambda done: say("\n".join(done.values())))
