@@ -4,7 +4,6 @@ contact sheet."""
 from __future__ import annotations
 
 import csv
-import io
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -19,11 +18,10 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.classification.data_sets import (
     SPLITS,
-    Meaning,
     rendered_meaning,
     split_of_layout,
 )
-from touchdown.experiments.classification.patches import NewLooks, Patch, scene_patches
+from touchdown.experiments.classification.patches import NewLooks, scene_patches
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import read_picture, write_png
 from touchdown.experiments.io.run_directory import run_directory
@@ -47,23 +45,6 @@ _SHEET_COLUMNS = 10
 _SHEET_PX, _NAME_PX, _GAP = 96, 110, 4
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """One seed of a scene and the patches to render of it."""
-
-    scene: str
-    seed: int
-    count: int
-    pixels: int
-    variation: int
-    looks: NewLooks
-    folder: str
-
-    @property
-    def name(self) -> str:
-        return f"{self.scene}-{self.seed}"
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DatasetParams:
     """Size and content of a data set of rendered patches."""
@@ -83,6 +64,17 @@ class DatasetParams:
     """share of seeds with ground of other materials of the same class"""
 
 
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """One seed of a scene, and the number of patches to render of it into ``folder``."""
+
+    scene: str
+    seed: int
+    count: int
+    params: DatasetParams
+    folder: Path
+
+
 def render_dataset(
     out: Path,
     params: DatasetParams,
@@ -96,30 +88,20 @@ def render_dataset(
     same ``params`` give the same bytes, whatever ``jobs``. The folder appears when it is complete.
     Raises UsageError where ``out`` is not empty or a scene is unknown.
     """
-    names = _checked_scenes(params.scenes)
-    _check_target(out)
+    known = scene_names()
+    for name in set(params.scenes).difference(known):
+        raise UsageError(f"unknown scene '{name}'{nearest(name, known)}; known: {', '.join(known)}")
+    names = tuple(dict.fromkeys(params.scenes)) or tuple(known)
+    if out.is_file() or (out.is_dir() and any(out.iterdir())):
+        raise UsageError(f"--out: '{out}' is a file or not empty; name a new folder")
     with run_directory(out, own=()) as partial:
         rows = _render(partial, names, params, jobs, progress)
-        (partial / MANIFEST).write_text(_csv(rows), encoding="utf-8")
+        with (partial / MANIFEST).open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
         write_png(partial / SHEET, contact_sheet(_samples(partial, rows)))
     return {"directory": str(out), "images": len(rows), **_counts(rows)}
-
-
-def _checked_scenes(scenes: Sequence[str]) -> tuple[str, ...]:
-    known = scene_names()
-    for name in scenes:
-        if name not in known:
-            raise UsageError(
-                f"unknown scene '{name}'{nearest(name, known)}; known: {', '.join(known)}"
-            )
-    return tuple(dict.fromkeys(scenes)) or tuple(known)
-
-
-def _check_target(out: Path) -> None:
-    if out.is_file():
-        raise UsageError(f"--out: '{out}' is a file; name a new folder")
-    if out.is_dir() and any(out.iterdir()):
-        raise UsageError(f"--out: '{out}' is not empty; name a new folder")
 
 
 def _render(
@@ -131,19 +113,13 @@ def _render(
         for _ in range(_MAX_ROUNDS):
             missing = params.images - len(rows)
             seeds = -(-missing // (len(scenes) * params.per_seed))
-            counts = _even(missing, seeds * len(scenes))
+            places = [(name, first + number) for number in range(seeds) for name in scenes]
+            # numbers that differ by at most one
+            counts = [len(part) for part in np.array_split(np.arange(missing), len(places))]
             layouts = [
-                _Layout(
-                    scene=name,
-                    seed=first + number,
-                    count=counts.pop(),
-                    pixels=params.pixels,
-                    variation=params.seed,
-                    looks=NewLooks(params.new_colours, params.new_materials),
-                    folder=str(folder),
-                )
-                for number in range(seeds)
-                for name in scenes
+                _Layout(*place, count, params, folder)
+                for place, count in zip(places, counts, strict=True)
+                if count
             ]
             first += seeds
             for layout, found in zip(layouts, run(_render_layout, layouts), strict=True):
@@ -152,11 +128,6 @@ def _render(
             if len(rows) == params.images:
                 return rows
     raise UsageError(f"these scenes show only {len(rows)} patches of one kind of ground")
-
-
-def _even(total: int, parts: int) -> list[int]:
-    """Returns ``parts`` numbers that differ by at most one and add up to ``total``."""
-    return [total // parts + (number < total % parts) for number in range(parts)][::-1]
 
 
 @contextmanager
@@ -173,41 +144,29 @@ def _workers(jobs: int) -> Iterator[Callable[..., Iterator[list[dict[str, Any]]]
 def _render_layout(layout: _Layout) -> list[dict[str, Any]]:
     """Writes the images of one layout. Returns their rows of the manifest."""
     cv2.setNumThreads(1)
-    if layout.count == 0:
-        return []
-    folder = Path(layout.folder) / layout.name
-    folder.mkdir()
-    rows = []
+    params, name = layout.params, f"{layout.scene}-{layout.seed}"
+    (layout.folder / name).mkdir()
+    looks = NewLooks(params.new_colours, params.new_materials)
     patches = scene_patches(
-        layout.scene, layout.seed, layout.count, layout.pixels, layout.variation, layout.looks
+        layout.scene, layout.seed, layout.count, params.pixels, params.seed, looks
     )
+    rows = []
     for number, patch in enumerate(patches):
-        file = f"{layout.name}/{number:04d}.png"
-        write_png(Path(layout.folder) / file, patch.rgb)
-        rows.append(_row(file, layout, patch, rendered_meaning(layout.scene, patch.land_class)))
+        file = f"{name}/{number:04d}.png"
+        write_png(layout.folder / file, patch.rgb)
+        meaning = rendered_meaning(layout.scene, patch.land_class)
+        rows.append({
+            "file": file,
+            "d_land": meaning.d_land,
+            "d_scene": meaning.d_scene or "",
+            "scene": layout.scene,
+            "seed": layout.seed,
+            "split": split_of_layout(layout.scene, layout.seed),
+            "height_m": f"{patch.height_m:.2f}",
+            "side_m": f"{patch.side_m:.2f}",
+            "share": f"{patch.fraction:.3f}",
+        })  # fmt: skip
     return rows
-
-
-def _row(file: str, layout: _Layout, patch: Patch, meaning: Meaning) -> dict[str, Any]:
-    return {
-        "file": file,
-        "d_land": meaning.d_land,
-        "d_scene": meaning.d_scene or "",
-        "scene": layout.scene,
-        "seed": layout.seed,
-        "split": split_of_layout(layout.scene, layout.seed),
-        "height_m": f"{patch.height_m:.2f}",
-        "side_m": f"{patch.side_m:.2f}",
-        "share": f"{patch.fraction:.3f}",
-    }
-
-
-def _csv(rows: Sequence[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:

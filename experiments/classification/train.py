@@ -12,12 +12,15 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.classification.image_folders import load_images, read_catalogue
-from touchdown.experiments.classification.optional_import import training_libraries
+from touchdown.experiments.classification.evaluate import training_libraries
+from touchdown.experiments.classification.image_folders import (
+    load_images,
+    of_classes,
+    read_catalogue,
+)
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.platform import set_malloc
 from touchdown.experiments.io.run_directory import whole_file, write_text
-from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification.decision import fitted_limits
 from touchdown.landing.classification.engine import apply_miss_costs
 from touchdown.landing.classification.labels import SCHEMES
@@ -104,17 +107,6 @@ def train_network(
     write_text(out / REPORT, json.dumps(report, indent=2) + "\n")
     os.close(lock)
     return report
-
-
-def of_classes(images: LabelledImages) -> LabelledImages:
-    """Returns those of ``images`` that are of a class."""
-    known = images.labels >= 0
-    return replace(
-        images,
-        images=images.images[known],
-        labels=images.labels[known],
-        source=images.source[known],
-    )
 
 
 @contextlib.contextmanager

@@ -183,7 +183,7 @@ def train(
 
     Example: touchdown train --data patches --out trained --epochs 20
     """
-    from touchdown.experiments.classification.optional_import import training_libraries
+    from touchdown.experiments.classification.evaluate import training_libraries
     from touchdown.experiments.classification.train import train_network
 
     if threads is not None:
@@ -195,7 +195,7 @@ def train(
 
 
 def _print_scores(report: Mapping[str, Any]) -> None:
-    from touchdown.experiments.classification.score_tables import print_evaluation
+    from touchdown.experiments.classification.evaluate import print_evaluation
 
     print_evaluation(report)
 
@@ -261,14 +261,14 @@ def quantize(quiet: bool, **options: Any) -> dict[str, Any]:
 
     Example: touchdown quantize trained/network.onnx --data patches --out network-int8.onnx
     """
-    from touchdown.experiments.classification.quantize import quantize_network
+    from touchdown.experiments.classification.derived import quantize_network
 
     with progress_bar(quiet) as progress:
         return quantize_network(progress=progress, **options)
 
 
 def _print_ensemble(report: Mapping[str, Any]) -> None:
-    from touchdown.experiments.classification.score_tables import decision_text
+    from touchdown.experiments.classification.evaluate import decision_text
 
     rows = zip(report["networks"], report["weights"], report["top1_alone"], strict=True)
     for name, weight, top1 in rows:
@@ -299,7 +299,7 @@ def ensemble(quiet: bool, **options: Any) -> dict[str, Any]:
 
     Example: touchdown ensemble small.onnx large.onnx --data patches --out both.onnx
     """
-    from touchdown.experiments.classification.ensemble import make_ensemble
+    from touchdown.experiments.classification.derived import make_ensemble
 
     with progress_bar(quiet) as progress:
         return make_ensemble(progress=progress, **options)

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any
 
 LEARNING = (
-    "onnx", "onnxruntime.quantization", "touchdown.experiments.classification.quantize",
+    "onnx", "onnxruntime.quantization", "touchdown.experiments.classification.derived",
     "touchdown.experiments.classification.train",
     "touchdown.landing.classification.learning.training",
     "touchdown.landing.classification.learning.export",

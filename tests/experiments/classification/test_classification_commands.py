@@ -1,4 +1,5 @@
-"""`touchdown train`, `evaluate` and `classify`, and the file of a network that they share."""
+"""`touchdown train`, `evaluate`, `classify` and `ensemble`, and the file of a network that they
+share."""
 
 import json
 import shutil
@@ -19,6 +20,7 @@ from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.labels import D_LAND
 
 from support.command import Says
+from support.ground_class_support import COLOURS, write_colour_network, write_plain_images
 from support.labelled_images_support import coloured, coloured_folders
 
 MOBILENET_WEIGHTS = 4_210_008
@@ -211,3 +213,85 @@ def test_training_refuses(
     command = ["train", "--out", str(out), "--data", str(folder), "--quiet", *arguments]
     output = says(2, *command).err
     assert message in output and output.count("\n") == 1 and not out.exists()
+
+
+_SMALL = ("--network", "mobilenet_v3_large", "--image-size", "32", "--batch-size", "2", "--quiet")
+
+
+def test_a_refused_training_leaves_the_folder_as_it_was(
+    torch: Any, tmp_path: Path, says: Says
+) -> None:
+    """No new one where the start is refused, and another training stays in its own."""
+    data = str(write_plain_images(tmp_path / "data", 32))
+    (tmp_path / "start").mkdir()
+    new, used = tmp_path / "new" / "er", tmp_path / "out"
+    command = ("train", "--data", data, *_SMALL, "--out")
+    refused = says(2, *command, str(new), "--start-from", str(tmp_path / "start")).err
+    assert "network.onnx' does not exist" in refused and not new.parent.exists()
+    used.mkdir()
+    course = {"identity": {"network": "vgg19"}, "history": [], "best_epoch": -1}
+    torch.save({"course": json.dumps(course)}, used / "last.pt")
+    refused = says(2, *command, str(used)).err
+    assert "holds a training with network 'vgg19', not 'mobilenet_v3_large'" in refused
+    assert refused.count("\n") == 1 and [path.name for path in used.iterdir()] == ["last.pt"]
+
+
+BLIND = np.zeros((len(D_LAND), 3))
+"""scores of a network that says the same of every colour"""
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders of images in the colours of their classes, noisy."""
+    home = tmp_path_factory.mktemp("pictures")
+    rng = np.random.default_rng([8, 3])
+    for name, colour in COLOURS.items():
+        (home / name).mkdir()
+        for number in range(60):
+            image = np.clip(rng.normal(colour, 25.0, (16, 16, 3)), 0, 255).astype(np.uint8)
+            cv2.imwrite(str(home / name / f"{number}.png"), image[..., ::-1])
+    return home
+
+
+def test_two_networks_classify_together(
+    images: Path, tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seeing = write_colour_network(tmp_path / "seeing.onnx", miss_costs=(("water", 3.0),))
+    blind = write_colour_network(tmp_path / "blind.onnx", per_colour=BLIND)
+    out = tmp_path / "both.onnx"
+    command = ["ensemble", str(seeing), str(blind), "--data", str(images), "--out", str(out)]
+    report = json.loads(says(0, *command, "--quiet", "--json").out)
+    assert report["top1_alone"][0] == report["top1"] == 1.0 > report["top1_alone"][1]
+    assert report["networks"] == ["seeing.onnx", "blind.onnx"]
+    assert report["weights"][0] > 1.0  # surer than it is: all is right
+    facts = OnnxClassifier(out).facts
+    assert facts.network == "by colour+by colour"
+    assert facts.miss_costs == (("water", 3.0),) and facts.limits.min_probability == 0.5
+    scored = ["evaluate", str(out), "--data", str(images), "--no-cost", "--quiet", "--json"]
+    found = json.loads(says(0, *scored).out)
+    assert found["network"] == "by colour+by colour" and found["top1"] == 1.0
+    assert found["decision"]["unsafe_taken_for_safe"] == 0
+    given = [*command, "--weight", "0.5", "--weight", "0.5", "--miss-cost", "road=2"]
+    assert cli.main([*given, "--quiet"]) == 0
+    assert "seeing.onnx: weight 0.500, validation top-1 1.0000" in capsys.readouterr().out
+    assert OnnxClassifier(out).facts.miss_costs == (("road", 2.0),)
+
+
+def test_what_is_no_ensemble_is_refused_in_one_line(
+    images: Path, tmp_path: Path, says: Says
+) -> None:
+    one = write_colour_network(tmp_path / "1.onnx")
+    scenes = write_colour_network(tmp_path / "2.onnx", labels="d_scene")
+    large = write_colour_network(tmp_path / "3.onnx", size=32)
+    out = tmp_path / "out.onnx"
+    for arguments, text in (
+        ((one, "--out", out), "1 networks given, 2 to 8 needed"),
+        ((one, one, "--out", tmp_path / "out.json"), "ends in .onnx"),
+        ((one, one, "--out", one), "is one of the networks"),
+        ((one, scenes, "--out", out), "'2.onnx' predicts the classes of 'd_scene', the first"),
+        ((one, large, "--out", out), "'3.onnx' sees images of 32 pixels, the first network of 16"),
+        ((one, one, "--out", out, "--weight", "1"), "--weight: 1 given for 2 networks"),
+        ((one, one, "--out", out, "--miss-cost", "lava=2"), "miss cost of 'lava'"),
+    ):
+        line = says(2, "ensemble", *map(str, arguments), "--data", str(images), "--quiet").err
+        assert text in line and line.count("\n") == 1 and not out.exists()

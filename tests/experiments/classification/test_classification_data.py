@@ -9,13 +9,19 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.experiments.classification import colour_randomization as recolour
 from touchdown.experiments.classification import data_sets, patches, render_dataset
 from touchdown.experiments.classification.data_sets import split_of_layout, split_of_ucmerced
-from touchdown.experiments.classification.image_folders import load_images, read_catalogue
+from touchdown.experiments.classification.evaluate import reliability
+from touchdown.experiments.classification.image_folders import (
+    View,
+    entries_of,
+    load_images,
+    read_catalogue,
+)
 from touchdown.experiments.classification.render_dataset import DatasetParams
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, squared
+from touchdown.landing.classification.labels import D_LAND, NO_LABEL
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID
 from touchdown.scenes.authoring.ground import present_variation
 
@@ -114,10 +120,10 @@ def test_a_material_has_one_colour() -> None:
     road = LAND_CLASSES.index("road")
     materials = np.full((2, 4), road + 1, np.int32)
     materials[:, 2:] += OTHER_CLASS_ID + 2
-    found = recolour.recoloured(grey, materials, np.random.default_rng(3))
+    found = patches.recoloured(grey, materials, np.random.default_rng(3))
     left, right = found[:, :4].reshape(-1, 3), found[:, 4:].reshape(-1, 3)
     assert (left == left[0]).all() and (right == right[0]).all() and (left[0] != right[0]).any()
-    light, warm, green = np.random.default_rng(3).normal(0.0, recolour._SPREAD["road"])
+    light, warm, green = np.random.default_rng(3).normal(0.0, patches._SPREAD["road"])
     gains = np.exp([light + abs(warm), light + green, light - abs(warm)])
     linear = np.minimum((96 / 255) ** 2.2 * gains, 1.0)
     np.testing.assert_array_equal(left[0], np.round(255 * linear ** (1 / 2.2)))
@@ -188,7 +194,8 @@ def folder(tmp_path: Path) -> Any:
 def test_a_folder_of_uc_merced(folder: Any) -> None:
     data = folder({"river": 70, "airplane": 3})
     catalogue = read_catalogue(str(data), "d_land")
-    assert (catalogue.source, len(catalogue.entries), catalogue.left_out) == ("ucmerced", 73, 0)
+    assert (len(catalogue.entries), catalogue.left_out) == (73, 0)
+    assert {entry.source for entry in catalogue.entries} == {"ucmerced"}
     test = load_images([catalogue], "test", "d_land", 16)
     assert list(test.images[:, 0, 0, 0]) == list(range(64, 70))
     assert {test.classes[label] for label in test.labels} == {"water"}
@@ -216,7 +223,7 @@ def test_folders_that_cannot_be_used(
         "{columns}\nlawn/../../x.png,lawn,lawn,flat,1,train,9,9,1\n",
         "line 2: .* is no name of a file in",
     ),
-    ("{columns}\nlawn/a.png\n", "line 2: unknown class or split"),
+    ("{columns}\nlawn/a.png\n", "lacks rows, or one of file, d_land"),
     ("{columns}\n" + "x" * 200_000, "is not a table in CSV and UTF-8"),
     ("{columns}\n\udcff", "is not a table in CSV and UTF-8"),
 ])  # fmt: skip
@@ -269,7 +276,7 @@ def test_command_refuses(arguments: list[str], message: str, tmp_path: Path, say
 
 def test_command_keeps_what_is_there(tmp_path: Path, says: Says) -> None:
     (tmp_path / "note.txt").write_text("mine")
-    assert "is not empty" in says(2, "dataset", "render", "--out", tmp_path, "--images", "1").err
+    assert "or not empty" in says(2, "dataset", "render", "--out", tmp_path, "--images", "1").err
     assert [path.name for path in tmp_path.iterdir()] == ["note.txt"]
 
 
@@ -277,3 +284,82 @@ def test_a_streak_smears_along_its_direction() -> None:
     kernel = patches._streak(4.0, 0.0)
     assert kernel.sum() == pytest.approx(1.0)
     assert kernel.sum(axis=1).argmax() == 2 and (kernel[2] > 0).all() and kernel[0].sum() == 0
+
+
+def test_views_crop_mirror_and_turn_infrared_green() -> None:
+    picture = np.zeros((8, 8, 3), np.uint8)
+    picture[2:6, 2:6] = (200, 40, 60)
+    part = View(left=2, top=2, side=4).of(picture)
+    assert part.shape == (4, 4, 3) and (part == (200, 40, 60)).all()
+    # grey 100, of the rest four tenths: 100 + 0.4 (40 - 100), 100 + 0.4 (200 - 100) ...
+    green = View(left=2, top=2, side=4, infrared=True).of(picture)
+    assert (green == (76, 140, 84)).all()
+    slope = np.tile(np.arange(0, 160, 20, dtype=np.uint8)[None, :, None], (8, 1, 3))
+    tiled = View(tiles=2).of(slope)[0, :, 0].astype(int)
+    assert tiled.tolist() == [10, 50, 90, 130, 130, 90, 50, 10]
+
+
+def _aerial(home: Path) -> Path:
+    rows = [("a.png", "grass", "one crop"), ("b.png", "gravel_track", "one crop"),
+            ("c.png", "vehicle", "two x"), ("falsecolour/d.png", "water", "two x")]  # fmt: skip
+    (home / "falsecolour").mkdir(parents=True)
+    for file, _, _ in rows:
+        cv2.imwrite(str(home / file), np.full((16, 16, 3), (60, 40, 200), np.uint8))
+    with (home / "labels.csv").open("w", newline="") as table:
+        csv.writer(table).writerows([("file", "class", "source"), *rows])
+    return home
+
+
+def test_photographs_are_labelled_and_a_source_may_be_left_out(tmp_path: Path) -> None:
+    """A gravel track is of no clear class and left out; a vehicle is of none, and shown."""
+    folder = _aerial(tmp_path / "aerial")
+    catalogue = read_catalogue(f"aerial={folder}", "d_land", ("a.png", "c.png", "d.png"))
+    assert catalogue.left_out == 1 and {e.split for e in catalogue.entries} == {"test"}
+    labels = [entry.label for entry in entries_of([catalogue], "test", others=True)]
+    assert labels == [D_LAND.index("lawn"), NO_LABEL, D_LAND.index("water")]
+    assert len(entries_of([catalogue], "test")) == 2
+    shown = load_images([catalogue], "test", "d_land", 8, others=True)
+    assert shown.images[0, 0, 0].tolist() == [200, 40, 60]
+    assert shown.images[2, 0, 0].tolist() == [76, 140, 84]
+    kept = read_catalogue(f"aerial={folder}", "d_land")
+    assert {entry.split for entry in kept.entries} <= {"train", "val"}
+    (folder / "labels.csv").write_text("file,class,source\na.png,lava,one\n")
+    with pytest.raises(UsageError, match="unknown class 'lava'; known: grass"):
+        read_catalogue(f"aerial={folder}", "d_land")
+    (folder / "labels.csv").write_text("file,class\na.png,grass\n")
+    with pytest.raises(UsageError, match="lacks rows, or one of file, class, source"):
+        read_catalogue(f"aerial={folder}", "d_land")
+
+
+def test_squares_of_caliterra_lie_in_one_split_by_photograph(tmp_path: Path) -> None:
+    found = read_catalogue(f"caliterra={tmp_path}", "d_land").entries
+    assert len(found) >= 200
+    splits: dict[Path, set[str]] = {}
+    for one in found:
+        splits.setdefault(one.file, set()).add(one.split)
+        assert 0 <= one.view.left <= 1600 - one.view.side
+        assert 0 <= one.view.top <= 1200 - one.view.side
+    assert all(len(of) == 1 for of in splits.values())
+    assert set.union(*splits.values()) == {"train", "val", "test"}
+
+
+def test_textures_are_cut_and_tiled(tmp_path: Path) -> None:
+    for name in ("grass__a.jpg", "roof__b.jpg", "rock__c.jpg"):
+        cv2.imwrite(str(tmp_path / name), np.full((1024, 1024, 3), 90, np.uint8))
+    found = read_catalogue(f"textures={tmp_path}", "d_land")
+    assert found.left_out == 8 and len(found.entries) == 16
+    assert {D_LAND[entry.label] for entry in found.entries} == {"lawn", "building"}
+    by_file = {entry.file: set[str]() for entry in found.entries}
+    for entry in found.entries:
+        by_file[entry.file].add(entry.split)
+    assert all(len(splits) == 1 for splits in by_file.values())
+
+
+def test_reliability_compares_what_is_claimed_with_what_is_right() -> None:
+    """Of four images claimed with 0.75, three are right."""
+    others = 0.25 / (len(D_LAND) - 1)
+    chance = np.full((4, len(D_LAND)), others)
+    chance[:, 0] = 0.75
+    (row,) = reliability(np.log(chance).astype(np.float32), np.array([0, 0, 0, 1]))
+    assert row["mean"] == pytest.approx(0.75) and row["right"] == 0.75 and row["pictures"] == 4
+    assert row["interval"][0] < 0.4 and row["interval"][1] > 0.9
