@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 import cv2
@@ -125,17 +125,12 @@ def _depth_jumps(
     finite = np.minimum(depth, np.float32(1e4))
     step = np.maximum(_STEP_M, _STEEPEST * finite / focal_px)
     crown = kind == LAND_CLASSES.index("trees")
-    jumps = []
-    for axis in (1, 0):
-        least = np.where(crown, np.maximum(step, _CROWN_STEP_M), step)
-        nearer = np.minimum(*(np.take(least, _but(depth.shape[axis], end), axis) for end in (0, 1)))
-        jumps.append(np.abs(np.diff(finite, axis=axis)) > nearer)
-    return jumps[0], jumps[1]
+    least = np.where(crown, np.maximum(step, _CROWN_STEP_M), step)
+    return _jumps_right(finite, least), _jumps_right(finite.T, least.T).T
 
 
-def _but(count: int, last: int) -> NDArray[np.int64]:
-    """All indices but the first (0) or the last (1)."""
-    return np.arange(count - 1) + (1 - last)
+def _jumps_right(depth: NDArray[Any], least: NDArray[Any]) -> NDArray[np.bool_]:
+    return np.abs(np.diff(depth, axis=1)) > np.minimum(least[:, 1:], least[:, :-1])
 
 
 def connected(kind: Int32, jump_right: NDArray[np.bool_], jump_down: NDArray[np.bool_]) -> Int32:

@@ -4,15 +4,13 @@ selects by it (the paper's Fig. 4), and precision over recall."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Zou2024Params
 from touchdown.estimator.filtering.deskew import screen_scan
 from touchdown.estimator.zou2024.depth_field import half_size_energy
 from touchdown.estimator.zou2024.lidar_pose import scan_features
@@ -24,7 +22,6 @@ from touchdown.experiments.edges.evaluate import CANNY_THRESHOLDS, canny_masks
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.flight.wiring import build_scene, make_world
 from touchdown.experiments.scene_tools.posed_views import posed_sensors
-from touchdown.sim.api import LidarScan, SensorRig
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,12 +84,12 @@ def _comparison(detector: Callable[[Image], Float32], views: Sequence[EdgeView])
 
 def _smoothness(shown: EdgeView, model: str) -> Figure:
     """Image, energy, f_c of the returns of one scan, and the points chosen by it."""
-    rgb, found = still_features(shown, model)
+    found = still_features(shown, model)
     figure = _figure(2, 2)
     camera, energy, smooth, chosen = figure.axes
-    _show(camera, rgb, "camera")
+    _show(camera, found.rgb, "camera")
     _show(energy, found.energy, "edge energy")
-    dim = (0.35 * rgb).astype(np.uint8)
+    dim = (0.35 * found.rgb).astype(np.uint8)
     _show(smooth, dim, "geodesic f_c of one scan: blue smooth, red across edges")
     known = np.isfinite(found.f_c)
     level = np.log(found.f_c[known] + 1e-3)
@@ -146,10 +143,11 @@ def _write(path: Path, figure: Figure, option: str) -> None:
         raise UsageError(f"{option}: '{path}' cannot be written: {reason_of(error)}") from error
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class StationaryFeatures:
-    """Features of the N returns inside the image."""
+class StillFeatures(NamedTuple):
+    """What `zou2024` finds in one scan and one image from the same pose; N returns lie in it."""
 
+    rgb: Image
+    """(H, W, 3)"""
     energy: Float32
     """(H/2, W/2) edge energy of the image"""
     pixels: Array
@@ -162,36 +160,15 @@ class StationaryFeatures:
     """(N,) chosen as planar points"""
 
 
-def features_of_stationary_scan(
-    scan: LidarScan, rgb: Image, rig: SensorRig, params: Zou2024Params
-) -> StationaryFeatures:
-    """Returns the features of ``scan`` and ``rgb`` (H, W, 3), both taken from the same pose by a
-    camera without distortion."""
-    pulses = screen_scan(scan, rig.lidar)
-    points = scan.points[pulses].astype(np.float64)
-    in_camera = (rig.body_from_camera.inverse() @ rig.body_from_lidar).apply(points)
-    energy = half_size_energy(rgb, edge_detector(params.edge_model))
-    chosen, f_c = scan_features(points, points, in_camera, pulses, energy, rig.camera, params)
-    pixels, front = project(in_camera, rig.camera.matrix())
-    seen = inside_image(pixels, front, (rig.camera.width, rig.camera.height))
-    picked = np.zeros((2, len(points)), bool)
-    picked[0, chosen.edges] = True
-    picked[1, chosen.planes] = True
-    return StationaryFeatures(
-        energy=energy, pixels=pixels[seen], f_c=f_c[seen], edge=picked[0, seen],
-        planar=picked[1, seen],
-    )  # fmt: skip
-
-
-def still_features(shown: EdgeView, model: str) -> tuple[Image, StationaryFeatures]:
-    """The image (H, W, 3) of a view, and what `zou2024` finds in one scan from its pose."""
+def still_features(shown: EdgeView, model: str) -> StillFeatures:
+    """Returns the features of a scan from the pose of a view, by a camera without distortion."""
     from touchdown.sim.moving import BodyTrack
 
     config = load_config(
         None, (f"zou2024.edge_model={model}",),
         scene=shown.scene, seed=shown.seed, profile_default="ideal",
     )  # fmt: skip
-    scene = build_scene(config)
+    scene, params = build_scene(config), config.zou2024
     world = make_world(config, scene)
     rig = world.rig
     world.close()
@@ -203,4 +180,12 @@ def still_features(shown: EdgeView, model: str) -> tuple[Image, StationaryFeatur
     start = round(shown.time_s * config.sim.tick_hz)
     both_ends_s = sensors.scan_times(start)[[0, -1]]
     scan = sensors.scan(BodyTrack.at_rest(shown.world_from_body, both_ends_s), start)
-    return rgb, features_of_stationary_scan(scan, rgb, rig, config.zou2024)
+    pulses = screen_scan(scan, rig.lidar)
+    points = scan.points[pulses].astype(np.float64)
+    in_camera = (rig.body_from_camera.inverse() @ rig.body_from_lidar).apply(points)
+    energy = half_size_energy(rgb, edge_detector(params.edge_model))
+    chosen, f_c = scan_features(points, points, in_camera, pulses, energy, rig.camera, params)
+    pixels, front = project(in_camera, rig.camera.matrix())
+    seen = inside_image(pixels, front, (rig.camera.width, rig.camera.height))
+    edge, planar = (np.isin(np.flatnonzero(seen), of) for of in (chosen.edges, chosen.planes))
+    return StillFeatures(rgb, energy, pixels[seen], f_c[seen], edge, planar)

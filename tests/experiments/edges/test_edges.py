@@ -14,8 +14,8 @@ from touchdown.estimator.zou2024.structured_edges.detector import (
     edge_detector,
 )
 from touchdown.experiments.edges.dataset import boundaries, connected, without_specks
-from touchdown.experiments.edges.evaluate import TEST_SCENES
-from touchdown.experiments.edges.score import (
+from touchdown.experiments.edges.evaluate import (
+    TEST_SCENES,
     Counts,
     counts_of_masks,
     f_measure,
