@@ -1,5 +1,6 @@
 """`touchdown edges evaluate`: scores of the structured edge detector beside Canny's, on scenes that
-it was not trained on: precision, recall, and F by the measures of the Berkeley benchmark (Martin, Fowlkes and Malik 2004; Arbelaez et al. 2011).
+it was not trained on: precision, recall, and F by the measures of the Berkeley benchmark (Martin,
+Fowlkes and Malik 2004; Arbelaez et al. 2011).
 
 Detections and boundaries are thinned to lines of one pixel and matched one to one, each pair no
 further apart than 0.0075 of the image's diagonal. The number of pairs is that of a maximum
