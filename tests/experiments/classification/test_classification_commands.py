@@ -199,7 +199,7 @@ def test_commands_say_what_is_missing(
     (["--data", "nowhere"], "'nowhere' is not a folder"),
     (["--device", "tpu"], "unknown device 'tpu'"),
     (["--miss-cost", "lava=10"], "miss cost of 'lava': the classes are lawn, field"),
-    (["--miss-cost", "water"], "'water' is not of the form CLASS=K, with K above 0, such as water=10"),
+    (["--miss-cost", "water"], "'water' is not of the form CLASS=K, with K above 0"),
     (["--miss-cost", "water=nan"], "'water=nan' is not of the form CLASS=K"),
     (["--network", "inception_v4", "--image-size", "64"], "at least 75 pixels"),
     (["--teacher", "none.onnx"], "'none.onnx' does not exist; name a network"),
