@@ -56,9 +56,8 @@ def report(directory: Path, out: Path | None, as_json: bool) -> int:
 
 def _print_table(directory: Path, as_json: bool) -> int:
     from touchdown.experiments.io.results import load_runs
-    from touchdown.experiments.reporting.conditions import label_conditions
-    from touchdown.experiments.reporting.flights import frame_of, load_flights
-    from touchdown.experiments.reporting.run_table import (
+    from touchdown.experiments.reporting.flights import frame_of, label_conditions, load_flights
+    from touchdown.experiments.reporting.report_tables import (
         missed_lines,
         run_table,
         summary,
@@ -81,8 +80,7 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
     from touchdown.experiments.campaign import expectations
     from touchdown.experiments.campaign.results_table import is_campaign
     from touchdown.experiments.reporting import report
-    from touchdown.experiments.reporting.conditions import first_condition
-    from touchdown.experiments.reporting.flights import campaign_text, load_flights
+    from touchdown.experiments.reporting.flights import campaign_text, first_condition, load_flights
 
     rows = load_flights(directory)
     verdicts = expectations.judge_campaign(directory) if is_campaign(directory) else []

@@ -13,21 +13,10 @@ import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from touchdown.experiments.drawing.style import FAINT, GRID, INK, PAPER, STYLE, new_figure
+from touchdown.experiments.drawing.style import GRID, STYLE, new_figure
 from touchdown.experiments.errors import visible
+from touchdown.experiments.reporting.flights import ORDER
 
-PAGE_COLOURS = {INK: "var(--ink)", FAINT: "var(--faint)", GRID: "var(--line)", PAPER: "none"}
-"""Colours of the style, and what `Picture.on_page` replaces them by."""
-METHOD_COLOURS = {
-    "livo": "#2f7fd6",
-    "zou2024": "#e0752d",
-    "stereo": "#b8912a",
-    "hybrid_flow": "#2b9c74",
-    "gps": "#8b6fd6",
-    "optical_flow": "#d64f68",
-    "oracle": "#7d8794",
-}
-SPARE_COLOURS = ("#159bb3", "#a3576b", "#6f9a2d", "#b05fc0")
 _STYLE: Any = {
     **STYLE,
     "svg.fonttype": "none",
@@ -42,7 +31,7 @@ _STYLE: Any = {
 
 @dataclass(slots=True)
 class Picture:
-    """``svg`` in the fixed colours; ``name`` is its file name without the ending."""
+    """``name`` is its file name without the ending."""
 
     name: str
     title: str
@@ -51,13 +40,8 @@ class Picture:
 
     @property
     def on_page(self) -> str:
-        """The SVG element alone, in the colours of the page around it."""
+        """The SVG element alone."""
         text = self.svg[self.svg.index("<svg") :]
-        for fixed, variable in PAGE_COLOURS.items():
-            text = text.replace(fixed, variable)
-        text = re.sub(
-            r"font: ([^;\"]*?)'DejaVu Sans', sans-serif", r"font: \1system-ui, sans-serif", text
-        )
         head, rest = text.split(">", 1)
         width = re.search(r'width="([\d.]+)pt"', head)
         head = re.sub(r' (width|height)="[^"]*"', "", head)
@@ -67,11 +51,9 @@ class Picture:
 
 
 def colour_of(method: str, methods: Sequence[str]) -> str:
-    """The colour of a method among ``methods``."""
-    if method in METHOD_COLOURS:
-        return METHOD_COLOURS[method]
-    others = [name for name in methods if name not in METHOD_COLOURS]
-    return SPARE_COLOURS[others.index(method) % len(SPARE_COLOURS)]
+    """The colour of a method among ``methods``; the project's own have always the same."""
+    known = list(dict.fromkeys([*ORDER["estimator"], *methods]))
+    return f"C{known.index(method) % 10}"
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from touchdown.experiments.drawing.style import FAINT, GRID, INK
 from touchdown.experiments.errors import visible
 from touchdown.experiments.reporting.drawing import (
-    METHOD_COLOURS,
     Picture,
     colour_of,
     drawn,
@@ -124,9 +124,9 @@ def _paint_path(axes: Any, paths: _Paths) -> None:
     if reference is not None:
         planned = _points(reference, truth.lift_off)
         axes.plot(*planned.T, color=FAINT, linewidth=0.9, linestyle=(0, (4, 3)))
-    axes.plot(*points.T, color=METHOD_COLOURS["livo"], linewidth=1.6)
-    axes.scatter(*points[0], color=METHOD_COLOURS["hybrid_flow"], s=16)
-    axes.scatter(*points[-1], color=METHOD_COLOURS["optical_flow"], s=16)
+    axes.plot(*points.T, color="tab:blue", linewidth=1.6)
+    axes.scatter(*points[0], color="tab:green", s=16)
+    axes.scatter(*points[-1], color="tab:red", s=16)
     axes.set_box_aspect((1.0, 1.0, 0.6))
     axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     axes.tick_params(labelsize=7)
@@ -255,19 +255,13 @@ many times as far"""
 def offsets_xy(frame: pd.DataFrame) -> Array:
     """(N, 2) east and north of the first contacts from the commanded spots, or from the committed
     sites where none was commanded, metres; flights without a position are left out."""
-    names = ("landing.commanded_xy_m", "landing.site_xy_m", "landing.touchdown_xy_m")
-    columns = [frame[name] if name in frame else [None] * len(frame) for name in names]
-    found = [
-        np.subtract(contact, _spot(spot, site))
-        for spot, site, contact in zip(*columns, strict=True)
-        if isinstance(_spot(spot, site), list | np.ndarray)
-        and isinstance(contact, list | np.ndarray)
-    ]
+    commanded, site, contact = (
+        frame.get(f"landing.{name}_xy_m", pd.Series(index=frame.index, dtype=object))
+        for name in ("commanded", "site", "touchdown")
+    )
+    both = pd.concat([commanded.combine_first(site), contact], axis=1).dropna()
+    found = [np.subtract(at, spot) for spot, at in both.itertuples(index=False)]
     return np.array(found, dtype=np.float64).reshape(-1, 2)
-
-
-def _spot(commanded: Any, site: Any) -> Any:
-    return commanded if isinstance(commanded, list | np.ndarray) else site
 
 
 def _touchdowns(landings: pd.DataFrame) -> Picture | None:
@@ -303,18 +297,10 @@ def _touchdowns(landings: pd.DataFrame) -> Picture | None:
     return picture
 
 
-def _rings(span_m: float) -> Iterator[tuple[float, Array]]:
-    """Radii of the rings within a span, and their points (2, N)."""
-    turn = np.linspace(0.0, 2.0 * np.pi, 181)
-    for radius in _RINGS_M:
-        if 0.15 * span_m < radius < span_m:
-            yield radius, radius * np.array([np.cos(turn), np.sin(turn)])
-
-
 def _paint_touchdowns(axes: Axes, offsets: Mapping[str, Array], span_m: float) -> None:
     methods = list(offsets)
-    for radius, ring in _rings(span_m):
-        axes.plot(*ring, color=FAINT, linewidth=0.7, linestyle=(0, (4, 3)), zorder=1)
+    for radius in (radius for radius in _RINGS_M if 0.15 * span_m < radius < span_m):
+        axes.add_patch(Circle((0.0, 0.0), radius, fill=False, edgecolor=FAINT, linestyle="--"))
         axes.annotate(
             f"{radius:g} m", (0.0, -radius), xytext=(0, 2), textcoords="offset points",
             ha="center", va="bottom", fontsize=7, color=FAINT,

@@ -115,11 +115,6 @@ SETTINGS: tuple[Setting, ...] = (
 SET_MARK = "(set)"
 
 
-def is_always_set(column: str) -> bool:
-    """True if the configuration sets the figures of ``column`` with all methods."""
-    return any(not setting.methods and setting.has(column, ()) for setting in SETTINGS)
-
-
 def is_marked(column: str, methods: Iterable[str]) -> bool:
     """True if a figure is set with ``methods`` and measured with others, so that its own cell and
     not the title of its column bears the mark."""
@@ -129,7 +124,8 @@ def is_marked(column: str, methods: Iterable[str]) -> bool:
 
 def titled(title: str, column: str) -> str:
     """``title`` of a column, marked where the configuration sets its figures with all methods."""
-    return f"{title} {SET_MARK}" if is_always_set(column) else title
+    is_set = any(not setting.methods and setting.has(column, ()) for setting in SETTINGS)
+    return f"{title} {SET_MARK}" if is_set else title
 
 
 def setting_notes(columns: Iterable[str], methods: Iterable[str]) -> list[str]:

@@ -22,12 +22,12 @@ from touchdown.experiments.io.results import PartNames
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.io.untrusted import as_plain_name, read_object
 from touchdown.experiments.reporting import published
-from touchdown.experiments.reporting.conditions import label_conditions
 from touchdown.experiments.reporting.drawing import Picture
 from touchdown.experiments.reporting.figures import pictures_of
 from touchdown.experiments.reporting.flights import (
     Row,
     frame_of,
+    label_conditions,
     number,
     ordered,
     recorded_revision,
@@ -169,12 +169,13 @@ def summary_words(frame: pd.DataFrame) -> list[str]:
 def condition_words(rows: Sequence[Row]) -> list[str]:
     """Scenes, methods, seeds, parts, revision and the definition of the intervals."""
     frame = frame_of(rows)
+    seeds = {row["seed"] for row in rows}
     winds = sorted({row["wind_kmh"] for row in rows if row.get("wind_kmh") is not None})
     versions = {k: row[k] for row in rows for k in row if k.startswith("versions.") and row[k]}
     methods = ", ".join(f"`{name}`" for name in ordered(frame, "estimator"))
     lines = [
         f"Scenes: {', '.join(ordered(frame, 'scene'))}. Methods: {methods}. "
-        f"Seeds: {_ranges({row['seed'] for row in rows})}. "
+        f"{len(seeds)} seeds from {min(seeds)} to {max(seeds)}. "
         f"Mean wind: {', '.join(f'{wind:g}' for wind in winds) or 'not recorded'} km/h.",
         *part_words(rows),
         *_revision_words(recorded_revision(row) for row in rows),
@@ -215,17 +216,6 @@ def _revision_words(recorded: Iterable[str | None]) -> list[str]:
             f"Git revision of {found.count(None)} flights not recorded: {UNRECORDED_REMEDY}."
         )
     return lines
-
-
-def _ranges(seeds: Iterable[int]) -> str:
-    """Returns consecutive seeds as ranges: "0–2, 5" for 0, 1, 2, 5."""
-    parts: list[list[int]] = []
-    for seed in sorted(seeds):
-        if parts and seed == parts[-1][-1] + 1:
-            parts[-1].append(seed)
-        else:
-            parts.append([seed])
-    return ", ".join(f"{p[0]}–{p[-1]}" if len(p) > 2 else ", ".join(map(str, p)) for p in parts)
 
 
 # --------------------------------------------------------------------------------------- rendering

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from touchdown.experiments.reporting.tables import MISSING, Cell, Table
+from touchdown.experiments.reproduce.state import PartState
 from touchdown.experiments.reproduce.steps import PARTS
-
-if TYPE_CHECKING:
-    from touchdown.experiments.reproduce.state import PartState
 
 _WITHOUT_NUMBERS = "no: the paper prints it without numbers, of other scenes"
 _OTHER_IMAGES = "no: trained and tested on other images than the paper's"

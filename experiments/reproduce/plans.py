@@ -8,13 +8,14 @@ import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from touchdown.experiments.campaign.forecast import stated_core_s
 from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, load_plan
 from touchdown.experiments.reporting.published import ANALYSED_SCENE, NETWORK_NAMES
 
 PLANS = Path(__file__).parent / "plans"
+EditionName = Literal["quick", "whole", "whole-gpu"]
 PAPER_SCENES = ("crossroad", "lake", "houses", "forest")
 
 
@@ -62,13 +63,9 @@ class Extent:
 
 @dataclass(frozen=True, slots=True)
 class Edition:
-    """Sizes of all parts of a reproduction."""
+    """Sizes of the trainings of a reproduction."""
 
-    name: str
-    poses: int
-    """poses of the chessboard"""
-    rounds: int
-    """repetitions of the timed site selection"""
+    name: EditionName
     recognition: Recognition
     photographs: Recognition
     """trained on photographs alone"""
@@ -94,8 +91,6 @@ PHOTOGRAPHS = Recognition(
 )
 WHOLE = Edition(
     name="whole",
-    poses=12,
-    rounds=9,
     recognition=Recognition(
         images=4000,
         pixels=128,
@@ -117,8 +112,6 @@ WHOLE_ON_GPU = replace(
 # Five seeds of each scene are the fewest that give all three splits.
 QUICK = Edition(
     name="quick",
-    poses=12,
-    rounds=5,
     recognition=Recognition(
         images=200,
         pixels=64,

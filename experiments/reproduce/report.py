@@ -6,12 +6,12 @@ import base64
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.drawing import Picture
 from touchdown.experiments.reporting.flights import check_revisions, frame_of, load_flights
-from touchdown.experiments.reporting.published import NETWORK_NAMES
+from touchdown.experiments.reporting.published import NETWORK_NAMES, SITES
 from touchdown.experiments.reporting.report import (
     Report,
     Section,
@@ -22,6 +22,8 @@ from touchdown.experiments.reporting.report import (
 )
 from touchdown.experiments.reproduce.items import item_table
 from touchdown.experiments.reproduce.networks import PICTURES
+from touchdown.experiments.reproduce.plans import PAPER_SCENES
+from touchdown.experiments.reproduce.state import PartState, Reproduction
 from touchdown.experiments.reproduce.steps import FLIGHTS, PARTS, VEHICLE, Part
 from touchdown.experiments.reproduce.tables import (
     calibration_table,
@@ -31,11 +33,6 @@ from touchdown.experiments.reproduce.tables import (
     site_table,
     speed_table,
 )
-
-if TYPE_CHECKING:
-    from touchdown.experiments.reproduce.state import PartState, Reproduction
-
-Figures = Mapping[str, Any]
 
 _SECTIONS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "positioning": (
@@ -143,7 +140,7 @@ def _section(part: Part, state: PartState, folder: Path, rows: list[dict[str, An
             for name, title, caption, file in _PICTURES.get(part.name, ())
         ]
         if fill := _FILLERS.get(part.name):
-            fill(section, state.figures, folder)
+            fill(section, state, folder)
     except (KeyError, IndexError, TypeError, AttributeError) as error:
         raise UsageError(
             f"'{folder / 'part.json'}' lacks figures of its part; delete it, and the part runs "
@@ -173,43 +170,43 @@ def _renamed(tables: list[Any], part: str) -> list[Any]:
     return [replace(table, key=f"{part}_{table.key}") for table in tables]
 
 
-def _fill_calibration(section: Section, figures: Figures, _folder: Path) -> None:
-    section.tables.append(calibration_table(figures))
+def _fill_calibration(section: Section, state: PartState, _folder: Path) -> None:
+    section.tables.append(calibration_table(state.figures))
     section.words.append(
         "Errors are against the simulated camera and LIDAR; the paper prints no errors of its "
         "calibration."
     )
 
 
-def _fill_world(section: Section, figures: Figures, folder: Path) -> None:
-    section.tables.append(rig_table(figures))
+def _fill_world(section: Section, state: PartState, folder: Path) -> None:
+    section.tables.append(rig_table(state.figures))
     section.pictures += [
         raster(f"fig8_{scene}", f"Fig. 8: {scene}", "Seed 0, from the south-west.",
                folder / PICTURES / f"{scene}.jpg")
-        for scene in figures["scenes"]
+        for scene in PAPER_SCENES
     ]  # fmt: skip
 
 
-def _fill_sites(section: Section, figures: Figures, folder: Path) -> None:
-    section.tables.append(site_table(figures))
+def _fill_sites(section: Section, state: PartState, folder: Path) -> None:
+    section.tables.append(site_table(state.figures))
     section.words.append(
         f"Posed survey: the sensors take the planned poses without a flight; the selector is "
-        f"`{figures['selector']}`."
+        f"`{state.figures['selector']}`."
     )
     section.pictures += [
-        raster(f"fig11_{check['scene']}", f"Fig. 11: {check['scene']}",
+        raster(f"fig11_{scene}", f"Fig. 11: {scene}",
                "The map in colour, every cost, their sum, the clusters, and the candidates (blue) "
-               "with the site (red).", folder / PICTURES / f"site_{check['scene']}.jpg")
-        for check in figures["places"]
+               "with the site (red).", folder / PICTURES / f"site_{scene}.jpg")
+        for scene in SITES
     ]  # fmt: skip
 
 
-def _fill_speed(section: Section, figures: Figures, _folder: Path) -> None:
-    section.tables.append(speed_table(figures))
+def _fill_speed(section: Section, state: PartState, _folder: Path) -> None:
+    section.tables.append(speed_table(state.figures))
 
 
-def _fill_recognition(section: Section, figures: Figures, folder: Path) -> None:
-    size = figures["size"]
+def _fill_recognition(section: Section, state: PartState, folder: Path) -> None:
+    size = state.figures["size"]
     networks, schemes = len(size["networks"]), len(size["labels"])
     section.words.append(
         f"{size['images']} rendered images of {size['pixels']} pixels; networks "
@@ -223,15 +220,15 @@ def _fill_recognition(section: Section, figures: Figures, folder: Path) -> None:
             f"{networks} under {schemes}, small and for few epochs. This checks that training and "
             "evaluation work; it does not measure attainable scores."
         )
-    section.tables += network_tables(figures["networks"])
+    section.tables += network_tables(state.figures["networks"])
     section.pictures.append(
         raster("fig5", "Fig. 5: kinds of ground", "Ten rendered images of each class of D_Land.",
-               folder / figures["folder"] / PICTURES / "contact_sheet.png")
+               folder / state.edition / PICTURES / "contact_sheet.png")
     )  # fmt: skip
 
 
-def _fill_photographs(section: Section, figures: Figures, _folder: Path) -> None:
-    size, networks = figures["size"], figures["networks"]
+def _fill_photographs(section: Section, state: PartState, _folder: Path) -> None:
+    size, networks = state.figures["size"], state.figures["networks"]
     names = [Path(argument.rpartition("=")[2]).name for argument in size["photographs"]]
     epochs = [one["epochs"] for one in networks]
     converged = sum(one["converged"] for one in networks)
@@ -246,7 +243,7 @@ def _fill_photographs(section: Section, figures: Figures, _folder: Path) -> None
 
 
 _JPEG_QUALITY = 80
-_FILLERS: Mapping[str, Callable[[Section, Figures, Path], None]] = {
+_FILLERS: Mapping[str, Callable[[Section, PartState, Path], None]] = {
     "calibration": _fill_calibration,
     "world": _fill_world,
     "sites": _fill_sites,

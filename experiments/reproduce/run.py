@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import importlib.util
-import json
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -15,17 +14,16 @@ from typing import Any
 from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.errors import UsageError, system_message
 from touchdown.experiments.io.run_directory import clear_partials, utc_now, write_text
+from touchdown.experiments.io.untrusted import refuse_links
 from touchdown.experiments.reproduce.plans import Extent
 from touchdown.experiments.reproduce.state import (
-    _LOCK,
     ERROR,
     MARK,
     REPORT,
     STATE,
     PartState,
     Reproduction,
-    _is_done,
-    check_plain,
+    is_done,
     read_states,
 )
 from touchdown.experiments.reproduce.steps import PARTS, Done, Job, Notes, Part, part_named
@@ -60,12 +58,12 @@ def reproduce(
     if git_revision() is None:
         raise UsageError(f"reproduce needs a git revision to state: {UNRECORDED_REMEDY}")
     if out.is_dir():
-        check_plain(out)
+        refuse_links(out.rglob("*"), "a reproduction")
     started = time.perf_counter()
     extent = Extent(quick=quick, photographs=tuple(photographs))
-    _check_libraries([part for part in wanted if not _is_done(part, out, extent)])
+    _check_libraries([part for part in wanted if not is_done(part, out, extent)])
     with _locked(out):
-        todo = [part for part in wanted if not _is_done(part, out, extent)]
+        todo = [part for part in wanted if not is_done(part, out, extent)]
         _sign(out, quick=quick)
         for folder in (out, out / REPORT, out / REPORT / "figures"):
             clear_partials(folder, alone=True)
@@ -121,8 +119,7 @@ def _do(part: Part, job: Job, head: str) -> None:
         finished_utc=utc_now(),
         git_revision=git_revision(),
     )
-    tree = {name: getattr(state, name) for name in PartState.__slots__}
-    write_text(job.folder / STATE, json.dumps(tree, indent=1) + "\n")
+    write_text(job.folder / STATE, state.model_dump_json(indent=1) + "\n")
     failure = state.error or state.why
     job.notes(f"{head}: {f'FAILED: {failure}' if failure else 'done'} after {state.wall_s:.0f} s")
 
@@ -161,7 +158,7 @@ def _locked(out: Path) -> Iterator[None]:
     with contextlib.ExitStack() as held:
         try:
             out.mkdir(parents=True, exist_ok=True)
-            file = held.enter_context((out / _LOCK).open("a"))
+            file = held.enter_context((out / ".lock").open("a"))
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise UsageError(

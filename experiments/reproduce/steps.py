@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,10 @@ from touchdown.experiments.reproduce.plans import (
 
 FLIGHTS = "flights"
 VEHICLE = "vehicle.jpg"
+_POSES = 12
+"""of the chessboard"""
+_ROUNDS = 9
+"""repetitions of the timed site selection"""
 
 Notes = Callable[[str], None]
 
@@ -84,7 +88,7 @@ def _calibration(job: Job) -> Done:
     with filled_folder(job.folder / PICTURES) as partial_folder:
         report = run_calibration(
             load_config(seed=0, profile_default="ideal"),
-            job.edition.poses,
+            _POSES,
             partial_folder / "calibration.json",
             partial_folder,
             job.notes,
@@ -182,8 +186,7 @@ def _speed(job: Job) -> Done:
 
     job.notes("surveying crossroad, then choosing a site over and over")
     reference = importlib.util.find_spec("skimage") is not None
-    rounds, threads = job.edition.rounds, job.jobs
-    return Done(bench_landing(rounds=rounds, threads=threads, reference=reference))
+    return Done(bench_landing(rounds=_ROUNDS, threads=job.jobs, reference=reference))
 
 
 # ------------------------------------------------------------------------------------ recognition
@@ -193,7 +196,7 @@ def _recognition(job: Job) -> Done:
     settings = _recognition_settings(job.extent)
     home, size = job.folder / job.edition.name, job.edition.recognition
     scores = train_and_score(home, size, (), settings, job.jobs, job.notes)
-    return Done({"size": settings, "folder": job.edition.name, "networks": scores})
+    return Done({"size": settings, "networks": scores})
 
 
 def _photographs(job: Job) -> Done:
@@ -228,19 +231,16 @@ def _campaign_part(name: str, title: str, *shows: str) -> Part:
     )
 
 
-def _drawn(name: str, title: str, run: Callable[[Job], Done], seconds: float, *shows: str) -> Part:
+def _fixed(name: str, title: str, run: Callable[[Job], Done], seconds: float, *shows: str) -> Part:
+    """A part that is the same in all editions."""
     return Part(
         name=name,
         title=title,
         shows=shows,
         settings=lambda _extent: {"seed": 0},
         run=run,
-        core_seconds=_always(seconds),
+        core_seconds=lambda _extent: seconds,
     )
-
-
-def _always(seconds: float) -> Callable[[Extent], float]:
-    return lambda _extent: seconds
 
 
 def _recognition_seconds(extent: Extent) -> float:
@@ -260,27 +260,17 @@ def _photographs_seconds(extent: Extent) -> float:
 
 
 PARTS: tuple[Part, ...] = (
-    replace(
-        _drawn("calibration", "Camera and LIDAR, calibrated", _calibration, 60.0, "Fig. 2"),
-        settings=lambda extent: {"poses": extent.edition.poses},
-    ),
-    _drawn("edges", "Edge energy and smoothness", _edges, 40.0, "Fig. 4"),
-    _drawn("world", "Vehicle and scenes", _world, 30.0, "Fig. 7", "Fig. 8"),
-    _drawn("sites", "From the map to the site", _sites, 80.0, "Fig. 11"),
+    _fixed("calibration", "Camera and LIDAR, calibrated", _calibration, 60.0, "Fig. 2"),
+    _fixed("edges", "Edge energy and smoothness", _edges, 40.0, "Fig. 4"),
+    _fixed("world", "Vehicle and scenes", _world, 30.0, "Fig. 7", "Fig. 8"),
+    _fixed("sites", "From the map to the site", _sites, 80.0, "Fig. 11"),
     _campaign_part("positioning", "Positioning", "Table 1", "Table 2", "Fig. 9 a", "Fig. 10"),
     _campaign_part("commanded_site", "Landings on one spot", "Table 5", "Fig. 12"),
     _campaign_part("zou2024_sites", "Landings on five kinds of sites", "Table 6"),
     _campaign_part("zou2024", "Landings over four scenes", "Fig. 9 b"),
     _campaign_part("real_sites", "Five kinds of sites: `livo` and `risk`"),
     _campaign_part("landing", "Four scenes: `livo` and `risk`"),
-    Part(
-        name="speed",
-        title="Time of a choice of site",
-        shows=("Table 7",),
-        settings=lambda extent: {"rounds": extent.edition.rounds},
-        run=_speed,
-        core_seconds=_always(20.0),
-    ),
+    _fixed("speed", "Time of a choice of site", _speed, 20.0, "Table 7"),
     Part(
         name="recognition",
         title="Ground classification",

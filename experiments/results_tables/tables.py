@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 
 from touchdown.experiments.reporting import published
-from touchdown.experiments.reporting.conditions import condition_of
-from touchdown.experiments.reporting.flights import ordered
+from touchdown.experiments.reporting.flights import condition_of, ordered
 from touchdown.experiments.reporting.measures import is_marked, setting_notes, titled
 from touchdown.experiments.reporting.report_tables import FLIGHTS, LANDED, OUTCOMES, UNSAFE
 from touchdown.experiments.reporting.statistics import (

@@ -17,8 +17,7 @@ from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.io.results import PartNames
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.io.untrusted import read_object
-from touchdown.experiments.reporting.conditions import condition_of
-from touchdown.experiments.reporting.flights import Row, number
+from touchdown.experiments.reporting.flights import Row, condition_of, number
 from touchdown.sim.files.opening import no_file
 
 METRIC = "position_error_m.mean"

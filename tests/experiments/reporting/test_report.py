@@ -13,7 +13,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import load_runs
 from touchdown.experiments.reporting import report as document
 from touchdown.experiments.reporting.flights import check_revisions, frame_of, load_flights
-from touchdown.experiments.reporting.run_table import run_table, summary
+from touchdown.experiments.reporting.report_tables import run_table, summary
 from touchdown.experiments.reporting.tables import Table
 from touchdown.experiments.reporting.trajectories import path_deviation
 

@@ -7,11 +7,14 @@ from typing import Any
 
 import pytest
 
-from touchdown.experiments.reporting.conditions import condition_of, label_conditions
-from touchdown.experiments.reporting.flights import frame_of, load_flights
+from touchdown.experiments.reporting.flights import (
+    condition_of,
+    frame_of,
+    label_conditions,
+    load_flights,
+)
 from touchdown.experiments.reporting.report import as_json, make_report, markdown, page
-from touchdown.experiments.reporting.report_tables import flight_table
-from touchdown.experiments.reporting.run_table import summary
+from touchdown.experiments.reporting.report_tables import flight_table, summary
 from touchdown.experiments.reporting.statistics import ratio_interval
 
 from support.report_support import write_run

@@ -102,7 +102,7 @@ def test_quick_becomes_whole_and_keeps_its_flights(world: World, tmp_path: Path)
         run_quick(tmp_path)
 
 
-_SAME = ("calibration", "edges", "world", "sites")
+_SAME = ("calibration", "edges", "world", "sites", "speed")
 """Parts that are equal in the quick and the whole edition."""
 
 
@@ -145,7 +145,7 @@ def test_a_campaign_without_some_outcomes_fails(
     skip = [other.name for other in PARTS if other is not part]
     done = run_quick(tmp_path, skip=skip)
     assert done.states["real_sites"].why == "2 of 5 flights have no outcome"
-    assert not reproduce._is_done(part, tmp_path, plans.Extent(quick=True)), "it is gone on with"
+    assert not reproduce.is_done(part, tmp_path, plans.Extent(quick=True)), "it is gone on with"
 
 
 @pytest.mark.usefixtures("no_report")
