@@ -165,14 +165,6 @@ def test_one_file_that_loads_nothing(report: document.Report) -> None:
         assert f'href="#{section.key}"' in text and f'<section id="{section.key}">' in text
 
 
-def test_the_same_flights_the_same_report(campaign: Path, report: document.Report) -> None:
-    again = document.make_report(
-        load_flights(campaign), title="Touchdown: made <up>", configuration='name = "x"'
-    )
-    assert document.page(again) == document.page(report)
-    assert document.markdown(again) == document.markdown(report)
-
-
 def test_command_writes_everything(campaign: Path, tmp_path: Path, says: Says) -> None:
     out = tmp_path / "deep" / "report"
     tree = json.loads(says(0, "report", campaign, "--out", out, "--json").out)

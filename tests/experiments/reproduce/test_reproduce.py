@@ -65,14 +65,6 @@ def test_one_command_gives_every_table_and_figure(world: World, tmp_path: Path, 
 
 
 @pytest.mark.usefixtures("no_report")
-def test_finished_parts_are_not_repeated(world: World, tmp_path: Path) -> None:
-    run_quick(tmp_path)
-    before = list(world.calls)
-    again = run_quick(tmp_path)
-    assert world.calls == before and again.successful
-
-
-@pytest.mark.usefixtures("no_report")
 def test_an_interrupted_reproduction_resumes(world: World, tmp_path: Path) -> None:
     world.interrupted = "crossroad-hybrid_flow-s0"
     with pytest.raises(KeyboardInterrupt):
@@ -82,6 +74,8 @@ def test_an_interrupted_reproduction_resumes(world: World, tmp_path: Path) -> No
     of_one_killed = tmp_path / "speed" / ".pictures.partial-1"
     of_one_killed.mkdir(parents=True)
     assert run_quick(tmp_path).successful and not of_one_killed.exists()
+    before = list(world.calls)
+    assert run_quick(tmp_path).successful and world.calls == before, "nothing is repeated"
     assert world.count("calibration") == world.count("pictures") == 1
     # Once in each of two campaigns, and the one that was interrupted once more.
     assert world.count("crossroad-hybrid_flow-s0") == 3 and world.count("crossroad-gps-s0") == 2
@@ -264,12 +258,3 @@ def test_recognition_needs_torch_or_to_be_skipped(
 def test_two_reproductions_in_one_directory_are_refused(world: World, tmp_path: Path) -> None:
     with reproduce._locked(tmp_path), pytest.raises(UsageError, match="another reproduction"):
         run_quick(tmp_path)
-
-
-@pytest.mark.usefixtures("no_report")
-def test_a_damaged_state_is_named(world: World, tmp_path: Path) -> None:
-    skip = [part.name for part in PARTS if part.name != "speed"]
-    run_quick(tmp_path, skip=skip)
-    (tmp_path / "speed" / "part.json").write_text("{}")
-    with pytest.raises(UsageError, match=r"part\.json' is damaged"):
-        run_quick(tmp_path, skip=skip)

@@ -206,17 +206,13 @@ def test_the_file_and_the_pages_state_revision_and_plan(tmp_path: Path) -> None:
     assert written(edited, "docs/results/field.md", read_record(root)) == text != edited
 
 
-@pytest.mark.parametrize(
-    ("revision", "message"),
-    [("", "has no git revision"), (f"{REVISION}-dirty", "changes that were not committed")],
-)
-def test_rows_of_no_revision_are_refused(tmp_path: Path, revision: str, message: str) -> None:
-    directory = fly(LANDINGS, tmp_path, revision)
-    with pytest.raises(UsageError, match=message):
-        record_of(LANDINGS, directory)
-
-
-def test_rows_of_two_revisions_are_refused(tmp_path: Path) -> None:
+def test_rows_of_no_or_several_revisions_are_refused(tmp_path: Path) -> None:
+    for name, revision, message in (
+        ("none", "", "has no git revision"),
+        ("dirty", f"{REVISION}-dirty", "changes that were not committed"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            record_of(LANDINGS, fly(LANDINGS, tmp_path / name, revision))
     directory = fly(LANDINGS, tmp_path)
     run = sorted((directory / RUNS).iterdir())[3]
     (changed,) = [r for r in sets.load_rows(directory) if r["run_id"] == run.name]
@@ -249,6 +245,8 @@ def test_sets_of_a_profile_are_of_one_revision() -> None:
     }
     with pytest.raises(UsageError, match=r"field/blind c, field/landings a\); fly all"):
         merged(before, {"field/blind": {"revision": "c"}})
+    short = {"field/short": {"revision": "c"}}
+    assert merged(before, short).keys() == {*before, *short}, "it states its own"
 
 
 @pytest.mark.parametrize(("revision", "message"), [
@@ -302,10 +300,3 @@ def test_short_flights_are_paired_with_whole_ones_of_equal_scene_and_seed() -> N
     assert error["short over whole"] == "0.500 [0.500, 0.500]"
     assert error["rank correlation"].startswith("1.00 [") and offset["rank correlation"] == "–"
     assert "Landed: 6 of 6 short flights, 6 of 6 whole ones." in "\n".join(lines)
-
-
-def test_the_set_of_short_flights_may_be_of_another_revision() -> None:
-    sets = {"field/landings": {"revision": "a"}, "field/blind": {"revision": "a"}}
-    assert merged(sets, {"field/short": {"revision": "b"}}).keys() == {*sets, "field/short"}
-    with pytest.raises(UsageError, match="would be of several revisions"):
-        merged(sets, {"field/blind": {"revision": "b"}})
