@@ -13,10 +13,10 @@ from touchdown.experiments.campaign.plan import config_sha
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError, is_text, reason_of
+from touchdown.experiments.io.result_parts import ground_safe
 from touchdown.experiments.io.results import (
     RunResult,
     columns,
-    ground_safe,
     is_success,
     load_result,
     result_files,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.flight.metrics import GroundMap
-from touchdown.experiments.io.results import (
+from touchdown.experiments.io.result_parts import (
     CandidateSite,
     Choice,
     EarlierDecision,

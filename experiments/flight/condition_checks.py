@@ -15,7 +15,7 @@ from typing import Any
 
 from touchdown.experiments.config.profiles import effects
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.io.measured import Measured
+from touchdown.experiments.io.result_parts import Measured
 from touchdown.sim.api import Fault, WindParams
 
 LEAST_SHARE = 0.9

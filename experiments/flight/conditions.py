@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 
 from touchdown.experiments.flight.estimator_calibration import calibration_errors
-from touchdown.experiments.io.measured import Measured
+from touchdown.experiments.io.result_parts import Measured
 from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.sim.api import Observation, SensorRig
 from touchdown.sim.effects import Effect, WorldRecord

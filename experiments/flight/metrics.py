@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
-from touchdown.experiments.io.results import Nees, PositionError
+from touchdown.experiments.io.result_parts import Nees, PositionError
 from touchdown.sim.api import Contact, Truth
 from touchdown.sim.frames import Pose, tilt_from_rotation, wrap_angle, yaw_from_rotation
 

@@ -20,7 +20,7 @@ from touchdown.experiments.flight.metrics import (
     TrajectoryDeviation,
 )
 from touchdown.experiments.flight.truth_lookup import stands_on_truth
-from touchdown.experiments.io.results import (
+from touchdown.experiments.io.result_parts import (
     JUDGED_BY_CLASS,
     JUDGED_BY_GEOMETRY,
     Landing,

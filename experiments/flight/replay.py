@@ -30,7 +30,8 @@ from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.metrics import Consistency, PositioningError
 from touchdown.experiments.flight.observers import EventLog, Progress
 from touchdown.experiments.io.provenance import git_revision, versions
-from touchdown.experiments.io.results import RunResult, StageTimes, Timing, load_result
+from touchdown.experiments.io.result_parts import StageTimes, Timing
+from touchdown.experiments.io.results import RunResult, load_result
 from touchdown.experiments.io.sensor_log_checks import check_images, damage_reported
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import TumWriter, read_tum

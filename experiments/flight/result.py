@@ -19,14 +19,14 @@ from touchdown.experiments.flight.stage_timer import StageClock
 from touchdown.experiments.flight.truth_lookup import TruthLookup
 from touchdown.experiments.flight.wiring import FlightStack
 from touchdown.experiments.io.provenance import git_revision, versions
-from touchdown.experiments.io.results import (
+from touchdown.experiments.io.result_parts import (
     LevelnessError,
     MapFigures,
     PartNames,
-    RunResult,
     StageTimes,
     Timing,
 )
+from touchdown.experiments.io.results import RunResult
 from touchdown.scenes.api import names_function
 
 

@@ -18,146 +18,31 @@ from pydantic import (
 )
 
 from touchdown.experiments.errors import UsageError, input_message, plain_fault, reason_of
-from touchdown.experiments.io.choice_parts import CandidateSite as CandidateSite
-from touchdown.experiments.io.choice_parts import Choice as Choice
-from touchdown.experiments.io.choice_parts import EarlierDecision as EarlierDecision
-from touchdown.experiments.io.choice_parts import GivenUpSite as GivenUpSite
-from touchdown.experiments.io.choice_parts import MissedGround as MissedGround
-from touchdown.experiments.io.choice_parts import Part as _Part
-from touchdown.experiments.io.choice_parts import PointXY as PointXY
-from touchdown.experiments.io.choice_parts import PointXYZ as PointXYZ
-from touchdown.experiments.io.choice_parts import RefusingRule as RefusingRule
-from touchdown.experiments.io.choice_parts import SiteTerm as SiteTerm
-from touchdown.experiments.io.measured import Figure, Measured
-from touchdown.experiments.io.part_names import PartNames as PartNames
 from touchdown.experiments.io.provenance import plain_json
+from touchdown.experiments.io.result_parts import (
+    Choice,
+    Event,
+    Figure,
+    Landing,
+    MapFigures,
+    Measured,
+    Nees,
+    Part,
+    PartNames,
+    PhaseStart,
+    PointXYZ,
+    PositionError,
+    Timing,
+)
 from touchdown.experiments.io.untrusted import read_object
 
 SUCCESS_WITHOUT_LANDING = "COMPLETED"
 LANDED = "LANDED"
-JUDGED_BY_CLASS, JUDGED_BY_GEOMETRY = "geometry and class", "geometry"
 _FILE = "result.json"
 _LARGEST_SEED = 2**63 - 1
 
 
-class PositionError(_Part):
-    """Distance of the estimate from the truth between lift-off and the end of the survey, in
-    metres; x, y, z and yaw are mean absolute errors."""
-
-    mean: Figure = None
-    rmse: Figure = None
-    max: Figure = None
-    x: Figure = None
-    y: Figure = None
-    z: Figure = None
-    yaw_deg: Figure = None
-
-
-class Nees(_Part):
-    """Normalised estimation error squared of the position over ``samples`` instants."""
-
-    median: Figure = None
-    mean: Figure = None
-    below_14_2: Figure = None
-    """share of samples"""
-    samples: int = 0
-    sigma_m: Figure = None
-    """geometric mean of the standard deviation (3-D) that the estimate states of its position"""
-    sigma_z_m: Figure = None
-    """the same of its height"""
-
-
-class Landing(_Part):
-    """The touchdown, measured on the truth."""
-
-    commanded_xy_m: PointXY = None
-    site_xy_m: PointXY = None
-    """the site as committed at 4 m"""
-    touchdown_xy_m: PointXY = None
-    touchdown_time_s: Figure = None
-    target_offset_m: Figure = None
-    estimate_error_at_commit_m: Figure = None
-    """distance of the estimate from the truth when the descent to the site is committed, 4 m up"""
-    estimate_error_at_contact_m: Figure = None
-    """the same at the first contact"""
-    slope_deg: Figure = None
-    vertical_speed_mps: Figure = None
-    horizontal_speed_mps: Figure = None
-    vertical_accel_mps2: Figure = None
-    impact_peak_mps2: Figure = None
-    bounce_m: Figure = None
-    tilt_deg: Figure = None
-    obstacle_distance_m: Figure = None
-    class_predicted: str | None = None
-    class_probability: Figure = None
-    class_true: str | None = None
-    height_gap_m: Figure = None
-    """of the legs' contact points over the truth map; None also where the map has no ground"""
-    height_agrees: bool | None = None
-    """False: the landing counts as not safe, as the truth map lacks what the vehicle stands on"""
-    safe_geometry: bool | None = None
-    safe_class: bool | None = None
-    safe: bool | None = None
-    judged_on: str | None = None
-
-    @property
-    def ground_safe(self) -> bool | None:
-        """See `ground_safe`."""
-        return ground_safe(self.judged_on, safe=self.safe, safe_geometry=self.safe_geometry)
-
-
-class LevelnessError(_Part):
-    """Angle between the normals of map and true ground, in degrees, over ``places`` discs."""
-
-    mean: Figure = None
-    max: Figure = None
-    places: int | None = None
-
-
-class MapFigures(_Part):
-    """The map at the end of the survey."""
-
-    duration_s: Figure = None
-    density_per_m2: Figure = None
-    levelness_error_deg: LevelnessError | None = None
-
-
-class StageTimes(_Part):
-    """Milliseconds of wall time per 0.1 s of simulated time; in the order of names."""
-
-    controller: Figure = None
-    estimator: Figure = None
-    lander: Figure = None
-    mapper: Figure = None
-    recorder: Figure = None
-    referee: Figure = None
-    world: Figure = None
-
-
-class Timing(_Part):
-    """Wall time of the loop, simulated time, and their ratio."""
-
-    wall_s: Figure = None
-    sim_s: Figure = None
-    real_time_factor: Figure = None
-    stage_ms: StageTimes | None = None
-
-
-class Event(_Part):
-    """A message of estimator or lander."""
-
-    time_s: float
-    text: str
-
-
-class PhaseStart(_Part):
-    """The beginning of a phase of the flight."""
-
-    time_s: float
-    phase: str
-
-
-class RunResult(_Part):
+class RunResult(Part):
     """The result of one flight or replay. ``plain`` is the content of ``result.json``: the fields
     that were given, in the order below."""
 
@@ -253,14 +138,6 @@ class RunResult(_Part):
 
 
 # ------------------------------------------------------------------------------------- the verdict
-
-
-def ground_safe(
-    judged_on: str | None, *, safe: bool | None, safe_geometry: bool | None
-) -> bool | None:
-    """True if the ground at the touchdown is safe by what the flight is judged on: geometry, or
-    geometry and class. None where the result has no such verdict."""
-    return safe if judged_on == JUDGED_BY_CLASS else safe_geometry
 
 
 def is_success(outcome: str, touched_safe_ground: bool | None) -> bool:

@@ -18,7 +18,7 @@ from touchdown.experiments.campaign.expectations import Verdict
 from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.errors import UsageError, visible
 from touchdown.experiments.io.provenance import UNRECORDED_REMEDY
-from touchdown.experiments.io.results import PartNames
+from touchdown.experiments.io.result_parts import PartNames
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.io.untrusted import as_plain_name, read_object
 from touchdown.experiments.reporting import published

@@ -14,7 +14,7 @@ from pydantic import AllowInfNan, BaseModel, ConfigDict, NonNegativeFloat
 from touchdown.experiments.campaign.results_table import is_successful
 from touchdown.experiments.config.profiles import PRESETS, WHOLE
 from touchdown.experiments.errors import UsageError, reason_of
-from touchdown.experiments.io.results import PartNames
+from touchdown.experiments.io.result_parts import PartNames
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.io.untrusted import read_object
 from touchdown.experiments.reporting.flights import Row, condition_of, number

@@ -13,7 +13,7 @@ from touchdown.experiments.flight.condition_checks import (
     judge_conditions,
     judge_fault,
 )
-from touchdown.experiments.io.measured import Measured
+from touchdown.experiments.io.result_parts import Measured
 from touchdown.experiments.io.results import RunResult
 from touchdown.sim.faults.types import parse_fault
 

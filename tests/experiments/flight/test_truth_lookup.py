@@ -12,7 +12,7 @@ import pytest
 from touchdown.experiments.api import Outcome, RefereeParams
 from touchdown.experiments.flight.referee import Referee
 from touchdown.experiments.flight.truth_lookup import TruthLookup, stands_on_truth
-from touchdown.experiments.io.results import Landing
+from touchdown.experiments.io.result_parts import Landing
 from touchdown.landing.api import Phase
 from touchdown.scenes.api import VEHICLE_BODY, MovingBody, Scene
 from touchdown.scenes.compose import load_scene

@@ -424,7 +424,8 @@ def test_classifier_off_and_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_landings_judged_by_class() -> None:
     from touchdown.experiments.flight.run import class_counts
-    from touchdown.experiments.io.results import Landing, is_success
+    from touchdown.experiments.io.result_parts import Landing
+    from touchdown.experiments.io.results import is_success
 
     assert class_counts(LandingParams()) and class_counts(LandingParams(site_xy_m=(1.0, 2.0)))
     for changes in (
