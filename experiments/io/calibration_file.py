@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.api import CalibrationResult
-from touchdown.experiments.errors import UsageError, nearest, plain_fault, reason_of
+from touchdown.experiments.errors import UsageError, first_fault, reason_of
 from touchdown.experiments.io.run_directory import whole_file
+from touchdown.experiments.io.untrusted import read_object
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+
+
+def _unit(quat: tuple[float, ...]) -> tuple[float, ...]:
+    if abs(float(np.linalg.norm(quat)) - 1.0) > _MAX_QUAT_ERROR:
+        raise ValueError("must have length 1")
+    return quat
 
 
 class _Strict(BaseModel):
@@ -25,7 +31,7 @@ class _Strict(BaseModel):
 _MAX_QUAT_ERROR = 1e-3
 
 Vector3 = tuple[float, float, float]
-Vector4 = tuple[float, float, float, float]
+UnitQuaternion = Annotated[tuple[float, float, float, float], AfterValidator(_unit)]
 Vector5 = tuple[float, float, float, float, float]
 Pixels = Annotated[int, Field(gt=0)]
 Focal = Annotated[float, Field(gt=0.0)]
@@ -46,7 +52,7 @@ class CameraPart(_Strict):
 class ExtrinsicPart(_Strict):
     """p_camera = R p_lidar + t"""
 
-    rotation_quat_wxyz: Vector4
+    rotation_quat_wxyz: UnitQuaternion
     translation_m: Vector3
 
 
@@ -91,16 +97,9 @@ class CalibrationFile(_Strict):
 def write_calibration(path: Path, result: CalibrationResult) -> None:
     """Writes a calibration. Raises OSError."""
     k, pose = result.camera, result.camera_from_lidar
+    size = {name: getattr(k, name) for name in CameraPart.model_fields if name != "distortion"}
     content = CalibrationFile(
-        camera=CameraPart(
-            width=k.width,
-            height=k.height,
-            fx=k.fx,
-            fy=k.fy,
-            cx=k.cx,
-            cy=k.cy,
-            distortion=_numbers(k.distortion),
-        ),
+        camera=CameraPart(**size, distortion=_numbers(k.distortion)),
         camera_from_lidar=ExtrinsicPart(
             rotation_quat_wxyz=_numbers(quat_wxyz_from_matrix(pose.rotation)),
             translation_m=_numbers(pose.translation),
@@ -124,50 +123,13 @@ def read_calibration(path: Path) -> CalibrationFile:
     if reason := no_file(path):
         raise UsageError(f"calibration file '{path}' {reason}; make one with `touchdown calibrate`")
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        raise UsageError(f"'{path}' is not valid JSON: {error}") from None
-    except (UnicodeDecodeError, OSError) as error:
-        raise UsageError(f"'{path}' cannot be read as text: {reason_of(error)}") from None
-    except RecursionError:
-        raise UsageError(f"'{path}' is nested too deeply for a calibration") from None
-    if not isinstance(tree, dict):
-        raise UsageError(f"'{path}' must hold one JSON object with camera and camera_from_lidar")
-    try:
-        content = CalibrationFile.model_validate_json(json.dumps(tree), strict=True)
+        # JSON, because strict validation of JSON takes arrays for tuples.
+        return CalibrationFile.model_validate_json(json.dumps(read_object(path)))
     except ValidationError as error:
-        raise UsageError(f"'{path}': {_first_mistake(error)}") from None
-    quat = np.array(content.camera_from_lidar.rotation_quat_wxyz)
-    if abs(float(np.linalg.norm(quat)) - 1.0) > _MAX_QUAT_ERROR:
-        raise UsageError(
-            f"'{path}': camera_from_lidar.rotation_quat_wxyz = {quat.tolist()} must have length 1"
-        )
-    return content
+        raise UsageError(f"'{path}': {first_fault(error)}") from None
+    except (ValueError, OSError) as error:
+        raise UsageError(f"'{path}' is no calibration: {reason_of(error)}") from None
 
 
 def _numbers(values: Any) -> Any:
     return tuple(float(value) for value in np.ravel(values))
-
-
-_WORDS: dict[str, Callable[[str], str]] = {
-    "missing": lambda key: f"the key '{key}' is missing",
-    "extra_forbidden": lambda key: f"unknown key '{key}'{nearest(key, _known_keys())}",
-}
-
-
-def _first_mistake(error: ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in first["loc"])
-    message = plain_fault(first["msg"])
-    return _WORDS.get(first["type"], lambda key: f"{key} is wrong: {message}")(key)
-
-
-def _known_keys() -> list[str]:
-    groups: dict[str, type[BaseModel]] = {
-        "camera": CameraPart,
-        "camera_from_lidar": ExtrinsicPart,
-        "covariance": CovariancePart,
-        "residuals": ResidualPart,
-    }
-    inner = [f"{name}.{key}" for name, part in groups.items() for key in part.model_fields]
-    return [*CalibrationFile.model_fields, *inner]

@@ -17,7 +17,7 @@ from pydantic import (
     ValidationError,
 )
 
-from touchdown.experiments.errors import UsageError, input_message, plain_fault, reason_of
+from touchdown.experiments.errors import UsageError, first_fault, input_message, reason_of
 from touchdown.experiments.io.provenance import plain_json
 from touchdown.experiments.io.result_parts import (
     Choice,
@@ -209,27 +209,7 @@ def load_result(path: Path) -> RunResult:
     try:
         return RunResult.model_validate(tree)
     except ValidationError as error:
-        raise UsageError(f"'{path}' is no run's result: {_one_line(error)}") from error
-
-
-def _one_line(error: ValidationError) -> str:
-    """The missing keys, or else the first wrong value."""
-    faults = error.errors(include_url=False)
-    missing = sorted(
-        ".".join(map(str, fault["loc"])) for fault in faults if fault["type"] == "missing"
-    )
-    if missing:
-        return f"{', '.join(missing)} missing"
-    fault = faults[0]
-    key = ".".join(str(part) for part in fault["loc"])
-    wanted = {"string_type": "text", "float_type": "a number", "bool_type": "true or false"}
-    wanted |= dict.fromkeys(("int_type", "less_than_equal", "greater_than_equal"), "a whole number")
-    kind = wanted.get(fault["type"])
-    shown = repr(fault["input"])
-    shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
-    if kind is not None:
-        return f"{key} = {shown} must be {kind}"
-    return f"{key} = {shown}: {plain_fault(fault['msg'])}"
+        raise UsageError(f"'{path}' is no run's result: {first_fault(error)}") from error
 
 
 def result_files(directory: Path) -> list[Path]:

@@ -17,7 +17,6 @@ from touchdown.sim.api import CameraImage, Observation, SensorRig
 
 MAX_PIXELS = 1 << 26
 _MAX_TICK = 1 << 53
-_AGAIN = "fly again with --log-sensors"
 
 
 class DamagedError(ValueError):
@@ -30,22 +29,22 @@ def damage_reported(path: Path) -> Iterator[None]:
     ``path``."""
     from rosbags.serde import SerdeError
 
+    faults = {
+        (struct.error, SerdeError): "a message is cut short",
+        (LookupError,): "a message or a value is missing",
+        (MemoryError,): "a part claims an absurd size",
+        (TypeError, ArithmeticError, RecursionError, AttributeError, ValueError): (
+            "a value is not of its kind"
+        ),
+    }
     try:
         yield
     except UsageError:
         raise
-    except DamagedError as error:
-        raise UsageError(f"'{path}' is damaged: {error}; {_AGAIN}") from error
-    except (struct.error, SerdeError) as error:
-        raise UsageError(f"'{path}' is damaged: a message is cut short; {_AGAIN}") from error
-    except LookupError as error:
-        raise UsageError(f"'{path}' is damaged: a message or a value is missing; {_AGAIN}") from (
-            error
-        )
-    except MemoryError as error:
-        raise UsageError(f"'{path}' is damaged: a part claims an absurd size; {_AGAIN}") from error
-    except (ValueError, TypeError, ArithmeticError, RecursionError, AttributeError) as error:
-        raise UsageError(f"'{path}' is damaged: a value is not of its kind; {_AGAIN}") from error
+    except tuple(kind for kinds in faults for kind in kinds) as error:
+        why = next(text for kinds, text in faults.items() if isinstance(error, kinds))
+        why = str(error) if isinstance(error, DamagedError) else why
+        raise UsageError(f"'{path}' is damaged: {why}; fly again with --log-sensors") from error
 
 
 def check_rig(rig: SensorRig) -> None:

@@ -8,7 +8,7 @@ import json
 import struct
 import zlib
 from collections import defaultdict, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,6 +48,10 @@ MAX_OBSERVATION_BYTES = MAX_RECORD_BYTES
 """of all messages of one observation"""
 MAX_TEXT_BYTES = 1 << 24
 """of an observation without its scans and images"""
+
+
+Arrived = defaultdict[str, deque[bytes]]
+"""messages by topic"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,44 +99,29 @@ class SensorLogReader:
 
     def packed(self) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
         """Observations from the beginning; images separately, as the logged PNG files."""
-        before = -1
-        for plain, arrived in self._arrivals():
-            left, right = (arrived[topic] for topic in IMAGE_TOPICS)
-            with damage_reported(self.path):
-                images = tuple(
-                    PackedImage(
-                        tick=tick,
-                        time_s=time_s,
-                        png=_png(left.popleft()),
-                        right_png=_png(right.popleft()) if stereo else None,
-                    )
-                    for tick, time_s, stereo in plain.pop("images", [])
-                )
-                for eye in images:
-                    unpack_image(eye.png)
-                    if eye.right_png is not None:
-                        unpack_image(eye.right_png)
-                obs = _observation(plain, arrived)
-                check_order(obs, self.rig, before)
-                before = obs.tick
-            yield obs, images
+        return self._read(True, _packed_images)
 
     def observations(self, images: bool = True) -> Iterator[Observation]:
         """Observations from the beginning; half the time without images."""
+        return (obs for obs, _ in self._read(images, lambda _plain, _arrived: ()))
+
+    def _read(
+        self, images: bool, take: Callable[[dict[str, Any], Arrived], tuple[PackedImage, ...]]
+    ) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
+        """Observations, and the images that ``take`` takes out of each before it is made."""
         before = -1
         for plain, arrived in self._arrivals(images):
             with damage_reported(self.path):
+                taken = take(plain, arrived)
                 obs = _observation(plain, arrived)
                 check_order(obs, self.rig, before)
                 before = obs.tick
-            yield obs
+            yield obs, taken
 
-    def _arrivals(
-        self, images: bool = True
-    ) -> Iterator[tuple[dict[str, Any], defaultdict[str, deque[bytes]]]]:
+    def _arrivals(self, images: bool) -> Iterator[tuple[dict[str, Any], Arrived]]:
         """Observations as plain values, each with the messages before it by topic, which its reader
         takes out."""
-        arrived: defaultdict[str, deque[bytes]] = defaultdict(deque)
+        arrived: Arrived = defaultdict(deque)
         waiting = 0
         for topic, data in self._messages():
             with damage_reported(self.path):
@@ -218,7 +207,18 @@ def _reason(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or "a part is not what it claims"
 
 
-def _observation(plain: dict[str, Any], arrived: defaultdict[str, deque[bytes]]) -> Observation:
+def _packed_images(plain: dict[str, Any], arrived: Arrived) -> tuple[PackedImage, ...]:
+    left, right = (arrived[topic] for topic in IMAGE_TOPICS)
+    images = []
+    for tick, time_s, stereo in plain.pop("images", []):
+        eyes = [_png(left.popleft()), *([_png(right.popleft())] if stereo else [])]
+        for eye in eyes:
+            unpack_image(eye)
+        images.append(PackedImage(tick, time_s, eyes[0], eyes[1] if stereo else None))
+    return tuple(images)
+
+
+def _observation(plain: dict[str, Any], arrived: Arrived) -> Observation:
     scans, images = plain.pop("scans", []), plain.pop("images", [])
     return dataclasses.replace(
         from_plain(Observation, plain),
@@ -245,7 +245,7 @@ def _scan(head: list[Any], message: bytes) -> LidarScan:
     )
 
 
-def _image(head: list[Any], arrived: defaultdict[str, deque[bytes]]) -> CameraImage:
+def _image(head: list[Any], arrived: Arrived) -> CameraImage:
     tick, time_s, stereo = head
     left, right = (arrived[topic] for topic in IMAGE_TOPICS)
     return CameraImage(
