@@ -61,30 +61,6 @@ def plain_fault(message: str) -> str:
     return f"{words[:1].lower()}{words[1:]}"
 
 
-_KINDS = {
-    "string_type": "text", "float_type": "a number", "bool_type": "true or false",
-    "int_type": "a whole number",
-}  # fmt: skip
-
-
-def first_fault(error: ValidationError) -> str:
-    """The missing keys of what pydantic has refused, or else the first wrong value."""
-    faults = error.errors(include_url=False)
-    missing = sorted(
-        ".".join(map(str, fault["loc"])) for fault in faults if fault["type"] == "missing"
-    )
-    if missing:
-        return f"{', '.join(missing)} missing"
-    fault = faults[0]
-    key = ".".join(str(part) for part in fault["loc"])
-    kind = _KINDS.get(fault["type"])
-    shown = repr(fault["input"])
-    shown = shown if len(shown) <= 80 else f"{shown[:77]}..."
-    if kind is not None:
-        return f"{key} = {shown} must be {kind}"
-    return f"{key} = {shown}: {plain_fault(fault['msg'])}"
-
-
 _REMEDIES = {
     errno.ENOSPC: "make room there and give the command again",
     errno.EDQUOT: "make room there and give the command again",

@@ -170,7 +170,7 @@ def load_runs(directory: str | Path) -> list[RunResult]:
     """The results of all runs at or below ``directory``, sorted by scene, estimator and seed, each
     with the ``path`` of its run and, in ``settings``, the configuration keys in which they differ.
     Raises UsageError where there is none or one cannot be read."""
-    from touchdown.experiments.config.settings import settings_apart
+    from touchdown.experiments.config.keys import settings_apart
     from touchdown.experiments.io import results
 
     found = list(results.load_runs(Path(directory)).values())

@@ -1,12 +1,16 @@
-"""Dotted keys of nested tables."""
+"""Dotted keys of nested tables, and those that tell the runs of one directory apart."""
 
 from __future__ import annotations
 
+import json
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.config.external_table import PREFIX
+from touchdown.experiments.config.files import read_tree
+from touchdown.experiments.config.slots import PREFIX
+from touchdown.experiments.errors import UsageError
 
 RENAMED: Mapping[str, str] = {
     "livo.mount_turn_sigma_deg": "livo.mount_rotation_sigma_deg",
@@ -78,3 +82,25 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield from flatten(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
+
+
+UNTOLD = ("scene", "seed", "estimator", "record", "log.", "sim.threads")
+"""Keys, or their beginnings, that every result has, too, or that change nothing of a flight."""
+
+
+def settings_apart(runs: Sequence[Path]) -> list[dict[str, Any]]:
+    """The keys of ``config.json`` in which some of the run directories differ, and their values in
+    each; None for a key that a run's file lacks. A run without a readable file has no settings.
+    """
+    values = [_values(run / "config.json") for run in runs]
+    known = [one for one in values if one]
+    keys = {key: None for one in known for key in one if not key.startswith(UNTOLD)}
+    apart = [key for key in keys if len({json.dumps(one.get(key)) for one in known}) > 1]
+    return [{key: one.get(key) for key in apart} if one else {} for one in values]
+
+
+def _values(file: Path) -> dict[str, Any]:
+    try:
+        return dict(flatten(read_tree(file)))
+    except UsageError:
+        return {}

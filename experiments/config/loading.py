@@ -22,7 +22,6 @@ from typing import Any
 from pydantic import ValidationError
 
 from touchdown.experiments.config.checks import check_faults, check_map, check_rates, check_survey
-from touchdown.experiments.config.external_table import wrong_external_key
 from touchdown.experiments.config.files import (
     LARGEST,
     came_with_results,
@@ -54,7 +53,7 @@ from touchdown.experiments.config.ranges import (
     types_of_keys,
 )
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.config.slots import SLOTS, check_part_names
+from touchdown.experiments.config.slots import SLOTS, check_part_names, wrong_external_key
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 
 OPTION_KEYS: Mapping[str, str] = {

@@ -8,7 +8,7 @@ import functools
 import operator
 import typing
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from annotated_types import BaseMetadata, GroupedMetadata
 
@@ -41,28 +41,45 @@ LARGEST_OF_KEY: Mapping[str, float] = {
     "landing.site_xy_m": 1e7,
 }
 """Largest values of keys with a reason of their own."""
-LARGEST_OF_UNIT: Mapping[str, float] = {
-    "_kmh": 450.0,  # the strongest gust measured on Earth had 408 km/h
-    "_mmph": 2000.0,
-    "_radps": 1e4,
-    "_deg_s": 3600.0,
-    "_mps2": 1000.0,
-    "_mps": 125.0,
-    "_per_m2": 1e6,
-    "_hz": 1000.0,
-    "_deg": 360.0,
-    "_ut": 1000.0,  # fields on the ground have 25 to 65
-    "_pa": 110e3,  # of the whole atmosphere
-    "_px": 4000.0,
-    "_pixels": 16384.0,  # side of a texture
-    "_ppm": 1e6,
-    "_ticks": 100_000,
-    "_ohm": 10.0,
-    "_m": 10e3,  # 32 bits of a point resolve 1 mm up to here
-    "_s": 86_400.0,
-    "_j": 1e9,
+
+
+class Unit(NamedTuple):
+    """The unit that a key's name ends with, and the largest magnitude of such keys."""
+
+    symbol: str
+    largest: float
+
+
+UNITS: Mapping[str, Unit] = {
+    "_kmh": Unit("km/h", 450.0),  # the strongest gust measured on Earth had 408 km/h
+    "_mmph": Unit("mm/h", 2000.0),
+    "_radps": Unit("rad/s", 1e4),
+    "_deg_s": Unit("°/s", 3600.0),
+    "_mps2": Unit("m/s²", 1000.0),
+    "_mps": Unit("m/s", 125.0),
+    "_per_m2": Unit("1/m²", 1e6),
+    "_hz": Unit("Hz", 1000.0),
+    "_deg": Unit("°", 360.0),
+    "_ut": Unit("µT", 1000.0),  # fields on the ground have 25 to 65
+    "_pa": Unit("Pa", 110e3),  # of the whole atmosphere
+    "_px": Unit("px", 4000.0),
+    "_pixels": Unit("px", 16384.0),  # side of a texture
+    "_ppm": Unit("ppm", 1e6),
+    "_ticks": Unit("ticks", 100_000),
+    "_ohm": Unit("Ω", 10.0),
+    "_m": Unit("m", 10e3),  # 32 bits of a point resolve 1 mm up to here
+    "_s": Unit("s", 86_400.0),
+    "_j": Unit("J", 1e9),
 }
-"""Largest magnitudes by the end of a key's name; the first that fits counts."""
+"""By the end of a key's name; the first that fits counts."""
+
+
+def unit_of(key: str) -> Unit | None:
+    """The unit that the name of a key ends with; None if there is none."""
+    name = f"_{key.rpartition('.')[2]}"
+    return next((unit for end, unit in UNITS.items() if name.endswith(end)), None)
+
+
 MOST, LARGEST = 10_000, 1000.0
 """of other counts, such as features and keyframes, and of numbers without a unit"""
 SMALLEST = 1e-6
@@ -129,9 +146,9 @@ def limits_of(key: str) -> Mapping[str, float]:
     bounds = bounds_of(kind)
     count = found == {int}
     if not bounds.keys() & {"lt", "le"}:
-        name = f"_{key.rpartition('.')[2]}"
-        of_unit = (most for end, most in LARGEST_OF_UNIT.items() if name.endswith(end))
-        bounds["le"] = LARGEST_OF_KEY.get(key, next(of_unit, MOST if count else LARGEST))
+        unit = unit_of(key)
+        largest = unit.largest if unit else MOST if count else LARGEST
+        bounds["le"] = LARGEST_OF_KEY.get(key, largest)
     if bounds.get("gt") == 0 and "lt" not in bounds:
         del bounds["gt"]
         bounds["ge"] = 1 if count else SMALLEST

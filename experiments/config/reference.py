@@ -15,16 +15,9 @@ from types import NoneType, UnionType
 from typing import Any
 
 from touchdown.experiments.config.profiles import DEFAULT, KEY
-from touchdown.experiments.config.ranges import limits_of, range_text, types_of_keys
+from touchdown.experiments.config.ranges import limits_of, range_text, types_of_keys, unit_of
 from touchdown.experiments.config.schema import Config
 
-UNITS = {
-    "_rad_s": "rad/s", "_radps": "rad/s", "_deg_s": "°/s", "_kmh": "km/h", "_mps2": "m/s²",
-    "_mps": "m/s", "_mmph": "mm/h", "_per_m2": "1/m²", "_xy_m": "m", "_body_m": "m", "_hz": "Hz",
-    "_deg": "°", "_ut": "µT", "_pa": "Pa", "_px": "px", "_pixels": "px", "_ppm": "ppm",
-    "_ticks": "ticks", "_m": "m", "_s": "s", "_j": "J",
-}  # fmt: skip
-"""Unit of a key by the end of its name."""
 _KINDS = {bool: "true or false", str: "text", int: "whole number", float: "number"}
 
 INTRODUCTION = """# Configuration keys
@@ -37,12 +30,6 @@ those of profile `ideal`; the profile that is flown, `field`, sets others
 and their order. An unknown key, a value outside its range and a wrong type are refused in one
 line. `ticks` are periods of `sim.tick_hz`.
 """
-
-
-def unit_of(key: str) -> str:
-    """The unit that the name of a key ends with; "" if there is none."""
-    name = f"_{key.rpartition('.')[2]}"
-    return next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
 
 
 @functools.cache
@@ -127,7 +114,9 @@ def reference_page() -> str:
             parts.append(f"{_markdown(text)}\n")
         parts.append("| key | default | unit | values | meaning |\n|---|---|---|---|---|")
         for key in keys:
-            cells = (default_of(key), unit_of(key), values_of(key), _markdown(meaning_of(key)))
+            unit = unit_of(key)
+            symbol = unit.symbol if unit else ""
+            cells = (default_of(key), symbol, values_of(key), _markdown(meaning_of(key)))
             parts.append(f"| `{key}` | {' | '.join(cell.replace('|', '¦') for cell in cells)} |")
         parts.append("")
     return "\n".join(parts)

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from touchdown.experiments.api import CalibrationResult
-from touchdown.experiments.errors import UsageError, first_fault, reason_of
+from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.experiments.io.untrusted import read_object
 from touchdown.sim.api import CameraIntrinsics
@@ -125,8 +125,6 @@ def read_calibration(path: Path) -> CalibrationFile:
     try:
         # JSON, because strict validation of JSON takes arrays for tuples.
         return CalibrationFile.model_validate_json(json.dumps(read_object(path)))
-    except ValidationError as error:
-        raise UsageError(f"'{path}': {first_fault(error)}") from None
     except (ValueError, OSError) as error:
         raise UsageError(f"'{path}' is no calibration: {reason_of(error)}") from None
 

@@ -14,10 +14,9 @@ from pydantic import (
     BaseModel,
     Field,
     PrivateAttr,
-    ValidationError,
 )
 
-from touchdown.experiments.errors import UsageError, first_fault, input_message, reason_of
+from touchdown.experiments.errors import UsageError, input_message, reason_of
 from touchdown.experiments.io.provenance import plain_json
 from touchdown.experiments.io.result_parts import (
     Choice,
@@ -201,15 +200,11 @@ def lookup(row: Mapping[str, Any], path: str) -> Any:
 def load_result(path: Path) -> RunResult:
     """Reads one ``result.json``. Raises UsageError, one line, where it is none."""
     try:
-        tree = read_object(path)
+        return RunResult.model_validate(read_object(path))
     except OSError as error:
         raise UsageError(input_message(error)) from error
     except ValueError as error:
         raise UsageError(f"'{path}' is no run's result: {reason_of(error)}") from error
-    try:
-        return RunResult.model_validate(tree)
-    except ValidationError as error:
-        raise UsageError(f"'{path}' is no run's result: {first_fault(error)}") from error
 
 
 def result_files(directory: Path) -> list[Path]:

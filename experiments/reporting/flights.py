@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.campaign.directory import read_plan_file
 from touchdown.experiments.campaign.results_table import CRASHED, RUNS, is_campaign, load_rows
-from touchdown.experiments.config.keys import flatten
-from touchdown.experiments.config.settings import UNTOLD
+from touchdown.experiments.config.keys import UNTOLD, flatten
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.provenance import UNRECORDED_REMEDY
 from touchdown.experiments.io.untrusted import read_object

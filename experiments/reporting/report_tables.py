@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from touchdown.experiments.campaign.expectations import Verdict
-from touchdown.experiments.io.results import PartNames, RunResult
+from touchdown.experiments.io.result_parts import PartNames
+from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.flights import values
 from touchdown.experiments.reporting.measures import AXES

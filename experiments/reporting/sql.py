@@ -52,7 +52,7 @@ def connect(directory: Path) -> duckdb.DuckDBPyConnection:
     import duckdb
 
     from touchdown.experiments.campaign.results_table import SCHEMA, load_rows, run_path, table_of
-    from touchdown.experiments.config.settings import settings_apart
+    from touchdown.experiments.config.keys import settings_apart
 
     rows = load_rows(directory)
     paths = [run_path(directory, row) for row in rows]

@@ -10,7 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.chunk import Chunk, RrdReader
 
-from touchdown.experiments.config.settings import settings_apart
+from touchdown.experiments.config.keys import settings_apart
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import RunResult, load_result
 from touchdown.experiments.io.tum import read_tum
