@@ -26,9 +26,6 @@ _CLOUD_FOCAL = 1150.0
 _UNSEEN = (70, 70, 74)
 _BACKGROUND = 18
 _BEHIND_M = 0.8
-_NEAR_SHARE = 0.85
-"""Share of the median depth: nearer points (the board) are drawn with larger dots, so that they
-cover the floor behind"""
 
 
 def write_figures(
@@ -56,13 +53,11 @@ def boards_image(
         text = str(number + 1) if number in result.used else f"{number + 1}: not used"
         cv2.putText(small, text, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 2)
         tiles.append(small)
-    rows = -(-len(tiles) // _COLUMNS)
-    width, height = _SMALL[0] + _GAP, _SMALL[1] + _GAP
-    sheet = np.full((rows * height + _GAP, _COLUMNS * width + _GAP, 3), 255, np.uint8)
-    for place, shown in enumerate(tiles):
-        top, left = _GAP + place // _COLUMNS * height, _GAP + place % _COLUMNS * width
-        sheet[top : top + _SMALL[1], left : left + _SMALL[0]] = shown
-    return np.ascontiguousarray(sheet[:, :, ::-1])
+    rim = (_GAP // 2, _GAP // 2)
+    framed = [np.pad(tile, (rim, rim, (0, 0)), constant_values=255) for tile in tiles]
+    framed += [np.full_like(framed[0], 255)] * (-len(framed) % _COLUMNS)
+    rows = [np.hstack(framed[k : k + _COLUMNS]) for k in range(0, len(framed), _COLUMNS)]
+    return np.ascontiguousarray(np.vstack(rows)[:, :, ::-1])
 
 
 def overlay_image(view: CalibrationView, result: CalibrationResult) -> Image:
@@ -85,8 +80,7 @@ def cloud_image(view: CalibrationView, result: CalibrationResult, corners: Array
     pixels = np.rint(_pixels(view.points, result)).astype(np.int64)
     rows, cols = view.rgb.shape[:2]
     seen = ((pixels >= 0) & (pixels < [cols, rows])).all(axis=1)
-    colour = np.empty((len(pixels), 3), np.uint8)
-    colour[:] = _UNSEEN
+    colour = np.tile(np.array(_UNSEEN, np.uint8), (len(pixels), 1))
     colour[seen] = view.rgb[pixels[seen, 1], pixels[seen, 0]]
     eye = _beside(in_camera, pixels, corners)
     placed = eye.apply(in_camera)
@@ -96,9 +90,7 @@ def cloud_image(view: CalibrationView, result: CalibrationResult, corners: Array
     depth = placed[ahead, 2]
     order = np.argsort(-depth, kind="stable")  # what is nearer hides what is further
     image = np.full((height, width, 3), _BACKGROUND, np.uint8)
-    near = depth[order] < _NEAR_SHARE * np.median(depth)
-    for rows_of, side in ((order[~near], 2), (order[near], 4)):
-        _dot(image, spots[rows_of], colour[ahead][rows_of], side)
+    _dot(image, spots[order], colour[ahead][order], 3)
     return image
 
 

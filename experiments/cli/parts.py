@@ -237,7 +237,7 @@ def calibrate(
 
     Example: touchdown calibrate --poses 12 --out calibration.json --pictures pictures
     """
-    from touchdown.experiments.calibration.evaluate import run_calibration
+    from touchdown.experiments.calibration.calibrate import run_calibration
     from touchdown.experiments.config.loading import load_config
 
     # No estimator is built. Calibration is done in a workshop, on a rig at rest in even light.

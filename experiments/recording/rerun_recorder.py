@@ -211,6 +211,10 @@ class RerunLog:
 
     # -------------------------------------------------------------------------------- channels
 
+    def _log(self, time_s: float, path: str, entity: rr.AsComponents) -> None:
+        self._stream.set_time(TIMELINE, duration=time_s)
+        self._stream.log(path, entity)
+
     def _add_paths(self, step: StepRecord) -> None:
         """Adds short pieces, each at its own time; the blueprint shows all pieces up to now."""
         before = self._path_ends
@@ -255,8 +259,8 @@ class RerunLog:
         options = [cv2.IMWRITE_JPEG_QUALITY, self._params.jpeg_quality]
         done, data = cv2.imencode(".jpg", cv2.cvtColor(image.rgb, cv2.COLOR_RGB2BGR), options)
         if done:
-            self._stream.set_time(TIMELINE, duration=image.time_s)
-            self._stream.log(
+            self._log(
+                image.time_s,
                 "world/vehicle/camera/image",
                 rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg"),
             )
@@ -272,8 +276,8 @@ class RerunLog:
         points = scan_points_odom(scan, track, self._rig.body_from_lidar, self._params.scan_points)
         pose = estimate.world_from_odom
         points = points @ pose.rotation.T + pose.translation
-        self._stream.set_time(TIMELINE, duration=scan.end_time_s)
-        self._stream.log(
+        self._log(
+            scan.end_time_s,
             "world/scan",
             rr.Points3D(
                 points.astype(np.float32), colors=height_colours(points[:, 2]), radii=[0.08]
@@ -299,29 +303,24 @@ class RerunLog:
         if text != self._seen_text:
             self._seen_text = text
             level = "WARN" if view.no_site or view.aborted else "INFO"
-            self._stream.set_time(TIMELINE, duration=time_s)
-            self._stream.log("log/phase", rr.TextLog(": ".join(filter(None, text)), level=level))
+            self._log(time_s, "log/phase", rr.TextLog(": ".join(filter(None, text)), level=level))
         if view.site_world is not None and not np.array_equal(view.site_world, self._seen_site):
             self._seen_site = view.site_world.copy()
-            self._stream.set_time(TIMELINE, duration=time_s)
-            self._stream.log("world/site", _site_lines(view.site_world))
+            self._log(time_s, "world/site", _site_lines(view.site_world))
         if view.costmap is not None and view.costmap is not self._seen_costmap:
             self._seen_costmap = view.costmap
             self._log_costmap(time_s, estimate, view)
         if view.candidates and view.candidates is not self._seen_candidates:
             self._seen_candidates = view.candidates
-            self._stream.set_time(TIMELINE, duration=time_s)
-            self._stream.log("world/map/candidates", _candidate_points(view.candidates))
+            self._log(time_s, "world/map/candidates", _candidate_points(view.candidates))
 
     def _log_events(self, time_s: float, estimate: Estimate) -> None:
         """Logs the messages of the estimator and the injected faults."""
         for text in estimate.events:
-            self._stream.set_time(TIMELINE, duration=time_s)
-            self._stream.log("log/estimator", rr.TextLog(text, level="WARN"))
+            self._log(time_s, "log/estimator", rr.TextLog(text, level="WARN"))
         while self._faults and time_s >= self._faults[0][0]:
             start_s, text = self._faults.popleft()
-            self._stream.set_time(TIMELINE, duration=start_s)
-            self._stream.log("log/faults", rr.TextLog(text, level="ERROR"))
+            self._log(start_s, "log/faults", rr.TextLog(text, level="ERROR"))
 
     def _log_costmap(self, time_s: float, estimate: Estimate, view: LanderView) -> None:
         if view.costmap is None:
@@ -331,9 +330,10 @@ class RerunLog:
         image = costmap_image(view, site_odom)
         done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
         if done:
-            self._stream.set_time(TIMELINE, duration=time_s)
-            self._stream.log(
-                "costmap/total", rr.EncodedImage(contents=data.tobytes(), media_type="image/png")
+            self._log(
+                time_s,
+                "costmap/total",
+                rr.EncodedImage(contents=data.tobytes(), media_type="image/png"),
             )
 
     def _flush(self) -> None:

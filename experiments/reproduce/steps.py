@@ -83,7 +83,7 @@ class Part:
 
 
 def _calibration(job: Job) -> Done:
-    from touchdown.experiments.calibration.evaluate import run_calibration
+    from touchdown.experiments.calibration.calibrate import run_calibration
 
     with filled_folder(job.folder / PICTURES) as partial_folder:
         report = run_calibration(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.api import CalibrationErrorParams
-from touchdown.experiments.calibration.evaluate import run_calibration
+from touchdown.experiments.calibration.calibrate import run_calibration
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.estimator_calibration import erring_rig, nominal_rig
 from touchdown.experiments.flight.wiring import build_flight_stack, build_scene

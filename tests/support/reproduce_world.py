@@ -93,7 +93,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
 
         return put
 
-    @replaced("calibration.evaluate.run_calibration", "calibration")
+    @replaced("calibration.calibrate.run_calibration", "calibration")
     def _(config: Config, poses: int, out: Path, pictures: Path, note: Any) -> dict[str, Any]:
         out.write_text("{}")
         draw(pictures / "cloud.png", pictures / "boards.png")

@@ -25,9 +25,7 @@ from touchdown.experiments.calibration.chessboard import (
     fit_camera,
 )
 from touchdown.experiments.calibration.extrinsics import (
-    _jacobian,
     agreeing_views,
-    plane_residuals,
     solve_extrinsics,
 )
 from touchdown.sim.frames import Pose, so3_exp, so3_log
@@ -198,24 +196,6 @@ def test_covariance_of_planes_follows_from_that_of_poses() -> None:
         )
         slope = change / step
         np.testing.assert_allclose(base.covariance[:4, :4], np.outer(slope, slope), atol=1e-5)
-
-
-def test_jacobian_of_eq_5_is_the_slope() -> None:
-    planes, boards = _exact(3)
-    block = (boards[0].points, planes.normals[0], float(planes.distances[0]))
-    jacobian, step = _jacobian(block, TRUE), 1e-6
-    for axis, unit in enumerate(np.eye(6)):
-        ends = [
-            plane_residuals(
-                *block,
-                Pose(
-                    so3_exp(sign * step * unit[:3]) @ TRUE.rotation,
-                    TRUE.translation + sign * step * unit[3:],
-                ),
-            )
-            for sign in (1.0, -1.0)
-        ]
-        np.testing.assert_allclose(jacobian[:, axis], (ends[0] - ends[1]) / (2 * step), atol=1e-8)
 
 
 def test_exact_planes_give_the_exact_pose_from_a_poor_start() -> None:
