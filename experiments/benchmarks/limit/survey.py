@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import repeat
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,10 @@ from touchdown.experiments.benchmarks.limit.information import (
     landmark_informations,
     motion_information,
 )
+from touchdown.experiments.benchmarks.odometry import replayed
 from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.replay import LoggedRun, open_run, replay, replay_config
+from touchdown.experiments.flight.replay import LoggedRun, open_run, replay_config
 from touchdown.experiments.io.provenance import git_revision
 from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import GRAVITY_MPS2, SensorRig
@@ -53,44 +54,35 @@ SETS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "IMU": (),
     }
 )
-REPLAYED: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"camera, LIDAR, IMU": (), "LIDAR, IMU": ("livo.use_vision=false",)}
+REPLAYED: Mapping[str, str] = MappingProxyType(
+    {"camera, LIDAR, IMU": "livo: tight, all on", "LIDAR, IMU": "livo: LIDAR only"}
 )
+"""variants of `odometry` by set of sensors"""
 AS_IT_IS, QUIET = "as it is", "noise of the IMU a tenth"
 _QUIETER = 10.0
 _FEW, _COARSE_PX, _COMMON_M = 1000 / 24000, 3.0, 0.02
-Change = Callable[[Rows], Rows]
-"""of measurements of one kind"""
 
 
-def _unchanged(rows: Rows) -> Rows:
-    return rows
+class Change(NamedTuple):
+    """What makes measurements of one kind tell less."""
+
+    weight: float = 1.0
+    """factor of the information"""
+    common: float = 0.0
+    """see `Rows.with_common_error`"""
 
 
-def _fewer(rows: Rows) -> Rows:
-    return rows._replace(weight=_FEW * rows.weight)
-
-
-def _coarser(rows: Rows) -> Rows:
-    return rows._replace(weight=(imaging.PIXEL_SIGMA / _COARSE_PX) ** 2 * rows.weight)
-
-
-def _alike(rows: Rows) -> Rows:
-    return rows.with_common_error(_COMMON_M)
-
-
+_FEWER, _COARSER = Change(_FEW), Change((imaging.PIXEL_SIGMA / _COARSE_PX) ** 2)
 LESS: Mapping[str, Mapping[str, Change]] = MappingProxyType(
     {
-        "1000 returns a scan": {"ranges": _fewer, "intensities": _fewer},
-        "2 cm common to a patch's returns": {"ranges": _alike},
-        "features to 3 px": {"features": _coarser},
+        "1000 returns a scan": {"ranges": _FEWER, "intensities": _FEWER},
+        "2 cm common to a patch's returns": {"ranges": Change(common=_COMMON_M)},
+        "features to 3 px": {"features": _COARSER},
         "all three": {
-            "ranges": lambda rows: _alike(_fewer(rows)),
-            "intensities": _fewer,
-            "features": _coarser,
+            "ranges": Change(_FEW, _COMMON_M), "intensities": _FEWER, "features": _COARSER,
         },
     }
-)
+)  # fmt: skip
 """Measurements that tell less, by kind"""
 _STILL_BEFORE_S = 0.7
 _STILL_SIGMA = 1e-3
@@ -143,7 +135,11 @@ class Problem:
         """The position's covariances (3, 3) at each instant of ``looks``: `AS_IT_IS`, with one of
         `GROUPS` known, and with a `QUIET` IMU."""
         counts = [look + 1 for look in self.looks]
-        rows = [changes.get(name, _unchanged)(self.rows[name]) for name in names]
+        rows = []
+        for name in names:
+            weight, common = changes.get(name, Change())
+            fewer = self.rows[name]._replace(weight=weight * self.rows[name].weight)
+            rows.append(fewer.with_common_error(common) if common else fewer)
         sensed: Iterable[Array] = repeat(np.zeros(()), len(counts))
         if rows:
             sensed = landmark_informations(Rows.joined(rows), counts, CONSTANTS)
@@ -241,7 +237,8 @@ def measure(run: Path, replays: bool, report: Report) -> dict[str, Any]:
     if replays:
         report(f"{run.name}: replays")
         figures["reached_m"] = {
-            title: _reached(run, overrides) for title, overrides in REPLAYED.items()
+            title: replayed(open_run(run), variant)["error_m"]
+            for title, variant in REPLAYED.items()
         }
     return figures
 
@@ -254,13 +251,6 @@ def _spread(found: list[dict[str, Array]], name: str) -> dict[str, float]:
         "end": float(total[-1]),
         **{axis: float(np.sqrt(each[:, k]).mean()) for k, axis in enumerate("xyz")},
     }
-
-
-def _reached(run: Path, overrides: tuple[str, ...]) -> float:
-    error = replay(run, replay_config(run, "livo", overrides, fresh=True)).position_error_m
-    if error is None or error.mean is None:
-        raise UsageError(f"'{run}' is too short to be judged: fly a whole survey")
-    return float(error.mean)
 
 
 def table(figures: Sequence[Mapping[str, Any]]) -> str:
