@@ -5,6 +5,7 @@ import gc
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -93,6 +94,19 @@ def _coarse_ground() -> None:
     from touchdown.scenes.importers import ground_texturing
 
     ground_texturing.TEXEL_M = 0.15
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _small_memory(request: pytest.FixtureRequest) -> Iterator[None]:
+    """What a file of tests has cached goes when it is through, and back to the system: scenes take
+    100 MB each."""
+    yield
+    from touchdown.experiments.external.processes import release_memory
+
+    for value in vars(request.module).values():
+        if hasattr(value, "cache_clear"):
+            value.cache_clear()
+    release_memory()
 
 
 @pytest.fixture
