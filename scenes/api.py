@@ -37,7 +37,6 @@ LAND_CLASSES: tuple[str, ...] = ("lawn", "field", "path", "road", "building", "w
 """The paper's seven-class scheme D_Land; a class id is an index into this tuple."""
 SAFE_CLASSES: frozenset[str] = frozenset({"lawn", "field", "path"})
 RISKY_CLASSES: frozenset[str] = frozenset({"road", "building"})
-UNSAFE_CLASSES: frozenset[str] = frozenset({"water", "trees"})
 OTHER_CLASS_ID = 255
 """Objects that belong to no land class (a car, a lamp)."""
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array
+from touchdown.scenes.authoring.plane import SQUARE, unit_circle
 
 Ints = NDArray[np.int32]
 
@@ -56,12 +57,11 @@ def box(
     """An axis-aligned box; every face is mapped in metres divided by ``metres_per_uv``."""
     corners = np.empty((6, 4, 3))
     uv = np.empty((6, 4, 2))
-    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
     for face in range(6):
         axis, sign = face // 2, 2 * (face % 2) - 1
         first, second = (axis + 1) % 3, (axis + 2) % 3
         corners[face, :, axis] = sign * half[axis]
-        corners[face][:, [first, second]] = square[::sign] * [half[first], half[second]]
+        corners[face][:, [first, second]] = SQUARE[::sign] * [half[first], half[second]]
         uv[face] = corners[face][:, [first, second]] * [1.0, -1.0] / metres_per_uv
     fans = 4 * np.arange(6)[:, None, None] + [[0, 1, 2], [0, 2, 3]]
     return MeshData(
@@ -86,8 +86,8 @@ def plate(corners: Sequence[Sequence[float]] | Array, thick_m: float = 0.0) -> l
 
 def cylinder_y(radius: float, half_width: float, centre: Array, uv: Array, sides: int) -> MeshData:
     """A wheel: a cylinder about the y axis; rim vertices map to ``uv[0]``, hubs to ``uv[1]``."""
-    angles = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
-    ring = np.stack([radius * np.sin(angles), np.zeros(sides), radius * np.cos(angles)], axis=-1)
+    up, ahead = radius * unit_circle(sides).T
+    ring = np.stack([ahead, np.zeros(sides), up], axis=-1)
     aside = np.array([0.0, half_width, 0.0])
     left, right = ring + aside, ring - aside
     parts = []

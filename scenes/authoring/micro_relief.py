@@ -16,7 +16,7 @@ from numba import njit
 from touchdown.scenes.api import Array, Bytes, Float32
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.plane import SQUARE, rotated, unit, unit_circle
 from touchdown.scenes.authoring.relief import HeightField
 
 NEUTRAL = 128
@@ -190,15 +190,12 @@ def _shade_slopes(
             tone[row, col] = int(min(max(value, 20.0), 255.0))
 
 
-_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-_TURN = np.linspace(0.0, 2.0 * np.pi, 14, endpoint=False)
-OVAL = unit(_TURN)
+OVAL = unit_circle(14)
 
 
 def placed(at: Array, heading: float, local: Array) -> Array:
     """(N, 2) local points turned by ``heading`` and moved to ``at`` (2,)."""
-    c, s = np.cos(heading), np.sin(heading)
-    return at + local @ np.array([[c, s], [-s, c]])
+    return at + rotated(local, heading)
 
 
 def wander(rng: np.random.Generator, ends_m: Array, sway_m: float) -> Array:
@@ -287,5 +284,5 @@ def vehicle_track(
         way = np.gradient(rut, axis=0)
         for index in range(0, len(rut), 2):
             heading = float(np.arctan2(way[index, 1], way[index, 0]))
-            lug = placed(rut[index], heading + 0.5 * side, _SQUARE * [0.028, 0.11])
+            lug = placed(rut[index], heading + 0.5 * side, SQUARE * [0.028, 0.11])
             fine.press(lug, WHEELS.depth_m + rng.uniform(0.005, 0.02))

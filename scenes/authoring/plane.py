@@ -30,9 +30,11 @@ def unit_circle(steps: int) -> Array:
     return unit(np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False))
 
 
-def level_ring(steps: int, radius: float, z: float) -> Array:
-    """(steps, 3) points of a circle about the origin at a height."""
-    return np.column_stack([radius * unit_circle(steps), np.full(steps, z)])
+def unit_ball(rings: int, sectors: int) -> Array:
+    """(rings * sectors, 3) points of the unit sphere, ring by ring from the pole above."""
+    polar = np.repeat(np.linspace(0.0, np.pi, rings), sectors)
+    turn = np.tile(np.linspace(0.0, 2.0 * np.pi, sectors, endpoint=False), rings)
+    return np.stack([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)], -1)
 
 
 def rotated(points: Array, angle: float) -> Array:

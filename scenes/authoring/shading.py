@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from touchdown.scenes.api import Array, Bytes, Float32
 
@@ -20,6 +21,16 @@ def ragged_texels(*noises: Float32) -> int:
     """The width of blocks over which no edge reaches that ``noises`` make ragged."""
     reach = _FRAY * max(max(float(noise.max()), -float(noise.min())) for noise in noises)
     return max(_BLOCK, int(reach))
+
+
+def mixed_blocks(material: Bytes, side: int) -> NDArray[np.bool_]:
+    """Whether a block of ``side`` texels and its neighbours are of several materials."""
+    rows, cols = (np.arange(0, length, side) for length in material.shape)
+    low = np.minimum.reduceat(np.minimum.reduceat(material, rows, axis=0), cols, axis=1)
+    high = np.maximum.reduceat(np.maximum.reduceat(material, rows, axis=0), cols, axis=1)
+    around = {"size": 3, "mode": "nearest"}
+    near = ndimage.minimum_filter(low, **around) != ndimage.maximum_filter(high, **around)
+    return np.asarray(near)
 
 
 @njit(cache=True, error_model="numpy")
@@ -40,6 +51,7 @@ def shade(
     ragged: Bytes,
     frames: Array,
     texel_m: float,
+    mixed: NDArray[np.bool_],
     side: int,
     salt: int,
 ) -> None:
@@ -47,8 +59,8 @@ def shade(
     ``stain`` (rows, cols) under the light ``bright`` and, where there are any, ``slopes``. All
     noise is addressed so that nothing repeats in step: the tiles ``fine`` and ``coarse`` are turned
     against each other, and grain is hashed from the texel's number. ``base``, ``gains``, ``hues``,
-    ``ragged`` and ``frames`` have a row for each material. ``coarse`` is flat; ``side``: texels of
-    a block, no fewer than `ragged_texels`.
+    ``ragged`` and ``frames`` have a row for each material. ``coarse`` is flat; ``mixed``: see
+    `mixed_blocks`; ``side``: texels of a block, no fewer than `ragged_texels`.
 
     It goes along pieces of rows in loops of few operations, of which the compiler makes vector
     instructions; each texel's numbers are worked out in the same order whatever the piece."""
@@ -56,7 +68,6 @@ def shade(
     tile = fine.shape[0] - 1
     to_patch = (patches.shape[0] - 1.001) / rows
     half = 0.5 * rows * texel_m
-    mixed = _mixed(material, side)
     first_noise, second_noise = np.empty(_PIECE, np.float32), np.empty(_PIECE, np.float32)
     kinds = np.empty(_PIECE, np.uint8)
     tone, grain, colour = np.empty(_PIECE), np.empty(_PIECE), np.empty((3, _PIECE))
@@ -116,35 +127,6 @@ def shade(
                 for k in range(n):
                     tone[k] *= level[k] * (1.0 / 128.0)
             _quantize(image[rows - 1 - row, first:last], colour, tone)
-
-
-@njit(cache=True, error_model="numpy")
-def _mixed(material: Bytes, side: int) -> NDArray[np.bool_]:
-    """Whether a block of ``side`` texels and its neighbours are of several materials."""
-    rows, cols = (material.shape[0] - 1) // side + 1, (material.shape[1] - 1) // side + 1
-    own = np.empty((rows, cols), np.int64)
-    least, most = np.empty(material.shape[1], np.uint8), np.empty(material.shape[1], np.uint8)
-    for i in range(rows):
-        for col in range(least.size):
-            least[col] = most[col] = material[i * side, col]
-        for row in range(i * side + 1, min((i + 1) * side, material.shape[0])):
-            for col in range(least.size):
-                least[col] = min(least[col], material[row, col])
-                most[col] = max(most[col], material[row, col])
-        for j in range(cols):
-            own[i, j] = least[j * side]
-            for col in range(j * side, min((j + 1) * side, least.size)):
-                if least[col] != least[j * side] or most[col] != least[j * side]:
-                    own[i, j] = -1
-    found = np.empty((rows, cols), np.bool_)
-    for i in range(rows):
-        for j in range(cols):
-            found[i, j] = own[i, j] < 0
-            for near_i in range(max(i - 1, 0), min(i + 2, rows)):
-                for near_j in range(max(j - 1, 0), min(j + 2, cols)):
-                    if own[near_i, near_j] != own[i, j]:
-                        found[i, j] = True
-    return found
 
 
 @njit(cache=True, error_model="numpy")

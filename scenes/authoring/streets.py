@@ -124,9 +124,7 @@ def paint_wear(canvas: Canvas, way: Way, rng: np.random.Generator, junction_m: f
                 canvas.soil(band(way, (along, along + 0.5), (edge - 0.2, edge + 0.2)), 215)
     for _ in range(26):
         centre = way.point(rng.uniform(low, high), rng.normal(0.0, 0.3 * half))
-        turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-        radius = rng.uniform(0.08, 0.35) * rng.uniform(0.7, 1.2, 12)
-        blot = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=-1)
+        blot = rng.uniform(0.08, 0.35) * rng.uniform(0.7, 1.2, (12, 1)) * unit_circle(12)
         canvas.soil(centre + blot, int(rng.integers(40, 110)))
 
 
@@ -138,6 +136,12 @@ def _crack(canvas: Canvas, way: Way, rng: np.random.Generator, along: float, acr
     lateral = np.clip(across + path[:, 1], -limit, limit)
     line = np.array([way.point(along + a, c) for a, c in zip(path[:, 0], lateral, strict=True)])
     canvas.trace(line, 0.03 if rng.random() < 0.7 else 0.07, int(rng.integers(130, 230)))
+
+
+def trace_crack(canvas: Canvas, rng: np.random.Generator, start_m: Array) -> None:
+    """A crack that wanders from a point (2,) over a car park."""
+    steps = rng.normal(0.0, 0.25, (24, 2)) + rng.normal(0.0, 0.15, 2)
+    canvas.trace(start_m + np.cumsum(steps, axis=0), 0.03, 170)
 
 
 def smooth_line(corners_m: Array, rounds: int = 5) -> Array:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Array, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder, turned
 from touchdown.scenes.authoring.meshes import MeshData, cylinder_y, polygon
+from touchdown.scenes.authoring.plane import rotated
 from touchdown.scenes.authoring.textures import Colour
 
 CAR_SURFACE = Surface(land_class="other", reflectivity=0.35)
@@ -37,6 +38,9 @@ class CarShape:
     nose_m: float
     """height of the bonnet's front edge"""
 
+
+Models = list[tuple[str, str, CarShape]]
+"""names of mesh and material of each, and its shape"""
 
 SHAPES: dict[str, CarShape] = {"hatch": CarShape(length_m=4.05, width_m=1.76, belt_m=0.92,
              height_m=1.48, screen_x_m=(1.02, 0.30), rear_x_m=(-1.92, -1.52), nose_m=0.72),
@@ -155,7 +159,7 @@ def car_atlas(rng: np.random.Generator, shape: CarShape, paint: Colour) -> NDArr
     return np.clip(atlas, 0, 255).astype(np.uint8)
 
 
-def add_car_models(builder: SceneBuilder, count: int) -> list[tuple[str, str, CarShape]]:
+def add_car_models(builder: SceneBuilder, count: int) -> Models:
     """``count`` differing models: (mesh name, material name, shape)."""
     models = []
     kinds = list(SHAPES)
@@ -175,9 +179,8 @@ def park_car(
 ) -> None:
     """A parked car on the ground at ``xy_m``."""
     mesh, material, shape = model
-    c, s = np.cos(heading), np.sin(heading)
-    wheels = np.array([[x, y] for x in (1.3, -1.3) for y in (0.8, -0.8)]) @ [[c, s], [-s, c]]
-    z = float(builder.terrain.at(xy_m + wheels).mean())
+    wheels = np.array([[x, y] for x in (1.3, -1.3) for y in (0.8, -0.8)])
+    z = float(builder.terrain.at(xy_m + rotated(wheels, heading)).mean())
     origin = np.array([xy_m[0], xy_m[1], z])
     builder.geom("car", CAR_SURFACE, mesh=mesh, material=material, pos=origin, heading=heading)
     builder.cast(turned(car_outline(shape), heading, origin))

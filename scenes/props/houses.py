@@ -17,7 +17,6 @@ from touchdown.scenes.authoring.textures import Colour, facade_bay, flat_roof, r
 WALL = Surface(land_class="building", reflectivity=0.40)
 ROOF = Surface(land_class="building", reflectivity=0.30)
 FLAT_ROOF = Surface(land_class="building", reflectivity=0.25)
-SOLAR = Surface(land_class="building", reflectivity=0.08)
 BAY_M, STOREY_M = 3.0, 2.8
 WALLS: tuple[tuple[Colour, bool], ...] = (
     ((168.0, 92.0, 70.0), True),

@@ -9,7 +9,7 @@ import numpy as np
 from touchdown.scenes.api import Array, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.meshes import box, plate
-from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.plane import rotated, unit
 from touchdown.scenes.props.garden import CLOTH
 from touchdown.scenes.props.street import WOOD, add_post, add_wire
 
@@ -139,8 +139,7 @@ def add_towel(builder: SceneBuilder, xy_m: Array, size_m: tuple[float, float], h
               rgba: list[float]) -> None:  # fmt: skip
     """Adds a thin cloth on the ground (a towel, a blanket)."""
     half = [0.5 * size_m[0], 0.5 * size_m[1], 0.015]
-    c, s = np.cos(heading), np.sin(heading)
     corners = np.array([[sx * half[0], sy * half[1]] for sx in (-1, 1) for sy in (-1, 1)])
-    z = float(builder.terrain.at(xy_m + corners @ np.array([[c, s], [-s, c]])).max())
+    z = float(builder.terrain.at(xy_m + rotated(corners, heading)).max())
     builder.geom("towel", CLOTH, box=half, pos=[*xy_m, z], heading=heading, rgba=rgba)
     builder.claim(xy_m, 0.7)

@@ -158,8 +158,7 @@ def add_pile(builder: SceneBuilder, xy_m: Array, top_m: float, radius_m: float =
     grey = builder.rng.uniform(0.30, 0.42)
     builder.geom("pile", PILE, cylinder=radius_m, fromto=[*xy_m, z - 0.4, *xy_m, top_m],
                  rgba=[grey, 0.88 * grey, 0.74 * grey, 1])  # fmt: skip
-    turn = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
-    ring = radius_m * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
+    ring = np.column_stack([radius_m * unit_circle(8), np.zeros(8)])
     builder.cast(np.concatenate([[*xy_m, z] + ring, [*xy_m, top_m] + ring]))
 
 
@@ -354,8 +353,7 @@ def add_buoy(builder: SceneBuilder, xy_m: Array, radius_m: float, rgba: list[flo
     z = builder.terrain.point(*xy_m)
     at = np.array([*xy_m, z + 0.3 * radius_m])
     builder.geom("buoy", BUOY, ball=radius_m, pos=at, rgba=rgba)
-    turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
-    ring = radius_m * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
+    ring = np.column_stack([radius_m * unit_circle(10), np.zeros(10)])
     builder.cast(np.concatenate([at + ring, at + [[0.0, 0.0, radius_m]]]), 0.9)
     if radius_m > 0.35:
         builder.geom("buoy_pole", BUOY, cylinder=0.05, rgba=rgba,

@@ -3,6 +3,7 @@ meshes and textures."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -12,7 +13,7 @@ from touchdown.scenes.api import Array, Image, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.meshes import MeshData, wrapped
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.plane import draw_heading, pick
+from touchdown.scenes.authoring.plane import draw_heading, pick, unit_ball, unit_circle
 from touchdown.scenes.authoring.textures import (
     TILE_PX,
     Colour,
@@ -184,8 +185,6 @@ SUMMER: tuple[Colour, ...] = ((96.0, 130.0, 56.0), (74.0, 110.0, 52.0), (118.0, 
               (86.0, 118.0, 70.0))  # fmt: skip
 AUTUMN: tuple[Colour, ...] = ((176.0, 136.0, 48.0), (108.0, 124.0, 52.0), (168.0, 98.0, 46.0),
               (140.0, 132.0, 56.0))  # fmt: skip
-CONIFER_HEIGHTS_M = (6.5, 8.5, 10.0, 11.5, 13.0)
-SAPLING_HEIGHTS_M = (1.6, 2.6)
 TRUNKS_M = (2.6, 3.4, 4.2)
 CROWN_RADII_M = (2.3, 3.0, 3.8, 4.6)
 
@@ -230,18 +229,7 @@ def grow_wood(builder: SceneBuilder) -> Wood:
         wood.leaves.append(builder.material(f"trees_leaf_{index}", foliage(rng, tint, (8, 19))))
     wood.bark = builder.material("wood_bark", bark(rng, (104.0, 84.0, 66.0)))
     wood.birch = builder.material("wood_birch", bark(rng, (206.0, 202.0, 192.0)))
-    for prefix, heights, kept in (
-        ("conifer", CONIFER_HEIGHTS_M, wood.conifers), ("sapling", SAPLING_HEIGHTS_M, wood.saplings)
-    ):  # fmt: skip
-        for index, height in enumerate(heights):
-            radius = height * rng.uniform(0.21, 0.25) + 0.45
-            data = conifer_mesh(rng, height, radius)
-            mesh = builder.mesh(f"{prefix}_{index}", data)
-            kept.append(Crown(mesh=mesh, radius_m=radius, height_m=height))
-    for index, crown in enumerate(wood.conifers):
-        top = (0.6 * crown.height_m, 0.03 + 0.008 * crown.height_m)
-        radius = 0.06 + 0.013 * crown.height_m
-        wood.trunks[crown.mesh] = _trunk(builder, f"conifer_trunk_{index}", radius, top)
+    grow_conifers(builder, wood, (6.5, 8.5, 10.0, 11.5, 13.0), (1.6, 2.6), (0.21, 0.25))
     for length in TRUNKS_M:
         top = (length + 1.8, 0.12)
         wood.trunks[trunk_key(length)] = _trunk(builder, trunk_key(length), 0.24, top)
@@ -249,16 +237,46 @@ def grow_wood(builder: SceneBuilder) -> Wood:
         half = radius * np.array([1.0, 1.0, rng.uniform(0.68, 0.85)])
         mesh = builder.mesh(f"canopy_{index}", canopy_mesh(rng, half, 10, 2.6))
         wood.crowns.append(Crown(mesh=mesh, radius_m=radius, height_m=float(half[2])))
-    for index, radius in enumerate((0.55, 0.8, 1.1)):
-        half = radius * np.array([1.0, rng.uniform(0.8, 1.1), 0.8])
-        mesh = builder.mesh(f"shrub_{index}", canopy_mesh(rng, half, 8, 1.8))
-        wood.shrubs.append(Crown(mesh=mesh, radius_m=radius, height_m=float(half[2])))
+    grow_shrubs(builder, wood, (0.55, 0.8, 1.1), 0.8, 1.8)
     for index, (radius, height) in enumerate(((0.16, 0.24), (0.22, 0.34), (0.30, 0.42))):
         profile = np.array([[-0.35, 1.5 * radius], [0.04, 1.35 * radius], [0.14, 1.05 * radius],
                            [height, radius]])  # fmt: skip
         mesh = builder.mesh(f"stump_{index}", lathe(rng, profile, 11, 0.07))
         wood.stumps.append(Crown(mesh=mesh, radius_m=radius, height_m=height))
     return wood
+
+
+def grow_conifers(
+    builder: SceneBuilder,
+    wood: Wood,
+    heights_m: Sequence[float],
+    young_m: Sequence[float],
+    slender: tuple[float, float],
+) -> None:
+    """Adds conifers and saplings of these heights, and trunks for the conifers. slender: bounds of
+    a crown's radius over its height."""
+    rng = builder.rng
+    for prefix, heights, kept in (
+        ("conifer", heights_m, wood.conifers), ("sapling", young_m, wood.saplings)
+    ):  # fmt: skip
+        for index, height in enumerate(heights):
+            radius = height * rng.uniform(*slender) + 0.45
+            mesh = builder.mesh(f"{prefix}_{index}", conifer_mesh(rng, height, radius))
+            kept.append(Crown(mesh=mesh, radius_m=radius, height_m=height))
+    for index, crown in enumerate(wood.conifers):
+        top = (0.6 * crown.height_m, 0.03 + 0.008 * crown.height_m)
+        radius = 0.06 + 0.013 * crown.height_m
+        wood.trunks[crown.mesh] = _trunk(builder, f"conifer_trunk_{index}", radius, top)
+
+
+def grow_shrubs(
+    builder: SceneBuilder, wood: Wood, radii_m: Sequence[float], flat: float, metres_per_uv: float
+) -> None:
+    """Adds shrubs; flat: height over width."""
+    for index, radius in enumerate(radii_m):
+        half = radius * np.array([1.0, builder.rng.uniform(0.8, 1.1), flat])
+        mesh = builder.mesh(f"shrub_{index}", canopy_mesh(builder.rng, half, 8, metres_per_uv))
+        wood.shrubs.append(Crown(mesh=mesh, radius_m=radius, height_m=float(half[2])))
 
 
 def trunk_key(bare_m: float) -> str:
@@ -377,9 +395,5 @@ def quat_of_axis(axis: Array) -> list[float]:
     return [float(v) for v in quat / np.linalg.norm(quat)]
 
 
-_RING = np.stack([np.cos(np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)),
-                 np.sin(np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False))], axis=-1)  # fmt: skip
-_BALL = np.array([
-    [np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)]
-    for t in np.linspace(0.0, np.pi, 6) for p in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
-])  # fmt: skip
+_RING = unit_circle(12)
+_BALL = unit_ball(6, 8)

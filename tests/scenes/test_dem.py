@@ -1,6 +1,5 @@
 """Elevation models: heights, units, holes, aerial images and damaged files."""
 
-import struct
 import warnings
 from pathlib import Path
 from typing import Any
@@ -23,45 +22,12 @@ from support.command import Says
 
 Array = NDArray[np.float64]
 
-METRES = (1, 1, 0, 1, 1024, 0, 1, 1)
-FEET = (1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 2222, 3076, 0, 1, 9002)
-"""EPSG:2222, Arizona East in international feet"""
-DEGREES = (1, 1, 0, 1, 1024, 0, 1, 2)
 
-
-def write_tiff(
-    path: Path, heights: Array, cell: tuple[float, float] = (1.0, 1.0),
-    keys: tuple[int, ...] = METRES, corner: tuple[float, float] = (5000.0, 9000.0),
-    nodata: str = "-9999",
-) -> Path:  # fmt: skip
-    """A float32 GeoTIFF, one strip, row 0 in the north."""
-    pixels = heights.astype("<f4").tobytes()
-    extra = {
-        33550: (12, struct.pack("<3d", *cell, 0.0), 3),
-        33922: (12, struct.pack("<6d", 0, 0, 0, *corner, 0), 6),
-        34735: (3, struct.pack(f"<{len(keys)}H", *keys), len(keys)),
-        42113: (2, nodata.encode() + b"\0", len(nodata) + 1),
-    }
+def write_tiff(path: Path, heights: Array, cell_m: float = 1.0, **profile: Any) -> Path:
+    """A float32 GeoTIFF, row 0 in the north."""
     rows, cols = heights.shape
-    short = {256: cols, 257: rows, 258: 32, 259: 1, 262: 1, 273: 8, 277: 1, 278: rows, 339: 3}
-    entries, blobs = [], b""
-    start = 8 + len(pixels) + 2 + 12 * (len(short) + len(extra) + 1) + 4
-    for tag, value in {**short, 279: len(pixels)}.items():
-        entries.append((tag, struct.pack("<HHII", tag, 4, 1, value)))
-    for tag, (kind, data, count) in extra.items():
-        offset = struct.pack("<I", start + len(blobs))
-        entries.append((tag, struct.pack("<HHI", tag, kind, count) + offset))
-        blobs += data
-    directory = struct.pack("<H", len(entries)) + b"".join(e for _, e in sorted(entries))
-    head = b"II*\0" + struct.pack("<I", 8 + len(pixels))
-    path.write_bytes(head + pixels + directory + b"\0\0\0\0" + blobs)
-    return path
-
-
-def rasterized(path: Path, heights: Array, **profile: Any) -> Path:
-    """A float32 GeoTIFF of cells of 1 m, written by GDAL."""
-    rows, cols = heights.shape
-    profile = {"transform": Affine(1.0, 0.0, 5000.0, 0.0, -1.0, 9000.0), **profile}
+    corner = Affine(cell_m, 0.0, 5000.0, 0.0, -cell_m, 9000.0)
+    profile = {"transform": corner, "nodata": -9999.0, **profile}
     with rasterio.open(
         path, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="float32", **profile
     ) as dataset:
@@ -117,11 +83,13 @@ def test_takeoff_is_on_the_flattest_ground(tmp_path: Path) -> None:
 
 
 def test_cells_in_feet_and_degrees_become_metres(tmp_path: Path) -> None:
-    feet = read_heights(write_tiff(tmp_path / "f.tif", ramp(), (5.0, 5.0), FEET))
+    feet = read_heights(write_tiff(tmp_path / "f.tif", ramp(), 5.0, crs="EPSG:2222"))
     np.testing.assert_allclose(feet.cell_m, 5.0 * 0.3048)
     degree = 1.0 / 36_000.0
-    tif = write_tiff(tmp_path / "d.tif", ramp(), (degree, degree), DEGREES, (11.0, 60.0))
-    degrees = read_heights(tif)
+    corner = Affine(degree, 0.0, 11.0, 0.0, -degree, 60.0)
+    degrees = read_heights(
+        write_tiff(tmp_path / "d.tif", ramp(), transform=corner, crs="EPSG:4326")
+    )
     latitude = np.deg2rad(60.0 - 0.5 * 121 * degree)
     north = METRES_PER_DEGREE * degree
     np.testing.assert_allclose(degrees.cell_m, [north * np.cos(latitude), north])
@@ -141,7 +109,7 @@ def test_cells_in_feet_and_degrees_become_metres(tmp_path: Path) -> None:
 def test_compressed_models_are_read_exactly(tmp_path: Path, profile: dict[str, Any]) -> None:
     heights = ramp()
     heights[3, 5], heights[4, 6] = -5.0, np.nan
-    tif = rasterized(tmp_path / "a.tif", heights, nodata=-5.0, crs="EPSG:32632", **profile)
+    tif = write_tiff(tmp_path / "a.tif", heights, nodata=-5.0, crs="EPSG:32632", **profile)
     raster = read_heights(tif)
     expected = heights.astype(np.float32).astype(np.float64)
     expected[3, 5] = np.nan
@@ -153,7 +121,7 @@ def test_compressed_models_are_read_exactly(tmp_path: Path, profile: dict[str, A
 def test_coarse_models_are_interpolated_smoothly(tmp_path: Path) -> None:
     """A parabola comes back between the cells, which a linear interpolation would miss by 6 cm."""
     heights = np.tile(0.02 * (np.arange(41) - 20.0) ** 2, (41, 1))
-    tif = write_tiff(tmp_path / "c.tif", heights, (5.0, 5.0))
+    tif = write_tiff(tmp_path / "c.tif", heights, 5.0)
     scene = load(import_dem(tif, tmp_path / "out", window_m=150.0))
     base = height_at(scene, 0.0, 0.0)
     for x in (2.5, 12.5, -37.5):
@@ -211,7 +179,7 @@ def _invalid(tmp_path: Path, kind: str) -> Path:
     elif kind == "cut":
         path.write_bytes(write_tiff(path, ramp()).read_bytes()[:5000])
     elif kind == "pixels":
-        path.write_bytes(rasterized(path, ramp(), compress="lzw").read_bytes()[:-5000])
+        path.write_bytes(write_tiff(path, ramp(), compress="lzw").read_bytes()[:-5000])
     return path
 
 

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from touchdown.scenes import cache
+from touchdown.scenes import cache, compose
 from touchdown.scenes.api import ImportOptions, LowSun, Scene
 from touchdown.scenes.authoring.ground import varied_materials
 from touchdown.scenes.cache import cached_scene
@@ -33,7 +33,7 @@ def loads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
             bounds_xy_m=corners, surfaces={}, ground=None, moving=(),
         )  # fmt: skip
 
-    monkeypatch.setattr(cache, "load_scene", load)
+    monkeypatch.setattr(compose, "load_scene", load)
     return found
 
 

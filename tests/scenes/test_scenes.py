@@ -12,7 +12,6 @@ from touchdown.scenes.authoring import ground
 from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.compose import START_GAP_M, load_scene, spec_of_scene
 from touchdown.scenes.export import export_spec
-from touchdown.scenes.places.crossroad.layout import ROAD_DEPTH_M
 from touchdown.scenes.registry import scene_names
 from touchdown.scenes.truth.maps import judge_touchdown, point_slope_deg, truth_maps
 from touchdown.scenes.truth.static_surface import cast_down
@@ -136,15 +135,6 @@ def test_texture_agrees_with_the_class_raster(crossroad: Scene) -> None:
     assert (greenness[flipped == lawn] > 6.0).mean() < 0.85
 
 
-def test_raster_agrees_with_the_relief(crossroad: Scene) -> None:
-    """The roadway lies a kerb's height below the pavement."""
-    maps = truth_maps(crossroad, 0.2, np.array([[-20.0, -20.0], [20.0, 20.0]]))
-    road = maps.height_m[maps.class_id == LAND_CLASSES.index("road")]
-    path = maps.height_m[maps.class_id == LAND_CLASSES.index("path")]
-    drop = float(np.median(path) - np.median(road))
-    assert abs(drop - ROAD_DEPTH_M) < 0.02
-
-
 def test_moving_cars_follow_closed_paths_inside_the_scene(crossroad: Scene) -> None:
     assert 2 <= len(crossroad.moving) <= 3
     for moving in crossroad.moving:
@@ -211,26 +201,6 @@ def test_missing_and_malformed_files(tmp_path: Path) -> None:
         load_scene("crossroad", -1)
     with pytest.raises(ValueError, match="no ground"):
         load_text(tmp_path, "<mujoco><worldbody/></mujoco>")
-
-
-def test_imported_file_gets_classes_takeoff_and_one_warning(tmp_path: Path) -> None:
-    (tmp_path / "model.xml").write_text(
-        """<mujoco><asset><material name="road_wet"/></asset><worldbody>
-        <geom type="plane" size="0 0 1" material="road_wet"/>
-        <geom name="thing" type="sphere" size="1" pos="9 9 1"/>
-        <body name="door" pos="5 0 1"><joint type="hinge"/>
-        <geom name="building_door" size=".3"/></body>
-        <site name="takeoff" pos="2 3 0" euler="0 0 90"/></worldbody></mujoco>"""
-    )
-    with pytest.warns(UserWarning, match="model") as caught:
-        scene = load_scene(str(tmp_path / "model.xml"), 0)
-    assert sum("no known class (thing)" in str(w.message) for w in caught) == 1
-    classes = sorted(surface.land_class for surface in scene.surfaces.values())
-    assert classes == ["building", "other", "road"]
-    np.testing.assert_allclose(scene.takeoff_xy_m, [2.0, 3.0])
-    assert abs(scene.takeoff_yaw - 0.5 * np.pi) < 1e-6
-    assert scene.model.nq == 7
-    assert scene.name == "model"
 
 
 def test_export_opens_again_and_is_the_same_scene(

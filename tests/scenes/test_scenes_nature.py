@@ -1,20 +1,164 @@
-"""`forest` and `turf`: relief, water, meshes."""
+"""Forest, turf, snow, dunes, lake, open water and flat: relief, water, ice, tracks, meshes, and the
+light on fine relief."""
 
+from __future__ import annotations
+
+import mujoco
 import numpy as np
 import pytest
 
-from touchdown.scenes.api import LAND_CLASSES
+from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.micro_relief import (
+    NEUTRAL,
+    SKIS,
+    MicroRelief,
+    Ripples,
+    footprints,
+    parallel,
+    runners,
+    wander,
+)
 from touchdown.scenes.authoring.relief import HeightField
+from touchdown.scenes.authoring.water import WaterLook, lay_water, upsample
+from touchdown.scenes.places import dunes
 from touchdown.scenes.places.forest import layout
 from touchdown.scenes.places.forest.layout import draw_plan
+from touchdown.scenes.places.snow import layout as snow
 from touchdown.scenes.places.turf import level_pools
 from touchdown.scenes.places.turf.airfield import fuselage_mesh
 from touchdown.scenes.props.woods import canopy_mesh, conifer_mesh, lathe
-from touchdown.scenes.truth.maps import truth_maps
+from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
+from touchdown.scenes.truth.static_surface import cast_down, class_ids
 
 from support.places import cached_scene
 
-WATER, TREES = LAND_CLASSES.index("water"), LAND_CLASSES.index("trees")
+FIELD, WATER = LAND_CLASSES.index("field"), LAND_CLASSES.index("water")
+SUN = np.array([0.6, 0.0, -0.8])
+"""Light that travels to the east."""
+
+
+def pond_middle(scene: Scene) -> np.ndarray:
+    ground = scene.ground
+    rows, cols = np.nonzero(ground.class_id == WATER)
+    return ground.origin_xy_m + (np.array([np.median(cols), np.median(rows)]) + 0.5) * ground.cell_m
+
+
+def test_frozen_pond_is_level_water_and_never_safe() -> None:
+    scene = cached_scene("snow", 0)
+    ground = scene.ground
+    assert 80.0 < (ground.class_id == WATER).sum() * ground.cell_m**2 < 350.0
+    verdict = judge_touchdown(scene, pond_middle(scene))
+    assert verdict.slope_deg < 0.5
+    assert not verdict.safe_geometry
+
+
+def slid_m(scene: Scene, geom_name: str) -> float:
+    """Way of a block with the friction of rubber, pushed at 1 m/s over the surface of a geom."""
+    spec = mujoco.MjSpec()
+    ice = scene.model.geom(geom_name)
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[9, 9, 1], friction=ice.friction,
+                            priority=int(ice.priority[0]))  # fmt: skip
+    body = spec.worldbody.add_body(pos=[0, 0, 0.05])
+    body.add_freejoint()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.05], mass=1.0,
+                  friction=[0.9, 0.01, 0.001])  # fmt: skip
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qvel[0] = 1.0
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+    return float(data.qpos[0])
+
+
+def test_ice_is_slippery_and_covers_the_pond() -> None:
+    """v^2 / 2 mu g: 0.64 m on ice, 0.13 m on snow, although the feet are of rubber."""
+    scene = cached_scene("snow", 0)
+    slabs = [n for n in scene.surfaces if n.startswith("water_ice")]
+    middle = pond_middle(scene)
+    over = [
+        n for n in slabs
+        if (np.abs(middle - scene.model.geom(n).pos[:2]) <= scene.model.geom(n).size[:2]).all()
+    ]  # fmt: skip
+    assert len(over) == 1
+    assert slid_m(scene, over[0]) == pytest.approx(0.637, rel=0.1)
+    assert slid_m(scene, "terrain") == pytest.approx(0.127, rel=0.15)
+    # The slab's top is what feet meet, millimetres over what is seen.
+    slab, terrain = scene.model.geom(over[0]), scene.model.geom("terrain")
+    field = scene.model.hfield_data.reshape(snow.NODES, snow.NODES) * scene.model.hfield_size[0, 2]
+    seen = HeightField(heights_m=field + terrain.pos[2], half_m=snow.HALF_M).point(*middle)
+    assert 0.001 < slab.pos[2] + slab.size[2] - seen < 0.008
+
+
+def test_dune_profile_has_the_angle_of_repose_and_a_flat() -> None:
+    phase = np.linspace(0.0, 1.0, 4001)
+    height, slip = dunes.dune_profile(phase, np.full(4001, 2.5), 30.0)
+    slope = np.gradient(height, 30.0 * phase)
+    assert height.max() == pytest.approx(2.5, rel=1e-3)
+    assert (height[phase < 0.29] == 0.0).all()
+    np.testing.assert_allclose(slope[slip > 0.0][2:-2], -np.tan(np.deg2rad(32.0)), rtol=1e-6)
+    assert slope.max() < np.tan(np.deg2rad(18.0))
+
+
+def test_sand_is_nowhere_steeper_than_it_can_lie() -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        plan = dunes.draw_plan(rng)
+        relief = dunes.shape_dunes(rng, plan)
+        rise = np.gradient(relief.terrain.heights_m, relief.terrain.cell_m)
+        steep = np.rad2deg(np.arctan(np.hypot(*rise)))[relief.rock < 0.01]
+        # Steeper than 32 degrees where crests turn and two edges of a cell both lie at repose.
+        assert np.percentile(steep, 99) < 40.0
+        assert 28.0 < np.percentile(steep, 97) < 38.0
+        assert (relief.slip > 0.5).mean() > 0.02
+
+
+def test_light_on_slopes_follows_lambert() -> None:
+    """A plane of 20 % that rises to the east is turned to a sun in the west by 1 + 0.2 * 0.75,
+    over the length of its normal; half of the light is the sky's, highlights count half."""
+    rng = np.random.default_rng(0)
+    bright, dark = 1.0 + 0.5 * (1.15 / np.sqrt(1.04) - 1.0), 0.85 / np.sqrt(1.04)
+    for slope, facing in ((0.2, bright), (-0.2, dark)):
+        fine = MicroRelief(half_m=64.0)
+        size = len(fine.drifts_m)
+        fine.drifts_m[:] = slope * 128.0 / size * np.arange(size, dtype=np.float32)
+        tone = fine.shading(rng, SUN)
+        assert tone[2000, 2000] == pytest.approx(NEUTRAL * (0.5 + 0.5 * facing), abs=1.0)
+    level = MicroRelief(half_m=64.0).shading(rng, SUN)
+    assert (level == NEUTRAL).all()
+
+
+def test_ripples_have_their_wave_length_across_the_wind() -> None:
+    cover = np.ones((8, 8), np.float32)
+    ripples = Ripples(wave_m=0.12, height_m=0.008, wind_angle=0.0, cover=cover)
+    tone = MicroRelief(half_m=64.0).shading(np.random.default_rng(0), SUN, ripples)
+    window = tone[1000:1400, 1000:2024].astype(float) - tone.mean()
+    power = (np.abs(np.fft.rfft(window, axis=1)) ** 2).mean(axis=0)
+    texel = 128.0 / len(tone)
+    wave = 1024 * texel / np.arange(1, len(power))
+    strong = np.average(wave, weights=power[1:] * (wave < 1.0))
+    assert strong == pytest.approx(0.12, rel=0.2)
+    across = (np.abs(np.fft.rfft(window[:, :400], axis=0)) ** 2).mean(axis=1)
+    assert across[:20].sum() > 0.5 * across.sum()  # crests run on along y
+
+
+def test_tracks_press_hollows_with_rims() -> None:
+    rng = np.random.default_rng(0)
+    fine, canvas = MicroRelief(half_m=64.0), Canvas(half_m=64.0)
+    line = wander(rng, np.array([[-10.0, 0.0], [10.0, 0.0]]), 0.0)
+    runners(canvas, fine, line, SKIS, Ground.PACKED_SNOW)
+    column = fine.prints[:, 2560].astype(int) - 128
+    assert column.min() == pytest.approx(-30, abs=3) and column.max() > 2
+    deep = np.flatnonzero(column < -20)
+    gauge = (deep[deep > 2560].mean() - deep[deep < 2560].mean()) * canvas.texel_m
+    assert gauge == pytest.approx(SKIS.apart_m, abs=0.03)
+    footprints(rng, canvas, fine, line + [0.0, 5.0], Ground.PACKED_SNOW)
+    strip = fine.prints[2700:2820].astype(int) - 128
+    assert strip.min() < -55 and strip.max() > 8
+    np.testing.assert_allclose(parallel(line, 0.5)[:, 1], 0.5, atol=1e-9)
+
+
+TREES = LAND_CLASSES.index("trees")
 
 
 def test_forest_is_rugged_and_wooded() -> None:
@@ -86,3 +230,83 @@ def test_meshes_are_wound_outwards() -> None:
     spruce = conifer_mesh(rng, 10.0, 2.4)
     assert spruce.vertices[:, 2].max() == pytest.approx(10.0)
     assert np.hypot(*spruce.vertices[:, :2].T).max() < 1.15 * 2.4
+
+
+RAFT_AND_ISLET = (0, 5)
+"""Seeds of `open_water`"""
+
+
+def around_takeoff(scene: Scene, half_m: float) -> np.ndarray:
+    return np.stack([scene.takeoff_xy_m - half_m, scene.takeoff_xy_m + half_m])
+
+
+def below(scene: Scene, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Heights, geoms and classes of the whole scene, seen from above."""
+    low, high = scene.bounds_xy_m
+    shape = tuple(np.round((high - low)[::-1] / cell_m).astype(int))
+    heights, geoms = cast_down(scene, low, cell_m, (shape[0], shape[1]))
+    return heights, geoms, class_ids(scene, low, cell_m, geoms)
+
+
+def test_lake_water_is_level_and_never_safe() -> None:
+    scene = cached_scene("lake", 0)
+    heights, geoms, classes = below(scene, 0.5)
+    wet = (classes == WATER) & (geoms == scene.model.geom("terrain").id)
+    level = float(np.median(heights[wet]))
+    # Where a bank is steep, the triangle that holds the waterline rises out of the water.
+    assert (np.abs(heights[wet] - level) < 1e-3).mean() > 0.97
+    assert np.abs(heights[wet] - level).max() < 0.25
+    ground = (classes != WATER) & (geoms == scene.model.geom("terrain").id)
+    assert heights[ground].min() > level - 1e-3
+    assert 0.08 < wet.mean() < 0.35
+    maps = truth_maps(scene, 0.25)
+    water = maps.class_id == WATER
+    assert not (maps.safe_geometry & water).any()
+    assert 0.1 < maps.safe.mean() < 0.7
+
+
+@pytest.mark.parametrize("seed", RAFT_AND_ISLET)
+def test_open_water_is_safe_at_the_takeoff_spot_only(seed: int) -> None:
+    scene = cached_scene("open_water", seed)
+    maps = truth_maps(scene, 0.2, around_takeoff(scene, 40.0))
+    rows, cols = np.nonzero(maps.safe)
+    assert 5.0 < len(rows) * 0.04 < 150.0
+    points = maps.origin_xy_m + (np.stack([cols, rows], axis=-1) + 0.5) * maps.cell_m
+    assert np.linalg.norm(points - scene.takeoff_xy_m, axis=1).max() < 8.0
+    assert not (maps.safe_geometry & (maps.class_id == WATER)).any()
+    assert (maps.class_id == WATER).mean() > 0.9
+
+
+def test_flat_is_level_to_the_bit_and_safe_everywhere() -> None:
+    scene = cached_scene("flat", 0)
+    assert np.ptp(scene.model.hfield_data) == 0.0
+    maps = truth_maps(scene, 0.25)
+    assert maps.safe.all()
+    assert np.ptp(maps.height_m) < 1e-4
+    visible = [name for name in scene.surfaces if not name.startswith("vehicle")]
+    assert visible == ["terrain"]
+    image = scene.model.tex_data[-3 * 4_000_000 :]
+    assert image.std() > 15.0
+
+
+def test_water_hides_the_bottom_with_depth() -> None:
+    """Red light is dimmed first: a bright bottom turns from its own colour to the body's."""
+    size = 512
+    depth = np.repeat(np.linspace(-1.0, 8.0, size, dtype=np.float32)[None], size, axis=0)
+    image = np.full((size, size, 3), 200, np.uint8)
+    look = WaterLook(body=(20.0, 60.0, 80.0), clarity_m=(0.5, 1.0, 1.2), ripple=0.2)
+    sun = np.array([0.5, 0.0, -np.sqrt(0.75)])
+    lay_water(np.random.default_rng(1), image, depth, 12.0, look, sun)
+    columns = image.mean(axis=0)
+    dry, shallow, deep = columns[:40], columns[75:80], columns[-60:]
+    assert (dry == 200.0).all()
+    assert (shallow[:, 0].mean() < shallow[:, 2].mean() < 200.0) and shallow[:, 0].mean() > 60.0
+    np.testing.assert_allclose(deep.mean(axis=0), look.body, atol=14.0)
+
+
+def test_upsample_is_the_terrain_s_linear_interpolation() -> None:
+    x, y = np.meshgrid(np.linspace(-4.0, 4.0, 9), np.linspace(-4.0, 4.0, 9))
+    raster = upsample(2.0 * x - 0.5 * y, 64)
+    axis = (np.arange(64) + 0.5) / 8.0 - 4.0
+    col, row = np.meshgrid(axis, axis)
+    np.testing.assert_allclose(raster, 2.0 * col - 0.5 * row, atol=0.03)

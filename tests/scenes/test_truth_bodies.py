@@ -1,4 +1,7 @@
-"""Truth maps against MuJoCo's single rays: geoms on any body, of any type, in any attitude."""
+"""Truth maps against MuJoCo's single rays: geoms on any body, of any type, in any attitude, and
+every shipped scene, of which ``-m slow -s`` prints the figures."""
+
+from __future__ import annotations
 
 from pathlib import Path
 
@@ -7,9 +10,11 @@ import pytest
 
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
-from touchdown.scenes.truth.maps import judge_touchdown
+from touchdown.scenes.registry import scene_names
+from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 from touchdown.scenes.truth.static_surface import cast_points
 
+from support.places import cached_scene
 from support.truth_rays import SingleRays
 
 FORMS = {
@@ -145,3 +150,31 @@ def test_bare_ground_lies_where_its_body_puts_it(tmp_path: Path) -> None:
     assert judged.safe and judged.land_class == "lawn"
     assert judged.slope_deg == pytest.approx(np.degrees(np.arctan(1.4 / 18.0)), abs=0.01)
     assert judged.obstacle_distance_m == pytest.approx(5.5, abs=0.06)
+
+
+BESIDE_M = np.array([1.37e-4, 2.11e-4])
+"""Truth rays aim beside the edges of regular grids."""
+MOST_EDGES = 0.003
+"""share of points; a scene has some hundreds of metres of edges, looked at 4 mm wide"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", scene_names())
+def test_truth_maps_are_those_of_single_rays(name: str) -> None:
+    """10,000 random cells of the map. A cell that holds something narrower than itself has that
+    thing's height, not the one at its centre: counted as well."""
+    scene = cached_scene(name, 0)
+    maps = truth_maps(scene, 0.1)
+    rng = np.random.default_rng(12)
+    cells = np.stack([rng.integers(0, count, 10_000) for count in maps.height_m.shape[::-1]], 1)
+    centres = maps.origin_xy_m + (cells + 0.5) * maps.cell_m
+    heights = maps.height_m[cells[:, 1], cells[:, 0]].astype(np.float64)
+    sampled = cast_points(scene, centres)[0]
+    thin = heights > sampled + 1e-3
+    rays = SingleRays(scene)
+    wrong, edges = rays.disagreements(centres[~thin] + BESIDE_M, heights[~thin])
+    wrong_thin, _ = rays.disagreements(centres[thin] + BESIDE_M, sampled[thin])
+    print(f"{name}: {len(cells)} cells, {wrong.size + wrong_thin.size} differ by more than 1 cm, "
+          f"{edges} at edges, {thin.sum()} with thin things")  # fmt: skip
+    assert wrong.size == 0 and wrong_thin.size == 0
+    assert edges <= MOST_EDGES * len(cells) and thin.sum() <= 0.02 * len(cells)

@@ -10,7 +10,7 @@ from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
-from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.ground import Canvas, Ground, mown_askew
 from touchdown.scenes.authoring.plane import left_of, pick, unit, unit_circle
 from touchdown.scenes.authoring.plots import Plot, scatter
 from touchdown.scenes.authoring.relief import (
@@ -25,7 +25,7 @@ from touchdown.scenes.authoring.relief import (
     smoothstep,
 )
 from touchdown.scenes.authoring.streets import STEP_M, Street, paint_street, smooth_line
-from touchdown.scenes.props.cars import CarShape, add_car_models, park_car
+from touchdown.scenes.props.cars import Models, add_car_models, park_car
 from touchdown.scenes.props.garden import (
     add_crop_rows,
     add_greenhouse,
@@ -136,8 +136,6 @@ def shape_ground(
     heights = level + (heights - level) * smoothstep(half, half + 4.0, distance)
     return level_takeoff(heights, HALF_M, plan.takeoff_xy_m)
 
-
-Models = list[tuple[str, str, CarShape]]
 
 WIDTH_M, YARD_V, DEPTH_M = 21.0, 15.5, 29.0
 """Frontage, depth of the courtyard, and depth of the whole farmstead."""
@@ -274,9 +272,7 @@ def generate(seed: int) -> SceneDraft:
     builder = start_scene("cottage", rng, terrain)
     place_objects(builder, plan, farmsteads)
     canvas = paint_ground(rng, plan, farmsteads, ditch)
-    turned = dict.fromkeys(Ground, plan.frame.angle)
-    turned[Ground.LAWN] = plan.frame.angle + float(rng.uniform(0.2, 1.3))
-    ground = paint_terrain(builder, canvas, turned)
+    ground = paint_terrain(builder, canvas, mown_askew(rng, plan.frame.angle))
     return finish(plan, builder, ground)
 
 
@@ -386,9 +382,7 @@ def plant_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
         add_bush(builder, nursery, spot)
 
 
-def wire_and_park(
-    builder: SceneBuilder, plan: Plan, models: list[tuple[str, str, CarShape]]
-) -> None:
+def wire_and_park(builder: SceneBuilder, plan: Plan, models: Models) -> None:
     """Adds a line of poles beside the lane, a bench, a sign, and a car that blocks half the
     lane."""
     rng, lane = builder.rng, plan.lane

@@ -17,6 +17,7 @@ from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.plane import pick, unit, unit_circle
 from touchdown.scenes.authoring.plots import scatter
 from touchdown.scenes.authoring.relief import Ditch, Pad
+from touchdown.scenes.authoring.streets import trace_crack
 from touchdown.scenes.places.crossroad.layout import (
     HALF_M,
     QUADRANTS,
@@ -30,7 +31,7 @@ from touchdown.scenes.places.crossroad.layout import (
     shape_ground,
     wear_down,
 )
-from touchdown.scenes.props.cars import CarShape, add_car_models, park_car
+from touchdown.scenes.props.cars import Models, add_car_models, park_car
 from touchdown.scenes.props.houses import House, add_house
 from touchdown.scenes.props.plants import (
     Nursery,
@@ -41,8 +42,6 @@ from touchdown.scenes.props.plants import (
     plant_nursery,
 )
 from touchdown.scenes.props.street import add_bench, add_bin, add_fence, add_lamp, add_sign
-
-Models = list[tuple[str, str, CarShape]]
 
 STRAW = Surface(land_class="other", reflectivity=0.5)
 DEPTH_M = 44.0
@@ -172,14 +171,11 @@ class Shop(Theme):
         for bay in np.arange(4.0, 25.0, 2.7):
             for row in (6.5, 18.0):
                 spot = self.at(bay + 1.35 + shift, row) + self.rng.normal(0.0, 0.3, 2)
-                ring = unit_circle(12)
-                canvas.soil(
-                    spot + self.rng.uniform(0.1, 0.4) * ring, int(self.rng.integers(30, 110))
-                )
+                blot = self.rng.uniform(0.1, 0.4) * unit_circle(12)
+                canvas.soil(spot + blot, int(self.rng.integers(30, 110)))
         for _ in range(9):
             start = self.at(self.rng.uniform(3, 33) + shift, self.rng.uniform(4, 20))
-            steps = self.rng.normal(0.0, 0.25, (24, 2)) + self.rng.normal(0.0, 0.15, 2)
-            canvas.trace(start + np.cumsum(steps, axis=0), 0.03, 170)
+            trace_crack(canvas, self.rng, start)
 
     def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None:
         rng, quarter, shift = self.rng, self.quarter, self.shift
@@ -280,10 +276,8 @@ class Common(Theme):
         canvas.fill(np.array([*edge, self.at(70.0, 75.0), self.at(0.8, 75.0)]), Ground.MEADOW)
         canvas.track(self.path, 2.0, Ground.GRAVEL)
         bed = self.at(8.0, 6.0)
-        turn = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
-        ring = np.stack([1.3 * np.cos(turn), 1.3 * np.sin(turn)], axis=-1)
         if float(np.hypot(*(bed - quarter.plan.takeoff_xy_m))) > 7.0:
-            canvas.fill(bed + 1.9 * ring, Ground.MULCH)
+            canvas.fill(bed + 1.9 * (1.3 * unit_circle(40)), Ground.MULCH)
 
     def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None:
         rng, quarter = self.rng, self.quarter

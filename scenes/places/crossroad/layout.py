@@ -24,7 +24,7 @@ from touchdown.scenes.authoring.relief import (
     smoothstep,
 )
 from touchdown.scenes.authoring.streets import add_car, band, paint_wear, path_length
-from touchdown.scenes.props.cars import CAR_SURFACE, CarShape
+from touchdown.scenes.props.cars import CAR_SURFACE, Models
 from touchdown.scenes.props.street import add_kerb
 
 HALF_M = 64.0
@@ -324,7 +324,7 @@ def _cut(
 def add_traffic(
     builder: SceneBuilder,
     plan: Plan,
-    models: list[tuple[str, str, CarShape]],
+    models: Models,
     rng: np.random.Generator,
 ) -> tuple[MovingBody, ...]:
     """Adds two or three cars that drive to the end of a road and come back on the other lane."""

@@ -23,7 +23,7 @@ from touchdown.scenes.authoring.micro_relief import (
     wander,
 )
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
-from touchdown.scenes.authoring.plane import draw_heading, pick, unit
+from touchdown.scenes.authoring.plane import draw_heading, pick, unit, unit_ball
 from touchdown.scenes.authoring.plots import Plot, draw_frame
 from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep
 from touchdown.scenes.authoring.textures import (
@@ -130,10 +130,7 @@ def add_slab(builder: SceneBuilder, land: Scrubland, xy_m: Array, radius_m: floa
     builder.claim(xy_m, radius_m)
 
 
-_BALL = np.array([
-    [np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)]
-    for t in np.linspace(0.0, np.pi, 5) for p in np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
-])  # fmt: skip
+_BALL = unit_ball(5, 10)
 
 
 HALF_M = 64.0

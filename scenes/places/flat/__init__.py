@@ -20,9 +20,9 @@ from touchdown.scenes.authoring.generation import (
     scene_rng,
     start_scene,
 )
-from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.ground import Canvas, Ground, mown_askew
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.plane import pick, unit
+from touchdown.scenes.authoring.plane import SQUARE, pick, rotated, unit
 from touchdown.scenes.authoring.relief import HeightField
 
 NODES = 9
@@ -39,7 +39,7 @@ def generate(seed: int) -> SceneDraft:
     angle = float(rng.uniform(0.0, np.pi))
     paint_parcels(rng, canvas, angle)
     paint_pitch(rng, canvas, takeoff + rng.uniform([18.0, 12.0], [30.0, 26.0]))
-    ground = paint_terrain(builder, canvas, draw_rows(rng, angle))
+    ground = paint_terrain(builder, canvas, mown_askew(rng, angle))
     plan = Takeoff(takeoff_xy_m=takeoff, takeoff_yaw=float(rng.uniform(-0.10, 0.10)))
     return finish(plan, builder, ground, half_m=HALF_M)
 
@@ -99,18 +99,15 @@ def paint_pitch(rng: np.random.Generator, canvas: Canvas, centre_xy_m: Array) ->
     """Paints white lines of a playing field on mown grass."""
     turn = float(rng.uniform(0.0, np.pi))
     half = rng.uniform([15.0, 9.5], [19.0, 12.5])
-    c, s = np.cos(turn), np.sin(turn)
-    axes = np.array([[c, s], [-s, c]])
 
     def world(local: Array) -> Array:
-        return centre_xy_m + np.asarray(local, np.float64) @ axes
+        return centre_xy_m + rotated(np.asarray(local, np.float64), turn)
 
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
-    canvas.fill(world(corners * (half + 2.0)), Ground.LAWN)
+    canvas.fill(world(SQUARE * (half + 2.0)), Ground.LAWN)
     circle = np.linspace(0.0, 2.0 * np.pi, 60)
     ring = 3.2 * unit(circle)
     box = np.array([[0.0, -0.45], [0.24, -0.45], [0.24, 0.45], [0.0, 0.45]])
-    lines = [np.concatenate([corners, corners[:1]]) * half, ring]
+    lines = [np.concatenate([SQUARE, SQUARE[:1]]) * half, ring]
     lines.append(np.array([[0.0, -half[1]], [0.0, half[1]]]))
     for side in (-1.0, 1.0):
         lines.append((np.array([1.0, 0.0]) - box * [1.0, 1.0]) * half * [side, 1.0])
@@ -127,10 +124,3 @@ def _stripe(canvas: Canvas, line_m: Array) -> None:
         way = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
         side = 0.5 * _LINE_M * np.array([-way[1], way[0]])
         canvas.mark(np.array([start - side, end - side, end + side, start + side]), 215)
-
-
-def draw_rows(rng: np.random.Generator, angle: float) -> dict[Ground, float]:
-    """Returns pattern angles: furrows along the parcels, mowing stripes oblique."""
-    rows = dict.fromkeys(Ground, angle)
-    rows[Ground.LAWN] = angle + float(rng.uniform(0.2, 1.3))
-    return rows

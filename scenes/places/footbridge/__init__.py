@@ -17,7 +17,7 @@ from touchdown.scenes.authoring.generation import (
     start_scene,
 )
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
-from touchdown.scenes.authoring.plane import left_of, pick, unit_circle
+from touchdown.scenes.authoring.plane import SQUARE, left_of, pick, unit_circle
 from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.authoring.streets import (
     lane_loop,
@@ -68,7 +68,7 @@ def draw_paths(rng: np.random.Generator, plan: Plan) -> list[Array]:
 def paint_ground(canvas: Canvas, plan: Plan, paths: list[Array], rng: np.random.Generator) -> None:
     """Paints mown lawns about the bridge and the take-off spot, meadows beyond, rough banks, paths,
     and the road or the stream's bed."""
-    canvas.fill(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 2.0 * HALF_M, Ground.MEADOW)
+    canvas.fill(SQUARE * 2.0 * HALF_M, Ground.MEADOW)
     for centre, reach in (
         (plan.takeoff_xy_m, 22.0), (plan.bridge.plot.at(-24.0, 0.0), 24.0),
         (plan.bridge.plot.at(26.0, 0.0), 22.0),

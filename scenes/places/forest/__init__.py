@@ -13,7 +13,7 @@ from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_r
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
-from touchdown.scenes.authoring.plane import pick, unit
+from touchdown.scenes.authoring.plane import SQUARE, pick, rotated, unit
 from touchdown.scenes.authoring.plots import claim_free
 from touchdown.scenes.places.forest.layout import (
     HALF_M,
@@ -429,10 +429,9 @@ def _distance_to(line_m: Array) -> NDArray[np.float32]:
 
 def _plough(canvas: Canvas, plan: Plan, clearing: Clearing) -> None:
     """A game plot: a tilled rectangle in the middle of the clearing."""
-    c, s = np.cos(plan.frame.takeoff_yaw + 0.4), np.sin(plan.frame.takeoff_yaw + 0.4)
-    half = clearing.radius_m * np.array([0.62, 0.50])
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
-    canvas.fill(clearing.centre_xy_m + corners @ np.array([[c, s], [-s, c]]), Ground.SOIL)
+    corners = SQUARE * (clearing.radius_m * np.array([0.62, 0.50]))
+    turned = rotated(corners, plan.frame.takeoff_yaw + 0.4)
+    canvas.fill(clearing.centre_xy_m + turned, Ground.SOIL)
 
 
 def _rut(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:

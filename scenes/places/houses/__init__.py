@@ -10,7 +10,7 @@ from touchdown.scenes.api import Array, MovingBody
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
-from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.ground import Canvas, Ground, mown_askew
 from touchdown.scenes.authoring.plane import pick, unit, unit_circle
 from touchdown.scenes.authoring.plots import Plot, claim_area, scatter
 from touchdown.scenes.authoring.relief import (
@@ -45,7 +45,7 @@ from touchdown.scenes.places.houses.homes import (
     fence_home,
     paint_home,
 )
-from touchdown.scenes.props.cars import CAR_SURFACE, CarShape, add_car_models, park_car
+from touchdown.scenes.props.cars import CAR_SURFACE, Models, add_car_models, park_car
 from touchdown.scenes.props.garden import add_toys
 from touchdown.scenes.props.houses import paint_house_looks, tiled_roof
 from touchdown.scenes.props.plants import Nursery, add_bush, add_small_tree, add_tree, plant_nursery
@@ -256,9 +256,7 @@ def generate(seed: int) -> SceneDraft:
     builder = start_scene("houses", rng, terrain)
     moving = place_objects(builder, plan, rows, green)
     canvas = paint_ground(rng, plan, homes, green)
-    turned = dict.fromkeys(Ground, plan.frame.angle)
-    turned[Ground.LAWN] = plan.frame.angle + float(rng.uniform(0.2, 1.3))
-    ground = paint_terrain(builder, canvas, turned)
+    ground = paint_terrain(builder, canvas, mown_askew(rng, plan.frame.angle))
     return finish(plan, builder, ground, moving=moving)
 
 
@@ -382,9 +380,7 @@ def string_wires(builder: SceneBuilder, plan: Plan, homes: list[Home]) -> None:
             add_sagging_wire(builder, tops[nearest], np.array([*eaves, z]), 0.0, 1)
 
 
-def light_and_park(
-    builder: SceneBuilder, plan: Plan, models: list[tuple[str, str, CarShape]]
-) -> None:
+def light_and_park(builder: SceneBuilder, plan: Plan, models: Models) -> None:
     """Adds lamps along the side streets and cars at their kerbs."""
     rng = builder.rng
     for street in (plan.south, plan.close):
@@ -412,9 +408,7 @@ def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> N
             add_small_tree(builder, nursery, spot, rng.uniform(0.8, 1.1))
 
 
-def add_traffic(
-    builder: SceneBuilder, plan: Plan, models: list[tuple[str, str, CarShape]]
-) -> tuple[MovingBody, ...]:
+def add_traffic(builder: SceneBuilder, plan: Plan, models: Models) -> tuple[MovingBody, ...]:
     """Adds one or two cars on the main street."""
     rng, main = builder.rng, plan.main
     inside = [s for s in np.arange(0.0, main.length_m, 1.0)

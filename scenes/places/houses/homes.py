@@ -12,7 +12,7 @@ from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.plane import pick
 from touchdown.scenes.authoring.plots import Plot, scatter
 from touchdown.scenes.authoring.relief import Pad
-from touchdown.scenes.props.cars import CarShape, park_car
+from touchdown.scenes.props.cars import Models, park_car
 from touchdown.scenes.props.garden import (
     add_crop_rows,
     add_greenhouse,
@@ -27,8 +27,6 @@ from touchdown.scenes.props.plants import Nursery, add_bush, add_hedge, add_smal
 from touchdown.scenes.props.playground import add_swing
 from touchdown.scenes.props.pools import Pool, add_pool, kidney_outline, rectangle_outline
 from touchdown.scenes.props.street import add_bin, add_fence
-
-Models = list[tuple[str, str, CarShape]]
 
 DOOR = Surface(land_class="building", reflectivity=0.35)
 GARDENS = ("pool", "play", "vegetables", "lawn", "orchard")

@@ -11,7 +11,7 @@ from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
-from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.ground import Canvas, Ground, mown_askew
 from touchdown.scenes.authoring.plane import pick, unit, unit_circle
 from touchdown.scenes.authoring.plots import Plot, claim_area, scatter
 from touchdown.scenes.authoring.relief import (
@@ -24,6 +24,7 @@ from touchdown.scenes.authoring.relief import (
     natural_ground,
     raise_mounds,
 )
+from touchdown.scenes.authoring.streets import trace_crack
 from touchdown.scenes.props.cars import add_car_models, park_car
 from touchdown.scenes.props.garden import SHED, add_table
 from touchdown.scenes.props.houses import House, add_house
@@ -420,8 +421,7 @@ def _paint_car_park(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> Non
             canvas.mark(frame.rectangle((u - 0.05, u + 0.05), (low, high)))
     for _ in range(14):
         start = frame.at(rng.uniform(-36, 36), rng.uniform(49, 62))
-        steps = rng.normal(0.0, 0.25, (24, 2)) + rng.normal(0.0, 0.15, 2)
-        canvas.trace(start + np.cumsum(steps, axis=0), 0.03, 170)
+        trace_crack(canvas, rng, start)
 
 
 def generate(seed: int) -> SceneDraft:
@@ -436,7 +436,5 @@ def generate(seed: int) -> SceneDraft:
     build_bath(builder, plan, nursery, shades)
     build_grounds(builder, plan, nursery, shades)
     canvas = paint_all(rng, plan)
-    turned = dict.fromkeys(Ground, plan.frame.angle)
-    turned[Ground.LAWN] = plan.frame.angle + float(rng.uniform(0.2, 1.3))
-    ground = paint_terrain(builder, canvas, turned)
+    ground = paint_terrain(builder, canvas, mown_askew(rng, plan.frame.angle))
     return finish(plan, builder, ground)

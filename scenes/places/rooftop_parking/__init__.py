@@ -14,7 +14,7 @@ from touchdown.scenes.authoring.generation import finish, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground, shade_ground
 from touchdown.scenes.authoring.light import bake_light
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.plane import pick, unit_circle
+from touchdown.scenes.authoring.plane import SQUARE, pick, rotated, unit_circle
 from touchdown.scenes.authoring.relief import (
     NODES,
     HeightField,
@@ -44,12 +44,10 @@ from touchdown.scenes.places.rooftop_parking.deck import (
     paint_deck,
     write_deck,
 )
-from touchdown.scenes.props.cars import CAR_SURFACE, CarShape, add_car_models, park_car
+from touchdown.scenes.props.cars import CAR_SURFACE, Models, add_car_models, park_car
 from touchdown.scenes.props.houses import House, add_house, wall_mesh
 from touchdown.scenes.props.plants import Nursery, add_bush, add_hedge, add_tree, plant_nursery
 from touchdown.scenes.props.street import add_bench, add_lamp
-
-Models = list[tuple[str, str, CarShape]]
 
 WALL = Surface(land_class="building", reflectivity=0.36)
 ROAD_DEPTH_M, GUTTER_M = 0.12, 0.45
@@ -123,12 +121,9 @@ def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.G
         foot = street.point(float(street.nearest(house.centre_xy_m)[1]), 0.0)
         canvas.track(np.array([house.centre_xy_m, foot]), 1.8, Ground.GRAVEL)
     for house in houses:
-        length, width, _ = house.size_m
-        c, s = np.cos(house.angle), np.sin(house.angle)
-        half = 0.5 * np.array([length, width]) + 1.3
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+        corners = SQUARE * (0.5 * np.array(house.size_m[:2]) + 1.3)
         around = Ground.PAVERS if house.ridge_m > 0.0 else Ground.PAVEMENT
-        canvas.fill(house.centre_xy_m + corners @ np.array([[c, s], [-s, c]]), around)
+        canvas.fill(house.centre_xy_m + rotated(corners, house.angle), around)
     apron = plan.low_xy_m - APRON_M, plan.high_xy_m + APRON_M
     canvas.fill(
         plot.rectangle((apron[0][0], apron[1][0]), (apron[0][1], apron[1][1])), Ground.PAVEMENT

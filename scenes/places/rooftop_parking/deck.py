@@ -18,7 +18,7 @@ from touchdown.scenes.authoring.plane import pick, unit_circle
 from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.authoring.streets import Street, smooth_line
-from touchdown.scenes.props.cars import CarShape, park_car
+from touchdown.scenes.props.cars import Models, park_car
 from touchdown.scenes.props.street import STEEL, add_lamp
 
 HALF_M = 64.0
@@ -143,8 +143,6 @@ def draw_plan(rng: np.random.Generator) -> Plan:
 def _on_node(value: float) -> float:
     return round((value + HALF_M) / NODE_M) * NODE_M - HALF_M
 
-
-Models = list[tuple[str, str, CarShape]]
 
 CONCRETE = Surface(land_class="building", reflectivity=0.36)
 UNIT = Surface(land_class="building", reflectivity=0.45)

@@ -11,7 +11,7 @@ from touchdown.scenes.api import Array, Image, Surface
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.meshes import blob
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
-from touchdown.scenes.authoring.plane import draw_heading, pick, unit
+from touchdown.scenes.authoring.plane import draw_heading, pick, rotated, unit, unit_ball
 from touchdown.scenes.authoring.textures import Colour, hedge_or_soil_tint, to_texture
 from touchdown.scenes.places.snow.layout import HALF_M, Plan, Relief
 from touchdown.scenes.props.houses import House, HouseLooks, add_house
@@ -19,15 +19,13 @@ from touchdown.scenes.props.plants import ROCK
 from touchdown.scenes.props.stonework import add_log_pile
 from touchdown.scenes.props.street import add_bench, add_fence
 from touchdown.scenes.props.woods import (
-    Crown,
     Wood,
     add_conifer,
     add_sapling,
     add_shrub,
     bark,
-    canopy_mesh,
-    conifer_mesh,
-    lathe,
+    grow_conifers,
+    grow_shrubs,
     needles,
 )
 
@@ -66,24 +64,8 @@ def grow_winter_wood(builder: SceneBuilder) -> Wood:
     twigs = needles(rng, hedge_or_soil_tint(rng, (96.0, 80.0, 66.0), 0.08))
     wood.leaves.append(builder.material("trees_twigs", laden(rng, twigs, 0.55)))
     wood.bark = builder.material("wood_bark", bark(rng, (92.0, 78.0, 66.0)))
-    for prefix, heights, kept in (
-        ("conifer", (5.0, 7.0, 9.0, 11.0, 12.5), wood.conifers),
-        ("sapling", (1.3, 2.4), wood.saplings),
-    ):
-        for index, height in enumerate(heights):
-            radius = height * rng.uniform(0.19, 0.23) + 0.45
-            mesh = builder.mesh(f"{prefix}_{index}", conifer_mesh(rng, height, radius))
-            kept.append(Crown(mesh=mesh, radius_m=radius, height_m=height))
-    for index, crown in enumerate(wood.conifers):
-        radius = 0.06 + 0.013 * crown.height_m
-        profile = np.array([[-0.7, 1.3 * radius], [0.25, radius],
-                            [0.6 * crown.height_m, 0.03 + 0.008 * crown.height_m]])  # fmt: skip
-        name = f"conifer_trunk_{index}"
-        wood.trunks[crown.mesh] = builder.mesh(name, lathe(rng, profile, 7, 0.06))
-    for index, radius in enumerate((0.5, 0.8)):
-        half = radius * np.array([1.0, rng.uniform(0.8, 1.1), 0.7])
-        mesh = builder.mesh(f"shrub_{index}", canopy_mesh(rng, half, 8, 1.4))
-        wood.shrubs.append(Crown(mesh=mesh, radius_m=radius, height_m=float(half[2])))
+    grow_conifers(builder, wood, (5.0, 7.0, 9.0, 11.0, 12.5), (1.3, 2.4), (0.19, 0.23))
+    grow_shrubs(builder, wood, (0.5, 0.8), 0.7, 1.4)
     return wood
 
 
@@ -132,10 +114,7 @@ def add_snowman(builder: SceneBuilder, xy_m: Array) -> None:
     builder.claim(xy_m, 0.9)
 
 
-_BALL = np.array([
-    [np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)]
-    for t in np.linspace(0.0, np.pi, 5) for p in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
-])  # fmt: skip
+_BALL = unit_ball(5, 8)
 
 
 SNOW = Surface(land_class="field", reflectivity=0.87)
@@ -186,9 +165,8 @@ def _place_hut(builder: SceneBuilder, plan: Plan) -> None:
     size = (6.0, 4.4, 2.3)
     hut = House(centre_xy_m=plan.hut_xy_m, angle=plan.hut_angle, size_m=size, ridge_m=1.9)
     add_house(builder, hut, looks)
-    c, s = np.cos(plan.hut_angle), np.sin(plan.hut_angle)
-    side = np.array([[c, s], [-s, c]])
-    add_log_pile(builder, plan.hut_xy_m + np.array([4.6, 0.8]) @ side, plan.hut_angle + 0.5 * np.pi)
+    aside = rotated(np.array([4.6, 0.8]), plan.hut_angle)
+    add_log_pile(builder, plan.hut_xy_m + aside, plan.hut_angle + 0.5 * np.pi)
 
 
 def _log_wall(rng: np.random.Generator) -> NDArray[np.uint8]:

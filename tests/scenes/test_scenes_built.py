@@ -1,23 +1,97 @@
-"""Scenes with decks above the ground: a roof used as a car park, and a footbridge."""
+"""What cottage, houses, pools, the roof used as a car park and the footbridge are: safe ground,
+classes, water and decks above the ground."""
+
+from __future__ import annotations
 
 import functools
 from typing import Any
 from zlib import crc32
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.api import LAND_CLASSES, Scene, TruthMaps
+from touchdown.scenes.authoring.plots import Plot
+from touchdown.scenes.authoring.streets import STEP_M, Street, smooth_line
 from touchdown.scenes.places.footbridge import bridge as bridge_layout
 from touchdown.scenes.places.rooftop_parking import deck as roof_layout
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 from touchdown.scenes.truth.static_surface import cast_down, class_ids
-from touchdown.sim.airframe.ground_probe import GroundProbe
-from touchdown.sim.airframe.physics import settle_on_ground
 
 from support.places import cached_scene
+
+NAMES = ("cottage", "houses", "pools")
+CELL_M = 0.25
+
+
+@functools.cache
+def survey_maps(name: str, seed: int) -> TruthMaps:
+    """Truth within the rectangle around the standard survey, 50 m ahead and 40 m to the left."""
+    scene = cached_scene(name, seed)
+    yaw = scene.takeoff_yaw
+    ahead = np.array([np.cos(yaw), np.sin(yaw)])
+    left = np.array([-ahead[1], ahead[0]])
+    corners = np.array(
+        [scene.takeoff_xy_m + a * ahead + b * left for a in (0, 50) for b in (0, 40)]
+    )
+    return truth_maps(scene, CELL_M, np.array([corners.min(axis=0), corners.max(axis=0)]))
+
+
+def share(maps: TruthMaps, land_class: str) -> float:
+    return float((maps.class_id == LAND_CLASSES.index(land_class)).mean())
+
+
+def test_cottage_lane_is_level_and_the_meadow_is_not() -> None:
+    maps = survey_maps("cottage", 0)
+    lawn = maps.class_id == LAND_CLASSES.index("lawn")
+    lane = maps.class_id == LAND_CLASSES.index("road")
+    assert np.nanmedian(maps.slope_deg[lane]) < 2.0
+    assert np.nanmedian(maps.slope_deg[lawn]) > 4.0
+    assert (maps.safe_geometry & lane).mean() > 0.01
+    assert not (maps.safe & lane).any()
+    assert share(maps, "building") > 0.02
+
+
+def test_pools_are_water_beside_a_safe_field() -> None:
+    scene, maps = cached_scene("pools"), survey_maps("pools", 0)
+    field = maps.class_id == LAND_CLASSES.index("field")
+    assert share(maps, "water") > 0.05
+    assert (maps.safe & field).sum() > 0.3 * field.sum()
+    water = [name for name, surface in scene.surfaces.items() if surface.water]
+    assert len(water) >= 3
+    assert all(scene.surfaces[name].land_class == "water" for name in water)
+    covers = [name for name, s in scene.surfaces.items() if s.land_class == "water" and not s.water]
+    assert len(covers) == 1
+    # A pool is level to the millimetre: its danger is what it is, not its shape.
+    centre = scene.model.geom(covers[0]).pos[:2]
+    judgement = judge_touchdown(scene, centre)
+    assert judgement.slope_deg < 0.1
+    assert judgement.land_class == "water"
+    assert not judgement.safe_geometry
+
+
+def test_lot_coordinates_invert_and_mirror() -> None:
+    for mirrored in (False, True):
+        plot = Plot(origin_xy_m=np.array([3.0, -2.0]), angle=0.7, mirrored=mirrored)
+        uv = np.array([[0.0, 0.0], [4.0, -1.5], [2.0, 9.0]])
+        np.testing.assert_allclose(plot.coordinates(plot.points(uv)), uv, atol=1e-12)
+        expected = np.array([np.cos(plot.away), np.sin(plot.away)])
+        np.testing.assert_allclose(plot.at(0.0, 1.0) - plot.origin_xy_m, expected, atol=1e-12)
+
+
+def test_street_offsets_and_distances_agree() -> None:
+    line = smooth_line(np.array([[-40.0, 0.0], [0.0, 8.0], [40.0, 0.0]]))
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    np.testing.assert_allclose(steps, STEP_M, rtol=0.01)
+    street = Street(line_m=line, width_m=6.0, pavement_m=2.0)
+    for along in (5.0, 33.0, 60.0):
+        for across in (-4.0, 2.5):
+            distance, where = street.nearest(street.point(along, across))
+            assert abs(float(distance) - abs(across)) < 0.05
+            assert abs(float(where) - along) < 0.6
+    assert abs(float(street.kerb_distance(street.point(20.0, 3.0)))) < 0.05
+
 
 Array = NDArray[np.float64]
 
@@ -123,13 +197,3 @@ def test_below_the_bridge_is_a_road_or_water(seed: int) -> None:
         [plan.course.point(60.0, s * (plan.floor_m + 0.5 * plan.bank_m)) for s in (-1, 1)]
     )
     assert not any(judge_touchdown(scene, bank).safe_geometry for bank in banks)
-
-
-def test_probe_and_vehicle_stand_on_the_roof() -> None:
-    scene = cached_scene("rooftop_parking", 0)
-    data = mujoco.MjData(scene.model)
-    settle_on_ground(scene, data)
-    probe = GroundProbe(scene.model)
-    above = np.array([*scene.takeoff_xy_m, 30.0])
-    assert probe.clearance(data, above) == pytest.approx(30.0, abs=0.01)
-    assert data.qpos[2] == pytest.approx(scene.model.qpos0[2], abs=0.01)
