@@ -221,10 +221,8 @@ def _paint_bars(
         whiskers = np.array([_whiskers(e) for e in by_scene.values()]).reshape(-1, 2).T
         label = f"{method} {SET_MARK}" if is_marked(column, [method]) else method
         colour = colour_of(method, methods)
-        axes.bar(at, heights, 0.9 * width, color=colour, label=label)
-        axes.errorbar(
-            at, heights, yerr=whiskers, fmt="none", ecolor=INK, elinewidth=0.9, capsize=2.0
-        )
+        axes.bar(at, heights, 0.9 * width, color=colour, label=label, yerr=whiskers, ecolor=INK,
+                 capsize=2.0)  # fmt: skip
     all_found = [estimate.value for own in found.values() for estimate in own.values()]
     positive = [height for height in all_found if height > 0.0]
     if positive and max(positive) > 20.0 * min(positive):

@@ -17,7 +17,7 @@ from typing import Any
 
 from touchdown.experiments.io.run_directory import move_beside, write_text
 from touchdown.experiments.io.untrusted import read_object
-from touchdown.experiments.reproduce.plans import Recognition
+from touchdown.experiments.reproduce.plans import Recognition, on_gpu
 from touchdown.landing.classification.networks.registry import FIXED_SIZE
 from touchdown.sim.files.child import die_with_parent
 from touchdown.sim.files.opening import no_file
@@ -129,7 +129,7 @@ def _render(folder: Path, size: Recognition, jobs: int, notes: Notes) -> None:
 
 def _train(todo: Sequence[Training], jobs: int, notes: Notes) -> None:
     """Trains the given networks; resumes interrupted trainings."""
-    if jobs == 1 or len(todo) <= 1 or _on_gpu():
+    if jobs == 1 or len(todo) <= 1 or on_gpu():
         for training in todo:
             notes(f"training {training.name}")
             _trained(training, notes)
@@ -169,12 +169,6 @@ def _use_one_thread() -> None:
     import torch
 
     torch.set_num_threads(1)
-
-
-def _on_gpu() -> bool:
-    import torch
-
-    return torch.cuda.is_available()
 
 
 def _ignore(*_progress: object) -> None:

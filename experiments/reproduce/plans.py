@@ -5,10 +5,9 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.util
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from touchdown.experiments.campaign.forecast import stated_core_s
 from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, load_plan
@@ -58,7 +57,10 @@ class Extent:
 
     @property
     def edition(self) -> Edition:
-        return edition(quick=self.quick)
+        """The edition for this machine."""
+        if self.quick:
+            return QUICK
+        return WHOLE_ON_GPU if on_gpu() else WHOLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,15 +129,8 @@ QUICK = Edition(
 )  # fmt: skip
 
 
-def edition(*, quick: bool) -> Edition:
-    """Edition for this machine."""
-    if quick:
-        return QUICK
-    return WHOLE_ON_GPU if _gpu() else WHOLE
-
-
 @functools.cache
-def _gpu() -> bool:
+def on_gpu() -> bool:
     if importlib.util.find_spec("torch") is None:
         return False
     import torch
@@ -143,17 +138,8 @@ def _gpu() -> bool:
     return bool(torch.cuda.is_available())
 
 
-_QUICK_RUNS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
-    "positioning": lambda run: run["scene"] == ANALYSED_SCENE,
-    "landing": lambda run: run["scene"] == ANALYSED_SCENE,
-    "zou2024_sites": lambda run: run["scene"] == "rooftop_parking",
-    "zou2024": lambda run: (
-        run["scene"] == ANALYSED_SCENE and run["landing.flatness_form"] == "corrected"
-    ),
-    "real_sites": lambda run: run["scene"] == "footbridge",
-    "commanded_site": lambda run: run["scene"] == ANALYSED_SCENE,
-}
-"""Selects the runs of the quick edition among those of the first seed of each campaign."""
+_QUICK_SCENES = {"zou2024_sites": "rooftop_parking", "real_sites": "footbridge"}
+"""Scenes of the quick edition by campaign, where it is not the one that the paper analyses."""
 
 
 @functools.cache
@@ -165,9 +151,13 @@ def plan_of(campaign: str, *, quick: bool) -> Plan:
     plan = load_plan(PLANS / f"{campaign}.toml")
     if not quick:
         return plan
-    wanted = _QUICK_RUNS[campaign]
-    first = min(run.values["seed"] for run in plan.runs)
-    runs = [run for run in plan.runs if run.values["seed"] == first and wanted(run.values)]
+    wanted = {
+        "scene": _QUICK_SCENES.get(campaign, ANALYSED_SCENE),
+        "seed": min(run.values["seed"] for run in plan.runs),
+    }
+    if campaign == "zou2024":
+        wanted["landing.flatness_form"] = "corrected"
+    runs = [run for run in plan.runs if wanted.items() <= run.values.items()]
     # The longest run first, so that the workers end at nearly the same time.
     runs.sort(key=lambda run: -_cost(plan.mode, run))
     return replace(plan, runs=tuple(runs), record="none")

@@ -1,26 +1,143 @@
-"""Writing the tables into the pages, between markers that nobody else writes between."""
+"""``docs/results/results.json``, the rows behind the tables with the revision of their flights, and
+the tables in the pages, between markers that nobody else writes between."""
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.campaign.results_table import CRASHED, is_campaign, load_rows
+from touchdown.experiments.errors import UsageError, reason_of
+from touchdown.experiments.io.provenance import DIRTY, UNRECORDED_REMEDY
 from touchdown.experiments.io.run_directory import write_text
+from touchdown.experiments.io.untrusted import read_object
 from touchdown.experiments.reporting.flights import frame_of
 from touchdown.experiments.results_tables import tables
-from touchdown.experiments.results_tables.record import (
-    FILE,
-    SHORT,
-    Record,
-    merged,
-    read_record,
-    record_of,
-    record_text,
-)
 from touchdown.experiments.results_tables.sets import ROOT, SETS, FlightSet
+
+FILE = "docs/results/results.json"
+FORMAT = "touchdown-results-1"
+SHORT = "short"
+"""The set whose table states its own revision beside that of the flights it is compared with."""
+_FIGURES = 6
+"""significant figures of a stored number"""
+
+COLUMNS = (
+    "run_id", "scene", "estimator", "seed", "profile", "outcome", "ground_safe",
+    "position_error_m.mean", "position_error_m.max", "trajectory_error_m", "nees.below_14_2",
+    "landing.target_offset_m", "landing.vertical_speed_mps", "landing.vertical_accel_mps2",
+    "landing.slope_deg", "landing.estimate_error_at_commit_m",
+    "map.levelness_error_deg.mean", "map.levelness_error_deg.max", "cpu_s",
+)  # fmt: skip
+
+Row = Mapping[str, Any]
+Record = dict[str, dict[str, Any]]
+"""Sets by `FlightSet.key`: revision, date, plan, command, rows"""
+
+
+def read_record(root: Path) -> Record:
+    """The sets of the file; none where it does not exist. Raises UsageError where it is damaged."""
+    file = root / FILE
+    if not file.is_file():
+        return {}
+    try:
+        tree = read_object(file)
+        if tree["format"] != FORMAT:
+            raise ValueError(f"its format is {tree['format']!r}, not {FORMAT!r}")
+        return dict(tree["sets"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"'{file}' is damaged: {reason_of(error)}; restore it from git") from error
+
+
+def record_of(found: FlightSet, directory: Path) -> dict[str, Any]:
+    """The part of the file for a set that is flown to its end. Raises UsageError for rows that are
+    missing, of several revisions, or of a source tree with changes."""
+    plan = found.plan()
+    rows = load_rows(directory) if is_campaign(directory) else []
+    planned = [run.run_id for run in plan.runs]
+    by_name = {row["run_id"]: row for row in rows}
+    missing = [name for name in planned if name not in by_name]
+    if missing:
+        raise UsageError(
+            f"'{directory}': {len(missing)} of {len(planned)} flights are missing, such as "
+            f"'{missing[0]}'; give the command again to fly them"
+        )
+    own = [by_name[name] for name in planned]
+    return {
+        "revision": _revision(own, directory),
+        "date": max(str(row["started_utc"] or "") for row in own)[:10],
+        "plan": found.file,
+        "command": found.command,
+        "core_hours": _short(sum(row["cpu_s"] or 0.0 for row in own) / 3600.0),
+        "rows": [_stored(row) for row in own],
+    }
+
+
+def _revision(rows: Sequence[Row], directory: Path) -> str:
+    revisions = sorted({str(row["git_revision"] or "") for row in rows})
+    if "" in revisions:
+        lacking = next(row for row in rows if not row["git_revision"])
+        raise UsageError(
+            f"'{directory}': '{lacking['run_id']}' has no git revision: {UNRECORDED_REMEDY}"
+        )
+    if len(revisions) > 1:
+        names = ", ".join(name[:12] for name in revisions)
+        raise UsageError(
+            f"'{directory}' holds flights of {len(revisions)} revisions ({names}); a page is of "
+            "one: fly all of them into a new --out"
+        )
+    if revisions[0].endswith(DIRTY):
+        raise UsageError(
+            f"'{directory}': the flights are of revision {revisions[0][:12]} with changes "
+            "that were not committed; commit them, and fly into a new --out"
+        )
+    return revisions[0]
+
+
+def _stored(row: Row) -> dict[str, Any]:
+    kept = {key: _short(row[key]) for key in COLUMNS if row.get(key) is not None}
+    if row["outcome"] == CRASHED or row.get("reason"):
+        kept["reason"] = str(row["reason"])
+    return kept
+
+
+def _short(value: Any) -> Any:
+    return float(f"{value:.{_FIGURES}g}") if isinstance(value, float) else value
+
+
+def merged(before: Record, new: Record) -> Record:
+    """The sets of ``before`` with those of ``new`` in their places. Raises UsageError where the
+    sets of a profile but `SHORT` would be of several revisions: a page prints several of them."""
+    record = {**before, **new}
+    for profile in {key.partition("/")[0] for key in new}:
+        names = sorted(key for key in record if key.partition("/")[0] == profile)
+        own = {key: record[key] for key in names if key != f"{profile}/{SHORT}"}
+        if len({entry["revision"] for entry in own.values()}) > 1:
+            named = ", ".join(f"{key} {entry['revision'][:12]}" for key, entry in own.items())
+            raise UsageError(
+                f"the sets of profile '{profile}' would be of several revisions ({named}); fly all "
+                "of them at one revision, without --only"
+            )
+    return record
+
+
+def record_text(record: Record) -> str:
+    """The text of the file, a row a line."""
+    parts = []
+    for key in sorted(record):
+        entry = dict(record[key])
+        rows = ",\n".join(f"   {json.dumps(row, ensure_ascii=False)}" for row in entry.pop("rows"))
+        head = json.dumps(entry, ensure_ascii=False)[1:-1]
+        parts.append(f'  {json.dumps(key)}: {{{head}, "rows": [\n{rows}]}}')
+    body = ",\n".join(parts)
+    return f'{{"format": {json.dumps(FORMAT)},\n "sets": {{\n{body}}}}}\n'
+
+
+# ------------------------------------------------------------------------------------------- pages
 
 
 @dataclass(frozen=True, slots=True)

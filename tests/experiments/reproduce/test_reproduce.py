@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,9 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reproduce import plans
 from touchdown.experiments.reproduce import run as reproduce
-from touchdown.experiments.reproduce.items import ITEMS
-from touchdown.experiments.reproduce.networks import _trainings
+from touchdown.experiments.reproduce.items import ITEMS, item_table, measured
+from touchdown.experiments.reproduce.networks import PICTURES, _trainings, train_and_score
+from touchdown.experiments.reproduce.state import PartState
 from touchdown.experiments.reproduce.steps import PARTS, part_named
 from touchdown.experiments.reproduce.tables import claim_table
 from touchdown.landing.classification.networks.registry import check_network
@@ -258,3 +260,56 @@ def test_recognition_needs_torch_or_to_be_skipped(
 def test_two_reproductions_in_one_directory_are_refused(world: World, tmp_path: Path) -> None:
     with reproduce._locked(tmp_path), pytest.raises(UsageError, match="another reproduction"):
         run_quick(tmp_path)
+
+
+# ------------------------------------------------------------------------------------------- items
+
+
+def state(part: str, **changes: Any) -> PartState:
+    given: dict[str, Any] = {
+        "part": part, "edition": "whole", "settings": {}, "figures": {}, "why": "", "error": "",
+        "wall_s": 1.0, "finished_utc": "", "git_revision": "0123abc",
+    }  # fmt: skip
+    return PartState(**given | changes)
+
+
+BY_NAME = {item.name: item for item in ITEMS}
+WHOLE = {part.name: state(part.name) for part in PARTS}
+
+
+def test_what_is_measured_follows_the_state_of_the_part() -> None:
+    item = BY_NAME["Fig. 12"]
+    assert measured(item, state("commanded_site")) == "yes"
+    assert measured(item, None) == "no: its part was left out"
+    assert measured(item, state("x", error="no disk")).endswith("with an error, no disk")
+    assert measured(item, state("x", edition="quick")).startswith("in part: quick edition")
+    assert measured(item, state("x", why="2 unsafe")) == "in part: 2 unsafe"
+    found = measured(BY_NAME["Table 2"], state("x"))
+    assert found.startswith("in part") and "set by `gps.preset`" in found
+
+
+def test_everything_that_is_not_whole_has_a_reason() -> None:
+    table = item_table(WHOLE)
+    assert len(table.rows) == 17
+    for row in table.rows:
+        for cell in row[-2:]:
+            assert cell.text == "yes" or ": " in cell.text, row[0].text
+    left_out = item_table({})
+    assert {row[-1].text for row in left_out.rows if row[0].text == "Table 5"} == {
+        "no: not measured"
+    }
+
+
+# ---------------------------------------------------------------------------------------- networks
+
+
+def test_a_failed_training_gives_its_reason(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    (tmp_path / PICTURES / "lawn").mkdir(parents=True)
+    two = ("mobilenet_v3_large", "resnet18")
+    size = replace(
+        plans.QUICK.recognition, networks=two, labels=("d_land",), image_size=32, epochs=1
+    )
+    with pytest.raises(UsageError, match="is empty: it holds no image"):
+        train_and_score(tmp_path, size, [], {}, 2, lambda note: None)

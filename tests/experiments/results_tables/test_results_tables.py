@@ -13,13 +13,15 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.flights import frame_of
 from touchdown.experiments.results_tables import sets, tables
-from touchdown.experiments.results_tables.pages import BLOCKS, write_pages, written
-from touchdown.experiments.results_tables.record import (
+from touchdown.experiments.results_tables.pages import (
+    BLOCKS,
     FILE,
     merged,
     read_record,
     record_of,
     record_text,
+    write_pages,
+    written,
 )
 from touchdown.experiments.results_tables.sets import ROOT, SETS, FlightSet
 
