@@ -45,7 +45,7 @@ class Controller(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ControlParams:
-    """Closed-loop bandwidths, which ``controller/gains.py`` turns into PID gains."""
+    """Closed-loop bandwidths, which ``controller/pid.py`` turns into PID gains."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -54,7 +54,7 @@ class ControlParams:
     controller"""
     control_hz: Count = 200
     """rate of the control loop, sim.tick_hz / sim.control_ticks"""
-    max_tilt_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 35.0
+    max_tilt_deg: Annotated[float, Interval(gt=0.0, lt=60.0)] = 35.0
     """largest tilt that is commanded"""
     motor_response_s: ClassVar[float] = 0.012
     """time constant of the rotors behind the lead that speeds them up"""

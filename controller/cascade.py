@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from touchdown.controller.api import ControlParams, Setpoint
 from touchdown.controller.disturbance import DisturbanceObserver
-from touchdown.controller.gains import cascade_gains
 from touchdown.controller.mixer import Mixer, MotorLead
-from touchdown.controller.pid import VectorPid
+from touchdown.controller.pid import VectorPid, cascade_gains
 from touchdown.estimator.api import Estimate
 from touchdown.sim.api import GRAVITY_MPS2, Command, VehicleModel
 
@@ -37,8 +36,6 @@ class CascadeController:
     """
 
     def __init__(self, vehicle: VehicleModel, params: ControlParams) -> None:
-        if not 0.0 < params.max_tilt_deg < 60.0:
-            raise ValueError(f"max_tilt_deg is {params.max_tilt_deg:g}; choose it between 0 and 60")
         step_s = 1.0 / params.control_hz
         gains = cascade_gains(params)
         self._vehicle = vehicle

@@ -11,18 +11,17 @@ prints the margins.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.controller.api import ControlParams
-from touchdown.controller.gains import CascadeGains, cascade_gains
 from touchdown.controller.mixer import lead_coefficients
+from touchdown.controller.pid import CascadeGains, cascade_gains
 from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
 
-Array = NDArray[np.float64]
 System = Any
 """A discrete ``control.StateSpace``; python-control is slow to import, so only functions do."""
 
@@ -72,31 +71,25 @@ def loop_margins(vehicle: VehicleModel, params: ControlParams) -> list[LoopMargi
     return rows
 
 
-def closed_loop_poles(vehicle: VehicleModel, params: ControlParams) -> Array:
-    """(n,) complex poles in the z plane of the three complete cascades: tilt, yaw, height."""
-    poles = []
-    for _, plant, stages in _chains(vehicle.motor_time_constant_s, params):
-        for stage in stages:
-            plant = _closed(plant, stage)
-        poles.append(plant.poles())
-    return np.concatenate(poles)
-
-
 # --------------------------------------------------------------------------------- the cascades
 
 
 def _chains(motor_s: float, params: ControlParams) -> list[tuple[str, System, list[_Stage]]]:
     """Roll and pitch with the horizontal motion that they steer (both alike), yaw, and height."""
-    gains = cascade_gains(params)
+    gains, g = cascade_gains(params), GRAVITY_MPS2
+    tilt: list[list[float]] = [[0, 1, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0], [0, 0, 0, 0, 1]]
+    tilt.append([0, 0, g, 0, 0])
+    yaw, height = [[0, 1, 0], [0, 0, 1]], [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
     return [
-        ("roll/pitch", _tilt_plant(motor_s, params), _tilt_stages(gains, params)),
-        ("yaw", _yaw_plant(motor_s, params), _yaw_stages(gains, params)),
-        ("thrust", _height_plant(motor_s, params), _height_stages(gains, params)),
+        ("roll/pitch", _plant(motor_s, params, [1, 1, g, 1], tilt), _tilt_stages(gains, params)),
+        ("yaw", _plant(motor_s, params, [1, 1], yaw), _yaw_stages(gains, params)),
+        ("thrust", _plant(motor_s, params, [1, 1], height), _height_stages(gains, params)),
     ]
 
 
 def _tilt_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
-    """Outputs of the plant: rate, angle, velocity, position, acceleration."""
+    """Demands an angular acceleration. Outputs of the plant: rate, angle, velocity, position,
+    acceleration."""
     step_s, outputs = 1.0 / params.control_hz, 5
     attitude = _gain([[gains.attitude[0]]], step_s)
     velocity = _pi(gains.velocity.kp[0], gains.velocity.ki[0], step_s)
@@ -123,7 +116,7 @@ def _rate_stage(name: str, gains: CascadeGains, axis: int, outputs: int, step_s:
 
 
 def _yaw_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
-    """Outputs of the plant: rate, angle."""
+    """Demands an angular acceleration. Outputs of the plant: rate, angle."""
     step_s = 1.0 / params.control_hz
     attitude = _gain([[gains.attitude[2]]], step_s)
     return [
@@ -133,7 +126,7 @@ def _yaw_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
 
 
 def _height_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
-    """Outputs of the plant: velocity, position, acceleration."""
+    """Demands an acceleration. Outputs of the plant: velocity, position, acceleration."""
     step_s = 1.0 / params.control_hz
     velocity = _pi(gains.velocity.kp[2], gains.velocity.ki[2], step_s)
     damping = _gain([[0.0, 0.0, gains.velocity.kd[2]]], step_s)
@@ -147,29 +140,8 @@ def _height_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
 # ----------------------------------------------------------------------------------- the plants
 
 
-def _tilt_plant(motor_s: float, params: ControlParams) -> System:
-    """Angular acceleration demanded -> rate, angle, velocity, position, acceleration."""
-    return _plant(
-        motor_s,
-        params,
-        links=[1.0, 1.0, GRAVITY_MPS2, 1.0],
-        rows=[[0, 1, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0], [0, 0, 0, 0, 1],
-              [0, 0, GRAVITY_MPS2, 0, 0]],
-    )  # fmt: skip
-
-
-def _yaw_plant(motor_s: float, params: ControlParams) -> System:
-    """Angular acceleration demanded -> rate, angle."""
-    return _plant(motor_s, params, links=[1.0, 1.0], rows=[[0, 1, 0], [0, 0, 1]])
-
-
-def _height_plant(motor_s: float, params: ControlParams) -> System:
-    """Acceleration demanded -> velocity, position, acceleration."""
-    return _plant(motor_s, params, links=[1.0, 1.0], rows=[[0, 1, 0], [0, 0, 1], [1, 0, 0]])
-
-
 def _plant(
-    motor_s: float, params: ControlParams, links: list[float], rows: list[list[float]]
+    motor_s: float, params: ControlParams, links: Sequence[float], rows: Sequence[Sequence[float]]
 ) -> System:
     """The motor's lag followed by one integrator per link, ``rows`` picking outputs from these
     states; sampled, behind the lead and a sample of delay."""

@@ -64,18 +64,10 @@ class FlownImuParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class EstimatorParams:
-    """What all estimators with an inertial filter have."""
+class CalibratedParams:
+    """Errors of scans and of the given calibration, which are part of the filter's state."""
 
     __pydantic_config__ = FORBID_EXTRA
-
-    correction_time_s: ClassVar[float] = 0.15
-    """a correction of the filter reaches control over this time"""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CalibratedParams(EstimatorParams):
-    """Errors of scans and of the given calibration, which are part of the filter's state."""
 
     use_calibration: bool = True
     """the LIDAR's mount, the lens and the camera's clock are estimated online"""
@@ -306,8 +298,10 @@ class Zou2024Params(CalibratedParams):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class NavigationParams(EstimatorParams):
+class NavigationParams:
     """What the baselines with magnetometer and barometer have."""
+
+    __pydantic_config__ = FORBID_EXTRA
 
     heading_sigma_deg: ClassVar[float] = 5.0
     """standard deviation of one reading of the magnetometer, ten a second"""
@@ -370,8 +364,10 @@ class HybridFlowParams(FlowParams):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StereoParams(EstimatorParams):
+class StereoParams:
     """Visual odometry on the stereo pair and the IMU (``estimator/baselines/stereo.py``)."""
+
+    __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
     """image rate; a divisor of the camera's clock"""

@@ -20,7 +20,7 @@ from touchdown.sim.api import GpsFix, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
 _UNKNOWN_M2 = 1e6
-_PATIENCE_S = 2.0
+_FIX_TIMEOUT_S = 2.0
 """time without a fix after which the estimate is unhealthy"""
 
 
@@ -136,7 +136,7 @@ class SatelliteAiding:
 
     def healthy(self, time_s: float) -> bool:
         """True if a recent fix exists."""
-        return time_s - self._last_s < _PATIENCE_S
+        return time_s - self._last_s < _FIX_TIMEOUT_S
 
     def estimate(self, obs: Observation, diagnostics: dict[str, float]) -> Estimate:
         """Returns the present estimate, in the world frame given by the fixes."""
@@ -158,7 +158,7 @@ class GpsEstimator:
     def __init__(self, rig: SensorRig, params: GpsEstimatorParams | None = None) -> None:
         params = params or GpsEstimatorParams()
         self._nav = Navigator(
-            rig, self.needs, known_start=False, correction_time_s=params.correction_time_s,
+            rig, self.needs, known_start=False,
             heading_sigma_deg=params.heading_sigma_deg, baro_sigma_m=params.baro_sigma_m,
         )  # fmt: skip
         self._satellites = SatelliteAiding(self._nav, FollowingAnchor(params.follow_period_s))

@@ -20,9 +20,9 @@ from touchdown.estimator.baselines.ground_flow import (
     solve_displacement,
     update_with_displacement,
 )
+from touchdown.estimator.baselines.image_motion import Shift, phase_shift
 from touchdown.estimator.baselines.navigator import Navigator
-from touchdown.estimator.baselines.phase_correlation import Shift, phase_shift
-from touchdown.estimator.filtering.rolling_shutter import (
+from touchdown.estimator.filtering.camera_model import (
     STATIONARY,
     CameraTwist,
     ShutterModel,
@@ -95,7 +95,7 @@ class HybridFlowEstimator:
             barometer=True,
         )  # fmt: skip
         self._nav = Navigator(
-            rig, self.needs, known_start=False, correction_time_s=params.correction_time_s,
+            rig, self.needs, known_start=False,
             heading_sigma_deg=params.heading_sigma_deg, baro_sigma_m=params.baro_sigma_m,
         )  # fmt: skip
         anchor = WanderingAnchor(
@@ -130,9 +130,7 @@ class HybridFlowEstimator:
         self._twist = self._nav.filter.camera_twist(image)
         if self._before is not None and not self._nav.stationary:
             self._measure(self._before, level, attitude)
-        if eskf.clones:
-            eskf.remove_clone(0)
-        eskf.add_clone()
+        self._nav.renew_clone()
         self._before, self._attitude_before = level, attitude
         self._twist_before = self._twist
         camera = eskf.state.pose @ self._imu_from_camera

@@ -1,40 +1,127 @@
-"""The inertial filter of the baselines, and the processing that they share."""
+"""The inertial filter of the baselines: order of their messages, alignment, heading and height."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from touchdown.estimator.api import Estimate, ImageThinning
 from touchdown.estimator.baselines.aiding import BaroHeight, heading_of, update_heading
-from touchdown.estimator.baselines.epochs import Epoch, EpochQueue
+from touchdown.estimator.filtering.camera_model import Undistorter, at_middle_row
 from touchdown.estimator.filtering.error_state import ROTATION
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
-from touchdown.estimator.filtering.rolling_shutter import at_middle_row
-from touchdown.estimator.filtering.undistortion import Undistorter
+from touchdown.estimator.filtering.synchronizer import ArrivingStream, max_delay_ticks
 from touchdown.estimator.filtering.zero_velocity import align_with_gravity
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.typing import Array
 from touchdown.sim.api import (
     GRAVITY_MPS2,
+    BarometerSample,
+    CameraImage,
+    GpsFix,
     MagnetometerParams,
     MagnetometerSample,
     Observation,
+    RangefinderSample,
     SensorNeeds,
     SensorRig,
 )
 from touchdown.sim.frames import Pose, rotation_from_yaw, yaw_from_rotation
 
+_EVENTS, _SAMPLES = ("images", "gps"), ("magnetometer", "barometer", "rangefinder")
+"""fields of `Observation`: messages that are epochs, and what is used at the next one"""
+_EPOCH_HZ = 10
+"""smallest rate of epochs, whatever messages come"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Epoch:
+    """An instant at which a filter is corrected: the time of an image or a fix, or of a clock. The
+    samples are those since the previous epoch, oldest first."""
+
+    tick: int
+    image: CameraImage | None = None
+    fix: GpsFix | None = None
+    magnetometer: tuple[MagnetometerSample, ...] = ()
+    barometer: tuple[BarometerSample, ...] = ()
+    rangefinder: tuple[RangefinderSample, ...] = ()
+
+
+class EpochQueue:
+    """Delays messages by the largest nominal latency of the sensors in ``needs``, and by that of an
+    image that is later than that and still to be expected.
+
+    ``late`` counts images and fixes that came after their epoch.
+    """
+
+    def __init__(self, rig: SensorRig, needs: SensorNeeds) -> None:
+        nav = rig.nav
+        self._images = ArrivingStream(
+            rig.tick_hz // needs.camera_hz if needs.camera_hz else 0,
+            rig.compute_latency_ticks,
+            max_delay_ticks(rig),
+        )
+        sensors = ("gps", "barometer", "magnetometer", "rangefinder")
+        latencies = [getattr(nav, name).latency_ticks for name in sensors if getattr(needs, name)]
+        self._lag = max([rig.compute_latency_ticks if needs.camera_hz else 0, *latencies])
+        self._period = rig.tick_hz // _EPOCH_HZ
+        self._last = 0
+        self._waiting: dict[str, list[Any]] = {name: [] for name in (*_EVENTS, *_SAMPLES)}
+        self.late = 0
+
+    def take(self, obs: Observation) -> list[Epoch]:
+        """Adds the arrived messages; returns the epochs that are complete now, oldest first."""
+        for image in obs.images:
+            self._images.take(image.tick, obs.tick)
+        for name, waiting in self._waiting.items():
+            arrived = getattr(obs, name)
+            waiting += self._in_time(arrived) if name in _EVENTS else arrived
+        horizon = obs.tick - self._lag
+        ticks = {message.tick for name in _EVENTS for message in self._waiting[name]}
+        ticks |= set(
+            range((self._last // self._period + 1) * self._period, horizon + 1, self._period)
+        )
+        complete = []
+        for tick in sorted(ticks):
+            if tick > horizon or self._images.may_bring(tick + 1, obs.tick):
+                break
+            complete.append(self._epoch(tick))
+        return complete
+
+    def _in_time(self, messages: Sequence[Any]) -> list[Any]:
+        kept = [message for message in messages if message.tick > self._last]
+        self.late += len(messages) - len(kept)
+        return kept
+
+    def _epoch(self, tick: int) -> Epoch:
+        self._last = tick
+        images, fixes = (_split(self._waiting[name], tick) for name in _EVENTS)
+        samples = {name: tuple(_split(self._waiting[name], tick)) for name in _SAMPLES}
+        return Epoch(
+            tick=tick, image=images[-1] if images else None, fix=fixes[-1] if fixes else None,
+            **samples,
+        )  # fmt: skip
+
+
+def _split(messages: list[Any], tick: int) -> list[Any]:
+    """Removes and returns those measured at or before ``tick``, oldest first."""
+    due = sorted((m for m in messages if m.tick <= tick), key=lambda m: m.tick)
+    messages[:] = [m for m in messages if m.tick > tick]
+    return due
+
+
 _DURATION_S = 0.25
 _LOOSE_TILT = math.radians(10.0)
 """error of roll and pitch before the alignment"""
-_CREEP_SIGMA = 1e-3
+_SETTLING_SIGMA = 1e-3
 """rad: wind and slow rotors shake a vehicle on its legs"""
-_LASTING = math.sqrt(600.0)
+_MINUTE_FACTOR = math.sqrt(600.0)
 """readings of a minute: an error shared by all of them, taken as one of each"""
 _UNKNOWN_M2 = 1e4
 """position variance before the first measurement"""
@@ -111,12 +198,11 @@ class Navigator:
         needs: SensorNeeds,
         *,
         known_start: bool,
-        correction_time_s: float,
         heading_sigma_deg: float = math.inf,
         baro_sigma_m: float = math.inf,
     ) -> None:
         self.rig, self.needs = rig, needs
-        self._known_start, self._correction_time_s = known_start, correction_time_s
+        self._known_start = known_start
         self._heading_sigma = math.radians(heading_sigma_deg)
         self._guard = InputGuard(rig, needs.camera_hz)
         self._queue = EpochQueue(rig, needs)
@@ -124,9 +210,7 @@ class Navigator:
         self._thinning = ImageThinning(rig, clock_hz // needs.camera_hz if needs.camera_hz else 0)
         self._baro = BaroHeight(rig.tick_hz, baro_sigma_m)
         self._alignment = Alignment(rig)
-        self._filter: InertialFilter | None = (
-            InertialFilter(rig, correction_time_s) if known_start else None
-        )
+        self._filter: InertialFilter | None = InertialFilter(rig) if known_start else None
         self._imu_from_body = rig.body_from_imu.inverse()
         self._azimuth: float | None = None if known_start else field_azimuth(rig.nav.magnetometer)
         self._readings = np.zeros(2)
@@ -152,6 +236,12 @@ class Navigator:
     def stationary(self) -> bool:
         """True while the vehicle stands on the ground."""
         return self._filter is None or self._filter.stationary
+
+    def renew_clone(self) -> None:
+        """Clones the present pose in place of that of the last image."""
+        if self.eskf.clones:
+            self.eskf.remove_clone(0)
+        self.eskf.add_clone()
 
     def epochs(self, obs: Observation) -> Iterator[Epoch]:
         """Yields the complete epochs. To be exhausted once per observation: afterwards corrections
@@ -192,13 +282,13 @@ class Navigator:
 
     def _aligned(self, world_from_body: Pose) -> InertialFilter:
         rig = dataclasses.replace(self.rig, world_from_body_start=world_from_body)
-        inertial = InertialFilter(rig, self._correction_time_s, attitude_known=False)
+        inertial = InertialFilter(rig, attitude_known=False)
         to_imu = self._imu_from_body.rotation
         spread = np.diag([_LOOSE_TILT, _LOOSE_TILT, self._alignment.heading_sigma()]) ** 2
         inertial.eskf.covariance[ROTATION, ROTATION] = to_imu @ spread @ to_imu.T
         # the attitude is level already: this relates its error to the accelerometer's bias
         force = to_imu @ self._alignment.mean_force()
-        align_with_gravity(inertial.eskf, force, GRAVITY_MPS2 * _CREEP_SIGMA)
+        align_with_gravity(inertial.eskf, force, GRAVITY_MPS2 * _SETTLING_SIGMA)
         return inertial
 
     def _take_heading(self, samples: tuple[MagnetometerSample, ...]) -> None:
@@ -223,7 +313,7 @@ class Navigator:
             return self._heading_sigma
         left = 2.0 * abs(math.sin(0.5 * (self._yaw() - self._pad_yaw)))
         lasting = left * self._alignment.heading_sigma()
-        return math.hypot(self._heading_sigma, _LASTING * lasting)
+        return math.hypot(self._heading_sigma, _MINUTE_FACTOR * lasting)
 
     def estimate(
         self,

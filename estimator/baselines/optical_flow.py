@@ -10,28 +10,28 @@ from __future__ import annotations
 import numpy as np
 
 from touchdown.estimator.api import Estimate, OpticalFlowParams
-from touchdown.estimator.baselines.corner_flow import follow
 from touchdown.estimator.baselines.ground_flow import (
     level_directions,
     pixels_of,
     solve_displacement,
     update_with_displacement,
 )
+from touchdown.estimator.baselines.image_motion import follow
 from touchdown.estimator.baselines.navigator import Navigator
-from touchdown.estimator.filtering.keyframes import detect_features
-from touchdown.estimator.filtering.rolling_shutter import (
+from touchdown.estimator.filtering.camera_model import (
     STATIONARY,
     CameraTwist,
     ShutterModel,
     ground_depths,
 )
+from touchdown.estimator.filtering.keyframes import detect_features
 from touchdown.estimator.ground_below import GroundBelow
 from touchdown.estimator.typing import Array, Grey
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
 _GATE = 4.0
-_PATIENCE_S = 1.5
+_TRACKING_TIMEOUT_S = 1.5
 _SPACING_PX = 12
 _BORDER_PX = 6
 
@@ -46,7 +46,7 @@ class OpticalFlowEstimator:
             camera_hz=params.camera_hz, rangefinder=True, magnetometer=True, barometer=True
         )
         self._nav = Navigator(
-            rig, self.needs, known_start=True, correction_time_s=params.correction_time_s,
+            rig, self.needs, known_start=True,
             heading_sigma_deg=params.heading_sigma_deg, baro_sigma_m=params.baro_sigma_m,
         )  # fmt: skip
         self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
@@ -69,7 +69,7 @@ class OpticalFlowEstimator:
         untracked_s = obs.time_s - self._seen_s
         return self._nav.estimate(
             obs,
-            healthy=untracked_s < _PATIENCE_S,
+            healthy=untracked_s < _TRACKING_TIMEOUT_S,
             diagnostics=self._diagnostics | {"ground_height_m": self._ground.height_m},
             extra_covariance=drift,
         )
@@ -81,9 +81,7 @@ class OpticalFlowEstimator:
             self._seen_s = image.time_s
         elif self._before is not None:
             self._measure(self._before, grey, image.time_s, twist)
-        if eskf.clones:
-            eskf.remove_clone(0)
-        eskf.add_clone()
+        self._nav.renew_clone()
         camera = eskf.state.pose @ self._imu_from_camera
         self._before, self._twist_before = grey, twist
         self._height_before = float(camera.translation[2]) - self._ground.height_m
@@ -95,11 +93,13 @@ class OpticalFlowEstimator:
         pixels = self._corners(before)
         if len(pixels) < 8:
             return
-        start = self._at_one_instant(pixels, pose_before, self._twist_before)
+        shutter, ground_m = self._shutter, self._ground.height_m
+        start = shutter.at_instant(pixels, pose_before, ground_m, self._twist_before)
         guess = self._expected(start, pose_before, pose)
-        guess = self._shutter.to_rows(guess, self._depths(guess, pose), twist)
+        depths = ground_depths(guess, camera, pose, ground_m)
+        guess = shutter.to_rows(guess, depths, twist)
         found, reached = follow(before, now, pixels, guess)
-        reached = self._at_one_instant(reached, pose, twist)
+        reached = shutter.at_instant(reached, pose, ground_m, twist)
         measured = solve_displacement(
             level_directions(start[found], camera, pose_before.rotation),
             level_directions(reached, camera, pose.rotation),
@@ -119,12 +119,6 @@ class OpticalFlowEstimator:
             "flow_rms_m": measured.rms,
             "flow_innovation": innovation,
         }
-
-    def _depths(self, pixels: Array, pose: Pose) -> Array:
-        return ground_depths(pixels, self._rig.camera, pose, self._ground.height_m)
-
-    def _at_one_instant(self, pixels: Array, pose: Pose, twist: CameraTwist) -> Array:
-        return self._shutter.to_instant(pixels, self._depths(pixels, pose), twist)
 
     def _corners(self, grey: Grey) -> Array:
         """(N, 2) corners of the central part of the image, where the rangefinder points."""

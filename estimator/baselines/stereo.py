@@ -3,28 +3,115 @@ left image.
 
 The baseline is 50 mm: from 30 m all disparities are about one pixel, and a tenth of a pixel is a
 tenth of the depth. Therefore the height of the ground, which all corners share, is filtered over
-many pairs, and each corner adds the information of its own disparity.
+many pairs, and each corner adds the information of its own disparity. Disparity is inverse depth
+times ``scale`` = focal length times baseline, pixels times metres.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from touchdown.estimator.api import Estimate, StereoParams
-from touchdown.estimator.baselines.corner_flow import follow
-from touchdown.estimator.baselines.disparity import GroundHeight, disparities, inverse_depths
+from touchdown.estimator.baselines.image_motion import follow
 from touchdown.estimator.baselines.navigator import Navigator
+from touchdown.estimator.filtering.camera_model import STATIONARY, ShutterModel, ground_depths
 from touchdown.estimator.filtering.eskf import IteratedUpdate
 from touchdown.estimator.filtering.keyframes import bearing_rays, detect_features
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
-from touchdown.estimator.filtering.rolling_shutter import STATIONARY, ShutterModel, ground_depths
 from touchdown.estimator.typing import Array, Bytes, Grey, Indices
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
-_PATIENCE_S = 1.5
+_MIN_DEPTH_M = 0.03
+_ROWS_PX = 1.0
+"""largest difference of a corner's rows in the two images"""
+
+
+def disparities(
+    left: Grey, right: Grey, pixels: Array, expected_m: Array, scale: float
+) -> tuple[Indices, Array]:
+    """Returns the indices (M,) of the matched corners (N, 2) of the left image and their sub-pixel
+    disparities (M,). ``expected_m`` (N,): initial depths."""
+    guess = pixels.copy()
+    guess[:, 0] -= scale / np.maximum(expected_m, _MIN_DEPTH_M)
+    found, reached = follow(left, right, pixels, guess)
+    level = np.abs(reached[:, 1] - pixels[found, 1]) < _ROWS_PX
+    found, reached = found[level], reached[level]
+    return found, pixels[found, 0] - reached[:, 0]
+
+
+class GroundHeight:
+    """Mean height of the ground in view, odometry frame: a random walk in time, measured by every
+    pair through all its corners."""
+
+    def __init__(self, start_m: float, params: StereoParams) -> None:
+        self._params = params
+        self.height_m = start_m
+        self._variance = 1e-4
+        self._time_s = 0.0
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the height."""
+        return math.sqrt(self._variance)
+
+    def depths(self, rays: Array, odom_from_camera: Pose) -> Array:
+        """(N,) depths at which rays (N, 3), z = 1, meet the ground; NaN where they do not."""
+        down = -(rays @ odom_from_camera.rotation[2])
+        height = max(float(odom_from_camera.translation[2]) - self.height_m, _MIN_DEPTH_M)
+        depths: Array = height / np.where(down > 0.2, down, np.nan)
+        return depths
+
+    def take(
+        self, rays: Array, shifts: Array, odom_from_camera: Pose, scale: float, time_s: float
+    ) -> None:
+        """Updates by disparities (N,) along rays (N, 3): level ground at height h below the camera
+        has the disparity ``scale * down / h``, so that one number, 1 / h, is fitted robustly."""
+        self._variance += self._params.ground_density**2 * max(time_s - self._time_s, 0.0)
+        self._time_s = time_s
+        if len(shifts) < 10:
+            return
+        design = -scale * (rays @ odom_from_camera.rotation[2])
+        camera_z = float(odom_from_camera.translation[2])
+        inverse = 1.0 / max(camera_z - self.height_m, _MIN_DEPTH_M)
+        sigma = self._params.disparity_sigma
+        weights = np.ones(len(shifts))
+        for _ in range(5):
+            inverse = float((weights * design) @ shifts / ((weights * design) @ design))
+            residuals = np.abs(shifts - design * inverse)
+            spread = max(2.0 * float(np.median(residuals)), sigma)
+            weights = 1.0 / (1.0 + (residuals / spread) ** 2)
+        if inverse <= 0.0:
+            return
+        noise = sigma**2 / float((weights * design) @ design)
+        noise += (self._params.disparity_floor_sigma / float(np.mean(design))) ** 2
+        measured = camera_z - 1.0 / inverse
+        variance = noise / inverse**4
+        gain = self._variance / (self._variance + variance)
+        self.height_m += gain * (measured - self.height_m)
+        self._variance *= 1.0 - gain
+
+
+def inverse_depths(
+    found: Indices, shifts: Array, ground_m: Array, scale: float, params: StereoParams
+) -> tuple[Array, Array]:
+    """(N,) inverse depths of corners and their variances: those of the ground ``ground_m`` (N,),
+    updated by the disparities ``shifts`` (M,) of the corners ``found`` (M,), as far as these
+    resolve relief. In inverse depth the noise of disparities is the same at all ranges. NaN where
+    there is no ground."""
+    inverse = 1.0 / ground_m
+    variance = (params.relief_sigma_m * inverse**2) ** 2
+    own = (params.disparity_sigma / scale) ** 2
+    gain = variance[found] / (variance[found] + own)
+    inverse[found] += gain * (shifts / scale - inverse[found])
+    variance[found] *= 1.0 - gain
+    return inverse, variance
+
+
+_TRACKING_TIMEOUT_S = 1.5
 _MIN_USED = 15
 _GATES_PX = (12.0, 6.0, 3.0, 3.0)
 
@@ -53,9 +140,7 @@ class StereoEstimator:
         self._rig = rig
         self._params = params = params or StereoParams()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, stereo=True)
-        self._nav = Navigator(
-            rig, self.needs, known_start=True, correction_time_s=params.correction_time_s
-        )
+        self._nav = Navigator(rig, self.needs, known_start=True)
         self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
         self._camera_from_imu = self._imu_from_camera.inverse()
         right_from_left = rig.body_from_camera_right.inverse() @ rig.body_from_camera
@@ -77,7 +162,7 @@ class StereoEstimator:
         drift = (self._params.drift_share * self._distance) ** 2 * np.eye(3)
         return self._nav.estimate(
             obs,
-            healthy=obs.time_s - self._seen_s < _PATIENCE_S,
+            healthy=obs.time_s - self._seen_s < _TRACKING_TIMEOUT_S,
             diagnostics=self._diagnostics
             | {"ground_height_m": self._ground.height_m, "ground_sigma_m": self._ground.sigma_m},
             extra_covariance=drift,
@@ -117,7 +202,7 @@ class StereoEstimator:
         each: relief shows as parallax, while the scale stays that of the pair."""
         eskf, camera = self._nav.eskf, self._rig.camera
         key = eskf.clones[0] @ self._imu_from_camera
-        now_from_key = (eskf.state.pose @ self._imu_from_camera).inverse() @ key
+        now_from_key = self._pose.inverse() @ key
         inverse, variance = keyframe.inverse[found], keyframe.variance[found]
         shift = now_from_key.translation
         points = keyframe.rays[found] @ now_from_key.rotation.T + inverse[:, None] * shift
@@ -135,11 +220,15 @@ class StereoEstimator:
 
     def _depths(self, pixels: Array) -> Array:
         """(N,) of level ground along the optical axis at the filter's time."""
-        pose = self._nav.eskf.state.pose @ self._imu_from_camera
-        return ground_depths(pixels, self._rig.camera, pose, self._ground.height_m)
+        return ground_depths(pixels, self._rig.camera, self._pose, self._ground.height_m)
+
+    @property
+    def _pose(self) -> Pose:
+        """odom_from_camera at the filter's time."""
+        return self._nav.eskf.state.pose @ self._imu_from_camera
 
     def _at_one_instant(self, pixels: Array) -> Array:
-        return self._shutter.to_instant(pixels, self._depths(pixels), self._twist)
+        return self._shutter.at_instant(pixels, self._pose, self._ground.height_m, self._twist)
 
     def _project(self, landmarks: Array) -> Array:
         """(N, 2) pixels of landmarks (N, 3) of the clone's IMU frame, NaN where behind."""
@@ -171,10 +260,9 @@ class StereoEstimator:
 
     def _look(self, left: Grey, right: Grey, time_s: float, *, new_keyframe: bool) -> None:
         """Measures the ground's height by the pair; makes it a keyframe if one is needed."""
-        eskf, camera = self._nav.eskf, self._rig.camera
+        camera = self._rig.camera
         pixels = detect_features(left, self._params.features)
-        pose = eskf.state.pose @ self._imu_from_camera
-        rays = bearing_rays(pixels, camera)
+        pose, rays = self._pose, bearing_rays(pixels, camera)
         scale = camera.fx * self._baseline
         found, shifts = disparities(left, right, pixels, self._ground.depths(rays, pose), scale)
         self._ground.take(rays[found], shifts, pose, scale, time_s)
@@ -186,8 +274,6 @@ class StereoEstimator:
         good = inverse > 0.0
         if int(good.sum()) < _MIN_USED:
             return
-        if eskf.clones:
-            eskf.remove_clone(0)
-        eskf.add_clone()
+        self._nav.renew_clone()
         seen = bearing_rays(self._at_one_instant(pixels[good]), camera)
         self._keyframe = _Keyframe(left, pixels[good], seen, inverse[good], variance[good])

@@ -4,7 +4,8 @@ Measurements enter in information form over the few error coordinates that they 
 ``A = sum h^T h / var`` and ``b = sum h^T r / var`` the posterior of ``n`` coordinates costs one
 solve of the touched size, whatever the number of residuals. This is the measurement-compressed
 iterated update of FAST-LIO (Xu and Zhang 2021, Eqs. 18-20) in its information form; clones follow
-Roumeliotis and Burdick 2002 ("Stochastic cloning").
+Roumeliotis and Burdick 2002 ("Stochastic cloning"). Degenerate directions of a scan, such as
+lateral motion over level ground, are found and removed in that form.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpstrf
 
 from touchdown.estimator.filtering.error_state import (
     ACCEL_BIAS,
@@ -37,9 +39,94 @@ from touchdown.estimator.filtering.imu_propagation import (
     propagate_nominal,
     transition,
 )
-from touchdown.estimator.filtering.information import square_root
 from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.frames import Pose, so3_exp
+
+
+class NormalEquations(NamedTuple):
+    """Weighted least squares over D error coordinates. Kernels return it, too."""
+
+    information: Array  # (D, D) ``sum h^T h / var``
+    vector: Array  # (D,) ``sum h^T r / var``
+    used: int  # residuals within the gate
+    rms: float  # of these residuals, m or pixels
+
+
+def limit_information(information: Array, errors: Array) -> Array:
+    """Applies an information floor: returns the ``information`` A (D, D) of a measurement with
+    independent ``errors`` of covariance F (D, D) added, which do not average out over its
+    residuals. ``(A^-1 + F)^-1 = (I + A F)^-1 A`` holds for a singular A as well."""
+    limited = np.linalg.solve(np.eye(len(errors)) + information @ errors, information)
+    symmetric: Array = 0.5 * (limited + limited.T)
+    return symmetric
+
+
+def square_root(matrix: Array) -> Array:
+    """Returns R (D, r) with ``R R^T = matrix`` (D, D), positive semi-definite of rank r: Cholesky
+    factors with pivots, which end where what is left is rounding."""
+    factors, order, rank, _ = dpstrf(0.5 * (matrix + matrix.T), lower=1)
+    root = np.zeros((len(matrix), rank))
+    root[order - 1] = np.tril(factors[:, :rank])
+    return root
+
+
+def weak_directions(
+    information: Array, noise: Array, sigma_rad: float, sigma_m: float
+) -> tuple[Array, Array]:
+    """Returns the degenerate axes of rotation (3, r) and directions of translation (3, t) as unit
+    columns: those whose standard deviation under ``information`` (6, 6), less twice its share of
+    ``noise`` (6, 6), exceeds the limits.
+
+    Rotation and translation are treated separately, each after marginalisation of the other (Schur
+    complement), so that metres are never weighed against radians. Leaving out such directions
+    follows Zhang, Kaess and Singh 2016 ("On degeneracy of optimization-based state estimation
+    problems"), here with thresholds in the units of the state.
+    """
+    return (
+        _weak_axes(information, noise, ROTATION, POSITION, sigma_rad),
+        _weak_axes(information, noise, POSITION, ROTATION, sigma_m),
+    )
+
+
+def weak_columns(information: Array, noise: Array, sigmas: tuple[float, float]) -> Array:
+    """The same as orthonormal columns (6, r + t) over a pose. ``sigmas``: rad and m."""
+    axes, directions = weak_directions(information, noise, *sigmas)
+    columns = np.zeros((POSE_DIM, axes.shape[1] + directions.shape[1]))
+    columns[ROTATION, : axes.shape[1]] = axes
+    columns[POSITION, axes.shape[1] :] = directions
+    return columns
+
+
+def rotations_among(weak: Array) -> int:
+    """Number of axes of rotation among the columns of ``weak_columns``."""
+    return int(weak[ROTATION].any(axis=0).sum())
+
+
+def _weak_axes(information: Array, noise: Array, own: slice, other: slice, sigma: float) -> Array:
+    """The degenerate directions of the three coordinates ``own``, the three others marginalised."""
+    following = np.zeros((POSE_DIM, 3))
+    following[own] = np.eye(3)
+    # the pseudo-inverse ignores unobserved directions of the other block
+    inverse = np.linalg.pinv(information[other, other], rcond=1e-9, hermitian=True)
+    following[other] = -inverse @ information[other, own]
+    values, vectors = np.linalg.eigh(following.T @ information @ following)
+    noisy = np.diag((following @ vectors).T @ noise @ following @ vectors)
+    return vectors[:, values - 2.0 * noisy < 1.0 / sigma**2]
+
+
+def without_directions(information: Array, vector: Array, weak: Array) -> tuple[Array, Array]:
+    """Returns the measurement (D, D), (D,) with the orthonormal columns ``weak`` (6, k), D >= 6,
+    marginalised as unknown, so that the remaining information holds for any value of them."""
+    if weak.shape[1] == 0:
+        return information, vector
+    if len(weak) < len(vector):
+        weak = np.concatenate([weak, np.zeros((len(vector) - len(weak), weak.shape[1]))])
+    across = information @ weak
+    explained = across @ np.linalg.pinv(weak.T @ across, rcond=1e-9, hermitian=True)
+    keep = np.eye(len(vector)) - weak @ weak.T
+    left = keep @ (information - explained @ across.T) @ keep
+    return 0.5 * (left + left.T), keep @ (vector - explained @ (weak.T @ vector))
+
 
 _RATE_SAMPLES = 3
 """number of IMU samples over which the angular rate is a mean: one alone is mostly vibration"""
@@ -73,11 +160,6 @@ class Eskf:
         self.shared = max(0, len(state.calibration) - IMU_DIM)
         """number of calibration parameters that measurements depend on directly: all but the
         errors of the IMU, which act through the propagation"""
-        if len(state.calibration) != self.base - STATE_DIM:
-            raise ValueError(
-                f"Eskf: {self.base} variances do not fit {len(state.calibration)} numbers of "
-                f"calibration; give {STATE_DIM + len(state.calibration)}"
-            )
         self.loosely_coupled = False
         """loose coupling: measurements are taken as measurements of the present pose alone; clones
         and calibration count as exact"""

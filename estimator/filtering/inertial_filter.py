@@ -20,7 +20,14 @@ import numpy as np
 from numba import njit
 
 from touchdown.estimator.api import Estimate, FlownImuParams, LivoParams, PoseTrack
-from touchdown.estimator.filtering.deskew import PlacedScan, place_scan, screen_scan
+from touchdown.estimator.filtering.camera_model import CameraTwist
+from touchdown.estimator.filtering.deskew import (
+    PlacedScan,
+    ScanPath,
+    Trail,
+    place_scan,
+    screen_scan,
+)
 from touchdown.estimator.filtering.error_state import (
     NAVIGATION,
     POSE,
@@ -38,8 +45,6 @@ from touchdown.estimator.filtering.imu_propagation import (
     exp_so3,
     propagate_nominal,
 )
-from touchdown.estimator.filtering.rolling_shutter import CameraTwist
-from touchdown.estimator.filtering.trail import ScanPath, Trail
 from touchdown.estimator.filtering.vectors import cross, turned_back, xyz
 from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate, align_with_gravity
 from touchdown.estimator.typing import Array
@@ -62,6 +67,8 @@ _LEVEL_SIGMA = 5e-3
 _LIFTING_THRUST = 0.85
 """fraction of the weight: with less static thrust before the first lift-off the vehicle is on the
 ground"""
+CORRECTION_TIME_S = 0.15
+"""time constant with which a correction of the filter reaches control"""
 _IDLE_MARGIN = 1.2
 """multiple of the idle speed: below it the rotors give no lift"""
 
@@ -102,7 +109,6 @@ class InertialFilter:
     def __init__(
         self,
         rig: SensorRig,
-        correction_time_s: float,
         attitude_known: bool = True,
         *,
         flown: ImuSheet | None = None,
@@ -113,7 +119,6 @@ class InertialFilter:
         self.imu_from_lidar = self.imu_from_body @ rig.body_from_lidar
         self.imu_from_camera = self.imu_from_body @ rig.body_from_camera
         self.step_s = rig.imu_ticks / rig.tick_hz
-        self._correction_time_s = correction_time_s
         start = rig.world_from_body_start @ rig.body_from_imu
         zero, own = np.zeros(3), np.zeros(0) if calibration_sigmas is None else calibration_sigmas
         state = NavState(0, start.rotation, start.translation, zero, zero, zero, np.zeros(len(own)))
@@ -277,11 +282,11 @@ class InertialFilter:
         lets the jump decay."""
         if changed:
             self.catch_up()
-        self.jump = self.jump * math.exp(-self.step_s / self._correction_time_s)
+        self.jump = self.jump * math.exp(-self.step_s / CORRECTION_TIME_S)
 
     def catch_up(self) -> None:
         """Propagates the corrected state to the present; the resulting jump decays over
-        ``correction_time_s``."""
+        ``CORRECTION_TIME_S``."""
         before, jump = self._propagated, self.jump.copy()
         after, self.covariance = self.eskf.predicted(self._buffer)
         handed_out = before.rotation @ so3_exp(jump[ROTATION])

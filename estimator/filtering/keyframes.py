@@ -54,6 +54,11 @@ class Keyframe:
         depth = np.where(self.valid, 1.0 / np.where(self.valid, depth_inverse, 1.0), 0.0)
         return rays * depth[:, None]
 
+    def measure_depth(self, camera: CameraIntrinsics) -> None:
+        """Renews ``depth_m`` by the landmarks known now."""
+        if self.valid.any():
+            self.depth_m = float(np.median(self.landmarks_camera(camera)[self.valid, 2]))
+
 
 def bearing_rays(pixels: Array, camera: CameraIntrinsics) -> Array:
     """(N, 3) rays with z = 1 of (N, 2) undistorted pixels."""
@@ -109,8 +114,7 @@ def measure_planes(
     keyframe.valid[which] = True
     keyframe.planes[which], keyframe.sigmas[which] = planes[better], sigmas[better]
     keyframe.assumed[which] = False
-    if keyframe.valid.any():
-        keyframe.depth_m = float(np.median(keyframe.landmarks_camera(camera)[keyframe.valid, 2]))
+    keyframe.measure_depth(camera)
 
 
 @dataclass(frozen=True, slots=True)

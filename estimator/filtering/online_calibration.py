@@ -6,8 +6,8 @@ which the camera's clock is ahead of the IMU's (s), and the errors of the IMU.
 
 A rotation of the LIDAR is observable in the map: the same ground, seen once ahead and once below,
 must have one height. Both the present returns and those of the map move with it, as in the
-derivatives here and in ``anchored_update``. That of the camera is observable against the LIDAR: the
-direction in which images say the vehicle moves must keep the height that the scans measure.
+derivatives here and in ``livo.scan_update``. That of the camera is observable against the LIDAR:
+the direction in which images say the vehicle moves must keep the height that the scans measure.
 
 A clock offset is observable where the vehicle rotates or accelerates: each image is taken a little
 before the pose at its stamp, and is displaced by the offset times the twist (Li and Mourikis,
@@ -86,18 +86,19 @@ def calibration_diagnostics(calibration: Array) -> dict[str, float]:
 
 def corrected_mount(imu_from_lidar: Pose, calibration: Array) -> Pose:
     """Returns the LIDAR's given mount corrected by ``calibration`` (38,) or (0,)."""
-    if not len(calibration):
-        return imu_from_lidar
-    turn, shift = calibration[MOUNT_ROTATION], calibration[MOUNT_TRANSLATION]
-    return Pose(so3_exp(turn) @ imu_from_lidar.rotation, imu_from_lidar.translation + shift)
+    return _corrected(imu_from_lidar, calibration, MOUNT_ROTATION, MOUNT_TRANSLATION)
 
 
 def corrected_camera(imu_from_camera: Pose, calibration: Array) -> Pose:
     """Returns the camera's given mount corrected by ``calibration`` (38,) or (0,)."""
+    return _corrected(imu_from_camera, calibration, CAMERA_ROTATION, CAMERA_TRANSLATION)
+
+
+def _corrected(mount: Pose, calibration: Array, rotation: slice, translation: slice) -> Pose:
     if not len(calibration):
-        return imu_from_camera
-    turn, shift = calibration[CAMERA_ROTATION], calibration[CAMERA_TRANSLATION]
-    return Pose(so3_exp(turn) @ imu_from_camera.rotation, imu_from_camera.translation + shift)
+        return mount
+    turn, shift = so3_exp(calibration[rotation]), calibration[translation]
+    return Pose(turn @ mount.rotation, mount.translation + shift)
 
 
 def corrected_lens(camera: CameraIntrinsics, calibration: Array) -> Pinhole:

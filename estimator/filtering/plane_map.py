@@ -316,8 +316,6 @@ class PlaneMap:
     """
 
     def __init__(self, voxel_m: float, capacity: int = 1 << 17, max_points: int = 150) -> None:
-        if capacity & (capacity - 1):
-            raise ValueError(f"PlaneMap: capacity {capacity} must be a power of two")
         self.voxel_m = voxel_m
         self.max_points = max_points
         self.used = 0

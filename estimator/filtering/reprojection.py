@@ -20,8 +20,8 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
     Pinhole,
 )
+from touchdown.estimator.filtering.eskf import NormalEquations
 from touchdown.estimator.filtering.imu_propagation import exp_so3_into
-from touchdown.estimator.filtering.information import NormalEquations
 from touchdown.estimator.filtering.vectors import (
     ZERO,
     Vector,

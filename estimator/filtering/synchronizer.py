@@ -13,8 +13,8 @@ import dataclasses
 from collections import deque
 from collections.abc import Mapping
 
+from touchdown.estimator.filtering.camera_model import at_middle_row
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
-from touchdown.estimator.filtering.rolling_shutter import at_middle_row
 from touchdown.estimator.guard import InputGuard
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorRig
 
@@ -28,8 +28,13 @@ _GAPS = 8
 """intervals between stamps by which the period of a stream is known"""
 _LOST_PERIODS = 3.0
 """a stream that has missed so many of its periods is not awaited until it delivers again"""
-_PATIENCE_S = 0.3
+_MAX_DELAY_S = 0.3
 """longest delay of a scan or image that is waited for"""
+
+
+def max_delay_ticks(rig: SensorRig) -> int:
+    """Longest delay of a scan or image that is waited for."""
+    return max(rig.compute_latency_ticks, round(_MAX_DELAY_S * rig.tick_hz))
 
 
 def stamp_of(message: Message) -> int:
@@ -91,9 +96,6 @@ class MessageOrder:
         *,
         scans_follow_images: bool = False,
     ) -> None:
-        unknown = sorted(set(streams) - {"scans", "images"})
-        if unknown:
-            raise ValueError(f"no stream '{unknown[0]}' to be ordered: name scans or images")
         nominal = rig.compute_latency_ticks
         self._streams = {
             name: ArrivingStream(period, nominal, patience_ticks)
@@ -148,8 +150,9 @@ class MessageSynchronizer:
         periods = {"scans": rig.lidar_scan_ticks}
         if camera_hz:
             periods["images"] = rig.tick_hz // camera_hz
-        patience = max(rig.compute_latency_ticks, round(_PATIENCE_S * rig.tick_hz))
-        self._order = MessageOrder(rig, periods, patience, scans_follow_images=middle_rows)
+        self._order = MessageOrder(
+            rig, periods, max_delay_ticks(rig), scans_follow_images=middle_rows
+        )
         self._changed = False
         self.skipped = 0
         """messages refused since the start"""

@@ -15,7 +15,7 @@ from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.intensity_update import PhotometricUpdate
+from touchdown.estimator.livo.intensity import PhotometricUpdate
 from touchdown.estimator.typing import Array, Bytes
 
 _SPREAD = 0.12

@@ -8,8 +8,8 @@ Landmarks are anchored to cloned keyframe poses, not to a map without errors, so
 of the same ground closes the loop.
 
 While no scans come, new features are assumed on the ground below the rangefinder, parallax moves
-them (``assumed_depth``), and the rangefinder gives the way since their keyframe its length
-(``range_scale``).
+them, and the rangefinder gives the way since their keyframe its length
+(``depth_without_returns``).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from touchdown.estimator.api import Estimate, LivoParams, PoseTrack
+from touchdown.estimator.filtering.camera_model import Shutter, Undistorter
 from touchdown.estimator.filtering.deskew import PlacedScan, thin_out
 from touchdown.estimator.filtering.error_state import POSITION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter, with_flown_noise
@@ -27,19 +28,17 @@ from touchdown.estimator.filtering.online_calibration import (
     prior_sigmas,
 )
 from touchdown.estimator.filtering.reprojection import MountedCamera
-from touchdown.estimator.filtering.rolling_shutter import Shutter
 from touchdown.estimator.filtering.synchronizer import MessageSynchronizer
-from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.ground_below import GroundBelow
 from touchdown.estimator.livo.anchored_map import AnchoredMap
-from touchdown.estimator.livo.anchored_update import (
+from touchdown.estimator.livo.patch_tracker import grey_levels
+from touchdown.estimator.livo.scan_update import (
     DegeneracyWatch,
     LidarReport,
     scan_diagnostics,
     scan_errors,
     update_with_scan,
 )
-from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.estimator.typing import Bytes
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
@@ -70,7 +69,7 @@ class Livo:
         self.needs = SensorNeeds(camera_hz=camera_hz, lidar=True, rangefinder=True)
         flown = with_flown_noise(rig, params).imu
         self._filter = InertialFilter(
-            rig, params.correction_time_s, flown=flown, calibration_sigmas=prior_sigmas(params)
+            rig, flown=flown, calibration_sigmas=prior_sigmas(params)
         )  # fmt: skip
         self._eskf = self._filter.eskf
         self._eskf.loosely_coupled = params.loose

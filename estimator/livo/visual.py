@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from touchdown.estimator.api import LivoParams
+from touchdown.estimator.filtering.camera_model import Shutter, rows_of_keyframe
 from touchdown.estimator.filtering.error_state import (
     CAMERA_ROTATION,
     CAMERA_TRANSLATION,
@@ -19,8 +20,7 @@ from touchdown.estimator.filtering.error_state import (
     Frame,
     Pinhole,
 )
-from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
-from touchdown.estimator.filtering.information import NormalEquations
+from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate, NormalEquations
 from touchdown.estimator.filtering.keyframes import (
     Keyframe,
     bearing_rays,
@@ -43,11 +43,14 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
-from touchdown.estimator.filtering.rolling_shutter import Shutter, rows_of_keyframe
-from touchdown.estimator.livo.assumed_depth import assume_level_ground, move_along_rays
+from touchdown.estimator.livo.depth_without_returns import (
+    SeenGround,
+    assume_level_ground,
+    extend_plane,
+    move_along_rays,
+    update_with_range,
+)
 from touchdown.estimator.livo.patch_tracker import track
-from touchdown.estimator.livo.plane_extension import extend_plane
-from touchdown.estimator.livo.range_scale import SeenGround, measure_way
 from touchdown.estimator.typing import Array, Grey, Indices
 from touchdown.sim.frames import Pose
 
@@ -354,7 +357,7 @@ class VisualFrontEnd:
             landmarks = moved.by(calibration[: eskf.shared]).landmarks
             points = (camera @ now.inverse() @ clone).apply(landmarks)
             seen.append(SeenGround(k, now.translation - clone.translation, points))
-        measure_way(eskf, seen, camera.apply(spot), self._params)
+        update_with_range(eskf, seen, camera.apply(spot), self._params)
 
     def _accumulate(
         self, eskf: Eskf, tracks: list[_Track], delay_s: float, gate_px: float

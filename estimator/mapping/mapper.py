@@ -29,6 +29,7 @@ from touchdown.estimator.api import (
 )
 from touchdown.estimator.filtering.deskew import Track, deskew, pose_on, track_of
 from touchdown.estimator.filtering.error_state import Frame
+from touchdown.estimator.filtering.synchronizer import max_delay_ticks
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.mapping import kernels
 from touchdown.estimator.mapping.kernels import Grid, Layers, Lens, Pulses
@@ -42,8 +43,6 @@ _GROUND_BLOCK_M = 4.0
 _CAMERA_HZ = 5
 """rate of images for the colour of cells, each of which a survey has in view for seconds"""
 _IMAGES_KEPT = 3
-_PATIENCE_S = 0.3
-"""longest time after its end that a scan waits for the estimator's track"""
 _UNKNOWN_AT_FIRST = (
     "height_m", "height_std_m", "min_height_m", "max_height_m", "intensity", "histogram_base_m",
 )  # fmt: skip
@@ -144,8 +143,7 @@ class GridMapper:
         self._images: deque[_PosedImage] = deque(maxlen=_IMAGES_KEPT)
         self._waiting: deque[_WaitingScan] = deque()
         self._gives_tracks = False
-        patience = round(_PATIENCE_S * rig.tick_hz)
-        self._patience_ticks = max(rig.compute_latency_ticks, patience)
+        self._max_delay_ticks = max_delay_ticks(rig)
         camera = rig.camera
         distortion = np.asarray(camera.distortion, float).tolist()
         self._lens = Lens(camera.fx, camera.fy, camera.cx, camera.cy, *distortion)
@@ -188,7 +186,7 @@ class GridMapper:
             return len(self._waiting)
         due = 0
         for number, (scan, _) in enumerate(self._waiting, start=1):
-            late = tick - scan.end_tick >= self._patience_ticks
+            late = tick - scan.end_tick >= self._max_delay_ticks
             if late or self._own_track(scan.start_time_s, scan.end_time_s, estimate) is not None:
                 due = number
         return due

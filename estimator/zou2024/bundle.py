@@ -7,7 +7,6 @@ Poses of keyframes are odom_from_imu.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -28,11 +27,13 @@ from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.filtering.vectors import along, cross, dot, turned, turned_back, xyz
 from touchdown.estimator.typing import Array, Indices
 from touchdown.estimator.zou2024.visual_map import MapKeyframe, Sightings, by_host, joined
-from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
 _PRIOR_SIGMAS = np.array([1e-3, 1e-3, 5e-3, 0.3, 0.3, 0.02])
 """rad and m: tilt and height as LIDAR and gravity have them, the rest nearly free"""
+_ITERATIONS = 4
+_FIRST_FREE = 2
+"""index in the window of the first keyframe whose pose is not fixed"""
 
 
 class Observations(NamedTuple):
@@ -47,14 +48,12 @@ class Observations(NamedTuple):
     sigmas_px: Array  # (M,)
 
 
-@dataclass(slots=True)
-class BundleProblem:
-    """``poses`` K, of which the first ``fixed`` stay, and the ``depths`` (L,) of the landmarks that
-    they have ``seen``."""
+class BundleProblem(NamedTuple):
+    """Poses and the depths of the landmarks that they have seen."""
 
     poses: list[Pose]
-    fixed: int
-    depths: Array
+    fixed: int  # so many of the poses, the first, stay
+    depths: Array  # (L,) m
     seen: Observations
 
 
@@ -138,26 +137,16 @@ def _reduced_system(
     return information, vector, coupling, curvature, slope, cost
 
 
-def adjust(
-    problem: BundleProblem,
-    imu_from_camera: Pose,
-    camera: CameraIntrinsics,
-    *,
-    depth_sigma_m: float,
-    prior_sigmas: Array,
-    iterations: int = 4,
-) -> tuple[list[Pose], Array]:
-    """Returns the poses and depths (L,) of least reprojection error: Gauss-Newton with Cauchy
-    weights.
-
-    ``prior_sigmas`` (6,): rad and m, prior of a free pose about its initial value; it keeps height
-    and tilt at those from the LIDAR.
-    """
+def adjusted_depths(problem: BundleProblem, camera: MountedCamera, depth_sigma_m: float) -> Array:
+    """Returns the depths (L,) of least reprojection error: Gauss-Newton with Cauchy weights. A free
+    pose has a prior about its initial value, which keeps height and tilt at those from the
+    LIDAR."""
     poses, depths = list(problem.poses), problem.depths.copy()
     free = slice(6 * problem.fixed, 6 * len(poses))
-    prior = 1.0 / prior_sigmas**2
-    seen, mount, lens = problem.seen, Frame.of(imu_from_camera), Pinhole.of(camera)
-    for _ in range(iterations):
+    prior = 1.0 / _PRIOR_SIGMAS**2
+    seen, lens = problem.seen, Pinhole.of(camera.intrinsics)
+    mount = Frame.of(camera.imu_from_camera)
+    for _ in range(_ITERATIONS):
         information, vector, coupling, curvature, slope, _ = _reduced_system(
             Frames.of(poses), depths, seen, depth_sigma_m, mount, lens, 3.0
         )
@@ -173,7 +162,7 @@ def adjust(
         depths = np.clip(depths, 0.5 * seen.prior_depths, 2.0 * seen.prior_depths)
         if float(np.abs(delta).max()) < 1e-5:
             break
-    return poses, depths
+    return depths
 
 
 def build_problem(
@@ -183,13 +172,12 @@ def build_problem(
     known: dict[int, MapKeyframe],
     camera: MountedCamera,
     sigmas_px: Array,
-    first_free: int,
 ) -> tuple[BundleProblem, Sightings] | None:
     """Returns the problem of ``window`` (oldest first) and the newest image, by its odom_from_imu
     and ``sightings``, and its landmarks, one sighting of each; None if nothing ties the poses.
 
-    Hosts outside the window join it with fixed poses. ``sigmas_px`` (2,) by kind. Keyframes with an
-    index below ``first_free`` in the window are fixed.
+    Hosts outside the window join it with fixed poses, as those of the first keyframes in it are.
+    ``sigmas_px`` (2,) by kind.
     """
     views = [*(keyframe.sightings for keyframe in window), sightings]
     seen, view = joined(views), np.repeat(np.arange(len(views)), [len(one) for one in views])
@@ -203,8 +191,8 @@ def build_problem(
     first = np.concatenate([[True], (labels[1:] != labels[:-1]).any(axis=1)])
     inside = [keyframe.number for keyframe in window]
     outside = np.setdiff1d(seen.hosts, inside).tolist()
-    fixed = [known[number] for number in outside] + window[:first_free]
-    free = window[first_free:]
+    fixed = [known[number] for number in outside] + window[:_FIRST_FREE]
+    free = window[_FIRST_FREE:]
     places = {keyframe.number: at for at, keyframe in enumerate(fixed + free)}
     landmarks = seen.select(first)
     points, pixels = np.empty((len(landmarks), 3)), np.empty((len(landmarks), 2))
@@ -238,19 +226,15 @@ def adjust_window(
     camera: MountedCamera,
     sigmas_px: Array,
     depth_sigma_m: float,
-    first_free: int = 2,
 ) -> None:
     """Bundle adjustment: refines the landmarks of the window in place. Their keyframes move with
     them in the solution, but not in the map: these poses are the filter's, which has had the same
     pixels. Parameters as in ``build_problem``."""
-    built = build_problem(window, newest, sightings, known, camera, sigmas_px, first_free)
-    if built is None or len(window) <= first_free:
+    built = build_problem(window, newest, sightings, known, camera, sigmas_px)
+    if built is None or len(window) <= _FIRST_FREE:
         return
     problem, landmarks = built
-    _, depths = adjust(
-        problem, camera.imu_from_camera, camera.intrinsics, depth_sigma_m=depth_sigma_m,
-        prior_sigmas=_PRIOR_SIGMAS,
-    )  # fmt: skip
+    depths = adjusted_depths(problem, camera, depth_sigma_m)
     points = camera.imu_from_camera.apply(problem.seen.rays * depths[:, None])
     for mine, source in by_host(landmarks, known):
         source.points[landmarks.indices[mine]] = points[mine]

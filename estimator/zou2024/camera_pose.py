@@ -9,18 +9,18 @@ import cv2
 import numpy as np
 
 from touchdown.estimator.api import Zou2024Params
+from touchdown.estimator.filtering.camera_model import CameraTwist, ShutterModel
 from touchdown.estimator.filtering.error_state import POSE
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
-from touchdown.estimator.filtering.rolling_shutter import CameraTwist, ShutterModel, ground_depths
 from touchdown.estimator.typing import Array, Float32, Indices
 from touchdown.estimator.zou2024.bundle import adjust_window
 from touchdown.estimator.zou2024.closures import Closures
 from touchdown.estimator.zou2024.depth_field import DepthField
 from touchdown.estimator.zou2024.landmarks import Features, LandmarkDetector
-from touchdown.estimator.zou2024.loop_closure.memory import MemoryLimits
+from touchdown.estimator.zou2024.place_recognition import MemoryLimits
 from touchdown.estimator.zou2024.pnp import CameraPose, solve_pnp
 from touchdown.estimator.zou2024.registration import FeatureMaps
 from touchdown.estimator.zou2024.relative_pose import ImageModel, update_with_image
@@ -71,7 +71,6 @@ class CameraPositioning:
         )
         self._closures = Closures(params.closure_speed_mps, rate, limits)
         self._verify = LoopVerifier(self._map, self._model, params.loop_inliers)
-        self._question: dict[str, float] = {}
         self._last_tick = self._asked_tick = -(10**9)
         self._last_position = inertial.eskf.state.position
         self._next_number = 0
@@ -120,19 +119,15 @@ class CameraPositioning:
             self._remember(features, behind, sightings, edges)
         self.diagnostics["keyframes"] = float(len(self._map.keyframes))
         self.diagnostics["closures"] = float(self._closures.closed)
-        self.diagnostics |= self._question
         return corrected
 
     def _at_one_instant(self, found: Features, twist: CameraTwist) -> Features:
         """The features as a camera without rolling shutter sees them at the filter's time."""
-        if self._shutter.idle(twist):
-            return found
         camera = self._filter.eskf.state.pose @ self._imu_from_camera
         ground = self._recent.median_height()
         if ground is None:
             ground = float(self._rig.world_from_body_start.translation[2])
-        depths = ground_depths(found.pixels, self._rig.camera, camera, ground)
-        return replace(found, pixels=self._shutter.to_instant(found.pixels, depths, twist))
+        return replace(found, pixels=self._shutter.at_instant(found.pixels, camera, ground, twist))
 
     def _worth_keeping(self, sightings: Sightings) -> bool:
         """True if the image shows enough that the newest keyframe does not."""
@@ -240,7 +235,6 @@ class CameraPositioning:
         keyframe = MapKeyframe(
             self._next_number, pose, in_map, depth_m, (sets[0], sets[1]), sightings,
             self._filter.eskf.twist, self._filter.eskf.state.calibration,
-            self._last_tick / self._rig.tick_hz,
         )  # fmt: skip
         self._next_number += 1
         self._map.keyframes.append(keyframe)
@@ -279,9 +273,7 @@ class CameraPositioning:
         if self._last_tick - self._asked_tick >= _QUERY_PERIOD_S * self._rig.tick_hz:
             self._asked_tick = self._last_tick
             found = closures.ask(keyframe.number, features, self._params.loop_threshold)
-            self._question = {"place_asked_s": keyframe.time_s, "place_found_s": -1.0}
             if found is not None and self._close(known[found], keyframe, features):
-                self._question["place_found_s"] = known[found].time_s
                 closures.settle(self._map.keyframes)
                 return
         closures.aim(keyframe)

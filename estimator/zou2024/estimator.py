@@ -4,22 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from collections.abc import Sequence
 from functools import partial
 
 from touchdown.estimator.api import Estimate, PoseTrack, Zou2024Params
+from touchdown.estimator.filtering.camera_model import Undistorter
 from touchdown.estimator.filtering.error_state import POSITION
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.online_calibration import prior_sigmas
 from touchdown.estimator.filtering.synchronizer import MessageSynchronizer
-from touchdown.estimator.filtering.undistortion import Undistorter
 from touchdown.estimator.typing import Float32
 from touchdown.estimator.zou2024.camera_pose import CameraPositioning
 from touchdown.estimator.zou2024.depth_field import half_size_energy
 from touchdown.estimator.zou2024.lidar_pose import LidarPositioning
-from touchdown.estimator.zou2024.projection import nearest_image
-from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
+from touchdown.estimator.zou2024.structured_edges import edge_detector
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
+
+
+def nearest_image(
+    images: Sequence[CameraImage], tick: int, most_ticks_apart: int
+) -> CameraImage | None:
+    """Returns the image nearest in time to a scan's ``tick`` (section 3.2), the earlier of two;
+    None if none is within ``most_ticks_apart``."""
+    near = [image for image in images if abs(image.tick - tick) <= most_ticks_apart]
+    return min(near, key=lambda image: (abs(image.tick - tick), image.tick), default=None)
 
 
 class Zou2024Estimator:
@@ -29,9 +38,7 @@ class Zou2024Estimator:
         self._rig = rig
         self._params = params = params or Zou2024Params()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, lidar=True)
-        self._filter = InertialFilter(
-            rig, params.correction_time_s, calibration_sigmas=prior_sigmas(params)
-        )
+        self._filter = InertialFilter(rig, calibration_sigmas=prior_sigmas(params))
         self._edges = edge_detector(params.edge_model)
         self._recent = RecentReturns(scans=15, per_scan=8000)
         self._lidar = LidarPositioning(rig, params, self._filter, self._recent)

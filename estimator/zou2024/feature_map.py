@@ -181,8 +181,6 @@ class FeatureMap:
     """
 
     def __init__(self, voxel_m: float, capacity: int, max_points: int = 20, reach: int = 1) -> None:
-        if capacity & (capacity - 1):
-            raise ValueError(f"FeatureMap: capacity {capacity} must be a power of two")
         self.voxel_m = voxel_m
         self.max_points = max_points
         self.reach = reach

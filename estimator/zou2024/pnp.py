@@ -1,4 +1,6 @@
-"""Camera pose from landmarks of known position (paper, Eq. 11)."""
+"""Projection into the image (paper, section 3.2) and the camera pose from landmarks of known
+position (Eq. 11); Eq. 1 is `Pose.apply`.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +11,32 @@ import numpy as np
 from touchdown.estimator.filtering.error_state import error_between, moved_by
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.estimator.typing import Array, Mask
-from touchdown.estimator.zou2024.projection import project
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
+
+NEAREST_DEPTH_M = 0.05
+
+
+def project(points_camera: Array, matrix: Array) -> tuple[Array, Mask]:
+    """Eq. 2: pixels (N, 2) of camera points (N, 3) by the intrinsic matrix K (3, 3), skew included.
+
+    The paper leaves the division by depth implicit (its ``uv`` has a third component 1). Also
+    returns the mask (N,) of points in front of the camera; the pixels of the others are
+    meaningless.
+    """
+    depth = points_camera[:, 2]
+    front = depth > NEAREST_DEPTH_M
+    rays = points_camera / np.where(front, depth, 1.0)[:, None]
+    return rays @ matrix[:2].T, front
+
+
+def inside_image(pixels: Array, front: Mask, size: tuple[int, int], margin: float = 0.0) -> Mask:
+    """Mask (N,) of the pixels (N, 2) inside an image of ``size`` (width, height)."""
+    u, v = pixels[:, 0], pixels[:, 1]
+    inside = front & (u >= margin) & (v >= margin)
+    inside &= (u <= size[0] - 1 - margin) & (v <= size[1] - 1 - margin)
+    return inside
+
 
 _GATES_PX = (24.0, 12.0, 6.0, 4.0, 3.0, 3.0)
 

@@ -10,8 +10,7 @@ from numba import njit
 
 from touchdown.estimator.filtering.anchors import AnchorFrames, Anchors
 from touchdown.estimator.filtering.error_state import Frame, Frames, error_between, moved_by
-from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.information import weak_columns, without_directions
+from touchdown.estimator.filtering.eskf import Eskf, weak_columns, without_directions
 from touchdown.estimator.filtering.plane_map import smallest_eigen
 from touchdown.estimator.filtering.vectors import along, cross, dot, xyz
 from touchdown.estimator.typing import Array, Mask

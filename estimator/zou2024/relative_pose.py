@@ -23,8 +23,7 @@ from touchdown.estimator.filtering.error_state import (
     Pinhole,
     error_between,
 )
-from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
-from touchdown.estimator.filtering.information import without_directions
+from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate, without_directions
 from touchdown.estimator.filtering.online_calibration import (
     corrected_camera,
     corrected_lens,

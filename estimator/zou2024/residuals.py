@@ -49,10 +49,7 @@ class Matches(NamedTuple):
 
     def select(self, keep: Mask) -> Matches:
         """The subset picked by a mask (M,)."""
-        return Matches(
-            self.points[keep], self.near[keep], self.axes[keep], self.is_edge[keep],
-            self.owners[keep], self.sensors[keep], self.weights[keep], self.scatter[keep],
-        )  # fmt: skip
+        return Matches._make(part[keep] for part in self)
 
 
 class ScanEquations(NamedTuple):

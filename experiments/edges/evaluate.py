@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
+from touchdown.estimator.zou2024.structured_edges import edge_detector
 from touchdown.experiments.edges.dataset import EdgeView, boundaries, edge_views
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from touchdown.estimator.filtering.deskew import screen_scan
 from touchdown.estimator.zou2024.depth_field import half_size_energy
 from touchdown.estimator.zou2024.lidar_pose import scan_features
-from touchdown.estimator.zou2024.projection import inside_image, project
-from touchdown.estimator.zou2024.structured_edges.detector import edge_detector
+from touchdown.estimator.zou2024.pnp import inside_image, project
+from touchdown.estimator.zou2024.structured_edges import edge_detector
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.edges.dataset import EdgeView, boundaries, edge_views
 from touchdown.experiments.edges.evaluate import CANNY_THRESHOLDS, canny_masks

@@ -65,8 +65,8 @@ def fly(seed: int, estimator: str, faults: tuple[str, ...] = ()) -> tuple[Simple
 
 
 def figures(outcome: str, rows: Any) -> SimpleNamespace:
-    """Growth of the error and change of its vector: the largest in five seconds out of sight, sigma
-    before and after them; ``back``: at the end, over the shore; the worst error in sigmas."""
+    """Largest growth of the error in five seconds out of sight, sigma before and after them;
+    ``back``: at the end, over the shore; the worst error in sigmas."""
     times, errors, sigmas, distances = rows[:, 0], rows[:, 1:4], rows[:, 4], rows[:, 5]
     out = np.flatnonzero(distances > OUT_OF_SIGHT_M)
     assert (np.diff(out) == 1).all(), "the shore came into view in between"
@@ -75,12 +75,10 @@ def figures(outcome: str, rows: Any) -> SimpleNamespace:
     size = np.linalg.norm(errors, axis=1)
     growth = size[starts + steps] - size[starts]
     worst = starts[np.argmax(growth)]
-    change = np.linalg.norm(errors[starts + steps] - errors[starts], axis=1)
     return SimpleNamespace(
         outcome=outcome, out_of_sight_s=float(times[out[-1]] - times[out[0]]),
-        growth_m=float(growth.max()), change_m=float(change.max()),
-        sigma_before_m=float(sigmas[worst]), sigma_after_m=float(sigmas[worst + steps]),
-        sigma_largest_m=float(sigmas[out].max()), largest_out_m=float(size[out].max()),
+        growth_m=float(growth.max()), sigma_before_m=float(sigmas[worst]),
+        sigma_after_m=float(sigmas[worst + steps]), sigma_largest_m=float(sigmas[out].max()),
         back_m=float(size[-1]), sigma_back_m=float(sigmas[-1]),
         worst_sigmas=float((size[out] / sigmas[out]).max()),
     )  # fmt: skip

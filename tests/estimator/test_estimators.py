@@ -67,11 +67,6 @@ def test_scans_and_images_that_overtake_one_another_are_all_used(module: Any) ->
     assert used and all(last.diagnostics[name] > 0.5 * clean[name] for name in used)
 
 
-@BOTH
-def test_a_distorted_lens_is_accepted(module: Any) -> None:
-    assert module.fly(module.FLIGHT[:150], rig=module.make_rig(-0.01))[-1].healthy
-
-
 def check(estimates: list[Estimate]) -> None:
     assert max(map(error, estimates)) < 0.06
     assert all(np.isfinite(e.position_covariance).all() for e in estimates)

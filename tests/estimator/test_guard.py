@@ -1,4 +1,6 @@
-"""Rejection of invalid messages, and estimators and mapper behind the guard."""
+"""Rejection of invalid messages, and removal of rain and fog, by the guard."""
+
+from __future__ import annotations
 
 import dataclasses
 from typing import Any
@@ -7,9 +9,12 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.guard import InputGuard
-from touchdown.sim.api import CameraImage, ImuSample, LidarScan, Observation
+from touchdown.sim.api import CameraImage, ImuSample, LidarParams, LidarScan, Observation
 
-from support.guard_support import RIG, obs
+from support.fault_air_support import look_down
+from support.landing_support import make_obs
+from support.lidar_support import PLANE
+from support.livo_flight import RIG
 
 HEIGHT, WIDTH = RIG.camera.height, RIG.camera.width
 
@@ -45,7 +50,7 @@ def screen(*observations: Observation) -> tuple[Observation, list[str], InputGua
 
 
 def test_valid_messages_pass_unchanged() -> None:
-    whole = obs(636, scans=(scan(),), images=(image(),))
+    whole = make_obs(636, scans=(scan(),), images=(image(),))
     out, events, guard = screen(whole)
     assert out is whole and not events and guard.refused == 0
 
@@ -59,7 +64,7 @@ def test_valid_messages_pass_unchanged() -> None:
 ])  # fmt: skip
 def test_scans_that_are_refused(changes: dict[str, Any], word: str) -> None:
     bad = scan(**changes)
-    out, events, guard = screen(obs(636, scans=(bad,)))
+    out, events, guard = screen(make_obs(636, scans=(bad,)))
     assert out.scans == () and events == [f"scan {bad.end_tick} refused: {word}"]
     assert guard.refused == 1
 
@@ -68,10 +73,10 @@ def test_missing_returns_are_an_event_in_flight_only() -> None:
     def blind(end: int) -> LidarScan:
         return scan(end, ranges=np.zeros(20, np.float32))
 
-    grounded = [obs(t + 36, scans=(blind(t),)) for t in (60, 120)]
-    flying = [obs(t + 36, scans=(scan(t),)) for t in (180, 240)]
-    blinded = [obs(t + 36, scans=(blind(t),)) for t in (300, 360)]
-    again = [obs(456, scans=(scan(420),))]
+    grounded = [make_obs(t + 36, scans=(blind(t),)) for t in (60, 120)]
+    flying = [make_obs(t + 36, scans=(scan(t),)) for t in (180, 240)]
+    blinded = [make_obs(t + 36, scans=(blind(t),)) for t in (300, 360)]
+    again = [make_obs(456, scans=(scan(420),))]
     out, events, _ = screen(*grounded)
     assert out.scans == () and events == []
     assert screen(*grounded, *flying, *blinded, *again)[1] == [
@@ -86,7 +91,7 @@ def test_single_invalid_pulses_keep_their_position() -> None:
     directions = scan().directions.copy()
     directions[11, 1] = np.inf
     given = scan(ranges=ranges, directions=directions)
-    out, events, _ = screen(obs(636, scans=(given,)))
+    out, events, _ = screen(make_obs(636, scans=(given,)))
     cleaned = out.scans[0]
     assert events == ["scan 600 cleaned: 3 of 20 pulses not a number"]
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(cleaned.ranges)), [3, 7, 11])
@@ -94,39 +99,27 @@ def test_single_invalid_pulses_keep_their_position() -> None:
     assert np.isinf(given.directions[11, 1]), "what was given is not written to"
 
 
-def test_stamps() -> None:
-    first = obs(636, scans=(scan(600),), images=(image(600),))
-    repeated = obs(696, scans=(scan(600, seed=1),), images=(image(600),))
-    _, events, _ = screen(first, repeated)
-    assert events == [
-        "scan 600 refused: repeats its time stamp",
-        "image 600 refused: repeats its time stamp",
-    ]
-    older = obs(696, scans=(scan(570, seed=1),), images=(image(540),))
-    assert screen(first, older)[1] == [
-        "scan 570 refused: older than one that came before it",
-        "image 540 refused: older than one that came before it",
-    ]
+FIRST = make_obs(636, scans=(scan(600),), images=(image(600),))
 
 
-def test_two_swapped_messages_are_both_rejected() -> None:
-    out, events, _ = screen(obs(696, scans=(scan(660), scan(600)), images=(image(660), image(600))))
+@pytest.mark.parametrize(("later", "said"), [
+    ((scan(600, seed=1), image(600)), ("scan 600", "image 600", "repeats its time stamp")),
+    ((scan(570, seed=1), image(540)),
+     ("scan 570", "image 540", "older than one that came before it")),
+    ((dataclasses.replace(scan(600), start_tick=600, end_tick=660),
+      dataclasses.replace(image(600), tick=660)),
+     ("scan 660", "image 660", "the same as the one before")),
+])  # fmt: skip
+def test_stamps_and_content_that_come_again(later: Any, said: tuple[str, str, str]) -> None:
+    _, events, _ = screen(FIRST, make_obs(696, scans=later[:1], images=later[1:]))
+    assert events == [f"{name} refused: {said[2]}" for name in said[:2]]
+
+
+def test_two_swapped_messages_are_both_rejected_and_reported_once_for_each_sensor() -> None:
+    swapped = make_obs(696, scans=(scan(660), scan(600)), images=(image(660), image(600)))
+    out, events, _ = screen(swapped)
     assert out.scans == () and out.images == ()
-    # reported once for each sensor
     assert events == ["scan 660 refused: out of order", "image 660 refused: out of order"]
-
-
-def test_a_frozen_sensor_is_detected_by_repeated_noise() -> None:
-    frozen_scan = dataclasses.replace(scan(600), start_tick=600, end_tick=660)
-    frozen_image = dataclasses.replace(image(600), tick=660)
-    _, events, _ = screen(
-        obs(636, scans=(scan(600),), images=(image(600),)),
-        obs(696, scans=(frozen_scan,), images=(frozen_image,)),
-    )
-    assert events == [
-        "scan 660 refused: the same as the one before",
-        "image 660 refused: the same as the one before",
-    ]
 
 
 @pytest.mark.parametrize(("rgb", "word"), [
@@ -136,14 +129,14 @@ def test_a_frozen_sensor_is_detected_by_repeated_noise() -> None:
     (np.zeros((HEIGHT, WIDTH, 3), np.float32), "float32 of shape"),
 ])  # fmt: skip
 def test_images_that_are_refused(rgb: Any, word: str) -> None:
-    out, events, _ = screen(obs(636, images=(image(rgb=rgb),)))
+    out, events, _ = screen(make_obs(636, images=(image(rgb=rgb),)))
     assert out.images == () and len(events) == 1 and word in events[0]
 
 
 def test_a_dropout_is_reported_once_and_so_is_its_end() -> None:
-    first = obs(636, scans=(scan(600),))
-    dropout = [obs(t) for t in range(639, 1200, 3)]
-    back = obs(1236, scans=(scan(1200),))
+    first = make_obs(636, scans=(scan(600),))
+    dropout = [make_obs(t) for t in range(639, 1200, 3)]
+    back = make_obs(1236, scans=(scan(1200),))
     _, events, _ = screen(first, *dropout, back)
     assert events == ["no scan for 0.35 s", "scans again after 1.00 s"]
     assert screen(*dropout)[1] == [], "a sensor that never delivered has no dropout"
@@ -156,7 +149,72 @@ def test_an_invalid_imu_sample_is_replaced() -> None:
             specific_force=np.ones(3),
         )  # fmt: skip
 
-    out, events, _ = screen(obs(3, imu=(sample(3, 0.1),)), obs(6, imu=(sample(6, np.nan),)))
+    out, events, _ = screen(
+        make_obs(3, imu=(sample(3, 0.1),)), make_obs(6, imu=(sample(6, np.nan),))
+    )
     assert out.imu[0].tick == 6 and out.imu[0].angular_velocity[0] == 0.1
     assert events == ["IMU sample 6 replaced by 3: not a number"]
-    assert screen(obs(3, imu=(sample(3, np.inf),)))[0].imu == ()
+    assert screen(make_obs(3, imu=(sample(3, np.inf),)))[0].imu == ()
+
+
+def a_second(height: float, *events: str, **faults: Any) -> list[LidarScan]:
+    """Ten scans, each a period after the other, with noise."""
+    noisy = LidarParams(divergence=False)
+    scan = look_down(PLANE, height, *events, params=noisy, **faults)
+    rolled = [np.roll(scan.ranges, k) for k in range(10)]  # no content twice
+    return [
+        dataclasses.replace(
+            scan, start_tick=60 * k, end_tick=60 * (k + 1), ranges=rolled[k],
+            intensity=np.roll(scan.intensity, k),
+        )
+        for k in range(10)
+    ]  # fmt: skip
+
+
+def guarded(scans: list[LidarScan]) -> tuple[list[LidarScan], list[str]]:
+    guard = InputGuard(RIG)
+    kept: list[LidarScan] = []
+    said: list[str] = []
+    for scan in scans:
+        kept += guard.screen(make_obs(scan.end_tick + 36, scans=(scan,))).scans
+        said += guard.events
+    return kept, said
+
+
+@pytest.mark.parametrize("height", [1.0, 4.0, 30.0])
+def test_clear_scans_pass_untouched(height: float) -> None:
+    scans = a_second(height)
+    kept, said = guarded(scans)
+    assert all(a is b for a, b in zip(kept, scans, strict=True)) and not said
+
+
+def test_rain_is_taken_out_from_the_third_scan_on() -> None:
+    scans = a_second(30.0, "rain@0")
+    kept, said = guarded(scans)
+    false = (scans[0].ranges > 0.0) & (scans[0].ranges < 20.0)
+    assert 0.005 < false.mean() < 0.03
+    assert all(a is b for a, b in zip(kept[:2], scans[:2], strict=True))
+    for k, scan in enumerate(kept[2:], start=2):
+        mine = np.roll(false, k)
+        assert np.isnan(scan.ranges[mine]).mean() > 0.95 and not np.isnan(scan.ranges[~mine]).any()
+    assert len(said) == 1 and "echoes of rain or fog" in said[0]
+
+
+def test_rain_is_still_known_near_the_ground() -> None:
+    high, low = a_second(30.0, "rain@0"), a_second(3.0, "rain@0")
+    later = [
+        dataclasses.replace(s, start_tick=s.start_tick + 600, end_tick=s.end_tick + 600)
+        for s in low
+    ]
+    kept, _ = guarded(high + later)
+    ground = later[0].ranges > 2.9
+    for k, scan in enumerate(kept[10:]):
+        mine = np.roll(ground, k)
+        assert not np.isnan(scan.ranges[mine]).any() and np.isnan(scan.ranges[~mine]).mean() > 0.4
+    untold, said = guarded(low)
+    assert all(a is b for a, b in zip(untold, low, strict=True)) and not said
+
+
+def test_fog_too_thick_to_see_through_is_refused() -> None:
+    _, said = guarded(a_second(30.0, "fog@0", fog_visibility_m=30.0))
+    assert any("nothing but echoes of rain or fog" in text for text in said)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -37,17 +38,25 @@ def moving_scan(n: int, seed: int = 0, **scene: object) -> LidarScan:
     return cast_scan(60, directions, [motion(0.1 + t) for t in times], **scene)
 
 
-def fly(mapper: GridMapper, scan: LidarScan, **deliver: object) -> MapView:
-    """Feeds causal poses at 200 Hz and the scan 36 ticks after its end."""
-    for tick in range(0, 157, 3):
-        arrived = tick == 156
-        obs = make_obs(tick, scans=(scan,) if arrived else (), **(deliver if arrived else {}))
-        view = mapper.update(obs, make_estimate(tick, motion(tick / 600.0)))
+def at_height(metres: float) -> Pose:
+    return Pose(np.eye(3), np.array([0.0, 0.0, metres]))
+
+
+def fly(
+    mapper: GridMapper, body: Pose | Callable[[float], Pose], scan: LidarScan, start: int = 0,
+    images: tuple[CameraImage, ...] = (),
+) -> MapView:  # fmt: skip
+    """Feeds causal poses at 200 Hz from tick ``start`` on, and the scan of 60 ticks after it
+    and the images, 36 ticks late."""
+    for tick in range(start, start + 157, 3):
+        late = {"scans": (scan,), "images": images} if tick == start + 156 else {}
+        pose = body if isinstance(body, Pose) else body(tick / 600.0)
+        view = mapper.update(make_obs(tick, **late), make_estimate(tick, pose))
     return view
 
 
 def test_moving_scan_maps_plane_and_box_to_their_heights() -> None:
-    view = fly(GridMapper(make_rig(), PARAMS), moving_scan(20000, box=BOX))
+    view = fly(GridMapper(make_rig(), PARAMS), motion, moving_scan(20000, box=BOX))
     seen = view.coarse.count > 0
     heights = view.coarse.height_m[seen]
     col, row = np.meshgrid(np.arange(300), np.arange(300))
@@ -88,13 +97,7 @@ def test_every_pulse_is_placed_by_the_pose_at_its_time(count: int) -> None:
 
 
 def test_the_estimators_own_track_is_preferred() -> None:
-    times = np.linspace(0.09, 0.21, 25)
-    poses = [motion(t) for t in times]
-    track = PoseTrack(
-        times_s=times,
-        positions_odom=np.array([p.translation for p in poses]) + np.array([0.0, 0.0, 1.0]),
-        quats_wxyz=np.array([quat_wxyz_from_matrix(p.rotation) for p in poses]),
-    )
+    track = raised_track(0.09, 0.21)
     mapper = GridMapper(make_rig(), PARAMS)
     scan = moving_scan(4000)
     mapper.update(make_obs(0), make_estimate(0, motion(0.0)))
@@ -106,7 +109,7 @@ def test_the_estimators_own_track_is_preferred() -> None:
 
 def test_pulses_without_return_are_missing_where_they_should_have_hit() -> None:
     hole = (np.array([-1.0, -4.0]), np.array([2.0, -1.0]))
-    view = fly(GridMapper(make_rig(), PARAMS), moving_scan(20000, hole=hole))
+    view = fly(GridMapper(make_rig(), PARAMS), motion, moving_scan(20000, hole=hole))
     grid = view.coarse
     rows, cols = np.nonzero(grid.missing > 0)
     centres = grid.origin_xy_m + (np.column_stack([cols, rows]) + 0.5) * grid.cell_m
@@ -121,15 +124,9 @@ def test_colours_come_from_where_the_camera_looked() -> None:
     rgb = np.zeros((480, 848, 3), np.uint8)
     rgb[:, :424, 0] = 200
     rgb[:, 424:, 1] = 200
-    still = Pose(np.eye(3), np.array([0.0, 0.0, 12.0]))
-    directions = beam_fan(6000, 0.86, 0.22, 1)
-    scan = cast_scan(60, directions, [still] * 6000)
+    scan = cast_scan(60, beam_fan(6000, 0.86, 0.22, 1), [at_height(12.0)] * 6000)
     image = CameraImage(tick=120, time_s=0.2, rgb=rgb)
-    mapper = GridMapper(make_rig(), PARAMS)
-    for tick in range(0, 157, 3):
-        late = {"scans": (scan,), "images": (image,)} if tick == 156 else {}
-        view = mapper.update(make_obs(tick, **late), make_estimate(tick, still))
-    grid = view.coarse
+    grid = fly(GridMapper(make_rig(), PARAMS), at_height(12.0), scan, images=(image,)).coarse
     rows, cols = np.nonzero(grid.count > 0)
     y = grid.origin_xy_m[1] + (rows + 0.5) * grid.cell_m
     rgb_seen = grid.rgb[rows, cols]
@@ -167,11 +164,8 @@ def test_an_image_is_placed_where_it_was_taken_not_where_it_arrived() -> None:
 
     times = 0.1 + np.linspace(0.1 / 6000, 0.1, 6000)
     scan = cast_scan(60, beam_fan(6000, 0.86, 0.22, 1), [body(t) for t in times])
-    mapper = GridMapper(make_rig(), PARAMS)
-    for tick in range(0, 157, 3):
-        late = {"scans": (scan,), "images": (painted(120, 200, 100),)} if tick == 156 else {}
-        view = mapper.update(make_obs(tick, **late), make_estimate(tick, body(tick / 600.0)))
-    y, red = red_by_place(view)
+    images = (painted(120, 200, 100),)
+    y, red = red_by_place(fly(GridMapper(make_rig(), PARAMS), body, scan, images=images))
     assert (red[(y > 4.3) & (y < 9.0)] == 200.0).all() and (red[y < 3.7] == 100.0).all()
 
 
@@ -179,14 +173,10 @@ def test_a_return_has_the_colour_of_the_image_nearest_in_time() -> None:
     """The scan sweeps from left to right between a dark image and a bright one."""
     directions = beam_fan(6000, 0.5, 0.22, 1)
     directions = directions[np.argsort(directions[:, 0])]
-    still = Pose(np.eye(3), np.array([0.0, 0.0, 12.0]))
-    scan = cast_scan(60, directions, [still] * 6000)
+    scan = cast_scan(60, directions, [at_height(12.0)] * 6000)
     images = painted(60, 50, 60), painted(120, 240, 250)
     mapper = GridMapper(make_rig(), PARAMS)
-    for tick in range(0, 157, 3):
-        late = {"scans": (scan,), "images": images} if tick == 156 else {}
-        view = mapper.update(make_obs(tick, **late), make_estimate(tick, still))
-    y, red = red_by_place(view)
+    y, red = red_by_place(fly(mapper, at_height(12.0), scan, images=images))
     early, late_ones = red[y > 0.5], red[y < -0.5]
     assert len(early) > 100 and len(late_ones) > 100
     assert (early <= 60.0).all() and (late_ones >= 240.0).all()
@@ -208,16 +198,13 @@ def test_colours_are_taken_through_the_lens() -> None:
 def test_spread_is_exact_and_extremes_fade() -> None:
     """Heights of 0.1 and -0.1 m in turn, then a minute later only the mean."""
     mapper = GridMapper(make_rig(), dataclasses.replace(PARAMS, extreme_memory_s=60.0))
-    still = Pose(np.eye(3), np.array([0.0, 0.0, 12.0]))
     down = np.tile([[0.004, 0.004, 1.0]], (100, 1))
     for start, swing in ((0, 0.1), (36_000, 0.0)):
-        scan = cast_scan(start + 60, down, [still] * 100)
+        scan = cast_scan(start + 60, down, [at_height(12.0)] * 100)
         ranges = scan.ranges + np.float32(swing) * (-1.0) ** np.arange(100)
         levels = np.tile([20, 60], 50).astype(np.uint8)
         scan = dataclasses.replace(scan, ranges=ranges.astype(np.float32), intensity=levels)
-        for tick in range(start, start + 157, 3):
-            obs = make_obs(tick, scans=(scan,) if tick == start + 156 else ())
-            view = mapper.update(obs, make_estimate(tick, still))
+        view = fly(mapper, at_height(12.0), scan, start)
         if swing:
             assert np.nanmax(view.coarse.height_std_m) == pytest.approx(0.1, rel=1e-3)
             assert np.nanmax(view.coarse.intensity) == pytest.approx(40.0, rel=1e-3)
@@ -231,7 +218,7 @@ def test_a_pulse_without_return_says_nothing_beyond_the_reach() -> None:
     hole = (np.array([-1.0, -4.0]), np.array([2.0, -1.0]))
     for reach_m, shown in ((60.0, True), (11.0, False)):
         params = dataclasses.replace(PARAMS, missing_max_reach_m=reach_m)
-        view = fly(GridMapper(make_rig(), params), moving_scan(4000, hole=hole))
+        view = fly(GridMapper(make_rig(), params), motion, moving_scan(4000, hole=hole))
         assert (view.coarse.missing > 0).any() == shown
 
 
@@ -249,12 +236,8 @@ def test_recent_returns_outweigh_old_ones() -> None:
     mapper = GridMapper(make_rig(), dataclasses.replace(PARAMS, count_cap=50.0))
     straight_down = np.tile([[0.004, 0.004, 1.0]], (1000, 1))
     for floor, tick in ((12.0, 0), (11.0, 300)):
-        pose = Pose(np.eye(3), np.array([0.0, 0.0, floor]))
-        still = Pose(np.eye(3), np.array([0.0, 0.0, 12.0]))
-        scan = cast_scan(tick + 60, straight_down, [pose] * 1000)
-        for k in range(tick, tick + 157, 3):
-            scans = (scan,) if k == tick + 156 else ()
-            view = mapper.update(make_obs(k, scans=scans), make_estimate(k, still))
+        scan = cast_scan(tick + 60, straight_down, [at_height(floor)] * 1000)
+        view = fly(mapper, at_height(12.0), scan, tick)
     cells = view.coarse.count > 0
     assert view.coarse.count[cells].max() == 50.0
     assert view.coarse.height_m[cells].max() == pytest.approx(1.0, abs=1e-4)
@@ -267,11 +250,7 @@ def test_fine_grid_opens_low_follows_and_keeps_the_overlap() -> None:
 
     def hover(x: float, z: float, tick: int) -> MapView:
         still = Pose(np.eye(3), np.array([x, 0.0, z]))
-        scan = cast_scan(tick + 60, directions, [still] * 4000)
-        for k in range(tick, tick + 157, 3):
-            scans = (scan,) if k == tick + 156 else ()
-            view = mapper.update(make_obs(k, scans=scans), make_estimate(k, still))
-        return view
+        return fly(mapper, still, cast_scan(tick + 60, directions, [still] * 4000), tick)
 
     assert hover(0.0, 20.0, 0).fine is None
     low = hover(0.0, 10.0, 600)
@@ -290,14 +269,10 @@ def test_fine_grid_opens_low_follows_and_keeps_the_overlap() -> None:
 def test_the_fine_grid_opens_by_the_height_above_the_ground_below() -> None:
     """20 m above the take-off, 9 m above a hill that the first scan shows."""
     mapper = GridMapper(make_rig(), PARAMS)
-    above, still = (Pose(np.eye(3), np.array([0.0, 0.0, z])) for z in (9.0, 20.0))
     views = []
     for start in (0, 120):
-        scan = cast_scan(start + 60, beam_fan(4000, 0.86, 0.22, start), [above] * 4000)
-        for tick in range(start, start + 157, 3):
-            obs = make_obs(tick, scans=(scan,) if tick == start + 156 else ())
-            view = mapper.update(obs, make_estimate(tick, still))
-        views.append(view)
+        scan = cast_scan(start + 60, beam_fan(4000, 0.86, 0.22, start), [at_height(9.0)] * 4000)
+        views.append(fly(mapper, at_height(20.0), scan, start))
     assert views[0].fine is None and views[1].fine is not None
 
 
@@ -306,7 +281,7 @@ def test_not_a_number_in_pose_or_range_leaves_the_map_clean() -> None:
     scan = moving_scan(2000)
     ranges = scan.ranges.copy()
     ranges[::7] = np.nan
-    fly(mapper, dataclasses.replace(scan, ranges=ranges))
+    fly(mapper, motion, dataclasses.replace(scan, ranges=ranges))
     broken = Pose(np.full((3, 3), np.nan), np.full(3, np.nan))
     view = mapper.update(make_obs(159, scans=(scan,)), make_estimate(159, broken))
     seen = view.coarse.count > 0
@@ -370,12 +345,8 @@ def test_a_scan_older_than_one_with_a_track_waits_no_longer() -> None:
 
 
 def test_histograms_hold_every_return_of_the_coarse_and_the_fine_map() -> None:
-    hover = Pose(np.eye(3), np.array([0.0, 0.0, 8.0]))
-    scan = cast_scan(60, beam_fan(5000, 0.5, 0.3, 2), [hover] * 5000)
-    mapper = GridMapper(make_rig(), PARAMS)
-    for tick in range(0, 157, 3):
-        obs = make_obs(tick, scans=(scan,) if tick == 156 else ())
-        view = mapper.update(obs, make_estimate(tick, hover))
+    scan = cast_scan(60, beam_fan(5000, 0.5, 0.3, 2), [at_height(8.0)] * 5000)
+    view = fly(GridMapper(make_rig(), PARAMS), at_height(8.0), scan)
     assert view.fine is not None
     for grid in (view.coarse, view.fine):
         assert grid.histogram is not None and grid.histogram_base_m is not None

@@ -11,16 +11,17 @@ import pytest
 
 from touchdown.estimator.api import FlownImuParams
 from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
-from touchdown.estimator.filtering.inertial_filter import InertialFilter, with_flown_noise
-from touchdown.estimator.filtering.rolling_shutter import (
+from touchdown.estimator.filtering.camera_model import (
     CameraTwist,
     ShutterModel,
     at_middle_row,
     ground_depths,
 )
-from touchdown.sim.api import CameraImage, ImuSample, Observation
+from touchdown.estimator.filtering.inertial_filter import InertialFilter, with_flown_noise
+from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
+from support.livo_flight import inertial
 from support.zou2024_flight import make_rig
 
 READOUT_S = 0.015
@@ -102,48 +103,38 @@ def test_a_camera_off_the_imu_swings_with_the_turn() -> None:
 
 def flown(rate: np.ndarray, ticks: int) -> InertialFilter:
     """A filter after samples of constant angular rate, free of load but for gravity's reaction."""
-    inertial = InertialFilter(RIG, 0.15)
-    rotation = inertial.eskf.state.rotation
+    flying = InertialFilter(RIG)
+    rotation = flying.eskf.state.rotation
     for tick in range(3, ticks + 1, 3):
         up = rotation @ so3_exp((tick - 1.5) / 600 * rate)
-        sample = ImuSample(
-            tick=tick, time_s=tick / 600, angular_velocity=rate,
-            specific_force=up.T @ [3.0, 0.0, 9.80665],
-        )  # fmt: skip
-        speed = np.full(4, 400.0)
-        inertial.take_imu(
-            Observation(
-                tick=tick, time_s=tick / 600, imu=(sample,), rotor_speed_radps=speed,
-                battery_fraction=1.0,
-            )
-        )  # fmt: skip
-    inertial.carry_to(ticks)
-    return inertial
+        flying.take_imu(inertial(tick, rate, up.T @ [3.0, 0.0, 9.80665], 400.0))
+    flying.carry_to(ticks)
+    return flying
 
 
 def test_poses_of_the_trail_lie_between_its_steps() -> None:
     rate = np.array([0.0, 0.0, 0.5])
-    inertial = flown(rate, 240)
-    start = inertial.rig.world_from_body_start @ inertial.rig.body_from_imu
+    flying = flown(rate, 240)
+    start = flying.rig.world_from_body_start @ flying.rig.body_from_imu
     for tick in (181, 200, 238, 240):
-        pose = inertial.trail.pose_at(tick)
+        pose = flying.trail.pose_at(tick)
         turned = so3_log(start.rotation.T @ pose.rotation)
         np.testing.assert_allclose(turned, tick / 600 * rate, atol=1e-9)
         travelled = pose.translation - start.translation
         np.testing.assert_allclose(travelled, [1.5 * (tick / 600) ** 2, 0.0, 0.0], atol=1e-3)
-    now = inertial.eskf.state.pose
-    np.testing.assert_allclose(inertial.trail.pose_at(300).translation, now.translation)
+    now = flying.eskf.state.pose
+    np.testing.assert_allclose(flying.trail.pose_at(300).translation, now.translation)
 
 
 def test_the_motion_is_that_at_the_filter_time() -> None:
-    inertial = flown(np.array([0.0, 0.0, 0.5]), 240)
+    flying = flown(np.array([0.0, 0.0, 0.5]), 240)
     image = CameraImage(tick=242, time_s=242.2 / 600, rgb=np.zeros((2, 2, 3), np.uint8))
-    twist = inertial.camera_twist(image)
+    twist = flying.camera_twist(image)
     assert twist.late_s == pytest.approx(2.2 / 600)
-    to_camera = inertial.imu_from_camera.rotation.T
+    to_camera = flying.imu_from_camera.rotation.T
     np.testing.assert_allclose(twist.rate, to_camera @ [0.0, 0.0, 0.5], atol=1e-9)
-    state = inertial.eskf.state
-    swing = np.cross([0.0, 0.0, 0.5], inertial.imu_from_camera.translation)
+    state = flying.eskf.state
+    swing = np.cross([0.0, 0.0, 0.5], flying.imu_from_camera.translation)
     expected = to_camera @ (state.rotation.T @ state.velocity + swing)
     np.testing.assert_allclose(twist.velocity, expected, atol=1e-9)
 

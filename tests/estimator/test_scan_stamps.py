@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
-from touchdown.sim.api import GRAVITY_MPS2, ImuSample, LidarScan, Observation
+from touchdown.sim.api import GRAVITY_MPS2, LidarScan, Observation
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
 from support import livo_flight, zou2024_flight
@@ -27,14 +27,7 @@ def sample(tick: int) -> Observation:
     """In the air, at the end of the mean over a step."""
     middle = rotation_from_yaw(RATE * (tick - 0.5 * IMU_TICKS) / HZ)
     force = middle.T @ (PUSH + [0.0, 0.0, GRAVITY_MPS2])
-    imu = ImuSample(
-        tick=tick, time_s=tick / HZ, angular_velocity=np.array([0.0, 0.0, RATE]),
-        specific_force=force,
-    )  # fmt: skip
-    return Observation(
-        tick=tick, time_s=tick / HZ, imu=(imu,), rotor_speed_radps=np.full(4, 400.0),
-        battery_fraction=1.0,
-    )  # fmt: skip
+    return livo_flight.inertial(tick, np.array([0.0, 0.0, RATE]), force, 400.0)
 
 
 def scan_of(targets: np.ndarray, end: int) -> LidarScan:
@@ -56,7 +49,7 @@ def scan_of(targets: np.ndarray, end: int) -> LidarScan:
 def test_a_scan_between_two_samples_lies_where_it_was_measured(shift: int, newest: int) -> None:
     """``newest`` 72: the sample after the scan's end has not come."""
     targets = np.random.default_rng(0).uniform(-0.5, 0.5, (3000, 3)) + [0.0, 0.0, START_Z - 1.5]
-    inertial = InertialFilter(RIG, 0.1)
+    inertial = InertialFilter(RIG)
     for tick in range(IMU_TICKS, newest + 1, IMU_TICKS):
         inertial.take_imu(sample(tick))
     scan = scan_of(targets, 72 + shift)

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -112,6 +113,19 @@ def image_at(tick: int, rig: SensorRig, position: np.ndarray | None = None) -> C
     return CameraImage(tick=tick, time_s=tick / HZ, rgb=np.repeat(grey[..., None], 3, axis=2))
 
 
+def inertial(
+    tick: int, rate: np.ndarray, force: np.ndarray, rotors_radps: float = 0.0, **messages: Any
+) -> Observation:
+    """An observation with one sample of the IMU, but for the first of all."""
+    sample = ImuSample(
+        tick=tick, time_s=tick / HZ, angular_velocity=rate, specific_force=np.asarray(force)
+    )
+    return Observation(
+        tick=tick, time_s=tick / HZ, imu=(sample,) if tick else (), battery_fraction=1.0,
+        rotor_speed_radps=np.full(4, rotors_radps), **messages,
+    )  # fmt: skip
+
+
 def observed(
     last_tick: int, motion: Motion, scan_at: Callable[[int], LidarScan],
     image_at: Callable[[int], CameraImage] | None,
@@ -124,18 +138,10 @@ def observed(
         # the mean over the interval that ends now, of a motion whose acceleration hardly changes
         now = motion(tick / HZ - 0.5 * step)
         around = motion(tick / HZ - 1.5 * step) + motion(tick / HZ + 0.5 * step) - 2.0 * now
-        imu = ImuSample(
-            tick=tick, time_s=tick / HZ, angular_velocity=np.zeros(3),
-            specific_force=around / step**2 + np.array([0.0, 0.0, GRAVITY_MPS2]),
-        )  # fmt: skip
-        found.append(
-            Observation(
-                tick=tick, time_s=tick / HZ, imu=(imu,) if tick else (),
-                scans=(scan_at(measured),) if due else (),
-                images=(image_at(measured),) if due and image_at else (),
-                rotor_speed_radps=np.full(4, 400.0), battery_fraction=1.0,
-            )
-        )  # fmt: skip
+        force = around / step**2 + np.array([0.0, 0.0, GRAVITY_MPS2])
+        scans = (scan_at(measured),) if due else ()
+        images = (image_at(measured),) if due and image_at else ()
+        found.append(inertial(tick, np.zeros(3), force, 400.0, scans=scans, images=images))
     return found
 
 

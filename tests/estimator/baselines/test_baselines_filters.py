@@ -1,17 +1,25 @@
-"""The baselines' small parts: order of messages, alignment, anchors in the world, stereo depth."""
+"""The baselines' small parts: order of messages, alignment, anchors in the world, stereo depth; the
+GPS filter on synthetic fixes.
+"""
+
+from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
-from touchdown.estimator.api import StereoParams
+from touchdown.estimator.api import GpsEstimatorParams, StereoParams
 from touchdown.estimator.baselines.aiding import BaroHeight, update, update_heading
-from touchdown.estimator.baselines.disparity import GroundHeight, disparities, inverse_depths
-from touchdown.estimator.baselines.epochs import EpochQueue
-from touchdown.estimator.baselines.gps import FollowingAnchor, WanderingAnchor
-from touchdown.estimator.baselines.navigator import Navigator, field_azimuth, level_attitude
+from touchdown.estimator.baselines.gps import FollowingAnchor, GpsEstimator, WanderingAnchor
+from touchdown.estimator.baselines.navigator import (
+    EpochQueue,
+    Navigator,
+    field_azimuth,
+)
+from touchdown.estimator.baselines.stereo import GroundHeight, disparities, inverse_depths
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.ground_below import GroundBelow
@@ -19,11 +27,13 @@ from touchdown.sim.api import (
     BarometerSample,
     CameraImage,
     GpsFix,
+    ImuSample,
     MagnetometerParams,
     MagnetometerSample,
     Observation,
     RangefinderSample,
     SensorNeeds,
+    SensorRig,
     SimParams,
 )
 from touchdown.sim.delivery import Latency
@@ -31,12 +41,8 @@ from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, rotation_from
 from touchdown.sim.navigation.magnetometer import earth_field_world
 from touchdown.sim.noise import GaussMarkov
 
-from support.baselines_support import HZ, make_rig, texture
-
-
-def observation(tick: int, **messages: object) -> Observation:
-    values: dict[str, object] = {"rotor_speed_radps": np.zeros(4), "battery_fraction": 1.0}
-    return Observation(tick=tick, time_s=tick / HZ, **(values | messages))  # type: ignore[arg-type]
+from support.baselines_support import HZ, texture
+from support.landing_support import make_obs, make_rig
 
 
 def image(tick: int) -> CameraImage:
@@ -59,20 +65,20 @@ def test_epochs_come_in_the_order_of_measurement() -> None:
     """A fix of tick 120 arrives at 192, an image of tick 60 at 96: nothing of tick 120 is final
     before tick 192."""
     queue = EpochQueue(make_rig(), SensorNeeds(camera_hz=10, gps=True, magnetometer=True))
-    assert queue.take(observation(63, magnetometer=())) == []
+    assert queue.take(make_obs(63, magnetometer=())) == []
     field = MagnetometerSample(tick=60, time_s=0.1, field_body_ut=np.ones(3))
-    assert queue.take(observation(99, images=(image(60),), magnetometer=(field,))) == []
-    (first,) = queue.take(observation(132))
+    assert queue.take(make_obs(99, images=(image(60),), magnetometer=(field,))) == []
+    (first,) = queue.take(make_obs(132))
     assert (first.tick, first.image is not None, first.magnetometer) == (60, True, (field,))
     fix = make_fix(120, np.zeros(3))
-    (second,) = queue.take(observation(192, gps=(fix,), images=(image(120),)))
+    (second,) = queue.take(make_obs(192, gps=(fix,), images=(image(120),)))
     assert second.tick == 120 and second.fix is fix and second.image is not None
 
 
 def test_messages_after_their_epoch_are_counted_not_used() -> None:
     queue = EpochQueue(make_rig(), SensorNeeds(camera_hz=10))
-    assert [e.tick for e in queue.take(observation(156, images=(image(120),)))] == [60, 120]
-    assert queue.take(observation(160, images=(image(60),))) == [] and queue.late == 1
+    assert [e.tick for e in queue.take(make_obs(156, images=(image(120),)))] == [60, 120]
+    assert queue.take(make_obs(160, images=(image(60),))) == [] and queue.late == 1
 
 
 def test_images_of_varying_latency_all_get_their_epoch() -> None:
@@ -84,20 +90,10 @@ def test_images_of_varying_latency_all_get_their_epoch() -> None:
         arrivals.setdefault(latency.due(tick), []).append(image(tick))
     seen = []
     for now in range(3, 18_200, 3):
-        for epoch in queue.take(observation(now, images=tuple(arrivals.get(now, ())))):
+        for epoch in queue.take(make_obs(now, images=tuple(arrivals.get(now, ())))):
             seen.append(epoch.image is not None)
     assert queue.late <= 3 and sum(seen) >= 295
     assert len(seen) - sum(seen) <= 8
-
-
-def test_attitude_from_gravity_and_field() -> None:
-    params = MagnetometerParams()
-    field = earth_field_world(params)
-    assert math.atan2(field[1], field[0]) == pytest.approx(field_azimuth(params))
-    true = rotation_from_yaw(0.8) @ so3_exp(np.array([0.05, -0.08, 0.0]))
-    force = true.T @ np.array([0.0, 0.0, 9.81])
-    found = level_attitude(force, true.T @ field, field_azimuth(params))
-    np.testing.assert_allclose(found, true, atol=1e-12)
 
 
 def test_heading_update_turns_about_the_vertical_alone() -> None:
@@ -182,36 +178,22 @@ def test_following_anchor_is_where_the_fixes_are() -> None:
     np.testing.assert_allclose(np.diag(anchor.covariance), [0.25, 0.25, 0.64])
 
 
-def _anchor_errors(tau_s: float, seconds: float, runs: int) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of a WanderingAnchor (runs, 3) after a stream of fixes of a vehicle whose odometry is
-    perfect, and its variances (3,)."""
-    sigma = np.array([0.5, 0.5, 0.8])
-    errors, variance = [], np.zeros(3)
-    for seed in range(runs):
+@pytest.mark.parametrize("seconds", [6.0, 120.0])
+def test_wandering_anchor_learns_as_far_as_the_error_wanders(seconds: float) -> None:
+    """Mean of a Gauss-Markov process over T with the correlation time tau: the best estimate of
+    its offset has the variance 2 sigma^2 / (2 + T / tau). Perfect odometry."""
+    sigma, tau_s, errors = np.array([0.5, 0.5, 0.8]), 60.0, []
+    for seed in range(40):
         wander = GaussMarkov(sigma, tau_s, 0.2, np.random.default_rng(seed))
         anchor = WanderingAnchor(tau_s, 0.0, 1e-3, 0.1)
         for k in range(round(seconds / 0.2)):
             anchor.take(wander.step(), sigma, 0.2 * k)
         anchor.step(100.0)
         errors.append(anchor.offset)
-        variance = np.diag(anchor.covariance)
-    return np.array(errors), variance
-
-
-def test_wandering_anchor_is_consistent() -> None:
-    """Mean of a Gauss-Markov process over T with the correlation time tau: the best estimate of
-    its offset has the variance 2 sigma^2 / (2 + T / tau)."""
-    errors, variance = _anchor_errors(tau_s=60.0, seconds=120.0, runs=300)
-    sigma = np.array([0.5, 0.5, 0.8])
-    np.testing.assert_allclose(variance, 2.0 * sigma**2 / (2.0 + 2.0), rtol=0.01)
-    squared = (errors**2 / variance).mean(axis=0)
-    spread = math.sqrt(2.0 / 300)
-    assert np.all(np.abs(squared - 1.0) < 3.5 * spread)
-
-
-def test_wandering_anchor_learns_little_within_one_correlation_time() -> None:
-    _, variance = _anchor_errors(tau_s=60.0, seconds=6.0, runs=1)
-    np.testing.assert_allclose(variance, 2.0 * np.array([0.25, 0.25, 0.64]) / 2.1, rtol=0.01)
+    variance = 2.0 * sigma**2 / (2.0 + seconds / tau_s)
+    np.testing.assert_allclose(np.diag(anchor.covariance), variance, rtol=0.01)
+    squared = (np.array(errors) ** 2 / variance).mean()
+    assert abs(squared - 1.0) < 3.5 * math.sqrt(2.0 / 120)
 
 
 @pytest.mark.parametrize("shift", [3, 28])
@@ -256,7 +238,7 @@ def test_a_corner_keeps_what_its_own_disparity_adds() -> None:
 def test_a_reading_far_from_the_pads_heading_counts_less() -> None:
     """The reading on the pad cancels the offset of a magnetometer at that heading alone."""
     nav = Navigator(
-        make_rig(), SensorNeeds(magnetometer=True), known_start=True, correction_time_s=0.15,
+        make_rig(), SensorNeeds(magnetometer=True), known_start=True,
         heading_sigma_deg=2.0,
     )  # fmt: skip
     assert nav._reading_sigma() == pytest.approx(np.radians(2.0))
@@ -264,3 +246,64 @@ def test_a_reading_far_from_the_pads_heading_counts_less() -> None:
     offset = 2.0 * nav._alignment.heading_sigma()
     expected = np.hypot(np.radians(2.0), np.sqrt(600.0) * offset)
     assert nav._reading_sigma() == pytest.approx(expected)
+
+
+def _observations(seconds: float, seed: int) -> tuple[SensorRig, list[Observation], np.ndarray]:
+    """A vehicle that stands, level and facing east: noisy IMU and field, fixes with the wandering
+    error of the preset ``zou2024``. Also that error at the fixes (N, 3)."""
+    rig = make_rig()
+    rng = np.random.default_rng(seed)
+    sigma = np.array([0.536, 0.536, 0.804])
+    wander = GaussMarkov(sigma, 60.0, 0.2, np.random.default_rng([seed, 1]))
+    field = earth_field_world(rig.nav.magnetometer)
+    late: dict[int, GpsFix] = {}
+    seen, errors = [], []
+    for tick in range(3, round(seconds * HZ), 3):
+        imu = ImuSample(
+            tick=tick,
+            time_s=tick / HZ,
+            angular_velocity=3e-3 * rng.standard_normal(3),
+            specific_force=np.array([0.0, 0.0, 9.81]) + 2e-2 * rng.standard_normal(3),
+        )
+        messages: dict[str, Any] = {"imu": (imu,)}
+        if tick % 120 == 0:
+            error = wander.step()
+            errors.append(error)
+            antenna = np.array([0.0, 0.0, 0.3]) + rig.nav.gps.antenna_body_m
+            late[tick + 72] = GpsFix(
+                tick=tick, time_s=tick / HZ, position_world=antenna + [5.0, -3.0, 1.0] + error,
+                velocity_world=0.05 * rng.standard_normal(3), sigma_position_m=sigma,
+                sigma_velocity_mps=0.05,
+            )  # fmt: skip
+        if tick % 12 == 0:
+            reading = field + 0.2 * rng.standard_normal(3)
+            messages["magnetometer"] = (
+                MagnetometerSample(tick=tick, time_s=tick / HZ, field_body_ut=reading),
+            )
+        if tick in late:
+            messages["gps"] = (late.pop(tick),)
+        seen.append(make_obs(tick, **messages))
+    return rig, seen, np.array(errors)
+
+
+def test_gps_position_comes_from_the_fixes_and_not_from_the_pad() -> None:
+    """The receiver reports 5 m east, 3 m south and 1 m above the pad; the estimate follows,
+    whatever start the vehicle was given."""
+    rig, observations, errors = _observations(6.0, seed=4)
+    estimator = GpsEstimator(rig, GpsEstimatorParams())
+    estimates = [estimator.update(obs) for obs in observations]
+    first = next(e for e in estimates if e.healthy)
+    assert first.time_s == pytest.approx(0.32)
+    offset = first.world_from_body.translation - [5.0, -3.0, 1.3]
+    np.testing.assert_allclose(offset, errors[0], atol=0.03)
+    last = estimates[-1].world_from_body.translation - [5.0, -3.0, 1.3]
+    np.testing.assert_allclose(last, errors[-1], atol=0.15)
+
+
+def test_without_fixes_gps_is_not_healthy() -> None:
+    rig, observations, _ = _observations(4.0, seed=1)
+    estimator = GpsEstimator(rig)
+    for obs in observations:
+        cut = obs.gps if obs.time_s < 1.0 else ()
+        estimate = estimator.update(dataclasses.replace(obs, gps=cut))
+    assert not estimate.healthy

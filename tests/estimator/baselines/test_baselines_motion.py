@@ -25,7 +25,6 @@ from touchdown.sim.api import (
     GRAVITY_MPS2,
     BarometerSample,
     GpsFix,
-    ImuSample,
     MagnetometerSample,
     Observation,
     RangefinderSample,
@@ -34,7 +33,7 @@ from touchdown.sim.api import (
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log
 from touchdown.sim.navigation.magnetometer import earth_field_world
 
-from support.livo_flight import HZ, IMU_TICKS, LATENCY, START_Z
+from support.livo_flight import HZ, IMU_TICKS, LATENCY, START_Z, inertial
 from support.zou2024_flight import image_from, make_rig
 
 REST, LAST = 240, 1080
@@ -68,10 +67,7 @@ def observations(rig: SensorRig) -> tuple[list[Observation], dict[int, tuple[Pos
         velocity = velocity + step * push
         pose = Pose(pose.rotation @ so3_exp(step * rate), position)
         truth[tick] = pose, velocity
-        messages: dict[str, Any] = {
-            "imu": (ImuSample(tick=tick, time_s=tick / HZ, angular_velocity=rate,
-                              specific_force=force),)
-        }  # fmt: skip
+        messages: dict[str, Any] = {}
         if tick % 12 == 0:
             reading = pose.rotation.T @ field
             messages["magnetometer"] = (
@@ -88,12 +84,7 @@ def observations(rig: SensorRig) -> tuple[list[Observation], dict[int, tuple[Pos
             other = dataclasses.replace(rig, body_from_camera=rig.body_from_camera_right)
             right = image_from(there, measured, other).rgb
             messages["images"] = (dataclasses.replace(left, right_rgb=right),)
-        seen.append(
-            Observation(
-                tick=tick, time_s=tick / HZ, battery_fraction=1.0,
-                rotor_speed_radps=np.full(4, 400.0 * flying), **messages,
-            )
-        )  # fmt: skip
+        seen.append(inertial(tick, rate, force, 400.0 * flying, **messages))
     return seen, truth
 
 
@@ -261,19 +252,11 @@ def test_the_attitude_at_rest_is_that_of_the_body_whatever_the_mount_of_the_imu(
     field = earth_field_world(rig.nav.magnetometer)
     alignment = Alignment(rig)
     for tick in (3, 150):
-        imu = ImuSample(
-            tick=tick, time_s=tick / HZ, angular_velocity=np.zeros(3),
-            specific_force=mount.rotation.T @ POSE.rotation.T @ [0.0, 0.0, GRAVITY_MPS2],
-        )  # fmt: skip
+        force = mount.rotation.T @ POSE.rotation.T @ [0.0, 0.0, GRAVITY_MPS2]
         reading = MagnetometerSample(
             tick=tick, time_s=tick / HZ, field_body_ut=POSE.rotation.T @ field
         )
-        found = alignment.take(
-            Observation(
-                tick=tick, time_s=tick / HZ, imu=(imu,), magnetometer=(reading,),
-                rotor_speed_radps=np.zeros(4), battery_fraction=1.0,
-            )
-        )  # fmt: skip
+        found = alignment.take(inertial(tick, np.zeros(3), force, magnetometer=(reading,)))
         assert (found is None) is (tick == 3)
     assert found is not None
     np.testing.assert_allclose(found.rotation, POSE.rotation, atol=1e-9)

@@ -5,19 +5,18 @@ import pytest
 
 from touchdown.estimator.filtering.anchors import Anchors
 from touchdown.estimator.filtering.error_state import STATE_DIM
-from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.filtering.information import weak_directions, without_directions
+from touchdown.estimator.filtering.eskf import Eskf, weak_directions, without_directions
 from touchdown.estimator.filtering.plane_map import PlaneMap
-from touchdown.estimator.livo.anchored_update import (
+from touchdown.estimator.livo.depth_without_returns import common_plane
+from touchdown.estimator.livo.scan_update import (
     DegeneracyWatch,
     LidarReport,
     ScanErrors,
     update_with_scan,
 )
-from touchdown.estimator.livo.plane_extension import common_plane
 from touchdown.sim.frames import so3_exp
 
-from support.livo_lidar_support import placed, plane_information, room_points, state_at
+from support.livo_support import placed, plane_information, room_points, state_at
 
 NOTHING = np.zeros((6, 6))
 
@@ -118,10 +117,7 @@ def test_level_ground_leaves_the_lateral_pose_alone(walls: bool) -> None:
 
 def test_the_watch_reports_lasting_changes_only() -> None:
     def report(weak: int) -> LidarReport:
-        return LidarReport(
-            matched=99, rms_m=0.0, lateral_strength=np.zeros(3), weak_translation=weak,
-            weak_rotation=weak // 2,
-        )  # fmt: skip
+        return LidarReport(matched=99, weak_translation=weak, weak_rotation=weak // 2)
 
     watch = DegeneracyWatch(patience=3)
     said = [watch.events(report(weak)) for weak in (0, 2, 2, 0, 2, 2, 2, 2, 0, 0, 0, 0)]

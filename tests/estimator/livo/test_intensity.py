@@ -11,10 +11,14 @@ from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.livo.anchored_map import AnchoredMap
-from touchdown.estimator.livo.anchored_update import ScanErrors
-from touchdown.estimator.livo.intensity_image import IntensityImage, brightness
-from touchdown.estimator.livo.intensity_update import ImageView, PhotometricUpdate, photometry
-from touchdown.estimator.livo.plane_equations import Returns
+from touchdown.estimator.livo.intensity import (
+    ImageView,
+    IntensityImage,
+    PhotometricUpdate,
+    brightness,
+    photometry,
+)
+from touchdown.estimator.livo.scan_update import Returns, ScanErrors
 from touchdown.sim.frames import Pose, so3_exp
 
 LEVER = np.array([0.1, 0.0, 0.05])

@@ -10,7 +10,7 @@ from touchdown.estimator.api import LivoParams
 from touchdown.estimator.livo.estimator import Livo
 from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.estimator.oracle import Oracle
-from touchdown.sim.api import GRAVITY_MPS2, ImuSample, Observation, RangefinderSample, Truth
+from touchdown.sim.api import GRAVITY_MPS2, RangefinderSample, Truth
 from touchdown.sim.frames import Pose
 
 from support.livo_flight import (
@@ -18,9 +18,9 @@ from support.livo_flight import (
     HZ,
     IMU_TICKS,
     RIG,
-    SCAN_TICKS,
     clean,
     fly,
+    inertial,
     observations,
     position_at,
     swaying,
@@ -61,34 +61,11 @@ def test_biases_and_level_are_estimated_on_the_ground() -> None:
     gyro, specific = np.array([2e-3, -3e-3, 1e-3]), np.array([0.02, -0.01, 0.03])
     livo = Livo(RIG, LivoParams())
     for tick in range(0, 1201, IMU_TICKS):
-        imu = ImuSample(
-            tick=tick, time_s=tick / HZ, angular_velocity=gyro,
-            specific_force=np.array([0.0, 0.0, GRAVITY_MPS2]) + specific,
-        )  # fmt: skip
-        estimate = livo.update(
-            Observation(
-                tick=tick, time_s=tick / HZ, imu=(imu,) if tick else (), battery_fraction=1.0,
-                rotor_speed_radps=np.zeros(4),
-            )
-        )  # fmt: skip
+        estimate = livo.update(inertial(tick, gyro, specific + [0.0, 0.0, GRAVITY_MPS2]))
     np.testing.assert_allclose(estimate.angular_velocity_body, 0.0, atol=2e-4)
     np.testing.assert_allclose(estimate.acceleration_odom, 0.0, atol=2e-3)
     # three times the standard deviation of the attitude on the pad
     np.testing.assert_allclose(estimate.odom_from_body.rotation, np.eye(3), atol=6e-4)
-
-
-def test_scan_track_spans_the_scan() -> None:
-    estimates = clean()
-    tracks = [
-        (obs.scans[0], e.scan_track) for obs, e in zip(FLIGHT, estimates, strict=True) if obs.scans
-    ]
-    assert all(e.scan_track is None for o, e in zip(FLIGHT, estimates, strict=True) if not o.scans)
-    for scan, track in tracks:
-        assert track is not None
-        assert track.times_s[0] == scan.start_time_s and track.times_s[-1] == scan.end_time_s
-        assert len(track.times_s) == SCAN_TICKS // IMU_TICKS + 1
-        truth = np.array([position_at(t) for t in track.times_s])
-        np.testing.assert_allclose(track.positions_odom, truth, atol=0.012)
 
 
 def test_returns_of_long_ago_are_not_extended(monkeypatch: pytest.MonkeyPatch) -> None:

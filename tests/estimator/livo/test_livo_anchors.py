@@ -39,14 +39,19 @@ from touchdown.estimator.filtering.reprojection import (
     calibrated_information,
 )
 from touchdown.estimator.livo.anchored_map import AnchoredMap
-from touchdown.estimator.livo.anchored_update import ScanErrors, scan_errors, update_with_scan
-from touchdown.estimator.livo.plane_equations import Returns, ScanNoise, plane_equations
+from touchdown.estimator.livo.scan_update import (
+    Returns,
+    ScanErrors,
+    ScanNoise,
+    plane_equations,
+    scan_errors,
+    update_with_scan,
+)
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
-from support.livo_filter_support import filled_buffer, random_state
 from support.livo_flight import make_rig
-from support.livo_lidar_support import placed, room_points, state_at
+from support.livo_support import filled_buffer, placed, random_state, room_points, state_at
 
 CAMERA = CameraIntrinsics(width=848, height=480, fx=617.0, fy=625.0, cx=423.5, cy=239.5)
 IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.05, 0.02, -0.1]))
@@ -139,16 +144,10 @@ def test_landmarks_move_with_the_rig_as_predicted() -> None:
     assert jacobians.shape == (5, 3, SHARED_DIM)
     assert np.abs(jacobians[:, :, CAMERA_ROTATION]).max(axis=(0, 1)).min() > 1.0
     assert np.abs(jacobians[:, :, CAMERA_TRANSLATION]).max(axis=(0, 1)).min() > 0.01
-    for k in range(SHARED_DIM):
-        if k < 3:
-            continue  # a turn about the sensor also turns the plane: below
-        step = 1e-5 * np.eye(SHARED_DIM)[k]
+    for k, step in enumerate(1e-5 * np.eye(SHARED_DIM)):
         moved = (landmarks(step) - landmarks(-step)) / 2e-5
-        np.testing.assert_allclose(jacobians[:, :, k], moved, rtol=1e-4, atol=1e-4)
-    for k in range(3):
-        step = 1e-5 * np.eye(SHARED_DIM)[k]
-        moved = (landmarks(step) - landmarks(-step)) / 2e-5
-        np.testing.assert_allclose(jacobians[:, :, k], moved, rtol=1e-4, atol=2e-3)
+        near = 2e-3 if k < 3 else 1e-4  # a turn about the sensor also turns the plane
+        np.testing.assert_allclose(jacobians[:, :, k], moved, rtol=1e-4, atol=near)
 
 
 @pytest.mark.parametrize("late_s", [0.0, -0.012, 0.15])
@@ -192,20 +191,6 @@ def test_calibrated_reprojection_matches_finite_differences(late_s: float) -> No
     np.testing.assert_allclose(vector, gradient.T @ residual, rtol=1e-3, atol=1e-2)
 
 
-def test_an_uncertain_depth_gives_no_information_along_its_epipolar_line() -> None:
-    """A landmark aside of the way up, its depth unknown: only the pixel across the line counts."""
-    pixels, here = np.array([[523.5, 239.5]]), Pose.identity()
-    landmark = np.array([[2.0, 0.0, 10.0]])
-    spread = 1e3 * landmark / np.linalg.norm(landmark)
-    information, *_ = calibrated_information(
-        LandmarkViews(pixels, np.zeros(1), landmark, np.zeros((1, 3, 0)), spread),
-        Frame(np.eye(3), np.array([0.0, 0.0, -2.0])), Frame.of(here), np.zeros((2, 6)),
-        Frame.of(here.inverse()), Pinhole(600.0, 600.0, 423.5, 239.5), PixelNoise(1.0, 1e6),
-    )  # fmt: skip
-    assert information[3, 3] < 1e-3  # x of the position moves the pixel along the line
-    assert information[4, 4] == pytest.approx((600.0 / 12.0) ** 2, rel=0.01)
-
-
 def test_priors_and_errors_of_a_scan_are_in_the_units_of_the_state() -> None:
     """Degrees become radians; what a scan knows badly is y, not z, and yaw, not roll."""
     params = LivoParams(
@@ -237,8 +222,6 @@ def test_calibration_is_carried_and_corrected() -> None:
         np.zeros(CALIBRATION_DIM),
     )  # fmt: skip
     base = STATE_DIM + CALIBRATION_DIM
-    with pytest.raises(ValueError, match="give 53"):
-        Eskf(state, np.ones(STATE_DIM))
     eskf = Eskf(state, np.full(base, 0.01))
     eskf.add_clone()
     eskf.propagate(filled_buffer(rng, 20), 20)
@@ -411,76 +394,61 @@ def test_what_has_drifted_stays_out_of_the_map(late_ticks: int, enters: bool) ->
         np.testing.assert_allclose(gap, 0.0, atol=2e-3)
 
 
-FLOORS = {False: np.array([1e-3, 1e-3, 0.01, 0.3, 0.3, 1e-3]), True: np.full(6, 1e-3)}
-"""over level ground the noise of normals adds spurious lateral information"""
-
-
-def flown(seed: int, walls: bool, drift_m: float) -> tuple[Eskf, np.ndarray, np.ndarray]:
-    """A LIDAR with a calibration error (0.3 degrees, 1 cm), carried level over a room, first along
-    x, then along y, by an odometry with errors of ``drift_m`` a step, adding to its map as it goes.
+def flown(seed: int) -> tuple[Eskf, np.ndarray, np.ndarray]:
+    """A LIDAR with a calibration error (0.3 degrees, 1 cm), carried level over the ground, first
+    along x, then along y, by an odometry with errors of 5 mm a step, adding to its map as it goes.
     Returns the filter, the calibration error, and the true position."""
-    rng = np.random.default_rng(seed)
+    rng, drift_m = np.random.default_rng(seed), 5e-3
     sigmas = np.repeat([5e-3, 0.01, 0.0], [3, 3, CALIBRATION_DIM - MOUNT_DIM])
     error = sigmas * rng.standard_normal(CALIBRATION_DIM)
     given = Pose(np.eye(3), np.array([0.0, 0.0, -0.1]))
-    true = corrected_mount(given, error)
-    position, zero = np.array([-6.0, -6.0, 9.0]), np.zeros(3)
+    true, position = corrected_mount(given, error), np.array([-6.0, -6.0, 9.0])
     variances = np.concatenate([np.repeat([1e-10, 1e-8, 1e-8, 1e-8, 1e-8], 3), sigmas**2 + 1e-14])
-    state = NavState(0, np.eye(3), position, zero, zero, zero, np.zeros(CALIBRATION_DIM))
+    state = replace(state_at(np.eye(3), position), calibration=np.zeros(CALIBRATION_DIM))
     eskf, anchors, plane_map = Eskf(state, variances), Anchors(), PlaneMap(1.0, capacity=1 << 14)
+    # over level ground the noise of normals adds spurious lateral information
+    errors = ScanErrors(
+        range_sigma_m=0.01, angle_sigma_rad=1e-3,
+        floor_sigmas=np.array([1e-3, 1e-3, 0.01, 0.3, 0.3, 1e-3]),
+    )  # fmt: skip
     for number in range(24):
-        world = room_points(rng, walls)
+        world = room_points(rng, walls=False)
         world = world[np.abs(world - position)[:, :2].max(axis=1) < 5.0]
         beams = true.inverse().apply(world + rng.normal(0.0, 0.01, world.shape) - position)
         mount = corrected_mount(given, eskf.state.calibration)
         if anchors:
             points = mount.apply(beams[::9])
-            update_with_scan(
-                eskf, plane_map, anchors, placed(points, points - mount.translation),
-                ScanErrors(
-                    range_sigma_m=0.01, angle_sigma_rad=1e-3, floor_sigmas=FLOORS[walls]
-                ),
-            )  # fmt: skip
+            scan = placed(points, points - mount.translation)
+            update_with_scan(eskf, plane_map, anchors, scan, errors)
             mount = corrected_mount(given, eskf.state.calibration)
         state = eskf.state
         eskf.add_clone()
         anchors.add(state.pose, state.calibration)
-        odom = mount.apply(beams) @ state.rotation.T + state.position
         sensor = state.position + state.rotation @ mount.translation
-        plane_map.insert(odom, sensor, len(anchors) - 1)
+        plane_map.insert(state.pose.apply(mount.apply(beams)), sensor, len(anchors) - 1)
         step = np.array([1.0, 0.0, 0.0] if number < 12 else [0.0, 1.0, 0.0])
         position = position + step
         guess = state.position + step + rng.normal(0.0, drift_m, 3)
-        eskf.state = NavState(0, state.rotation, guess, zero, zero, zero, state.calibration)
+        eskf.state = replace(state, position=guess)
         eskf.covariance[3:6, 3:6] += drift_m**2 * np.eye(3)
         # attitude from an accelerometer and a compass
-        attitude, touched = 1e8 * np.eye(3), np.arange(3)
-        delta = eskf.correction(touched, attitude, attitude @ so3_log(eskf.state.rotation.T))
-        eskf.state, eskf.clones = eskf.boxplus(eskf.state, eskf.clones, delta)
-        eskf.update_covariance(touched, attitude)
+        attitude = 1e8 * np.eye(3)
+        eskf.apply(np.arange(3), attitude, attitude @ so3_log(eskf.state.rotation.T))
     return eskf, error, position
 
 
-def test_a_wrong_mount_is_found_in_flight() -> None:
+def test_a_wrong_mount_is_found_in_flight_and_the_filter_is_consistent() -> None:
     """The odometry's heights err by 5 mm a step, or 17 mm over 12 m, so that the tilt is observable
     to 1.4 mrad, a quarter of the calibration error. The filter's standard deviation agrees, and its
-    errors are consistent with it."""
-    scores = []
-    for seed in range(11, 19):
-        eskf, error, _ = flown(seed, walls=False, drift_m=5e-3)
+    errors are consistent with it, as those of the position are (NEES)."""
+    scores, values = [], []
+    for seed in range(11, 21):
+        eskf, error, true = flown(seed)
         sigma = np.sqrt(np.diag(eskf.covariance)[STATE_DIM : STATE_DIM + 2])
         left = eskf.state.calibration[:2] - error[:2]
         np.testing.assert_allclose(sigma, 1.4e-3, rtol=0.1)
         scores += (left / sigma).tolist()
-    assert np.mean(np.square(scores)) < 2.45  # chi-square, 16 degrees of freedom, 99.9 %
-
-
-def test_the_filter_is_consistent() -> None:
-    """NEES of the position at the end: its mean within the 99.9 % bounds of chi-square with 3 x 20
-    degrees of freedom, [1.6, 5.0]."""
-    values = []
-    for seed in range(20, 40):
-        eskf, _, true = flown(seed, walls=False, drift_m=5e-3)
-        error = eskf.state.position - true
-        values.append(error @ np.linalg.solve(eskf.covariance[3:6, 3:6], error))
-    assert 1.6 < np.mean(values) < 5.0
+        off = eskf.state.position - true
+        values.append(off @ np.linalg.solve(eskf.covariance[3:6, 3:6], off))
+    # chi-square with 20 and 30 degrees of freedom, 99.9 %
+    assert np.mean(np.square(scores)) < 2.27 and 1.0 < np.mean(values) < 6.0

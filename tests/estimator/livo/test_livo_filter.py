@@ -16,7 +16,7 @@ from touchdown.estimator.filtering.imu_propagation import (
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
-from support.livo_filter_support import STEP_S, filled_buffer, random_state
+from support.livo_support import STEP_S, filled_buffer, random_state
 
 IMU_ERRORS = slice(STATE_DIM + CALIBRATION_DIM - IMU_DIM, STATE_DIM + CALIBRATION_DIM)
 
@@ -124,26 +124,23 @@ def test_samples_are_corrected_by_bias_then_scale() -> None:
     assert np.abs(found[0] - same[0]).max() < 0.1 * np.abs(shown[0] - rate).max()
 
 
-def test_misalignment_takes_a_turn_out_of_the_axes_across() -> None:
-    """A turn about z of which 1 % shows in x and 2 % in y."""
+@pytest.mark.parametrize(
+    ("errors", "shown", "force"),
+    [
+        # a turn about z of which 1 % shows in x and 2 % in y
+        ([0.0, 0.01, 0.0, 0.02, *[0.0] * 11], [0.01, 0.02, 1.0], [0.0, 0.0, 0.0]),
+        # 2e-3 rad/s per m/s^2 of the y axis to forces along x
+        ([*[0.0] * 9, 2e-3, *[0.0] * 5], [0.0, 0.02, 1.0], [10.0, 4.0, 9.8]),
+    ],
+    ids=["misalignment", "g-sensitivity"],
+)
+def test_what_the_gyroscope_shows_beside_the_rate_is_taken_out(
+    errors: list[float], shown: list[float], force: list[float]
+) -> None:
     state = random_state(np.random.default_rng(24))
-    bends = np.array([0.0, 0.01, 0.0, 0.02, 0.0, 0.0])
-    state.calibration = np.concatenate([np.zeros(CALIBRATION_DIM - 15), bends, np.zeros(9)])
-    shown = np.array([[0.01, 0.02, 1.0]]) + state.gyro_bias
-    rate, _ = state.corrected(shown, np.zeros((1, 3)))
+    state.calibration = np.concatenate([np.zeros(CALIBRATION_DIM - 15), errors])
+    rate, _ = state.corrected(shown + state.gyro_bias[None], force + state.accel_bias[None])
     np.testing.assert_allclose(rate, [[0.0, 0.0, 1.0]], atol=1e-12)
-
-
-def test_response_to_specific_force_is_taken_out_of_the_rates() -> None:
-    """2e-3 rad/s per m/s^2 of the y axis of the gyroscope to forces along x."""
-    state = random_state(np.random.default_rng(25))
-    response = np.zeros(9)
-    response[3] = 2e-3
-    state.calibration = np.concatenate([np.zeros(CALIBRATION_DIM - 9), response])
-    gyro = np.array([[0.0, 0.02, 0.3]]) + state.gyro_bias
-    force = np.array([[10.0, 4.0, 9.8]]) + state.accel_bias
-    rate, _ = state.corrected(gyro, force)
-    np.testing.assert_allclose(rate, [[0.0, 0.0, 0.3]], atol=1e-12)
 
 
 def test_derivative_by_the_imu_errors_matches_finite_differences() -> None:

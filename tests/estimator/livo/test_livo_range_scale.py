@@ -7,7 +7,7 @@ from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
-from touchdown.estimator.livo.range_scale import SeenGround, measure_way
+from touchdown.estimator.livo.depth_without_returns import SeenGround, update_with_range
 
 Array = np.ndarray
 SPOT = np.array([0.5, -0.3, 30.0])
@@ -41,7 +41,7 @@ def test_the_way_grows_as_the_range_is_longer_than_the_depths() -> None:
     way = np.array([4.8, 6.4, 0.0])
     eskf = flown(way)
     depths = np.full(7, 30.0 * np.exp(-0.03))
-    assert measure_way(eskf, [ground(way, depths)], SPOT, PARAMS)
+    assert update_with_range(eskf, [ground(way, depths)], SPOT, PARAMS)
     gain = (SIGMA_M / 8.0) ** 2 / ((SIGMA_M / 8.0) ** 2 + SIGMA**2)
     np.testing.assert_allclose(eskf.state.position, way * (1.0 + 0.03 * gain), atol=1e-6)
     along = way / 8.0 @ eskf.covariance[3:6, 3:6] @ way / 8.0
@@ -54,7 +54,7 @@ def test_where_landmarks_scatter_the_range_says_little() -> None:
     way = np.array([8.0, 0.0, 0.0])
     eskf = flown(way)
     depths = 30.0 * np.exp(np.array([-0.13, -0.08, -0.03, 0.02, 0.07]))
-    assert measure_way(eskf, [ground(way, depths)], SPOT, PARAMS)
+    assert update_with_range(eskf, [ground(way, depths)], SPOT, PARAMS)
     variance = SIGMA**2 + (1.4826 * 0.05) ** 2
     gain = (SIGMA_M / 8.0) ** 2 / ((SIGMA_M / 8.0) ** 2 + variance)
     assert eskf.state.position[0] == pytest.approx(8.0 * (1.0 + 0.03 * gain), abs=1e-6)
@@ -71,7 +71,7 @@ def test_the_keyframe_of_the_longest_way_moves_against_the_present() -> None:
     near = ground(np.array([4.0, 0.0, 0.0]), np.full(9, 30.0), keyframe=1)
     far = ground(np.array([8.0, 0.0, 0.0]), np.full(9, 30.0 * np.exp(-0.03)), keyframe=0)
     before = eskf.clones[1].translation.copy()
-    assert measure_way(eskf, [near, far], SPOT, PARAMS)
+    assert update_with_range(eskf, [near, far], SPOT, PARAMS)
     gain = (SIGMA_M / 8.0) ** 2 / ((SIGMA_M / 8.0) ** 2 + SIGMA**2)
     assert eskf.clones[0].translation[0] == pytest.approx(-8.0 * 0.03 * gain, abs=1e-6)
     np.testing.assert_allclose(eskf.clones[1].translation, before, atol=1e-9)
@@ -94,6 +94,6 @@ def test_what_is_not_the_ground_below_the_beam_measures_nothing(
     before = eskf.covariance.copy()
     seen = ground(way, depths)
     seen = seen._replace(points=seen.points + [aside, 0.0, 0.0])
-    assert not measure_way(eskf, [seen], SPOT, PARAMS)
+    assert not update_with_range(eskf, [seen], SPOT, PARAMS)
     np.testing.assert_array_equal(eskf.state.position, way)
     np.testing.assert_array_equal(eskf.covariance, before)

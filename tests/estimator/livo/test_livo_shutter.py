@@ -5,25 +5,22 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import LivoParams
-from touchdown.estimator.filtering.error_state import STATE_DIM, Frame, Pinhole
+from touchdown.estimator.filtering.camera_model import Shutter, rows_of_keyframe
+from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.online_calibration import exposed
 from touchdown.estimator.filtering.reprojection import (
-    LandmarkViews,
     MountedCamera,
-    PixelNoise,
-    calibrated_information,
 )
-from touchdown.estimator.filtering.rolling_shutter import Shutter, rows_of_keyframe
 from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
-from support.livo_filter_support import add_keyframe
+from support.livo_support import add_keyframe
 
 CAMERA = CameraIntrinsics(width=424, height=240, fx=310.0, fy=315.0, cx=211.5, cy=119.5)
 IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.07, 0.02, -0.13]))
@@ -76,28 +73,6 @@ def test_a_landmark_seen_by_a_moving_camera_is_found() -> None:
     still, nowhere = rows_of_keyframe(rays, own, IMU_FROM_CAMERA, np.zeros(40))
     np.testing.assert_array_equal(still, rays)
     assert not nowhere.any()
-
-
-def test_the_residual_at_the_true_pose_is_zero() -> None:
-    rng = np.random.default_rng(2)
-    pose, motion = moving(rng)
-    key = Pose(pose.rotation, pose.translation + [0.5, 1.0, 0.3])
-    points = np.column_stack([rng.uniform(-5, 7, 30), rng.uniform(-6, 2, 30), np.zeros(30)])
-    pixels = np.array([seen(point, pose, motion)[0] for point in points])
-    camera = IMU_FROM_CAMERA.inverse()
-    times = SHUTTER.row_times(pixels[:, 1], CAMERA.height)
-
-    def rms(row_times: np.ndarray) -> float:
-        return calibrated_information(
-            LandmarkViews(
-                pixels, row_times, key.inverse().apply(points), np.zeros((30, 3, 0)),
-                np.zeros((30, 3)),
-            ),
-            Frame.of(pose), Frame.of(key), np.array([motion, np.zeros(6)]), Frame.of(camera),
-            Pinhole.of(CAMERA), PixelNoise(1.0, 1e6),
-        ).rms  # fmt: skip
-
-    assert rms(times) < 1e-6 and rms(np.zeros(30)) > 0.5
 
 
 def texture() -> np.ndarray:

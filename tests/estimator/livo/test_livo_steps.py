@@ -13,7 +13,7 @@ from touchdown.estimator.api import Estimate, LivoParams
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState
 from touchdown.estimator.livo.estimator import Livo
-from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample, Observation, SensorRig
+from touchdown.sim.api import GRAVITY_MPS2, ImuParams, Observation, SensorRig
 from touchdown.sim.frames import Pose, so3_exp
 
 from support.livo_flight import (
@@ -22,6 +22,7 @@ from support.livo_flight import (
     IMU_TICKS,
     RIG,
     START_Z,
+    inertial,
     make_rig,
     observations,
     position_at,
@@ -39,6 +40,17 @@ def accelerated(*mps2: float) -> Callable[[float], Array]:
 def blind(flight: list[Observation]) -> list[Observation]:
     """Without images and scans."""
     return [dataclasses.replace(obs, images=(), scans=()) for obs in flight]
+
+
+def sampled(obs: Observation, rate: Array, force: Callable[[Array], Array]) -> Observation:
+    """The observation with other samples of the IMU."""
+    imu = tuple(
+        dataclasses.replace(
+            sample, angular_velocity=rate, specific_force=force(sample.specific_force)
+        )
+        for sample in obs.imu
+    )
+    return dataclasses.replace(obs, imu=imu)
 
 
 def run(
@@ -84,18 +96,8 @@ def test_without_sensors_the_covariance_is_that_of_dead_reckoning() -> None:
 def poor_imu() -> tuple[SensorRig, list[Observation]]:
     """An accelerometer whose bias is metres per second squared and known to be so."""
     rig = dataclasses.replace(RIG, imu=dataclasses.replace(RIG.imu, accel_bias_sigma=2.0))
-    bias = np.array([1.0, -1.5, 2.0])
-    flight = [
-        dataclasses.replace(
-            obs,
-            imu=tuple(
-                dataclasses.replace(sample, specific_force=sample.specific_force + bias)
-                for sample in obs.imu
-            ),
-        )
-        for obs in observations(RIG, 780)
-    ]
-    return rig, flight
+    bias, flight = np.array([1.0, -1.5, 2.0]), observations(RIG, 780)
+    return rig, [sampled(obs, np.zeros(3), lambda force: force + bias) for obs in flight]
 
 
 def test_a_correction_is_handed_out_over_time_and_counted_until_it_is() -> None:
@@ -132,18 +134,9 @@ def test_an_imu_mounted_askew_gives_the_same_estimate(seen: bool) -> None:
     for rig in (RIG, askew):
         to_imu = rig.body_from_imu.rotation.T
         flight = [
-            dataclasses.replace(
-                obs,
-                imu=tuple(
-                    dataclasses.replace(
-                        sample, angular_velocity=to_imu @ rate,
-                        specific_force=to_imu @ sample.specific_force,
-                    )
-                    for sample in obs.imu
-                ),
-            )
+            sampled(obs, to_imu @ rate, lambda force, turn=to_imu: turn @ force)
             for obs in (FLIGHT[:60] if seen else blind(FLIGHT[:60]))
-        ]  # fmt: skip
+        ]
         ends.append(run(flight, LivoParams(use_calibration=False), rig)[1][-1])
     level, found = ends
     assert (found.diagnostics.get("features_tracked", 0.0) > 20.0) == seen
@@ -288,19 +281,8 @@ def test_a_keyframe_gets_depth_from_scans_after_it() -> None:
 
 
 def at_rest(seconds: float, rotor: Callable[[int], float], tilt: Array) -> list[Observation]:
-    force = so3_exp(tilt).T @ UP
-    found = []
-    for tick in range(0, round(seconds * HZ) + 1, IMU_TICKS):
-        sample = ImuSample(
-            tick=tick, time_s=tick / HZ, angular_velocity=np.zeros(3), specific_force=force.copy()
-        )
-        found.append(
-            Observation(
-                tick=tick, time_s=tick / HZ, imu=(sample,) if tick else (),
-                battery_fraction=1.0, rotor_speed_radps=np.full(4, rotor(tick)),
-            )
-        )  # fmt: skip
-    return found
+    force, ticks = so3_exp(tilt).T @ UP, range(0, round(seconds * HZ) + 1, IMU_TICKS)
+    return [inertial(tick, np.zeros(3), force.copy(), rotor(tick)) for tick in ticks]
 
 
 @pytest.mark.parametrize("shaken_mps2", [0.0, 0.2])

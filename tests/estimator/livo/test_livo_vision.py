@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import LivoParams
+from touchdown.estimator.filtering.camera_model import Shutter
 from touchdown.estimator.filtering.error_state import (
     CALIBRATION_DIM,
     CENTER,
@@ -28,13 +29,12 @@ from touchdown.estimator.filtering.reprojection import (
     depth_corrections,
     reprojection_information,
 )
-from touchdown.estimator.filtering.rolling_shutter import Shutter
 from touchdown.estimator.livo.patch_tracker import grey_levels, track
 from touchdown.estimator.livo.visual import VisualFrontEnd, VisualReport
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
-from support.livo_filter_support import add_keyframe
+from support.livo_support import add_keyframe
 
 CAMERA = CameraIntrinsics(width=424, height=240, fx=310.0, fy=315.0, cx=211.5, cy=119.5)
 LENS = Pinhole.of(CAMERA)
@@ -154,29 +154,6 @@ def test_a_feature_in_foliage_gets_the_foremost_depth_and_a_sigma() -> None:
     np.testing.assert_allclose(sigmas[:2], 0.6, atol=0.2)
     for ray, plane in zip(rays3, planes[:2], strict=True):
         np.testing.assert_allclose(np.cross(ray, plane), 0.0, atol=1e-12)  # faces the camera
-
-
-def test_reprojection_jacobian_matches_finite_differences() -> None:
-    rng = np.random.default_rng(5)
-    key, now = imu_pose((0, 0, 20), (0.02, 0.01, 0.3)), imu_pose((2, 1, 18), (-0.03, 0.02, 0.4))
-    camera_from_imu = IMU_FROM_CAMERA.inverse()
-    landmark = np.array([1.5, -1.0, -19.0])
-
-    def pixel(delta: np.ndarray) -> np.ndarray:
-        moved = Pose(now.rotation @ so3_exp(delta[:3]), now.translation + delta[3:6])
-        moved_key = Pose(key.rotation @ so3_exp(delta[6:9]), key.translation + delta[9:])
-        x, y, z = (camera_from_imu @ moved.inverse() @ moved_key).apply(landmark)
-        return np.array([CAMERA.fx * x / z + CAMERA.cx, CAMERA.fy * y / z + CAMERA.cy])
-
-    residual = rng.normal(0.0, 0.1, 2)
-    information, vector, used, _ = reprojection_information(
-        (pixel(np.zeros(12)) + residual)[None], landmark[None], now, key,
-        MountedCamera(CAMERA, IMU_FROM_CAMERA), sigma_px=1.0, gate_px=1e6,
-    )  # fmt: skip
-    jacobian = np.column_stack([(pixel(1e-6 * e) - pixel(-1e-6 * e)) / 2e-6 for e in np.eye(12)])
-    assert used == 1
-    np.testing.assert_allclose(information, jacobian.T @ jacobian, rtol=1e-4, atol=1e-2)
-    np.testing.assert_allclose(vector, jacobian.T @ residual, rtol=1e-4, atol=1e-3)
 
 
 def test_a_pixel_beyond_the_gate_does_not_count() -> None:

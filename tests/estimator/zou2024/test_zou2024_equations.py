@@ -1,10 +1,12 @@
 """Every equation of the paper's positioning on a case worked out by hand."""
 
+from typing import Any, NamedTuple
+
 import numpy as np
 import pytest
 
 from touchdown.estimator.filtering.error_state import Frame
-from touchdown.estimator.zou2024.geodesic import (
+from touchdown.estimator.zou2024.depth_field import (
     STEP_ENERGY,
     colour_smoothness,
     geodesic_depth,
@@ -12,7 +14,13 @@ from touchdown.estimator.zou2024.geodesic import (
     geodesic_transform,
     path_energy,
 )
-from touchdown.estimator.zou2024.projection import inside_image, nearest_image, project
+from touchdown.estimator.zou2024.estimator import nearest_image
+from touchdown.estimator.zou2024.lidar_pose import (
+    fused_smoothness,
+    lidar_smoothness,
+    sort_out_features,
+)
+from touchdown.estimator.zou2024.pnp import inside_image, project
 from touchdown.estimator.zou2024.registration import line_weights, neighbourhood_shapes
 from touchdown.estimator.zou2024.residuals import (
     NO_ANCHORS,
@@ -23,12 +31,7 @@ from touchdown.estimator.zou2024.residuals import (
     plane_distance,
     relative_equations,
 )
-from touchdown.estimator.zou2024.smoothness import (
-    fused_smoothness,
-    lidar_smoothness,
-    sort_out_features,
-)
-from touchdown.estimator.zou2024.structured_edges.detector import GradientEdges
+from touchdown.estimator.zou2024.structured_edges import GradientEdges
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose
 
@@ -108,32 +111,46 @@ def step_image() -> np.ndarray:
     return energy
 
 
-def test_eq_8_path_integral() -> None:
-    assert path_energy(0.2, 0.6, 2.0) == pytest.approx(2.0 * (0.4 + STEP_ENERGY))
+class Around(NamedTuple):
+    """Geodesic neighbourhoods of returns in row 1."""
+
+    rows: np.ndarray
+    cols: np.ndarray
+    distance: np.ndarray
+    label: np.ndarray
+    neighbours: np.ndarray
+    lengths: np.ndarray
+
+    def smoothness(self) -> np.ndarray:
+        return colour_smoothness(self.label, self.rows, self.cols, *self[4:])
+
+    def depth(self, cols: list[int], depths: list[float], similarity: float) -> Any:
+        at = np.ones(len(cols), np.int32), np.array(cols, np.int32)
+        return geodesic_depth(*at, *self[2:], np.array(depths), similarity)
+
+
+def around(energy: np.ndarray, cols: list[int], k: int) -> Around:
+    seeds = np.ones(len(cols), np.int32), np.array(cols, np.int32)
+    distance, label = geodesic_transform(energy, *seeds, 1)
+    return Around(*seeds, distance, label, *geodesic_lengths(energy, distance, label, len(cols), k))
 
 
 def test_eq_8_between_two_returns() -> None:
-    rows, cols = np.array([1, 1], np.int32), np.array([0, 8], np.int32)
-    distance, label = geodesic_transform(step_image(), rows, cols, 1)
-    assert label[1].tolist()[:4] == [0] * 4 and label[1].tolist()[5:] == [1] * 4
-    neighbours, lengths = geodesic_lengths(step_image(), distance, label, 2, 3)
+    assert path_energy(0.2, 0.6, 2.0) == pytest.approx(2.0 * (0.4 + STEP_ENERGY))
+    found = around(step_image(), [0, 8], 3)
+    assert found.label[1].tolist()[:4] == [0] * 4 and found.label[1].tolist()[5:] == [1] * 4
+    neighbours, lengths = found.neighbours, found.lengths
     # eight steps; the wall is entered and left: twice half its energy
     expected = 8 * STEP_ENERGY + 1.0
     assert neighbours[0].tolist().count(1) == 1
     assert lengths[neighbours == 1] == pytest.approx(expected, rel=1e-5)
     assert lengths[neighbours == 0] == pytest.approx(expected, rel=1e-5)
-    score = colour_smoothness(label, rows, cols, neighbours, lengths)
     # one neighbour stands for all three
-    np.testing.assert_allclose(score, 3 * expected, rtol=1e-5)
+    np.testing.assert_allclose(found.smoothness(), 3 * expected, rtol=1e-5)
 
 
 def test_eq_8_is_larger_at_a_boundary_than_on_either_side() -> None:
-    energy = step_image()
-    cols = np.array([0, 1, 2, 3, 5, 6, 7, 8], np.int32)
-    rows = np.ones(8, np.int32)
-    distance, label = geodesic_transform(energy, rows, cols, 1)
-    neighbours, lengths = geodesic_lengths(energy, distance, label, 8, 2)
-    score = colour_smoothness(label, rows, cols, neighbours, lengths)
+    score = around(step_image(), [0, 1, 2, 3, 5, 6, 7, 8], 2).smoothness()
     assert score[3] > 10 * score[1] and score[4] > 10 * score[6]
 
 
@@ -148,11 +165,7 @@ def test_geodesic_goes_round_an_obstacle() -> None:
 
 
 def test_returns_that_share_a_pixel_share_their_score() -> None:
-    rows, cols = np.array([1, 1, 1], np.int32), np.array([0, 0, 3], np.int32)
-    energy = step_image()
-    distance, label = geodesic_transform(energy, rows, cols, 1)
-    neighbours, lengths = geodesic_lengths(energy, distance, label, 3, 2)
-    score = colour_smoothness(label, rows, cols, neighbours, lengths)
+    score = around(step_image(), [0, 0, 3], 2).smoothness()
     assert score[0] == score[1]
 
 
@@ -206,41 +219,17 @@ def test_noise_of_the_map_neither_pulls_nor_counts() -> None:
 
 
 def test_eq_12_prefers_the_depth_on_the_same_side_of_a_boundary() -> None:
-    energy = step_image()
-    rows, cols = np.array([1, 1], np.int32), np.array([1, 7], np.int32)
-    distance, label = geodesic_transform(energy, rows, cols, 1)
-    neighbours, lengths = geodesic_lengths(energy, distance, label, 2, 2)
-    depths = np.array([10.0, 20.0])
-    at_rows, at_cols = np.array([1, 1], np.int32), np.array([3, 6], np.int32)
-    depth, spread = geodesic_depth(
-        at_rows, at_cols, distance, label, neighbours, lengths, depths, 0.15
-    )
+    depth, spread = around(step_image(), [1, 7], 2).depth([3, 6], [10.0, 20.0], 0.15)
     first, between = 2 * STEP_ENERGY, 6 * STEP_ENERGY + 1.0
     near, far = np.exp(-first / 0.15), np.exp(-(first + between) / 0.15)
     assert depth[0] == pytest.approx((10.0 * near + 20.0 * far) / (near + far), rel=1e-4)
     assert depth[0] < 10.1 and depth[1] > 19.9 and spread[0] < 0.5
 
 
-def test_eq_12_of_an_even_surface_is_the_mean() -> None:
-    energy = np.zeros((3, 5), dtype=np.float32)
-    rows, cols = np.array([1, 1], np.int32), np.array([1, 3], np.int32)
-    distance, label = geodesic_transform(energy, rows, cols, 1)
-    neighbours, lengths = geodesic_lengths(energy, distance, label, 2, 1)
-    at = np.array([1], np.int32)
-    depth, _ = geodesic_depth(
-        at, at, distance, label, neighbours, lengths, np.array([4.0, 6.0]), 1e6
-    )
-    assert depth[0] == pytest.approx(5.0, abs=1e-4)
-
-
-def test_no_return_nearby_leaves_the_depth_open() -> None:
-    energy = np.ones((3, 9), dtype=np.float32)
-    seed = np.array([0], np.int32)
-    distance, label = geodesic_transform(energy, seed, seed, 1)
-    neighbours, lengths = geodesic_lengths(energy, distance, label, 1, 2)
-    far = np.array([2], np.int32), np.array([8], np.int32)
-    depth, _ = geodesic_depth(*far, distance, label, neighbours, lengths, np.ones(1), 0.15)
-    assert np.isnan(depth[0])
+def test_eq_12_of_an_even_surface_is_the_mean_and_open_where_no_return_is_near() -> None:
+    even = around(np.zeros((3, 5), dtype=np.float32), [1, 3], 1)
+    assert even.depth([1], [4.0, 6.0], 1e6)[0] == pytest.approx(5.0, abs=1e-4)
+    assert np.isnan(around(np.ones((3, 9), dtype=np.float32), [0], 2).depth([8], [1.0], 0.15)[0])
 
 
 def test_gradient_edges_lie_on_the_boundary() -> None:

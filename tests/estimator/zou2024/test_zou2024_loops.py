@@ -5,9 +5,13 @@ import pytest
 
 from touchdown.estimator.zou2024.closures import KINDS, Closures, hop_covariance
 from touchdown.estimator.zou2024.landmarks import BRISK, SIFT, Features
-from touchdown.estimator.zou2024.loop_closure.dictionary import Vocabulary
-from touchdown.estimator.zou2024.loop_closure.hypotheses import LoopFilter, likelihood
-from touchdown.estimator.zou2024.loop_closure.memory import Memory, MemoryLimits
+from touchdown.estimator.zou2024.place_recognition import (
+    LoopFilter,
+    Memory,
+    MemoryLimits,
+    Vocabulary,
+    likelihood,
+)
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
 from support.zou2024_flight import features_of

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchdown.estimator.zou2024.structured_edges.detector import (
+from touchdown.estimator.zou2024.structured_edges import (
     SHIPPED_MODEL,
     GradientEdges,
     StructuredEdges,

@@ -21,8 +21,8 @@ from touchdown.scenes.api import MovingBody, Scene, Surface
 from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
-from support.baselines_support import make_rig
 from support.flight_fakes import make_estimate, make_truth, make_view
+from support.landing_support import make_rig
 from support.worlds import load_ideal_config as load_config
 
 MJCF = """

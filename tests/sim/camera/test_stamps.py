@@ -7,7 +7,7 @@ from touchdown.estimator.api import ImageThinning
 from touchdown.sim.api import CameraImage, CameraParams, SimParams
 from touchdown.sim.camera.stamps import ShutterClock
 
-from support.baselines_support import make_rig
+from support.landing_support import make_rig
 
 SIM = SimParams()
 

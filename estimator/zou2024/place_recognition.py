@@ -1,8 +1,15 @@
-"""Memory management of RTAB-Map (Labbé and Michaud 2013, section III; 2018, section 3).
+"""Which places look alike, as in RTAB-Map (Labbé and Michaud 2013 and 2018): visual words, memory
+of the locations, and the Bayesian filter over loop hypotheses.
 
-A location is a keyframe that the dictionary was asked about. The newest ones make the short-term
-memory: they look like the present image because they are near. Those of the working memory may
-close a loop. The rest is in long-term memory, without words, until retrieved.
+**Words** of one kind are made from the images as they come.
+
+**Hypotheses**: which location of the working memory the present image shows, or that it shows a new
+one (2013, section III-D, after Angeli et al. 2008).
+
+**Memory** (2013, section III; 2018, section 3). A location is a keyframe that the dictionary was
+asked about. The newest ones make the short-term memory: they look like the present image because
+they are near. Those of the working memory may close a loop. The rest is in long-term memory,
+without words, until retrieved.
 """
 
 from __future__ import annotations
@@ -11,13 +18,124 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from touchdown.estimator.typing import Array, Bytes, Indices
-from touchdown.estimator.zou2024.loop_closure.dictionary import Vocabulary
-from touchdown.estimator.zou2024.loop_closure.hypotheses import REACH
+from touchdown.estimator.typing import Array, Bytes, Float32, Indices
+
+_NEW_WORD_RATIO = 0.8
+"""ratio of the distances to the nearest word and to the next (``Kp/NndrRatio`` of RTAB-Map)"""
+
+
+class Vocabulary:
+    """Words of one kind; ``capacity`` bounds the memory."""
+
+    def __init__(self, width: int, binary: bool, capacity: int) -> None:
+        """``width`` of a descriptor in bytes; ``binary``: a string of bits, not numbers."""
+        self._binary = binary
+        self._words = np.zeros((capacity, width), np.uint8)
+        self._used = np.zeros(capacity, dtype=bool)
+
+    def __len__(self) -> int:
+        return int(self._used.sum())
+
+    def assign(self, descriptors: Bytes) -> Indices:
+        """The words (N,) of (N, D) descriptors. One that is not much nearer to its word than to the
+        next becomes a new word; without room it gets the nearest."""
+        known = np.flatnonzero(self._used)
+        words, fresh = np.zeros(len(descriptors), np.int64), np.arange(len(descriptors))
+        if len(known) > 1 and len(fresh):
+            best, near, next_near = self._two_nearest(descriptors, self._words[known])
+            words, fresh = known[best], np.flatnonzero(near > _NEW_WORD_RATIO * next_near)
+        room = np.flatnonzero(~self._used)[: len(fresh)]
+        fresh = fresh[: len(room)]
+        words[fresh] = room
+        self._words[room] = descriptors[fresh]
+        self._used[room] = True
+        return words
+
+    def _two_nearest(self, descriptors: Bytes, words: Bytes) -> tuple[Indices, Float32, Float32]:
+        """The nearest words (N,), the distances to them (N,) and to the next (N,)."""
+        if self._binary:
+            lengths, nearest = cv2.batchDistance(
+                descriptors, words, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2
+            )
+            near, next_near = lengths.T.astype(np.float32)
+            return nearest[:, 0].astype(np.int64), near, next_near
+        own, known = descriptors.astype(np.float32), words.astype(np.float32)
+        # exact: the sums of integers stay below 2^24
+        squares = own @ (-2.0 * known).T
+        squares += (known**2).sum(axis=1)
+        every, best = np.arange(len(own)), squares.argmin(axis=1)
+        near = squares[every, best]
+        squares[every, best] = np.inf
+        near, next_near = np.sqrt([near, squares.min(axis=1)] + (own**2).sum(axis=1))
+        return best, near, next_near
+
+    def forget(self, words: Indices) -> None:
+        """Removes ``words`` (N,) that no location shows any more."""
+        self._used[words] = False
+
+
+NEW_TO_NEW = 0.9
+"""``Bayes/VirtualPlacePriorThr`` of RTAB-Map"""
+LOOP_TO_NEW = 0.1
+"""first number of ``Bayes/PredictionLC`` of RTAB-Map"""
+NEIGHBOUR_SIGMA = 1.6
+"""links of the graph, of the numbers that follow in ``Bayes/PredictionLC``"""
+REACH = 16
+"""links, as many as ``Bayes/PredictionLC`` has numbers for"""
+
+
+def likelihood(scores: Array) -> Array:
+    """Returns the likelihood (1 + N,) of a new location and of those with similarities ``scores``
+    (N,). Those beyond mean and standard deviation of the scores that are not zero stand out.
+    Where they do not scatter, nothing stands out, and a new location is twice as likely (RTAB-Map,
+    ``Rtabmap::adjustLikelihood``)."""
+    seen = scores[scores > 0.0]
+    mean = float(seen.mean()) if len(seen) else 0.0
+    spread = float(seen.std(ddof=1)) if len(seen) > 1 else 0.0
+    if spread < 1e-12:
+        return np.concatenate([[2.0], np.ones(len(scores))])
+    adjusted = np.where(scores >= mean + spread, (scores - spread) / mean, 1.0)
+    return np.concatenate([[mean / spread + 1.0], adjusted])
+
+
+def transition(links: Array) -> Array:
+    """Returns p(now | before), (1 + N, 1 + N), the new location first, from the number of ``links``
+    (N, N) between locations, infinite where there is no way. Columns sum to 1."""
+    count = len(links)
+    matrix = np.zeros((1 + count, 1 + count))
+    matrix[0, 0] = NEW_TO_NEW if count else 1.0
+    if count:
+        near = np.where(links <= REACH, np.exp(-0.5 * (links / NEIGHBOUR_SIGMA) ** 2), 0.0)
+        matrix[1:, 0] = (1.0 - NEW_TO_NEW) / count
+        matrix[0, 1:] = LOOP_TO_NEW
+        matrix[1:, 1:] = (1.0 - LOOP_TO_NEW) * near / near.sum(axis=0)
+    return matrix
+
+
+class LoopFilter:
+    """p(S_t | images so far) over the locations of the working memory, which come and go."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, float] = {}
+        self.new = 1.0
+        """probability that the last image shows a new location"""
+
+    def update(self, locations: list[int], links: Array, scores: Array) -> int | None:
+        """Takes an image with similarities ``scores`` (N,) to ``locations``, between which there
+        are ``links`` (N, N). Returns the most probable location, the oldest of equals; None without
+        any."""
+        before = np.array([self.new, *(self._known.get(number, 0.0) for number in locations)])
+        after = likelihood(scores) * (transition(links) @ before)
+        after /= after.sum()
+        self.new = float(after[0])
+        self._known = dict(zip(locations, after[1:].tolist(), strict=True))
+        return locations[int(np.argmax(after[1:]))] if locations else None
+
 
 _MAX_RETRIEVED = 2
 """number of locations retrieved at a time, ``Rtabmap/MaxRetrieved`` of RTAB-Map"""

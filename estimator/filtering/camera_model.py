@@ -1,4 +1,4 @@
-"""Rolling shutter: an image's features as a camera that exposes all rows at once would see them.
+"""The camera: distortion of its lens, and its rolling shutter.
 
 The rows of an image are exposed one after the other. Within a readout of 15 ms a quadrotor's rates
 change little, so that the pose at a row is that at one instant moved on at a constant twist
@@ -13,14 +13,43 @@ from __future__ import annotations
 
 import dataclasses
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import POSITION, ROTATION
 from touchdown.estimator.filtering.imu_propagation import exp_so3_each
 from touchdown.estimator.filtering.keyframes import bearing_rays
-from touchdown.estimator.typing import Array
+from touchdown.estimator.typing import Array, Bytes
 from touchdown.sim.api import CameraImage, CameraIntrinsics, SensorRig
 from touchdown.sim.frames import Pose, cross
+
+
+class Undistorter:
+    """Resamples images to a pinhole camera with the same matrix; a lens without distortion leaves
+    them as they are."""
+
+    def __init__(self, rig: SensorRig) -> None:
+        camera = rig.camera
+        self._maps: tuple[NDArray[np.int16], NDArray[np.uint16]] | None = None
+        if np.any(camera.distortion):
+            size = (camera.width, camera.height)
+            matrix = camera.matrix()
+            maps = cv2.initUndistortRectifyMap(
+                matrix, camera.distortion, None, matrix, size, cv2.CV_16SC2
+            )
+            self._maps = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
+
+    def __call__(self, image: Bytes) -> Bytes:
+        """Returns the undistorted image (H, W) or (H, W, 3)."""
+        if self._maps is None:
+            return image
+        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def grey(self, rgb: Bytes) -> Bytes:
+        """Returns the undistorted grey image (H, W)."""
+        return self(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
+
 
 _NEAREST_M = 0.05
 _FARTHEST_HEIGHTS = 5.0
@@ -100,6 +129,13 @@ class ShutterModel:
         scale = np.where(front, points[:, 2], 1.0)
         moved = points[:, :2] / scale[:, None] * focal + centre
         return np.where(front[:, None], moved, pixels)
+
+    def at_instant(self, pixels: Array, pose: Pose, ground_m: float, twist: CameraTwist) -> Array:
+        """As ``to_instant``, of points on level ground of height ``ground_m``; ``pose``: of the
+        camera."""
+        if self.idle(twist):
+            return pixels
+        return self.to_instant(pixels, ground_depths(pixels, self._camera, pose, ground_m), twist)
 
     def to_rows(self, pixels: Array, depths: Array, twist: CameraTwist) -> Array:
         """The inverse of ``to_instant``: where points expected at ``pixels`` (N, 2) at the instant

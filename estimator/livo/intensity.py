@@ -1,18 +1,25 @@
-"""Photometric update of the filter by the intensities of one scan.
+"""Photometric update of the filter by the intensities of one scan, against images of intensity from
+above, one for each clone of the filter.
+
+A pulse's intensity is a property of the place that it hits, calibrated by the sensor to
+reflectivity, so that returns of many scans form an orthographic image of the ground: without
+perspective, shadows or darkness. An image lies in the horizontal plane of its clone and moves with
+it. Values are logarithms: texture scales the reflectivity of what it is on.
 
 Over ground whose shape does not show sideways motion, its reflectivity still does: the returns of a
-scan are compared with the intensity images (``intensity_image``) of a few clones, and the images'
-gradients turn differences of brightness into shifts (COIN-LIO, Pfreundschuh et al., ICRA 2024,
-which projects onto the sensor's sphere; from above, an orthographic image needs no projection and
-knows no occlusion). The variance of a difference is measured from the scan's own residuals, and
-what the noise of an image adds to its gradients is taken off the information.
+scan are compared with the images of a few clones, and the images' gradients turn differences of
+brightness into shifts (COIN-LIO, Pfreundschuh et al., ICRA 2024, which projects onto the sensor's
+sphere; from above, an orthographic image needs no projection and knows no occlusion). The variance
+of a difference is measured from the scan's own residuals, and what the noise of an image adds to
+its gradients is taken off the information.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numba import njit
 
@@ -34,13 +41,101 @@ from touchdown.estimator.filtering.error_state import (
     ROTATION,
     Frame,
 )
-from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate
-from touchdown.estimator.filtering.information import limit_information
+from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate, limit_information
 from touchdown.estimator.filtering.vectors import ZERO, along, cross, dot, turned, turned_back, xyz
-from touchdown.estimator.livo.anchored_update import ScanErrors
-from touchdown.estimator.livo.intensity_image import FEWEST, IntensityImage, brightness
-from touchdown.estimator.livo.plane_equations import Returns
+from touchdown.estimator.livo.scan_update import Returns, ScanErrors
 from touchdown.estimator.typing import Array, Bytes, Float32
+from touchdown.sim.frames import Pose
+
+SIDE = 384
+"""cells of a row"""
+_CELL_FRACTION = 0.006
+"""side of a cell relative to the height: a few returns of a second fall into each"""
+_MIN_CELL_M = 0.02
+_FAINTEST = 4.0
+"""weaker intensities count as this: the logarithm of single digits is mostly rounding"""
+_MAX_RETURNS = 8
+"""a cell takes no further ones: the oldest carry the least drift"""
+_BRIGHTNESS = np.log(np.maximum(np.arange(256.0), _FAINTEST))
+_WEIGHTS = np.array([0.25, 0.5, 0.25])
+FEWEST = 1.5
+"""returns that a smoothed cell needs (weighted mean over its neighbourhood)"""
+
+
+def brightness(intensity: Bytes) -> Array:
+    """Returns the logarithm of intensities (N,)."""
+    return _BRIGHTNESS[intensity]
+
+
+@njit(cache=True, error_model="numpy")
+def add_returns(
+    sums: Float32, counts: Bytes, points: Array, values: Array, axes: Array, centre: Array
+) -> None:
+    """Adds returns to an image (rows, columns): ``points`` (N, 3), ``axes`` (2, 3) of the image in
+    their frame, a cell long, and its ``centre`` (2,) in cells from their origin. Returns beside the
+    image are left out."""
+    rows, columns = sums.shape
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        u = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z + centre[0]
+        v = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z + centre[1]
+        column, row = int(np.floor(u)) + columns // 2, int(np.floor(v)) + rows // 2
+        if 0 <= row < rows and 0 <= column < columns and counts[row, column] < _MAX_RETURNS:
+            sums[row, column] += values[i]
+            counts[row, column] += 1
+
+
+@dataclass(eq=False)
+class IntensityImage:
+    """The image of one clone."""
+
+    axes: Array
+    """(2, 3) horizontal axes of the image in the clone's IMU frame"""
+    cell_m: float
+    calibration: Array
+    """(C,) shared calibration that its returns were placed with"""
+    sums: Float32
+    counts: Bytes
+    _smoothed: tuple[Float32, Float32] | None = None
+
+    @staticmethod
+    def of(rotation: Array, height_m: float, calibration: Array) -> IntensityImage:
+        """An empty image of a clone, with ``rotation`` odom_from_imu, ``height_m`` above the
+        ground."""
+        sums, counts = (np.zeros((SIDE, SIDE), dtype) for dtype in (np.float32, np.uint8))
+        cell = max(_CELL_FRACTION * height_m, _MIN_CELL_M)
+        return IntensityImage(rotation[:2].copy(), cell, calibration.copy(), sums, counts)
+
+    def add(self, points: Array, values: Array, pose: Pose | None = None) -> None:
+        """Adds ``points`` (N, 3) of the brightness ``values`` (N,); ``pose`` moves them to the
+        clone's frame."""
+        pose = pose or Pose.identity()
+        scaled = self.axes / self.cell_m
+        add_returns(
+            self.sums, self.counts, points, values, scaled @ pose.rotation,
+            scaled @ pose.translation,
+        )  # fmt: skip
+        self._smoothed = None
+
+    def smoothed(self) -> tuple[Float32, Float32]:
+        """Mean and number of returns (SIDE, SIDE) of each cell and its neighbours, weighted 1, 2, 1
+        along either axis; mean 0 where there is none."""
+        if self._smoothed is None:
+            sums, weights = (
+                np.asarray(cv2.sepFilter2D(layer, cv2.CV_32F, _WEIGHTS, _WEIGHTS), np.float32)
+                for layer in (self.sums, self.counts)
+            )
+            means = np.divide(sums, weights, out=np.zeros_like(sums), where=weights > 0.0)
+            self._smoothed = means, weights
+        return self._smoothed
+
+    def share_known(self, points: Array) -> float:
+        """Share of ``points`` (N, 3), the clone's frame, that lie on known cells."""
+        at = np.floor(points @ self.axes.T / self.cell_m).astype(np.int64) + SIDE // 2
+        inside = ((at >= 0) & (at < SIDE)).all(axis=1)
+        known = self.counts[at[inside, 1], at[inside, 0]] > 0
+        return float(known.sum()) / max(len(points), 1)
+
 
 _ASIDE = slice(POSITION.start, POSITION.start + 2)
 """x and y of a pose"""
@@ -176,17 +271,6 @@ def photometry(
     return Photometry(information, vector, used, spread, noise / max(squares, 1e-12))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class IntensityReport:
-    """Result of an update, for the recording."""
-
-    used: int = 0
-    images: int = 0
-    sigma: float = 0.0
-    aside_m: float = 0.0
-    """standard deviation of the weaker horizontal direction by this scan alone"""
-
-
 class PhotometricUpdate:
     """Images of all clones and the update by a scan; image k is of clone k."""
 
@@ -249,15 +333,33 @@ class PhotometricUpdate:
         dark_ticks: int,
         share: float = 1.0,
     ) -> dict[str, float]:
-        """Updates the filter by a scan and its ``intensity`` (N,) after ``dark_ticks`` without an
-        image; returns the figures for the recording. ``share``: see ``Eskf.gains``."""
+        """Iterated update by a scan and its ``intensity`` (N,) after ``dark_ticks`` without an
+        image; returns the figures for the recording. Nothing is changed where too few returns lie
+        on images with texture. ``share``: see ``Eskf.gains``."""
         if not self.measures(dark_ticks):
             return {}
         chosen = np.arange(0, len(scan), max(1, len(scan) // _RETURNS))
-        part = scan.select(chosen)
-        returns = Returns(part.points, part.beams)
-        report = self.update(eskf, returns, brightness(intensity[chosen]), share)
-        return {f"intensity_{name}": float(value) for name, value in asdict(report).items()}
+        part, values = scan.select(chosen), brightness(intensity[chosen])
+        keys = self.choose(eskf, part.points)
+        if not keys:
+            return _figures()
+        update, sigmas = IteratedUpdate(eskf, share), np.full(len(keys), self._sigma)
+        floor = np.array([*[_ROTATION_RAD] * 3, _ASIDE_M, _ASIDE_M, 0.0])
+        floors = np.concatenate([floor, np.zeros(eskf.shared + CLONE_DIM * len(keys))])
+        for _ in range(_ITERATIONS):
+            information, vector, used, images = self._accumulate(
+                eskf, keys, Returns(part.points, part.beams), values, sigmas
+            )
+            sigma = float(sigmas.min())
+            if used < _MIN_USED:
+                update.abandon()
+                return _figures(used, images, sigma)
+            update.step(keys, information, vector, floors)
+        self._sigma = sigma
+        update.finish()
+        limited = limit_information(eskf.coupled(information, vector)[0], np.diag(floors**2))
+        weakest = float(np.linalg.eigvalsh(limited[_ASIDE, _ASIDE])[0])
+        return _figures(used, images, sigma, 1.0 / float(np.sqrt(max(weakest, 1e-12))))
 
     def choose(self, eskf: Eskf, points: Array) -> list[int]:
         """Images to compare ``points`` (N, 3), IMU frame, with: the newest that covers them, then
@@ -282,35 +384,6 @@ class PhotometricUpdate:
 
         best = sorted(overlaps, key=worth)[: _MAX_IMAGES - 1]
         return sorted([newest, *(k for k, _ in best)])
-
-    def update(
-        self, eskf: Eskf, returns: Returns, values: Array, share: float = 1.0
-    ) -> IntensityReport:
-        """Iterated update by N returns of brightness ``values`` (N,). Nothing is changed where too
-        few returns lie on images with texture."""
-        keys = self.choose(eskf, returns.points)
-        if not keys:
-            return IntensityReport()
-        update, sigmas = IteratedUpdate(eskf, share), np.full(len(keys), self._sigma)
-        floor = np.array([*[_ROTATION_RAD] * 3, _ASIDE_M, _ASIDE_M, 0.0])
-        floors = np.concatenate([floor, np.zeros(eskf.shared + CLONE_DIM * len(keys))])
-        used, images, sigma = 0, 0, self._sigma
-        for _ in range(_ITERATIONS):
-            information, vector, used, images = self._accumulate(
-                eskf, keys, returns, values, sigmas
-            )
-            sigma = float(sigmas.min())
-            if used < _MIN_USED:
-                update.abandon()
-                return IntensityReport(used=used, images=images, sigma=sigma)
-            update.step(keys, information, vector, floors)
-        self._sigma = sigma
-        update.finish()
-        limited = limit_information(eskf.coupled(information, vector)[0], np.diag(floors**2))
-        weakest = float(np.linalg.eigvalsh(limited[_ASIDE, _ASIDE])[0])
-        return IntensityReport(
-            used=used, images=images, sigma=sigma, aside_m=1.0 / np.sqrt(max(weakest, 1e-12))
-        )
 
     def _accumulate(
         self, eskf: Eskf, keys: list[int], returns: Returns, values: Array, sigmas: Array
@@ -353,3 +426,14 @@ class PhotometricUpdate:
             used += part.used
             images += 1
         return information, vector, used, images
+
+
+def _figures(
+    used: int = 0, images: int = 0, sigma: float = 0.0, aside_m: float = 0.0
+) -> dict[str, float]:
+    """Figures of an update, by the name of their plot; ``aside_m``: standard deviation of the
+    weaker horizontal direction by this scan alone."""
+    return {
+        "intensity_used": float(used), "intensity_images": float(images),
+        "intensity_sigma": sigma, "intensity_aside_m": aside_m,
+    }  # fmt: skip
