@@ -36,7 +36,8 @@ def write_csv(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
     flown.wanted_s(options.judged)  # refuses an empty table
     truth = _poses(flown.file("truth.tum"), "truth")
     begins = [(p[TIME] - SAME_TIME_S, p["phase"]) for p in flown.result.get("phases") or []]
-    phases = pd.DataFrame(begins, columns=[TIME, "phase"]).astype({TIME: float}).sort_values(TIME)
+    phases = pd.DataFrame(begins, columns=[TIME, "phase"]).astype({TIME: float})
+    phases = phases.dropna().sort_values(TIME)
     table = pd.merge_asof(truth[[TIME]], phases, on=TIME)
     table["judged"] = (first_s <= table[TIME]) & (table[TIME] < end_s)
     table = table.join(truth.drop(columns=TIME))
