@@ -21,9 +21,6 @@ from touchdown.scenes.truth.static_surface import cast_down, class_ids
 
 from support.places import cached_scene
 
-NAMES = ("cottage", "houses", "pools")
-CELL_M = 0.25
-
 
 @functools.cache
 def survey_maps(name: str, seed: int) -> TruthMaps:
@@ -35,7 +32,7 @@ def survey_maps(name: str, seed: int) -> TruthMaps:
     corners = np.array(
         [scene.takeoff_xy_m + a * ahead + b * left for a in (0, 50) for b in (0, 40)]
     )
-    return truth_maps(scene, CELL_M, np.array([corners.min(axis=0), corners.max(axis=0)]))
+    return truth_maps(scene, 0.25, np.array([corners.min(axis=0), corners.max(axis=0)]))
 
 
 def share(maps: TruthMaps, land_class: str) -> float:

@@ -33,7 +33,7 @@ from touchdown.scenes.truth.static_surface import cast_down, class_ids
 
 from support.places import cached_scene
 
-FIELD, WATER = LAND_CLASSES.index("field"), LAND_CLASSES.index("water")
+TREES, WATER = LAND_CLASSES.index("trees"), LAND_CLASSES.index("water")
 SUN = np.array([0.6, 0.0, -0.8])
 """Light that travels to the east."""
 
@@ -156,9 +156,6 @@ def test_tracks_press_hollows_with_rims() -> None:
     strip = fine.prints[2700:2820].astype(int) - 128
     assert strip.min() < -55 and strip.max() > 8
     np.testing.assert_allclose(parallel(line, 0.5)[:, 1], 0.5, atol=1e-9)
-
-
-TREES = LAND_CLASSES.index("trees")
 
 
 def test_forest_is_rugged_and_wooded() -> None:
