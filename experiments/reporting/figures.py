@@ -1,27 +1,27 @@
-"""Figures of a report: trajectories, errors by axis, touchdowns."""
+"""Figures of a report as SVG: trajectories, errors by axis, touchdowns."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from touchdown.experiments.drawing.style import FAINT, GRID, INK
+from touchdown.experiments.drawing.style import FAINT, GRID, INK, STYLE, new_figure
 from touchdown.experiments.errors import visible
-from touchdown.experiments.reporting.drawing import (
-    Picture,
-    colour_of,
-    drawn,
-)
-from touchdown.experiments.reporting.flights import ordered, values
+from touchdown.experiments.reporting.flights import ORDER, ordered, values
 from touchdown.experiments.reporting.measures import AXES, SET_MARK, is_marked, setting_notes
 from touchdown.experiments.reporting.published import ANALYSED_SCENE
 from touchdown.experiments.reporting.statistics import Estimate, mean_interval
@@ -29,6 +29,56 @@ from touchdown.experiments.reporting.tables import groups
 from touchdown.experiments.reporting.trajectories import Trajectory, read_trajectory
 
 Array = NDArray[np.float64]
+
+_STYLE: Any = {
+    **STYLE,
+    "svg.fonttype": "none",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+}
+
+
+@dataclass(slots=True)
+class Picture:
+    """``name`` is its file name without the ending."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str = ""
+
+    @property
+    def on_page(self) -> str:
+        """The SVG element alone."""
+        return self.svg[self.svg.index("<svg") :]
+
+
+def colour_of(method: str, methods: Sequence[str]) -> str:
+    """The colour of a method among ``methods``; the project's own have always the same."""
+    known = list(dict.fromkeys([*ORDER["estimator"], *methods]))
+    return f"C{known.index(method) % 10}"
+
+
+@contextmanager
+def drawn(picture: Picture, width: float, height: float) -> Iterator[Figure]:
+    """Gives a figure, in inches, to be filled, which becomes the SVG of ``picture``. The same data
+    give the same text."""
+    style: Any = {**_STYLE, "svg.hashsalt": picture.name}
+    with matplotlib.rc_context(style):
+        figure = new_figure(width, height)
+        yield figure
+        for words in figure.findobj(Text):
+            words.set_text(visible(words.get_text(), keep="\n"))
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    picture.svg = text.getvalue()
+
+
+# ---------------------------------------------------------------------------------------- figures
 
 _PATH_POINTS = 300
 _COLUMNS = 4

@@ -22,8 +22,7 @@ from touchdown.experiments.io.result_parts import PartNames
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.io.untrusted import as_plain_name, read_object
 from touchdown.experiments.reporting import published
-from touchdown.experiments.reporting.drawing import Picture
-from touchdown.experiments.reporting.figures import pictures_of
+from touchdown.experiments.reporting.figures import Picture, pictures_of
 from touchdown.experiments.reporting.flights import (
     Row,
     frame_of,
@@ -32,7 +31,6 @@ from touchdown.experiments.reporting.flights import (
     ordered,
     recorded_revision,
 )
-from touchdown.experiments.reporting.markdown_text import fenced, markdown_cell, markdown_text
 from touchdown.experiments.reporting.report_tables import (
     accuracy_tables,
     axis_table,
@@ -43,7 +41,7 @@ from touchdown.experiments.reporting.report_tables import (
     time_table,
 )
 from touchdown.experiments.reporting.statistics import INTERVAL
-from touchdown.experiments.reporting.tables import Table
+from touchdown.experiments.reporting.tables import Table, fenced, markdown_cell, markdown_text
 from touchdown.experiments.reporting.trajectories import add_trajectory_columns
 
 _FILES = {"markdown": "report.md", "html": "report.html", "json": "report.json"}

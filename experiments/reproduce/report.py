@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.reporting.drawing import Picture
+from touchdown.experiments.reporting.figures import Picture
 from touchdown.experiments.reporting.flights import check_revisions, frame_of, load_flights
 from touchdown.experiments.reporting.published import NETWORK_NAMES, SITES
 from touchdown.experiments.reporting.report import (

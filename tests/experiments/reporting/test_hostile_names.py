@@ -14,7 +14,7 @@ import pytest
 from touchdown.experiments import terminal
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import visible
-from touchdown.experiments.reporting.markdown_text import fenced, markdown_cell, markdown_text
+from touchdown.experiments.reporting.tables import fenced, markdown_cell, markdown_text
 
 from support.report_support import LANDING, write_run
 

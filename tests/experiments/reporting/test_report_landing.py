@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.reporting import published
-from touchdown.experiments.reporting.drawing import Picture
-from touchdown.experiments.reporting.figures import offsets_xy, pictures_of
+from touchdown.experiments.reporting.figures import Picture, offsets_xy, pictures_of
 from touchdown.experiments.reporting.flights import frame_of, load_flights
 from touchdown.experiments.reporting.report_tables import landing_tables
 from touchdown.experiments.reporting.tables import Table
