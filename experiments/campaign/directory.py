@@ -16,15 +16,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from touchdown.experiments.campaign.plan import (
-    Plan,
-    PlannedRun,
-    config_for,
-    config_sha,
-    of_version_before_profiles,
-)
+from touchdown.experiments.campaign.plan import Expect, Plan, PlannedRun, config_for, config_sha
 from touchdown.experiments.campaign.results_table import FAILED, RESULTS_FILE, RUNS, refresh
-from touchdown.experiments.campaign.run_names import is_run_name
 from touchdown.experiments.campaign.worker import Failure, Task
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.profiles import BEFORE_PROFILES
@@ -141,7 +134,7 @@ def read_plan_file(directory: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise UsageError(f"'{path}' cannot be read: {reason_of(error)}") from None
     try:
-        _WrittenPlan.model_validate(document)
+        _WrittenPlan.model_validate(document, extra="ignore")
     except ValidationError:
         raise UsageError(
             f"'{path}' is damaged or of another program; name another directory, or the campaign's "
@@ -164,19 +157,6 @@ class _Written(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
-class _WrittenExpectation(_Written):
-    name: str
-    when: dict[str, list[Any]]
-    outcome: list[str]
-    position_error_m_max: _Number | None = None
-    at_most: dict[str, _Number] = {}
-    mean_at_most: dict[str, _Number] = {}
-    mean_at_least: dict[str, _Number] = {}
-    success_at_least: _Number | None = None
-    happened: bool | list[str] = False
-    unsafe: bool
-
-
 class _WrittenRun(_Written):
     run_id: str
     values: dict[str, Any]
@@ -193,7 +173,7 @@ class _WrittenPlan(_Written):
     created_utc: str
     sessions: list[_WrittenSession]
     runs: list[_WrittenRun]
-    expect: list[_WrittenExpectation] | None = None
+    expect: list[Expect] | None = None
 
 
 def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:
@@ -211,16 +191,13 @@ def settle_plan(plan: Plan, directory: Path, git_revision: str | None) -> Plan:
     }
     if (directory / PLAN_FILE).is_file():
         before = read_plan_file(directory)
-        flown = {run["values"].get("profile", BEFORE_PROFILES) for run in before["runs"]}
-        if flown == {BEFORE_PROFILES}:
-            plan = of_version_before_profiles(plan)
         plan = replace(plan, runs=_merged(plan.runs, before["runs"], directory))
         document |= {key: before[key] for key in ("git_revision", "created_utc", "sessions")}
     document |= {
         "mode": plan.mode,
         "record": plan.record,
         "limits": plan.limits.model_dump(),
-        "expect": [dict(expectation) for expectation in plan.expect],
+        "expect": [expectation.model_dump(mode="json") for expectation in plan.expect],
         "runs": [
             {"run_id": run.run_id, "values": dict(run.values), "config_sha": run.config_sha}
             for run in plan.runs
@@ -251,14 +228,7 @@ def _merged(
     """``runs`` under the names that they had, which lengthen when an axis gets a second value."""
     # Compared as today's program understands them: defaults may have changed since.
     source = str(directory / PLAN_FILE)
-    unnamed = {"profile": BEFORE_PROFILES}
-    before = [{**old, "values": {**unnamed, **old["values"]}} for old in before]
-    for old in before:
-        if not is_run_name(old["run_id"], old["values"]):
-            raise UsageError(
-                f"'{source}' calls a run {shown(old['run_id'])}, which is not the name of its "
-                "values: it is damaged or of another program; name another --out"
-            )
+    before = [{**old, "values": {"profile": BEFORE_PROFILES, **old["values"]}} for old in before]
     known = [config_sha(config_for(old["values"], source), but=("record",)) for old in before]
     names = {sha: old["run_id"] for sha, old in zip(known, before, strict=True)}
     planned = [config_sha(config_for(run.values, source), but=("record",)) for run in runs]
@@ -349,7 +319,8 @@ def sweep(directory: Path, run_ids: Iterable[str], *, whole: bool) -> None:
 
 def clear_partial(directory: Path, run_id: str) -> None:
     """Takes away what a worker that is dead left of a run."""
-    for path in (directory / PARTIAL).glob(f"{_escaped(run_id)}.*"):
+    folder = directory / PARTIAL
+    for path in folder.iterdir() if folder.is_dir() else ():
         if path.name.rpartition(".")[0] == run_id:
             shutil.rmtree(path, ignore_errors=True)
 
@@ -376,10 +347,6 @@ def _is_in_use(directory: Path) -> bool:
         return True
     except OSError:
         return False
-
-
-def _escaped(name: str) -> str:
-    return "".join(f"[{c}]" if c in "*?[" else c for c in name)
 
 
 def write_failure(directory: Path, task: Task, failure: Failure, attempts: int) -> None:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.directory import read_plan_file
+from touchdown.experiments.campaign.plan import BOUNDS, Expect, matches
 from touchdown.experiments.campaign.results_table import CRASHED, refresh, touched_safe_ground
 
 _FELL = (Outcome.TIPPED, Outcome.COLLIDED)
@@ -43,23 +44,22 @@ def judge_campaign(directory: Path) -> list[Verdict]:
     ``directory`` is no campaign."""
     document = read_plan_file(directory)
     expectations = document.get("expect") or []
-    if not expectations:
-        return []
-    rows = {row["run_id"]: row for row in refresh(directory)}
-    return [judge(expectation, document["runs"], rows) for expectation in expectations]
+    rows = {row["run_id"]: row for row in refresh(directory)} if expectations else {}
+    read = (Expect.model_validate(one, extra="ignore") for one in expectations)
+    return [judge(expectation, document["runs"], rows) for expectation in read]
 
 
 def judge(
-    expectation: Mapping[str, Any],
+    expectation: Expect,
     runs: Sequence[Mapping[str, Any]],
     rows: Mapping[str, Mapping[str, Any]],
 ) -> Verdict:
     """Returns the verdict on one expectation; ``runs`` as in ``campaign.json``, ``rows`` by run."""
-    when = expectation["when"]
+    when = expectation.when
     found: list[Mapping[str, Any]] = []
-    verdict = Verdict(expectation["name"] or _label(when), expected=expected_text(expectation))
+    verdict = Verdict(expectation.name or _label(when), expected=expected_text(expectation))
     for run in runs:
-        if not all(run["values"].get(key) in wanted for key, wanted in when.items()):
+        if not matches(when, run["values"]):
             continue
         verdict.runs += 1
         row = rows.get(run["run_id"])
@@ -79,21 +79,19 @@ def judge(
     return verdict
 
 
-def _unexpected_means(
-    expectation: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]
-) -> dict[str, str]:
+def _unexpected_means(expectation: Expect, rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """Means beyond their bounds, by scene and method. A column without a number in a group is one:
     what was not measured was not shown."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         groups.setdefault(f"{row.get('scene')}, {row.get('estimator')}", []).append(row)
     found: dict[str, str] = {}
-    least = expectation.get("success_at_least")
+    least = expectation.success_at_least
     successful = sum(row.get("success") is True for row in rows)
     if least is not None and not successful >= least * len(rows):
         found["all"] = f"{successful} of {len(rows)} successful, at least {least:.0%} expected"
     for name, word, sign in (("mean_at_most", "most", 1.0), ("mean_at_least", "least", -1.0)):
-        for key, bound in (expectation.get(name) or {}).items():
+        for key, bound in getattr(expectation, name).items():
             for group, members in groups.items():
                 numbers = [float(row[key]) for row in members if row.get(key) is not None]
                 mean = sum(numbers) / len(numbers) if numbers else math.nan
@@ -103,26 +101,26 @@ def _unexpected_means(
     return found
 
 
-def unexpected(expectation: Mapping[str, Any], row: Mapping[str, Any]) -> str:
+def unexpected(expectation: Expect, row: Mapping[str, Any]) -> str:
     """Returns the reasons why a run is not as expected; "" where it is."""
-    outcome, limit = row["outcome"], expectation["position_error_m_max"]
+    outcome, limit = row["outcome"], expectation.position_error_m_max
     if outcome == CRASHED:
         return f"crashed: {row['reason']}"
     reasons = []
-    if expectation["outcome"] and outcome not in expectation["outcome"]:
+    if expectation.outcome and outcome not in expectation.outcome:
         reasons.append(f"{outcome} ({row['reason']})")
-    if not expectation["unsafe"] and touched_unsafely(row):
+    if not expectation.unsafe and touched_unsafely(row):
         reasons.append("unsafe touchdown")
     error = row.get("position_error_m.max")
     if limit is not None and (error is None or error > limit):
         found = "unknown" if error is None else f"{error:.2f} m"
         reasons.append(f"position error {found}, at most {limit:g} m expected")
-    for key, bound in (expectation.get("at_most") or {}).items():
+    for key, bound in expectation.at_most.items():
         value = row.get(key)
         if value is None or not value <= bound:
             text = "unknown" if value is None else f"{value:.3g}"
             reasons.append(f"{key} {text}, at most {bound:g} expected")
-    reasons += not_happened(expectation.get("happened", False), row)
+    reasons += not_happened(expectation.happened, row)
     return ", ".join(reasons)
 
 
@@ -169,14 +167,12 @@ def idle_conditions(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def demanded(
-    expectations: Sequence[Mapping[str, Any]], values: Mapping[str, Any]
-) -> Literal[True] | set[str]:
+def demanded(expectations: Sequence[Expect], values: Mapping[str, Any]) -> Literal[True] | set[str]:
     """Conditions that expectations demand of a run with these ``values``; True: all of them."""
     names: set[str] = set()
     for expectation in expectations:
-        wanted = expectation.get("happened", False)
-        if wanted and all(values.get(key) in ok for key, ok in expectation["when"].items()):
+        wanted = expectation.happened
+        if wanted and matches(expectation.when, values):
             if wanted is True:
                 return True
             names |= set(wanted)
@@ -190,21 +186,21 @@ def touched_unsafely(row: Mapping[str, Any]) -> bool:
     return row["outcome"] in _FELL or touched_safe_ground(row) is not True
 
 
-def expected_text(expectation: Mapping[str, Any]) -> str:
+def expected_text(expectation: Expect) -> str:
     """``LANDED or ABORTED, error at most 0.3 m, no unsafe touchdown``."""
-    parts = [" or ".join(expectation["outcome"]) or "any outcome"]
-    if expectation["position_error_m_max"] is not None:
-        parts.append(f"error at most {expectation['position_error_m_max']:g} m")
-    for name, word in (("at_most", ""), ("mean_at_most", "mean "), ("mean_at_least", "mean ")):
-        side = "least" if name == "mean_at_least" else "most"
-        for key, bound in (expectation.get(name) or {}).items():
-            parts.append(f"{word}{key} at {side} {bound:g}")
-    if expectation.get("success_at_least") is not None:
-        parts.append(f"{expectation['success_at_least']:.0%} successful")
-    if wanted := expectation.get("happened", False):
+    parts = [" or ".join(expectation.outcome) or "any outcome"]
+    if expectation.position_error_m_max is not None:
+        parts.append(f"error at most {expectation.position_error_m_max:g} m")
+    for name in BOUNDS:
+        word = name.replace("_", " ").replace("at ", "{} at ")
+        for key, bound in getattr(expectation, name).items():
+            parts.append(f"{word.format(key)} {bound:g}")
+    if expectation.success_at_least is not None:
+        parts.append(f"{expectation.success_at_least:.0%} successful")
+    if wanted := expectation.happened:
         parts.append("its conditions" if wanted is True else ", ".join(wanted))
         parts[-1] += " happened"
-    if not expectation["unsafe"]:
+    if not expectation.unsafe:
         parts.append("no unsafe touchdown")
     return ", ".join(parts)
 

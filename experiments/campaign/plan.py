@@ -6,25 +6,42 @@ import hashlib
 import itertools
 import json
 import math
+import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from touchdown.experiments.api import Outcome
-from touchdown.experiments.campaign.run_names import AXES, run_name
 from touchdown.experiments.config.files import check_named_code, read_tree
 from touchdown.experiments.config.keys import flatten, renewed
-from touchdown.experiments.config.loading import config_of, is_key, known_keys, parse_override
-from touchdown.experiments.config.profiles import BEFORE_PROFILES, DEFAULT, PRESET_KEY
+from touchdown.experiments.config.loading import (
+    OPTION_KEYS,
+    config_of,
+    is_key,
+    known_keys,
+    parse_override,
+)
+from touchdown.experiments.config.profiles import DEFAULT, PRESET_KEY
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
+from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 from touchdown.experiments.io.results import columns
 from touchdown.experiments.io.untrusted import LONGEST_NAME, is_plain_name, shown
+from touchdown.scenes.api import short_name
+
+AXES: Mapping[str, str] = {
+    "scene": "scene",
+    "estimator": "estimator",
+    "seed": "seed",
+    "wind_kmh": OPTION_KEYS["wind_kmh"],
+    **{kind: slot.key for kind, slot in SLOTS.items() if kind != "estimator"},
+}
+"""Short names of axes and the keys that they set; any other key is an axis by its own name."""
 
 _OWN_KEYS = {
     "scene": "an axis: [axes] scene",
@@ -39,6 +56,23 @@ SAME_FLIGHT = ("record", "sim.threads")
 """Keys that do not change a flight."""
 MOST_RUNS = 100_000
 """of one campaign: its plan is one file"""
+
+
+def _flat(tree: Any) -> Any:
+    return dict(flatten(tree)) if isinstance(tree, dict) else tree
+
+
+def _lists(tree: Any) -> Any:
+    flat = _flat(tree)
+    if not isinstance(flat, dict):
+        return flat
+    return {key: value if isinstance(value, list) else [value] for key, value in flat.items()}
+
+
+When = Annotated[dict[str, list[Any]], BeforeValidator(_lists)]
+"""wanted values by axis"""
+Bounds = Annotated[dict[str, Annotated[float, Field(gt=-1e300, lt=1e300)]], BeforeValidator(_flat)]
+"""by column of the results"""
 
 
 class _Strict(BaseModel):
@@ -59,30 +93,31 @@ class Limits(_Strict):
 class Override(_Strict):
     """Keys for some of the runs: those whose axes have one of the values in ``when``."""
 
-    when: dict[str, Any]
-    set: dict[str, Any]
+    when: When
+    set: Annotated[dict[str, Any], BeforeValidator(_flat)]
 
 
 class Skip(_Strict):
     """Runs that are not flown: those whose axes have one of the values in ``when``."""
 
-    when: dict[str, Any]
+    when: When
 
 
 class Expect(_Strict):
-    """The expected results of the runs in ``when``; of all runs without it."""
+    """The expected results of the runs in ``when``; of all runs without it. In a `Plan` and in
+    ``campaign.json``, ``when`` has the dotted keys of runs' values."""
 
     name: str = ""
-    when: dict[str, Any] = Field(default_factory=dict)
+    when: When = {}
     outcome: list[str] = Field(default_factory=list)
     """any of these; none: any outcome but a crash of the program"""
-    position_error_m_max: float | None = Field(default=None, gt=0)
+    position_error_m_max: float | None = Field(default=None, gt=0, lt=1e300)
     """largest position error up to the end of the survey"""
-    at_most: dict[str, Any] = Field(default_factory=dict)
-    """bounds by column of the results, for each run"""
-    mean_at_most: dict[str, Any] = Field(default_factory=dict)
-    """bounds by column, for the mean over the runs of each scene with each method"""
-    mean_at_least: dict[str, Any] = Field(default_factory=dict)
+    at_most: Bounds = {}
+    """for each run"""
+    mean_at_most: Bounds = {}
+    """for the mean over the runs of each scene with each method"""
+    mean_at_least: Bounds = {}
     """the same from below"""
     success_at_least: float | None = Field(default=None, ge=0, le=1)
     """share of the runs that land on safe ground, or complete the survey"""
@@ -104,11 +139,11 @@ class CampaignFile(_Strict):
     record: Literal["failures", "all", "none"] = "failures"
     """of which runs the Rerun recording is kept"""
     axes: dict[str, Any]
-    base: dict[str, Any] = Field(default_factory=dict)
-    override: list[Override] = Field(default_factory=list)
-    skip: list[Skip] = Field(default_factory=list)
-    expect: list[Expect] = Field(default_factory=list)
-    limits: Limits = Field(default_factory=Limits)
+    base: Annotated[dict[str, Any], BeforeValidator(_flat)] = {}
+    override: list[Override] = []
+    skip: list[Skip] = []
+    expect: list[Expect] = []
+    limits: Limits = Limits()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -133,10 +168,8 @@ class Plan:
     runs: tuple[PlannedRun, ...]
     text: str
     """the file as given"""
-    expect: tuple[Mapping[str, Any], ...] = ()
-    """what runs are to come to: the keys of ``Expect``, ``when`` by dotted keys of runs' values"""
-    names_profile: bool = False
-    """True if the file says which profile is flown"""
+    expect: tuple[Expect, ...] = ()
+    """what runs are to come to"""
 
 
 def load_plan(
@@ -158,10 +191,11 @@ def load_plan(
         raise UsageError(f"'{file}' is no TOML file; a campaign is described in FILE.toml")
     spec = _parse(tree, str(file))
     axes = _axes(spec.axes, str(file))
+    set_there = [*spec.base.items(), *(pair for one in spec.override for pair in one.set.items())]
     if not allow_code:
-        sets = [*axes.items(), *((k, [v]) for k, v in _set_in(spec))]
-        check_named_code(file, ((key, value) for key, values in sets for value in values))
-    base = renewed(dict(flatten(spec.base)), f"[base] of {file}")
+        on_axes = [(key, value) for key, values in axes.items() for value in values]
+        check_named_code(file, [*on_axes, *set_there])
+    base = renewed(spec.base, f"[base] of {file}")
     _check_settable(base, axes, f"[base] of {file}")
     if preset is not None:
         _check_settable([PRESET_KEY], axes, f"--preset {preset}")
@@ -169,8 +203,14 @@ def load_plan(
     given = renewed(dict(map(parse_override, overrides)), "--set")
     _check_settable(given, axes, "--set")
     base |= given
-    changes = [_override(entry, axes, f"[[override]] {number} of {file}")
-               for number, entry in enumerate(spec.override, start=1)]  # fmt: skip
+    changes: list[Override] = []
+    for number, override in enumerate(spec.override, start=1):
+        source = f"[[override]] {number} of {file}"
+        changes.append(override.model_copy(update={"set": renewed(override.set, source)}))
+        _check_axes(override.when, axes, source)
+        _check_settable(changes[-1].set, axes, source)
+    for number, skip in enumerate(spec.skip, start=1):
+        _check_axes(skip.when, axes, f"[[skip]] {number} of {file}")
     _check_names(axes, str(file))
     runs = _runs(spec, axes, base, changes, str(file))
     expect = [_expectation(entry, axes, f"[[expect]] {number} of {file}")
@@ -183,26 +223,7 @@ def load_plan(
         runs=tuple(runs),
         text=file.read_text(encoding="utf-8"),
         expect=tuple(expect),
-        names_profile=any("profile" in keys for keys in (axes, base, *(s for _, s in changes))),
     )
-
-
-def _set_in(spec: CampaignFile) -> Iterator[tuple[str, Any]]:
-    """(dotted key, value) of all that a campaign sets beside its axes."""
-    for tree in (spec.base, *(entry.set for entry in spec.override)):
-        yield from flatten(tree)
-
-
-def of_version_before_profiles(plan: Plan) -> Plan:
-    """``plan`` as a program without profiles made it; the same where its file names one."""
-    if plan.names_profile:
-        return plan
-    runs = []
-    for run in plan.runs:
-        values = {**run.values, "profile": BEFORE_PROFILES}
-        sha = config_sha(config_for(values, f"run {run.run_id}"))
-        runs.append(replace(run, values=values, config_sha=sha))
-    return replace(plan, runs=tuple(runs))
 
 
 def config_for(values: Mapping[str, Any], source: str) -> Config:
@@ -232,6 +253,11 @@ def in_shard(run_id: str, shard: tuple[int, int]) -> bool:
     index, count = shard
     digest = hashlib.sha256(run_id.encode()).digest()
     return int.from_bytes(digest[:8], "big") % count == index - 1
+
+
+def matches(when: Mapping[str, Sequence[Any]], values: Mapping[str, Any]) -> bool:
+    """True if all ``values`` that ``when`` names are among those that it wants."""
+    return all(values.get(key) in wanted for key, wanted in when.items())
 
 
 def runs_of_shard(plan: Plan, shard: tuple[int, int] | None) -> list[PlannedRun]:
@@ -304,31 +330,17 @@ def _axes(tree: Mapping[str, Any], source: str) -> dict[str, list[Any]]:
     return axes
 
 
-def _override(
-    entry: Override, axes: Mapping[str, list[Any]], source: str
-) -> tuple[dict[str, list[Any]], dict[str, Any]]:
-    when = _when(entry.when, axes, source)
-    settings = renewed(dict(flatten(entry.set)), source)
-    _check_settable(settings, axes, source)
-    return when, settings
-
-
-def _when(
-    tree: Mapping[str, Any], axes: Mapping[str, list[Any]], source: str
-) -> dict[str, list[Any]]:
-    """Wanted values by axis."""
-    when: dict[str, list[Any]] = {}
-    for key, wanted in flatten(tree):
+def _check_axes(when: Mapping[str, list[Any]], axes: Mapping[str, list[Any]], source: str) -> None:
+    for key in when:
         if key not in axes:
             hint = nearest(key, axes) or "; axes: " + ", ".join(axes)
             raise UsageError(f"unknown axis '{key}' in when of {source}{hint}")
-        when[key] = wanted if isinstance(wanted, list) else [wanted]
-    return when
 
 
-def _expectation(entry: Expect, axes: Mapping[str, list[Any]], source: str) -> dict[str, Any]:
-    when = _when(entry.when, axes, source)
-    for axis, wanted in when.items():
+def _expectation(entry: Expect, axes: Mapping[str, list[Any]], source: str) -> Expect:
+    """``entry``, checked, with ``when`` by the keys of runs' values."""
+    _check_axes(entry.when, axes, source)
+    for axis, wanted in entry.when.items():
         missing = [value for value in wanted if value not in axes[axis]]
         if missing:
             raise UsageError(f"{missing[0]!r} in when of {source} is no value of the axis '{axis}'")
@@ -336,23 +348,14 @@ def _expectation(entry: Expect, axes: Mapping[str, list[Any]], source: str) -> d
         if outcome not in list(Outcome):
             hint = nearest(outcome, list(Outcome)) or "; known: " + ", ".join(Outcome)
             raise UsageError(f"unknown outcome '{outcome}' in {source}{hint}")
-    bounds = {name: _bounds(getattr(entry, name), name, source) for name in BOUNDS}
-    return entry.model_dump(mode="json") | {
-        "when": {AXES.get(axis, axis): wanted for axis, wanted in when.items()},
-        **{name: found for name, found in bounds.items() if found},
-    }
-
-
-def _bounds(tree: Mapping[str, Any], name: str, source: str) -> dict[str, float]:
-    """Bounds by column of the results."""
     known = [*columns(), "success"]
-    found = dict(flatten(tree))
-    for key, bound in found.items():
-        if key not in known:
-            raise UsageError(f"unknown column '{key}' in {name} of {source}{nearest(key, known)}")
-        if isinstance(bound, bool) or not isinstance(bound, int | float):
-            raise UsageError(f"{name} of {source}: the bound of {key} must be a number")
-    return found
+    for name in BOUNDS:
+        for key in getattr(entry, name):
+            if key not in known:
+                hint = nearest(key, known)
+                raise UsageError(f"unknown column '{key}' in {name} of {source}{hint}")
+    when = {AXES.get(axis, axis): wanted for axis, wanted in entry.when.items()}
+    return entry.model_copy(update={"when": when})
 
 
 def _check_settable(values: Iterable[str], axes: Iterable[str], source: str) -> None:
@@ -385,21 +388,19 @@ def _runs(
     spec: CampaignFile,
     axes: Mapping[str, list[Any]],
     base: Mapping[str, Any],
-    overrides: Sequence[tuple[dict[str, list[Any]], dict[str, Any]]],
+    overrides: Sequence[Override],
     source: str,
 ) -> list[PlannedRun]:
     checked: dict[str, dict[str, Any]] = {}
     runs = []
-    skipped = [_when(entry.when, axes, f"[[skip]] {number} of {source}")
-               for number, entry in enumerate(spec.skip, start=1)]  # fmt: skip
     for point in itertools.product(*axes.values()):
         place = dict(zip(axes, point, strict=True))
-        if any(all(place[axis] in wanted for axis, wanted in when.items()) for when in skipped):
+        if any(matches(entry.when, place) for entry in spec.skip):
             continue
         values: dict[str, Any] = {"sim.threads": 1, "profile": DEFAULT, **base}
-        for when, settings in overrides:
-            if all(place[axis] in wanted for axis, wanted in when.items()):
-                values |= settings
+        for override in overrides:
+            if matches(override.when, place):
+                values |= override.set
         values |= {AXES.get(axis, axis): value for axis, value in place.items()}
         values["record"] = spec.record == "all"
         values["landing.survey_only"] = spec.mode == "fly"
@@ -422,3 +423,34 @@ def _runs(
                 f"or longer than {LONGEST_NAME} bytes; rename the scene, or shorten the values"
             )
     return runs
+
+
+# ------------------------------------------------------------------------------------------ names
+
+_FIRST = ("scene", "estimator", "seed")
+_LABELS = {
+    "wind_kmh": "w", "faults.events": "", "profile": "", "harsh_effects": "", "preset": "",
+    **{name: "" for slot in SLOTS.values() for name in (slot.kind, slot.key)},
+}  # fmt: skip
+"""Prefixes of the values of an axis in run names, where it is not the last part of its key."""
+
+
+def run_name(place: Mapping[str, Any], axes: Mapping[str, list[Any]]) -> str:
+    """``crossroad-gps-s3``, then every further axis that has several values."""
+    scene, estimator, seed = (place[axis] for axis in _FIRST)
+    parts = [_plain(part) for part in (short_name(str(scene)), str(estimator), f"s{seed}")]
+    for axis, value in place.items():
+        if axis not in _FIRST and len(axes[axis]) > 1:
+            label = _LABELS.get(axis, axis.rpartition(".")[2])
+            parts.append(_plain(f"{label}{_slug(value) or 'none'}"))
+    return "-".join(parts)
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^\w.+-]+", ".", text)
+
+
+def _slug(value: Any) -> str:
+    if isinstance(value, list):
+        return "_".join(_slug(item) for item in value)
+    return f"{value:g}" if isinstance(value, float) else str(value).replace("*", "x")

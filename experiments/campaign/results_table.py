@@ -63,9 +63,6 @@ SCHEMA: Mapping[str, str] = _schema()
 """Columns of every table and their kinds, derived from `RunResult`. Other keys of a result follow
 them."""
 
-TIMING_COLUMNS = ("wall_s", "cpu_s", "worker_memory_mb", "started_utc", "timing.")
-"""Beginnings of the names of columns that differ between two flights of one configuration."""
-
 
 def make_row(
     result: RunResult, run_id: str, mode: str, sha: str | None, **more: Any

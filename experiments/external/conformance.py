@@ -10,32 +10,24 @@ import copy
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate
-from touchdown.experiments.external.conformance_twist import twist_fault
-from touchdown.experiments.external.estimate_checks import (
-    meaningless,
-    no_number,
-    not_finite,
-    wrong_estimator,
-    wrong_shape,
-)
 from touchdown.experiments.external.examination import (
-    COMMON_RULES,
-    Examination,
     Findings,
-    checks_of,
+    Kind,
+    Session,
+    attempt,
+    examine_as,
 )
 from touchdown.experiments.external.examination import Violation as Violation
 from touchdown.experiments.external.loading import Build
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
-from touchdown.experiments.external.wrapper import Defect
-from touchdown.sim.api import Observation, SensorRig
+from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, so3_log
 
 Array = NDArray[np.float64]
@@ -51,8 +43,55 @@ MOVED_M, MIN_FRACTION = 0.5, 0.25
 """Way of the vehicle from which on the estimator must have moved, and least fraction along it."""
 _GAP = (0.4, 0.75)
 """Part of the stream in which data is missing."""
-_KEPT_CALLS = 200
-"""Calls in a second, for which observations are watched for later writes."""
+
+
+def check_estimator(build: Build, **options: Any) -> list[Violation]:
+    """Returns the first violation of every rule that the estimator of ``build`` breaks; an empty
+    list is a pass. Options as in `examine_estimator`."""
+    return examine_estimator(build, **options).violations
+
+
+def examine_estimator(
+    build: Build,
+    *,
+    rig: SensorRig | None = None,
+    observations: Sequence[Observation] | None = None,
+    params: Mapping[str, Any] | None = None,
+    seconds: float = 3.0,
+    true_position: Callable[[int], Array | None] = lambda _tick: None,
+) -> Findings:
+    """Returns the broken rules of an estimator, its latency, and how far it moved beside the
+    vehicle.
+
+    Without ``observations``, ``seconds`` of synthetic messages are used, with all that the
+    estimator needs; with them, ``rig`` must be the rig that recorded them, and ``true_position``
+    gives the vehicle's position (3,) at a tick, world frame, None where it is not known. The
+    estimator is built and run up to four times.
+    """
+    if observations is not None and rig is None:
+        raise ValueError("observations need the rig that recorded them")
+    rig = rig or synthetic_rig()
+    start = functools.partial(Session, "estimator", build, rig, params or {})
+    needed: list[SensorNeeds] = []
+
+    @functools.cache
+    def messages(needs: SensorNeeds) -> list[tuple[Observation, Array | None]]:
+        needed.append(needs)
+        if observations is not None:
+            return [(obs, true_position(obs.tick)) for obs in observations]
+        stream = SyntheticStream(rig, needs, seconds, turn_rad=TURN_RAD)
+        return [(obs, stream.true_pose(obs.tick).translation) for obs in stream]
+
+    findings = examine_as(Kind(lambda session: _follow(session, messages), CHECKS), start)
+    for needs in needed[:1] if "latency" in findings.figures else ():
+        for field, used in (("scans", needs.lidar), ("images", needs.camera_hz)):
+            if used:
+                stream = [obs for obs, _ in messages(needs)]
+                attempt(findings, start, functools.partial(_ask_without, field, stream))
+    return findings
+
+
+# --------------------------------------------------------------------------------- checks of motion
 
 
 class Step(NamedTuple):
@@ -63,152 +102,87 @@ class Step(NamedTuple):
     true: Array | None
 
 
-def check_estimator(
-    build: Build,
-    *,
-    rig: SensorRig | None = None,
-    observations: Sequence[Observation] | None = None,
-    params: dict[str, Any] | None = None,
-    seconds: float = 3.0,
-    true_position: Callable[[int], Array | None] | None = None,
-) -> list[Violation]:
-    """Returns the first violation of every rule that the estimator of ``build`` breaks; an empty
-    list is a pass. Arguments as in `examine_estimator`."""
-    return examine_estimator(
-        build,
-        rig=rig,
-        observations=observations,
-        params=params,
-        seconds=seconds,
-        true_position=true_position,
-    ).violations
+class Followed(NamedTuple):
+    """The take-off pose and all steps."""
+
+    start: Pose
+    steps: Sequence[Step]
 
 
-def examine_estimator(
-    build: Build,
-    *,
-    rig: SensorRig | None = None,
-    observations: Sequence[Observation] | None = None,
-    params: dict[str, Any] | None = None,
-    seconds: float = 3.0,
-    true_position: Callable[[int], Array | None] | None = None,
-) -> Findings:
-    """Returns the broken rules of an estimator, its latency, and how far it moved beside the
-    vehicle.
-
-    Without ``observations``, ``seconds`` of synthetic messages are used, with all that the
-    estimator needs; with them, ``rig`` must be the rig that recorded them, and ``true_position``
-    gives the vehicle's position (3,) at a tick, world frame, None where it is not known. The
-    estimator is built and run up to five times.
-    """
-    if observations is not None and rig is None:
-        raise ValueError("observations need the rig that recorded them")
-    rig = rig or synthetic_rig()
-    asked = Examination("estimator", build, params or {}, rig,
-                        lambda part: wrong_estimator(part, rig), _KEPT_CALLS)  # fmt: skip
-    estimator = asked.built()
-    if estimator is None:
-        return asked.findings
-    needs = estimator.needs
-    stream, truth = observations, true_position or (lambda _tick: None)
-    if stream is None:
-        synthetic = SyntheticStream(rig, needs, seconds, turn_rad=TURN_RAD)
-        stream, truth = tuple(synthetic), lambda tick: synthetic.true_pose(tick).translation
-    passes: list[list[Step]] = []
-
-    def follow(part: Any) -> None:
-        passes.append([])
-        for obs in stream:
-            estimate = asked.ask(part, "update", obs, when=_when(obs), wrong=_no_estimate)
-            # It may use its arrays again.
-            passes[-1].append(Step(obs, copy.deepcopy(estimate), truth(obs.tick)))
-
-    asked.twice(follow)
-    _judge(asked, passes[0] if passes else ())
-    if not asked.findings.broke("answers"):
-        for field, used in (("scans", needs.lidar), ("images", needs.camera_hz)):
-            if used:
-                asked.once(functools.partial(_without, asked, field, stream))
-    return asked.findings
+def _follow(session: Session, messages: Callable[[SensorNeeds], Any]) -> Followed:
+    steps = [
+        # It may use its arrays again.
+        Step(obs, copy.deepcopy(session.ask("update", obs, when=_when(obs))), true)
+        for obs, true in messages(session.part.needs)
+    ]
+    followed = Followed(session.rig.world_from_body_start, steps)
+    ways = _ways(steps)
+    if ways is not None:
+        session.figures["moved"] = _told(*ways)
+    return followed
 
 
 def _when(obs: Observation) -> str:
     return f"at {obs.time_s:.3f} s"
 
 
-def _no_estimate(answer: Any) -> Defect | None:
-    kind = type(answer).__name__
-    return None if isinstance(answer, Estimate) else Defect("answers", f"{kind}, not Estimate")
+def time(followed: Followed) -> str:
+    """An estimate is for the time of its observation, so that time never goes back."""
+    last_s = -np.inf
+    for obs, estimate, _ in followed.steps:
+        if estimate.time_s < last_s:
+            return (
+                f"{_when(obs)} after an estimate for {last_s:.3f} s came one for "
+                f"{estimate.time_s:.3f} s"
+            )
+        if (estimate.tick, estimate.time_s) != (obs.tick, obs.time_s):
+            return (
+                f"the estimate for the observation of tick {obs.tick} ({obs.time_s:.3f} s) says "
+                f"tick {estimate.tick} ({estimate.time_s:.3f} s)"
+            )
+        last_s = estimate.time_s
+    return ""
 
 
-def _judge(asked: Examination, steps: Sequence[Step]) -> None:
-    """Judges each estimate by itself, and those before the first invalid one by their motion."""
-    start = asked.rig.world_from_body_start
-    last: Estimate | None = None
-    sound: list[Step] = []
-    for step in steps:
-        defects = [*_wrong_time(step, last), *_invalid(step.estimate)]
-        for defect in defects:
-            asked.findings.note(defect.rule, f"{_when(step.obs)} {defect.reason}")
-        if any(defect.rule != "time" for defect in defects):
-            break
-        last = step.estimate
-        if not asked.findings.broke("time"):
-            sound.append(step)
-    asked.judge(CHECKS, (start, sound))
-    ways = _ways(sound)
-    if ways is not None:
-        asked.findings.figures = {"moved": _told(*ways), **asked.findings.figures}
+def shapes(followed: Followed) -> str:
+    """Rotations are rotations, covariances symmetric and not negative; times of tracks ascend."""
+    for step in followed.steps:
+        if reason := _meaningless(step.estimate):
+            return f"{_when(step.obs)} {reason}"
+    return ""
 
 
-def _wrong_time(step: Step, last: Estimate | None) -> Iterator[Defect]:
-    obs, estimate = step.obs, step.estimate
-    if no_number(estimate):
-        return
-    if last is not None and estimate.time_s < last.time_s:
-        yield Defect(
-            "time",
-            f"after an estimate for {last.time_s:.3f} s came one for {estimate.time_s:.3f} s",
-        )
-    elif (estimate.tick, estimate.time_s) != (obs.tick, obs.time_s):
-        yield Defect(
-            "time",
-            f"the estimate for the observation of tick {obs.tick} ({obs.time_s:.3f} s) says "
-            f"tick {estimate.tick} ({estimate.time_s:.3f} s)",
-        )
+def _meaningless(estimate: Estimate) -> str:
+    for name in ("odom_from_body", "world_from_odom"):
+        rotation = getattr(estimate, name).rotation
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
+            return f"{name}.rotation is no rotation matrix"
+    for name in ("position_covariance", "rotation_covariance"):
+        matrix = getattr(estimate, name)
+        scale = float(np.abs(matrix).max())
+        if np.abs(matrix - matrix.T).max() > 1e-6 * scale:
+            return f"{name} is not symmetric"
+        if np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
+            return f"{name} has a negative eigenvalue"
+    track = estimate.scan_track
+    if track is not None and np.any(np.diff(track.times_s) <= 0.0):
+        return "scan_track.times_s does not ascend"
+    return ""
 
 
-def _invalid(estimate: Estimate) -> Iterator[Defect]:
-    """The defect of the numbers of an estimate, if there is one."""
-    if reason := no_number(estimate) or wrong_shape(estimate):
-        yield Defect("shapes", reason)
-    elif name := _not_finite(estimate):
-        yield Defect("finite", f"{name} is not finite")
-    elif reason := meaningless(estimate):
-        yield Defect("shapes", reason)
+def finite(followed: Followed) -> str:
+    """Diagnostics are finite, as all numbers are."""
+    for step in followed.steps:
+        for name, value in step.estimate.diagnostics.items():
+            if not np.all(np.isfinite(value)):
+                return f"{_when(step.obs)} diagnostics['{name}'] is not finite"
+    return ""
 
 
-def _not_finite(estimate: Estimate) -> str:
-    """Name of the first part that is not finite, or an empty string."""
-    diagnostics = (
-        (f"diagnostics['{name}']", value) for name, value in estimate.diagnostics.items()
-    )
-    return not_finite(estimate) or next(
-        (name for name, value in diagnostics if not np.all(np.isfinite(value))), ""
-    )
-
-
-# --------------------------------------------------------------------------------- checks of motion
-
-Flown = tuple[Pose, Sequence[Step]]
-"""The take-off pose and all valid steps."""
-
-
-def frames(flown: Flown) -> str:
+def frames(followed: Followed) -> str:
     """The first estimate is near the take-off pose: world ENU, body FLU."""
-    start, steps = flown
-    for step in steps[:1]:
-        distance, angle_deg = _between(start, step.estimate.world_from_body)
+    for step in followed.steps[:1]:
+        distance, angle_deg = _between(followed.start, step.estimate.world_from_body)
         if distance > START_DISTANCE_M:
             return f"the first estimate is {distance:.1f} m from the take-off point"
         if angle_deg > START_ANGLE_DEG:
@@ -219,9 +193,9 @@ def frames(flown: Flown) -> str:
     return ""
 
 
-def continuity(flown: Flown) -> str:
+def continuity(followed: Followed) -> str:
     """The pose odom_from_body does not jump."""
-    for before, now in itertools.pairwise(flown[1]):
+    for before, now in itertools.pairwise(followed.steps):
         estimate = now.estimate
         distance, angle_deg = _between(before.estimate.odom_from_body, estimate.odom_from_body)
         step_s = now.obs.time_s - before.obs.time_s
@@ -235,14 +209,9 @@ def continuity(flown: Flown) -> str:
     return ""
 
 
-def twist(flown: Flown) -> str:
-    """The fields velocity_odom and angular_velocity_body are those of odom_from_body."""
-    return twist_fault([step.estimate for step in flown[1]])
-
-
-def motion(flown: Flown) -> str:
+def motion(followed: Followed) -> str:
     """It moves with the vehicle: one that ignores every sensor is none."""
-    ways = _ways(flown[1])
+    ways = _ways(followed.steps)
     if ways is None:
         return ""
     estimated, true = ways
@@ -251,15 +220,6 @@ def motion(flown: Flown) -> str:
     if true_m < MOVED_M or along_m >= MIN_FRACTION * true_m:
         return ""
     return f"it does not move with the vehicle: it moved {_told(estimated, true)}"
-
-
-CHECKS = checks_of(frames, continuity, twist, motion)
-RULES: Mapping[str, str] = {
-    **COMMON_RULES,
-    "time": "an estimate is for the time of its observation, so that time never goes back",
-    **{check.rule: check.sentence for check in CHECKS},
-}
-"""Checked rules by name."""
 
 
 def _ways(steps: Sequence[Step]) -> tuple[Array, Array] | None:
@@ -290,22 +250,98 @@ def _between(first: Pose, second: Pose) -> tuple[float, float]:
     return distance, float(np.degrees(angle))
 
 
+# ------------------------------------------------------------------------------ twist against poses
+
+WINDOW_S = 1.0
+_STRIDE_S = 0.1
+
+
+class _Limits(NamedTuple):
+    """A window counts if pose or velocity gives at least ``least``; the two agree within ``floor``
+    plus ``fraction`` of the larger."""
+
+    least: float
+    floor: float
+    fraction: float = 0.25
+
+
+_POSITION = _Limits(least=0.5, floor=0.3)
+"""metres"""
+_ATTITUDE = _Limits(least=np.deg2rad(10.0), floor=np.deg2rad(5.0))
+"""radians"""
+
+
+def twist(followed: Followed) -> str:
+    """The fields velocity_odom and angular_velocity_body are those of odom_from_body.
+
+    Corrections move a pose without a velocity, so that one disagreement proves nothing: twist and
+    poses must agree in most seconds with motion."""
+    estimates = [step.estimate for step in followed.steps]
+    times = np.array([step.obs.time_s for step in followed.steps[1:]])
+    if len(times) == 0 or times[-1] - times[0] < WINDOW_S:
+        return ""
+    steps = [_moved(*pair) for pair in itertools.pairwise(estimates)]
+    sums = np.vstack([np.zeros(12), np.cumsum(steps, axis=0)])
+    starts = np.arange(times[0], times[-1] - WINDOW_S, _STRIDE_S)
+    first = np.searchsorted(times, starts)
+    windows = sums[np.searchsorted(times, starts + WINDOW_S)] - sums[first]
+    worst = _disagreement(windows[:, :3], windows[:, 3:6], _POSITION)
+    if worst is not None:
+        return (
+            f"in the second from {starts[worst]:.1f} s odom_from_body moved by "
+            f"{_text(windows[worst, :3])} m, but velocity_odom adds up to "
+            f"{_text(windows[worst, 3:6])} m; it is in m/s, in the odom frame"
+        )
+    worst = _disagreement(windows[:, 6:9], windows[:, 9:], _ATTITUDE)
+    if worst is not None:
+        rotated, summed = np.rad2deg(windows[worst, 6:9]), np.rad2deg(windows[worst, 9:])
+        return (
+            f"in the second from {starts[worst]:.1f} s odom_from_body rotated by {_text(rotated)} "
+            f"degrees, but angular_velocity_body adds up to {_text(summed)} degrees; it is in "
+            "rad/s, in the body frame"
+        )
+    return ""
+
+
+def _moved(last: Estimate, now: Estimate) -> Array:
+    """(12,): the steps of position and attitude, each with that of the velocities."""
+    step_s = now.time_s - last.time_s
+    moved = now.odom_from_body.translation - last.odom_from_body.translation
+    velocity = 0.5 * (last.velocity_odom + now.velocity_odom)
+    # Small rotations in the body frame add up to any total rotation.
+    rotation = so3_log(last.odom_from_body.rotation.T @ now.odom_from_body.rotation)
+    rates = now.angular_velocity_body
+    return np.concatenate([moved, velocity * step_s, rotation, rates * step_s])
+
+
+def _disagreement(moved: Array, summed: Array, limits: _Limits) -> int | None:
+    """Index of the largest difference of (N, 3) and (N, 3) if most windows that count disagree,
+    else None."""
+    larger = np.maximum(np.linalg.norm(moved, axis=1), np.linalg.norm(summed, axis=1))
+    off = np.linalg.norm(moved - summed, axis=1) - limits.floor - limits.fraction * larger
+    counts = larger > limits.least
+    if not counts.any() or np.mean(off[counts] > 0.0) <= 0.5:
+        return None
+    return int(np.argmax(np.where(counts, off, -np.inf)))
+
+
+def _text(vector: Array) -> str:
+    return "(" + ", ".join(f"{value:.2f}" for value in vector) + ")"
+
+
+CHECKS: Mapping[str, Callable[[Followed], str]] = {
+    check.__name__: check for check in (time, shapes, finite, frames, continuity, twist, motion)
+}
+"""Checks of what an estimator answers over a whole stream, by rule."""
+
+
 # ------------------------------------------------------------------------------------- missing data
 
 
-def _without(asked: Examination, field: str, stream: Sequence[Observation], part: Any) -> None:
+def _ask_without(field: str, stream: Sequence[Observation], session: Session) -> None:
     """Runs a pass in the middle of which ``field`` of the observations is empty."""
-    known = asked.findings.broke("shapes", "finite")
-
-    def wrong(answer: Any) -> Defect | None:
-        reason = "" if isinstance(answer, Estimate) else f"{type(answer).__name__}, not Estimate"
-        if not reason and not known and (wrong_shape(answer) or _not_finite(answer)):
-            reason = "an estimate that is not finite"
-        return Defect("missing data", reason) if reason else None
-
     first, last = (int(part_of * len(stream)) for part_of in _GAP)
     for number, obs in enumerate(stream):
         nothing: dict[str, Any] = {field: ()} if first <= number < last else {}
-        when = f"without {field}, {_when(obs)},"
-        asked.ask(part, "update", dataclasses.replace(obs, **nothing), when=when,
-                  rule="missing data", wrong=wrong)  # fmt: skip
+        session.ask("update", dataclasses.replace(obs, **nothing), rule="missing data",
+                    when=f"without {field}, {_when(obs)},")  # fmt: skip

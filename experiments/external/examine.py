@@ -4,148 +4,116 @@ world, and the checks of what it answered."""
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.experiments.external.conformance import RULES as ESTIMATOR_RULES
-from touchdown.experiments.external.examination import (
-    COMMON_RULES,
-    Check,
-    Examination,
-    Findings,
-    checks_of,
-)
-from touchdown.experiments.external.examine_flight import (
-    ControllerSession,
-    LanderSession,
-    continuity,
-    limit,
-    mission,
-    steers,
-    stop,
-    touchdown,
-)
+from touchdown.experiments.external.conformance import CHECKS as ESTIMATOR_CHECKS
+from touchdown.experiments.external.examination import Findings, Kind, Session, examine_as
 from touchdown.experiments.external.loading import Build
-from touchdown.experiments.external.part_checks import (
-    ANSWER_RULES,
-    lacks,
-    wrong_classifier,
-    wrong_lander,
-    wrong_map,
-    wrong_mapper,
-    wrong_prediction,
-    wrong_sites,
+from touchdown.experiments.external.synthetic_stream import (
+    SyntheticStream,
+    ground_height,
+    minimum_jerk,
 )
-from touchdown.experiments.external.synthetic_stream import SyntheticStream, ground_height
 from touchdown.experiments.external.synthetic_world import (
     DISC_M,
     DISC_XY,
+    FollowedSetpoints,
+    SyntheticAirframe,
     estimate_at,
     hovering,
     synthetic_map,
 )
-from touchdown.landing.api import RankedSites, SelectorInput
+from touchdown.landing.api import Candidate, Phase, RankedSites, SelectorInput
 from touchdown.landing.selection.offered import selection_of
-from touchdown.sim.api import Observation, SensorNeeds
+from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorNeeds
 
 Array = NDArray[np.float64]
 
 # --------------------------------------------------------------------------------------- selector
 
 
-@dataclass(slots=True)
-class SelectorSession:
-    """A map, the same after a refusal, in an emergency, mirrored, and one of nothing."""
+class _Selected(NamedTuple):
+    """Sites of a map, as candidates, of its mirror image, and of a map of nothing."""
 
-    map: RankedSites | None = None
-    taken: tuple[Any, ...] = ()
-    mirrored: RankedSites | None = None
-    empty: RankedSites | None = None
-
-    def run(self, asked: Examination, part: Any) -> None:
-        """Asks a selector for the sites of each."""
-
-        def sites(seen: SelectorInput, when: str, rule: str = "answers") -> RankedSites:
-            found: RankedSites = asked.ask(
-                part, "select", seen, when=when, rule=rule,
-                wrong=lambda offered: wrong_sites(offered, seen.map_view),
-            )  # fmt: skip
-            return found
-
-        whole = SelectorInput(map_view=synthetic_map(), estimate=hovering(), reach_m=60.0)
-        self.map = sites(whole, "of a map")
-        self.taken = tuple(selection_of(self.map, whole, asked.rig.landing).candidates)
-        accepted = sum(site.accepted for site in self.taken)
-        figures = asked.findings.figures
-        figures["sites"] = f"{len(self.map.sites)}, {accepted} accepted and mapped"
-        for site in self.taken[:1]:
-            x, y = site.position_odom[:2]
-            away = float(np.hypot(x - DISC_XY[0], y - DISC_XY[1]))
-            figures["first site"] = (
-                f"({x:.1f}, {y:.1f}), slope {site.slope_deg:.1f} deg, {away:.1f} m from the middle "
-                f"of a flat disc of {DISC_M:g} m"
-            )
-        first = [[*site.position_odom[:2], 0.0] for site in self.map.sites[:1]]
-        places = np.array(first).reshape(-1, 3)
-        sites(
-            dataclasses.replace(
-                whole, avoid_odom=places, unsafe_ground_odom=places, wind_mps=5.0
-            ),
-            "after a refusal",
-        )  # fmt: skip
-        sites(dataclasses.replace(whole, reach_m=2.0, emergency=True), "in an emergency")
-        mirror = dataclasses.replace(whole, map_view=synthetic_map(mirrored=True))
-        self.mirrored = sites(mirror, "of a mirrored map")
-        nothing = dataclasses.replace(whole, map_view=synthetic_map(empty=True))
-        self.empty = sites(nothing, "of an empty map", "missing data")
+    sites: RankedSites
+    candidates: tuple[Candidate, ...]
+    mirrored: RankedSites
+    of_nothing: RankedSites
 
 
-def order(seen: SelectorSession) -> str:
+def _ask_selector(session: Session) -> _Selected:
+    whole = SelectorInput(map_view=synthetic_map(), estimate=hovering(), reach_m=60.0)
+
+    def sites(when: str, rule: str = "answers", **changes: Any) -> RankedSites:
+        seen = dataclasses.replace(whole, **changes)
+        found: RankedSites = session.ask("select", seen, when=when, rule=rule)
+        return found
+
+    found = sites("of a map")
+    candidates = tuple(selection_of(found, whole, session.rig.landing).candidates)
+    accepted = sum(site.accepted for site in candidates)
+    session.figures["sites"] = f"{len(found.sites)}, {accepted} accepted and mapped"
+    for site in candidates[:1]:
+        x, y = site.position_odom[:2]
+        session.figures["first site"] = (
+            f"({x:.1f}, {y:.1f}), slope {site.slope_deg:.1f} deg, "
+            f"{np.hypot(x - DISC_XY[0], y - DISC_XY[1]):.1f} m from the middle of a flat disc of "
+            f"{DISC_M:g} m"
+        )
+    first = np.array([[*site.position_odom[:2], 0.0] for site in found.sites[:1]]).reshape(-1, 3)
+    sites("after a refusal", avoid_odom=first, unsafe_ground_odom=first, wind_mps=5.0)
+    sites("in an emergency", reach_m=2.0, emergency=True)
+    return _Selected(
+        found,
+        candidates,
+        sites("of a mirrored map", map_view=synthetic_map(mirrored=True)),
+        sites("of an empty map", "missing data", map_view=synthetic_map(empty=True)),
+    )
+
+
+def order(seen: _Selected) -> str:
     """Sites are ranked by the sum of their terms, accepted ones of the highest first."""
-    sites = () if seen.map is None else seen.map.sites
-    values = [sum(term.value for term in site.terms) for site in sites if site.accepted]
+    values = [sum(term.value for term in s.terms) for s in seen.sites.sites if s.accepted]
     for number, (before, value) in enumerate(itertools.pairwise(values), start=2):
         if value > before + 1e-9:
             return f"accepted site {number} has the value {value:.4g}, above {before:.4g} before it"
     return ""
 
 
-def ground(seen: SelectorSession) -> str:
+def ground(seen: _Selected) -> str:
     """Accepted sites lie on mapped ground, and follow it when the map is mirrored."""
-    if seen.map is None:
-        return ""
-    if not seen.map.sites:
+    if not seen.sites.sites:
         return "no site on a map with a flat disc of 5 m radius"
-    for number, site in enumerate(seen.taken, start=1):
-        if site.rule == "not_seen":
+    for number, candidate in enumerate(seen.candidates, start=1):
+        if candidate.rule == "not_seen":
             return f"site {number} lies where nothing is mapped"
-    first, other = _first_accepted(seen.map), _first_accepted(seen.mirrored)
+    first, other = (
+        next((site.position_odom[:2] for site in offered.sites if site.accepted), None)
+        for offered in (seen.sites, seen.mirrored)
+    )
     if first is not None and other is not None and np.linalg.norm(first - other) < 1e-6:
         return "the first site stays where it is when the map is mirrored"
     return ""
 
 
-def no_site_of_nothing(seen: SelectorSession) -> str:
+def no_site_of_nothing(seen: _Selected) -> str:
     """No site is accepted where nothing is mapped."""
-    accepted = seen.empty is not None and any(site.accepted for site in seen.empty.sites)
+    accepted = any(site.accepted for site in seen.of_nothing.sites)
     return "a site is accepted where nothing is mapped" if accepted else ""
-
-
-def _first_accepted(offered: RankedSites | None) -> Array | None:
-    sites = () if offered is None else offered.sites
-    return next((site.position_odom[:2] for site in sites if site.accepted), None)
 
 
 # ----------------------------------------------------------------------------------------- mapper
 
-OFF_M, LEAST_M2, _SCANS_S = 0.1, 3.0, 3.0
-"""Largest median error of the heights, and least area mapped, after so many seconds."""
+_OFF_M, _LEAST_M2, _SCANS_S = 0.1, 3.0, 3.0
+"""largest median error of the heights, and least area mapped, after so many seconds"""
 
 
 def true_estimate(stream: SyntheticStream, obs: Observation, tick_hz: int) -> Estimate:
@@ -155,56 +123,51 @@ def true_estimate(stream: SyntheticStream, obs: Observation, tick_hz: int) -> Es
     return estimate_at({"tick": obs.tick, "time_s": obs.time_s}, now, velocity)
 
 
-@dataclass(slots=True)
-class MapperSession:
-    """Synthetic scans of rolling ground from true poses."""
+class _Mapped(NamedTuple):
+    """Versions after each scan, and the median error and area of the last map."""
 
-    view: MapView | None = None
-    versions: list[int] = field(default_factory=lambda: [-1])
-    over: bool = False
-    off_m: float = 0.0
-    area_m2: float = 0.0
-
-    def run(self, asked: Examination, part: Any) -> None:
-        """Asks a mapper for its map after each scan."""
-        sensors = asked.rig.sensors
-        stream = SyntheticStream(sensors, part.needs | SensorNeeds(lidar=True), _SCANS_S)
-        for obs in stream:
-            rule = "answers" if self.versions[-1] > 0 else "missing data"
-            estimate = true_estimate(stream, obs, sensors.tick_hz)
-            self.view = asked.ask(
-                part, "update", obs, estimate, when=f"at {obs.time_s:.3f} s", rule=rule,
-                wrong=wrong_map, known=self.view,
-                compared=lambda view: (view.version, view.coarse.height_m, view.coarse.count),
-            )  # fmt: skip
-            self.versions.append(self.view.version)
-        self.over = True
-        assert self.view is not None
-        grid = self.view.coarse
-        rows, cols = np.nonzero((grid.count > 0.0) & np.isfinite(grid.height_m))
-        centres = grid.origin_xy_m + (np.column_stack([cols, rows]) + 0.5) * grid.cell_m
-        errors = grid.height_m[rows, cols] - ground_height(centres)
-        self.area_m2 = len(rows) * grid.cell_m**2
-        self.off_m = float(np.median(abs(errors))) if len(rows) else 0.0
-        text = f"{self.off_m:.3f} m off (median) over {self.area_m2:.0f} square metres"
-        asked.findings.figures["heights"] = text
+    versions: list[int]
+    off_m: float
+    area_m2: float
 
 
-def heights(seen: MapperSession) -> str:
+def _ask_mapper(session: Session) -> _Mapped:
+    sensors = session.rig.sensors
+    stream = SyntheticStream(sensors, session.part.needs | SensorNeeds(lidar=True), _SCANS_S)
+    versions = [-1]
+    for obs in stream:
+        rule = "answers" if versions[-1] > 0 else "missing data"
+        estimate = true_estimate(stream, obs, sensors.tick_hz)
+        view: MapView = session.ask(
+            "update", obs, estimate, rule=rule,
+            compared=lambda view: (view.version, view.coarse.height_m, view.coarse.count),
+        )  # fmt: skip
+        versions.append(view.version)
+    grid = view.coarse
+    rows, cols = np.nonzero((grid.count > 0.0) & np.isfinite(grid.height_m))
+    centres = grid.origin_xy_m + (np.column_stack([cols, rows]) + 0.5) * grid.cell_m
+    errors = grid.height_m[rows, cols] - ground_height(centres)
+    area_m2 = len(rows) * grid.cell_m**2
+    off_m = float(np.median(abs(errors))) if len(rows) else 0.0
+    session.figures["heights"] = f"{off_m:.3f} m off (median) over {area_m2:.0f} square metres"
+    return _Mapped(versions, off_m, area_m2)
+
+
+def heights(seen: _Mapped) -> str:
     """The median height of the map's cells is within 0.1 m of the ground, over 3 square metres or
     more."""
-    if seen.over and seen.area_m2 < LEAST_M2:
+    if seen.area_m2 < _LEAST_M2:
         return f"{seen.area_m2:.1f} square metres are mapped after {_SCANS_S:g} s"
-    return f"heights are {seen.off_m:.2f} m off (median)" if seen.off_m > OFF_M else ""
+    return f"heights are {seen.off_m:.2f} m off (median)" if seen.off_m > _OFF_M else ""
 
 
-def version(seen: MapperSession) -> str:
+def version(seen: _Mapped) -> str:
     """Version does not fall, and rises with the scans."""
     for before, now in itertools.pairwise(seen.versions):
         if now < before:
             return f"version fell from {before} to {now}"
-    risen = not seen.over or seen.versions[-1] > 0
-    return "" if risen else f"version is {seen.versions[-1]} after {_SCANS_S:g} s of scans"
+    last = seen.versions[-1]
+    return "" if last > 0 else f"version is {last} after {_SCANS_S:g} s of scans"
 
 
 # ------------------------------------------------------------------------------------- classifier
@@ -221,107 +184,219 @@ def textures(size: int) -> NDArray[np.uint8]:
     return np.clip(plain + noise, 0, 255).astype(np.uint8)
 
 
-@dataclass(slots=True)
-class ClassifierSession:
-    """Textures of plain colours together, each alone, and a black image."""
+class _Classified(NamedTuple):
+    """Probabilities (5, N) of textures together, and of each alone."""
 
-    together: Array | None = None
-    alone: list[Array] = field(default_factory=list)
-
-    def run(self, asked: Examination, part: Any) -> None:
-        """Asks a classifier for probabilities."""
-        names = asked.rig.classes
-
-        def table(images: NDArray[np.uint8], when: str, rule: str = "answers") -> Array:
-            found = asked.ask(
-                part, "classify", images, when=when, rule=rule,
-                wrong=lambda answer: wrong_prediction(answer, len(images), len(names)),
-            )  # fmt: skip
-            probabilities: Array = found.probabilities
-            return probabilities
-
-        images = textures(part.image_size)
-        self.together = table(images, "of five images")
-        best = [(names[int(row.argmax())], row.max()) for row in self.together]
-        asked.findings.figures["textures"] = ", ".join(f"{name} {p:.2f}" for name, p in best)
-        for number, image in enumerate(images, start=1):
-            self.alone.append(table(image[None], f"of image {number} alone")[0])
-        table(np.zeros_like(images[:1]), "of a black image", "missing data")
+    together: Array
+    alone: Array
 
 
-def batch(seen: ClassifierSession) -> str:
+def _ask_classifier(session: Session) -> _Classified:
+    names, shown = session.rig.classes, textures(session.part.image_size)
+    together: Array = session.ask("classify", shown, when="of five images").probabilities
+    best = [(names[int(row.argmax())], row.max()) for row in together]
+    session.figures["textures"] = ", ".join(f"{name} {p:.2f}" for name, p in best)
+    alone = [
+        session.ask("classify", image[None], when=f"of image {number} alone").probabilities[0]
+        for number, image in enumerate(shown, start=1)
+    ]
+    black = np.zeros_like(shown[:1])
+    session.ask("classify", black, when="of a black image", rule="missing data")
+    return _Classified(together, np.array(alone))
+
+
+def batch(seen: _Classified) -> str:
     """An image is classified the same alone as among others."""
-    for number, row in enumerate(seen.alone):
-        assert seen.together is not None
-        off = float(abs(row - seen.together[number]).max())
-        if off > _ROUNDING:
-            return f"image {number + 1} alone has probabilities {off:.2g} off"
+    off = abs(seen.alone - seen.together).max(axis=1)
+    worst = int(off.argmax())
+    if off[worst] <= _ROUNDING:
+        return ""
+    return f"image {worst + 1} alone has probabilities {off[worst]:.2g} off"
+
+
+def images(seen: _Classified) -> str:
+    """Images of other colours have other probabilities."""
+    same = np.ptp(seen.together, axis=0).max() < _SAME
+    return "five textures of other colours have the same probabilities" if same else ""
+
+
+# ------------------------------------------------------------------------------------- controller
+
+_START, _WAY = np.array([0.0, 0.0, 10.0]), np.array([2.0, -1.0, 1.0])
+_HOVER_S, _WAY_S, _WAY_END_S = 0.5, 3.0, 5.0
+_TURN_RAD = 0.3
+_FARTHEST_M, _LAST_M = 1.0, 0.3
+"""largest distance to the setpoint on the way, and at its end"""
+_THRUST_LIMIT, _SLACK = 0.5, 1.05
+
+
+def setpoint_at(time_s: float) -> Setpoint:
+    """The way: half a second of hovering, three seconds of minimum jerk with a turn, hovering."""
+    place, speed, change = minimum_jerk(np.array((time_s - _HOVER_S) / _WAY_S)).tolist()
+    return Setpoint(
+        position_odom=_START + place * _WAY,
+        velocity_odom=speed / _WAY_S * _WAY,
+        acceleration_odom=change / _WAY_S**2 * _WAY,
+        yaw_odom=place * _TURN_RAD,
+        yaw_rate=speed / _WAY_S * _TURN_RAD,
+    )
+
+
+class _Steered(NamedTuple):
+    """Distances to the setpoint at each control step, up to the one that is too far."""
+
+    off_m: list[float]
+    weights: float = 0.0
+    """thrust over the weight under `_THRUST_LIMIT`"""
+    turning: bool = False
+    """whether a rotor turned with motors off"""
+
+
+def _ask_controller(session: Session) -> _Steered:
+    vehicle, hz = session.rig.vehicle, session.rig.control_hz
+    frame = SyntheticAirframe(vehicle, _START, 1.0 / hz)
+
+    def speeds(setpoint: Setpoint, when: str = "", rule: str = "answers", **more: Any) -> Array:
+        estimate = dataclasses.replace(frame.estimate(), **more)
+        command = session.ask("update", estimate, setpoint, when=when, rule=rule)
+        found: Array = command.rotor_speed_radps
+        return found
+
+    off = dataclasses.replace(setpoint_at(0.0), motors_on=False)
+    stopped = speeds(off, "at first", "missing data", healthy=False).copy()
+    off_m: list[float] = []
+    for number in range(round(_WAY_END_S * hz)):
+        setpoint = setpoint_at(number / hz)
+        frame.step(speeds(setpoint))
+        off_m.append(float(np.linalg.norm(frame.position - setpoint.position_odom)))
+        if off_m[-1] > _FARTHEST_M:
+            return _Steered(off_m)
+    session.figures["way"] = f"{max(off_m):.2f} m off at most, {off_m[-1]:.2f} m at its end"
+    end = setpoint_at(_WAY_END_S)
+    limited = speeds(dataclasses.replace(end, thrust_limit=_THRUST_LIMIT), "with a thrust_limit")
+    thrust = vehicle.thrust_coefficient * float(np.sum(limited**2))
+    again = speeds(dataclasses.replace(end, motors_on=False), "with motors_on = False")
+    turning = bool(np.any([stopped, again]))
+    return _Steered(off_m, thrust / (vehicle.mass_kg * GRAVITY_MPS2), turning)
+
+
+def steers(seen: _Steered) -> str:
+    """A synthetic airframe stays within 1 m of the setpoint and ends within 0.3 m."""
+    last = seen.off_m[-1]
+    if last > _FARTHEST_M:
+        return f"the airframe is {last:.1f} m from the setpoint on its way"
+    return f"the airframe ends {last:.2f} m from the setpoint" if last > _LAST_M else ""
+
+
+def limit(seen: _Steered) -> str:
+    """The thrust keeps to the setpoint's thrust_limit."""
+    if seen.weights <= _SLACK * _THRUST_LIMIT:
+        return ""
+    return f"thrust_limit = {_THRUST_LIMIT:g} gave {seen.weights:.2f} of the weight"
+
+
+def stop(seen: _Steered) -> str:
+    """All rotor speeds are 0 where the setpoint has motors_on = False."""
+    return "motors_on = False left rotors turning" if seen.turning else ""
+
+
+# ----------------------------------------------------------------------------------------- lander
+
+_JUMP_M, _CONTACT_MPS, _MISSION_S = 0.5, 0.5, 300.0
+_FLOWN_M = 2.0
+"""height from which on the vehicle has flown"""
+
+
+class _Landed(NamedTuple):
+    """A mission of a vehicle that follows its setpoints exactly, over flat ground. ``jumps`` are
+    times and distances between two setpoints with motors on, ``contacts`` times and speeds
+    downwards after the take-off."""
+
+    phases: str
+    surveyed: bool
+    done: bool
+    jumps: list[tuple[float, float]]
+    contacts: list[tuple[float, float]]
+
+
+def _ask_lander(session: Session) -> _Landed:
+    vehicle = FollowedSetpoints(session.rig.sensors)
+    phases: dict[Phase, float] = {}
+    jumps: list[tuple[float, float]] = []
+    contacts: list[tuple[float, float]] = []
+    last: Setpoint | None = None
+    flew = done = False
+    while not done and (given := vehicle.seen())[0].time_s < _MISSION_S:
+        time_s = given[0].time_s
+        setpoint: Setpoint = session.ask("update", *given)
+        phase: Phase = session.ask("view", compared=lambda view: view.phase).phase
+        phases.setdefault(phase, time_s)
+        if last is not None and last.motors_on and setpoint.motors_on:
+            jump = float(np.linalg.norm(setpoint.position_odom - last.position_odom))
+            jumps += [(time_s, jump)] if jump > _JUMP_M else []
+        last, before, falling = setpoint, vehicle.on_ground, -float(vehicle.velocity[2])
+        vehicle.follow(setpoint)
+        flew = flew or vehicle.position[2] > _FLOWN_M
+        if flew and vehicle.on_ground and not before:
+            contacts.append((time_s, falling))
+            session.figures["touchdown"] = f"at {time_s:.1f} s with {falling:.2f} m/s"
+        done = phase is Phase.DONE and not setpoint.motors_on
+    told = ", ".join(f"{phase} {time_s:.1f}" for phase, time_s in phases.items()) + " s"
+    session.figures["phases"] = told
+    landed = done and flew and vehicle.on_ground
+    return _Landed(told, Phase.SURVEY in phases, landed, jumps, contacts)
+
+
+def continuity(seen: _Landed) -> str:
+    """The setpoint does not jump by more than 0.5 m while motors are on."""
+    told = (f"at {time_s:.3f} s the setpoint jumped by {jump:.2f} m" for time_s, jump in seen.jumps)
+    return next(told, "")
+
+
+def touchdown(seen: _Landed) -> str:
+    """The first contact is at 0.5 m/s or less."""
+    for time_s, falling in seen.contacts:
+        if falling > _CONTACT_MPS:
+            return f"at {time_s:.3f} s the ground is touched with {falling:.2f} m/s"
     return ""
 
 
-def images(seen: ClassifierSession) -> str:
-    """Images of other colours have other probabilities."""
-    if seen.together is None or np.ptp(seen.together, axis=0).max() >= _SAME:
+def mission(seen: _Landed) -> str:
+    """The phase is SURVEY once, and DONE, with motors off on the ground, within 300 s."""
+    if seen.surveyed and seen.done:
         return ""
-    return "five textures of other colours have the same probabilities"
+    lacks = "has landed with motors off" if seen.surveyed else "has surveyed"
+    return f"within {_MISSION_S:g} s it never {lacks}: phases {seen.phases}"
 
 
 # ------------------------------------------------------------------------------------------ table
 
-
-class Kind(NamedTuple):
-    """How parts of a kind are examined. ``wrong`` gives the defect of an object with its rig."""
-
-    wrong: Callable[[Any, Any], str]
-    session: Callable[[], Any]
-    checks: tuple[Check, ...]
-
-
 KINDS: Mapping[str, Kind] = {
     "selector": Kind(
-        lambda part, _rig: lacks(part, "select"), SelectorSession,
-        (*checks_of(order, ground), Check("missing data", no_site_of_nothing)),
+        _ask_selector, {"order": order, "ground": ground, "missing data": no_site_of_nothing}
     ),
-    "controller": Kind(
-        lambda part, _rig: lacks(part, "update"), ControllerSession, checks_of(steers, limit, stop)
-    ),
-    "classifier": Kind(
-        lambda part, _rig: wrong_classifier(part), ClassifierSession,
-        checks_of(batch, images),
-    ),
-    "mapper": Kind(
-        lambda part, rig: wrong_mapper(part, rig.sensors), MapperSession,
-        checks_of(heights, version),
-    ),
+    "controller": Kind(_ask_controller, {"steers": steers, "limit": limit, "stop": stop}),
+    "classifier": Kind(_ask_classifier, {"batch": batch, "images": images}),
+    "mapper": Kind(_ask_mapper, {"heights": heights, "version": version}),
     "lander": Kind(
-        lambda part, rig: wrong_lander(part, rig.sensors), LanderSession,
-        checks_of(continuity, mission, touchdown),
+        _ask_lander, {"continuity": continuity, "mission": mission, "touchdown": touchdown}
     ),
-}  # fmt: skip
+}
 
-
-def _rules(name: str) -> Mapping[str, str]:
-    own = {check.rule: check.sentence for check in KINDS[name].checks}
-    return {**own, **COMMON_RULES, **ANSWER_RULES.get(name, {})}
-
-
-RULES: Mapping[str, Mapping[str, str]] = {
-    "estimator": ESTIMATOR_RULES, **{name: _rules(name) for name in KINDS}
-}  # fmt: skip
-"""Checked rules of each kind, by name."""
+_COMMON = (
+    "builds", "answers", "shapes", "finite", "inputs", "deterministic", "missing data", "latency",
+)  # fmt: skip
+_OF_ANSWERS = {"selector": {"terms"}, "classifier": {"probabilities"}}
+RULES: Mapping[str, frozenset[str]] = {
+    "estimator": frozenset({*_COMMON, *ESTIMATOR_CHECKS}),
+    **{
+        name: frozenset({*_COMMON, *kind.checks, *_OF_ANSWERS.get(name, ())})
+        for name, kind in KINDS.items()
+    },
+}
+"""Names of the checked rules of each kind."""
 
 
 def examine(name: str, build: Build, rig: Any, params: Mapping[str, Any]) -> Findings:
-    """The broken rules of a part of a kind, its latency and other figures."""
-    kind = KINDS[name]
-    asked = Examination(name, build, params, rig, lambda part: kind.wrong(part, rig))
-    sessions: list[Any] = []
-
-    def session(part: Any) -> None:
-        sessions.append(kind.session())
-        sessions[-1].run(asked, part)
-
-    asked.twice(session)
-    if sessions:
-        asked.judge(kind.checks, sessions[0])
-    return asked.findings
+    """The broken rules of a part of a kind beside the estimator, its latency and other figures."""
+    return examine_as(KINDS[name], functools.partial(Session, name, build, rig, params))

@@ -20,7 +20,6 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from touchdown.experiments.errors import UsageError, nearest
-from touchdown.experiments.external.estimate_checks import describe_error
 
 Build = Callable[[dict[str, Any], Any], Any]
 """``build(params, rig)`` of a part; the rig is that of its kind"""
@@ -28,6 +27,30 @@ Build = Callable[[dict[str, Any], Any], Any]
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 _AT_IMPORT: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()
 """Hashes of the code of modules at their import."""
+
+
+def call(function: Callable[..., Any], *arguments: Any) -> tuple[Any, BaseException | None]:
+    """Calls code of others: its value, or whatever it raised but Ctrl-C. A copy of this process
+    that it has forked ends here: the copy must not go on as well."""
+    process = os.getpid()
+    try:
+        return function(*arguments), None
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        return None, error
+    finally:
+        if os.getpid() != process:
+            os._exit(1)
+
+
+def describe_error(error: BaseException) -> str:
+    """Exception as one line of text."""
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # of its own __str__
+        text = ""
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def is_external(name: str) -> bool:
@@ -117,39 +140,16 @@ def _look_here() -> None:
 
 def _missing(module_name: str, error: ModuleNotFoundError) -> str:
     """Message for a missing module: the named one, or one that it imports."""
-    missing, top = error.name or "", module_name.partition(".")[0]
+    missing = error.name or describe_error(error)
+    if not f"{module_name}.".startswith(f"{missing}."):
+        return f"importing {module_name} needs the module '{missing}', which is not installed"
     parent, _, last = missing.rpartition(".")
-    if f"{module_name}.".startswith(f"{missing}.") and not parent:
-        folder = f"{top}/" if "." in module_name else f"{top}.py"
-        return (
-            f"there is no module '{top}' here or among what is installed; run from the folder that "
-            f"holds {folder}, or install its project with pip install -e"
-        )
-    if f"{module_name}.".startswith(f"{missing}."):
-        places = list(getattr(sys.modules.get(parent), "__path__", ()))
-        known = [found.name for found in pkgutil.iter_modules(places)]
-        hint = nearest(last, known) or (f"; it has {', '.join(known[:6])}" if known else "")
-        where = f" ({_short(places[0])})" if places else ""
-        return f"'{parent}'{where} has no module '{last}'{hint}{_hidden(top, places)}"
-    what = "is not there" if missing.partition(".")[0] == top else "is not installed"
-    importer = _importer(error) or module_name
-    return f"{importer} imports {missing or describe_error(error)}, which {what}"
-
-
-def _hidden(top: str, places: list[str]) -> str:
-    """Hint for a folder here whose name is that of an installed package."""
-    here = Path.cwd() / top
-    if not here.is_dir() or any(Path(place).resolve().is_relative_to(here) for place in places):
-        return ""
-    return f"; {top}/ of the current directory is hidden by it, give yours another name"
-
-
-def _importer(error: BaseException) -> str:
-    """Name of the module whose import failed."""
-    names = [str(frame.f_globals.get("__name__", ""))
-             for frame, _ in traceback.walk_tb(error.__traceback__)]  # fmt: skip
-    others = [name for name in names if not name.startswith("importlib") and name != __name__]
-    return others[-1] if others else ""
+    beside = pkgutil.iter_modules(getattr(sys.modules.get(parent), "__path__", ()))
+    hint = nearest(last, [found.name for found in beside]) if parent else ""
+    return (
+        f"there is no module '{missing}' here or among what is installed{hint}; run from the "
+        "folder that holds it, or install its project with pip install -e"
+    )
 
 
 # --------------------------------------------------------------------------------------- the code

@@ -16,8 +16,7 @@ import mujoco
 import numpy as np
 
 from touchdown.experiments.errors import UsageError, reason_of
-from touchdown.experiments.external.estimate_checks import call, describe_error
-from touchdown.experiments.external.loading import external_builder, location
+from touchdown.experiments.external.loading import call, describe_error, external_builder, location
 from touchdown.scenes.export import export_spec
 
 KINDS = "a PyMJCF root, a Composer entity or an MjSpec"

@@ -33,6 +33,8 @@ from touchdown.sim.api import (
     VehicleModel,
 )
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, rotation_from_yaw
+from touchdown.sim.navigation.barometer import pressure_at
+from touchdown.sim.navigation.magnetometer import earth_field_world
 
 Array = NDArray[np.float64]
 Reals = NDArray[np.floating[Any]]
@@ -43,8 +45,6 @@ REST_S = 0.6
 _CLIMB_M, _ASIDE_M, _CLIMB_S = 2.5, 1.0, 2.4
 _PULSES = 6000
 _TILE_M = 0.05
-_SEA_LEVEL_PA, _LAPSE_PER_M, _EXPONENT = 101325.0, 2.25577e-5, 5.25588
-"""of the standard atmosphere (ISO 2533)"""
 
 
 def synthetic_rig() -> SensorRig:
@@ -155,8 +155,7 @@ class SyntheticStream:
     def _progress(self, times_s: Array) -> Array:
         """(N,) 0 at rest, then of minimum jerk to at most 1."""
         span_s = max(self._seconds - REST_S, 0.1)
-        share = np.clip((times_s - REST_S) / span_s, 0.0, 1.0)
-        smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        smooth = minimum_jerk((times_s - REST_S) / span_s)[0]
         return np.asarray(smooth * min(1.0, span_s / _CLIMB_S) ** 2)  # as it can accelerate
 
     def _positions(self, times_s: Array) -> Array:
@@ -296,18 +295,14 @@ class SyntheticStream:
     def _barometer(self, tick: int, rng: np.random.Generator) -> BarometerSample:
         site = self._rig.nav.barometer.site_elevation_m
         height = float(self.true_pose(tick).translation[2] + 0.1 * rng.standard_normal())
-        pressure = _SEA_LEVEL_PA * (1.0 - _LAPSE_PER_M * (site + height)) ** _EXPONENT
+        pressure = pressure_at(site + height)
         return BarometerSample(**self._time(tick), pressure_pa=pressure, altitude_m=height)
 
     def _magnetometer(self, tick: int, rng: np.random.Generator) -> MagnetometerSample:
         params = self._rig.nav.magnetometer
-        declination, dip = np.radians([params.declination_deg, params.inclination_deg])
-        level = np.cos(dip) * np.array([np.sin(declination), np.cos(declination)])
-        field = params.strength_ut * np.append(level, -np.sin(dip))
+        field = self.true_pose(tick).rotation.T @ earth_field_world(params)
         noise = params.noise_sigma_ut * rng.standard_normal(3)
-        return MagnetometerSample(
-            **self._time(tick), field_body_ut=self.true_pose(tick).rotation.T @ field + noise
-        )
+        return MagnetometerSample(**self._time(tick), field_body_ut=field + noise)
 
     def _rangefinder(self, tick: int, rng: np.random.Generator) -> RangefinderSample:
         start = self.true_pose(tick).apply(np.array(self._rig.nav.rangefinder.position_body_m))
@@ -315,6 +310,13 @@ class SyntheticStream:
         return RangefinderSample(
             **self._time(tick), range_m=float(max(0.0, distance + 0.02 * rng.standard_normal()))
         )
+
+
+def minimum_jerk(fraction: Array) -> Array:
+    """Place of a motion from 0 to 1 at a fraction of its time, and its first two derivatives."""
+    s = np.clip(fraction, 0.0, 1.0)
+    place = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    return np.array([place, 30.0 * s**2 * (1.0 - s) ** 2, 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)])
 
 
 def ground_height(xy: Reals) -> Reals:

@@ -1,26 +1,40 @@
-"""Calls of external parts in flight: watched, and every error told in one line."""
+"""External parts in flight: each is asked as the shipped one is, its calls are watched, its answers
+are checked, and every error is told in one line."""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import time
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.api import Estimate, spare_sensors
+from touchdown.controller.api import Setpoint
+from touchdown.estimator.api import Estimate, MapView, spare_sensors
 from touchdown.experiments.errors import ExternalPartError
-from touchdown.experiments.external.estimate_checks import (
+from touchdown.experiments.external.answers import Defect, wrong_answer, wrong_part
+from touchdown.experiments.external.loading import (
+    Build,
     call,
     describe_error,
-    wrong_estimate,
-    wrong_estimator,
+    external_builder,
+    imported_code,
+    location,
+    wrong_signature,
 )
-from touchdown.experiments.external.loading import external_builder, location, wrong_signature
-from touchdown.sim.api import Observation, SensorNeeds, SensorRig
+from touchdown.landing.api import (
+    GroundPrediction,
+    LanderView,
+    RankedSites,
+    Selection,
+    SelectorInput,
+)
+from touchdown.landing.selection.offered import selection_of
+from touchdown.sim.api import Command, Observation
 
 LONGEST_CALL_S: Mapping[str, float] = {
     "estimator": 0.02,
@@ -35,94 +49,83 @@ each; a fifth of a scan's period for what gets most of its work with a scan; a s
 vehicle hovers for."""
 
 
-class Defect(NamedTuple):
-    """A rule that an external part broke, and how."""
+class BrokenRuleError(ExternalPartError):
+    """A rule that an external part broke, in one line with that of the part's code."""
 
-    rule: str
-    reason: str
+    def __init__(self, kind: str, name: str, defect: Defect, error: BaseException | None) -> None:
+        self.rule, self.reason = defect
+        where = "" if error is None else location(error, name.partition(":")[0])
+        super().__init__(
+            f"{kind} '{name}': {self.reason}{where} (rule '{self.rule}'); "
+            f"`touchdown check-plugin {kind} {name}` says more"
+        )
 
 
 class ExternalPart:
-    """The object that ``name``, MODULE:FUNCTION, builds for a slot from ``params`` and ``rig``.
+    """The object that ``name``, MODULE:FUNCTION, or else ``build``, makes for a slot from
+    ``params`` and ``rig``. What it is given cannot be written to.
 
-    ``wrong`` gives the defect of the object, "" if there is none. Raises ExternalPartError for
-    every exception in building and in calls; UsageError if the function does not exist. What the
-    object is given cannot be written to."""
+    Raises BrokenRuleError for every exception in building and in calls, and for a wrong answer;
+    UsageError if the function does not exist."""
 
     def __init__(
-        self,
-        kind: str,
-        name: str,
-        params: Mapping[str, Any],
-        rig: Any,
-        wrong: Callable[[Any], str],
+        self, kind: str, name: str, params: Mapping[str, Any], rig: Any, build: Build | None = None
     ) -> None:
-        build = external_builder(name, kind)
-        self.kind, self.name = kind, name
+        build = build or external_builder(name, kind)
+        self.kind, self.name, self._rig = kind, name, rig
         self.calls, self.seconds = 0, 0.0
         """of wall time in calls so far"""
+        self._time = ""
+        self._given: dict[int, tuple[Any, Any]] = {}
+        """arguments of the last call and their read-only views, by identity"""
+        self._map: Any = None
+        self.inner: Any = None
         if reason := wrong_signature(build):
-            raise self.error(Defect("builds", reason))
+            raise self._error(Defect("builds", reason))
         self.inner, error = call(build, copy.deepcopy(dict(params)), read_only(rig))
         if error is not None:
-            raise self.error(raised("build", error, "builds"), error) from error
-        if reason := wrong(self.inner):
-            raise self.error(Defect("builds", reason))
+            raise self._error(_raised("build", error, "builds"), error) from error
+        if reason := wrong_part(kind, self.inner, rig):
+            raise self._error(Defect("builds", reason))
 
-    def ask(
-        self,
-        method: str,
-        *arguments: Any,
-        when: str = "",
-        wrong: Callable[[Any], Defect | None] = lambda _answer: None,
-    ) -> Any:
-        """The answer of a method, which is not ``wrong``. ``when``: such as "at 1.200 s", for
-        errors."""
+    def ask(self, method: str, *arguments: Any, when: str = "", rule: str = "answers") -> Any:
+        """The answer of a method, checked. ``when``, for errors, is the time of the input by
+        default; ``rule`` is the one that an exception breaks."""
+        if arguments:
+            time_s = getattr(getattr(arguments[0], "estimate", arguments[0]), "time_s", None)
+            self._time = "" if time_s is None else f"at {time_s:.3f} s"
+            # A map comes many times.
+            self._given = {id(a): self._given.get(id(a)) or (a, read_only(a)) for a in arguments}
+        what = f"{when or self._time} {method}".strip()
+        inputs = [self._given[id(argument)][1] for argument in arguments]
         started = time.perf_counter()
-        inputs = (read_only(argument) for argument in arguments)
         answer, error = call(getattr(self.inner, method), *inputs)
         self.calls += 1
         self.seconds += time.perf_counter() - started
         if error is not None:
-            raise self.error(raised(f"{when} {method}".strip(), error), error) from error
-        if defect := wrong(answer):
-            text = f"{when} {method} returned {defect.reason}".strip()
-            raise self.error(Defect(defect.rule, text))
+            raise self._error(_raised(what, error, rule), error) from error
+        if answer is self._map is not None:
+            return answer
+        if defect := wrong_answer(self.kind, method, answer, self._rig, arguments):
+            raise self._error(Defect(defect.rule, f"{what} returned {defect.reason}"))
+        self._map = answer if isinstance(answer, MapView) else None
         return answer
 
-    def get(self, attribute: str) -> Any:
-        """The value of an attribute, which may be a property."""
-        value, error = call(lambda: getattr(self.inner, attribute))
-        if error is not None:
-            raise self.error(raised(attribute, error), error) from error
-        return value
-
-    def error(self, defect: Defect, error: BaseException | None = None) -> ExternalPartError:
-        """The error for a broken rule, with the line of the part's code that raised ``error``."""
-        where = "" if error is None else location(error, self.name.partition(":")[0])
-        return ExternalPartError(
-            f"{self.kind} '{self.name}': {defect.reason}{where} (rule '{defect.rule}'); "
-            f"`touchdown check-plugin {self.kind} {self.name}` says more"
+    def slowness(self) -> str:
+        """A sentence about a part whose calls took more than `LONGEST_CALL_S`; "" for another."""
+        mean_s, most_s = self.seconds / max(self.calls, 1), LONGEST_CALL_S[self.kind]
+        if mean_s <= most_s:
+            return ""
+        return (
+            f"{self.kind} '{self.name}' took {1e3 * mean_s:.3g} ms a call, above "
+            f"{1e3 * most_s:g} ms (rule 'latency'): simulated time waited, a vehicle could not"
         )
 
-    def slowness(self) -> str:
-        """A sentence about a part whose calls took too long for a flight; "" for another."""
-        return slowness(self.kind, self.name, self.seconds / max(self.calls, 1))
+    def _error(self, defect: Defect, error: BaseException | None = None) -> BrokenRuleError:
+        return BrokenRuleError(self.kind, self.name, defect, error)
 
 
-def slowness(kind: str, name: str, mean_s: float) -> str:
-    """A sentence about a part whose calls took ``mean_s`` of wall time; "" where that is no more
-    than `LONGEST_CALL_S`."""
-    most_s = LONGEST_CALL_S[kind]
-    if mean_s <= most_s:
-        return ""
-    return (
-        f"{kind} '{name}' took {1e3 * mean_s:.3g} ms a call, above {1e3 * most_s:g} ms (rule "
-        "'latency'): simulated time waited, a vehicle could not"
-    )
-
-
-def raised(what: str, error: BaseException, rule: str = "answers") -> Defect:
+def _raised(what: str, error: BaseException, rule: str) -> Defect:
     """The defect of a call that raised ``error``; writing to what was given is one of its own."""
     if isinstance(error, ValueError) and "read-only" in str(error):
         return Defect("inputs", f"{what} modified what it was given ({describe_error(error)})")
@@ -155,40 +158,146 @@ def _with_arrays(value: Any, change: Callable[[NDArray[Any]], NDArray[Any]]) -> 
     if type(value) is tuple and value:
         items = tuple(_with_arrays(item, change) for item in value)
         return value if all(a is b for a, b in zip(items, value, strict=True)) else items
-    if not dataclasses.is_dataclass(value) or isinstance(value, type):
+    names = _field_names(cast(Hashable, type(value)))
+    old = [getattr(value, name) for name in names]
+    new = [_with_arrays(item, change) for item in old]
+    if all(a is b for a, b in zip(old, new, strict=True)):
         return value
-    twin = value
-    for field in dataclasses.fields(value):
-        old = getattr(value, field.name)
-        new = _with_arrays(old, change)
-        if new is not old:
-            twin = copy.copy(value) if twin is value else twin
-            object.__setattr__(twin, field.name, new)  # of a frozen class
+    twin = object.__new__(type(value))  # copy.copy takes ten times as long
+    for name, item in zip(names, new, strict=True):
+        object.__setattr__(twin, name, item)  # of a frozen class
     return twin
 
 
-class ExternalEstimator:
-    """Passes observations to an external estimator and checks its estimates. Raises as
-    `ExternalPart`, and ExternalPartError for an invalid estimate."""
+@functools.cache
+def _field_names(kind: Hashable) -> tuple[str, ...]:
+    """Of a dataclass; none of another type."""
+    if not dataclasses.is_dataclass(kind):
+        return ()
+    return tuple(field.name for field in dataclasses.fields(kind))
 
-    needs: SensorNeeds
 
-    def __init__(self, name: str, params: Mapping[str, Any], rig: SensorRig) -> None:
-        self.part = ExternalPart(
-            "estimator", name, params, rig, lambda inner: wrong_estimator(inner, rig)
-        )
-        inner = self.part.inner
-        self.needs, self.spare_sensors = inner.needs, spare_sensors(inner)
+# ---------------------------------------------------------------------------------- the six slots
+
+
+class _Slot:
+    """What fills a slot of a flight with a part; ``needs`` are those of the part."""
+
+    kind = ""
+
+    def __init__(self, name: str, params: Mapping[str, Any], rig: Any) -> None:
+        self.part, self._rig = ExternalPart(self.kind, name, params, rig), rig
+        self.needs = getattr(self.part.inner, "needs", None)
+
+
+class ExternalEstimator(_Slot):
+    """Passes observations to an estimator."""
+
+    kind = "estimator"
 
     def update(self, obs: Observation) -> Estimate:
-        """Estimate of the external estimator, checked."""
-        when = f"at {obs.time_s:.3f} s"
-        checked: Estimate = own(self.part.ask("update", obs, when=when, wrong=_defect))
+        """The estimate, checked."""
+        checked: Estimate = own(self.part.ask("update", obs))
+        return checked
+
+    @property
+    def spare_sensors(self) -> tuple[str, ...]:
+        """The sensors that the part can do without in a replay."""
+        return spare_sensors(self.part.inner)
+
+
+class ExternalSelector(_Slot):
+    """Asks a selector for sites and makes candidates of them."""
+
+    kind = "selector"
+
+    def offer(self, seen: SelectorInput) -> RankedSites:
+        """The sites that it offers, checked."""
+        offered: RankedSites = self.part.ask("select", seen)
+        return offered
+
+    def select(self, seen: SelectorInput) -> Selection:
+        """The selection that these sites make."""
+        return selection_of(own(self.offer(seen)), seen, self._rig.landing)
+
+
+class ExternalController(_Slot):
+    """Asks a controller for rotor speeds."""
+
+    kind = "controller"
+
+    def update(self, estimate: Estimate, setpoint: Setpoint) -> Command:
+        """The command, checked."""
+        checked: Command = own(self.part.ask("update", estimate, setpoint))
         return checked
 
 
-def _defect(estimate: Any) -> Defect | None:
-    reason = wrong_estimate(estimate)
-    rule = "finite" if reason.endswith("not finite") else "shapes"
-    rule = rule if isinstance(estimate, Estimate) else "answers"
-    return Defect(rule, reason) if reason else None
+class ExternalClassifier(_Slot):
+    """Asks a ground classifier for the classes of images."""
+
+    kind = "classifier"
+
+    def __init__(self, name: str, params: Mapping[str, Any], rig: Any) -> None:
+        super().__init__(name, params, rig)
+        self.image_size = int(self.part.inner.image_size)
+        self.min_probability = float(self.part.inner.min_probability)
+
+    def classify(self, images: NDArray[np.uint8]) -> GroundPrediction:
+        """The predictions, checked."""
+        found: GroundPrediction = self.part.ask("classify", images)
+        table = np.array(found.probabilities, np.float64)
+        table /= table.sum(axis=1, keepdims=True)
+        return GroundPrediction(probabilities=table, in_distribution=found.in_distribution)
+
+    def description(self) -> dict[str, Any]:
+        """Name, image size, hash of the code and limit, for a result."""
+        return {
+            "network": self.part.name,
+            "image_size": self.image_size,
+            "sha256": imported_code(self.part.name),
+            "min_probability": self.min_probability,
+        }
+
+
+class ExternalMapper(_Slot):
+    """Asks a mapper for the map."""
+
+    kind = "mapper"
+    _given: MapView | None = None
+
+    def update(self, obs: Observation, estimate: Estimate) -> MapView:
+        """The map, checked whenever it is another one."""
+        view: MapView = self.part.ask("update", obs, estimate)
+        if view is not self._given:
+            self._given, self._view = view, read_only(view)
+        return self._view
+
+
+class ExternalLander(_Slot):
+    """Asks a lander for setpoints."""
+
+    kind = "lander"
+
+    def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:
+        """The setpoint, checked."""
+        checked: Setpoint = own(self.part.ask("update", obs, estimate, map_view))
+        return checked
+
+    def view(self) -> LanderView:
+        """The state of the mission, checked."""
+        view: LanderView = self.part.ask("view")
+        return view
+
+
+PARTS: Mapping[str, type[_Slot]] = {
+    slot.kind: slot
+    for slot in (
+        ExternalEstimator,
+        ExternalSelector,
+        ExternalLander,
+        ExternalController,
+        ExternalMapper,
+        ExternalClassifier,
+    )
+}
+"""by slot"""

@@ -98,7 +98,7 @@ def external_part(
     name = external_name(config, kind)
     if name is None:
         return None
-    from touchdown.experiments.external.parts import PARTS
+    from touchdown.experiments.external.wrapper import PARTS
 
     return PARTS[kind](name, params_of(config, kind), rig or RIGS[kind](config, sensors))
 

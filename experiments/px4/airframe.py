@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.api import Px4Params
-from touchdown.experiments.px4.errors import Px4Error
+from touchdown.experiments.px4.messages import Px4Error
 from touchdown.sim.api import GRAVITY_MPS2, SensorRig, VehicleModel
 
 Array = NDArray[np.float64]

@@ -14,7 +14,6 @@ from touchdown.estimator.api import Estimate, Estimator, MapView
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.px4.airframe import Motors, parameters
 from touchdown.experiments.px4.commander import Commander
-from touchdown.experiments.px4.errors import Px4Error
 from touchdown.experiments.px4.link import (
     FREE_STEP_S,
     CommandLink,
@@ -22,7 +21,7 @@ from touchdown.experiments.px4.link import (
     accept,
     reserve,
 )
-from touchdown.experiments.px4.messages import Messages, dialect
+from touchdown.experiments.px4.messages import Messages, Px4Error, dialect
 from touchdown.experiments.px4.process import Px4Process, find_px4
 from touchdown.landing.api import Lander, LanderView
 from touchdown.sim.api import Command, Observation, SensorNeeds, SensorRig

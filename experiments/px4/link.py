@@ -11,8 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from touchdown.experiments.px4.errors import Px4Error
-from touchdown.experiments.px4.messages import dialect
+from touchdown.experiments.px4.messages import Px4Error, dialect
 
 LOCALHOST = "127.0.0.1"
 FIRST_PORT, PORTS = 4560, 100

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate
-from touchdown.experiments.px4.errors import Px4Error
+from touchdown.experiments.errors import UsageError
 from touchdown.experiments.px4.frames import (
     frd,
     geodetic,
@@ -33,10 +33,13 @@ Array = NDArray[np.float64]
 
 _IMU, _MAGNETOMETER, _BAROMETER = 0x3F, 0x1C0, 0x1A00
 _TEMPERATURE_C = 15.0
-_UNKNOWN = math.nan
 _NO_Z, _NO_VZ, _NO_YAW_RATE = 4, 32, 2048
 _UPPER = np.triu_indices(6)
 _KNOWN_HEADING = 65535
+
+
+class Px4Error(UsageError):
+    """PX4 is missing, or broke the protocol in the middle of a flight; one line."""
 
 
 def dialect() -> ModuleType:
@@ -128,7 +131,7 @@ class Messages:
             *ned(estimate.velocity_odom),
             *frd(estimate.angular_velocity_body),
             covariance[_UPPER].tolist(),
-            [_UNKNOWN] * 21,
+            [math.nan] * 21,
             resets % 256,
             common.MAV_ESTIMATOR_TYPE_VIO,
         )

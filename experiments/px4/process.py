@@ -14,8 +14,8 @@ from pathlib import Path
 
 from touchdown.experiments.api import Px4Params
 from touchdown.experiments.errors import visible
-from touchdown.experiments.px4.errors import Px4Error
 from touchdown.experiments.px4.link import Ports
+from touchdown.experiments.px4.messages import Px4Error
 
 VARIABLE = "TOUCHDOWN_PX4"
 """environment variable that names a build where no option does"""

@@ -10,11 +10,13 @@ from typing import Any
 
 from touchdown.experiments.campaign.executor import LocalEngine
 from touchdown.experiments.campaign.plan import Plan, load_plan
-from touchdown.experiments.campaign.results_table import TIMING_COLUMNS, finished_ids, load_rows
+from touchdown.experiments.campaign.results_table import finished_ids, load_rows
 from touchdown.experiments.campaign.session import fly_campaign
 
 ROOT = Path(__file__).parents[2]
 RUNNER = "support.campaign_fakes:fly"
+TIMING_COLUMNS = ("wall_s", "cpu_s", "worker_memory_mb", "started_utc", "timing.")
+"""Beginnings of the names of columns that differ between two flights of one configuration."""
 
 
 def make_plan(folder: Path, text: str) -> Plan:

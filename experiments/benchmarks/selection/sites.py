@@ -30,7 +30,7 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.config.slots import SLOTS, names_code, params_of
-from touchdown.experiments.external.parts import ExternalSelector
+from touchdown.experiments.external.wrapper import ExternalSelector
 from touchdown.experiments.flight.slots import check_parts_available
 from touchdown.experiments.flight.wiring import check_scene_name
 from touchdown.landing.api import CostmapView, Selection, SelectorInput, SelectorRig

@@ -114,29 +114,6 @@ def test_a_signal_costs_no_finished_flight(number: int, tmp_path: Path, undistur
     assert figures(out) == figures(undisturbed)
 
 
-def test_a_campaign_of_a_version_before_profiles_is_resumed(tmp_path: Path) -> None:
-    text, out = axes(scene=["flat"], estimator=["fake:good"], seeds="0"), tmp_path / "out"
-    ideal = text + '[base]\nprofile = "ideal"\n'
-    fly(make_plan(tmp_path, ideal), out)
-
-    def flown() -> set[str]:
-        files = out.glob("runs/*/config.json")
-        return {json.loads(file.read_text())["profile"] for file in files}
-
-    file = out / "campaign.json"
-    document = json.loads(file.read_text())
-    for run in document["runs"]:
-        del run["values"]["profile"]  # as that version wrote it
-    file.write_text(json.dumps(document))
-    more = text.replace('"0"', '"0-1"')
-    fly(make_plan(tmp_path, more), out)
-    assert set(attempts(out).values()) == {1} and len(attempts(out)) == 2 and flown() == {"ideal"}
-    fly(make_plan(tmp_path, more.replace("0-1", "0-2")), out)
-    assert flown() == {"ideal"}
-    with pytest.raises(UsageError, match=r'profile of run .* was "ideal" and is now "harsh"'):
-        fly(make_plan(tmp_path, ideal.replace("ideal", "harsh")), out)
-
-
 def test_rows_with_missing_values_have_the_same_columns_and_types(undisturbed: Path) -> None:
     columns = dict(connect(undisturbed).execute("select column_name, column_type from "
                                                 "(describe runs)").fetchall())  # fmt: skip

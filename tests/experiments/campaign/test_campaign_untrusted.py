@@ -12,7 +12,6 @@ import pytest
 from touchdown.experiments.campaign import session
 from touchdown.experiments.campaign.plan import Plan, load_plan
 from touchdown.experiments.campaign.results_table import load_rows, write_table
-from touchdown.experiments.campaign.run_names import is_run_name
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 
@@ -92,20 +91,6 @@ def test_a_run_cannot_be_called_by_a_path(name: str, out: Path, plan: Plan) -> N
     assert (
         cli.main(["campaign", str(out / "campaign.toml"), "--out", str(out), "--allow-code"]) == 2
     )
-
-
-def test_names_are_those_of_the_plan_at_any_length() -> None:
-    values = {
-        "scene": "places/flat.xml", "estimator": "lab.vio:build", "seed": 3, "wind.mean_kmh": 6.0,
-        "faults.events": ["gps 3 5", "imu 1 2"], "survey.height_m": 20.0, "sim.threads": 1,
-    }  # fmt: skip
-    start = "flat-lab.vio.build-s3"
-    for more in ("", "-w6", "-height_m20", "-w6-height_m20", "-height_m20-w6", "-mean_kmh6",
-                 "-gps.3.5_imu.1.2", "-w6-gps.3.5_imu.1.2-height_m20"):  # fmt: skip
-        assert is_run_name(start + more, values), more
-    for more in ("-", "-w7", "-w6-", "-w6x", "-w", "/x", "-height_m2"):
-        assert not is_run_name(start + more, values), more
-    assert not is_run_name(start, {"scene": "flat"}) and not is_run_name(None, values)
 
 
 def _replaced_by_link(path: Path, target: Path) -> None:

@@ -1,7 +1,6 @@
 """Parts that somebody brings for each slot: named, examined, watched in flight, told apart."""
 
 import dataclasses
-import json
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -19,25 +18,25 @@ from touchdown.experiments.errors import ExternalPartError, UsageError
 from touchdown.experiments.external.examine import (
     RULES,
     examine,
+    setpoint_at,
     textures,
     true_estimate,
 )
-from touchdown.experiments.external.examine_flight import setpoint_at
 from touchdown.experiments.external.loading import external_builder
-from touchdown.experiments.external.parts import (
-    ExternalClassifier,
-    ExternalController,
-    ExternalLander,
-    ExternalMapper,
-    ExternalSelector,
-)
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.experiments.external.synthetic_world import (
     FollowedSetpoints,
     hovering,
     synthetic_map,
 )
-from touchdown.experiments.external.wrapper import LONGEST_CALL_S, slowness
+from touchdown.experiments.external.wrapper import (
+    LONGEST_CALL_S,
+    ExternalClassifier,
+    ExternalController,
+    ExternalLander,
+    ExternalMapper,
+    ExternalSelector,
+)
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.slots import RIGS
 from touchdown.experiments.reporting.regression.baseline import cells_of
@@ -266,7 +265,7 @@ def test_each_bad_habit_is_reported_with_its_reason(
     brought: Callable[..., str], kind: str, old: str, new: str, rule: str, words: str
 ) -> None:
     found = {v.rule: v.reason for v in examined(kind, brought(kind, old, new)).violations}
-    assert words in found[rule] and found.keys() <= RULES[kind].keys()
+    assert words in found[rule] and found.keys() <= RULES[kind]
 
 
 @pytest.mark.parametrize("kind", EXAMPLES)
@@ -277,8 +276,6 @@ def test_a_slow_part_is_told_in_flight_and_does_not_conform(
     name = brought(kind)
     (found,) = examined(kind, name).violations
     assert found.rule == "latency" and "above 1e-06 ms" in found.reason
-    told = slowness(kind, name, 0.25)
-    assert told.startswith(f"{kind} '{name}' took 250 ms a call") and "'latency'" in told
 
 
 # ---------------------------------------------------------------------------------------- in flight
@@ -306,7 +303,7 @@ def asked(kind: str, name: str) -> Any:
 
 @pytest.mark.parametrize(
     ("kind", "old", "new", "rule", "words"),
-    [row for row in BROKEN if row[3] in ("builds", "answers", "finite", "shapes", "inputs")],
+    [row for row in BROKEN if row[3] in ("answers", "inputs")],
 )
 def test_a_wrong_part_is_one_line_that_names_it_and_the_rule(
     brought: Callable[..., str], kind: str, old: str, new: str, rule: str, words: str
@@ -338,7 +335,9 @@ def test_a_selectors_terms_are_its_candidates_and_its_costmap(brought: Callable[
     assert rules == {"near_refused_site", "out_of_reach"}
     near = dataclasses.replace(seen, reach_m=99.0, emergency=True)
     assert selector.select(near).candidates[0].accepted
-    assert not json.loads(json.dumps(selector.part.slowness()))
+    assert selector.part.slowness() == ""
+    selector.part.seconds = 2.5 * selector.part.calls
+    assert selector.part.slowness().startswith(f"selector '{name}' took 2.5e+03 ms a call, above")
 
 
 def test_a_flight_that_a_part_ends_leaves_nothing(brought: Callable[..., str], says: Says) -> None:

@@ -13,7 +13,7 @@ import pytest
 from touchdown.controller.api import Setpoint
 from touchdown.experiments.api import Px4Params
 from touchdown.experiments.px4 import link
-from touchdown.experiments.px4.errors import Px4Error
+from touchdown.experiments.px4.messages import Px4Error
 from touchdown.experiments.px4.process import VARIABLE, find_px4
 from touchdown.sim.api import SensorNeeds
 

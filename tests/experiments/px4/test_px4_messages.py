@@ -12,10 +12,8 @@ from touchdown.estimator.api import Estimate
 from touchdown.experiments.api import Px4Params
 from touchdown.experiments.external.synthetic_stream import synthetic_rig
 from touchdown.experiments.px4 import airframe, frames
-from touchdown.experiments.px4.commander import mode_name, version_text
-from touchdown.experiments.px4.errors import Px4Error
-from touchdown.experiments.px4.local_frame import LocalFrame
-from touchdown.experiments.px4.messages import Messages, dialect
+from touchdown.experiments.px4.commander import LocalFrame, mode_name, version_text
+from touchdown.experiments.px4.messages import Messages, Px4Error, dialect
 from touchdown.sim.api import BarometerSample, GpsFix, ImuSample, MagnetometerSample
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
