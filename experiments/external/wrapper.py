@@ -34,7 +34,7 @@ from touchdown.landing.api import (
     SelectorInput,
 )
 from touchdown.landing.selection.offered import selection_of
-from touchdown.sim.api import Command, Observation
+from touchdown.sim.api import Command, Observation, SensorNeeds
 
 LONGEST_CALL_S: Mapping[str, float] = {
     "estimator": 0.02,
@@ -187,7 +187,7 @@ class _Slot:
 
     def __init__(self, name: str, params: Mapping[str, Any], rig: Any) -> None:
         self.part, self._rig = ExternalPart(self.kind, name, params, rig), rig
-        self.needs = getattr(self.part.inner, "needs", None)
+        self.needs: SensorNeeds = getattr(self.part.inner, "needs", SensorNeeds())
 
 
 class ExternalEstimator(_Slot):
