@@ -90,17 +90,17 @@ class Limits(_Strict):
     """more attempts at a run that crashed; an outcome, however bad, is never retried"""
 
 
-class Override(_Strict):
-    """Keys for some of the runs: those whose axes have one of the values in ``when``."""
-
-    when: When
-    set: Annotated[dict[str, Any], BeforeValidator(_flat)]
-
-
 class Skip(_Strict):
     """Runs that are not flown: those whose axes have one of the values in ``when``."""
 
     when: When
+
+
+class Override(_Strict):
+    """Keys for the runs whose axes have one of the values in ``when``."""
+
+    when: When
+    set: Annotated[dict[str, Any], BeforeValidator(_flat)]
 
 
 class Expect(_Strict):
@@ -191,10 +191,11 @@ def load_plan(
         raise UsageError(f"'{file}' is no TOML file; a campaign is described in FILE.toml")
     spec = _parse(tree, str(file))
     axes = _axes(spec.axes, str(file))
-    set_there = [*spec.base.items(), *(pair for one in spec.override for pair in one.set.items())]
     if not allow_code:
-        on_axes = [(key, value) for key, values in axes.items() for value in values]
-        check_named_code(file, [*on_axes, *set_there])
+        named = [(key, value) for key, values in axes.items() for value in values]
+        named += [pair for tree in (spec.base, *(o.set for o in spec.override))
+                  for pair in tree.items()]  # fmt: skip
+        check_named_code(file, named)
     base = renewed(spec.base, f"[base] of {file}")
     _check_settable(base, axes, f"[base] of {file}")
     if preset is not None:
@@ -287,9 +288,8 @@ def _parse(tree: Mapping[str, Any], source: str) -> CampaignFile:
 
 def _siblings(location: tuple[int | str, ...]) -> list[str]:
     """Fields of the table that an unknown key stands in."""
-    groups: dict[Any, type[BaseModel]] = {
-        "limits": Limits, "override": Override, "skip": Skip, "expect": Expect,
-    }  # fmt: skip
+    groups: dict[Any, type[BaseModel]] = {"limits": Limits, "override": Override}
+    groups |= {"skip": Skip, "expect": Expect}
     model = groups.get(location[0], CampaignFile) if len(location) > 1 else CampaignFile
     return list(model.model_fields)
 
@@ -427,7 +427,6 @@ def _runs(
 
 # ------------------------------------------------------------------------------------------ names
 
-_FIRST = ("scene", "estimator", "seed")
 _LABELS = {
     "wind_kmh": "w", "faults.events": "", "profile": "", "harsh_effects": "", "preset": "",
     **{name: "" for slot in SLOTS.values() for name in (slot.kind, slot.key)},
@@ -437,17 +436,12 @@ _LABELS = {
 
 def run_name(place: Mapping[str, Any], axes: Mapping[str, list[Any]]) -> str:
     """``crossroad-gps-s3``, then every further axis that has several values."""
-    scene, estimator, seed = (place[axis] for axis in _FIRST)
-    parts = [_plain(part) for part in (short_name(str(scene)), str(estimator), f"s{seed}")]
+    parts = [short_name(str(place["scene"])), str(place["estimator"]), f"s{place['seed']}"]
     for axis, value in place.items():
-        if axis not in _FIRST and len(axes[axis]) > 1:
+        if axis not in ("scene", "estimator", "seed") and len(axes[axis]) > 1:
             label = _LABELS.get(axis, axis.rpartition(".")[2])
-            parts.append(_plain(f"{label}{_slug(value) or 'none'}"))
-    return "-".join(parts)
-
-
-def _plain(text: str) -> str:
-    return re.sub(r"[^\w.+-]+", ".", text)
+            parts.append(f"{label}{_slug(value) or 'none'}")
+    return "-".join(re.sub(r"[^\w.+-]+", ".", part) for part in parts)
 
 
 def _slug(value: Any) -> str:
