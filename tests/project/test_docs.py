@@ -262,3 +262,21 @@ def test_the_blocks_of_the_python_page_run(tmp_path: Path, monkeypatch: pytest.M
         for estimator in ("gps", "optical_flow")
         for seed in (0, 1)
     ]
+
+
+def test_every_promise_has_tests() -> None:
+    for promise, tests in rows_of("docs/trust.md", "promise"):
+        nodes = re.findall(r"`(tests/\S+)::(\w+)`", tests)
+        assert nodes, promise
+        for path, name in nodes:
+            assert f"\ndef {name}(" in text_of(path), f"{promise}: {path} has no {name}"
+
+
+def test_the_notice_names_every_trained_file() -> None:
+    notice = (ROOT / "NOTICE").read_text(encoding="utf-8")
+    named = re.findall(r"^([\w/.]+\.(?:onnx|gz))$", notice, re.MULTILINE)
+    found = [
+        path for pattern in ("*.onnx", "*.yml.gz") for path in ROOT.glob(f"[a-z]*/**/{pattern}")
+    ]
+    trained = {str(path.relative_to(ROOT)) for path in found if "src" not in path.parts}
+    assert set(named) == {name for name in trained if not name.startswith(("runs", "build"))}

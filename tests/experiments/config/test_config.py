@@ -16,7 +16,9 @@ CONFIGS = Path(__file__).parents[3] / "configs"
 def test_precedence_is_file_then_set_then_option(tmp_path: Path) -> None:
     file = tmp_path / "a.toml"
     file.write_text("seed = 1\n[wind]\nmean_kmh = 1\nturbulence = false\n[survey]\nlegs = 2\n")
-    config = load_config(file, ["wind.mean_kmh=2", "seed=2"], seed=3, wind_kmh=None)
+    values = ["wind.mean_kmh=2", "seed=2", "scene=lake", 'estimator="oracle"']
+    config = load_config(file, values, seed=3, wind_kmh=None)
+    assert (config.scene, config.estimator) == ("lake", "oracle")
     assert (config.seed, config.wind.mean_kmh) == (3, 2.0) and not config.wind.turbulence
     assert config.survey.legs == 2
 
@@ -28,11 +30,6 @@ def test_resolved_configuration_can_be_fed_back(tmp_path: Path) -> None:
     again = load_config(file)
     assert again == config and again.bias.xy_m == (0.5, -0.25)
     assert again.landing.site_xy_m == (1.5, -2.0) and dump_config(again) == dump_config(config)
-
-
-def test_values_of_set_are_toml_or_bare_words() -> None:
-    config = load_config(None, ["scene=lake", 'estimator="oracle"', "record=false"])
-    assert (config.scene, config.estimator, config.record) == ("lake", "oracle", False)
 
 
 @pytest.mark.parametrize(("override", "words"), [
@@ -69,6 +66,7 @@ def test_mistakes_are_reported_in_one_line(override: str, words: list[str]) -> N
     assert "\n" not in message
     for word in words:
         assert word in message
+    assert load_config(None, ["survey.legs=5", "survey.duration_s=50"]).survey.legs == 5
 
 
 def test_mistakes_in_a_file_name_the_file(tmp_path: Path) -> None:
@@ -86,10 +84,6 @@ def test_mistakes_in_a_file_name_the_file(tmp_path: Path) -> None:
         load_config(tmp_path / "gone.toml")
 
 
-def test_the_time_that_a_survey_is_said_to_need_is_enough() -> None:
-    assert load_config(None, ["survey.legs=5", "survey.duration_s=50"]).survey.legs == 5
-
-
 def test_one_fault_needs_no_brackets(tmp_path: Path) -> None:
     file = tmp_path / "a.toml"
     file.write_text("faults.events = 'gps_dropout@20'\n")
@@ -97,9 +91,6 @@ def test_one_fault_needs_no_brackets(tmp_path: Path) -> None:
         assert config.faults.events == ("gps_dropout@20",)
     with pytest.raises(UsageError, match="unknown fault 'gps_drop' in 'gps_drop@20'"):
         load_config(None, ["faults.events=gps_drop@20"])
-
-
-"""Positions, offsets and coefficients of either sign."""
 
 
 OPEN_NAMES = {

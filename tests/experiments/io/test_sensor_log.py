@@ -62,18 +62,14 @@ def test_observations_are_read_back_bit_equal_repeatedly(
     log: Path, stream: list[Observation]
 ) -> None:
     reader = SensorLogReader(log)
+    assert same(reader.rig, synthetic_rig()) and reader.sensed == ALL
+    assert reader.shared == SensorNeeds(lidar=True)
     for _ in range(2):
         back = list(reader)
         assert len(back) == len(stream)
         assert all(same(one, other) for one, other in zip(back, stream, strict=True))
     assert any(obs.gps for obs in back) and any(obs.rangefinder for obs in back)
     assert any(image.right_rgb is not None for obs in back for image in obs.images)
-
-
-def test_rig_and_needs_are_read_back(log: Path) -> None:
-    reader = SensorLogReader(log)
-    assert same(reader.rig, synthetic_rig()) and reader.sensed == ALL
-    assert reader.shared == SensorNeeds(lidar=True)
 
 
 def test_faulty_messages_are_read_back_unchanged(tmp_path: Path) -> None:
@@ -124,23 +120,19 @@ def test_plain_json_keeps_every_digit() -> None:
 
 
 def test_invalid_files_are_one_clear_line(tmp_path: Path, log: Path) -> None:
-    with pytest.raises(UsageError, match="--log-sensors"):
-        SensorLogReader(tmp_path / "none.mcap")
-    other = tmp_path / "other.mcap"
+    other, text, cut = (tmp_path / f"{name}.mcap" for name in ("other", "text", "cut"))
     with other.open("wb") as file:
         writer = Writer(file)
         writer.start()
         writer.finish()
-    with pytest.raises(UsageError, match="no sensor log"):
-        SensorLogReader(other)
-    text = tmp_path / "text.mcap"
     text.write_text("no such thing")
-    with pytest.raises(UsageError, match="no complete MCAP file"):
-        SensorLogReader(text)
-    cut = tmp_path / "cut.mcap"
     cut.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
-    with pytest.raises(UsageError, match="no complete MCAP file"):
-        list(SensorLogReader(cut))
+    for path, words in (
+        (tmp_path / "none.mcap", "--log-sensors"), (other, "no sensor log"),
+        (text, "no complete MCAP file"), (cut, "no complete MCAP file"),
+    ):  # fmt: skip
+        with pytest.raises(UsageError, match=words):
+            list(SensorLogReader(path))
 
 
 def test_memory_is_bounded_by_writing_as_it_goes(tmp_path: Path, stream: list[Observation]) -> None:

@@ -20,19 +20,12 @@ STRANGE = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", STRANGE)
-def test_names_that_lead_elsewhere_are_none(name: object) -> None:
-    assert not is_plain_name(name)
-
-
-@pytest.mark.parametrize("name", ["a", "...", ".a", "crossroad-gps-s3-w6", "Wäldchen-a b-s0"])
-def test_plain_names(name: str, tmp_path: Path) -> None:
-    assert is_plain_name(name) and inside(tmp_path, name) == tmp_path / name
-
-
-def test_paths_stay_inside(tmp_path: Path) -> None:
+def test_names_stay_in_their_folder(tmp_path: Path) -> None:
+    for name in ("a", "...", ".a", "crossroad-gps-s3-w6", "Wäldchen-a b-s0"):
+        assert is_plain_name(name) and inside(tmp_path, name) == tmp_path / name
     assert inside(tmp_path, "lake/3.png") == tmp_path / "lake" / "3.png"
-    for name in (*STRANGE[:3], *STRANGE[4:], "a/../../b", "a//b", "a/", None):
+    assert not any(map(is_plain_name, STRANGE))
+    for name in (*(name for name in STRANGE if name != "a/b"), "a/../../b", "a//b", "a/"):
         with pytest.raises(ValueError, match="is no name of a file in"):
             inside(tmp_path, name)
 
