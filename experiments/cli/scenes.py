@@ -131,14 +131,17 @@ def scenes_check(
 
     Example: touchdown scenes check crossroad --seeds 5
     """
-    from touchdown.experiments.scene_tools.flyability import check_scene_file
-    from touchdown.experiments.scene_tools.seed_check import check_scenes, passed
+    from touchdown.experiments.scene_tools.flyability import (
+        check_scene,
+        check_scene_file,
+        passed,
+    )
     from touchdown.scenes.registry import scene_names
 
     known = scene_names()
     chosen = names or tuple(known)
     places = [check_scene_file(name, overrides, **more) for name in chosen if name not in known]
-    rows = check_scenes([n for n in chosen if n in known], seeds, make_notes(quiet))
+    rows = [check_scene(name, seeds, make_notes(quiet)) for name in chosen if name in known]
 
     def show(_figures: Mapping[str, Any]) -> None:
         for place in places:

@@ -11,10 +11,9 @@ import pytest
 
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.flight.survey_fit import fit_survey
-from touchdown.experiments.scene_tools.flyability import check_scene_file
+from touchdown.experiments.scene_tools.flyability import check_scene, check_scene_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
 from touchdown.experiments.scene_tools.render import load_configured_scene, render_view
-from touchdown.experiments.scene_tools.seed_check import check_scene
 from touchdown.experiments.scene_tools.views import CLASS_RGB, VIEWS, SceneViews
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
