@@ -296,8 +296,10 @@ def bench_profile(out: Path | None, **chosen: Any) -> dict[str, Any]:
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out '{out}' is a file: name a directory")
     out.mkdir(parents=True, exist_ok=True)
-    again = [chosen["scene"], *(["--full"] if chosen["full"] else [])]
-    again += [f"--{name}={chosen[name]}" for name in ("estimator", "profile", "seed")]
+    again = [chosen["scene"]]
+    for name in ("estimator", "profile", "seed"):
+        again += [f"--{name}", str(chosen[name])]
+    again += ["--full"] if chosen["full"] else []
     figures = flight_profile.profile_with_flames(again, out / "flame.svg")
     if figures is None:
         say("no flame graph: py-spy is not installed (pip install py-spy)", err=True)
