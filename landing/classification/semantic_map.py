@@ -22,7 +22,7 @@ from touchdown.landing.api import (
     SemanticMapParams,
     SemanticView,
 )
-from touchdown.landing.classification.survey_images import SurveyImages, View
+from touchdown.landing.classification.survey_images import PosedImage, SurveyImages
 from touchdown.scenes.api import LAND_CLASSES
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ class SemanticMap:
     def _fused(self, evidence: Array, weight: Array) -> Array:
         return fused(evidence, weight, self._params.most_views)
 
-    def _around(self, view: View) -> _Grid:
+    def _around(self, view: PosedImage) -> _Grid:
         if self._grid is None:
             spacing = 0.5 * self._side_m
             self._grid = _Grid(
@@ -131,7 +131,7 @@ class SemanticMap:
         return np.asarray((xy[:2] - grid.origin_xy_m)[::-1] / grid.spacing_m)
 
     def _worth_seeing(
-        self, grid: _Grid, view: View, images: SurveyImages, map_view: MapView
+        self, grid: _Grid, view: PosedImage, images: SurveyImages, map_view: MapView
     ) -> tuple[NDArray[np.int64], Array]:
         """Returns rows and columns (N, 2) of at most as many nodes as are classified at a time, and
         the reliability of the view of each."""
@@ -156,7 +156,7 @@ class SemanticMap:
         return nodes[best], weights[best]
 
     @staticmethod
-    def _sites(grid: _Grid, nodes: NDArray[np.int64], view: View, map_view: MapView) -> Array:
+    def _sites(grid: _Grid, nodes: NDArray[np.int64], view: PosedImage, map_view: MapView) -> Array:
         """Returns the nodes on the ground (N, 3): at the height of the map, or where it has none at
         the level of the take-off."""
         xy = grid.origin_xy_m + grid.spacing_m * nodes[:, ::-1]
@@ -186,7 +186,7 @@ def fused(evidence: Array, weight: Array, most: float) -> Array:
     return np.asarray(grown / grown.sum(axis=-1, keepdims=True))
 
 
-def reliability(view: View, sites: Array, params: SemanticMapParams) -> Array:
+def reliability(view: PosedImage, sites: Array, params: SemanticMapParams) -> Array:
     """Returns how much a view counts at ``sites`` (N, 3), 0 to 1."""
     away = view.position - sites
     depth = np.maximum(away[:, 2], 0.1)
@@ -198,7 +198,7 @@ def reliability(view: View, sites: Array, params: SemanticMapParams) -> Array:
     )
 
 
-def novelty(view: View, before: Array, apart: float) -> Array:
+def novelty(view: PosedImage, before: Array, apart: float) -> Array:
     """Returns 1 for nodes not seen before, else less the nearer the camera was, ``before`` (N, 3)
     or NaN, 0 in the same place."""
     away = np.linalg.norm(view.position - before, axis=1) / max(view.height_m, 1.0)

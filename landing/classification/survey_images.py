@@ -10,7 +10,7 @@ daylight, which is what the classifier knows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -54,7 +54,7 @@ _HEIGHT_WEIGHT = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class _KeptImage:
+class PosedImage:
     """An image with its pose at exposure."""
 
     rgb: Image
@@ -63,10 +63,21 @@ class _KeptImage:
     odom_from_camera: Pose
     height_m: float
     """above the ground of the take-off"""
+    pixel_rad: float
     dim: bool = False
     """taken in too little light for the camera"""
     darkest: float = 0.0
     """``landing.classification.haze.darkest_light``; 0 for images that are not kept"""
+
+    @property
+    def position(self) -> Array:
+        """(3,) of the camera, odom frame."""
+        return self.odom_from_camera.translation
+
+    @property
+    def ground_odom_m(self) -> float:
+        """Height of the ground of the take-off, odom frame."""
+        return float(self.position[2]) - self.height_m
 
     def pixels(self) -> Image:
         """(H, W, 3)"""
@@ -75,24 +86,6 @@ class _KeptImage:
             if self.rgb.ndim == 3
             else np.asarray(cv2.imdecode(self.rgb, cv2.IMREAD_COLOR), np.uint8)
         )
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """The newest image, for the semantic map."""
-
-    image: _KeptImage
-    position: Array
-    """(3,) of the camera, odom frame"""
-    height_m: float
-    ground_odom_m: float
-    """height of the ground of the take-off, odom frame"""
-    pixel_rad: float
-
-    @property
-    def dim(self) -> bool:
-        """Taken in too little light."""
-        return self.image.dim
 
 
 class SurveyImages:
@@ -105,8 +98,8 @@ class SurveyImages:
         start = rig.world_from_body_start.translation[2]
         self._ground_world = float(start) - rig.vehicle.leg_height_m
         self._history = PoseHistory(_TRACK)
-        self._kept: list[_KeptImage] = []
-        self._newest: _KeptImage | None = None
+        self._kept: list[PosedImage] = []
+        self._newest: PosedImage | None = None
         self._newest_s = -np.inf
         """time stamp of the newest usable image"""
         self._pixels: Image = np.zeros(0, np.uint8)
@@ -130,7 +123,10 @@ class SurveyImages:
                 continue
             camera = pose @ self._rig.body_from_camera
             height = float(estimate.world_from_odom.apply(camera.translation)[2])
-            kept = _KeptImage(image.rgb, image.time_s, camera, height - self._ground_world, dim)
+            kept = PosedImage(
+                image.rgb, image.time_s, camera, height - self._ground_world,
+                1.0 / self._rig.camera.fx, dim,
+            )  # fmt: skip
             self._newest = kept
             low = kept.height_m < _LOWEST_M
             if not low and (not self._kept or self._far_enough(self._kept[-1], kept)):
@@ -154,19 +150,14 @@ class SurveyImages:
                 found.append((image, dim))
         return found
 
-    def _far_enough(self, before: _KeptImage, image: _KeptImage) -> bool:
+    def _far_enough(self, before: PosedImage, image: PosedImage) -> bool:
         away = image.odom_from_camera.translation - before.odom_from_camera.translation
         return float(np.linalg.norm(away)) >= self._spacing * image.height_m
 
-    def _keep(self, image: _KeptImage) -> None:
+    def _keep(self, image: PosedImage) -> None:
         """Keeps a compressed copy; above the limit the spacing grows."""
         coded = np.asarray(cv2.imencode(".jpg", image.rgb, _JPEG)[1], np.uint8)
-        self._kept.append(
-            _KeptImage(
-                coded, image.time_s, image.odom_from_camera, image.height_m, image.dim,
-                darkest_light(image.rgb),
-            )
-        )  # fmt: skip
+        self._kept.append(replace(image, rgb=coded, darkest=darkest_light(image.rgb)))
         self._haze = None
         while len(self._kept) > self._limit:
             self._spacing *= _SPACING_GROWTH
@@ -184,35 +175,21 @@ class SurveyImages:
             self._haze = estimate_haze(heights, np.array([kept.darkest for kept in self._kept]))
         return self._haze
 
-    def newest_view(self) -> View | None:
+    def newest_view(self) -> PosedImage | None:
         """Returns the newest image where it is high enough to show a square of ground."""
         newest = self._newest
-        if newest is None or newest.height_m < _LOWEST_M:
-            return None
-        position = newest.odom_from_camera.translation
-        return View(
-            newest,
-            position,
-            newest.height_m,
-            float(position[2]) - newest.height_m,
-            1.0 / self._rig.camera.fx,
-        )
+        return None if newest is None or newest.height_m < _LOWEST_M else newest
 
-    def shows(self, view: View, sites_odom: Array, side_m: float) -> NDArray[np.bool_]:
+    def shows(self, image: PosedImage, sites_odom: Array, side_m: float) -> NDArray[np.bool_]:
         """Returns the mask of ``sites_odom`` (N, 3) of which the image shows all of the square."""
+        corners = _ground_points(image.odom_from_camera, np.zeros(3), side_m, np.array([-0.5, 0.5]))
+        points = (sites_odom[:, None, :] + corners.reshape(4, 3)).reshape(-1, 3)
         camera = self._rig.camera
-        pose = view.image.odom_from_camera
-        steps = np.array([-0.5, 0.5])
-        square = _ground_points(pose, np.zeros(3), side_m, steps).reshape(4, 3)
-        corners = sites_odom[:, None, :] + square
-        pixels, ahead = project(camera, pose.inverse().apply(corners.reshape(-1, 3)))
+        pixels, ahead = project(camera, image.odom_from_camera.inverse().apply(points))
         limit = np.array([camera.width - 1, camera.height - 1])
         inside = ahead & (pixels >= 0.0).all(axis=-1) & (pixels <= limit).all(axis=-1)
-        return np.asarray(inside.reshape(-1, 4).all(axis=1) & (view.position[2] > sites_odom[:, 2]))
-
-    def extract(self, view: View, site_odom: Array, side_m: float, pixels: int) -> Image:
-        """Returns (pixels, pixels, 3) RGB of the square around ``site_odom`` (3,) in the image."""
-        return self._extract(view.image, site_odom, side_m, pixels)
+        shown = inside.reshape(-1, 4).all(axis=1)
+        return np.asarray(shown & (image.position[2] > sites_odom[:, 2]))
 
     def patch(
         self, site_odom: Array, side_m: float, pixels: int, since_s: float = -np.inf
@@ -227,32 +204,26 @@ class SurveyImages:
         images = [*self._kept, *([] if self._newest is None else [self._newest])]
         recent = [kept for kept in images if kept.time_s >= since_s]
         for factor in _SIDE_FACTORS:
-            best: tuple[float, _KeptImage] | None = None
+            best: tuple[float, PosedImage] | None = None
             for kept in recent:
                 rank = self._rank(kept, site_odom, factor * side_m)
                 if rank is not None and (best is None or rank < best[0]):
                     best = rank, kept
             if best is not None:
-                return self._extract(best[1], site_odom, factor * side_m, pixels)
+                return self.extract(best[1], site_odom, factor * side_m, pixels)
         return None
 
-    def _rank(self, kept: _KeptImage, site: Array, side_m: float) -> float | None:
+    def _rank(self, kept: PosedImage, site: Array, side_m: float) -> float | None:
         """Returns the rank of an image, lower is better; None where it does not show all of the
         square."""
-        camera = self._rig.camera
-        offset = kept.odom_from_camera.translation - site
-        if offset[2] < _LOWEST_M:
-            return None
-        corners = _ground_points(kept.odom_from_camera, site, side_m, np.array([-0.5, 0.5]))
-        pixels, ahead = project(camera, kept.odom_from_camera.inverse().apply(corners))
-        inside = (pixels >= 0.0).all() and (pixels[..., 0] <= camera.width - 1).all()
-        if not (ahead.all() and inside and (pixels[..., 1] <= camera.height - 1).all()):
+        offset = kept.position - site
+        if offset[2] < _LOWEST_M or not self.shows(kept, site[None], side_m)[0]:
             return None
         return float(np.hypot(offset[0], offset[1]) / offset[2] + _HEIGHT_WEIGHT * offset[2])
 
-    def _extract(self, kept: _KeptImage, site: Array, side_m: float, pixels: int) -> Image:
-        """Returns the patch, sampled at the image's own resolution and averaged down to
-        ``pixels``."""
+    def extract(self, kept: PosedImage, site: Array, side_m: float, pixels: int) -> Image:
+        """Returns (pixels, pixels, 3) RGB of the square around ``site`` (3,) in the image, sampled
+        at its own resolution and averaged down."""
         depth = float(kept.odom_from_camera.translation[2] - site[2])
         native = round(side_m * self._rig.camera.fx / depth)
         count = int(np.clip(native, pixels, max(_MAX_PX, pixels)))

@@ -21,11 +21,10 @@ from touchdown.landing.api import (
     SurveyParams,
 )
 from touchdown.landing.classification.site_check import SiteClassCheck
-from touchdown.landing.mission.heading import HeadingTurn
 from touchdown.landing.mission.rules import Moment, Ruling, first_ruling
 from touchdown.landing.mission.state import MissionState
 from touchdown.landing.mission.time_scaling import TimeScaling, scaled
-from touchdown.landing.mission.trajectory import PiecewiseTrajectory
+from touchdown.landing.mission.trajectory import HeadingTurn, PiecewiseTrajectory
 from touchdown.landing.mission.view import MissionView
 from touchdown.landing.mission.wind import FeltWind, WindEstimator, WindProfile
 from touchdown.landing.selection.selector import select_sites

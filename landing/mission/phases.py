@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from touchdown.landing.api import Candidate, Phase
 from touchdown.landing.mission.choice import Choice, choose_commanded, choose_sites, decided
 from touchdown.landing.mission.descent import descend_to, final_descent
-from touchdown.landing.mission.heading import turn_in_climb
 from touchdown.landing.mission.mission import LegBlockedError, Mission, RuledSteps, Steps
 from touchdown.landing.mission.rules import Action, Moment
 from touchdown.landing.mission.site_recheck import ground_under
 from touchdown.landing.mission.trajectory import (
     straight_trajectory,
     survey_trajectory,
+    turn_in_climb,
     vertical_move,
 )
 

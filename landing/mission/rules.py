@@ -53,11 +53,15 @@ class Action(StrEnum):
 class Rule:
     """One rule, and what follows where it decides."""
 
-    name: str
     moment: Moment
     decides: Callable[[MissionView, MissionState], str | None]
     action: Action
     outcome: Outcome = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the function that decides."""
+        return self.decides.__name__
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +105,15 @@ def survey_blocked(view: MissionView, state: MissionState) -> str | None:
     """Decides where the wind stops the first survey: sites are chosen on what is mapped."""
     if state.phase is not Phase.SURVEY or state.decisions or view.params.survey_only:
         return None
-    reason = _blocked(view, state)
+    reason = leg_blocked(view, state)
     return None if reason is None else f"{reason}: landing on what is mapped"
 
 
 def leg_blocked(view: MissionView, state: MissionState) -> str | None:
     """Decides where the wind stops any other trajectory."""
-    return _blocked(view, state)
+    if state.stopped_s <= _MAX_STOP_S:
+        return None
+    return f"a wind of {view.felt_wind_mps:.1f} m/s leaves no way to fly this leg"
 
 
 def battery(view: MissionView, state: MissionState) -> str | None:
@@ -187,30 +193,23 @@ def no_go_around_left(view: MissionView, state: MissionState) -> str | None:
 
 
 RULES: tuple[Rule, ...] = (
-    Rule("estimate_lost", Moment.STEP, estimate_lost, Action.LAND_IN_PLACE, "aborted"),
-    Rule("estimate_unhealthy", Moment.STEP, estimate_unhealthy, Action.HOLD),
-    Rule("wind_aloft", Moment.CLIMB, wind_aloft, Action.LOWER_SURVEY),
-    Rule("survey_blocked", Moment.LEG, survey_blocked, Action.END_SURVEY),
-    Rule("leg_blocked", Moment.LEG, leg_blocked, Action.LAND_IN_PLACE, "aborted"),
-    Rule("battery", Moment.SELECTION, battery, Action.HURRY),
-    Rule(
-        "commanded_site_unsuitable", Moment.NO_SITE, commanded_site_unsuitable, Action.RETURN,
-        "aborted",
-    ),
-    Rule("no_site_in_time", Moment.NO_SITE, no_site_in_time, Action.LAND_IN_PLACE, "no_site"),
-    Rule("another_leg", Moment.NO_SITE, another_leg, Action.SEARCH),
-    Rule("no_site", Moment.NO_SITE, no_site, Action.RETURN, "no_site"),
-    Rule("site_recheck", Moment.RECHECK, site_recheck, Action.REFUSE),
-    Rule("class_recheck", Moment.RECHECK, class_recheck, Action.REFUSE),
-    Rule(
-        "commanded_site_refused", Moment.REFUSED, commanded_site_refused, Action.RETURN, "aborted"
-    ),
-    Rule(
-        "no_energy_to_go_around", Moment.REFUSED, no_energy_to_go_around, Action.RETURN, "no_site"
-    ),
-    Rule("go_around", Moment.REFUSED, go_around, Action.GO_AROUND),
-    Rule("no_go_around_left", Moment.REFUSED, no_go_around_left, Action.RETURN, "no_site"),
-)  # fmt: skip
+    Rule(Moment.STEP, estimate_lost, Action.LAND_IN_PLACE, "aborted"),
+    Rule(Moment.STEP, estimate_unhealthy, Action.HOLD),
+    Rule(Moment.CLIMB, wind_aloft, Action.LOWER_SURVEY),
+    Rule(Moment.LEG, survey_blocked, Action.END_SURVEY),
+    Rule(Moment.LEG, leg_blocked, Action.LAND_IN_PLACE, "aborted"),
+    Rule(Moment.SELECTION, battery, Action.HURRY),
+    Rule(Moment.NO_SITE, commanded_site_unsuitable, Action.RETURN, "aborted"),
+    Rule(Moment.NO_SITE, no_site_in_time, Action.LAND_IN_PLACE, "no_site"),
+    Rule(Moment.NO_SITE, another_leg, Action.SEARCH),
+    Rule(Moment.NO_SITE, no_site, Action.RETURN, "no_site"),
+    Rule(Moment.RECHECK, site_recheck, Action.REFUSE),
+    Rule(Moment.RECHECK, class_recheck, Action.REFUSE),
+    Rule(Moment.REFUSED, commanded_site_refused, Action.RETURN, "aborted"),
+    Rule(Moment.REFUSED, no_energy_to_go_around, Action.RETURN, "no_site"),
+    Rule(Moment.REFUSED, go_around, Action.GO_AROUND),
+    Rule(Moment.REFUSED, no_go_around_left, Action.RETURN, "no_site"),
+)
 """All rules, in the order in which they count."""
 
 
@@ -224,9 +223,3 @@ def first_ruling(moment: Moment, view: MissionView, state: MissionState) -> Ruli
 
 def _interruptible(state: MissionState) -> bool:
     return state.phase in _IN_THE_AIR and not state.final
-
-
-def _blocked(view: MissionView, state: MissionState) -> str | None:
-    if state.stopped_s <= _MAX_STOP_S:
-        return None
-    return f"a wind of {view.felt_wind_mps:.1f} m/s leaves no way to fly this leg"

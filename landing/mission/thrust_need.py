@@ -12,8 +12,6 @@ half of the thrust: tilt alone does not say what is left.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -31,14 +29,6 @@ MASS, THRUST, INFLOW, ROTOR_DRAG, BODY_DRAG, FASTEST = range(6)
 """indices into the coefficients of `air_coefficients`"""
 
 
-class Need(NamedTuple):
-    """Rotor speed and tilt of a motion in steady state."""
-
-    speed_share: float
-    """mean rotor speed over the largest; above 1 the motion cannot be flown"""
-    tilt_rad: float
-
-
 def air_coefficients(vehicle: VehicleModel) -> Array:
     """(6,) mass, thrust, inflow, drag of one rotor, drag of the fuselage, largest rotor speed."""
     hover = np.sqrt(vehicle.mass_kg * GRAVITY_MPS2 / (ROTORS * vehicle.thrust_coefficient))
@@ -54,18 +44,13 @@ def air_coefficients(vehicle: VehicleModel) -> Array:
     )
 
 
-def need(vehicle: VehicleModel, through_air: Array, acceleration: Array) -> Need:
-    """Returns the need of a velocity through the air (3,) m/s and an acceleration (3,) m/s^2, both
-    with z up."""
-    velocity = np.ascontiguousarray(through_air, dtype=np.float64)
-    wanted = np.ascontiguousarray(acceleration, dtype=np.float64)
-    share, tilt = rotor_need(velocity, wanted, air_coefficients(vehicle))
-    return Need(float(share), float(tilt))
-
-
 @njit(cache=True, error_model="numpy")
 def rotor_need(through_air: Array, acceleration: Array, coefficients: Array) -> tuple[float, float]:
-    """Speed share and tilt (rad), as `Need`, by a relaxed fixed point."""
+    """Mean rotor speed over the largest, above 1 where the motion cannot be flown, and tilt (rad)
+    of a steady motion, by a relaxed fixed point.
+
+    ``through_air`` (3,) m/s and ``acceleration`` (3,) m/s^2, z up; ``coefficients`` of
+    `air_coefficients`."""
     mass, thrust = coefficients[MASS], coefficients[THRUST]
     fastest = coefficients[FASTEST]
     vx, vy, vz = through_air[0], through_air[1], through_air[2]

@@ -38,11 +38,6 @@ class TouchdownDetector:
         self._slow_smoothing = 1.0 - math.exp(-rig.imu_ticks / rig.tick_hz / _CARRIED_S)
         self._since_s: float | None = None
 
-    @property
-    def reaction_n(self) -> float:
-        """Force of the ground on the legs, smoothed, newton."""
-        return self._reaction_n
-
     def update(self, obs: Observation, estimate: Estimate) -> bool:
         """True from the touchdown on; called once a control step while close to the ground."""
         thrust = self._vehicle.thrust_coefficient * float(np.sum(obs.rotor_speed_radps**2))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,19 +29,11 @@ _MANY_LEGS = 20
 _MAX_LEGS = 10_000
 _MAX_SURVEY_ACCEL = 6.0
 _ZERO = np.zeros(3)
-
-
-class Trajectory(Protocol):
-    """A position over time, odom frame unless stated otherwise."""
-
-    @property
-    def duration_s(self) -> float:
-        """Duration, s."""
-        ...
-
-    def sample(self, t: float) -> Sample:
-        """Returns position (3,) m, velocity (3,) m/s, acceleration (3,) m/s^2 at ``t`` seconds."""
-        ...
+BEGIN_ABOVE_M = 4.0
+"""height of the climb above which the vehicle turns"""
+_MAX_RATE = math.radians(40.0)
+"""rad/s, largest rate of the turn: images blur with it"""
+_STEP_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,18 +76,11 @@ class PiecewiseTrajectory:
         return self._coefficients
 
     def sample(self, t: float) -> Sample:
-        """As ``Trajectory.sample``."""
+        """Returns position (3,) m, velocity (3,) m/s, acceleration (3,) m/s^2 at ``t`` seconds."""
         # Here: a configuration is checked by planning its survey, which takes no compiled code.
         from touchdown.landing.mission.quintics import sample_quintics
 
         return sample_quintics(self._starts, self._coefficients, t)
-
-    def then(self, following: PiecewiseTrajectory) -> PiecewiseTrajectory:
-        """Returns this trajectory followed by ``following``; the caller makes the states match."""
-        return PiecewiseTrajectory(
-            np.concatenate([np.diff(self._starts), np.diff(following._starts)]),
-            np.concatenate([self._coefficients, following._coefficients]),
-        )
 
 
 def through(states: list[State], durations_s: list[float]) -> PiecewiseTrajectory:
@@ -353,3 +337,40 @@ def _descent(
         for depth, speed in zip(depths, speeds, strict=True)
     ]
     return through(states, durations)
+
+
+# ------------------------------------------------------------------------------------ heading
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingTurn:
+    """A minimum-jerk turn of the heading by ``angle_rad`` that begins at ``begin_s``.
+
+    Over level flight at one heading, an accelerometer's bias and an error of roll and pitch look
+    alike. Turned by half a circle, the bias points the other way and the error does not
+    (Goshen-Meskin and Bar-Itzhack, "Observability analysis of piece-wise constant systems", IEEE
+    TAES 28, 1992)."""
+
+    angle_rad: float
+    begin_s: float
+    duration_s: float
+
+    def sample(self, t: float) -> tuple[float, float]:
+        """Returns the angle turned, rad, and the rate, rad/s, at the time ``t`` in seconds."""
+        share = min(max((t - self.begin_s) / self.duration_s, 0.0), 1.0)
+        angle = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        rate = 30.0 * share**2 * (1.0 - share) ** 2 / self.duration_s
+        return self.angle_rad * angle, self.angle_rad * rate
+
+
+def turn_in_climb(climb: PiecewiseTrajectory, now_s: float, angle_deg: float) -> HeadingTurn | None:
+    """Returns a turn over the part of a climb that begins now and lies above `BEGIN_ABOVE_M`, or
+    longer where it would be too fast; None for an angle of 0."""
+    if angle_deg == 0.0:
+        return None
+    angle = math.radians(angle_deg)
+    floor, begin = float(climb.sample(0.0)[0][2]), 0.0
+    while begin < climb.duration_s and climb.sample(begin)[0][2] < floor + BEGIN_ABOVE_M:
+        begin += _STEP_S
+    shortest = PEAK_SPEED * abs(angle) / _MAX_RATE
+    return HeadingTurn(angle, now_s + begin, max(climb.duration_s - begin, shortest))

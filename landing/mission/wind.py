@@ -78,11 +78,6 @@ class FeltWind:
         """(3,) m/s, direction that the wind blows to; z is 0."""
         return self._wind.copy()
 
-    @property
-    def speed_mps(self) -> float:
-        """Wind speed, m/s."""
-        return float(np.hypot(self._wind[0], self._wind[1]))
-
     def update(self, obs: Observation, estimate: Estimate) -> None:
         """Updates the estimate; called once a control step in the air. Keeps it while the rotors
         carry less than half of the weight, as on the ground."""

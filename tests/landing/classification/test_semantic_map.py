@@ -73,7 +73,7 @@ def test_reliability_falls_with_pixel_slant_and_darkness() -> None:
     far = seen.position - [0, 0, 2.0 * 0.12 / seen.pixel_rad]
     found = semantic_map.reliability(seen, np.array([below, aside, far]), SemanticMapParams())
     np.testing.assert_allclose(found, [1.0, 0.5, 0.5], rtol=1e-6)
-    dim = dataclasses.replace(seen, image=dataclasses.replace(seen.image, dim=True))
+    dim = dataclasses.replace(seen, dim=True)
     assert semantic_map.reliability(dim, below[None], SemanticMapParams()) == pytest.approx(0.5)
     before = np.array([seen.position, seen.position + [0.15 * seen.height_m, 0, 0], [np.nan] * 3])
     np.testing.assert_allclose(

@@ -5,8 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from touchdown.landing.mission.heading import BEGIN_ABOVE_M, HeadingTurn, turn_in_climb
-from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
+from touchdown.landing.mission.trajectory import (
+    BEGIN_ABOVE_M,
+    HeadingTurn,
+    PiecewiseTrajectory,
+    State,
+    through,
+    turn_in_climb,
+)
 
 LIMIT = math.radians(40.0)
 

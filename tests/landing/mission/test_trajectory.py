@@ -66,15 +66,6 @@ def test_before_its_start_it_waits_and_after_its_end_it_coasts() -> None:
     np.testing.assert_array_equal(acceleration, np.zeros(3))
 
 
-def test_joining_adds_the_durations() -> None:
-    there = through([State(np.zeros(3)), State(np.ones(3))], [1.0])
-    back = through([State(np.ones(3)), State(np.zeros(3))], [2.0])
-    both = there.then(back)
-    assert both.duration_s == 3.0
-    np.testing.assert_allclose(both.sample(1.0)[0], np.ones(3))
-    np.testing.assert_allclose(both.sample(2.2)[0], back.sample(1.2)[0], atol=1e-12)
-
-
 def test_a_duration_of_zero_is_refused() -> None:
     with pytest.raises(ValueError, match="above 0 s"):
         through([State(np.zeros(3)), State(np.ones(3))], [0.0])
