@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.io.images import write_png
-from touchdown.landing.api import GroundPrediction
+from touchdown.landing.api import Candidate, GroundPrediction
 from touchdown.landing.classification.decision import Limits
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.weights import INPUT, OUTPUT, NetworkFacts, write_network
@@ -24,6 +24,25 @@ Paint = Callable[[Array, Array], Array]
 """x and y (...) to colours (..., 3)"""
 
 COLOURS = {"lawn": (40, 200, 40), "water": (40, 40, 200), "road": (200, 40, 40)}
+
+
+def chances(**given: float) -> Array:
+    """Probabilities of the named classes, the rest shared by the others."""
+    left = (1.0 - sum(given.values())) / (len(D_LAND) - len(given))
+    return np.array([given.get(name, left) for name in D_LAND])
+
+
+def site_at(x: float, y: float) -> Candidate:
+    """A site on level ground that is accepted."""
+    return Candidate(
+        position_odom=np.array([x, y, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5,
+        slope_deg=0.0, roughness_m=0.0, clearance_m=3.0, accepted=True, reason="landable",
+        rule="lower_value",
+    )  # fmt: skip
+
+
+def west_is_water(x: Array, y: Array) -> Array:
+    return np.where((x < 0.0)[..., None], COLOURS["water"], COLOURS["lawn"]).astype(float)
 
 
 def small_rig() -> SensorRig:

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.landing.api import Candidate, GroundPrediction, LandingParams, SemanticMapParams
+from touchdown.landing.api import GroundPrediction, LandingParams, SemanticMapParams
 from touchdown.landing.classification import engine, site_check
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.scores import probabilities
 from touchdown.landing.classification.survey_images import SurveyImages, brightened
 from touchdown.sim.frames import Pose
 
-from support.ground_class_support import COLOURS, ByColour, photograph, plain, small_rig
+from support.ground_class_support import COLOURS, ByColour, photograph, plain, site_at, small_rig
 from support.landing_support import make_estimate, make_grid, make_obs, select, view_of
 
 
@@ -155,9 +155,5 @@ def test_a_class_needs_the_known_ground_and_a_name_that_is_allowed() -> None:
     unsafe = check.refusal(site_check.SiteClass(chance, True), False)
     assert unsafe is not None and unsafe.rule == "unsafe_ground"
     assert check.refusal(site_check.SiteClass(chance, True), True) is None
-    site = Candidate(
-        position_odom=np.zeros(3), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5, slope_deg=0.0,
-        roughness_m=0.0, clearance_m=3.0, accepted=True, reason="landable", rule="lower_value",
-    )  # fmt: skip
-    (judged,) = check.judge([site], FLAT)
+    (judged,) = check.judge([site_at(0.0, 0.0)], FLAT)
     assert judged.accepted and check.class_of(judged) is not None

@@ -20,11 +20,13 @@ from touchdown.landing.classification.site_check import (
 from touchdown.sim.frames import Pose
 
 from support.ground_class_support import (
-    COLOURS,
     ByColour,
+    chances,
     photograph,
     plain,
+    site_at,
     small_rig,
+    west_is_water,
     write_colour_network,
 )
 from support.landing_support import make_estimate, make_grid, make_obs, select, view_of
@@ -32,13 +34,6 @@ from support.landing_support import make_estimate, make_grid, make_obs, select, 
 Array = NDArray[np.float64]
 ABOVE = Pose(np.eye(3), np.array([0.0, 0.0, 20.0]))
 SURE = 0.97
-
-
-def _chances(**given: float) -> Array:
-    """Probabilities of the named classes, the rest shared by the others."""
-    others = [name for name in D_LAND if name not in given]
-    left = (1.0 - sum(given.values())) / len(others)
-    return np.array([given.get(name, left) for name in D_LAND])
 
 
 def _scores(*rows: Array) -> NDArray[np.float32]:
@@ -54,7 +49,7 @@ def test_energy_is_the_logarithm_of_the_sum_of_exponentials() -> None:
 
 def test_safe_classes_count_together() -> None:
     """Half lawn, half field is safe ground all the same; half lawn, half water is not."""
-    scores = _scores(_chances(lawn=0.5, field=0.46), _chances(lawn=0.55, water=0.44))
+    scores = _scores(chances(lawn=0.5, field=0.46), chances(lawn=0.55, water=0.44))
     limits = decision.Limits(min_probability=0.9)
     assert decision.accepted(scores, limits).tolist() == [True, False]
     strange = dataclasses.replace(limits, min_energy=1.0)
@@ -69,7 +64,7 @@ def test_limits_are_set_by_an_interval_of_the_share_of_unsafe_images() -> None:
     allowed = [decision.allowed_mistakes(n, 0.01, 0.95) for n in (298, 299, 472, 473, 800)]
     assert allowed == [-1, 0, 0, 1, 3]
     claims = np.linspace(0.5, 0.9, 800)
-    rows = [_chances(lawn=float(claim)) for claim in claims]
+    rows = [chances(lawn=float(claim)) for claim in claims]
     labels = np.full(800, D_LAND.index("water"))
     limits = decision.fitted_limits(_scores(*rows), labels)
     taken = decision.accepted(_scores(*rows), limits)
@@ -79,7 +74,7 @@ def test_limits_are_set_by_an_interval_of_the_share_of_unsafe_images() -> None:
     # above 0.55, since a third of the rest is of the other safe classes: 0.55 + 0.15 = 0.7
     assert (found["unsafe_unknown"], found["safe_unknown"]) == (int((claims > 0.55).sum()) - 3, 0)
     assert decision.is_unsafe(np.array([-1, 0, 5])).tolist() == [True, False, True]
-    easy = decision.fitted_limits(_scores(_chances(lawn=SURE)), np.array([D_LAND.index("lawn")]))
+    easy = decision.fitted_limits(_scores(chances(lawn=SURE)), np.array([D_LAND.index("lawn")]))
     assert easy.min_probability == decision.LEAST
 
 
@@ -96,24 +91,13 @@ def test_file_carries_its_limits_and_an_older_one_gets_defaults() -> None:
 
 
 def _sites(*xy: tuple[float, float]) -> list[Candidate]:
-    return [
-        Candidate(
-            position_odom=np.array([x, y, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5,
-            slope_deg=0.0, roughness_m=0.0, clearance_m=3.0, accepted=True, reason="landable",
-            rule="lower_value",
-        )
-        for x, y in xy
-    ]  # fmt: skip
+    return [site_at(x, y) for x, y in xy]
 
 
 FLAT = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
 
 
-def _west_is_water(x: Array, y: Array) -> Array:
-    return np.where((x < 0.0)[..., None], COLOURS["water"], COLOURS["lawn"]).astype(float)
-
-
-def _check(classifier: Any, paint: Any = _west_is_water, **params: Any) -> SiteClassCheck:
+def _check(classifier: Any, paint: Any = west_is_water, **params: Any) -> SiteClassCheck:
     rig = small_rig()
     check = SiteClassCheck(
         classifier, rig, LandingParams(**{"semantics": SemanticMapParams(squares=0)} | params)
@@ -201,11 +185,11 @@ def test_roads_are_accepted_only_where_they_are_allowed() -> None:
 def test_second_look_has_the_weight_of_the_first() -> None:
     """Lawn from above, water from below: neither, so it is refused; lawn twice stays lawn."""
     check = _check(ByColour(), plain("water"))
-    before = SiteClass(_chances(lawn=0.99), True)
+    before = SiteClass(chances(lawn=0.99), True)
     site_class = check.reclassify(before, np.zeros(3), FLAT, 2.0)
     assert site_class is not None
     water = D_LAND.index("water")
-    expected = 0.5 * (_chances(lawn=0.99) + _chances(water=SURE))
+    expected = 0.5 * (chances(lawn=0.99) + chances(water=SURE))
     assert site_class.probabilities[water] == pytest.approx(expected[water])
     assert check.refusal(site_class, False) is not None
     again = _check(ByColour()).reclassify(before, np.array([9.0, 0, 0]), FLAT, 2.0)
@@ -215,7 +199,7 @@ def test_second_look_has_the_weight_of_the_first() -> None:
 def test_a_blurred_closer_look_adds_little() -> None:
     """Painted ground without fine detail: unsure and strange from closer, it keeps the first
     prediction; with detail it halves it. Smooth water refuses all the same."""
-    before = SiteClass(_chances(lawn=0.99), True)
+    before = SiteClass(chances(lawn=0.99), True)
     unsure = ByColour(0.6, in_distribution=False)
     grain = np.random.default_rng(0).normal(0.0, 60.0, (4000,))
 
@@ -249,7 +233,7 @@ def test_an_emergency_takes_the_least_bad() -> None:
 def test_missing_pulses_raise_the_probability_of_water_and_their_absence_does_not_lower_it() -> (
     None
 ):
-    doubtful = _chances(lawn=0.9, water=0.05)
+    doubtful = chances(lawn=0.9, water=0.05)
     water = D_LAND.index("water")
     np.testing.assert_allclose(fuse_lidar_evidence(doubtful, 0.0, 900.0, False), doubtful)
     np.testing.assert_allclose(fuse_lidar_evidence(doubtful, 0.0, 0.0, False), doubtful)
@@ -261,11 +245,11 @@ def test_missing_pulses_raise_the_probability_of_water_and_their_absence_does_no
 
 
 def test_traffic_turns_an_uncertain_path_into_a_road() -> None:
-    doubtful = _chances(path=0.85, road=0.1)
+    doubtful = chances(path=0.85, road=0.1)
     found = fuse_lidar_evidence(doubtful, 0.0, 900.0, True)
     assert D_LAND[int(found.argmax())] == "road"
     assert found[D_LAND.index("road")] == pytest.approx(2.0 / 2.9)
-    lawn = fuse_lidar_evidence(_chances(lawn=0.994), 0.0, 900.0, True)
+    lawn = fuse_lidar_evidence(chances(lawn=0.994), 0.0, 900.0, True)
     assert lawn[D_LAND.index("lawn")] > 0.95
 
 

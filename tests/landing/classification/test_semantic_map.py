@@ -7,24 +7,27 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.landing.api import Candidate, LandingParams, SemanticMapParams
+from touchdown.landing.api import LandingParams, SemanticMapParams
 from touchdown.landing.classification import semantic_map
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.site_check import SiteClassCheck
 from touchdown.sim.frames import Pose
 
-from support.ground_class_support import COLOURS, ByColour, photograph, plain, small_rig
+from support.ground_class_support import (
+    ByColour,
+    chances,
+    photograph,
+    plain,
+    site_at,
+    small_rig,
+    west_is_water,
+)
 from support.landing_support import make_estimate, make_grid, make_obs, select, view_of
 
 Array = NDArray[np.float64]
 FLAT = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
 LAWN, WATER = D_LAND.index("lawn"), D_LAND.index("water")
 MAPPED = LandingParams(semantics=SemanticMapParams(squares=2))
-
-
-def _chances(**given: float) -> Array:
-    left = (1.0 - sum(given.values())) / (len(D_LAND) - len(given))
-    return np.array([given.get(name, left) for name in D_LAND])
 
 
 def _fly(check: SiteClassCheck, paint: Any, *places: tuple[float, float, float]) -> None:
@@ -38,26 +41,15 @@ def _fly(check: SiteClassCheck, paint: Any, *places: tuple[float, float, float])
             check.update(make_obs(tick, images=(image,)), make_estimate(tick, pose), FLAT)
 
 
-def _site() -> Candidate:
-    return Candidate(
-        position_odom=np.zeros(3), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5, slope_deg=0.0,
-        roughness_m=0.0, clearance_m=3.0, accepted=True, reason="landable", rule="lower_value",
-    )  # fmt: skip
-
-
-def _west_is_water(x: Array, y: Array) -> Array:
-    return np.where((x < 0.0)[..., None], COLOURS["water"], COLOURS["lawn"]).astype(float)
-
-
 def test_views_add_up_in_log_odds() -> None:
     """0.8 for lawn is 24 times 0.2 / 6; half a view more makes 24^1.5, and more than one and a half
     count no more. Views that contradict one another leave both classes."""
-    lawn = semantic_map.log_odds(_chances(lawn=0.8))
+    lawn = semantic_map.log_odds(chances(lawn=0.8))
     for views in (1.0, 1.5, 4.0):
         odds = 24.0 ** min(views, 1.5)
         (found,) = semantic_map.fused(views * lawn[None], np.array([views]), 1.5)
         assert found[LAWN] == pytest.approx(odds / (odds + 6.0))
-    water = semantic_map.log_odds(_chances(water=0.8))
+    water = semantic_map.log_odds(chances(water=0.8))
     (both,) = semantic_map.fused((lawn + water)[None], np.array([2.0]), 1.5)
     assert both[LAWN] == pytest.approx(both[WATER]) and both[LAWN] > 0.3
     nothing = semantic_map.fused(np.zeros((1, 7)), np.zeros(1), 1.5)
@@ -85,7 +77,7 @@ def test_a_flight_maps_what_it_sees_and_sites_prefer_it() -> None:
     classifier = ByColour()
     check = SiteClassCheck(classifier, small_rig(), MAPPED)
     assert check.semantic_view() is None
-    _fly(check, _west_is_water, (0.0, 0.0, 30.0), (0.0, 6.0, 20.0))
+    _fly(check, west_is_water, (0.0, 0.0, 30.0), (0.0, 6.0, 20.0))
     assert max(classifier.batches) == 2
     seen = check.semantic_view()
     assert seen is not None
@@ -113,10 +105,10 @@ def test_a_site_is_judged_by_all_that_was_seen_of_it() -> None:
     _fly(check, plain("water"), (0.0, 0.0, 20.0), (0.0, 4.0, 20.0), (0.0, -4.0, 20.0))
     found = check.reclassify(None, np.zeros(3), FLAT, 6.0)
     assert found is not None and found.name == "water" and found.probability > 0.94
-    (site,) = check.judge([_site()], FLAT)
+    (site,) = check.judge([site_at(0.0, 0.0)], FLAT)
     assert site.class_predicted == "water" and site.class_probability > 0.94
     assert check._semantics is not None
-    chance = check._semantics.with_view(np.zeros(2), _chances(lawn=0.8))
+    chance = check._semantics.with_view(np.zeros(2), chances(lawn=0.8))
     assert chance[WATER] > chance[LAWN] > 0.05
 
 

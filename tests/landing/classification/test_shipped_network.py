@@ -8,6 +8,10 @@ from pathlib import Path
 
 os.environ.setdefault("MUJOCO_GL", "egl")
 
+import os
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -94,3 +98,15 @@ def test_commands_without_a_network_use_the_shipped_one(tmp_path: Path, says: Sa
     (row,) = json.loads(says(0, "classify", picture, "--out", out, "--json").out)["pictures"]
     assert Path(row["classes"]).is_file()
     assert sum(row["shares"].values()) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_onnx_runtime_keeps_no_record_of_its_use(tmp_path: Path) -> None:
+    code = (
+        "from touchdown.landing.classification.engine import OnnxClassifier\n"
+        "from touchdown.landing.classification.onboard import SHIPPED\n"
+        "OnnxClassifier(SHIPPED)"
+    )
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("ORT_")}
+    environment |= {"HOME": str(tmp_path), "XDG_CACHE_HOME": ""}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]

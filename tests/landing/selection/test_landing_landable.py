@@ -181,19 +181,3 @@ def test_touchdown_is_detected_by_weight_on_the_legs_not_by_gusts_or_a_bump() ->
         felt_after += 1
         assert felt_after < 100
     assert 0.1 < felt_after * 0.005 < 0.3
-
-
-def test_touchdown_is_detected_where_the_estimate_rises_and_the_vehicle_bounces() -> None:
-    detector = TouchdownDetector(make_rig())
-    weight = 4.0 * 9.81
-    share = 0.6
-    speed = np.full(4, np.sqrt(share * weight / 4.0 / 4e-5))
-    for step in range(400):
-        # A quarter of the time on the ground, with four times what rotors leave to it.
-        reaction = 4.0 * (1.0 - share) if step % 40 < 10 else 0.0
-        obs = make_obs(
-            3 * step, imu=(make_imu(3 * step, 9.81 * (share + reaction)),), rotor_speed_radps=speed
-        )
-        if detector.update(obs, make_estimate(3 * step, Pose.identity(), (0.0, 0.0, 0.3))):
-            break
-    assert 0.2 < step * 0.005 < 1.0
