@@ -330,7 +330,7 @@ class ClassifierRig:
 class GroundClassifier(Protocol):
     """Predicts the class of the ground in square aerial images. ``classify`` is called at a
     decision with patches around candidate sites, ``landing.classifier_batch`` at most, each call
-    taking ``landing.classifier_batch_latency_s`` of simulated time, at the second look with one,
+    taking ``landing.classifier_batch_latency_s`` of simulated time, at the recheck with one,
     and for the semantic map with ``landing.semantics.squares`` every tenth of a second. Images are
     level and along the axes of the camera, without haze and lens distortion. It must be
     deterministic and must not modify its input."""

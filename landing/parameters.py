@@ -187,7 +187,7 @@ class SemanticMapParams:
     apart: ClassVar[float] = 0.15
     """distance between two cameras, relative to their height, from which their views differ"""
     close: ClassVar[float] = 2.0
-    """weight of a sharp view from the height of the second look"""
+    """weight of a sharp view from the height of the recheck"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -320,7 +320,7 @@ class LandingParams:
     obstacle_margin_m: ClassVar[float] = 6.0
     """vertical clearance above the map on the way to the site"""
     look_height_m: Positive = 10.0
-    """height above the site of the second look"""
+    """height above the site of the first recheck"""
     look_s: NotNegative = 1.0
     """hover before each look"""
     commit_height_m: Positive = 4.0

