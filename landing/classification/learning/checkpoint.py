@@ -12,12 +12,20 @@ from pathlib import Path
 from typing import Any, Protocol
 from zlib import crc32
 
+import numpy as np
+import onnx
 import torch
+from onnx import numpy_helper
+from onnx.external_data_helper import uses_external_data
 from torch import Tensor, nn
 
-from touchdown.landing.classification.learning.weights_file import load_weights, read_weights
 from touchdown.landing.classification.networks.registry import load_pretrained
-from touchdown.landing.classification.weights import SUFFIX
+from touchdown.landing.classification.weights import (
+    SUFFIX,
+    NetworkFacts,
+    facts_of,
+    read_network,
+)
 from touchdown.sim.files.opening import no_file
 
 LAST = "last.pt"
@@ -26,6 +34,8 @@ IMAGENET = Path("imagenet")
 NETWORK = "network.onnx"
 """name of the network's file in the folder of a training"""
 MAX_BYTES = 4 << 30
+_PREFIX = "network."
+"""of names in a network's file"""
 _OTHER = {
     "data": "other images",
     "start": "other weights to begin with",
@@ -114,7 +124,7 @@ def begin_with(network: nn.Module, name: str, classes: tuple[str, ...], start: P
     if not finite(weights):
         raise ValueError(f"'{start}' holds weights that are NaN or infinite; train anew")
     try:
-        load_weights(network, weights, "network.")
+        load_weights(network, weights)
     except RuntimeError:
         raise other from None
 
@@ -163,3 +173,44 @@ def _read(path: Path) -> dict[str, Any]:
         reason = str(error).splitlines()[0] if str(error) else "it is damaged"
         raise ValueError(f"'{path}' cannot be read as a checkpoint: {reason}") from error
     return value
+
+
+def read_weights(path: Path) -> tuple[NetworkFacts, dict[str, Tensor]]:
+    """Returns the metadata of a file and its arrays (float32) by name.
+
+    Raises ValueError and FileNotFoundError as `landing.classification.weights.read_network`, and
+    ValueError for a file that is not a network."""
+    content = read_network(path)
+    try:
+        model = onnx.load_from_string(content)
+    except Exception as error:  # protobuf's own class moves between versions
+        raise ValueError(f"'{path}' cannot be loaded as a network: {error}") from error
+    facts = facts_of({p.key: p.value for p in model.metadata_props}, path)
+    if any(uses_external_data(value) for value in model.graph.initializer):
+        raise ValueError(f"'{path}' keeps its weights in another file; save it as one file")
+    try:
+        given = {value.name: numpy_helper.to_array(value) for value in model.graph.initializer}
+    except (ValueError, TypeError, KeyError, MemoryError) as error:
+        raise ValueError(f"'{path}' has weights that cannot be read: {error}") from error
+    # the exporter gives values that are equal one name, and an Identity for each other
+    for node in model.graph.node:
+        if node.op_type == "Identity" and node.input[0] in given:
+            given[node.output[0]] = given[node.input[0]]
+    return facts, {
+        name: torch.from_numpy(values.astype(np.float32))
+        for name, values in given.items()
+        if values.dtype.kind == "f"
+    }
+
+
+def load_weights(module: nn.Module, given: dict[str, Tensor]) -> None:
+    """Loads the weights of ``module`` by name; counters of the norms are not in a file.
+
+    Raises ValueError where a weight is missing, RuntimeError where one has another shape."""
+    state = module.state_dict()
+    for name, own in state.items():
+        if _PREFIX + name in given:
+            state[name] = given[_PREFIX + name]
+        elif own.is_floating_point():
+            raise ValueError(f"the file lacks the weights '{_PREFIX + name}'")
+    module.load_state_dict(state)

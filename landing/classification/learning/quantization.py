@@ -48,33 +48,28 @@ def with_facts(path: Path, facts: NetworkFacts) -> None:
     write_network(path, model.SerializeToString(deterministic=True))
 
 
-class _CalibrationImages:
-    """Feeds the calibration of ranges batch by batch."""
-
-    def __init__(self, images: Image) -> None:
-        inputs = as_input(images, images.shape[1])
-        self._batches = iter([inputs[i : i + _BATCH] for i in range(0, len(inputs), _BATCH)])
-
-    def get_next(self) -> dict[str, NDArray[np.float32]] | None:
-        """Returns the next batch, None at the end."""
-        batch = next(self._batches, None)
-        return None if batch is None else {INPUT: batch}
-
-
 def _int8(model: onnx.ModelProto, images: Image) -> bytes:
     """Returns the model in int8. ONNX Runtime simplifies the graph first, which merges norms into
     the filters."""
     from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
     from onnxruntime.quantization.shape_inference import quant_pre_process
 
-    CalibrationDataReader.register(_CalibrationImages)
+    class Batches(CalibrationDataReader):  # type: ignore[misc]
+        """Feeds the calibration of ranges batch by batch."""
+
+        def get_next(self) -> dict[str, NDArray[np.float32]] | None:
+            batch = next(batches, None)
+            return None if batch is None else {INPUT: batch}
+
+    inputs = as_input(images, images.shape[1])
+    batches = iter([inputs[i : i + _BATCH] for i in range(0, len(inputs), _BATCH)])
     with tempfile.TemporaryDirectory() as folder:
         simple, small = Path(folder) / "simple.onnx", Path(folder) / "int8.onnx"
         quant_pre_process(model, simple, skip_symbolic_shape=True)
         quantize_static(
             simple,
             small,
-            _CalibrationImages(images),
+            Batches(),
             per_channel=True,
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,

@@ -125,7 +125,7 @@ def test_weights_outside_of_the_file_are_not_read(
         path = network(tmp_path / "n.onnx", nodes, [outside])
         refused(path, "its weights lie in another file; save it as one file")
         pytest.importorskip("torch")
-        from touchdown.landing.classification.learning.weights_file import read_weights
+        from touchdown.landing.classification.learning.checkpoint import read_weights
 
         with pytest.raises(ValueError, match="in another file; save it as one file"):
             read_weights(path)
