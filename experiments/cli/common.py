@@ -35,7 +35,7 @@ def resumable(what: str) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as error:
-        raise KeyboardInterrupt(f"stopped; finished {what}") from error
+        raise click.Abort(f"stopped; finished {what}") from error  # click prints nothing of it
 
 
 class Number(click.FloatRange):
