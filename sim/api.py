@@ -7,24 +7,16 @@ read-only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Protocol
 
 import numpy as np
 from annotated_types import Interval
 
-from touchdown.sim.airframe.types import VehicleErrorParams as VehicleErrorParams
-from touchdown.sim.camera.types import CameraParams as CameraParams
-from touchdown.sim.camera.types import LampParams as LampParams
 from touchdown.sim.faults.types import FAULT_KINDS as FAULT_KINDS
 from touchdown.sim.faults.types import Fault as Fault
 from touchdown.sim.faults.types import FaultParams as FaultParams
 from touchdown.sim.frames import Pose
-from touchdown.sim.imu_types import ImuParams as ImuParams
-from touchdown.sim.imu_types import ImuSheet as ImuSheet
-from touchdown.sim.lidar.types import LidarParams as LidarParams
-from touchdown.sim.lidar.types import LidarPreset as LidarPreset
-from touchdown.sim.lidar.types import LidarSheet as LidarSheet
 from touchdown.sim.navigation.types import BarometerParams as BarometerParams
 from touchdown.sim.navigation.types import BarometerSample as BarometerSample
 from touchdown.sim.navigation.types import BarometerSheet as BarometerSheet
@@ -38,13 +30,21 @@ from touchdown.sim.navigation.types import NavParams as NavParams
 from touchdown.sim.navigation.types import NavSheet as NavSheet
 from touchdown.sim.navigation.types import RangefinderParams as RangefinderParams
 from touchdown.sim.navigation.types import RangefinderSample as RangefinderSample
-from touchdown.sim.ranges import FORBID_EXTRA as FORBID_EXTRA
-from touchdown.sim.ranges import Count as Count
-from touchdown.sim.ranges import CountOrZero as CountOrZero
-from touchdown.sim.ranges import Fraction as Fraction
-from touchdown.sim.ranges import Heading as Heading
-from touchdown.sim.ranges import NotNegative as NotNegative
-from touchdown.sim.ranges import Positive as Positive
+from touchdown.sim.params import FORBID_EXTRA as FORBID_EXTRA
+from touchdown.sim.params import CameraParams as CameraParams
+from touchdown.sim.params import Count as Count
+from touchdown.sim.params import CountOrZero as CountOrZero
+from touchdown.sim.params import Fraction as Fraction
+from touchdown.sim.params import Heading as Heading
+from touchdown.sim.params import ImuParams as ImuParams
+from touchdown.sim.params import ImuSheet as ImuSheet
+from touchdown.sim.params import LampParams as LampParams
+from touchdown.sim.params import LidarParams as LidarParams
+from touchdown.sim.params import LidarPreset as LidarPreset
+from touchdown.sim.params import LidarSheet as LidarSheet
+from touchdown.sim.params import NotNegative as NotNegative
+from touchdown.sim.params import Positive as Positive
+from touchdown.sim.params import VehicleErrorParams as VehicleErrorParams
 from touchdown.sim.typing import Array, Bytes, Float32
 
 GRAVITY_MPS2 = 9.81
@@ -97,7 +97,7 @@ class WindParams:
     """Mean speed at 20 ft (6.1 m); also W20 of the Dryden model."""
     direction_deg: Heading | None = None
     """Direction that the wind blows to, counter-clockwise from east; None: by seed."""
-    roughness_length_m: Positive = 0.1
+    roughness_length_m: Annotated[float, Interval(gt=0.0, lt=6.0)] = 0.1
     """roughness length of the logarithmic profile"""
     turbulence: bool = True
     """add Dryden turbulence to the mean wind"""
@@ -216,6 +216,11 @@ class SensorRig:
     """nominal time from the exposure of an image's first row to that of its last"""
 
 
+def divisors(number: int) -> str:
+    """The divisors of a number, for messages."""
+    return ", ".join(str(i) for i in range(1, number + 1) if number % i == 0)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensorNeeds:
     """Sensors that a component needs. The world simulates the union of all needs and nothing else.
@@ -231,14 +236,9 @@ class SensorNeeds:
     rangefinder: bool = False
 
     def __or__(self, other: SensorNeeds) -> SensorNeeds:
+        names = (field.name for field in fields(self))
         return SensorNeeds(
-            camera_hz=max(self.camera_hz, other.camera_hz),
-            stereo=self.stereo or other.stereo,
-            lidar=self.lidar or other.lidar,
-            gps=self.gps or other.gps,
-            barometer=self.barometer or other.barometer,
-            magnetometer=self.magnetometer or other.magnetometer,
-            rangefinder=self.rangefinder or other.rangefinder,
+            **{name: max(getattr(self, name), getattr(other, name)) for name in names}
         )
 
     def check_camera_rate(self, clock_hz: int) -> None:
@@ -246,10 +246,9 @@ class SensorNeeds:
         clock."""
         rate = self.camera_hz
         if not isinstance(rate, int | np.integer) or rate < 0 or (rate and clock_hz % rate):
-            divisors = ", ".join(str(i) for i in range(1, clock_hz + 1) if clock_hz % i == 0)
             raise ValueError(
                 f"camera_hz is {rate}, but images come on pulses of a {clock_hz} Hz clock: 0 or "
-                f"one of {divisors}"
+                f"one of {divisors(clock_hz)}"
             )
 
 

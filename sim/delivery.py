@@ -1,4 +1,5 @@
-"""Delayed delivery: a measurement arrives at a tick that is fixed when it is taken.
+"""Rates, the camera's clock, and delayed delivery: a measurement arrives at a tick that is fixed
+when it is taken.
 
 The work that turns a snapshot of the world into a measurement may run in another thread meanwhile.
 The tick at which its result arrives is fixed when it is submitted, and whoever collects at that
@@ -7,16 +8,16 @@ tick waits for the result if need be, so thread timing cannot change what a flig
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 from zlib import crc32
 
 import numpy as np
 
-from touchdown.sim.api import SimParams
+from touchdown.sim.api import CameraParams, SensorNeeds, SimParams, divisors
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -36,20 +37,10 @@ class InlineExecutor(Executor):
 
 def make_executor(threads: int) -> Executor:
     """An executor: ``threads`` 1 runs work in the caller's thread, 2 in one worker thread (one,
-    since an OpenGL context belongs to one thread). Raises ValueError for other numbers."""
+    since an OpenGL context belongs to one thread)."""
     if threads == 1:
         return InlineExecutor()
-    if threads == 2:
-        return ThreadPoolExecutor(max_workers=1, thread_name_prefix="sensor")
-    raise ValueError(f"sim.threads must be 1 or 2, not {threads}")
-
-
-@dataclass(frozen=True, slots=True)
-class InFlight(Generic[T]):
-    """A measurement in transit."""
-
-    due_tick: int
-    result: Future[T]
+    return ThreadPoolExecutor(max_workers=1, thread_name_prefix="sensor")
 
 
 class Latency:
@@ -88,28 +79,106 @@ class DeliveryQueue(Generic[T]):
 
     def __init__(self, executor: Executor) -> None:
         self._executor = executor
-        self._waiting: deque[InFlight[T]] = deque()
+        self._waiting: deque[tuple[int, Future[T]]] = deque()
+        """ticks of arrival, and results"""
 
     def submit(self, due_tick: int, fn: Callable[..., T], *args: Any) -> None:
         """``fn(*args)`` starts now and its result arrives at ``due_tick``. ``args`` must not be
         written to afterwards. ValueError: something already queued is due later."""
-        if self._waiting and due_tick < self._waiting[-1].due_tick:
+        if self._waiting and due_tick < self._waiting[-1][0]:
             raise ValueError(
-                f"due tick {due_tick} lies before {self._waiting[-1].due_tick}, already queued"
+                f"due tick {due_tick} lies before {self._waiting[-1][0]}, already queued"
             )
-        self._waiting.append(InFlight(due_tick, self._executor.submit(fn, *args)))
+        self._waiting.append((due_tick, self._executor.submit(fn, *args)))
 
     def collect(self, tick: int) -> tuple[T, ...]:
         """Everything due at or before ``tick``, oldest first; waits for work that is not done. An
         exception of the work is raised here."""
         arrived = []
-        while self._waiting and self._waiting[0].due_tick <= tick:
-            arrived.append(self._waiting.popleft().result.result())
+        while self._waiting and self._waiting[0][0] <= tick:
+            arrived.append(self._waiting.popleft()[1].result())
         return tuple(arrived)
 
     def clear(self) -> None:
         """Drops everything in transit, after waiting for work that already runs."""
-        for item in self._waiting:
-            if not item.result.cancel():
-                item.result.exception()
+        for _, result in self._waiting:
+            if not result.cancel():
+                result.exception()
         self._waiting.clear()
+
+
+MIN_TICK_HZ = 500
+"""The feet are 30 ms stiff; slower physics would not resolve a touchdown."""
+
+
+def check_rates(sim: SimParams, needs: SensorNeeds) -> None:
+    """Raises ValueError, with the allowed values, unless every rate divides ``tick_hz`` and the
+    needed camera rate divides the camera's own clock."""
+    if sim.tick_hz < MIN_TICK_HZ:
+        raise ValueError(f"sim.tick_hz must be {MIN_TICK_HZ} or more, not {sim.tick_hz}")
+    for name in ("control_ticks", "imu_ticks", "camera_ticks", "lidar_scan_ticks"):
+        ticks = getattr(sim, name)
+        if ticks < 1 or sim.tick_hz % ticks:
+            raise ValueError(
+                f"sim.{name} is {ticks}, but it must divide sim.tick_hz ({sim.tick_hz}): "
+                f"one of {divisors(sim.tick_hz)}"
+            )
+    needs.check_camera_rate(sim.tick_hz // sim.camera_ticks)
+
+
+def readout_ticks(readout_s: float, sim: SimParams) -> int:
+    """Ticks between the first and the last row of a rolling shutter; 0 for a global one.
+
+    Raises ValueError if the readout would last into the next exposure.
+    """
+    ticks = round(readout_s * sim.tick_hz)
+    if ticks >= sim.camera_ticks:
+        raise ValueError(
+            f"camera.readout_s is {readout_s:g}, but the camera's clock beats every "
+            f"{sim.camera_ticks / sim.tick_hz:.4g} s: give less"
+        )
+    return ticks
+
+
+class Stamp(NamedTuple):
+    """A time in seconds and the tick nearest to it."""
+
+    tick: int
+    time_s: float
+
+
+class ShutterClock:
+    """Ticks of a camera. A pulse is the middle of the last row's exposure, on a whole tick.
+
+    phase_ticks: of the pulses after those of the LIDAR's clock. before_ticks: from the tick that is
+    drawn to the pulse. after_ticks: from the pulse to the end of its exposure. span_ticks: from the
+    beginning of the first row's exposure to the end of the last.
+    """
+
+    def __init__(self, params: CameraParams, sim: SimParams, seed: int, takes_time: bool) -> None:
+        self._params, self._hz, self._seed = params, sim.tick_hz, seed
+        readout = readout_ticks(params.readout_s, sim)
+        longest = max(params.exposure_max_s, params.exposure_min_s) if takes_time else 0.0
+        self.after_ticks = math.ceil(0.5 * longest * sim.tick_hz)
+        self.before_ticks = readout // 2
+        self.span_ticks = math.ceil(params.readout_s * sim.tick_hz) + 2 * self.after_ticks
+        most = round(params.phase_s * sim.tick_hz)
+        if most >= sim.camera_ticks:
+            raise ValueError(
+                f"camera.phase_s is {params.phase_s:g}, but the camera's clock beats every "
+                f"{sim.camera_ticks / sim.tick_hz:.4g} s: give less"
+            )
+        draw = np.random.default_rng([seed, crc32(b"camera clock")])
+        self.phase_ticks = int(draw.integers(0, most + 1)) if most else 0
+
+    def stamp(self, pulse: int) -> Stamp:
+        """The stamp of the image of a pulse."""
+        p = self._params
+        if p.stamp_delay_s == 0.0 and p.stamp_jitter_s == 0.0:
+            return Stamp(pulse, pulse / self._hz)
+        error = p.stamp_delay_s
+        if p.stamp_jitter_s > 0.0:
+            draw = np.random.default_rng([self._seed, crc32(b"camera stamps"), pulse])
+            error += p.stamp_jitter_s * float(draw.standard_normal())
+        time_s = max(pulse / self._hz + error, 0.0)
+        return Stamp(round(time_s * self._hz), time_s)

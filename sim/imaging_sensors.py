@@ -12,23 +12,26 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Scene
+from touchdown.sim.airframe.deviations import give_back_textures
 from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.api import CameraImage, LidarScan, SensorNeeds, WorldParams
 from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor, GroundEffects
-from touchdown.sim.camera.stamps import ShutterClock, Stamp
 from touchdown.sim.camera.vegetation import Vegetation
-from touchdown.sim.clock import image_period_ticks
-from touchdown.sim.delivery import DeliveryQueue, Latency, make_executor
+from touchdown.sim.delivery import (
+    DeliveryQueue,
+    Latency,
+    ShutterClock,
+    Stamp,
+    make_executor,
+)
 from touchdown.sim.dust import DustCloud
 from touchdown.sim.effects import Effects
-from touchdown.sim.faults.disturbances import Disturbances
-from touchdown.sim.faults.weather import Weather
+from touchdown.sim.faults.disturbances import Disturbances, Weather
 from touchdown.sim.frames import so3_log
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.moving import BodyTrack, MovingBodies
-from touchdown.sim.textures import give_back_textures
 from touchdown.sim.typing import Array, Bytes
 from touchdown.sim.wind import Wind
 
@@ -83,7 +86,7 @@ class ImagingSensors:
 
     def add(self, needs: SensorNeeds) -> None:
         """Builds the sensors that ``needs`` names and that are not there yet."""
-        self._image_period = image_period_ticks(self._sim, needs)
+        self._image_period = self._sim.tick_hz // needs.camera_hz if needs.camera_hz else 0
         if needs.lidar and self._lidar is None:
             air = Weather(self._params.faults, self._sim.tick_hz)
             wind = self._params.wind

@@ -98,11 +98,6 @@ class ImuSensor:
         if params.vibration_harmonics or params.vibration_broadband:
             self._propellers = PropellerVibration(params, self._period_s, hover_radps, seed)
 
-    @property
-    def bias(self) -> Array:
-        """(6,) true bias of the next sample, rad/s and m/s^2; a copy, for tests and records."""
-        return self._bias.copy()
-
     def sample(
         self,
         tick: int,

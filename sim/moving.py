@@ -51,11 +51,10 @@ class MovingBodies:
 
     def write(self, data: Any, time_s: float) -> None:
         """Puts the mocap bodies of an MjData where they are at ``time_s``."""
-        if not self._paths:
-            return
-        positions, quats = data.mocap_pos, data.mocap_quat
         for path in self._paths:
-            path.put(time_s, positions[path.mocap_id], quats[path.mocap_id])
+            track = path.at(np.array([time_s]))
+            data.mocap_pos[path.mocap_id] = track.positions[0]
+            data.mocap_quat[path.mocap_id] = track.quats_wxyz[0]
 
     def tracks(self, times_s: Array) -> dict[str, BodyTrack]:
         """By body name: the poses at (M,) times."""
@@ -84,34 +83,24 @@ class _Path:
         self._speed = body.speed_mps
         self._start = body.start_m
 
-    def put(self, time_s: float, position: Array, quat_wxyz: Array) -> None:
-        """Writes (3,) and (4,) of one instant."""
-        travelled = self._start + self._speed * time_s
-        _locate(self._starts, self._directions, self._arc, travelled, position, quat_wxyz)
-
     def at(self, times_s: Array) -> BodyTrack:
         positions = np.empty((len(times_s), 3))
         quats = np.empty((len(times_s), 4))
         travelled = self._start + self._speed * times_s
-        _locate_each(self._starts, self._directions, self._arc, travelled, positions, quats)
+        _locate(self._starts, self._directions, self._arc, travelled, positions, quats)
         return BodyTrack(times_s=times_s, positions=positions, quats_wxyz=quats)
 
 
 @njit(cache=True, error_model="numpy")
 def _locate(
-    starts: Array, directions: Array, arc: Array, travelled: float, position: Array, quat: Array
-) -> None:
-    distance = travelled % arc[-1]
-    edge = min(max(np.searchsorted(arc, distance, side="right") - 1, 0), len(starts) - 1)
-    for axis in range(3):
-        position[axis] = starts[edge, axis] + (distance - arc[edge]) * directions[edge, axis]
-    half_yaw = 0.5 * np.arctan2(directions[edge, 1], directions[edge, 0])
-    quat[0], quat[1], quat[2], quat[3] = np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)
-
-
-@njit(cache=True, error_model="numpy")
-def _locate_each(
     starts: Array, directions: Array, arc: Array, travelled: Array, positions: Array, quats: Array
 ) -> None:
     for m in range(len(travelled)):
-        _locate(starts, directions, arc, travelled[m], positions[m], quats[m])
+        distance = travelled[m] % arc[-1]
+        edge = min(max(np.searchsorted(arc, distance, side="right") - 1, 0), len(starts) - 1)
+        for axis in range(3):
+            way = (distance - arc[edge]) * directions[edge, axis]
+            positions[m, axis] = starts[edge, axis] + way
+        half_yaw = 0.5 * np.arctan2(directions[edge, 1], directions[edge, 0])
+        quats[m, 0], quats[m, 3] = np.cos(half_yaw), np.sin(half_yaw)
+        quats[m, 1], quats[m, 2] = 0.0, 0.0

@@ -23,16 +23,12 @@ class GaussMarkov:
     x' = a x + sigma sqrt(1 - a^2) w with a = exp(-T / tau) is exact for every T (Gelb, "Applied
     Optimal Estimation", 1974, section 3.8). ``tau_s`` may be infinite: a constant, random offset.
 
-    sigma: (K,) standard deviations. ValueError: tau or the period is not positive.
+    sigma: (K,) standard deviations.
     """
 
     def __init__(
         self, sigma: Array, tau_s: float, period_s: float, rng: np.random.Generator
     ) -> None:
-        if not tau_s > 0.0 or not period_s > 0.0:
-            raise ValueError(
-                f"correlation time {tau_s:g} s and period {period_s:g} s must be positive"
-            )
         self._rng = rng
         self._keep = math.exp(-period_s / tau_s)
         self._sigma = np.asarray(sigma, dtype=np.float64)

@@ -44,13 +44,6 @@ class Wind:
     ``span_m`` is the vehicle's, for rotational gusts."""
 
     def __init__(self, params: WindParams, seed: int, span_m: float = 1.0) -> None:
-        if not (np.isfinite(params.mean_kmh) and params.mean_kmh >= 0.0):
-            raise ValueError(f"wind.mean_kmh must be 0 or more, not {params.mean_kmh}")
-        if not 0.0 < params.roughness_length_m < REFERENCE_HEIGHT_M:
-            raise ValueError(
-                "wind.roughness_length_m must lie between 0 and "
-                f"{REFERENCE_HEIGHT_M:.2f} m, not {params.roughness_length_m}"
-            )
         self._rng = np.random.default_rng([seed, crc32(b"wind")])
         seeded_direction = self._rng.uniform(-np.pi, np.pi)
         direction = (
@@ -132,15 +125,6 @@ def dryden_scales(height_ft: float, w20_mps: float) -> tuple[float, float, float
     shape = 0.177 + 0.000823 * height
     sigma_w = 0.1 * w20_mps
     return sigma_w / shape**0.4, sigma_w, height / shape**1.2 * FOOT_M, height * FOOT_M
-
-
-def dryden_psd(omega: Array, sigma: float, time_scale_s: float, *, longitudinal: bool) -> Array:
-    """One-sided power spectral density over angular frequency, (m/s)^2 / (rad/s), whose integral
-    over [0, inf) is ``sigma**2``. ``time_scale_s`` is L / V."""
-    x = (omega * time_scale_s) ** 2
-    if longitudinal:
-        return sigma**2 * (2.0 * time_scale_s / np.pi) / (1.0 + x)
-    return sigma**2 * (time_scale_s / np.pi) * (1.0 + 3.0 * x) / (1.0 + x) ** 2
 
 
 def _stationary_state(noise: Array) -> Array:

@@ -12,9 +12,8 @@ import numpy as np
 from touchdown.scenes.api import Scene
 from touchdown.sim.air import Airflow
 from touchdown.sim.airframe.battery import Battery
-from touchdown.sim.airframe.contacts import ContactSensor
+from touchdown.sim.airframe.contacts import ContactSensor, GroundProbe
 from touchdown.sim.airframe.deviations import SpeedTelemetry, draw_deviations, true_model
-from touchdown.sim.airframe.ground_probe import GroundProbe
 from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
 from touchdown.sim.airframe.rotors import Rotors
 from touchdown.sim.airframe.vehicle import rotor_geometry, vehicle_body_id, vehicle_model
@@ -36,7 +35,7 @@ from touchdown.sim.api import (
 )
 from touchdown.sim.camera.degradations import sun_elevation_deg
 from touchdown.sim.camera.sensor import Snapshot
-from touchdown.sim.clock import check_rates
+from touchdown.sim.delivery import check_rates
 from touchdown.sim.effects import WorldRecord, fault_records
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.injector import FaultInjector

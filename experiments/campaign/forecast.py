@@ -14,7 +14,7 @@ from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for
 from touchdown.experiments.campaign.results_table import RUNS, finished_ids, read_row
 from touchdown.experiments.config.profiles import WHOLE
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.flight.condition_checks import named_conditions
+from touchdown.experiments.flight.conditions import named_conditions
 from touchdown.landing.api import SurveyParams
 
 CORE_SECONDS: Mapping[tuple[str, str], float] = {

@@ -1,5 +1,5 @@
 """Checks that involve several keys of a configuration. The range of a single key is part of its
-type; see `sim.ranges`."""
+type; see `sim.params`."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.environments.action_modes import ACTIONS, Autopilot, rotor_command
 from touchdown.experiments.environments.observations import SENSORS, ObservationBuffer, sensor_needs
 from touchdown.experiments.environments.task_scene import TaskScene, task_scene
-from touchdown.experiments.flight.truth_lookup import TruthLookup, stands_on_truth
+from touchdown.experiments.flight.referee import TruthLookup, stands_on_truth
 from touchdown.experiments.flight.wiring import build_scene, make_world
 from touchdown.sim.api import CameraParams, Command, Truth
 from touchdown.sim.frames import tilt_from_rotation

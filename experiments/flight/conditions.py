@@ -1,15 +1,24 @@
 """Conditions of a flight, measured on the truth, on delivered messages and where the world applies
-them: the figures by which `experiments.flight.condition_checks` judges them."""
+them, and verdicts: did what the configuration names happen in the flight? One rule for each.
+
+Named are scheduled faults, light other than day, a mean wind other than the default, and the
+effects of `harsh`: those of ``harsh_effects``, and in profile `harsh` all that do not depend on the
+place of the landing.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
+from touchdown.experiments.config.profiles import effects
+from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.estimator_calibration import calibration_errors
 from touchdown.experiments.io.result_parts import Measured
 from touchdown.experiments.recording.recorder import StepRecord
-from touchdown.sim.api import Observation, SensorRig
+from touchdown.sim.api import FAULT_KINDS, Fault, Observation, SensorNeeds, SensorRig, WindParams
 from touchdown.sim.effects import Effect, WorldRecord
 
 REFERENCE_HEIGHT_M = 6.1
@@ -126,3 +135,272 @@ def _of_sensors(
         "dust_images": float(images.get("dust", _NOTHING).messages),
         "dust_returns_share": dusty.mean_share,
     }
+
+
+LEAST_SHARE = 0.9
+"""fraction of the messages, or of the time, that a lasting fault must have acted on. Not all: the
+first message of a stream cannot repeat another, and another fault may have taken a message away."""
+MOST_LUX: Mapping[str, float] = {"overcast": 25e3, "dusk": 1e3, "night": 1.0}
+"""Most light (illuminance times reflectivity) of an image. Full daylight without direct sun has 10
+to 25 klx, sunrise and sunset 400 lx, a full moon 0.05 to 0.3 lx."""
+WIND_SHARE = 0.35
+"""fraction by which the mean over a flight may miss the mean wind: turbulence of a time scale of up
+to half a minute does not average out in one or two"""
+DRAWN_SHARE = 0.2
+"""fraction of its standard deviation or bound that a drawn error must have: three normal deviates
+together are smaller in 0.2 % of flights"""
+HALF = 0.5
+"""fraction of what is asked for that an effect without chance must reach: `field` has half or less
+of it"""
+SUN_DEG = 1.0
+"""angle by which a low sun may miss its elevation"""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """The verdict on one condition of a flight."""
+
+    name: str
+    """name as the configuration gives it: ``camera_black@20``, ``night``, ``wind``, ``dust``"""
+    happened: bool
+    text: str
+    """what was measured, in words"""
+    value: float | None
+    """the figure that decides; None: nothing measured it"""
+    least: float | None = None
+    most: float | None = None
+
+
+OF_THE_PLACE = ("dust",)
+"""Effects that profile `harsh` alone does not name: dust rises only where a vehicle hovers low over
+bare soil, and few scenes have any."""
+
+
+def named_conditions(config: Config) -> list[str]:
+    """Returns the names of the conditions of a configuration."""
+    return [
+        *(fault.text for fault in config.faults.schedule()),
+        *([config.light] if config.light != "day" else []),
+        *(["wind"] if config.wind.mean_kmh not in (0.0, WindParams().mean_kmh) else []),
+        *dict.fromkeys([*_of_profile(config), *config.harsh_effects]),
+    ]
+
+
+def _of_profile(config: Config) -> list[str]:
+    if config.profile != "harsh":
+        return []
+    return [name for name in effects() if name not in OF_THE_PLACE]
+
+
+def judge_conditions(
+    config: Config, measured: Measured, faults: Sequence[Mapping[str, Any]], sim_s: float
+) -> list[Condition]:
+    """Returns the verdicts on the conditions of a flight of ``sim_s`` seconds, in the order of
+    `named_conditions`; ``faults`` as in `sim.effects.WorldRecord`."""
+    found = []
+    for fault in config.faults.schedule():
+        record = next((r for r in faults if fault.text in r["fault"].split(", ")), {})
+        found.append(judge_fault(fault, record, sim_s, config))
+    rules = {config.light: _light, "wind": _wind}
+    for name in named_conditions(config)[len(found) :]:
+        rule = rules.get(name)
+        found.append(rule(config, measured) if rule else _effect(name, config, measured))
+    return found
+
+
+def as_json(conditions: Sequence[Condition]) -> list[dict[str, Any]]:
+    """The form of ``result.json``: without the bounds that a condition lacks."""
+    return [
+        {key: value for key, value in asdict(one).items() if value is not None or key == "value"}
+        for one in conditions
+    ]
+
+
+# -------------------------------------------------------------------------------------- faults
+
+
+def judge_fault(fault: Fault, record: Mapping[str, Any], sim_s: float, config: Config) -> Condition:
+    """The verdict on a fault by its record; in a flight of ``sim_s`` seconds."""
+    span = f"{fault.kind} {_span(fault)}"
+    if fault.start_s >= sim_s:
+        text = f"{span}: the flight ended at {sim_s:.1f} s, before it began"
+        return Condition(fault.text, False, text, 0.0)
+    if "sun_deg" in record:
+        off = abs(record["sun_deg"] - config.faults.low_sun_deg)
+        text = f"{span}: the sun is {record['sun_deg']:.1f} degrees high"
+        return Condition(fault.text, off <= SUN_DEG, text, off, most=SUN_DEG)
+    if "acted_s" in record:
+        text = f"{span}: {record['acted_s']:.1f} s"
+        if "gust_mps" in record:
+            text += f", up to {record['gust_mps']:.1f} m/s"
+        value, least = record["acted_s"], LEAST_SHARE * _due_s(fault, sim_s, config)
+        return Condition(fault.text, value >= least > 0.0, text, value, least)
+    messages, came = record.get("messages", {}), record.get("came", {})
+    used = {stream: count for stream, count in came.items() if count}
+    if not used:
+        text = f"{span}: no message came that it could change"
+        return Condition(fault.text, False, text, 0.0)
+    text = f"{span}: " + ", ".join(f"{messages[s]} of {n} {s}" for s, n in used.items())
+    if fault.count is not None:
+        value, least = min(messages[stream] for stream in used), fault.count
+    elif fault.kind in ("lens_dirt", "fog", "rain"):
+        # each sensor sees it or not; weak air leaves ranges as they are
+        value, least = max(messages[s] / n for s, n in used.items()), LEAST_SHARE
+    else:
+        value, least = min(messages[s] / n for s, n in used.items()), LEAST_SHARE
+    return Condition(fault.text, value >= least, text + _change(record), value, least)
+
+
+def _span(fault: Fault) -> str:
+    if fault.duration_s is not None:
+        return f"from {fault.start_s:.1f} to {fault.start_s + fault.duration_s:.1f} s"
+    if fault.count is None:
+        return f"from {fault.start_s:.1f} s"
+    unit = "gust" if fault.kind == "gust" else "message"
+    return f"from {fault.start_s:.1f} s, {fault.count} {unit}{'s' if fault.count > 1 else ''}"
+
+
+def _due_s(fault: Fault, sim_s: float, config: Config) -> float:
+    """Seconds for which a fault of the vehicle or the air is to act in a flight."""
+    due = sim_s - fault.start_s
+    gust_s = 2.0 * config.faults.gust_rise_s
+    if fault.duration_s is not None:
+        whole = gust_s * max(1, math.floor(fault.duration_s / gust_s + 1e-9))
+        due = min(due, whole if fault.kind == "gust" else fault.duration_s)
+    return due if fault.count is None else min(due, fault.count * gust_s)
+
+
+def _change(record: Mapping[str, Any]) -> str:
+    parts = []
+    if "returns_changed" in record and record["came"].get("scans"):
+        parts.append(f"{record['returns_changed']:.0%} of returns")
+    if "grey_change" in record and record["came"].get("images"):
+        parts.append(f"{record['grey_change']:.1f} grey levels")
+    if "rotation_deg" in record:
+        parts.append(f"{record['rotation_deg']:.2f} degrees")
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+# ------------------------------------------------------------------------------ light and wind
+
+
+def _light(config: Config, measured: Measured) -> Condition:
+    name, most, lux = config.light, MOST_LUX[config.light], measured.light_lux
+    lamp = measured.lamp_share or 0.0
+    text = "no image measured the light" if lux is None else f"{lux:.3g} lx without the lamp"
+    dark = lux is not None and lux <= most
+    if name == "night" and config.lamp.below_m > 0.0:
+        text += f", the lamp on in {lamp:.0%} of images"
+        dark = dark and lamp > 0.0
+    return Condition(name, dark, f"{name}: {text}", lux, most=most)
+
+
+def _wind(config: Config, measured: Measured) -> Condition:
+    asked, found = config.wind.mean_kmh, measured.wind_at_6m_mps
+    if found is None:
+        return Condition("wind", False, "wind: the flight never left the ground", None)
+    kmh = 3.6 * found
+    low, high = (1.0 - WIND_SHARE) * asked, (1.0 + WIND_SHARE) * asked
+    text = (
+        f"wind of {asked:g} km/h: {kmh:.1f} km/h at 6 m, {3.6 * (measured.wind_mps or 0.0):.1f} at "
+        f"the vehicle, gusts to {3.6 * (measured.gust_mps or 0.0):.1f}"
+    )
+    return Condition("wind", low <= kmh <= high, text, kmh, low, high)
+
+
+# ------------------------------------------------------------------------------- harsh effects
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """The figure of an effect must reach ``least`` of a configuration."""
+
+    column: str
+    unit: str
+    least: Callable[[Config], float]
+
+
+def _lens(config: Config) -> float:
+    error = config.calibration_error
+    return DRAWN_SHARE * max(error.center_sigma_px, error.distortion_sigma_px)
+
+
+def _mounting(config: Config) -> float:
+    error = config.calibration_error
+    return DRAWN_SHARE * max(
+        error.rotation_sigma_deg,
+        error.imu_camera_rotation_sigma_deg,
+        error.imu_lidar_rotation_sigma_deg,
+    )
+
+
+def _latency(config: Config) -> float:
+    """Half of the standard deviation of the log-normal latency, milliseconds."""
+    median_ms = 1e3 * config.sim.compute_latency_ticks / config.sim.tick_hz
+    growth = math.exp(config.sim.latency_sigma**2)
+    return HALF * median_ms * math.sqrt((growth - 1.0) * growth)
+
+
+EXPOSURE_STOPS_PER_S = 0.02
+"""Least mean exposure error for each second of the control's time constant: a survey of `crossroad`
+in `harsh`, with one second, has 0.07"""
+LEAST_SHEAR_PX = 0.1
+"""Features are located to about a tenth of a pixel."""
+LEAST_PLANTS = 0.01
+"""Share of returns: a scan's pattern varies by as much"""
+LEAST_SWAY_M = 0.001
+"""a twentieth of the range noise"""
+LEAST_ROTATION_DEGPS = 0.5
+"""the rotational gusts of a calm day of 3 m/s over a vehicle of half a metre"""
+VIBRATION_MPS2 = 9.4
+"""Vibration of a sensor on the airframe itself (a survey of `crossroad` in `harsh`), of which a
+damped mount passes the share ``imu.vibration_isolation``"""
+
+EFFECT_RULES: Mapping[str, _Rule] = {
+    "latency": _Rule("scan_latency_sigma_ms", "ms of spread", _latency),
+    "vehicle": _Rule(
+        "center_of_mass_m", "m", lambda c: DRAWN_SHARE * c.vehicle_error.center_of_mass_m
+    ),
+    "imu": _Rule("imu_scale", "of scale", lambda c: DRAWN_SHARE * c.imu.scale_sigma),
+    "vibration": _Rule(
+        "vibration_mps2", "m/s^2", lambda c: HALF * VIBRATION_MPS2 * c.imu.vibration_isolation
+    ),
+    "lens": _Rule("lens_error_px", "px", _lens),
+    "mounting": _Rule("mount_error_deg", "degrees", _mounting),
+    "shutter": _Rule("readout_shear_px", "px", lambda c: LEAST_SHEAR_PX),
+    "stamps": _Rule("stamp_error_ms", "ms", lambda c: HALF * 1e3 * c.camera.stamp_delay_s),
+    "exposure": _Rule(
+        "exposure_error_stops", "stops", lambda c: EXPOSURE_STOPS_PER_S * c.camera.exposure_lag_s
+    ),
+    "ranging": _Rule("range_error_m", "m", lambda c: DRAWN_SHARE * c.lidar.range_bias_m),
+    "vegetation": _Rule("plants_share", "of returns", lambda c: LEAST_PLANTS),
+    "sway": _Rule("sway_m", "m", lambda c: LEAST_SWAY_M),
+    "air": _Rule("air_rotation_degps", "degrees/s", lambda c: LEAST_ROTATION_DEGPS),
+    "dust": _Rule("dust_scans", "scans", lambda c: 1.0),
+}
+"""The rule of every group of `experiments.config.profiles.effects`."""
+
+
+def _effect(name: str, config: Config, measured: Measured) -> Condition:
+    rule = EFFECT_RULES[name]
+    value, least = getattr(measured, rule.column), rule.least(config)
+    found = "not measured" if value is None else f"{value:.3g} {rule.unit}"
+    happened = value is not None and value >= least > 0.0
+    return Condition(name, happened, f"{name}: {found}", value, least)
+
+
+def inactive_faults(config: Config, needs: SensorNeeds) -> list[str]:
+    """Returns one sentence for each scheduled fault without effect. ``needs``: sensors that
+    estimator, mapper and lander read together."""
+    read = {"scans": needs.lidar, "images": needs.camera_hz > 0, "gps": needs.gps}
+    names = {"scans": "the LIDAR", "images": "the camera", "gps": "GPS"}
+    sentences = []
+    for fault in config.faults.schedule():
+        streams = FAULT_KINDS[fault.kind]
+        if not any(read.get(stream, True) for stream in streams):
+            sensors = " or ".join(names[stream] for stream in streams)
+            sentences.append(
+                f"fault '{fault.text}' has no effect: neither estimator '{config.estimator}' "
+                f"nor the map reads {sensors}"
+            )
+    return sentences

@@ -1,8 +1,11 @@
-"""Observers of the main loop: events, phases, progress and the newest map."""
+"""Observers of the main loop: events, phases, progress, the newest map; timers of its stages."""
 
 from __future__ import annotations
 
+import time
+from collections import defaultdict
 from collections.abc import Callable
+from typing import Any
 
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.external.processes import release_pages
@@ -113,3 +116,45 @@ class StepObserver:
         if self._latest_map is None:
             raise RuntimeError("judged_map before the first step")
         return GroundMap.of(self._latest_map)
+
+
+class StageClock:
+    """Accumulates wall time per stage. Constant memory."""
+
+    def __init__(self) -> None:
+        self._seconds: defaultdict[str, float] = defaultdict(float)
+        self._started = time.perf_counter()
+
+    def add(self, stage: str, seconds: float) -> None:
+        self._seconds[stage] += seconds
+
+    def wall_s(self) -> float:
+        """Time since the start, inside and outside of stages."""
+        return time.perf_counter() - self._started
+
+    def stage_ms(self, sim_s: float) -> dict[str, float]:
+        """Milliseconds of wall time per 0.1 s of simulated time (one LIDAR scan), by stage."""
+        scans = max(sim_s / 0.1, 1e-9)
+        return {name: 1e3 * total / scans for name, total in sorted(self._seconds.items())}
+
+
+class Timed:
+    """Proxy of a component that times the calls of one of its methods."""
+
+    def __init__(self, target: Any, method: str, stage: str, clock: StageClock) -> None:
+        self._target = target
+        setattr(self, method, _timed(getattr(target, method), stage, clock))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._target, name)
+
+
+def _timed(call: Callable[..., Any], stage: str, clock: StageClock) -> Callable[..., Any]:
+    def timed(*args: Any) -> Any:
+        started = time.perf_counter()
+        try:
+            return call(*args)
+        finally:
+            clock.add(stage, time.perf_counter() - started)
+
+    return timed

@@ -1,11 +1,12 @@
-"""The referee: judges a flight on the truth and ends it with an outcome."""
+"""The referee: judges a flight on the true ground and ends it with an outcome."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,6 @@ from touchdown.experiments.flight.metrics import (
     TouchdownWindow,
     TrajectoryDeviation,
 )
-from touchdown.experiments.flight.truth_lookup import stands_on_truth
 from touchdown.experiments.io.result_parts import (
     JUDGED_BY_CLASS,
     JUDGED_BY_GEOMETRY,
@@ -28,7 +28,7 @@ from touchdown.experiments.io.result_parts import (
     PositionError,
 )
 from touchdown.landing.api import LanderView, Phase
-from touchdown.scenes.api import SAFE_CLASSES
+from touchdown.scenes.api import SAFE_CLASSES, Scene
 from touchdown.sim.api import Contact, Truth
 from touchdown.sim.frames import Pose, tilt_from_rotation
 
@@ -39,6 +39,12 @@ _LIFT_OFF_HEIGHT_M = 0.1
 _NEES_HZ = 10.0
 _REST_S = 0.5
 _REST_SPEED_MPS = 0.05
+STANDING_TOLERANCE_M = 0.05
+"""Largest difference in height between a touching leg and the truth map: half of the step of 0.10 m
+that the geometric rule allows, as a map that is further off cannot vouch for it. Feet sink in by
+millimetres."""
+_AROUND_M = 0.02 * np.stack(np.meshgrid(*2 * [np.arange(-1, 2)]), axis=-1).reshape(-1, 2)
+"""(9, 2) offsets around a touching point: it may lie on an edge, or on the side of something"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,17 +63,6 @@ class Judgement:
     landing: Landing | None
 
 
-class TrueGround(Protocol):
-    """The true ground, as `experiments.flight.truth_lookup.TruthLookup` looks it up."""
-
-    @property
-    def moving_geoms(self) -> frozenset[str]: ...
-
-    def judge(self, xy: Array) -> Any: ...
-
-    def height_gap_m(self, contacts: tuple[Contact, ...]) -> float | None: ...
-
-
 class Referee:
     """Judges every control step on the truth.
 
@@ -82,7 +77,7 @@ class Referee:
         *,
         survey_only: bool,
         steps_per_s: float,
-        ground: TrueGround,
+        ground: TruthLookup,
         on_survey_end: Callable[[], None] = lambda: None,
         by_class: bool = False,
         commanded_xy_m: tuple[float, float] | None = None,
@@ -303,3 +298,72 @@ def _off_the_map(height_gap_m: float | None) -> str:
         return "it stands where the truth map has no ground: not safe"
     side = "above" if height_gap_m > 0.0 else "below"
     return f"it stands {abs(height_gap_m):.2f} m {side} the truth map: not safe"
+
+
+@dataclass(frozen=True)
+class TruthLookup:
+    """Looks up the true ground of a scene."""
+
+    scene: Scene
+
+    def judge(self, xy: Array) -> Any:
+        """``scenes.truth.maps.TouchdownJudgement`` of the point ``xy`` (2,), world frame."""
+        from touchdown.scenes.truth.maps import judge_touchdown
+
+        return judge_touchdown(self.scene, xy)
+
+    def surface_points(self, xy: Array, radius_m: float) -> Array:
+        """(N, 3) points of the true surface on a grid of 5 cm in the disc around ``xy``."""
+        from touchdown.scenes.truth.static_surface import cast_down
+
+        cell = 0.05
+        cells = int(radius_m / cell)
+        side = 2 * cells + 1
+        origin = xy - (cells + 0.5) * cell
+        heights, _ = cast_down(self.scene, origin, cell, (side, side))
+        rows, cols = np.mgrid[:side, :side]
+        offsets = (np.stack([cols, rows], axis=-1) - cells) * cell
+        near = (np.hypot(offsets[..., 0], offsets[..., 1]) <= radius_m) & np.isfinite(heights)
+        return np.column_stack([xy + offsets[near], heights[near]])
+
+    def height_gap_m(self, contacts: tuple[Contact, ...]) -> float | None:
+        """The largest difference in height, in size, between the legs' contact points and the true
+        surface around them, moving bodies left out; positive above it, infinite where the truth map
+        has no surface, None without such a contact. A point between the lowest and the highest
+        surface within 2 cm has none."""
+        from touchdown.scenes.truth.static_surface import cast_points
+
+        points = [
+            contact.point_world
+            for contact in contacts
+            if contact.part == "leg"
+            and contact.point_world is not None
+            and contact.other not in self.moving_geoms
+        ]
+        if not points:
+            return None
+        touching = np.array(points)
+        around = (touching[:, None, :2] + _AROUND_M).reshape(-1, 2)
+        heights = cast_points(self.scene, around)[0].reshape(len(points), -1)
+        known = np.isfinite(heights)
+        highest = np.where(known, heights, -np.inf).max(axis=1)
+        lowest = np.where(known, heights, np.inf).min(axis=1)
+        above, below = touching[:, 2] - highest, lowest - touching[:, 2]
+        gaps = np.where(above > 0.0, above, -np.maximum(below, 0.0))
+        return float(gaps[np.argmax(np.abs(gaps))]) + 0.0  # no negative zero
+
+    @cached_property
+    def moving_geoms(self) -> frozenset[str]:
+        """Names of the geoms of moving bodies and of all that hangs on them."""
+        model = self.scene.model
+        roots = {int(model.body(m.body_name).rootid[0]) for m in self.scene.moving}
+        root_of_geom = model.body_rootid[model.geom_bodyid]
+        return frozenset(
+            model.geom(i).name for i in range(model.ngeom) if int(root_of_geom[i]) in roots
+        )
+
+
+def stands_on_truth(height_gap_m: float | None) -> bool | None:
+    """False where a vehicle stands on something that the truth map does not have, or has at another
+    height; None where it is not known."""
+    return None if height_gap_m is None else abs(height_gap_m) <= STANDING_TOLERANCE_M

@@ -213,18 +213,6 @@ class CpuClock:
         return time.process_time() - self._process - outside
 
 
-def run_estimator(
-    estimator: Estimator, observations: Iterable[Observation], clock: CpuClock | None = None
-) -> Iterator[tuple[Observation, Estimate]]:
-    """Yields each observation with the estimate after it."""
-    clock = clock or CpuClock()
-    for obs in observations:
-        clock.enter()
-        estimate = estimator.update(obs)
-        clock.leave()
-        yield obs, estimate
-
-
 def replay_faults(config: Config, events: tuple[str, ...], tick_hz: int) -> FaultInjector:
     """Injects ``events`` into a log beside what the flight went through. Raises UsageError for one
     that is not understood, or that acts where things are measured."""
@@ -360,14 +348,18 @@ def _replay(
 def _estimates(
     estimator: Estimator, observations: Iterable[Observation], clock: CpuClock, logged: LoggedRun
 ) -> Iterator[tuple[Observation, Estimate]]:
-    """As `run_estimator`. Raises UsageError where an estimator cannot take what was logged: a log
-    comes from elsewhere, and each of its values may be possible but not all together."""
+    """Yields each observation with the estimate after it. Raises UsageError where an estimator
+    cannot take what was logged: a log comes from elsewhere, and each of its values may be possible
+    but not all together."""
+    source, last_s = iter(observations), 0.0
     with np.errstate(all="ignore"):
-        last_s = 0.0
-        estimates = run_estimator(estimator, observations, clock)
         while True:
             try:
-                pair = next(estimates, None)
+                if (obs := next(source, None)) is None:
+                    return
+                clock.enter()
+                estimate = estimator.update(obs)
+                clock.leave()
             except UsageError:
                 raise
             except (ValueError, TypeError, LookupError, ArithmeticError, cv2.error) as error:
@@ -375,10 +367,8 @@ def _estimates(
                     f"'{logged.sensors.path}' holds messages after {last_s:.3f} s that the "
                     "estimator cannot use; fly again with --log-sensors"
                 ) from error
-            if pair is None:
-                return
-            last_s = pair[0].time_s
-            yield pair
+            last_s = obs.time_s
+            yield obs, estimate
 
 
 def logged_hz(logged: LoggedRun) -> float:

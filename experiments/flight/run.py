@@ -10,17 +10,15 @@ from typing import TYPE_CHECKING, Any
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import ExternalPartError, UsageError, input_message
+from touchdown.experiments.flight.conditions import inactive_faults
 from touchdown.experiments.flight.estimator_calibration import check_calibration
-from touchdown.experiments.flight.inactive_faults import inactive_faults
 from touchdown.experiments.flight.loop import run_flight
-from touchdown.experiments.flight.observers import Progress, StepObserver
+from touchdown.experiments.flight.observers import Progress, StageClock, StepObserver, Timed
 from touchdown.experiments.flight.platform import keep_bitcode, limit_threads, set_up_memory
-from touchdown.experiments.flight.referee import Referee
+from touchdown.experiments.flight.referee import Referee, TruthLookup
 from touchdown.experiments.flight.result import make_result
 from touchdown.experiments.flight.slots import check_parts_available
-from touchdown.experiments.flight.stage_timer import StageClock, Timed
 from touchdown.experiments.flight.survey_fit import fitted
-from touchdown.experiments.flight.truth_lookup import TruthLookup
 from touchdown.experiments.flight.wiring import (
     FlightStack,
     build_classifier,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.controller.api import Controller
-from touchdown.estimator.api import Estimator, Mapper
+from touchdown.estimator.api import Estimate, Estimator, Mapper, spare_sensors
+from touchdown.experiments.api import BiasParams
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import PX4, SLOTS, names_code, params_of
 from touchdown.experiments.errors import UsageError, nearest
@@ -25,9 +26,10 @@ from touchdown.experiments.flight.slots import (
 from touchdown.landing.api import Lander
 from touchdown.scenes.api import ImportOptions, LowSun, Scene, names_function
 from touchdown.scenes.registry import scene_names
-from touchdown.sim.api import SensorRig, Truth, World, WorldParams
+from touchdown.sim.api import Observation, SensorRig, Truth, World, WorldParams
 from touchdown.sim.effects import WorldRecord
 from touchdown.sim.files.opening import no_file
+from touchdown.sim.frames import Pose
 
 if TYPE_CHECKING:
     from touchdown.experiments.external.wrapper import ExternalPart
@@ -111,12 +113,11 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     from touchdown.controller.cascade import CascadeController
     from touchdown.landing.mission.lander import SiteLander
 
-    make_estimator = _estimator_factory(config)
     network = build_classifier(config)
     world = make_world(config, scene)
     try:
         rig = nominal_rig(world.rig, config)
-        own_estimator = make_estimator(rig, world.truth)
+        own_estimator = _estimator(config, rig, world.truth)
         selector = external_part(config, "selector", rig)
         controller = external_part(config, "controller", rig)
         own_classifier = external_part(config, "classifier", rig)
@@ -220,18 +221,7 @@ def _mapper(config: Config, rig: SensorRig) -> Mapper:
 
 def world_params(config: Config) -> WorldParams:
     """The configured parameters of the simulated world."""
-    return WorldParams(
-        sim=config.sim,
-        wind=config.wind,
-        lidar=config.lidar,
-        camera=config.camera,
-        lamp=config.lamp,
-        imu=config.imu,
-        nav=config.nav,
-        faults=config.faults,
-        vehicle_error=config.vehicle_error,
-        dust=config.dust,
-    )
+    return WorldParams(**{one.name: getattr(config, one.name) for one in fields(WorldParams)})
 
 
 def make_world(config: Config, scene: Scene, drawn: bool = False) -> Any:
@@ -249,77 +239,54 @@ def build_estimator(config: Config, rig: SensorRig) -> Estimator:
     def no_truth() -> Truth:
         raise RuntimeError("only the oracle may read the truth")
 
-    return _biased(_estimator_factory(config)(rig, no_truth), config)
+    return _biased(_estimator(config, rig, no_truth), config)
 
 
 def _biased(estimator: Estimator, config: Config) -> Estimator:
-    if not any(config.bias.xy_m):
-        return estimator
-    from touchdown.experiments.flight.bias_injection import BiasedEstimator
-
-    return BiasedEstimator(estimator, config.bias)
+    return BiasedEstimator(estimator, config.bias) if any(config.bias.xy_m) else estimator
 
 
-_EstimatorFactory = Callable[[SensorRig, Callable[[], Truth]], Estimator]
+ESTIMATORS = ("livo", "zou2024", "gps", "optical_flow", "hybrid_flow", "stereo", "oracle")
 
 
-def _livo(config: Config) -> _EstimatorFactory:
-    from touchdown.estimator.livo.estimator import Livo
+def _estimator(config: Config, rig: SensorRig, truth: Callable[[], Truth]) -> Estimator:
+    """The configured estimator without a bias; the oracle alone gets the truth."""
+    check_estimator_name(config.estimator)
+    if config.estimator not in ESTIMATORS:
+        from touchdown.experiments.external.wrapper import ExternalEstimator
 
-    return lambda rig, _truth: Livo(rig, config.livo)
+        return ExternalEstimator(config.estimator, params_of(config, "estimator"), rig)
+    if config.estimator == "oracle":
+        from touchdown.estimator.oracle import Oracle
 
+        return Oracle(truth)
+    if config.estimator == "livo":
+        from touchdown.estimator.livo.estimator import Livo
 
-def _as_flown(rig: SensorRig, config: Config) -> SensorRig:
+        return Livo(rig, config.livo)
     from touchdown.estimator.filtering.inertial_filter import with_flown_noise
 
-    return with_flown_noise(rig, config.flown_imu)
+    rig = with_flown_noise(rig, config.flown_imu)
+    if config.estimator == "zou2024":
+        from touchdown.estimator.zou2024.estimator import Zou2024Estimator
+
+        return Zou2024Estimator(rig, config.zou2024)
+    return _baseline(config, rig)
 
 
-def _zou2024(config: Config) -> _EstimatorFactory:
-    from touchdown.estimator.zou2024.estimator import Zou2024Estimator
-
-    return lambda rig, _truth: Zou2024Estimator(_as_flown(rig, config), config.zou2024)
-
-
-def _gps(config: Config) -> _EstimatorFactory:
+def _baseline(config: Config, rig: SensorRig) -> Estimator:
     from touchdown.estimator.baselines.gps import GpsEstimator
-
-    return lambda rig, _truth: GpsEstimator(_as_flown(rig, config), config.gps_estimator)
-
-
-def _optical_flow(config: Config) -> _EstimatorFactory:
-    from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
-
-    return lambda rig, _truth: OpticalFlowEstimator(_as_flown(rig, config), config.optical_flow)
-
-
-def _hybrid_flow(config: Config) -> _EstimatorFactory:
     from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
-
-    return lambda rig, _truth: HybridFlowEstimator(_as_flown(rig, config), config.hybrid_flow)
-
-
-def _stereo(config: Config) -> _EstimatorFactory:
+    from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
     from touchdown.estimator.baselines.stereo import StereoEstimator
 
-    return lambda rig, _truth: StereoEstimator(_as_flown(rig, config), config.stereo_vo)
-
-
-def _oracle(config: Config) -> _EstimatorFactory:
-    from touchdown.estimator.oracle import Oracle
-
-    return lambda _rig, truth: Oracle(truth)
-
-
-ESTIMATORS: Mapping[str, Callable[[Config], _EstimatorFactory]] = {
-    "livo": _livo,
-    "zou2024": _zou2024,
-    "gps": _gps,
-    "optical_flow": _optical_flow,
-    "hybrid_flow": _hybrid_flow,
-    "stereo": _stereo,
-    "oracle": _oracle,
-}
+    if config.estimator == "gps":
+        return GpsEstimator(rig, config.gps_estimator)
+    if config.estimator == "optical_flow":
+        return OpticalFlowEstimator(rig, config.optical_flow)
+    if config.estimator == "hybrid_flow":
+        return HybridFlowEstimator(rig, config.hybrid_flow)
+    return StereoEstimator(rig, config.stereo_vo)
 
 
 def check_estimator_name(name: str) -> None:
@@ -340,17 +307,6 @@ def check_estimator_available(name: str) -> None:
         from touchdown.experiments.external.loading import check_external
 
         check_external(name)
-
-
-def _estimator_factory(config: Config) -> _EstimatorFactory:
-    check_estimator_name(config.estimator)
-    if config.estimator in ESTIMATORS:
-        return ESTIMATORS[config.estimator](config)
-    from touchdown.experiments.external.wrapper import ExternalEstimator
-
-    return lambda rig, _truth: ExternalEstimator(
-        config.estimator, params_of(config, "estimator"), rig
-    )
 
 
 def check_scene_name(name: str, where: str = "") -> None:
@@ -374,4 +330,47 @@ def check_scene_name(name: str, where: str = "") -> None:
         raise UsageError(
             f"unknown scene '{name}'{where}{nearest(name, known)}; known: {', '.join(known)}, or "
             "the path of an MJCF file, or MODULE:FUNCTION that makes one"
+        )
+
+
+_TAKEN_OFF_M = 1.0
+
+
+class BiasedEstimator:
+    """Adds a horizontal offset to another estimator's pose, ramped in linearly after take-off."""
+
+    def __init__(self, inner: Estimator, params: BiasParams) -> None:
+        if params.ramp_s <= 0.0:
+            raise ValueError(f"bias.ramp_s is {params.ramp_s}; it must be positive")
+        self.needs, self.spare_sensors = inner.needs, spare_sensors(inner)
+        self._inner = inner
+        self._bias = np.array([*params.xy_m, 0.0])
+        self._ramp_s = params.ramp_s
+        self._start_height: float | None = None
+        self._since_s: float | None = None
+
+    def update(self, obs: Observation) -> Estimate:
+        estimate = self._inner.update(obs)
+        height = float(estimate.odom_from_body.translation[2])
+        if self._start_height is None:
+            self._start_height = height
+        if self._since_s is None:
+            if height < self._start_height + _TAKEN_OFF_M:
+                return estimate
+            self._since_s = estimate.time_s
+        elapsed = (estimate.time_s - self._since_s) / self._ramp_s
+        return self._shifted(estimate, min(elapsed, 1.0), ramping=elapsed < 1.0)
+
+    def _shifted(self, estimate: Estimate, share: float, *, ramping: bool) -> Estimate:
+        pose = estimate.odom_from_body
+        offset = share * self._bias
+        track = estimate.scan_track
+        if track is not None:
+            track = replace(track, positions_odom=track.positions_odom + offset)
+        rate = self._bias / self._ramp_s if ramping else np.zeros(3)
+        return replace(
+            estimate,
+            odom_from_body=Pose(pose.rotation, pose.translation + offset),
+            velocity_odom=estimate.velocity_odom + rate,
+            scan_track=track,
         )

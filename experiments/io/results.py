@@ -95,7 +95,7 @@ class RunResult(Part):
     faults: list[dict[str, Any]] = Field(default_factory=list)
     measured: Measured | None = None
     conditions: list[dict[str, Any]] = Field(default_factory=list)
-    """verdicts of `experiments.flight.condition_checks`"""
+    """verdicts of `experiments.flight.conditions`"""
     _path: Path | None = PrivateAttr(None)
     _settings: dict[str, Any] = PrivateAttr(default_factory=dict)
 

@@ -33,8 +33,6 @@ class Battery:
     charge and with the load over ``resistance_ohm``, and with it the rotor speed within reach."""
 
     def __init__(self, capacity_j: float, sag: bool = False, resistance_ohm: float = 0.0) -> None:
-        if not capacity_j > 0.0:
-            raise ValueError(f"sim.battery_capacity_j must be above 0, not {capacity_j}")
         self._capacity_j = capacity_j
         self._sag, self._resistance_ohm = sag, resistance_ohm
         self._full_v = open_circuit_voltage(1.0)

@@ -1,4 +1,4 @@
-"""Contacts of the vehicle, by part."""
+"""Contacts of the vehicle, by part, and its height over the ground."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from touchdown.sim.airframe.vehicle import VEHICLE_PREFIX, vehicle_body_id
 from touchdown.sim.api import Contact
+from touchdown.sim.typing import Array
 
 
 class ContactSensor:
@@ -52,3 +53,23 @@ def _part(geom_name: str) -> str:
         if local.startswith(part):
             return part
     return "body"
+
+
+_DOWN = np.array([0.0, 0.0, -1.0])
+
+
+class GroundProbe:
+    """A vertical ray that ignores the vehicle."""
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        self._vehicle = vehicle_body_id(model)
+        self._geom_id = np.zeros(1, dtype=np.int32)
+
+    def clearance(self, data: Any, position_world: Array) -> float:
+        """Metres from (3,) ``position_world`` straight down to the next surface, ``inf`` where
+        there is none. ``data`` must hold the kinematics of now or of the last tick."""
+        distance = mujoco.mj_ray(
+            self._model, data, position_world, _DOWN, None, True, self._vehicle, self._geom_id
+        )
+        return float(distance) if distance >= 0.0 else float("inf")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import ctypes
+import mmap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +15,6 @@ import numpy as np
 
 from touchdown.sim.airframe.vehicle import ROTOR_COUNT, vehicle_body_id
 from touchdown.sim.api import VehicleErrorParams
-from touchdown.sim.textures import give_back_textures
 from touchdown.sim.typing import Array
 
 _DRAWN = 64
@@ -115,3 +116,16 @@ class SpeedTelemetry:
         """Noise of one reading after the other; drawn for many at a time, which costs less."""
         while True:
             yield from (self._sigma * self._rng.standard_normal((_DRAWN, ROTOR_COUNT))).tolist()
+
+
+def give_back_textures(model: Any) -> None:
+    """Returns the memory of an MjModel's textures to the system, 100 MB, where the system knows
+    how: levels are undefined then, and whoever draws the model anew sees wrong colours."""
+    advise = getattr(ctypes.CDLL(None), "madvise", None)
+    if advise is None or not hasattr(mmap, "MADV_DONTNEED"):
+        return
+    levels = model.tex_data
+    first = -(-levels.ctypes.data // mmap.PAGESIZE) * mmap.PAGESIZE
+    size = (levels.ctypes.data + levels.nbytes - first) // mmap.PAGESIZE * mmap.PAGESIZE
+    if size > 0:
+        advise(ctypes.c_void_p(first), ctypes.c_size_t(size), mmap.MADV_DONTNEED)

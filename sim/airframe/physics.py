@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Scene
-from touchdown.sim.airframe.ground_probe import GroundProbe
+from touchdown.sim.airframe.contacts import GroundProbe
 from touchdown.sim.airframe.vehicle import foot_positions, vehicle_body_id
 from touchdown.sim.api import AIR_DENSITY_KGPM3, GRAVITY_MPS2
 from touchdown.sim.frames import matrix_from_quat_wxyz, rotation_from_yaw, tilt_from_rotation

@@ -72,7 +72,7 @@ def vehicle_model(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> Vehicl
         rotor_speed_max=_number(model, prefix, "rotor_speed_max"),
         motor_time_constant_s=_number(model, prefix, "motor_time_constant"),
         linear_drag=float(ROTOR_COUNT * geometry.drag * hover_speed),
-        leg_height_m=_leg_height(model, body_id, prefix),
+        leg_height_m=float(-foot_positions(model, prefix)[:, 2].min()),
         footprint_radius_m=float(
             np.linalg.norm(geometry.positions_body[:, :2], axis=1).max() + geometry.radius_m
         ),
@@ -114,10 +114,6 @@ def foot_positions(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> Array
     if not feet:
         raise ValueError(f"the vehicle has no feet: no sphere geom is named {prefix}leg_*")
     return np.stack(feet)
-
-
-def _leg_height(model: mujoco.MjModel, body_id: int, prefix: str) -> float:
-    return float(-foot_positions(model, prefix)[:, 2].min())
 
 
 def _geoms_of(model: mujoco.MjModel, body_id: int) -> range:

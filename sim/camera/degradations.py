@@ -1,7 +1,7 @@
 """Degradations of camera images: fog, rain, dust, dirt on the lens, a low sun.
 
 - air: the light of a pixel at the distance d is L exp(-e d) + A (1 - exp(-e d)), with the
-  extinction e of ``sim.faults.weather`` and the airlight A of an evenly lit, bright sky
+  extinction e of ``sim.faults.disturbances`` and the airlight A of an evenly lit, bright sky
   (Koschmieder, 1924; Narasimhan and Nayar, "Vision and the atmosphere", IJCV 48, 2002);
 - dirt: blobs that stay where they are in the image. What is seen through one is dimmer and, since
   it lies far out of focus, blurred (Gu, Ramamoorthi, Belhumeur and Nayar, "Removing image artifacts
@@ -28,22 +28,20 @@ from numba import njit
 
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams
 from touchdown.sim.camera.gl import Snapshot
+from touchdown.sim.camera.optics import GAMMA, LIGHT
 from touchdown.sim.dust import DustCloud
 from touchdown.sim.effects import Effects
-from touchdown.sim.faults.disturbances import Happening
-from touchdown.sim.faults.weather import Weather
+from touchdown.sim.faults.disturbances import Happening, Weather
 from touchdown.sim.typing import Array, Bytes, Float32
 
 AIRLIGHT_LEVEL = 190.0
 """grey level of endless fog"""
 
-_GAMMA = 2.2
 _LEVELS = 4096
 """steps of the table from light to grey level"""
 _SHRINK = 8
 """blur is made in images this much smaller"""
-_LIGHT: Float32 = ((np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
-_DISPLAY: Bytes = np.rint(255.0 * (np.arange(_LEVELS) / (_LEVELS - 1)) ** (1.0 / _GAMMA)).astype(
+_DISPLAY: Bytes = np.rint(255.0 * (np.arange(_LEVELS) / (_LEVELS - 1)) ** (1.0 / GAMMA)).astype(
     np.uint8
 )
 
@@ -114,9 +112,9 @@ class CameraDegradations:
         """(h, W, 3) raster rows from ``first`` on through fog and rain, bottom row first, like
         ``depth`` (h, W), in metres along the optical axis."""
         stretch = self._stretch[first : first + len(drawn)][::-1]
-        airlight = (AIRLIGHT_LEVEL / 255.0) ** _GAMMA
+        airlight = (AIRLIGHT_LEVEL / 255.0) ** GAMMA
         hazy = np.empty_like(drawn)
-        _veil(drawn, depth, stretch, defects.extinction, airlight, _LIGHT, _DISPLAY, hazy)
+        _veil(drawn, depth, stretch, defects.extinction, airlight, LIGHT, _DISPLAY, hazy)
         self.effects.note_image(defects.air, drawn, hazy)
         return hazy
 
@@ -157,7 +155,7 @@ class CameraDegradations:
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         sigma = max(1.0, self._faults.dirt_size * size[0])
         blurred = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma), (width, height))
-        dimmed = self._faults.dirt_transmission ** (1.0 / _GAMMA)
+        dimmed = self._faults.dirt_transmission ** (1.0 / GAMMA)
         where = self._blobs > 1.0 / 512.0
         share = self._blobs[where][:, None]
         out = image.copy()
@@ -203,9 +201,7 @@ def dirt_map(params: CameraParams, share: float, size: float, key: list[int]) ->
 
 def glare_table(light: float) -> Bytes:
     """(256,) grey level of every old one with this much linear light added."""
-    table: Bytes = np.rint(255.0 * np.minimum(_LIGHT + light, 1.0) ** (1.0 / _GAMMA)).astype(
-        np.uint8
-    )
+    table: Bytes = np.rint(255.0 * np.minimum(LIGHT + light, 1.0) ** (1.0 / GAMMA)).astype(np.uint8)
     return table
 
 

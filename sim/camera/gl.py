@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import mujoco
@@ -35,6 +35,10 @@ class Snapshot:
     cam_xpos: Array
     cam_xmat: Array
 
+    @staticmethod
+    def of(data: mujoco.MjData) -> Snapshot:
+        return Snapshot(*(getattr(data, field.name).copy() for field in fields(Snapshot)))
+
 
 @dataclass(frozen=True, slots=True)
 class InverseDepth:
@@ -48,9 +52,6 @@ class InverseDepth:
         """(h, w) depths, ``inf`` where nothing is drawn."""
         inverse = self.far + self.per_level * self.levels.astype(np.float64)
         return np.where(self.levels > 0.0, 1.0 / inverse, np.inf).astype(np.float32)
-
-
-SNAPSHOT_FIELDS = ("geom_xpos", "geom_xmat", "light_xpos", "light_xdir", "cam_xpos", "cam_xmat")
 
 
 class Stage:
@@ -111,14 +112,6 @@ class Stage:
         mujoco.mjr_readPixels(pixels, None, viewport, self._context)
         return pixels
 
-    def depth_of_last(self, rows: int) -> Float32:
-        """(rows, W) float32 metres along the optical axis of the ``colour`` just drawn, ``inf``
-        where nothing is drawn."""
-        buffer = np.empty((rows, self._pinhole.width), dtype=np.float32)
-        viewport = mujoco.MjrRect(0, 0, self._pinhole.width, rows)
-        mujoco.mjr_readPixels(None, buffer, viewport, self._context)
-        return _metres(buffer, self._scene.camera[0])
-
     def inverse_depth_of_last(self, rows: int) -> InverseDepth:
         """Inverse depths of the ``colour`` just drawn, bottom row first; the buffer is reused by
         the next call."""
@@ -133,7 +126,7 @@ class Stage:
         viewport = self._draw_ids(snapshot, camera_id)
         buffer = np.empty(self._pixels.shape[:2], dtype=np.float32)
         mujoco.mjr_readPixels(None, buffer, viewport, self._plain)
-        return _metres(buffer, self._scene.camera[0])
+        return _inverse(buffer, self._scene.camera[0]).metres()
 
     def geom_ids(self, snapshot: Snapshot, camera_id: int) -> Int32:
         """(H, W) int32 id of the geom that each pixel shows, -1 where there is none."""
@@ -167,8 +160,8 @@ class Stage:
 
     def _look(self, snapshot: Snapshot, camera_id: int, first: int, last: int) -> Any:
         """Sets the MuJoCo scene up for a band of rows; returns its viewport."""
-        for name in SNAPSHOT_FIELDS:
-            getattr(self._data, name)[:] = getattr(snapshot, name)
+        for field in fields(Snapshot):
+            getattr(self._data, field.name)[:] = getattr(snapshot, field.name)
         self._gl.make_current()
         self._camera.fixedcamid = camera_id
         mujoco.mjv_updateScene(
@@ -233,10 +226,6 @@ class Stage:
         for flag in _SEGMENT_FLAGS:
             self._scene.flags[flag] = 0
         return viewport
-
-
-def _metres(buffer: Float32, eye: Any) -> Float32:
-    return _inverse(buffer, eye).metres()
 
 
 def _inverse(buffer: Float32, eye: Any) -> InverseDepth:

@@ -18,17 +18,14 @@ from numpy.typing import NDArray
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.gl import InverseDepth
 from touchdown.sim.camera.lamp import LampField, lamp_row
-from touchdown.sim.camera.optics import NOISE_MARGIN, Lens
+from touchdown.sim.camera.optics import GAMMA, LIGHT, NOISE_MARGIN, Lens
 from touchdown.sim.camera.shutter import sample_row, trace_row
 from touchdown.sim.typing import Array, Bytes, Float32
 
-GAMMA = 2.2
 _NOISE_UNIT = 1.0 / 32.0
 """a step of the noise tile, in standard deviations"""
 _ROOTS = 4096
 
-_LIGHT: Float32 = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
-"""linear light of a grey level, 1 for white"""
 _DISPLAY: Bytes = np.rint(255.0 * (np.arange(_ROOTS) / (_ROOTS - 1.0)) ** (2.0 / GAMMA)).astype(
     np.uint8
 )
@@ -143,9 +140,9 @@ class ImageSensor:
             return image
         lit = np.empty(drawn.shape, dtype=np.float32)
         if light.lamp is None:
-            _light_up(drawn, _LIGHT, lit)
+            _light_up(drawn, LIGHT, lit)
         else:
-            _lamp_up(drawn, _LIGHT, *buffers_of(depth), light.lamp, share, True, lit)
+            _lamp_up(drawn, LIGHT, *buffers_of(depth), light.lamp, share, True, lit)
         _expose(
             lit, *buffers_of(depth), shifts, self._x, self._y, self._bent,
             noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT,
@@ -168,7 +165,7 @@ def most_lux(depth: InverseDepth, lamp: LampField) -> float:
 def mean_light(drawn: Bytes, depth: InverseDepth, lamp: LampField | None, ambient: float) -> float:
     """Mean of linear light times illuminance over every eighth pixel, in lux of white."""
     field = lamp or _NO_LAMP
-    return float(_meter(drawn, *buffers_of(depth), _LIGHT, ambient, lamp is not None, field))
+    return float(_meter(drawn, *buffers_of(depth), LIGHT, ambient, lamp is not None, field))
 
 
 def quiet_tone(light: Exposed) -> Tone:

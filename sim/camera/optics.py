@@ -19,7 +19,10 @@ NOISE_MARGIN = 128
 """The noise tile is larger than an image by this, and shifted at random."""
 
 _ROUNDING_VARIANCE = 1.0 / 12.0
-_DISPLAY_GAMMA = 2.2
+GAMMA = 2.2
+"""display levels are the power 1 / 2.2 of linear light"""
+LIGHT: Float32 = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
+"""linear light of a grey level, 1 for white"""
 _MIDDLE_GREY = 110.0
 _MAX_AUTO_GAIN = 4.0
 _UNDISTORT_STEPS = 30
@@ -39,21 +42,6 @@ class Lens:
     map_x: Float32 | None
     map_y: Float32 | None
     margin: int = 0
-
-
-def check_camera(params: CameraParams) -> None:
-    """Raises ValueError, naming the parameter, for impossible parameters."""
-    for name in ("fov_x_deg", "fov_y_deg"):
-        if not 0.0 < getattr(params, name) < 180.0:
-            raise ValueError(f"camera.{name} is {getattr(params, name):g}: give 0 to 180 degrees")
-    if params.width < 1 or params.height < 1:
-        raise ValueError(f"camera images of {params.width} x {params.height} pixels do not exist")
-    if not params.gain > 0.0:
-        raise ValueError(f"camera.gain is {params.gain:g}: give a positive number")
-    if params.readout_s < 0.0:
-        raise ValueError(f"camera.readout_s is {params.readout_s:g}: give 0 or a positive time")
-    if not np.all(np.isfinite(params.distortion)):
-        raise ValueError(f"camera.distortion is {params.distortion}: give five finite numbers")
 
 
 def intrinsics_of(params: CameraParams) -> CameraIntrinsics:
@@ -76,7 +64,6 @@ def make_lens(params: CameraParams) -> Lens:
     ValueError: the distortion folds the image over itself, or needs a raster of more than three
     times the image's width or height.
     """
-    check_camera(params)
     image = intrinsics_of(params)
     if not image.distortion.any():
         return Lens(image=image, raster=image, map_x=None, map_y=None)
@@ -198,9 +185,9 @@ def exposure_table(params: CameraParams, image: Bytes) -> Bytes | None:
     The gain multiplies light; levels are display levels, which a power law of 2.2 turns into light.
     Automatic exposure is ideal: it knows the image that it exposes.
     """
-    factor = params.gain ** (1.0 / _DISPLAY_GAMMA)
+    factor = params.gain ** (1.0 / GAMMA)
     if params.auto_exposure:
-        limit = _MAX_AUTO_GAIN ** (1.0 / _DISPLAY_GAMMA)
+        limit = _MAX_AUTO_GAIN ** (1.0 / GAMMA)
         level = max(float(image.mean()), 1e-3)
         factor *= min(max(_MIDDLE_GREY / (level * factor), 1.0 / limit), limit)
     if factor == 1.0:

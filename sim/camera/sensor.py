@@ -20,7 +20,7 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams, LampParams
 from touchdown.sim.camera.degradations import CameraDegradations, ImageDefects
 from touchdown.sim.camera.detail_texture import DetailTexture
-from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, InverseDepth, Snapshot, Stage
+from touchdown.sim.camera.gl import InverseDepth, Snapshot, Stage
 from touchdown.sim.camera.image_sensor import NoisePlace
 from touchdown.sim.camera.optics import (
     NOISE_MARGIN,
@@ -113,14 +113,12 @@ class CameraSensor:
             )
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = noise_tile(params, self._noise_key)
-        self._degradations: CameraDegradations | None = None
-        if (faults is not None and faults.events) or ground.dust is not None:
-            degradations = CameraDegradations(
-                faults or FaultParams(), tick_hz, params, self._lens.raster, self._model, seed,
-                camera_name, dust=ground.dust,
-            )  # fmt: skip
-            degradations.effects = self.effects
-            self._degradations = degradations if degradations.ever else None
+        degradations = CameraDegradations(
+            faults or FaultParams(), tick_hz, params, self._lens.raster, self._model, seed,
+            camera_name, dust=ground.dust,
+        )  # fmt: skip
+        degradations.effects = self.effects
+        self._degradations = degradations if degradations.ever else None
         self._vegetation = ground.vegetation
         self._detail = (
             DetailTexture(scene, self._lens.raster, ground.vegetation) if params.detail else None
@@ -135,7 +133,7 @@ class CameraSensor:
     def snapshot(self, data: mujoco.MjData) -> Snapshot:
         """Copies the state that an image depends on. Call it in the physics thread, after the
         kinematics."""
-        return Snapshot(*(getattr(data, name).copy() for name in SNAPSHOT_FIELDS))
+        return Snapshot.of(data)
 
     def render(self, snapshot: Snapshot, tick: int) -> Bytes:
         """(H, W, 3) uint8 RGB image, read-only, with the grey noise of ``tick``."""
@@ -236,7 +234,7 @@ class CameraSensor:
         stage = self._own_stage()
         drawn = self._drawn(stage, instant, first, last).image
         if self._degradations is not None and defects is not None and defects.extinction > 0.0:
-            depth = stage.depth_of_last(last - first)
+            depth = stage.inverse_depth_of_last(last - first).metres()
             drawn = self._degradations.through_air(defects, drawn, depth, first)
         upright = np.ascontiguousarray(drawn[::-1])
         return through_lens(self._lens, upright, first, rows, smooth=True)

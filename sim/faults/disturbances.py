@@ -1,4 +1,4 @@
-"""Scheduled disturbances of the vehicle and the air around it, as functions of the tick alone.
+"""Scheduled disturbances of vehicle and air, and the weather, as functions of the tick alone.
 
 - motor: a motor that has lost the share g of its efficiency turns its rotor at sqrt(1 - g) of the
   demanded speed, so that thrust and drag torque both fall to 1 - g: the loss of effectiveness
@@ -8,12 +8,18 @@
   A hovering vehicle is swept by it: x / d is time over the time of rise. Past its peak it falls
   as it rose, and a fault is a row of such gusts (they may be used singly or in multiples);
 - miscalibration: the LIDAR sits rotated and displaced on the body, by stated amounts, about an axis
-  and in a direction drawn from the seed.
+  and in a direction drawn from the seed;
+- fog weakens light by exp(-e d) over the distance d (Beer and Lambert), e = 3.912 / V with the
+  visibility V (Koschmieder, 1924: contrast falls to 2 % there), times (wavelength / 550 nm)^-q; q
+  is 0 below V = 500 m, where droplets are larger than any wavelength used (Kim, McArthur and
+  Korevaar, Proc. SPIE 4214, 2001);
+- rain: 1.076 R^0.67 dB/km at R mm/h (Carbonneau; Recommendation ITU-R P.1814).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,7 +37,7 @@ class Happening:
 
     def __init__(self, params: FaultParams, kind: str, tick_hz: int) -> None:
         self.faults = [fault for fault in params.schedule() if fault.kind == kind]
-        self._spans = [_span(fault, tick_hz) for fault in self.faults]
+        self._spans = [span(fault, tick_hz) for fault in self.faults]
 
     def since(self, tick: int) -> int | None:
         """Ticks since the beginning of the first fault that is active at ``tick``, or None. A fault
@@ -42,7 +48,8 @@ class Happening:
         return None
 
 
-def _span(fault: Fault, tick_hz: int) -> tuple[int, int | None]:
+def span(fault: Fault, tick_hz: int) -> tuple[int, int | None]:
+    """First tick of a fault, and the one after its last; None: to the end of the flight."""
     start = round(fault.start_s * tick_hz)
     if fault.duration_s is None:
         return start, None
@@ -140,3 +147,72 @@ def _knock(params: FaultParams, seed: int) -> Pose:
     axis, way = random_stream(seed, "miscalibration").standard_normal((2, 3))
     rotation = math.radians(params.miscalibration_deg) * axis / np.linalg.norm(axis)
     return Pose(so3_exp(rotation), params.miscalibration_m * way / np.linalg.norm(way))
+
+
+KOSCHMIEDER = 3.912
+REFERENCE_NM = 550.0
+
+
+def fog_extinction(visibility_m: float, wavelength_nm: float = REFERENCE_NM) -> float:
+    """1/m at a meteorological optical range in metres, by Koschmieder and Kim."""
+    km = visibility_m / 1000.0
+    if km < 0.5:
+        q = 0.0
+    elif km < 1.0:
+        q = km - 0.5
+    elif km < 6.0:
+        q = 0.16 * km + 0.34
+    else:
+        q = 1.3 if km < 50.0 else 1.6
+    return KOSCHMIEDER / visibility_m * (wavelength_nm / REFERENCE_NM) ** -q
+
+
+def rain_extinction(rate_mmph: float) -> float:
+    """1/m at a rain rate in mm/h, for all wavelengths of light."""
+    decibel_per_km = 1.076 * rate_mmph**0.67
+    return decibel_per_km / (10.0 * math.log10(math.e) * 1000.0)
+
+
+@dataclass(frozen=True)
+class Air:
+    """Fog and rain at an instant; ``visibility_m`` None: no fog."""
+
+    visibility_m: float | None = None
+    rain_mmph: float = 0.0
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Kinds of faults that it consists of."""
+        kinds = ("fog", self.visibility_m is not None), ("rain", self.rain_mmph > 0.0)
+        return tuple(kind for kind, there in kinds if there)
+
+    def extinction(self, wavelength_nm: float = REFERENCE_NM) -> float:
+        """1/m, fog and rain together."""
+        fog = 0.0
+        if self.visibility_m is not None:
+            fog = fog_extinction(self.visibility_m, wavelength_nm)
+        return fog + rain_extinction(self.rain_mmph)
+
+
+class Weather:
+    """The air at every tick; ``at`` gives None for clear air."""
+
+    def __init__(self, params: FaultParams, tick_hz: int) -> None:
+        self._params = params
+        self._fog = Happening(params, "fog", tick_hz)
+        self._rain = Happening(params, "rain", tick_hz)
+
+    @property
+    def ever(self) -> bool:
+        """True if the schedule contains fog or rain."""
+        return bool(self._fog.faults or self._rain.faults)
+
+    def at(self, tick: int) -> Air | None:
+        foggy = self._fog.since(tick) is not None
+        wet = self._rain.since(tick) is not None and self._params.rain_mmph > 0.0
+        if not foggy and not wet:
+            return None
+        return Air(
+            visibility_m=self._params.fog_visibility_m if foggy else None,
+            rain_mmph=self._params.rain_mmph if wet else 0.0,
+        )

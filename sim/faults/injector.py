@@ -24,6 +24,7 @@ from touchdown.sim.api import (
     LidarScan,
     Observation,
 )
+from touchdown.sim.faults.disturbances import span
 from touchdown.sim.faults.types import WORLD_KINDS
 
 _STREAMS = ("scans", "images", "gps")
@@ -85,10 +86,8 @@ class _Pending:
 
     def __init__(self, fault: Fault, tick_hz: int) -> None:
         self.fault = fault
-        self.start_tick = round(fault.start_s * tick_hz)
-        self._end_tick = math.inf
-        if fault.duration_s is not None:
-            self._end_tick = self.start_tick + max(1, round(fault.duration_s * tick_hz))
+        self.start_tick, end_tick = span(fault, tick_hz)
+        self._end_tick = math.inf if end_tick is None else end_tick
         self.came = self.hit = 0
 
     def befalls(self, tick: int) -> bool:

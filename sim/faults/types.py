@@ -9,7 +9,7 @@ from typing import Annotated
 
 from annotated_types import Interval
 
-from touchdown.sim.ranges import FORBID_EXTRA, Fraction, Heading, NotNegative
+from touchdown.sim.params import FORBID_EXTRA, Fraction, Heading, NotNegative
 
 FAULT_KINDS: dict[str, tuple[str, ...]] = {
     "lidar_nan": ("scans",),

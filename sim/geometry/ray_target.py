@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import sys
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from touchdown.sim.frames import Pose
-from touchdown.sim.geometry.open3d_core import load_open3d
 from touchdown.sim.geometry.quadrics import ShapeTable, rays_behind, settle
 from touchdown.sim.typing import Array, Float32, Indices, Int32
 
@@ -143,3 +146,28 @@ def body_pose(data: mujoco.MjData, body_id: int) -> Pose:
 def geom_pose(data: mujoco.MjData, geom_id: int) -> Pose:
     """world_from_geom of one geom."""
     return Pose(data.geom_xmat[geom_id].reshape(3, 3).copy(), data.geom_xpos[geom_id].copy())
+
+
+_VIEWERS = "open3d.visualization"
+
+
+def load_open3d() -> Any:
+    """The package ``open3d``; its ``visualization``, 600 modules of web servers and notebooks, is
+    imported at its first use. RuntimeError or ImportError as of the import."""
+    if "open3d" in sys.modules:
+        return importlib.import_module("open3d")  # whole, also if another thread imports it now
+    # It would otherwise probe for a display when it is first imported.
+    os.environ.setdefault("OPEN3D_CPU_RENDERING", "true")
+    sys.modules[_VIEWERS] = ModuleType(_VIEWERS)  # found by the import, so not looked for
+    try:
+        package: Any = importlib.import_module("open3d")
+    finally:
+        del sys.modules[_VIEWERS]
+    package.__getattr__ = _viewers
+    return package
+
+
+def _viewers(name: str) -> ModuleType:
+    if name != "visualization":
+        raise AttributeError(f"module 'open3d' has no attribute '{name}'")
+    return importlib.import_module(_VIEWERS)

@@ -25,7 +25,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.sim.api import LidarParams
-from touchdown.sim.lidar.patterns.livox import ScanPattern
+from touchdown.sim.lidar.patterns import ScanPattern
 from touchdown.sim.typing import Bytes, Float32
 
 Reals = NDArray[Any]

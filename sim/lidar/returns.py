@@ -79,10 +79,6 @@ class LinkBudget(NamedTuple):
         needed: Array = levels[at] * (ranges_m / limits[at]) ** (1.0 / powers[at])
         return needed
 
-    def limit_m(self, strength: float) -> float:
-        """Metres at which a target of this strength is just detected."""
-        return float(_limit(strength, self.anchors))
-
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def _limit(strength: float, anchors: Array) -> float:

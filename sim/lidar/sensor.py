@@ -17,11 +17,11 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.dust import DustCloud
 from touchdown.sim.effects import Effects, Returns
-from touchdown.sim.faults.weather import Weather
+from touchdown.sim.faults.disturbances import Weather
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar import beam_edges, beams, returns
-from touchdown.sim.lidar.patterns.livox import PATTERNS, ScanPattern
+from touchdown.sim.lidar.patterns import PATTERNS, ScanPattern
 from touchdown.sim.lidar.range_errors import RangeErrors
 from touchdown.sim.lidar.raycast_scene import LidarScene, OpticalTable
 from touchdown.sim.lidar.rays import Movers, Rays, Track

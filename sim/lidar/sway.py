@@ -27,7 +27,7 @@ from touchdown.sim.api import AIR_DENSITY_KGPM3, LidarParams
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar.raycast_scene import LidarScene
 from touchdown.sim.lidar.rays import Rays
-from touchdown.sim.typing import Array, Bools, Indices
+from touchdown.sim.typing import Array, Bools
 
 TURBULENCE = 0.2
 """Standard deviation of the wind over its mean (MIL-F-8785C at tree height)"""
@@ -86,12 +86,6 @@ class Sway:
             squares=np.maximum(0.5 * (crowns.high - crowns.low), _LEAST_HALF_M) ** 2,
         )
 
-    def displacement_m(self, geoms: Indices, times_s: Array) -> Array:
-        """(N, 2) displacements of crowns (N,) at instants (N,)."""
-        moved = np.empty((len(geoms), 2))
-        _displace(geoms, times_s, self.along, self._swing, moved)
-        return moved
-
     def move(self, pulses: Rays, hits: Hits) -> tuple[int, float]:
         """Changes the distances of ``hits`` of ``pulses`` on crowns; the number of these, and the
         sum of the changes in metres."""
@@ -109,12 +103,6 @@ def _displacement(time_s: float, along: Array, swing: Array) -> tuple[float, flo
     size = swing[0] * (1.0 + _WAXING * math.sin(phase / _BEATS + swing[4]))
     far, beside = size * math.sin(phase + swing[2]), _ACROSS * size * math.sin(phase + swing[3])
     return far * along[0] - beside * along[1], far * along[1] + beside * along[0]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _displace(geoms: Indices, times_s: Array, along: Array, swing: Array, moved: Array) -> None:
-    for k in range(geoms.shape[0]):
-        moved[k] = _displacement(times_s[k], along, swing[geoms[k]])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

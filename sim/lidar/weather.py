@@ -1,8 +1,8 @@
 """Effects of fog and rain on a LIDAR: weaker echoes of targets, and echoes of the air itself.
 
 An echo of the strength s (reflectivity times cosine) at the range d arrives with s exp(-2 e d), e
-the extinction of ``sim.faults.weather``, and is found or not by the same link budget as in clear
-air. The air itself answers:
+the extinction of `sim.faults.disturbances.Air`, and is found or not by the same link budget as in
+clear air. The air itself answers:
 
 - fog is a soft target. Backscatter is e / S with the lidar ratio S = 18.8 sr of water droplets at
   905 nm (O'Connor, Illingworth and Hogan, J. Atmos. Oceanic Technol. 21, 2004). What lies within
@@ -26,9 +26,9 @@ from functools import cached_property
 import numpy as np
 
 from touchdown.sim.api import LidarParams
-from touchdown.sim.faults.weather import Air, Weather, fog_extinction
+from touchdown.sim.faults.disturbances import Air, Weather, fog_extinction
 from touchdown.sim.lidar import returns
-from touchdown.sim.lidar.patterns.livox import ScanPattern
+from touchdown.sim.lidar.patterns import ScanPattern
 from touchdown.sim.typing import Array, Bytes, Float32, Uint32
 
 LIDAR_NM = 905.0
@@ -88,13 +88,15 @@ class Clutter:
 
     def fog_per_metre(self) -> Array:
         """(K,) rate per metre of fog echoes that are reported as a target."""
-        from scipy.special import gammaincc  # takes a while to load
-
         if self.air.visibility_m is None:
             return np.zeros(len(grid_m()))
-        extinction = fog_extinction(self.air.visibility_m, LIDAR_NM)
+        return self._soft_per_metre(fog_extinction(self.air.visibility_m, LIDAR_NM), LIDAR_RATIO_SR)
+
+    def _soft_per_metre(self, extinction: float, lidar_ratio_sr: float) -> Array:
+        from scipy.special import gammaincc  # takes a while to load
+
         length = self.beam.pulse_length_m
-        strength = math.pi * length * extinction / LIDAR_RATIO_SR * self._both_ways()
+        strength = math.pi * length * extinction / lidar_ratio_sr * self._both_ways()
         share: Array = gammaincc(_SPECKLES, _SPECKLES * self.threshold / strength)
         return share / length
 
@@ -153,12 +155,8 @@ class DustClutter(Clutter):
         return self.dust_extinction
 
     def fog_per_metre(self) -> Array:
-        from scipy.special import gammaincc  # takes a while to load
-
-        length = self.beam.pulse_length_m
-        strength = math.pi * length * self.extinction / DUST_RATIO_SR * self._both_ways()
-        share: Array = gammaincc(_SPECKLES, _SPECKLES * self.threshold / strength)
-        return share / length * (grid_m() <= self.depth_m)
+        inside = grid_m() <= self.depth_m
+        return self._soft_per_metre(self.extinction, DUST_RATIO_SR) * inside
 
 
 class LidarWeather:

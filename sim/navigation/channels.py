@@ -19,10 +19,8 @@ from touchdown.sim.api import (
 from touchdown.sim.delivery import DeliveryQueue, InlineExecutor
 from touchdown.sim.frames import matrix_from_quat_wxyz
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
-from touchdown.sim.navigation.barometer import BarometerSensor
-from touchdown.sim.navigation.gps import GpsSensor
-from touchdown.sim.navigation.magnetometer import MagnetometerSensor
 from touchdown.sim.navigation.rangefinder import RangefinderSensor
+from touchdown.sim.navigation.sensors import BarometerSensor, GpsSensor, MagnetometerSensor
 from touchdown.sim.typing import Array
 
 T = TypeVar("T")
@@ -45,8 +43,6 @@ class Channel(Generic[T]):
                 f"{name}.period_ticks is {timing.period_ticks}, but it must divide sim.tick_hz "
                 f"({tick_hz})"
             )
-        if timing.latency_ticks < 0:
-            raise ValueError(f"{name}.latency_ticks must be 0 or more, not {timing.latency_ticks}")
         self._period = timing.period_ticks if wanted else 0
         self._latency = timing.latency_ticks
         self._queue: DeliveryQueue[T] = DeliveryQueue(InlineExecutor())

@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from touchdown.sim.ranges import FORBID_EXTRA, Count, CountOrZero, NotNegative, Positive
+from touchdown.sim.params import FORBID_EXTRA, Count, CountOrZero, NotNegative, Positive
 
 Array = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ class MagnetometerParams:
     """ticks between two readings (50 Hz)"""
     latency_ticks: CountOrZero = 3
     """ticks from measurement to arrival"""
-    strength_ut: Positive = 54.8
+    strength_ut: Annotated[float, Interval(ge=20.0, le=70.0)] = 54.8
     """magnitude of the field"""
     declination_deg: Annotated[float, Interval(ge=-180.0, le=180.0)] = -7.2
     """east of true north"""

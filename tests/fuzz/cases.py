@@ -10,8 +10,7 @@ import os
 import re
 import stat
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 REACHED = 77
 """Exit code of a command that `fuzz.grounding` has ended."""
@@ -41,8 +40,8 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """``code`` is the exit code, ``reached``, or what ended it; ``faults`` lists the violated
-    rules."""
+    """``code`` is the exit code, ``reached``, or the signal that ended it; ``faults`` lists the
+    violated rules."""
 
     kind: str
     number: int
@@ -55,10 +54,6 @@ class Verdict:
     memory_mb: int
     text: str = field(default="", compare=False)
     """the end of stderr, of a finding"""
-
-    def plain(self) -> dict[str, Any]:
-        """Values for JSON."""
-        return asdict(self)
 
 
 def judge(

@@ -5,15 +5,13 @@
 
 import argparse
 import json
-import re
 import subprocess
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -26,13 +24,22 @@ Verdicts = list[dict[str, Any]]
 
 
 class Server:
-    """A warm process that runs one case after the other in the folder ``home``."""
+    """A warm process that runs one case after the other in a folder of its own."""
 
-    def __init__(self, home: str) -> None:
-        command = [sys.executable, str(Path(__file__).with_name("run_case.py")), "--serve", home]
+    def __init__(self) -> None:
+        self._home = tempfile.TemporaryDirectory(prefix="fuzz-", ignore_cleanup_errors=True)
+        script = str(Path(__file__).with_name("run_case.py"))
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+            [sys.executable, script, "--serve", self._home.name],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._process.communicate()
+        self._home.cleanup()
 
     def ask(self, kind: str, number: int) -> dict[str, Any]:
         """Runs a case and returns its verdict."""
@@ -45,24 +52,13 @@ class Server:
         return verdict
 
 
-@contextmanager
-def server() -> Iterator[Server]:
-    """A `Server` and its folder, which end with the context."""
-    with tempfile.TemporaryDirectory(prefix="fuzz-", ignore_cleanup_errors=True) as home:
-        found = Server(home)
-        try:
-            yield found
-        finally:
-            found._process.communicate()
-
-
 def run_kind(kind: str, numbers: Sequence[int], out: Path) -> Verdicts:
     """Runs the cases that ``out``, a file of one verdict a line, lacks; returns all of them."""
     done = {verdict["number"]: verdict for verdict in read(out)}
     todo = [number for number in numbers if number not in done]
     if todo:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with server() as asked, out.open("a", encoding="utf-8") as file:
+        with Server() as asked, out.open("a", encoding="utf-8") as file:
             for number in todo:
                 done[number] = asked.ask(kind, number)
                 print(json.dumps(done[number]), file=file, flush=True)
@@ -94,28 +90,14 @@ def _row(kind: str, found: Verdicts) -> tuple[Any, ...]:
 
 
 def findings(verdicts: Verdicts) -> list[str]:
-    """A text of each cause of findings, with the command that repeats the first; the most frequent
-    first."""
-    found = defaultdict(list)
+    """A text of each finding, with the command that repeats it."""
+    texts = []
     for verdict in verdicts:
         if verdict["faults"]:
-            found[_cause(verdict)].append(verdict)
-    texts = []
-    for cause, same in sorted(found.items(), key=lambda item: -len(item[1])):
-        again = f"python tests/fuzz/run_case.py {same[0]['kind']} {same[0]['number']}"
-        faults = [fault[:1000] for fault in same[0]["faults"]]
-        text = "\n  ".join([f"{len(same)} x {cause}", again, *faults])
-        texts.append(text.encode("utf-8", "backslashreplace").decode("utf-8"))
+            again = f"python tests/fuzz/run_case.py {verdict['kind']} {verdict['number']}"
+            text = "\n  ".join([again, *(fault[:1000] for fault in verdict["faults"])])
+            texts.append(text.encode("utf-8", "backslashreplace").decode("utf-8"))
     return texts
-
-
-def _cause(verdict: dict[str, Any]) -> str:
-    """A finding without what differs from case to case."""
-    fault = str(verdict["faults"][0])
-    where = " ".join(verdict["arguments"][:2]) if "longer" in fault or "GB" in fault else ""
-    words = re.sub(r"'[^']*'|\"[^\"]*\"", "'…'", fault)
-    words = re.sub(r"(?<![:\w])-?\d[\d.e+-]*", "#", words)
-    return f"{words[:160]} {where}".strip()
 
 
 def main() -> int:
@@ -124,9 +106,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True, help="folder of verdicts")
     parser.add_argument("--kinds", default=",".join(KINDS), help="separated by commas")
     parser.add_argument("--count", type=int, default=COUNT, help="cases of each kind")
-    parser.add_argument("--first", type=int, default=FIRST, help="number of the first case")
     parser.add_argument("--again", action="store_true", help="the findings that are there")
-    parser.add_argument("--only-table", action="store_true", help="of what is there")
     given = parser.parse_args()
     found: Verdicts = []
     for kind in given.kinds.split(","):
@@ -134,11 +114,8 @@ def main() -> int:
         if given.again:
             sound = [json.dumps(verdict) + "\n" for verdict in read(out) if not verdict["faults"]]
             out.write_text("".join(sound), encoding="utf-8")
-        if given.only_table:
-            found += read(out)
-        else:
-            found += run_kind(kind, range(given.first, given.first + given.count), out)
-            print(table(found).split("\n")[-2], flush=True)
+        found += run_kind(kind, range(FIRST, FIRST + given.count), out)
+        print(table(found).split("\n")[-2], flush=True)
     print(table(found), *findings(found), sep="\n\n")
     return 1 if findings(found) else 0
 

@@ -5,10 +5,12 @@
 
 import argparse
 import contextlib
+import dataclasses
 import gc
 import json
 import os
 import shlex
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -51,10 +53,10 @@ def serve(home: Path) -> None:
         folder = home / f"{kind}-{number}"
         verdict = worker.run(kind, int(number), folder, shared)
         # what one case imports, the next ones need not
-        grounding.load(*worker.modules_of(folder))
+        grounding.load(*worker.text_of(folder / "log" / "modules").split())
         gc.freeze()
-        worker.discard(folder)
-        print(json.dumps(verdict.plain()), flush=True)
+        shutil.rmtree(folder, ignore_errors=True)
+        print(json.dumps(dataclasses.asdict(verdict)), flush=True)
 
 
 def show(kind: str, number: int) -> int:

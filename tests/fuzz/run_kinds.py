@@ -1,5 +1,6 @@
 """Cases over run directories, campaigns, baselines, reproductions, calibrations and queries."""
 
+import copy
 import json
 import shutil
 from collections.abc import Callable
@@ -28,10 +29,6 @@ from fuzz.mutations import (
 )
 
 POSES = ("truth", "estimate", "reference")
-
-
-def _copy(tree: Any) -> Any:
-    return json.loads(json.dumps(tree))
 
 
 @cache
@@ -69,7 +66,7 @@ def write_run(
     """A run directory; ``changes``: of its result and its configuration; ``tum`` makes what stands
     in one of the trajectories."""
     run.mkdir(parents=True)
-    result = _copy(_valid_result())
+    result = copy.deepcopy(_valid_result())
     for _ in range(changes):
         mutate_tree(rng, result)
     put(rng, run / "result.json", json_text(rng, result) if changes else json.dumps(result),
@@ -325,7 +322,7 @@ def calibration_case(rng: Rng, folder: Path, _shared: Path) -> Case:
         name = pick(rng, ("edges.yml.gz", "edges.yml", "edges"))
         put(rng, folder / name, pick(rng, (shipped, b"%YAML:1.0\n---\nntrees: 1\n")), 0.8)
         return Case(arguments=(*start, "zou2024", "--set", f"zou2024.edge_model={name}"))
-    tree = _copy(_CALIBRATION)
+    tree = copy.deepcopy(_CALIBRATION)
     for _ in range(int(pick(rng, (0, 1, 1, 2)))):
         mutate_tree(rng, tree)
     put(rng, folder / "cal.json", json_text(rng, tree), 0.15)
@@ -347,7 +344,7 @@ def reproduction_case(rng: Rng, folder: Path, _shared: Path) -> Case:
         state: dict[str, Any] = {
             "part": part.name,
             "edition": "quick",
-            "settings": _copy(part.settings(extent)),
+            "settings": json.loads(json.dumps(part.settings(extent))),
             "figures": {"pictures": ["a.jpg"], "crashed": 0, "remaining": 0, "runs": 3},
             "why": pick(rng, ("", "", "its errors are too large", *MARKED)),
             "error": pick(rng, ("", "", "", *MARKED)),
@@ -365,20 +362,3 @@ def reproduction_case(rng: Rng, folder: Path, _shared: Path) -> Case:
     command = ("reproduce", "--out", "out", "--jobs", "1", "--quiet")
     quick = ("--quick",) if chance(rng, 0.9) else ()
     return Case(arguments=(*command, *quick, *skip, *more), writes=("out",))
-
-
-def json_case(rng: Rng, folder: Path, shared: Path) -> Case:
-    """JSON that is read back."""
-    case: Case = pick(rng, _JSON)(rng, folder, shared)
-    return case
-
-
-def _config_json(rng: Rng, folder: Path, shared: Path) -> Case:
-    from fuzz.config_kinds import config_json_case
-
-    return config_json_case(rng, folder, shared)
-
-
-_JSON = (
-    run_case, run_case, plan_case, plan_case, reproduction_case, calibration_case, _config_json,
-)  # fmt: skip

@@ -8,8 +8,11 @@ from concurrent.futures import Executor
 import numpy as np
 import pytest
 
-from touchdown.sim.api import SimParams
-from touchdown.sim.delivery import DeliveryQueue, Latency, make_executor
+from touchdown.estimator.api import ImageThinning
+from touchdown.sim.api import CameraImage, CameraParams, SimParams
+from touchdown.sim.delivery import DeliveryQueue, Latency, ShutterClock, make_executor
+
+from support.landing_support import make_rig
 
 
 @pytest.fixture(params=[1, 2])
@@ -84,28 +87,10 @@ def test_due_ticks_may_not_go_back(executor: Executor) -> None:
         queue.submit(9, int)
 
 
-def test_clear_forgets_everything(executor: Executor) -> None:
-    queue: DeliveryQueue[int] = DeliveryQueue(executor)
-    for due in range(5):
-        queue.submit(due, _slow, due, 0.002)
-    queue.clear()
-    assert queue.collect(100) == ()
-
-
-def test_thread_count_is_checked() -> None:
-    with pytest.raises(ValueError, match=r"sim.threads must be 1 or 2, not 3"):
-        make_executor(3)
-
-
 def _latencies(count: int, seed: int = 1, name: bytes = b"scans", **params: float) -> list[int]:
     """Latencies of messages that are too far apart to wait for one another."""
     latency = Latency(SimParams(**params), seed, name)  # type: ignore[arg-type]
     return [latency.due(6000 * k) - 6000 * k for k in range(count)]
-
-
-def test_without_spread_the_latency_is_the_nominal_one_to_the_tick() -> None:
-    assert set(_latencies(20)) == {36}
-    assert set(_latencies(20, compute_latency_ticks=35, latency_sigma=0.0)) == {35}
 
 
 def test_latencies_are_log_normal_and_end_at_control_ticks() -> None:
@@ -120,19 +105,78 @@ def test_latencies_are_log_normal_and_end_at_control_ticks() -> None:
     assert drawn.min() > 0
 
 
-def test_latencies_are_those_of_seed_and_sensor() -> None:
-    one = _latencies(50, latency_sigma=0.3)
-    assert one == _latencies(50, latency_sigma=0.3)
-    assert one != _latencies(50, seed=2, latency_sigma=0.3)
-    assert one != _latencies(50, name=b"images", latency_sigma=0.3)
-    latency = Latency(SimParams(latency_sigma=0.3), 1, b"scans")
-    first = [latency.due(6000 * k) for k in range(10)]
-    latency.restart()
-    assert first == [latency.due(6000 * k) for k in range(10)]
-
-
 def test_messages_of_one_sensor_do_not_overtake_one_another() -> None:
     latency = Latency(SimParams(latency_sigma=1.0), 3, b"images")
     due = np.array([latency.due(60 * k) for k in range(1, 500)])
     assert (np.diff(due) >= 0).all()
     assert (np.diff(due) == 0).any()  # some had to wait for the one before
+
+
+SIM = SimParams()
+
+
+def clock(seed: int = 0, takes_time: bool = False, **changes: float) -> ShutterClock:
+    return ShutterClock(CameraParams(**changes), SIM, seed, takes_time)  # type: ignore[arg-type]
+
+
+def test_stamps_are_exact_and_pulses_shared_by_default() -> None:
+    plain = clock()
+    assert (plain.phase_ticks, plain.before_ticks, plain.after_ticks) == (0, 0, 0)
+    for pulse in (60, 61, 777):
+        assert plain.stamp(pulse) == (pulse, pulse / 600)
+
+
+def test_stamps_are_late_by_the_delay_and_scatter_by_the_jitter() -> None:
+    late = clock(stamp_delay_s=0.003, stamp_jitter_s=0.0003)
+    pulses = np.arange(60, 60 * 2000, 60)
+    stamps = [late.stamp(int(p)) for p in pulses]
+    error = np.array([s.time_s for s in stamps]) - pulses / 600
+    assert error.mean() == pytest.approx(0.003, abs=3e-5)
+    assert error.std() == pytest.approx(0.0003, rel=0.06)
+    assert abs(np.corrcoef(error[1:], error[:-1])[0, 1]) < 0.1
+    assert all(s.tick == round(s.time_s * 600) for s in stamps)
+    assert [clock(stamp_delay_s=0.003, stamp_jitter_s=0.0003).stamp(60)] == stamps[:1]
+
+
+def test_the_phase_is_drawn_once_a_flight_within_its_limit() -> None:
+    drawn = [clock(seed, phase_s=0.03).phase_ticks for seed in range(60)]
+    assert min(drawn) <= 1
+    assert 17 <= max(drawn) <= 18
+    assert len(set(drawn)) > 10
+    assert clock(5, phase_s=0.03).phase_ticks == drawn[5]
+    with pytest.raises(ValueError, match=r"camera\.phase_s is 0\.04.*every 0\.03333 s"):
+        clock(phase_s=0.04)
+
+
+def test_an_image_waits_for_the_end_of_its_exposure() -> None:
+    rows = clock(takes_time=True, readout_s=0.015, exposure_max_s=0.01)
+    assert (rows.before_ticks, rows.after_ticks, rows.span_ticks) == (4, 3, 15)
+
+
+def test_thinning_takes_the_images_of_a_slower_camera() -> None:
+    """Of 30 Hz on the clock's ticks those at multiples of 60; of a camera with a phase, a delay and
+    jitter every third one, from the third on; of one that gives 10 Hz all."""
+    rig = make_rig()
+
+    def kept(times_s: np.ndarray, pulses: int) -> list[int]:
+        thinning = ImageThinning(rig, pulses)
+        images = [image_at(float(t)) for t in times_s]
+        return [n for n, image in enumerate(images, start=1) if thinning.keeps(image)]
+
+    pulses = np.arange(1, 31) / 30.0
+    jitter = 0.0003 * np.random.default_rng(0).standard_normal(30)
+    assert kept(np.round(pulses * 600) / 600, 3) == list(range(3, 31, 3))
+    assert kept(np.round(pulses * 600) / 600, 0) == []
+    assert kept(pulses + 0.013 + 0.003 + jitter, 3) == list(range(3, 31, 3))
+    assert kept(pulses + 0.003 + jitter, 1) == list(range(1, 31))
+    for phase in np.arange(0, 20) / 600:
+        times = np.arange(1, 11) / 10.0 + phase + 0.003 + jitter[:10]
+        assert kept(times, 3) == list(range(1, 11))
+
+
+def image_at(time_s: float) -> CameraImage:
+    tick = round(time_s * 600)
+    exact = abs(time_s * 600 - tick) < 1e-9
+    return CameraImage(
+        tick=tick, time_s=tick / 600 if exact else time_s, rgb=np.zeros((2, 2, 3), np.uint8)
+    )

@@ -8,7 +8,7 @@ import pytest
 
 from touchdown.scenes.api import GroundRaster, Scene, Surface
 from touchdown.sim.airframe.vehicle import rotor_geometry, vehicle_body_id, vehicle_model
-from touchdown.sim.api import CameraParams, Command, DustParams, SensorNeeds, SimParams, WorldParams
+from touchdown.sim.api import DustParams
 from touchdown.sim.dust import (
     CLEAR,
     FULL_EXTINCTION_PER_M,
@@ -18,7 +18,6 @@ from touchdown.sim.dust import (
     ground_speed_mps,
 )
 from touchdown.sim.lidar.sensor import LidarSensor
-from touchdown.sim.world import MujocoWorld
 
 from support.lidar_support import BRIGHT, DOWN, PERFECT, PLANE, TICK_HZ, make_scene, track
 from support.places import scene_of
@@ -133,40 +132,3 @@ def test_the_cloud_weakens_echoes_and_answers_itself_above_the_ground() -> None:
     np.testing.assert_array_equal(same, clear_level)
     thin, _ = _scan(2.0, _Constant(0.05, 2.0))
     assert (thin < clear_range - 0.05).mean() < 0.01
-
-
-def _fly_low(scene: Scene, density: float, threads: int, height: float) -> tuple[np.ndarray, ...]:
-    world = MujocoWorld(
-        scene,
-        WorldParams(
-            sim=SimParams(threads=threads),
-            camera=CameraParams(width=64, height=36),
-            dust=DustParams(density=density),
-        ),
-        3,
-        SensorNeeds(camera_hz=10, lidar=True),
-    )
-    try:
-        obs = world.start_in_air(np.array([0.0, 0.0, height]), 0.0)
-        hover = np.sqrt(9.81 * world.rig.vehicle.mass_kg / 4 / world.rig.vehicle.thrust_coefficient)
-        scans, images = [], []
-        for _ in range(60):
-            obs = world.step(Command(rotor_speed_radps=np.full(4, hover)))
-            scans += [scan.ranges for scan in obs.scans]
-            images += [image.rgb for image in obs.images]
-        return scans[-1], images[-1]
-    finally:
-        world.close()
-
-
-def test_scans_and_images_show_the_dust_of_a_low_hover(soil: Scene) -> None:
-    for height, dusty in ((1.5, True), (6.0, False)):
-        clear_scan, clear_image = _fly_low(soil, 0.0, 1, height)
-        scan, image = _fly_low(soil, 1.0, 1, height)
-        assert (not np.array_equal(scan, clear_scan)) == dusty
-        assert (image.astype(int).mean() > clear_image.mean() + 5) == dusty
-        if not dusty:
-            np.testing.assert_array_equal(image, clear_image)
-        again = _fly_low(soil, 1.0, 2, height)
-        np.testing.assert_array_equal(again[0], scan)
-        np.testing.assert_array_equal(again[1], image)

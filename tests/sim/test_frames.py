@@ -89,20 +89,6 @@ def test_interpolation_ends_and_middle(rng: np.random.Generator) -> None:
     )
 
 
-def test_downward_sensor_axes() -> None:
-    # Optical z looks down, image up (-y) is forward, image right (+x) is the vehicle's right.
-    np.testing.assert_array_equal(
-        frames.BODY_FROM_DOWNWARD_OPTICAL @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]
-    )
-    np.testing.assert_array_equal(
-        frames.BODY_FROM_DOWNWARD_OPTICAL @ [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]
-    )
-    np.testing.assert_array_equal(
-        frames.BODY_FROM_DOWNWARD_OPTICAL @ [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]
-    )
-    assert np.linalg.det(frames.BODY_FROM_DOWNWARD_OPTICAL) == pytest.approx(1.0)
-
-
 def test_a_history_interpolates_and_spans_what_it_has() -> None:
     """Poses at 0.0, 0.1, ... 0.9 s that move by 1 m each, of which the last five are kept."""
     history = frames.PoseHistory(5)

@@ -1,12 +1,14 @@
 """The IMU's ideal values, noise densities and bias walk."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import so3_exp
-from touchdown.sim.imu import ImuSensor
+from touchdown.sim.imu import ImuErrors, ImuSensor
 
 from support.worlds import NO_NOISE
 
@@ -42,24 +44,6 @@ def test_constant_rotation_about_a_tilted_axis() -> None:
     )
 
 
-def test_circular_flight_integrates_back_to_its_velocity() -> None:
-    """A level circle at 5 m/s with 1 rad/s: dead reckoning on the samples returns the velocity."""
-    sensor = ImuSensor(NO_NOISE, 600, 3, 0)
-    turn = so3_exp(np.array([0.0, 0.0, PERIOD_S]))
-    rotation, velocity = np.eye(3), np.array([5.0, 0.0, 0.0])
-    reckoned_rotation, reckoned = rotation, velocity
-    for k in range(400):
-        following = rotation @ turn
-        sample = sensor.sample(3 * k, rotation, following, velocity, turn @ velocity)
-        half = so3_exp(0.5 * PERIOD_S * sample.angular_velocity)
-        force = reckoned_rotation @ half @ sample.specific_force
-        reckoned = reckoned + PERIOD_S * (force - [0.0, 0.0, GRAVITY_MPS2])
-        reckoned_rotation = reckoned_rotation @ half @ half
-        rotation, velocity = following, turn @ velocity
-    np.testing.assert_allclose(reckoned, velocity, atol=1e-9)
-    np.testing.assert_allclose(reckoned_rotation, rotation, atol=1e-9)
-
-
 def allan_deviation(series: Array, cluster: int) -> Array:
     """Non-overlapping Allan deviation of (N, C) samples averaged over ``cluster`` of them."""
     usable = len(series) // cluster * cluster
@@ -90,7 +74,7 @@ def test_bias_walk_grows_with_the_root_of_time() -> None:
 
 def test_turn_on_bias_over_many_devices() -> None:
     params = ImuParams()
-    biases = np.array([ImuSensor(params, 600, 3, seed).bias for seed in range(400)])
+    biases = np.array([ImuSensor(params, 600, 3, seed)._bias for seed in range(400)])
     assert np.std(biases[:, :3]) == pytest.approx(params.gyro_bias_sigma, rel=0.07)
     assert np.std(biases[:, 3:]) == pytest.approx(params.accel_bias_sigma, rel=0.07)
 
@@ -111,3 +95,69 @@ def test_vibration_grows_with_the_square_of_the_rotor_speed() -> None:
         density = np.std(rows, axis=0) * np.sqrt(PERIOD_S)
         expected = shake * np.array([5e-3] * 3 + [0.2] * 3)
         np.testing.assert_allclose(density, expected, rtol=0.05, atol=1e-12)
+
+
+SEEDS = 400
+
+
+def drawn(params: ImuParams) -> Array:
+    """(SEEDS, 6, 6) what IMUs of as many seeds make of rates and forces, less the identity."""
+    return np.array([ImuErrors(params, seed).matrix - np.eye(6) for seed in range(SEEDS)])
+
+
+def test_scale_errors_lie_on_the_diagonal_with_their_sigma() -> None:
+    found = drawn(replace(NO_NOISE, scale_sigma=3e-3))
+    diagonal = found[:, np.arange(6), np.arange(6)]
+    np.testing.assert_allclose(diagonal.std(axis=0), 3e-3, rtol=0.12)
+    np.testing.assert_allclose(np.corrcoef(diagonal.T), np.eye(6), atol=0.2)
+    found[:, np.arange(6), np.arange(6)] = 0.0
+    assert not found.any()
+
+
+def test_misalignment_mixes_the_axes_of_one_sensor_only() -> None:
+    found = drawn(replace(NO_NOISE, misalignment_sigma_deg=0.1))
+    own = np.kron(np.eye(2), np.ones((3, 3))) - np.eye(6)
+    np.testing.assert_allclose(found.std(axis=0), np.radians(0.1) * own, rtol=0.12)
+
+
+def test_gyroscope_answers_to_specific_force() -> None:
+    found = drawn(replace(NO_NOISE, gyro_g_sensitivity=1e-4))
+    np.testing.assert_allclose(found[:, :3, 3:].std(axis=0), 1e-4, rtol=0.12)
+    found[:, :3, 3:] = 0.0
+    assert not found.any()
+
+
+def test_one_error_leaves_the_draws_of_the_others_alone() -> None:
+    alone = ImuErrors(replace(NO_NOISE, misalignment_sigma_deg=0.1), 5).matrix
+    both = ImuErrors(replace(NO_NOISE, misalignment_sigma_deg=0.1, scale_sigma=0.01), 5).matrix
+    np.testing.assert_array_equal((both - alone)[~np.eye(6, dtype=bool)], 0.0)
+
+
+def test_samples_carry_the_errors() -> None:
+    """At rest g acts along z: column 5 of the matrix, before bias and noise."""
+    params = replace(
+        NO_NOISE, scale_sigma=0.01, misalignment_sigma_deg=0.5, gyro_g_sensitivity=1e-3
+    )
+    sensor = ImuSensor(params, 600, 3, 11)
+    expected = GRAVITY_MPS2 * ImuErrors(params, 11).matrix[:, 5]
+    np.testing.assert_allclose(at_rest(sensor, 1)[0], expected, atol=1e-12)
+    assert np.abs(expected[:5]).min() > 1e-4 and abs(expected[5] - GRAVITY_MPS2) > 1e-3
+
+
+def test_bias_is_not_scaled() -> None:
+    params = replace(NO_NOISE, scale_sigma=0.5, gyro_bias_sigma=0.1)
+    plain = at_rest(ImuSensor(replace(params, scale_sigma=0.0), 600, 3, 4), 1)
+    scaled = at_rest(ImuSensor(params, 600, 3, 4), 1)
+    np.testing.assert_allclose(scaled[0, :3], plain[0, :3], atol=1e-12)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_samples_saturate(sign: float) -> None:
+    params = replace(NO_NOISE, gyro_range=3.0, accel_range=20.0)
+    sensor = ImuSensor(params, 600, 3, 0)
+    turned = so3_exp(np.array([0.0, 0.0, sign * 10.0 * 3 / 600]))
+    pushed = np.array([sign * 100.0 * 3 / 600, 0.0, 0.0])
+    sample = sensor.sample(3, np.eye(3), turned, np.zeros(3), pushed)
+    assert sample.angular_velocity[2] == sign * 3.0
+    assert sample.specific_force[0] == sign * 20.0
+    assert sample.specific_force[2] == pytest.approx(GRAVITY_MPS2)

@@ -5,7 +5,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import VEHICLE_XML, load_scene
@@ -21,7 +20,6 @@ from touchdown.sim.airframe.vehicle import (
 from touchdown.sim.api import AIR_DENSITY_KGPM3, GRAVITY_MPS2, VehicleModel
 from touchdown.sim.frames import matrix_from_quat_wxyz, rotation_from_yaw
 
-Array = NDArray[np.float64]
 TICK_HZ = 600
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 STILL = np.zeros(3)
@@ -198,36 +196,6 @@ def test_ground_effect_follows_cheeseman_and_bennett(
     assert near / far == pytest.approx(ground_effect(height, 0.1905))
 
 
-def _fall(scene: Scene, ticks: int, rotors: Rotors | None, velocity: Array) -> mujoco.MjData:
-    model, data = scene.model, mujoco.MjData(scene.model)
-    data.qpos[2] = 20.0
-    data.qvel[:3] = velocity
-    for _ in range(ticks):
-        if rotors is not None:
-            data.xfrc_applied[1] = rotors.step(
-                data.qpos[3:7], data.qvel[:3], data.qvel[3:6], STILL, HIGH
-            )
-        mujoco.mj_step(model, data)
-    return data
-
-
-def test_free_fall_without_rotors(tmp_path: Path) -> None:
-    ticks = 120
-    data = _fall(_scene(tmp_path, FLAT), ticks, None, STILL)
-    drop = 0.5 * GRAVITY_MPS2 * ticks * (ticks + 1) / TICK_HZ**2
-    assert 20.0 - data.qpos[2] == pytest.approx(drop, abs=1e-3)
-    np.testing.assert_allclose(data.qvel[3:], 0.0, atol=1e-6)
-
-
-def test_hover_speed_holds_altitude_in_open_loop(
-    tmp_path: Path, alone: mujoco.MjModel, vehicle: VehicleModel
-) -> None:
-    rotors = _spinning(alone, vehicle, _hover_speed(vehicle))
-    data = _fall(_scene(tmp_path, FLAT), 300, rotors, STILL)
-    np.testing.assert_allclose(data.qpos[:3], [1.0, 2.0, 20.0], atol=1e-3)
-    np.testing.assert_allclose(data.qpos[3:], LEVEL, atol=1e-4)
-
-
 def test_fuselage_drag_is_that_of_a_bluff_body(tmp_path: Path, vehicle: VehicleModel) -> None:
     """rho (C_blunt A_front + C_slender (A_max - A_front)) v^2, MuJoCo's ellipsoid model."""
     scene = _scene(tmp_path, FLAT)
@@ -285,5 +253,3 @@ def test_battery_counts_shaft_and_hotel_power() -> None:
     battery.draw(shaft_power_w=1e6, duration_s=1.0)
     assert battery.empty
     assert battery.fraction == 0.0
-    with pytest.raises(ValueError, match=r"battery_capacity_j"):
-        Battery(0.0)

@@ -3,7 +3,7 @@
 from typing import Any
 
 from touchdown.sim.api import FaultParams, LidarParams, LidarScan
-from touchdown.sim.faults.weather import Weather
+from touchdown.sim.faults.disturbances import Weather
 from touchdown.sim.lidar.sensor import LidarSensor
 
 from support.fault_support import HZ

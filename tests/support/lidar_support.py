@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import GroundRaster, Scene, Surface
 from touchdown.sim.api import LidarParams
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, quat_wxyz_from_matrix, so3_exp
-from touchdown.sim.lidar.patterns import livox
+from touchdown.sim.lidar.patterns import HORIZON
 from touchdown.sim.lidar.returns import LinkBudget
 from touchdown.sim.moving import BodyTrack
 
@@ -25,9 +25,7 @@ DOWN = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3))
 PERFECT = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0, divergence=False)
 
 
-BUDGET = LinkBudget.of(
-    livox.HORIZON.range_limits_m, livox.HORIZON.range_reflectivities, max_m=260.0
-)
+BUDGET = LinkBudget.of(HORIZON.range_limits_m, HORIZON.range_reflectivities, max_m=260.0)
 
 
 BRIGHT = Surface(land_class="other", reflectivity=0.8)

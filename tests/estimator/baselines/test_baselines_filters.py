@@ -38,7 +38,7 @@ from touchdown.sim.api import (
 )
 from touchdown.sim.delivery import Latency
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, rotation_from_yaw, so3_exp
-from touchdown.sim.navigation.magnetometer import earth_field_world
+from touchdown.sim.navigation.sensors import earth_field_world
 from touchdown.sim.noise import GaussMarkov
 
 from support.baselines_support import HZ, texture

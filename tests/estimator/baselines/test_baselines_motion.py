@@ -31,7 +31,7 @@ from touchdown.sim.api import (
     SensorRig,
 )
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log
-from touchdown.sim.navigation.magnetometer import earth_field_world
+from touchdown.sim.navigation.sensors import earth_field_world
 
 from support.livo_flight import HZ, IMU_TICKS, LATENCY, START_Z, inertial
 from support.zou2024_flight import image_from, make_rig

@@ -7,7 +7,7 @@ import pytest
 
 from touchdown.experiments.campaign.forecast import forecast
 from touchdown.experiments.campaign.plan import Plan, load_plan
-from touchdown.experiments.flight.condition_checks import judge_fault
+from touchdown.experiments.flight.conditions import judge_fault
 from touchdown.sim.api import FAULT_KINDS, FaultParams
 from touchdown.sim.faults.injector import FaultInjector
 from touchdown.sim.faults.types import WORLD_KINDS

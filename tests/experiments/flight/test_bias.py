@@ -6,7 +6,7 @@ import numpy as np
 
 from touchdown.estimator.api import Estimate, PoseTrack
 from touchdown.experiments.api import BiasParams
-from touchdown.experiments.flight.bias_injection import BiasedEstimator
+from touchdown.experiments.flight.wiring import BiasedEstimator
 from touchdown.sim.api import Observation, SensorNeeds
 
 from support.flight_fakes import make_estimate

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from touchdown.experiments.flight.choice import choice_of, missed_ground
 from touchdown.experiments.flight.metrics import GroundMap
+from touchdown.experiments.flight.result import choice_of, missed_ground
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.reporting.report_tables import missed_lines
 from touchdown.landing.api import Candidate, Decision, ScoreTerm, SiteRule

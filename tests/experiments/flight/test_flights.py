@@ -76,15 +76,3 @@ def test_the_flight_follows_the_estimate_not_the_truth() -> None:
     assert site_taken["accepted"] and site_taken["rule"] == "commanded"
     assert site_taken["position_m"][:2] == pytest.approx(site, abs=0.05)
     assert sum(t["value"] for t in site_taken["terms"]) == pytest.approx(site_taken["value"])
-
-
-@pytest.mark.slow
-def test_same_seed_same_flight_to_the_byte_on_any_number_of_threads(
-    livo_flight: tuple[Path, dict[str, Any]], tmp_path: Path
-) -> None:
-    first, result = livo_flight
-    again = run(tmp_path / "run", "sim.threads=1", estimator="livo", seed=11, survey_only=True)
-    for name in ("truth.tum", "estimate.tum", "reference.tum", "map.ply"):
-        assert (first / name).read_bytes() == (tmp_path / "run" / name).read_bytes(), name
-    for key in ("position_error_m", "trajectory_error_m", "map"):
-        assert again[key] == result[key]

@@ -1,23 +1,29 @@
 """Figures of merit against values worked out by hand."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from touchdown.estimator.api import GridMap
+from touchdown.experiments.flight import result
 from touchdown.experiments.flight.metrics import (
     NEES_LIMIT,
     Consistency,
+    GroundMap,
     PositioningError,
     TouchdownWindow,
     TrajectoryDeviation,
     fit_plane,
     levelness_error_deg,
 )
+from touchdown.experiments.flight.result import _map_figures
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
 from support.flight_fakes import LEG_ON_LAWN, make_truth
+from support.landing_support import grid_of_returns
 
 
 def test_positioning_error_of_two_samples() -> None:
@@ -154,3 +160,25 @@ def test_a_singular_covariance_is_overconfidence() -> None:
     nees = Consistency()
     nees.add(np.ones(3), np.zeros(3), np.zeros((3, 3)))
     assert nees.summary().below_14_2 == 0.0
+
+
+def test_levelness_is_that_of_the_ground_under_plants(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of a meadow a metre wide, on level ground."""
+    rng = np.random.default_rng(2)
+    rows = np.where(np.arange(60) // 5 % 2 == 0, 0.25, 0.0)
+    leaves = np.maximum(1.0 + np.log(rng.random((30, 60, 60))) / 0.85, 0.0)
+    grid = grid_of_returns(leaves * rows + 0.025 * rng.standard_normal((30, 60, 60)))
+
+    def level(_lookup: object, xy: Any, radius: float) -> Any:
+        across = np.linspace(-radius, radius, 9)
+        x, y = np.meshgrid(xy[0] + across, xy[1] + across)
+        return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+
+    monkeypatch.setattr(result.TruthLookup, "surface_points", level)
+    stack: Any = SimpleNamespace(scene=None)
+    judgement: Any = SimpleNamespace(survey_s=36.0)
+    before = result.levelness_error_deg(grid, lambda xy, r: level(None, xy, r), 3)
+    found = _map_figures(stack, judgement, GroundMap.of(grid), 3)
+    assert before.mean() > 1.0
+    assert found.levelness_error_deg.mean is not None and found.levelness_error_deg.mean < 0.4
+    assert found.density_per_m2 == pytest.approx(30 / 0.04)

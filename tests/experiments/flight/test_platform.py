@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 KERNELS = """
 from numba import njit
 
@@ -44,3 +46,28 @@ def test_a_kernel_from_the_cache_is_parsed_for_those_that_are_compiled_from_it(
         )
         said.append(json.loads(done.stdout))
     assert said == [[0, True, 4.0, 6.0], [1, False, 4.0, 6.0]]
+
+
+ROOT = Path(__file__).parents[3]
+NAMES = (
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
+    "LP_NUM_THREADS",
+)  # fmt: skip
+THREADS_PROBE = """
+import json
+from threadpoolctl import threadpool_info
+from touchdown.experiments.flight.platform import limit_threads
+limit_threads()
+import cv2, numba, scipy.linalg
+blas = [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+print(json.dumps([blas, cv2.getNumThreads(), numba.get_num_threads()]))
+"""
+
+
+@pytest.mark.parametrize("first", ["", "import numpy, scipy.linalg, cv2", "import touchdown"])
+def test_libraries_stay_on_one_thread_whatever_the_environment_says(first: str) -> None:
+    command = [sys.executable, "-c", first + THREADS_PROBE]
+    four = {**os.environ, "MUJOCO_GL": "egl"} | dict.fromkeys(NAMES, "4")
+    done = subprocess.run(command, cwd=ROOT, env=four, stdout=subprocess.PIPE, check=True)
+    blas, opencv, numba = json.loads(done.stdout)
+    assert len(blas) >= 2 and set(blas) == {1} and (opencv, numba) == (1, 1)

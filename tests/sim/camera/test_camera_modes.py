@@ -14,7 +14,7 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraParams, SimParams
 from touchdown.sim.camera.optics import distort, intrinsics_of, undistort
 from touchdown.sim.camera.sensor import CameraSensor
-from touchdown.sim.clock import readout_ticks
+from touchdown.sim.delivery import readout_ticks
 from touchdown.sim.frames import so3_exp
 
 from support.camera_support import CLEAN, HEIGHT_M, box, centroid, make_scene, posed, take_image
@@ -139,9 +139,6 @@ def test_undistort_inverts_distort() -> None:
 @pytest.mark.parametrize(("params", "message"), [
     (CameraParams(distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)), r"folds the image"),
     (CameraParams(distortion=(-0.35, 0.0, 0.0, 0.0, 0.0), fov_x_deg=110.0), r"folds|raster"),
-    (CameraParams(gain=0.0), r"camera\.gain is 0"),
-    (CameraParams(readout_s=-0.01), r"camera\.readout_s is -0\.01"),
-    (CameraParams(fov_x_deg=180.0), r"camera\.fov_x_deg is 180"),
     (CameraParams(distortion=(np.nan, 0.0, 0.0, 0.0, 0.0)), r"camera\.distortion"),
 ])  # fmt: skip
 def test_impossible_cameras_are_refused(params: CameraParams, message: str) -> None:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import LIGHT_LUX, Light, Scene
 from touchdown.sim.api import CameraParams, LampParams
-from touchdown.sim.camera.exposure import MIDDLE_GREY, AutoExposure
 from touchdown.sim.camera.optics import intrinsics_of
+from touchdown.sim.camera.row_exposures import MIDDLE_GREY, AutoExposure
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.frames import Pose
 
@@ -146,18 +146,6 @@ def test_an_exposed_image_replaces_the_grey_noise_and_repeats_by_seed_and_tick()
     scene = make_scene(floor="0.5 0.5 0.5 1")
     loud = dataclasses.replace(EXPOSED, noise_sigma=40.0)
     np.testing.assert_array_equal(still(scene, EXPOSED), still(scene, loud))
-
-
-def test_night_is_dark_but_for_the_lamp() -> None:
-    """A white floor 20 m below, without stars to speak of; with a lamp that reaches it, less than
-    by day; with one that is on below 12 m only, as dark as without."""
-    scene = make_scene(floor="0.8 0.8 0.8 1")
-    dark = still(scene, CameraParams(), "night")
-    assert dark.mean() < 15.0
-    far = still(scene, CameraParams(), "night", LampParams(below_m=12.0))
-    np.testing.assert_array_equal(dark, far)
-    lit = still(scene, CameraParams(), "night", LampParams(below_m=25.0))
-    assert lit.mean() > 3.0 * dark.mean()
 
 
 @pytest.mark.parametrize(("below_m", "lamp"), [(12.0, 0.0), (25.0, 1.0)])

@@ -22,7 +22,6 @@ from touchdown.sim.api import (
     SimParams,
     WorldParams,
 )
-from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
@@ -190,19 +189,6 @@ def test_a_camera_in_the_plants_sees_the_ground(grown: PosedSensors, bare: Posed
             np.testing.assert_allclose(seen.depth_m, clear, atol=1e-3)
 
 
-def test_the_picture_without_vegetation_is_the_same_to_the_bit() -> None:
-    camera = CameraSensor(place(), LENS, 0)
-    data = mujoco.MjData(place().model)
-    data.qpos[:3] = above(MEADOW, 4.0).translation
-    mujoco.mj_forward(place().model, data)
-    pose = Pose(np.eye(3), data.qpos[:3].copy())
-    expected = camera.render(camera.snapshot(data), 0)
-    camera.close()
-    plain = sensors_of(BARE)
-    np.testing.assert_array_equal(plain.view(pose, 0.0, 0).rgb, expected)
-    plain.close()
-
-
 def test_grain_lies_on_the_plants() -> None:
     """Grain is multiplied in where depth and the ground's height agree; plants that stand higher
     than its tolerance keep theirs."""
@@ -287,8 +273,3 @@ def test_the_model_of_physics_and_lidar_keeps_its_ground() -> None:
     found = vegetation()
     assert found.field == int(model.geom_dataid[model.geom("ground").id]) != 0
     assert found.model.hfield_data.max() > 0.0
-
-
-def test_without_vegetation_there_are_no_plants() -> None:
-    assert SurfaceDetail.plants_of(BARE, place()) is None
-    assert Vegetation.of(place(), None) is None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera import ground_picture
-from touchdown.sim.camera.gl import SNAPSHOT_FIELDS, Snapshot, Stage
+from touchdown.sim.camera.gl import Snapshot, Stage
 from touchdown.sim.camera.gl_contexts import gl_context, put_back
 from touchdown.sim.camera.visible import Terrain
 from touchdown.sim.frames import so3_exp
@@ -74,7 +74,7 @@ def snapshot_at(model: mujoco.MjModel, pose: str) -> Snapshot:
     mujoco.mju_mat2Quat(data.mocap_quat[0], so3_exp(np.array(turn)).ravel())
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)
-    return Snapshot(*(getattr(data, name).copy() for name in SNAPSHOT_FIELDS))
+    return Snapshot.of(data)
 
 
 def by_mujoco(
@@ -88,7 +88,7 @@ def by_mujoco(
             lambda context, _: mujoco.mjr_uploadHField(stage._model, context, 0),
         )  # fmt: skip
         colours = stage.colour(snapshot, 0, 0, PINHOLE.height).copy()
-        return colours, stage.depth_of_last(PINHOLE.height)
+        return colours, stage.inverse_depth_of_last(PINHOLE.height).metres()
 
 
 @pytest.mark.parametrize("pose", POSES)
@@ -99,7 +99,8 @@ def test_pictures_are_those_of_the_whole_scene(
     whole, far = by_mujoco(plain, snapshot, monkeypatch)
     everything = plain._scene.ngeom
     seen = stage.colour(snapshot, 0, 0, PINHOLE.height)
-    np.testing.assert_allclose(stage.depth_of_last(PINHOLE.height), far, rtol=1e-5)
+    depth = stage.inverse_depth_of_last(PINHOLE.height).metres()
+    np.testing.assert_allclose(depth, far, rtol=1e-5)
     difference = np.abs(seen.astype(int) - whole)
 
     assert difference.mean() < 1.0  # normals are averaged a little differently

@@ -20,8 +20,8 @@ from touchdown.sim.camera.degradations import (
     glare_table,
 )
 from touchdown.sim.camera.sensor import CameraSensor
-from touchdown.sim.faults.weather import Air, Weather, fog_extinction, rain_extinction
-from touchdown.sim.lidar.patterns.livox import HORIZON
+from touchdown.sim.faults.disturbances import Air, Weather, fog_extinction, rain_extinction
+from touchdown.sim.lidar.patterns import HORIZON
 from touchdown.sim.lidar.weather import LIDAR_RATIO_SR, Beam, Clutter, drops_larger, grid_m
 
 from support.camera_support import CLEAN, HEIGHT_M, posed
@@ -72,7 +72,6 @@ def test_beer_and_lambert_at_a_known_range() -> None:
 def test_range_is_lost_where_the_link_budget_ends(height: float) -> None:
     """At the visibility that leaves just what is needed, half of the pulses come back."""
     needed = float(BUDGET.strength_needed(np.array([height]))[0])
-    assert BUDGET.limit_m(needed) == pytest.approx(height)
     visibility = 3.912 / (math.log(0.8 / needed) / (2.0 * height))
     for factor, low, high in ((0.9, 0.0, 0.02), (1.0, 0.3, 0.7), (1.1, 0.98, 1.0)):
         scan = look_down(PLANE, height, "fog@0", fog_visibility_m=factor * visibility)

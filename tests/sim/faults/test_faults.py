@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.inactive_faults import inactive_faults
+from touchdown.experiments.flight.conditions import inactive_faults
 from touchdown.experiments.flight.run import fly
 from touchdown.sim.api import FAULT_KINDS, FaultParams, SensorNeeds
 from touchdown.sim.faults.injector import FaultInjector

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Scene, Surface
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.frames import Pose
-from touchdown.sim.lidar.patterns.livox import HORIZON, PATTERNS
+from touchdown.sim.lidar.patterns import HORIZON, PATTERNS
 from touchdown.sim.lidar.sensor import LidarSensor, beam_parts
 from touchdown.sim.moving import BodyTrack
 
@@ -94,20 +94,6 @@ def test_parts_of_a_beam() -> None:
     np.testing.assert_allclose(parts.sum(axis=0), 0.0, atol=1e-12)
     np.testing.assert_allclose(parts[:2, 1], 1.4652 * 0.28 / 2.3548 * np.array([-1, 1]), rtol=1e-3)
     assert np.abs(parts[:, 0]).max() == pytest.approx(1.4652 * 0.03 / 2.3548, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("preset", "pulses"), [("horizon", 24_000), ("avia", 24_000), ("mid360", 20_000)]
-)
-def test_presets_scan_at_their_rate(preset: str, pulses: int) -> None:
-    scene = make_scene(PLANE, {"plane": BRIGHT})
-    scan = scan_from(10.0, scene, replace(NOISELESS, preset=preset))
-    assert scan.ranges.shape == (pulses,)
-    down = scan.directions[:, 2]
-    seen = scan.ranges > 0.0
-    np.testing.assert_allclose(scan.ranges[seen] * down[seen], 10.0, atol=1e-3)
-    assert seen[down > 0.3].all()
-    assert not seen[down <= 0.0].any()
 
 
 @pytest.mark.parametrize(("preset", "reflectivity", "limit"), [

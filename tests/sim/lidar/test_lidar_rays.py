@@ -1,5 +1,8 @@
 """The LIDAR's ray caster against MuJoCo's own, geom type by geom type and on whole scenes."""
 
+import subprocess
+import sys
+
 import mujoco
 import numpy as np
 import pytest
@@ -142,3 +145,20 @@ def test_open_ground_is_a_shortcut_and_nothing_else() -> None:
     hit = quick.geom >= 0
     np.testing.assert_allclose(quick.distance[hit], general.distance[hit], atol=1e-4)
     np.testing.assert_allclose(quick.cosine[hit], general.cosine[hit], atol=1e-4)
+
+
+_PROGRAM = """
+import sys
+from touchdown.sim.geometry.ray_target import load_open3d
+open3d = load_open3d()
+assert open3d.t.geometry.RaycastingScene(nthreads=1) is not None
+assert not {"dash", "IPython", "plotly"} & set(sys.modules), "a viewer"
+assert callable(open3d.visualization.draw_geometries) and "plotly" in sys.modules
+assert not hasattr(open3d, "no_such_name")
+assert load_open3d() is open3d
+"""
+
+
+def test_viewers_are_imported_when_somebody_asks_for_one() -> None:
+    done = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

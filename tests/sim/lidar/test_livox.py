@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.sim.lidar.patterns.livox import AVIA, HORIZON, MID360, PATTERNS, ScanPattern
+from touchdown.sim.lidar.patterns import AVIA, HORIZON, MID360, PATTERNS, ScanPattern
 
 Array = NDArray[np.float64]
 

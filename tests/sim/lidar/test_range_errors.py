@@ -8,7 +8,7 @@ import pytest
 
 from touchdown.scenes.api import Surface
 from touchdown.sim.api import LidarParams, LidarScan
-from touchdown.sim.lidar.patterns.livox import HORIZON
+from touchdown.sim.lidar.patterns import HORIZON
 from touchdown.sim.lidar.range_errors import SHARES, SMEAR_M, RangeErrors
 from touchdown.sim.lidar.sensor import LidarSensor
 

@@ -9,9 +9,14 @@ import pytest
 from touchdown.scenes.api import GroundRaster, Scene, Surface
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.frames import Pose, so3_exp
-from touchdown.sim.lidar.lattice_noise import add_plane_noise, add_space_noise
 from touchdown.sim.lidar.sensor import LidarSensor
-from touchdown.sim.lidar.surface_detail import FINEST_M, SHARES, SurfaceDetail
+from touchdown.sim.lidar.surface_detail import (
+    FINEST_M,
+    SHARES,
+    SurfaceDetail,
+    add_plane_noise,
+    add_space_noise,
+)
 from touchdown.sim.moving import BodyTrack
 
 from support.lidar_support import DOWN, PERFECT, PLANE, TICK_HZ, make_scene, track

@@ -1,13 +1,22 @@
-"""A satellite receiver: positions with a correlated error, at a low rate, with a delay."""
+"""Satellite receiver, barometer and magnetometer: readings of the truth with their errors."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from touchdown.sim.api import GpsFix, GpsParams, GpsPreset
+from touchdown.sim.api import (
+    BarometerParams,
+    BarometerSample,
+    GpsFix,
+    GpsParams,
+    GpsPreset,
+    MagnetometerParams,
+    MagnetometerSample,
+)
 from touchdown.sim.frames import cross
 from touchdown.sim.noise import GaussMarkov, random_stream
 from touchdown.sim.typing import Array
@@ -57,13 +66,9 @@ PRESETS: Mapping[GpsPreset, GpsModel] = {
 
 
 def gps_model(params: GpsParams) -> GpsModel:
-    """The preset with the fields that ``params`` overrides. Raises ValueError for a negative
-    standard deviation."""
+    """The preset with the fields that ``params`` overrides."""
     names = ("sigma_xy_m", "sigma_z_m", "white_m", "velocity_sigma_mps", "tau_s")
     given = {n: value for n in names if (value := getattr(params, n)) is not None}
-    for name, value in given.items():
-        if value < 0.0 or (name == "tau_s" and value == 0.0):
-            raise ValueError(f"gps.{name} is {value:g}: choose it positive")
     return dataclasses.replace(PRESETS[params.preset], **given)
 
 
@@ -106,3 +111,78 @@ class GpsSensor:
             sigma_position_m=self._reported,
             sigma_velocity_mps=self._model.velocity_sigma_mps,
         )
+
+
+SEA_LEVEL_PA = 101_325.0
+_LAPSE_PER_M = 0.0065 / 288.15
+_EXPONENT = 9.80665 * 0.0289644 / (8.314_32 * 0.0065)
+"""ISO 2533 standard atmosphere, troposphere: p = p0 (1 - L h / T0) ^ (g M / (R L))"""
+
+
+def pressure_at(height_m: float) -> float:
+    """Static pressure, Pa, at a height above the mean sea level of the standard atmosphere."""
+    return float(SEA_LEVEL_PA * (1.0 - _LAPSE_PER_M * height_m) ** _EXPONENT)
+
+
+def height_at(pressure_pa: float) -> float:
+    """The inverse of `pressure_at`, m."""
+    return float((1.0 - (pressure_pa / SEA_LEVEL_PA) ** (1.0 / _EXPONENT)) / _LAPSE_PER_M)
+
+
+class BarometerSensor:
+    """Offset (turn-on), Gauss-Markov drift and white noise, all in pressure."""
+
+    def __init__(self, params: BarometerParams, tick_hz: int, seed: int) -> None:
+        self._tick_hz = tick_hz
+        self._site_m = params.site_elevation_m
+        self._white_pa = params.white_sigma_pa
+        self._rng = random_stream(seed, "barometer")
+        self._offset_pa = params.offset_sigma_pa * self._rng.standard_normal()
+        period_s = params.period_ticks / tick_hz
+        drift = np.array([params.drift_sigma_pa])
+        self._drift = GaussMarkov(drift, params.drift_tau_s, period_s, self._rng)
+
+    def sample(self, tick: int, height_world_m: float) -> BarometerSample:
+        """The reading at a true height above world z = 0."""
+        error = self._offset_pa + float(self._drift.step()[0])
+        error += self._white_pa * self._rng.standard_normal()
+        pressure = pressure_at(self._site_m + height_world_m) + error
+        return BarometerSample(
+            tick=tick,
+            time_s=tick / self._tick_hz,
+            pressure_pa=pressure,
+            altitude_m=height_at(pressure) - self._site_m,
+        )
+
+
+def earth_field_world(params: MagnetometerParams) -> Array:
+    """(3,) microtesla, ENU: declination turns the horizontal part from north to east, inclination
+    dips it below the horizon."""
+    declination = math.radians(params.declination_deg)
+    inclination = math.radians(params.inclination_deg)
+    level = params.strength_ut * math.cos(inclination)
+    return np.array(
+        [
+            level * math.sin(declination),
+            level * math.cos(declination),
+            -params.strength_ut * math.sin(inclination),
+        ]
+    )
+
+
+class MagnetometerSensor:
+    """Hard-iron offset, constant in the body frame for one device (seed), and white noise."""
+
+    def __init__(self, params: MagnetometerParams, tick_hz: int, seed: int) -> None:
+        self._tick_hz = tick_hz
+        self._field = earth_field_world(params)
+        self._sigma_ut = params.noise_sigma_ut
+        self._rng = random_stream(seed, "magnetometer")
+        self._hard_iron = params.hard_iron_sigma_ut * self._rng.standard_normal(3)
+
+    def sample(self, tick: int, rotation: Array) -> MagnetometerSample:
+        """The reading under a true world_from_body rotation (3, 3)."""
+        field = rotation.T @ self._field + self._hard_iron
+        field = field + self._sigma_ut * self._rng.standard_normal(3)
+        field.setflags(write=False)
+        return MagnetometerSample(tick=tick, time_s=tick / self._tick_hz, field_body_ut=field)
