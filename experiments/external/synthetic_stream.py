@@ -33,8 +33,7 @@ from touchdown.sim.api import (
     VehicleModel,
 )
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, rotation_from_yaw
-from touchdown.sim.navigation.barometer import pressure_at
-from touchdown.sim.navigation.magnetometer import earth_field_world
+from touchdown.sim.navigation.sensors import earth_field_world, pressure_at
 
 Array = NDArray[np.float64]
 Reals = NDArray[np.floating[Any]]
