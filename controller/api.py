@@ -81,7 +81,7 @@ class ControlParams:
     rate_derivative_s: NotNegative = 0.012
     """derivative time of the rate loops' D term"""
     acceleration_feedback: NotNegative = 0.0
-    """D term of the velocity loops: share of the acceleration error that is fed back"""
+    """D term of the velocity loops: fraction of the acceleration error that is fed back"""
     disturbance_radps: NotNegative = 6.0
     """bandwidth of the observer of the wind's force"""
     wind_feed_forward: bool = False

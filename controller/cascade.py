@@ -49,7 +49,7 @@ class CascadeController:
             vehicle, params.disturbance_radps, step_s, vertical=params.wind_feed_forward
         )
         full = 4.0 * vehicle.thrust_coefficient * vehicle.rotor_speed_max**2
-        self._most_force = _THRUST_FRACTION * full if params.wind_feed_forward else np.inf
+        self._max_force = _THRUST_FRACTION * full if params.wind_feed_forward else np.inf
         self._max_correction = params.max_correction_mps
         self._max_slope = float(np.tan(np.radians(params.max_tilt_deg)))
         self._weight = vehicle.mass_kg * GRAVITY_MPS2
@@ -90,9 +90,9 @@ class CascadeController:
         demand = self._rate_pid.output(wanted_rates - rates, (rates - last_rates) / self._step_s)
         self._last_rates = rates
         wrench = _wrench(thrust, demand, rates, self._vehicle.inertia_kgm2)
-        share = setpoint.thrust_limit
-        speeds = self._mixer.speeds(wrench, np.inf if share is None else share * self._weight)
-        if share is None:  # on the ground contact forces would wind up the integrals
+        fraction = setpoint.thrust_limit
+        speeds = self._mixer.speeds(wrench, np.inf if fraction is None else fraction * self._weight)
+        if fraction is None:  # on the ground contact forces would wind up the integrals
             self._settle(force, wrench, self._mixer.wrench(speeds))
         return Command(rotor_speed_radps=self._lead.command(speeds))
 
@@ -130,7 +130,7 @@ class CascadeController:
             self._vehicle.mass_kg,
             self._weight,
             self._max_slope,
-            self._most_force,
+            self._max_force,
         )
         return limited
 
@@ -203,7 +203,7 @@ def _forces(
     mass: float,
     weight: float,
     max_slope: float,
-    most: float,
+    maximum: float,
 ) -> tuple[Array, Array]:
     """(3,) N, odom frame: the demanded force, and the same within the limits: the vertical share
     first, then as much of the horizontal as the tilt limit, and the force ``most`` of all rotors,
@@ -211,10 +211,12 @@ def _forces(
     force = mass * (feedback + feed_forward - drag - unexpected)
     force[2] += weight
     limited = force.copy()
-    low, high = _MIN_VERTICAL_FORCE * weight, min(_MAX_VERTICAL_FORCE * weight, most)
+    low, high = _MIN_VERTICAL_FORCE * weight, min(_MAX_VERTICAL_FORCE * weight, maximum)
     limited[2] = min(max(force[2], low), high)
     horizontal = np.sqrt(force[0] ** 2 + force[1] ** 2)
-    reach = min(max_slope * limited[2], np.sqrt(max(most * most - limited[2] * limited[2], 0.0)))
+    reach = min(
+        max_slope * limited[2], np.sqrt(max(maximum * maximum - limited[2] * limited[2], 0.0))
+    )
     if horizontal > reach:
         limited[0] *= reach / horizontal
         limited[1] *= reach / horizontal

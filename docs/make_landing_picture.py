@@ -34,7 +34,7 @@ CAPTIONS = {
     "SURVEY": "Survey and map",
     "SELECT": "Site selection",
     "APPROACH": "Approach",
-    "DESCEND": "Descent, second look",
+    "DESCEND": "Descent, site recheck",
     "TOUCHDOWN": "Touchdown",
     "DONE": "Landed",
 }

@@ -28,7 +28,7 @@ from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
 
-LEAST_CONTRAST = 2.5
+MIN_CONTRAST = 2.5
 """standard deviation of each channel's levels below which an image holds noise only"""
 
 
@@ -41,7 +41,7 @@ def image_defect(pixels: NDArray[np.uint8], before: NDArray[np.uint8]) -> str:
     """Returns the defect of an image, from its pixels (h, w, 3) and those of the image ``before``;
     "" if there is none. Noise makes identical images impossible."""
     channels = np.ascontiguousarray(pixels.reshape(-1, 3).T)  # in a row each, a third of the time
-    if float(channels.std(axis=1).max()) < LEAST_CONTRAST:
+    if float(channels.std(axis=1).max()) < MIN_CONTRAST:
         return "no contrast"
     return "the same as the one before" if np.array_equal(pixels, before) else ""
 

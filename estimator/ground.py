@@ -116,10 +116,10 @@ def _climb(weights: Array, low: int) -> tuple[float, float, float]:
         end = min(int((x + _WINDOW_M) / HEIGHT_BIN_M) + 1, weights.shape[0])
         for k in range(start, end):
             away = (k + 0.5) * HEIGHT_BIN_M - x
-            share = (1.0 - (away / _WINDOW_M) ** 2) * weights[k]
-            if share > 0.0:
-                total += share
-                first += share * away
+            fraction = (1.0 - (away / _WINDOW_M) ** 2) * weights[k]
+            if fraction > 0.0:
+                total += fraction
+                first += fraction * away
                 inside += weights[k]
                 second += weights[k] * away * away
         if total <= 0.0:
@@ -131,12 +131,12 @@ def _climb(weights: Array, low: int) -> tuple[float, float, float]:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _start(weights: Array, first: int, share: float) -> int:
+def _start(weights: Array, first: int, fraction: float) -> int:
     """First bin from ``first`` on up to which more than a few returns lie; -1 if there is none."""
     total = 0.0
     for k in range(weights.shape[0]):
         total += weights[k]
-    needed, found = max(share * total, 1e-6), 0.0
+    needed, found = max(fraction * total, 1e-6), 0.0
     for k in range(first, weights.shape[0]):
         found += weights[k]
         if found >= needed:

@@ -52,6 +52,6 @@ class GroundBelow:
             start = state.position - age_s * state.velocity + state.rotation @ self._mount
             hit = start + sample.range_m * (state.rotation @ self._down)
             step_s = sample.time_s - self._time_s
-            share = -math.expm1(-step_s / self._memory_s) if self._memory_s > 0.0 else 1.0
-            self.height_m += share * (float(hit[2]) - self.height_m)
+            fraction = -math.expm1(-step_s / self._memory_s) if self._memory_s > 0.0 else 1.0
+            self.height_m += fraction * (float(hit[2]) - self.height_m)
             self._time_s = sample.time_s

@@ -25,13 +25,13 @@ _CLUTTER_M = 10.0
 _CLUTTER_LEVEL, _ISOLATED_LEVEL = 6, 15
 """largest intensity of an echo of rain or fog, and of an isolated one"""
 _MIN_CLUTTER, _CLUTTER_FRACTION = 10, 0.8
-"""weak isolated echoes in a scan, and the share of weak ones among all near echoes, from which the
-scan counts as taken in rain or fog: other near echoes are mostly strong"""
+"""weak isolated echoes in a scan, and the fraction of weak ones among all near echoes, from which
+the scan counts as taken in rain or fog: other near echoes are mostly strong"""
 _CLUTTER_SCANS, _CLUTTER_MEMORY_S = 3, 30.0
 """consecutive scans before rain or fog is assumed, and the duration of this state: near the ground
 all returns are near"""
 _MIN_RETURNS_FRACTION = 1e-3
-"""share of pulses that must remain after the removal of those echoes"""
+"""fraction of pulses that must remain after the removal of those echoes"""
 _ISOLATED_GAP_M = 1.0
 _NOWHERE = np.float32(np.inf)
 _DROPOUT_PERIODS = 3.5

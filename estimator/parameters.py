@@ -73,12 +73,13 @@ class CalibratedParams:
     """the LIDAR's mount, the lens and the camera's clock are estimated online"""
     calibrate_above_m: NotNegative = 15.0
     """height above ground from which mount and lens are estimated; lower, the range noise is a
-    large share of a depth, and its effect on a keyframe would be attributed to the calibration"""
+    large fraction of a depth, and its effect on a keyframe would be attributed to the
+    calibration"""
     scan_calibration_gain: Fraction = 1.0
-    """share of its correction that a scan applies to mounts and lens (partial-update Schmidt-Kalman
-    filter, Brink 2017); 0: they only widen the covariance"""
+    """fraction of its correction that a scan applies to mounts and lens (partial-update
+    Schmidt-Kalman filter, Brink 2017); 0: they only widen the covariance"""
     image_calibration_gain: Fraction = 0.0
-    """share of its correction that an image applies to mounts and lens"""
+    """fraction of its correction that an image applies to mounts and lens"""
     ground_sigma_m: NotNegative = 0.0
     """error that all ranges to the ground share, by plants and range bias, in the reported height:
     no measurement shows it"""
@@ -159,7 +160,7 @@ class LivoParams(CalibratedParams):
     depth_shared_sigma_m: NotNegative = 0.0
     """standard deviation of an error in height that all landmarks of a keyframe share, such as the
     bias of the ranges. Needs ``use_calibration``"""
-    assumed_depth_share: NotNegative = 0.4
+    assumed_depth_fraction: NotNegative = 0.4
     """standard deviation, relative to their distance, of features that are assumed to lie on level
     ground below the rangefinder, as new ones are while no scans come"""
     assumed_depth_floor: ClassVar[float] = 0.16
@@ -286,8 +287,8 @@ class Zou2024Params(CalibratedParams):
     short_term_locations: Count = 10
     """newest locations, one a second, that are not loop candidates; ``Mem/STMSize`` of RTAB-Map"""
     rehearsal_similarity: ClassVar[float] = 0.6
-    """share of common words from which two locations in a row are one; ``Mem/RehearsalSimilarity``
-    of RTAB-Map"""
+    """fraction of common words from which two locations in a row are one;
+    ``Mem/RehearsalSimilarity`` of RTAB-Map"""
     loop_words: ClassVar[int] = 20000
     """visual words of each kind, beyond which locations go to long-term memory. RTAB-Map limits the
     time of an update (``Rtabmap/TimeThr``), which would differ from run to run"""
@@ -328,7 +329,7 @@ class FlowParams(NavigationParams):
     floor_sigma_m: ClassVar[float] = 0.01
     """error floor of a displacement, however many of them it is made of"""
     scale_sigma: ClassVar[float] = 0.05
-    """error of a displacement as a share of it, for ground that is not level"""
+    """error of a displacement as a fraction of it, for ground that is not level"""
     ground_memory_s: ClassVar[float] = 0.5
     """time constant of the ground's height below the rangefinder"""
 
@@ -346,7 +347,7 @@ class OpticalFlowParams(FlowParams):
     """time constant of the ground's height below the rangefinder"""
     heading_sigma_deg: ClassVar[float] = 2.0
     """standard deviation of one reading of the magnetometer, ten a second"""
-    drift_share: ClassVar[float] = 0.005
+    drift_fraction: ClassVar[float] = 0.005
     """standard deviation that each metre flown adds to the filter's own"""
 
 
@@ -379,7 +380,7 @@ class StereoParams:
     """pixels, of one corner"""
     track_sigma: ClassVar[float] = 1.0
     """pixels, of a corner tracked from the keyframe, in the update of its depth by parallax"""
-    keyframe_share: ClassVar[float] = 0.55
+    keyframe_fraction: ClassVar[float] = 0.55
     """fraction of a keyframe's corners: with fewer in view a new one is made"""
     disparity_floor_sigma: NotNegative = 0.02
     """pixels, error shared by all disparities of a pair"""
@@ -387,5 +388,5 @@ class StereoParams:
     """standard deviation of the heights of objects on the ground"""
     ground_density: NotNegative = 0.3
     """m/sqrt(s): random walk of the mean height of the ground in view"""
-    drift_share: ClassVar[float] = 0.003
+    drift_fraction: ClassVar[float] = 0.003
     """standard deviation that each metre flown adds to the filter's own"""

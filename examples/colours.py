@@ -26,7 +26,7 @@ class NearestColour:
         self.known = self.features(known)
 
     def features(self, rgb: np.ndarray) -> np.ndarray:
-        """(N, 3): shares of red and green, and brightness with less weight than these."""
+        """(N, 3): fractions of red and green, and brightness with less weight than these."""
         total = rgb.sum(axis=1, keepdims=True) + 1.0
         return np.hstack([rgb[:, :2] / total, 0.1 * total / 765.0])
 

@@ -14,7 +14,7 @@ class FlatDisc:
 
     def __init__(self, params: dict, rig: api.SelectorRig) -> None:
         self.window_m = params.get("window_m", 1.2)  # side of the square that must be flat
-        self.most_m = params.get("most_m", 3.0)  # a larger disc is no better
+        self.max_m = params.get("max_m", 3.0)  # a larger disc is no better
         self.spacing_m, self.count = rig.landing.candidate_spacing_m, rig.landing.max_candidates
         slope = np.tan(np.radians(rig.landing.max_slope_deg))
         self.rise_m = rig.landing.max_step_m + slope * self.window_m
@@ -29,7 +29,7 @@ class FlatDisc:
         low = minimum_filter(np.where(known, grid.min_height_m, -np.inf), width)
         dry = uniform_filter(grid.missing, width) < 0.1 * uniform_filter(grid.count, width)
         flat = dry & (high - low < self.rise_m)
-        disc = np.minimum(distance_transform_edt(flat) * grid.cell_m, self.most_m)
+        disc = np.minimum(distance_transform_edt(flat) * grid.cell_m, self.max_m)
         x = grid.origin_xy_m[0] + (np.arange(flat.shape[1]) + 0.5) * grid.cell_m
         y = grid.origin_xy_m[1] + (np.arange(flat.shape[0])[:, None] + 0.5) * grid.cell_m
         here = seen.estimate.odom_from_body.translation

@@ -43,9 +43,9 @@ class Grid:
     def view(self) -> GridMap:
         """The map of the cells. It finds no water: pulses without return are left out."""
         count, known = self.layers["count"], self.layers["count"] > 0
-        share = np.where(known, 1.0 / np.maximum(count, 1.0), np.nan)
-        mean, light = self.layers["sum"] * share, self.layers["light"] * share
-        spread = np.sqrt(np.maximum(self.layers["squares"] * share - mean**2, 0.0))
+        fraction = np.where(known, 1.0 / np.maximum(count, 1.0), np.nan)
+        mean, light = self.layers["sum"] * fraction, self.layers["light"] * fraction
+        spread = np.sqrt(np.maximum(self.layers["squares"] * fraction - mean**2, 0.0))
         low, high = (np.where(known, self.layers[name], np.nan) for name in ("low", "high"))
         layers = {"count": count, "height_m": mean, "height_std_m": spread, "min_height_m": low,
                   "max_height_m": high, "rgb": np.stack([light] * 3, axis=-1), "intensity": light,

@@ -15,7 +15,7 @@ from touchdown.sim.frames import yaw_from_rotation
 
 
 class StraightIn:
-    """A generator yields the setpoint of each control step. It has neither second look, ground
+    """A generator yields the setpoint of each control step. It has neither site recheck, ground
     classification nor go-around; without a site it lands where it took off."""
 
     needs = SensorNeeds(lidar=True)
@@ -68,8 +68,8 @@ class StraightIn:
             self.reference[2] -= self.sink_mps * self.step_s
             yield self.setpoint(velocity=np.array([0.0, 0.0, -self.sink_mps]))
         self.phase, self.note = Phase.TOUCHDOWN, "ground contact: motors off"
-        for share in np.linspace(0.8, 0.1, 100):
-            yield self.setpoint(thrust_limit=float(share))
+        for fraction in np.linspace(0.8, 0.1, 100):
+            yield self.setpoint(thrust_limit=float(fraction))
         yield from self.hold(1.0, motors_on=False)
         self.phase = Phase.DONE
         yield from self.hold(np.inf, motors_on=False)

@@ -98,7 +98,7 @@ class CalibrationErrorParams:
     camera's mount instead"""
     imu_lidar_translation_sigma_m: NotNegative = 0.0
     """of the LIDAR's mount against the IMU, along each axis, likewise"""
-    readout_share: NotNegative = 0.0
+    readout_fraction: NotNegative = 0.0
     """relative, of the camera's readout time"""
     lever_sigma_m: NotNegative = 0.0
     """of the places of the satellite antenna and the rangefinder on the body, along each axis"""

@@ -40,8 +40,8 @@ TermName = Literal[
     "flatness",
     "smoothness",
     "distance",
-    "room",
-    "level",
+    "clearance",
+    "slope",
     "traffic",
     "plants",
     "ground",
@@ -64,7 +64,7 @@ class SelectorParams:
     __pydantic_config__ = FORBID_EXTRA
 
     terms: tuple[TermName, ...] = (
-        "probability", "distance", "room", "level", "traffic", "plants", "ground",
+        "probability", "distance", "clearance", "slope", "traffic", "plants", "ground",
     )  # fmt: skip
     """terms that are added"""
     gates: tuple[GateName, ...] = ("probability", "reach", "class")
@@ -84,10 +84,10 @@ class SelectorParams:
     """weight of smoothness, 0 to 1 (Eq. 14; section 4.1)"""
     weight_distance: NotNegative = 0.05
     """weight of distance, 0 to 1 (Eq. 18): less than any difference in safety"""
-    weight_room: NotNegative = 0.1
+    weight_clearance: NotNegative = 0.1
     """weight of a clearance of ``clearance_full_m`` over none; among the cells of one cluster, of
     ``clearance_enough_m``"""
-    weight_level: NotNegative = 0.2
+    weight_slope: NotNegative = 0.2
     """taken away on ground at ``max_slope_deg``, nothing on level ground"""
     weight_traffic: NotNegative = 0.3
     """taken away near a surface on which motion was observed or whose class was refused"""
@@ -134,9 +134,9 @@ class GroundParams:
     moving_std_m: Positive = 0.15
     """standard deviation of the returns of a cell from which motion is looked for: a vehicle's
     roof over the road"""
-    moving_share: ClassVar[float] = 0.4
-    """largest height of the mean above the lowest return, as a share of the spread, of a cell that
-    something drove over: most returns come from the ground, other than in a tree's crown"""
+    moving_fraction: ClassVar[float] = 0.4
+    """largest height of the mean above the lowest return, as a fraction of the spread, of a cell
+    that something drove over: most returns come from the ground, other than in a tree's crown"""
     moving_width_m: ClassVar[float] = 1.0
     """least width of a region with motion; the edges of static objects are narrower"""
     moving_margin_m: ClassVar[float] = 3.0
@@ -172,7 +172,7 @@ class SemanticMapParams:
     squares: CountOrZero = 2
     """number of squares of ground that are classified every tenth of a second of the flight; 0: no
     semantic map"""
-    most_views: ClassVar[float] = 1.5
+    max_views: ClassVar[float] = 1.5
     """independent views that all views of a place count as at most: views of one network over one
     ground share its errors"""
     full_pixel_m: ClassVar[float] = 0.12
@@ -239,7 +239,7 @@ class LandingParams:
     """stop after the survey (the positioning experiment)"""
     return_home: bool = False
     """fly after the survey back to the take-off spot, and down there, without choosing a site"""
-    second_look: bool = True
+    site_recheck: bool = True
     """look at the site again from ``look_height_m`` before landing on it"""
     decision_latency_s: NotNegative = 0.3
     """simulated time that a site selection takes"""
@@ -276,7 +276,7 @@ class LandingParams:
     min_returns: NotNegative = 4.0
     """a cell with fewer is refused"""
     max_missing_ratio: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.2
-    """share of pulses without a return above which the ground counts as water"""
+    """fraction of pulses without a return above which the ground counts as water"""
     traffic_smoothing_m: ClassVar[float] = 1.0
     """side of the window that intensity is averaged in"""
     traffic_same_intensity: ClassVar[float] = 0.35
@@ -303,11 +303,11 @@ class LandingParams:
     """slow the reference down where its motion through the felt wind would need more than the next
     three keys allow, and fly the survey lower where the wind leaves a hover no margin; where it
     does not, the reference keeps its time, to the bit"""
-    wind_thrust_share: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.94
+    wind_thrust_fraction: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.94
     """largest mean rotor speed, over the fastest one, that the reference may need"""
     wind_tilt_deg: Annotated[float, Interval(gt=0.0, lt=60.0)] = 31.0
     """largest tilt that the reference may need, below control.max_tilt_deg"""
-    wind_gust_share: NotNegative = 0.1
+    wind_gust_fraction: NotNegative = 0.1
     """gusts that the reference leaves room for, over the felt wind"""
     climb_speed_mps: Positive = 3.0
     """vertical speed of the climb"""

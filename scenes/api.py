@@ -69,7 +69,7 @@ class Surface:
     reflectivity: float
     """diffuse, 905 nm, 0..1"""
     porosity: float = 0.0
-    """share of pulses that pass through (crowns, reeds)"""
+    """fraction of pulses that pass through (crowns, reeds)"""
     water: bool = False
     spread: float = 0.1
     """relative standard deviation of the reflectivity within the surface"""
@@ -78,7 +78,7 @@ class Surface:
     leaf_area: float = 0.0
     """leaf area index of these plants: one-sided leaf area over ground area"""
     dust: float = 0.0
-    """share of the dust that dry, bare soil gives off under a downwash"""
+    """fraction of the dust that dry, bare soil gives off under a downwash"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

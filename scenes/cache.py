@@ -89,15 +89,15 @@ def _write(entry: Path, scene: Scene) -> None:
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _shrink(folder: Path, most_bytes: float) -> None:
-    """Removes the entries that were used least recently until ``most_bytes`` are left."""
+def _shrink(folder: Path, max_bytes: float) -> None:
+    """Removes the entries that were used least recently until ``max_bytes`` are left."""
     sizes = {
         entry: sum(file.stat().st_size for file in entry.iterdir())
         for entry in sorted(folder.iterdir(), key=lambda entry: entry.stat().st_mtime)
     }
     total = sum(sizes.values())
     for entry, size in sizes.items():
-        if total <= most_bytes:
+        if total <= max_bytes:
             return
         shutil.rmtree(entry, ignore_errors=True)
         total -= size

@@ -162,14 +162,14 @@ class ShutterClock:
         self.after_ticks = math.ceil(0.5 * longest * sim.tick_hz)
         self.before_ticks = readout // 2
         self.span_ticks = math.ceil(params.readout_s * sim.tick_hz) + 2 * self.after_ticks
-        most = round(params.phase_s * sim.tick_hz)
-        if most >= sim.camera_ticks:
+        maximum = round(params.phase_s * sim.tick_hz)
+        if maximum >= sim.camera_ticks:
             raise ValueError(
                 f"camera.phase_s is {params.phase_s:g}, but the camera's clock beats every "
                 f"{sim.camera_ticks / sim.tick_hz:.4g} s: give less"
             )
         draw = np.random.default_rng([seed, crc32(b"camera clock")])
-        self.phase_ticks = int(draw.integers(0, most + 1)) if most else 0
+        self.phase_ticks = int(draw.integers(0, maximum + 1)) if maximum else 0
 
     def stamp(self, pulse: int) -> Stamp:
         """The stamp of the image of a pulse."""

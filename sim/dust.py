@@ -99,7 +99,7 @@ class DustCloud:
         return DustAir(extinction, float(distance)) if extinction > 0.0 else CLEAR
 
     def _looseness(self, geom_id: int, position_world: Array) -> float:
-        """Share of loose, bare soil around the place below."""
+        """Fraction of loose, bare soil around the place below."""
         ground, name = self._scene.ground, self._model.geom(geom_id).name
         if ground is None or name != ground.geom_name or not ground.material.size:
             return self._scene.surfaces.get(name, _NOWHERE).dust
@@ -135,5 +135,5 @@ def dust_strength(height_m: float, thrust_n: float, weight_n: float, radius_m: f
 def _flux(friction_mps: float) -> float:
     if friction_mps <= THRESHOLD_MPS:
         return 0.0
-    share = THRESHOLD_MPS / friction_mps
-    return friction_mps**3 * (1.0 + share) * (1.0 - share * share)
+    fraction = THRESHOLD_MPS / friction_mps
+    return friction_mps**3 * (1.0 + fraction) * (1.0 - fraction * fraction)

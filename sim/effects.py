@@ -25,27 +25,28 @@ _STRIDE = 8
 
 @dataclass(slots=True)
 class Effect:
-    """The effect on the messages of one sensor; ``share`` and ``amount`` are sums over messages."""
+    """The effect on the messages of one sensor; ``fraction`` and ``amount`` are sums over
+    messages."""
 
     came: int = 0
     """messages that the effect acted on"""
     messages: int = 0
     """messages that it changed"""
-    share: float = 0.0
-    """changed share of each message's parts (returns, pixels)"""
+    fraction: float = 0.0
+    """changed fraction of each message's parts (returns, pixels)"""
     amount: float = 0.0
     """size of the change, in units of the effect"""
 
     def add(self, other: Effect) -> None:
         self.came += other.came
         self.messages += other.messages
-        self.share += other.share
+        self.fraction += other.fraction
         self.amount += other.amount
 
     @property
-    def mean_share(self) -> float:
+    def mean_fraction(self) -> float:
         """Mean over the messages that it acted on, 0 without one."""
-        return self.share / self.came if self.came else 0.0
+        return self.fraction / self.came if self.came else 0.0
 
     @property
     def mean_amount(self) -> float:
@@ -61,14 +62,14 @@ class Effects:
         self._now: dict[str, Effect] = {}
         self._made: deque[dict[str, Effect]] = deque()
 
-    def note(self, names: Iterable[str], share: float, amount: float = 0.0) -> None:
-        """Notes an effect on the message that is being made: the changed share of it."""
+    def note(self, names: Iterable[str], fraction: float, amount: float = 0.0) -> None:
+        """Notes an effect on the message that is being made: the changed fraction of it."""
         for name in names:
-            new = Effect(came=1, messages=int(share > 0.0), share=share, amount=amount)
+            new = Effect(came=1, messages=int(fraction > 0.0), fraction=fraction, amount=amount)
             self._now.setdefault(name, Effect()).add(new)
 
     def note_image(self, names: Iterable[str], before: Bytes, after: Bytes) -> None:
-        """Notes the share of pixels of (H, W, 3) images that differ, and by how many grey levels
+        """Notes the fraction of pixels of (H, W, 3) images that differ, and by how many grey levels
         pixels do on average."""
         old, new = (image[::_STRIDE, ::_STRIDE].astype(np.int16) for image in (before, after))
         change = np.abs(new - old)
@@ -104,7 +105,7 @@ class WorldRecord(NamedTuple):
     effects: Mapping[str, Mapping[str, Effect]]
     """effects on delivered ``scans`` and ``images`` and on the ``air`` at the vehicle, by name"""
     deviations: Mapping[str, float]
-    """drawn errors of vehicle and IMU: ``mass_share``, ``center_of_mass_m``, ``rotor_share``,
+    """drawn errors of vehicle and IMU: ``mass_fraction``, ``center_of_mass_m``, ``rotor_fraction``,
     ``imu_scale``, ``imu_misalignment_deg`` (the last two root mean squares over the axes)"""
 
 
@@ -117,8 +118,8 @@ class Returns(NamedTuple):
     def copy(self) -> Returns:
         return Returns(self.ranges.copy(), self.intensity.copy())
 
-    def changed_share(self, before: Returns) -> float:
-        """Share of returns of another intensity, or of a range that differs by more than
+    def changed_fraction(self, before: Returns) -> float:
+        """Fraction of returns of another intensity, or of a range that differs by more than
         ``CHANGED_M``."""
         moved = np.abs(self.ranges - before.ranges) > CHANGED_M
         changed = moved | (self.intensity != before.intensity)
@@ -132,9 +133,9 @@ def fault_records(
     `sim.faults.injector.FaultInjector.summary`, one of each kind; ``sensors``: effects by stream
     and name; ``sun_deg``: the elevation of the scene's sun, None without one.
 
-    ``returns_changed`` is the mean share of returns that it weakened, removed or added in a scan,
-    ``grey_change`` the mean change of a pixel in grey levels, ``rotation_deg`` the mean rotation of
-    the LIDAR.
+    ``returns_changed`` is the mean fraction of returns that it weakened, removed or added in a
+    scan, ``grey_change`` the mean change of a pixel in grey levels, ``rotation_deg`` the mean
+    rotation of the LIDAR.
     """
     records = []
     for kind in _MEASURED_KINDS:
@@ -148,7 +149,7 @@ def fault_records(
             if kind == "miscalibration":
                 record["rotation_deg"] = effect.mean_amount
             elif stream == "scans":
-                record["returns_changed"] = effect.mean_share
+                record["returns_changed"] = effect.mean_fraction
             else:
                 record["grey_change"] = effect.mean_amount
         if kind == "low_sun" and sun_deg is not None:

@@ -211,8 +211,8 @@ class PoseHistory:
             assert later is not None
             if entry.time_s <= time_s:
                 span = later.time_s - entry.time_s
-                share = (time_s - entry.time_s) / span if span > 0.0 else 0.0
-                return interpolate_pose(entry.pose, later.pose, min(share, 1.0))
+                fraction = (time_s - entry.time_s) / span if span > 0.0 else 0.0
+                return interpolate_pose(entry.pose, later.pose, min(fraction, 1.0))
             later = entry
         return None
 

@@ -37,7 +37,7 @@ class ImuErrors:
         self.matrix[:3, 3:] = params.gyro_g_sensitivity * response
         limits = np.repeat([params.gyro_range, params.accel_range], 3)
         self._limits = np.where(limits > 0.0, limits, np.inf)
-        self._least = -self._limits
+        self._min = -self._limits
         self.distorts = bool((self.matrix != np.eye(6)).any())
         """False: the matrix is the identity"""
         self.saturates = bool(np.isfinite(self._limits).any())
@@ -54,7 +54,7 @@ class ImuErrors:
 
     def saturated(self, measured: Array) -> Array:
         """(6,) within the ranges."""
-        return np.minimum(np.maximum(measured, self._least), self._limits)
+        return np.minimum(np.maximum(measured, self._min), self._limits)
 
 
 def _normal(seed: int, name: bytes, count: int) -> Array:

@@ -32,15 +32,15 @@ class VehicleErrorParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    mass_share: Fraction = 0.0
+    mass_fraction: Fraction = 0.0
     """of the mass, and of the moments of inertia with it; relative"""
     center_of_mass_m: NotNegative = 0.0
     """of each coordinate of the centre of mass"""
-    thrust_share: Fraction = 0.0
+    thrust_fraction: Fraction = 0.0
     """of the thrust coefficient of all rotors; relative"""
-    torque_share: Fraction = 0.0
+    torque_fraction: Fraction = 0.0
     """of the torque coefficient of all rotors; relative"""
-    rotor_share: Fraction = 0.0
+    rotor_fraction: Fraction = 0.0
     """of thrust and torque of each rotor by itself; relative"""
     telemetry_sigma_radps: NotNegative = 0.0
     """noise of the rotor speeds that the speed controllers report, standard deviation"""
@@ -172,7 +172,7 @@ class ImuParams(ImuSheet):
     vibration_broadband: NotNegative = 0.0
     """resonances of the airframe that the propellers excite, likewise"""
     vibration_isolation: Fraction = 1.0
-    """share of harmonics and resonances that a damped mount passes above its corner of 40 Hz"""
+    """fraction of harmonics and resonances that a damped mount passes above its corner of 40 Hz"""
 
 
 LidarPreset = Literal["horizon", "avia", "mid360"]
@@ -213,8 +213,8 @@ class LidarParams(LidarSheet):
     """bound of the systematic range error: a constant by seed, time walk of weak echoes, and
     incidence. 0: none"""
     range_noise_growth: Fraction = 0.0
-    """share of the range noise's variance, at 20 m on 80 %, that grows as an echo gets weaker (with
-    the range squared, over reflectivity times cosine). 0: ``range_sigma_m`` everywhere"""
+    """fraction of the range noise's variance, at 20 m on 80 %, that grows as an echo gets weaker
+    (with the range squared, over reflectivity times cosine). 0: ``range_sigma_m`` everywhere"""
     texture: NotNegative = 0.0
     """how much the reflectivity varies within a surface, over the measured spreads of materials: 1
     as measured, 0 not at all"""

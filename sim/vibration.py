@@ -78,15 +78,15 @@ class PropellerVibration:
             raise ValueError(f"the rotor speed in hover must be above 0, not {hover_radps:g} rad/s")
         self._period_s, self._hover = period_s, hover_radps
         self._rng = np.random.default_rng([seed, crc32(b"imu propellers")])
-        share = params.vibration_isolation
-        self._isolation = np.array([share, 2.0 * math.pi * ISOLATION_CORNER_HZ])
+        fraction = params.vibration_isolation
+        self._isolation = np.array([fraction, 2.0 * math.pi * ISOLATION_CORNER_HZ])
         self._lines = params.vibration_harmonics * levels[0] * math.sqrt(2.0 / _ROTORS)
         self._offsets = self._rng.uniform(0.0, 2.0 * math.pi, (_ROTORS, 2, 6))
         self._phases = self._rng.uniform(0.0, 2.0 * math.pi, _ROTORS)
         self._speeds = np.zeros(_ROTORS)
         self._levels = params.vibration_broadband * levels[1]
         resonances = [
-            _resonance(2.0 * math.pi * hz, damping, share, period_s)
+            _resonance(2.0 * math.pi * hz, damping, fraction, period_s)
             for hz, damping in zip(MODE_HZ, MODE_DAMPING, strict=True)
         ]
         self._advance = np.array([one.advance for one in resonances])
@@ -115,11 +115,11 @@ class PropellerVibration:
 
 
 @njit(cache=True, error_model="numpy")
-def mount_gain(rate: float, share: float, corner: float) -> float:
-    """Share of a vibration of ``rate`` rad/s that a damped mount passes: of second order, 1 below
-    ``corner`` rad/s and ``share`` above it."""
+def mount_gain(rate: float, fraction: float, corner: float) -> float:
+    """Fraction of a vibration of ``rate`` rad/s that a damped mount passes: of second order, 1
+    below ``corner`` rad/s and ``fraction`` above it."""
     r = rate / corner
-    above = (1.0 - share * r * r) ** 2 + 2.0 * (share * r) ** 2
+    above = (1.0 - fraction * r * r) ** 2 + 2.0 * (fraction * r) ** 2
     below = (1.0 - r * r) ** 2 + 2.0 * r * r
     return float(np.sqrt(above / below))
 
@@ -209,7 +209,7 @@ def _broadband(
             out[k] += scale * levels[m, k] * following[states]
 
 
-def _resonance(rate: float, damping: float, share: float, period_s: float) -> _Resonance:
+def _resonance(rate: float, damping: float, fraction: float, period_s: float) -> _Resonance:
     """White noise through x'' + 2 d w x' + w^2 x, of which x' has unit variance, through the mount,
     and its integral over a sample, discretised exactly (Van Loan, 1978)."""
     from scipy.linalg import expm, solve_continuous_lyapunov
@@ -220,7 +220,7 @@ def _resonance(rate: float, damping: float, share: float, period_s: float) -> _R
     motion[1, :2] = -rate * rate, -2.0 * damping * rate
     motion[2, 3] = 1.0
     motion[3, 1:4] = corner * corner, -corner * corner, -math.sqrt(2.0) * corner
-    motion[4, 1:3] = share, 1.0 - share
+    motion[4, 1:3] = fraction, 1.0 - fraction
     drive = np.zeros((5, 5))
     drive[1, 1] = 4.0 * damping * rate
     blocks = np.block([[-motion, drive], [np.zeros((5, 5)), motion.T]])

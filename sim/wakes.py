@@ -92,8 +92,8 @@ def _surface(surfaces: Mapping[str, Surface], model: Any, geom: int) -> Surface 
 
 
 class Wakes:
-    """The share of wakes in the wind. ``direction`` (3,) is that of the mean wind, which must not
-    change; ``ground_m`` is the world z that heights count from."""
+    """The fraction of wakes in the wind. ``direction`` (3,) is that of the mean wind, which must
+    not change; ``ground_m`` is the world z that heights count from."""
 
     def __init__(self, found: Obstacles, direction: Array, ground_m: float, seed: int) -> None:
         self._direction = direction

@@ -319,9 +319,9 @@ class MujocoWorld:
         if self._battery.empty:
             self._rotors.cut()
         else:
-            share = self._disturbances.rotor_speed_share(self._tick)
-            self._rotors.speed_share = self._battery.speed_share
-            self._rotors.demand(command.rotor_speed_radps, share)
+            fraction = self._disturbances.rotor_speed_fraction(self._tick)
+            self._rotors.speed_fraction = self._battery.speed_fraction
+            self._rotors.demand(command.rotor_speed_radps, fraction)
 
     def _advance_tick(self, clearance_m: float) -> None:
         before = self._velocity.tolist()

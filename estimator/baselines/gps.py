@@ -51,8 +51,8 @@ class FollowingAnchor:
     def step(self, seconds: float) -> None:
         """Moves the frame towards its target."""
         if self._target is not None:
-            share = -math.expm1(-seconds / self._follow_s)
-            self.offset = self.offset + share * (self._target - self.offset)
+            fraction = -math.expm1(-seconds / self._follow_s)
+            self.offset = self.offset + fraction * (self._target - self.offset)
 
 
 class WanderingAnchor:
@@ -106,8 +106,8 @@ class WanderingAnchor:
     def step(self, seconds: float) -> None:
         """Moves the frame towards its target."""
         if not math.isnan(self._time_s):
-            share = -math.expm1(-seconds / self._correction_time_s)
-            self.offset = self.offset + share * (self._mean[:, 0] - self.offset)
+            fraction = -math.expm1(-seconds / self._correction_time_s)
+            self.offset = self.offset + fraction * (self._mean[:, 0] - self.offset)
 
 
 class SatelliteAiding:

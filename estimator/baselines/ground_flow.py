@@ -129,7 +129,7 @@ def update_with_displacement(
     """Updates the filter by a displacement since its only clone, the pose of the previous image.
 
     ``lever_imu`` (3,): position of the camera in the IMU frame. ``floor_m`` and ``scale_sigma``:
-    errors that do not average out over directions, in metres and as a share of the displacement
+    errors that do not average out over directions, in metres and as a fraction of the displacement
     (the ground is not level, the height is that of one spot). Returns the normalised innovation in
     standard deviations.
     """

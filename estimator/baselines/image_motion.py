@@ -37,7 +37,7 @@ def follow(before: Grey, now: Grey, pixels: Array, guess: Array) -> tuple[Indice
 
 
 _MIN_RESPONSE = 0.05
-"""share of the energy in the peak's neighbourhood below which a scale is rejected"""
+"""fraction of the energy in the peak's neighbourhood below which a scale is rejected"""
 
 _MIN_CONTRAST = 0.5
 """grey levels, standard deviation"""
@@ -46,7 +46,7 @@ _MIN_CONTRAST = 0.5
 @dataclass(frozen=True, slots=True)
 class Shift:
     """``pixels`` (2,): x and y motion of the content from the first image to the second;
-    ``response``: share of the energy in the peak of the finest accepted scale, 0 for none."""
+    ``response``: fraction of the energy in the peak of the finest accepted scale, 0 for none."""
 
     pixels: Array
     response: float

@@ -65,7 +65,7 @@ class OpticalFlowEstimator:
             self._ground.take(epoch.rangefinder, self._nav.eskf.state)
             if epoch.image is not None:
                 self._take_image(epoch.image)
-        drift = (self._params.drift_share * self._distance) ** 2 * np.eye(3)
+        drift = (self._params.drift_fraction * self._distance) ** 2 * np.eye(3)
         untracked_s = obs.time_s - self._seen_s
         return self._nav.estimate(
             obs,

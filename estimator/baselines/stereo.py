@@ -159,7 +159,7 @@ class StereoEstimator:
         for epoch in self._nav.epochs(obs):
             if epoch.image is not None and epoch.image.right_rgb is not None:
                 self._take_pair(epoch.image, epoch.image.right_rgb)
-        drift = (self._params.drift_share * self._distance) ** 2 * np.eye(3)
+        drift = (self._params.drift_fraction * self._distance) ** 2 * np.eye(3)
         return self._nav.estimate(
             obs,
             healthy=obs.time_s - self._seen_s < _TRACKING_TIMEOUT_S,
@@ -172,18 +172,20 @@ class StereoEstimator:
         eskf = self._nav.eskf
         left, right = self._nav.grey(image.rgb), self._nav.grey(right_rgb)
         self._twist = self._nav.filter.camera_twist(image)
-        share = 0.0
+        fraction = 0.0
         if self._nav.stationary:
             self._seen_s = image.time_s
         elif self._keyframe is not None:
-            share = self._track(self._keyframe, left, image.time_s)
+            fraction = self._track(self._keyframe, left, image.time_s)
         position = eskf.state.position
         self._distance += float(np.linalg.norm(position - self._position))
         self._position = position
-        self._look(left, right, image.time_s, new_keyframe=share < self._params.keyframe_share)
+        self._look(
+            left, right, image.time_s, new_keyframe=fraction < self._params.keyframe_fraction
+        )
 
     def _track(self, keyframe: _Keyframe, left: Grey, time_s: float) -> float:
-        """Updates the filter; returns the share of the keyframe's corners that were used."""
+        """Updates the filter; returns the fraction of the keyframe's corners that were used."""
         landmarks = keyframe.landmarks(self._imu_from_camera)
         expected = self._project(landmarks)
         appear = self._shutter.to_rows(expected, self._depths(expected), self._twist)

@@ -110,8 +110,8 @@ class ShutterModel:
 
     def row_delays(self, pixels: Array, late_s: float) -> Array:
         """Delays (N,) s of the rows of ``pixels`` (N, 2) after the instant."""
-        share = pixels[:, 1] / max(self._camera.height - 1, 1) - 0.5
-        delays: Array = late_s + self._readout_s * np.clip(share, -0.5, 0.5)
+        fraction = pixels[:, 1] / max(self._camera.height - 1, 1) - 0.5
+        delays: Array = late_s + self._readout_s * np.clip(fraction, -0.5, 0.5)
         return delays
 
     def to_instant(self, pixels: Array, depths: Array, twist: CameraTwist) -> Array:

@@ -127,8 +127,8 @@ def pose_on(track: PoseTrack, time_s: float) -> Pose:
         Pose(matrix_from_quat_wxyz(track.quats_wxyz[k]), track.positions_odom[k])
         for k in (index, index + 1)
     )
-    share = float(np.clip((time_s - track.times_s[index]) / span, 0.0, 1.0))
-    return interpolate_pose(first, second, share)
+    fraction = float(np.clip((time_s - track.times_s[index]) / span, 0.0, 1.0))
+    return interpolate_pose(first, second, fraction)
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,7 +74,7 @@ def weak_directions(
     information: Array, noise: Array, sigma_rad: float, sigma_m: float
 ) -> tuple[Array, Array]:
     """Returns the degenerate axes of rotation (3, r) and directions of translation (3, t) as unit
-    columns: those whose standard deviation under ``information`` (6, 6), less twice its share of
+    columns: those whose standard deviation under ``information`` (6, 6), less twice its fraction of
     ``noise`` (6, 6), exceeds the limits.
 
     Rotation and translation are treated separately, each after marginalisation of the other (Schur
@@ -252,13 +252,13 @@ class Eskf:
         information[POSE_DIM:], information[:, POSE_DIM:], vector[POSE_DIM:] = 0.0, 0.0, 0.0
         return information, vector
 
-    def gains(self, share: float) -> Array:
-        """(C,) share of a measurement's correction that each calibration parameter takes, if mounts
-        and lens take ``share``; with 0 they are "consider" parameters (Schmidt): their covariance
-        counts, their estimate stays. The camera's clock, which no other error resembles, and the
-        errors of the IMU take all."""
+    def gains(self, fraction: float) -> Array:
+        """(C,) fraction of a measurement's correction that each calibration parameter takes, if
+        mounts and lens take ``fraction``; with 0 they are "consider" parameters (Schmidt): their
+        covariance counts, their estimate stays. The camera's clock, which no other error
+        resembles, and the errors of the IMU take all."""
         gains = np.ones(self.base - STATE_DIM)
-        gains[: self.shared] = share
+        gains[: self.shared] = fraction
         gains[CLOCK : CLOCK + 1] = 1.0
         return gains
 
@@ -289,7 +289,8 @@ class Eskf:
         prior: Prior | None = None,
     ) -> None:  # fmt: skip
         """Updates the covariance: ``P - P_t (I + A P_tt)^-1 A P_t^T``; parameters of the
-        calibration lose what belongs to their share. ``prior``: that of ``touched``, if known."""
+        calibration lose what belongs to their fraction. ``prior``: that of ``touched``, if
+        known."""
         rows, spread = prior or self.prior(touched)
         middle = np.linalg.solve(np.eye(len(touched)) + information @ spread, information)
         # a square keeps the matrix symmetric
@@ -340,9 +341,9 @@ class Eskf:
 class IteratedUpdate:
     """An update by one measurement whose normal equations are linearised anew after each step."""
 
-    def __init__(self, eskf: Eskf, share: float = 1.0) -> None:
-        """``share``: that mounts and lens take, see ``Eskf.gains``."""
-        self._eskf, self._gains = eskf, eskf.gains(share)
+    def __init__(self, eskf: Eskf, fraction: float = 1.0) -> None:
+        """``fraction``: that mounts and lens take, see ``Eskf.gains``."""
+        self._eskf, self._gains = eskf, eskf.gains(fraction)
         self._mean, self._clones = eskf.state, eskf.clones
         self._touched, self._prior = np.zeros(0, np.int64), eskf.prior(np.zeros(0, np.int64))
         self._information, self._delta = np.zeros((0, 0)), np.zeros(len(eskf.covariance))

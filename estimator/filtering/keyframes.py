@@ -122,7 +122,7 @@ class Overlap:
     """Predicted overlap of keyframe ``index`` with the present view."""
 
     index: int
-    share: float
+    fraction: float
     """fraction of the keyframe's landmarks"""
     scale: float
     """keyframe depth over present depth"""
@@ -133,11 +133,11 @@ def overlaps(
     camera_poses: list[Pose],
     odom_from_camera: Pose,
     camera: CameraIntrinsics,
-    least_scale: float,
+    min_scale: float,
     min_visible: int = 20,
 ) -> list[Overlap]:
     """Overlaps of the keyframes (poses odom_from_camera) with a predicted view, of those whose
-    scale is between ``least_scale`` and its inverse."""
+    scale is between ``min_scale`` and its inverse."""
     found = []
     inverse, lens = odom_from_camera.inverse(), Pinhole.of(camera)
     x, y, _ = odom_from_camera.translation.tolist()
@@ -153,9 +153,9 @@ def overlaps(
         if visible < min_visible:
             continue
         scale = keyframe.depth_m / depth
-        if least_scale < scale < 1.0 / least_scale:
-            share = visible / np.count_nonzero(keyframe.valid)
-            found.append(Overlap(index, share, scale))
+        if min_scale < scale < 1.0 / min_scale:
+            fraction = visible / np.count_nonzero(keyframe.valid)
+            found.append(Overlap(index, fraction, scale))
     return found
 
 
@@ -187,17 +187,19 @@ def _in_view(
     return count, np.median(depths[:count]) if count > 0 else 0.0
 
 
-def choose(candidates: list[Overlap], variances: Array, most: int, min_share: float) -> list[int]:
+def choose(
+    candidates: list[Overlap], variances: Array, maximum: int, min_fraction: float
+) -> list[int]:
     """Returns up to ``most`` keyframes to track: the one of smallest position variance among those
     with enough overlap, the one with the largest overlap, then the next by variance."""
     if not candidates:
         return []
-    fair = [c for c in candidates if c.share >= min_share]
+    fair = [c for c in candidates if c.fraction >= min_fraction]
     by_variance = sorted(fair or candidates, key=lambda c: (variances[c.index], c.index))
-    largest = max(candidates, key=lambda c: (c.share * min(c.scale, 1.0 / c.scale), c.index))
+    largest = max(candidates, key=lambda c: (c.fraction * min(c.scale, 1.0 / c.scale), c.index))
     picked = [by_variance[0].index]
     for index in [largest.index, *(c.index for c in by_variance[1:])]:
-        if len(picked) < most and index not in picked:
+        if len(picked) < maximum and index not in picked:
             picked.append(index)
     return picked
 

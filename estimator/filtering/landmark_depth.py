@@ -17,7 +17,7 @@ from touchdown.estimator.typing import Array, Float32, Indices, Int32, Mask
 from touchdown.sim.frames import Pose
 
 _CLOSE = 0.4
-"""share of the neighbourhood whose returns give the depth of a feature on no plane"""
+"""fraction of the neighbourhood whose returns give the depth of a feature on no plane"""
 _MAX_SCATTER = 0.05
 """fraction of the depth; beyond it the depth counts as unknown"""
 _SIGMA_FACTOR = 2.0
@@ -209,7 +209,7 @@ def _fit_planes(
 
 @njit(cache=True, error_model="numpy")
 def _rough_depths(
-    rays: Array, cells: _Cells, radius: float, min_points: int, most_share: float
+    rays: Array, cells: _Cells, radius: float, min_points: int, max_fraction: float
 ) -> tuple[Mask, Array, Array]:
     """Depth of the foremost returns within ``radius`` of (N, 2) rays, and their scatter."""
     valid = np.zeros(rays.shape[0], dtype=np.bool_)
@@ -225,7 +225,7 @@ def _rough_depths(
         # the camera sees what is in front; returns from elsewhere looked past it
         two_thirds = (2 * count + 2) // 3
         depth, sigma = front[two_thirds // 2], front[:two_thirds].std()
-        if sigma > most_share * depth:
+        if sigma > max_fraction * depth:
             continue
         valid[k], depths[k], sigmas[k] = True, depth, sigma
     return valid, depths, sigmas

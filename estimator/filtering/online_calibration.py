@@ -140,8 +140,8 @@ def landmark_jacobians(
     rotation = imu_from_camera.rotation
     for i in range(len(rays)):
         ray, n, jacobian = xyz(rays[i]), xyz(planes[i]), out[i]
-        share = dot(ray, n)
-        reach = (ray[0] / share, ray[1] / share, ray[2] / share)
+        fraction = dot(ray, n)
+        reach = (ray[0] / fraction, ray[1] / fraction, ray[2] / fraction)
         beam, far = along(reach, -1.0, xyz(sensor)), turned(rotation, reach)
         # the plane moves by n . (rotation x beam + translation), the landmark by as much along its
         # ray
@@ -160,7 +160,7 @@ def landmark_jacobians(
             f = lens.fx if axis == 0 else lens.fy
             move = along(ZERO, -reach[axis], UNIT[axis])
             _meet(move, plane, far, rotation, jacobian, FOCAL.start + axis)
-            move = along(ZERO, -1.0 / (f * share), UNIT[axis])
+            move = along(ZERO, -1.0 / (f * fraction), UNIT[axis])
             _meet(move, plane, far, rotation, jacobian, CENTER.start + axis)
         # so does one that turns about the camera, or starts beside it: axes of the IMU
         for axis in range(3):

@@ -238,7 +238,7 @@ def _gather(
     face = 0.5 * voxel - margin
     sx, sy, sz = _side(x - centre[0], face), _side(y - centre[1], face), _side(z - centre[2], face)
     total[:] = 0.0
-    most = 0.0
+    maximum = 0.0
     for corner in range(8):
         dx, dy, dz = sx * (corner & 1), sy * ((corner >> 1) & 1), sz * (corner >> 2)
         if (dx != 0) + (dy != 0) + (dz != 0) != (corner & 1) + ((corner >> 1) & 1) + (corner >> 2):
@@ -247,8 +247,8 @@ def _gather(
         if keys[slot] == _EMPTY:
             continue
         m = moments[slot]
-        if m[_COUNT] > most:
-            most = m[_COUNT]
+        if m[_COUNT] > maximum:
+            maximum = m[_COUNT]
             total[_MOMENTS] = slot
         _add_moved(total, m, dx * voxel, dy * voxel, dz * voxel)
     return centre

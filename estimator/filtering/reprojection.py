@@ -115,7 +115,7 @@ def depth_corrections(
     lens: Pinhole, noise: PixelNoise,
 ) -> Array:  # fmt: skip
     """Returns by how many of their ``spreads`` landmarks lie further along their rays, by the
-    parallax since their keyframe, and the share of the variance that is left, (N, 2).
+    parallax since their keyframe, and the fraction of the variance that is left, (N, 2).
 
     A scalar Kalman filter each, with the poses as given; other arguments as in
     ``calibrated_information``. Landmarks off by ``gate_px`` and more stay.

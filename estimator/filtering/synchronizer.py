@@ -47,13 +47,13 @@ class ArrivingStream:
     none is ever expected.
 
     ``longest_ticks``: longest delay to be expected, learnt from the last messages;
-    ``nominal_ticks`` holds until one has arrived, ``most_ticks`` bounds it.
+    ``nominal_ticks`` holds until one has arrived, ``max_ticks`` bounds it.
     """
 
-    def __init__(self, period_ticks: int, nominal_ticks: int, most_ticks: int) -> None:
-        self._nominal, self._most = period_ticks, most_ticks
+    def __init__(self, period_ticks: int, nominal_ticks: int, max_ticks: int) -> None:
+        self._nominal, self._max = period_ticks, max_ticks
         self._delays: deque[int] = deque(maxlen=_REMEMBERED)
-        self.longest_ticks = min(nominal_ticks, most_ticks)
+        self.longest_ticks = min(nominal_ticks, max_ticks)
         self._gaps: deque[int] = deque(maxlen=_GAPS)
         self._newest = 0
 
@@ -65,7 +65,7 @@ class ArrivingStream:
         self._delays.append(now - stamp)
         longest = max(self._delays)
         margin = _MARGIN * (longest - min(self._delays))
-        self.longest_ticks = min(round(longest + margin), self._most)
+        self.longest_ticks = min(round(longest + margin), self._max)
 
     def may_bring(self, before: int, now: int) -> bool:
         """True if a message of a stamp below ``before`` may still arrive after ``now``."""

@@ -6,7 +6,7 @@ one plane, and none below it, the features around are assumed to lie in it as we
 not are outliers, which the gate of the visual update removes.
 
 **Level ground, then parallax**, while the LIDAR is silent. The ground that the rangefinder's beam
-hits is where a new keyframe's features are assumed to be, with an error of a good share of the
+hits is where a new keyframe's features are assumed to be, with an error of a good fraction of the
 distance: trees and roofs stand on it. Each later image then moves a feature along its ray to where
 it is seen (inverse depth by a scalar Kalman filter each, as in Forster et al., SVO, ICRA 2014).
 Errors of tracking repeat from image to image, so that an assumed depth never counts as known better
@@ -126,10 +126,10 @@ def assume_level_ground(
     camera_from_odom: Pose,
     ground_m: float,
     camera: CameraIntrinsics,
-    share: float,
+    fraction: float,
 ) -> None:
     """Assigns the plane z = ``ground_m`` of the odometry frame to the features without one, with a
-    standard deviation of ``share`` of their distance."""
+    standard deviation of ``fraction`` of their distance."""
     missing = np.flatnonzero(~keyframe.valid)
     height = float(camera_from_odom.inverse().translation[2]) - ground_m
     if height < _MIN_HEIGHT_M:
@@ -141,7 +141,7 @@ def assume_level_ground(
     which = missing[met]
     keyframe.valid[which] = keyframe.assumed[which] = True
     keyframe.planes[which] = plane
-    keyframe.sigmas[which] = share * lengths[met] / (rays[met] @ plane)
+    keyframe.sigmas[which] = fraction * lengths[met] / (rays[met] @ plane)
     keyframe.measure_depth(camera)
 
 
@@ -174,8 +174,8 @@ def move_along_rays(
         *poses, twist, Frame.of(mount.inverse()), lens, noise,
     ).T  # fmt: skip
     keyframe.planes[part] /= np.maximum(1.0 + moved * relative, _MIN_DEPTH_RATIO)[:, None]
-    least = np.minimum(sigmas, floor * keyframe.depth_m)
-    keyframe.sigmas[part] = np.maximum(sigmas * np.sqrt(left), least)
+    minimum = np.minimum(sigmas, floor * keyframe.depth_m)
+    keyframe.sigmas[part] = np.maximum(sigmas * np.sqrt(left), minimum)
 
 
 _MIN_DEPTH_M = 0.5
@@ -223,8 +223,8 @@ def _ratios(ground: SeenGround, spot: Array, params: LivoParams) -> Array:
     points = ground.points[ground.points[:, 2] > _MIN_DEPTH_M]
     aside = points[:, :2] / points[:, 2:] - spot[:2] / spot[2]
     near = points[np.hypot(aside[:, 0], aside[:, 1]) < params.range_scale_radius]
-    least_m = params.range_scale_way * float(spot[2])
-    if len(near) < params.range_scale_landmarks or float(np.linalg.norm(ground.way)) < least_m:
+    min_m = params.range_scale_way * float(spot[2])
+    if len(near) < params.range_scale_landmarks or float(np.linalg.norm(ground.way)) < min_m:
         return np.zeros(0)
     ratios: Array = np.log(spot[2] / near[:, 2])
     return ratios

@@ -145,7 +145,7 @@ class Livo:
 
     def _update_with_scan(self, scan: PlacedScan, intensity: Bytes) -> LidarReport:
         params, photometric = self._params, self._map.photometric
-        share = params.scan_calibration_gain * (self._height >= params.calibrate_above_m)
+        fraction = params.scan_calibration_gain * (self._height >= params.calibrate_above_m)
         report = LidarReport()
         if params.use_lidar:
             # the footprint is about 1.75 x 0.5 of the height: so many even cells cover it
@@ -153,10 +153,11 @@ class Livo:
             chosen = thin_out(scan.points, float(cell), 15)[: 2 * params.scan_points]
             report = update_with_scan(
                 self._eskf, self._map.planes, self._map.anchors, scan.select(chosen),
-                photometric.errors_of_planes(self._scan_errors, self._dark_ticks), share=share,
+                photometric.errors_of_planes(self._scan_errors, self._dark_ticks),
+                fraction=fraction,
             )  # fmt: skip
         self._diagnostics |= photometric.measure(
-            self._eskf, scan, intensity, self._dark_ticks, share
+            self._eskf, scan, intensity, self._dark_ticks, fraction
         )
         return report
 

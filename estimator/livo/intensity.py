@@ -58,7 +58,7 @@ _MAX_RETURNS = 8
 """a cell takes no further ones: the oldest carry the least drift"""
 _BRIGHTNESS = np.log(np.maximum(np.arange(256.0), _FAINTEST))
 _WEIGHTS = np.array([0.25, 0.5, 0.25])
-FEWEST = 1.5
+MIN = 1.5
 """returns that a smoothed cell needs (weighted mean over its neighbourhood)"""
 
 
@@ -129,8 +129,8 @@ class IntensityImage:
             self._smoothed = means, weights
         return self._smoothed
 
-    def share_known(self, points: Array) -> float:
-        """Share of ``points`` (N, 3), the clone's frame, that lie on known cells."""
+    def fraction_known(self, points: Array) -> float:
+        """Fraction of ``points`` (N, 3), the clone's frame, that lie on known cells."""
         at = np.floor(points @ self.axes.T / self.cell_m).astype(np.int64) + SIDE // 2
         inside = ((at >= 0) & (at < SIDE)).all(axis=1)
         known = self.counts[at[inside, 1], at[inside, 0]] > 0
@@ -147,9 +147,9 @@ _PLANE_TILT = float(np.radians(0.05))
 _ITERATIONS = 4
 _MIN_USED = 300
 _MIN_OVERLAP, _MAX_IMAGES = 0.12, 5
-"""share of a scan that an image covers, and number of images; by 21 replays without images"""
+"""fraction of a scan that an image covers, and number of images; by 21 replays without images"""
 _MIN_CLEAR = 0.3
-"""share of an image's squared gradients that is not noise; below, it has no texture"""
+"""fraction of an image's squared gradients that is not noise; below, it has no texture"""
 _FIRST_SIGMA, _MIN_SIGMA, _MAX_SIGMA = 0.25, 0.1, 0.3
 """errors of a brightness: the first, the least, the most; an image that fits worse shows something
 else, as water does, whose brightness depends on where it is seen from"""
@@ -171,7 +171,7 @@ class Photometry(NamedTuple):
     vector: Array
     used: int
     spread: float  # robust standard deviation of the residuals
-    noise_share: float  # of the squared gradients
+    noise_fraction: float  # of the squared gradients
 
 
 class ImageView(NamedTuple):
@@ -231,7 +231,7 @@ def photometry(
         n = min(
             min(weights[r, c], weights[r, c + 1]), min(weights[r + 1, c], weights[r + 1, c + 1])
         )
-        if n < FEWEST:
+        if n < MIN:
             continue
         fu, fv = u - c, v - r
         low = means[r, c] + fu * (means[r, c + 1] - means[r, c])
@@ -331,11 +331,11 @@ class PhotometricUpdate:
         scan: PlacedScan,
         intensity: Bytes,
         dark_ticks: int,
-        share: float = 1.0,
+        fraction: float = 1.0,
     ) -> dict[str, float]:
         """Iterated update by a scan and its ``intensity`` (N,) after ``dark_ticks`` without an
         image; returns the figures for the recording. Nothing is changed where too few returns lie
-        on images with texture. ``share``: see ``Eskf.gains``."""
+        on images with texture. ``fraction``: see ``Eskf.gains``."""
         if not self.measures(dark_ticks):
             return {}
         chosen = np.arange(0, len(scan), max(1, len(scan) // _RETURNS))
@@ -343,7 +343,7 @@ class PhotometricUpdate:
         keys = self.choose(eskf, part.points)
         if not keys:
             return _figures()
-        update, sigmas = IteratedUpdate(eskf, share), np.full(len(keys), self._sigma)
+        update, sigmas = IteratedUpdate(eskf, fraction), np.full(len(keys), self._sigma)
         floor = np.array([*[_ROTATION_RAD] * 3, _ASIDE_M, _ASIDE_M, 0.0])
         floors = np.concatenate([floor, np.zeros(eskf.shared + CLONE_DIM * len(keys))])
         for _ in range(_ITERATIONS):
@@ -370,17 +370,17 @@ class PhotometricUpdate:
             far = float(np.hypot(*(image.axes @ move.translation)))
             if far > 0.5 * image.cell_m * image.sums.shape[0]:
                 continue
-            share = image.share_known(move.apply(points[::8]))
-            if share >= _MIN_OVERLAP:
-                overlaps.append((k, share))
+            fraction = image.fraction_known(move.apply(points[::8]))
+            if fraction >= _MIN_OVERLAP:
+                overlaps.append((k, fraction))
         if len(overlaps) <= _MAX_IMAGES:
             return [k for k, _ in overlaps]
         newest = overlaps.pop()[0]
         variances = np.diag(eskf.covariance)
 
         def worth(entry: tuple[int, float]) -> float:
-            k, share = entry
-            return float(variances[eskf.clone_indices(k)[_ASIDE]].sum()) / share
+            k, fraction = entry
+            return float(variances[eskf.clone_indices(k)[_ASIDE]].sum()) / fraction
 
         best = sorted(overlaps, key=worth)[: _MAX_IMAGES - 1]
         return sorted([newest, *(k for k, _ in best)])
@@ -410,7 +410,7 @@ class PhotometricUpdate:
             )
             if part.used:
                 sigmas[slot] = max(part.spread, _MIN_SIGMA)
-            clear = 1.0 - part.noise_share
+            clear = 1.0 - part.noise_fraction
             unlike = part.spread > _MAX_SIGMA
             if part.used < _MIN_USED or clear < _MIN_CLEAR or unlike:
                 continue

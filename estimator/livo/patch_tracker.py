@@ -57,10 +57,10 @@ class _Patch(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _empty_patch() -> _Patch:
-    most = (_WIDE + 1) * _ROW
+    maximum = (_WIDE + 1) * _ROW
     return _Patch(
         np.zeros(_FLAT, np.float32), np.zeros(_FLAT, np.float32), np.zeros(_FLAT, np.float32),
-        np.zeros(_MAX * (_MAX + 1), np.float32), np.zeros(most, np.float32),
+        np.zeros(_MAX * (_MAX + 1), np.float32), np.zeros(maximum, np.float32),
     )  # fmt: skip
 
 
@@ -244,16 +244,16 @@ def track(
         det = j00 * j11 - j01 * j10
         # a keyframe that shows the ground much larger gives its patches from a level higher
         coarser = 1 if det < _COARSER else 0
-        share = 1.0 / (1 << coarser)
-        if not (0.2 * share * share < det < 5.0):
+        fraction = 1.0 / (1 << coarser)
+        if not (0.2 * fraction * fraction < det < 5.0):
             continue
-        warp[0, 0], warp[0, 1] = share * j11 / det, -share * j01 / det
-        warp[1, 0], warp[1, 1] = -share * j10 / det, share * j00 / det
+        warp[0, 0], warp[0, 1] = fraction * j11 / det, -fraction * j01 / det
+        warp[1, 0], warp[1, 1] = -fraction * j10 / det, fraction * j00 / det
         good, correlation = True, 0.0
         for level in range(top_level, -1, -1):
             scale = 1.0 / (1 << level)
             fine = level == 0
-            at_u, at_v = pixels[k, 0] * scale * share, pixels[k, 1] * scale * share
+            at_u, at_v = pixels[k, 0] * scale * fraction, pixels[k, 1] * scale * fraction
             ok = _template(source[level + coarser], at_u, at_v, warp, patch)
             if not ok:
                 good = not fine

@@ -150,15 +150,15 @@ def plane_equations(
                 block[a, b] += scaled * row[b]
         used += 1
         total += height * height
-        share = weight * planes.variances[i, 2]
-        normal_weight += share
+        fraction = weight * planes.variances[i, 2]
+        normal_weight += fraction
         for a in range(POSE_DIM):
             for b in range(a + 1):
-                normal_rows[a, b] += share * row[a] * row[b]
+                normal_rows[a, b] += fraction * row[a] * row[b]
         for a in range(3):
-            first[a] += share * p[a]
+            first[a] += fraction * p[a]
             for b in range(3):
-                second[a, b] += share * p[a] * p[b]
+                second[a, b] += fraction * p[a] * p[b]
     information, vector = _assembled(blocks, gradients, anchors.slots, touched, shared)
     seeming = _all_directions(normal_weight, first, second, pose.rotation)
     for a in range(POSE_DIM):
@@ -258,17 +258,17 @@ def update_with_scan(
     scan: PlacedScan,
     errors: ScanErrors,
     *,
-    share: float = 1.0,
+    fraction: float = 1.0,
     iterations: int = 3,
     min_matches: int = 30,
 ) -> LidarReport:
     """Iterated update by a scan that ends at the filter's present time.
 
     Planes are looked up in the first iteration, and in the second if the first has moved the
-    returns. With fewer than ``min_matches`` matches nothing is changed. ``share``: of the
+    returns. With fewer than ``min_matches`` matches nothing is changed. ``fraction``: of the
     correction that mounts and lens take.
     """
-    update = IteratedUpdate(eskf, share)
+    update = IteratedUpdate(eskf, fraction)
     returns, shared = Returns(scan.points, scan.beams), eskf.shared
     weak = np.zeros((POSE_DIM, 0))
     matched, keys, used, rms = None, np.zeros(0, np.int64), 0, 0.0

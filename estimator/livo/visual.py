@@ -75,13 +75,13 @@ class VisualReport:
     used: int = 0
     keyframes_tracked: int = 0
     rms_px: float = 0.0
-    best_share: float = 0.0
+    best_fraction: float = 0.0
 
     def diagnostics(self) -> dict[str, float]:
         """The figures by the name of their plot."""
         return {
             "features_tracked": float(self.used), "visual_rms_px": self.rms_px,
-            "keyframes_tracked": float(self.keyframes_tracked), "overlap": self.best_share,
+            "keyframes_tracked": float(self.keyframes_tracked), "overlap": self.best_fraction,
         }  # fmt: skip
 
 
@@ -172,8 +172,8 @@ class VisualFrontEnd:
         camera_from_odom = self._camera_at(eskf.state.pose, keyframe).inverse()
         measure_planes(keyframe, recent, camera_from_odom, self._camera)
         if ground_m is not None:
-            share = self._params.assumed_depth_share
-            assume_level_ground(keyframe, camera_from_odom, ground_m, self._camera, share)
+            fraction = self._params.assumed_depth_fraction
+            assume_level_ground(keyframe, camera_from_odom, ground_m, self._camera, fraction)
         elif int(keyframe.valid.sum()) < _MIN_PLANES:
             keyframe = self._completed(keyframe, recent, camera_from_odom)
         if int(keyframe.valid.sum()) < _MIN_PLANES:
@@ -184,7 +184,7 @@ class VisualFrontEnd:
         self, keyframe: Keyframe, recent: RecentReturns, camera_from_odom: Pose
     ) -> Keyframe:
         """Returns ``keyframe`` with features near returns of the LIDAR alone where these are in a
-        good share of the image, else with all features in the common plane of the returns."""
+        good fraction of the image, else with all features in the common plane of the returns."""
         grey = keyframe.levels[0]
         every = replace(keyframe, pixels=detect_features(grey, grey.size))
         measure_planes(every, recent, camera_from_odom, self._camera)
@@ -232,16 +232,16 @@ class VisualFrontEnd:
         newest = ticks[-1] if ticks else -self._open_ticks
         if report.used == 0:
             return tick - newest >= self._open_ticks // 4
-        return report.used < 80 or report.best_share < 0.6
+        return report.used < 80 or report.best_fraction < 0.6
 
     # ------------------------------------------------------------------------ update
 
     def update(
         self, eskf: Eskf, levels: tuple[Grey, Grey, Grey], delay_s: float = 0.0,
-        share: float = 1.0, spot: Array | None = None,
+        fraction: float = 1.0, spot: Array | None = None,
     ) -> VisualReport:  # fmt: skip
         """Iterated update by one image whose stamp is ``delay_s`` after the filter's state; nothing
-        is changed if fewer than 15 landmarks are found. ``share``: of the correction that mounts
+        is changed if fewer than 15 landmarks are found. ``fraction``: of the correction that mounts
         and lens take; ``spot`` (3,): the ground that the rangefinder's beam meets, IMU frame."""
         middle = self._shutter.middle_s
         mount = corrected_camera(self._imu_from_camera, eskf.state.calibration)
@@ -251,7 +251,7 @@ class VisualFrontEnd:
         if not self._params.use_closures:
             first = len(self.keyframes) - _LAST_FEW
             candidates = [c for c in candidates if c.index >= first]
-        best = max((c.share * _closeness(c.scale) for c in candidates), default=0.0)
+        best = max((c.fraction * _closeness(c.scale) for c in candidates), default=0.0)
         variances = np.diag(eskf.covariance)[eskf.base :].reshape(-1, CLONE_DIM)[:, POSITION]
         chosen = choose(candidates, variances.sum(axis=1), self._params.track_keyframes, 0.35)
         tracks: list[_Track] = []
@@ -265,13 +265,15 @@ class VisualFrontEnd:
             if int(found.sum()) >= 10:
                 tracks.append(self._track(eskf, k, usable[found], pixels[found]))
         if sum(len(t.views.pixels) for t in tracks) < _MIN_LANDMARKS:
-            return VisualReport(best_share=best)
-        used, rms = self._iterate(IteratedUpdate(eskf, share), eskf, tracks, delay_s)
+            return VisualReport(best_fraction=best)
+        used, rms = self._iterate(IteratedUpdate(eskf, fraction), eskf, tracks, delay_s)
         if used:
             self._refine_depths(eskf, tracks, delay_s)
             if spot is not None:
                 self._scale_way(eskf, tracks, delay_s, spot)
-        return VisualReport(used=used, keyframes_tracked=len(tracks), rms_px=rms, best_share=best)
+        return VisualReport(
+            used=used, keyframes_tracked=len(tracks), rms_px=rms, best_fraction=best
+        )
 
     def _exposed(
         self, eskf: Eskf, which: list[int], delay_s: float, after_s: float = 0.0

@@ -130,10 +130,10 @@ def _reduced_system(
         row = coupling[m]
         touched = np.flatnonzero(row)
         for at in touched:
-            share = row[at] / curvature[m]
-            vector[at] -= share * slope[m]
+            fraction = row[at] / curvature[m]
+            vector[at] -= fraction * slope[m]
             for to in touched:
-                information[at, to] -= share * row[to]
+                information[at, to] -= fraction * row[to]
     return information, vector, coupling, curvature, slope, cost
 
 

@@ -100,9 +100,9 @@ class CameraPositioning:
             sightings = sightings.select(solved.inliers)
             if self._params.use_camera_pose:
                 eskf, height = self._filter.eskf, self._map.keyframes[-1].depth_m
-                share = self._params.image_calibration_gain
-                share *= height >= self._params.calibrate_above_m
-                update_with_image(eskf, self._model, self._cloned(), sightings, share)
+                fraction = self._params.image_calibration_gain
+                fraction *= height >= self._params.calibrate_above_m
+                update_with_image(eskf, self._model, self._cloned(), sightings, fraction)
                 self._filter.trail.follow(eskf.state)
                 self._follow_clones()
                 corrected = True

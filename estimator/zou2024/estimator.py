@@ -23,11 +23,11 @@ from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, 
 
 
 def nearest_image(
-    images: Sequence[CameraImage], tick: int, most_ticks_apart: int
+    images: Sequence[CameraImage], tick: int, max_ticks_apart: int
 ) -> CameraImage | None:
     """Returns the image nearest in time to a scan's ``tick`` (section 3.2), the earlier of two;
-    None if none is within ``most_ticks_apart``."""
-    near = [image for image in images if abs(image.tick - tick) <= most_ticks_apart]
+    None if none is within ``max_ticks_apart``."""
+    near = [image for image in images if abs(image.tick - tick) <= max_ticks_apart]
     return min(near, key=lambda image: (abs(image.tick - tick), image.tick), default=None)
 
 

@@ -32,7 +32,7 @@ class Features:
 
 
 def spread(
-    pixels: Array, responses: Array, size: tuple[int, int], cell_px: int, most: int
+    pixels: Array, responses: Array, size: tuple[int, int], cell_px: int, maximum: int
 ) -> Indices:
     """Returns indices of up to ``most`` of (N, 2) keypoints, the strongest of every cell first,
     then the second of every cell, and so on: evenly spread over the image, and deterministic."""
@@ -45,7 +45,7 @@ def spread(
     starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
     rank = np.arange(len(order)) - np.repeat(starts, np.diff(starts, append=len(order)))
     by_rank = order[np.lexsort((-responses[order], rank))]
-    return np.sort(by_rank[:most])
+    return np.sort(by_rank[:maximum])
 
 
 class LandmarkDetector:
@@ -76,11 +76,11 @@ class LandmarkDetector:
     def _find(
         self, kind: int, detector: cv2.Feature2D, image: Grey, scale: float, cell_px: int
     ) -> Features:
-        most, descriptors = self._counts[kind], None
+        maximum, descriptors = self._counts[kind], None
         keypoints: Sequence[cv2.KeyPoint] = ()
-        if most > 0 and kind == SIFT:
+        if maximum > 0 and kind == SIFT:
             keypoints, descriptors = detector.detectAndCompute(image, None)
-        elif most > 0:
+        elif maximum > 0:
             keypoints = detector.detect(image, None)
             self._adapt_threshold(len(keypoints))
         pixels = np.array([k.pt for k in keypoints], dtype=np.float64).reshape(-1, 2)
@@ -91,7 +91,7 @@ class LandmarkDetector:
         inside &= (pixels <= np.array([width, height]) - 1 - self._border).all(axis=1)
         usable = np.flatnonzero(inside)
         responses = np.array([keypoints[i].response for i in usable.tolist()])
-        chosen = usable[spread(pixels[usable], responses, (width, height), cell_px, most)]
+        chosen = usable[spread(pixels[usable], responses, (width, height), cell_px, maximum)]
         if kind == BRISK and len(chosen):
             # most of the keypoints are not wanted, and need no descriptors
             _, descriptors = detector.compute(image, [keypoints[i] for i in chosen.tolist()])

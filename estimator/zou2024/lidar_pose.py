@@ -134,16 +134,16 @@ def _extremes(
             low[a], high[a] = min(low[a], directions[i, a]), max(high[a], directions[i, a])
     columns, rows = cells
     scale_x, scale_y = columns / max(high[0] - low[0], 1e-9), rows / max(high[1] - low[1], 1e-9)
-    least = np.full(columns * rows, -1, np.int64)
-    most = least.copy()
+    minimum = np.full(columns * rows, -1, np.int64)
+    maximum = minimum.copy()
     for i in usable:
         column = min(int((directions[i, 0] - low[0]) * scale_x), columns - 1)
         sector = min(int((directions[i, 1] - low[1]) * scale_y), rows - 1) * columns + column
-        if least[sector] < 0 or scores[i] < scores[least[sector]]:
-            least[sector] = i
-        if most[sector] < 0 or scores[i] >= scores[most[sector]]:
-            most[sector] = i
-    return least[least >= 0], most[most >= 0]
+        if minimum[sector] < 0 or scores[i] < scores[minimum[sector]]:
+            minimum[sector] = i
+        if maximum[sector] < 0 or scores[i] >= scores[maximum[sector]]:
+            maximum[sector] = i
+    return minimum[minimum >= 0], maximum[maximum >= 0]
 
 
 _LASERS = 6
@@ -246,10 +246,10 @@ class LidarPositioning:
             return
         floor = np.repeat([_TURN_SIGMA, _LATERAL_SIGMA_M], 3)
         floor[5] = params.scan_height_sigma_m
-        share = params.scan_calibration_gain * (height_m >= params.calibrate_above_m)
+        fraction = params.scan_calibration_gain * (height_m >= params.calibrate_above_m)
         update_with_scan(
             self._filter.eskf, result, features.lever, self.maps.anchors,
-            np.array([params.edge_sigma_m, params.plane_sigma_m]), floor, share,
+            np.array([params.edge_sigma_m, params.plane_sigma_m]), floor, fraction,
         )  # fmt: skip
         self._filter.trail.follow(self._filter.eskf.state)
         self._report(result)

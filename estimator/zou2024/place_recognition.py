@@ -198,8 +198,8 @@ class Memory:
         ]
         place.words = words = np.concatenate(found)
         unique, counts = np.unique(words, return_counts=True)
-        for word, share in zip(unique.tolist(), (counts / len(words)).tolist(), strict=True):
-            self._shown.setdefault(word, {})[number] = share
+        for word, fraction in zip(unique.tolist(), (counts / len(words)).tolist(), strict=True):
+            self._shown.setdefault(word, {})[number] = fraction
         return words
 
     def _drop_words(self, number: int) -> None:
@@ -224,9 +224,9 @@ class Memory:
         for word in np.unique(words).tolist():
             shown = self._shown[word]
             rarity = float(np.log10(total / len(shown)))
-            for number, share in shown.items():
+            for number, fraction in shown.items():
                 if number in result:
-                    result[number] += share * rarity
+                    result[number] += fraction * rarity
         return np.array(list(result.values()))
 
     # ------------------------------------------------------------------------ locations
@@ -255,7 +255,7 @@ class Memory:
 
     @staticmethod
     def _similarity(own: Indices, other: Indices | None) -> float:
-        """Share of common words (2013, Eq. 1)."""
+        """Fraction of common words (2013, Eq. 1)."""
         if other is None or min(len(own), len(other)) == 0:
             return 0.0
         return len(np.intersect1d(own, other)) / max(len(own), len(other))

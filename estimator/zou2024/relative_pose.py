@@ -100,10 +100,10 @@ class ImageModel:
 
 
 def update_with_image(
-    eskf: Eskf, model: ImageModel, hosts: list[MapKeyframe], sightings: Sightings, share: float
+    eskf: Eskf, model: ImageModel, hosts: list[MapKeyframe], sightings: Sightings, fraction: float
 ) -> None:
     """Iterated update by landmarks of ``hosts``, the keyframes of the filter's clones, in order.
-    ``share``: of the correction that mounts and lens take."""
+    ``fraction``: of the correction that mounts and lens take."""
     place = {host.number: k for k, host in enumerate(hosts)}
     known = {host.number: host for host in hosts}
     groups = list(by_host(sightings, known))
@@ -111,7 +111,7 @@ def update_with_image(
     keys = sorted({place[name] for name in names})
     head = POSE_DIM + eskf.shared
     size = head + POSE_DIM * len(keys)
-    update = IteratedUpdate(eskf, share)
+    update = IteratedUpdate(eskf, fraction)
     twists = [np.array([eskf.twist, known[name].twist]) for name in names]
     for gate in _GATES_PX:
         information, vector = np.zeros((size, size)), np.zeros(size)
@@ -142,7 +142,7 @@ def update_with_image(
 
 def update_with_scan(
     eskf: Eskf, result: ScanPose, lever: Array, anchors: Anchors, sigmas: Array, floor: Array,
-    share: float,
+    fraction: float,
 ) -> None:  # fmt: skip
     """Update by the residuals of Algorithm 1, linearised at its pose; degenerate directions are
     left out. ``sigmas`` (2,): of edges and of planes; ``floor`` (6,): standard deviations of errors
@@ -150,7 +150,7 @@ def update_with_scan(
     found, pose = result.matches, result.pose
     keys = np.unique(found.owners[found.owners >= 0])
     frames = anchors.frames(eskf.clones, eskf.state.calibration, keys)
-    update = IteratedUpdate(eskf, share)
+    update = IteratedUpdate(eskf, fraction)
     floors = np.concatenate([floor, np.zeros(eskf.shared), np.tile(floor, len(keys))])
     information, vector, _ = relative_equations(
         found, lever, Frame.of(pose), frames, len(keys), eskf.shared, sigmas, False

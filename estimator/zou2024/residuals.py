@@ -164,8 +164,8 @@ def relative_equations(
             pull = slopes[0]
             for j in range(3):
                 part = dot(offset, slopes[j])
-                share = 1.0 + part if j == 0 else part
-                variance += found.scatter[i] * share * share
+                fraction = 1.0 + part if j == 0 else part
+                variance += found.scatter[i] * fraction * fraction
                 pull = along(pull, part, slopes[j])
         weight = found.weights[i] / variance
         for b in range(POSE_DIM):

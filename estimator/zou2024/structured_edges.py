@@ -126,7 +126,7 @@ class StructuredEdges:
     """The structured edge detector (Dollar and Zitnick 2015) by OpenCV's ``ximgproc``.
 
     ``model_path``: a model in OpenCV's gzipped YAML form.
-    ``full_energy``: share of votes that counts as energy 1; trees that disagree by a pixel about
+    ``full_energy``: fraction of votes that counts as energy 1; trees that disagree by a pixel about
     where a certain boundary lies spread their votes, so that none gets them all. Raises
     FileNotFoundError if there is no such file and ValueError if it is damaged or no model.
     """

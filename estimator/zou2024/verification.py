@@ -48,7 +48,7 @@ class LoopVerifier:
 
     visual_map: VisualMap
     model: ImageModel
-    least: int
+    minimum: int
     """landmarks that agree"""
 
     def __call__(
@@ -68,12 +68,12 @@ class LoopVerifier:
         frames = {host.number: host.map_from_imu for host in hosts}
         known = {host.number: host for host in hosts}
         sightings, _ = self.visual_map.match(features, hosts, frames, guess, _RADIUS_PX)
-        if len(sightings) < self.least:
+        if len(sightings) < self.minimum:
             return None
         solved = solve_pnp(
             sightings.pixels, self.visual_map.positions(sightings, frames, known),
             self.model.sigmas_px[sightings.kinds], guess, np.diag(_GUESS_SIGMAS**-2.0),
-            self.model.camera.imu_from_camera, self.model.camera.intrinsics, self.least,
+            self.model.camera.imu_from_camera, self.model.camera.intrinsics, self.minimum,
         )  # fmt: skip
         if solved is None:
             return None
@@ -101,7 +101,7 @@ class LoopVerifier:
             points.append(np.concatenate(placed)[[pair.trainIdx for pair in pairs]])
             pixels.append(found.pixels[[pair.queryIdx for pair in pairs]])
         landmarks, seen = np.concatenate(points), np.concatenate(pixels)
-        if len(seen) < self.least:
+        if len(seen) < self.minimum:
             return None
         # near the origin, where single precision is enough
         middle, matrix = landmarks.mean(axis=0), self.model.camera.intrinsics.matrix()
@@ -109,7 +109,7 @@ class LoopVerifier:
             landmarks - middle, seen, matrix, None, iterationsCount=_ITERATIONS,
             reprojectionError=_RANSAC_PX, confidence=0.999, flags=cv2.SOLVEPNP_AP3P,
         )  # fmt: skip
-        if not done or chosen is None or len(chosen) < self.least:
+        if not done or chosen is None or len(chosen) < self.minimum:
             return None
         inside = chosen[:, 0]
         done, turn, shift = cv2.solvePnP(

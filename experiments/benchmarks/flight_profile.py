@@ -108,8 +108,8 @@ def profile_config(**chosen: Any) -> Config:
 
 def profile_flight(config: Config) -> dict[str, Any]:
     """Flies ``config`` with the functions of `STAGES` under the clock. Returns ``sim_s`` and, by
-    stage, ``calls``, ``ms`` a call, ``ms_per_scan`` (0.1 s of flight) and ``share``; the scene and
-    set-up are outside of shares."""
+    stage, ``calls``, ``ms`` a call, ``ms_per_scan`` (0.1 s of flight) and ``fraction``; the scene
+    and set-up are outside of shares."""
     limit_threads()
     os.environ["LP_NUM_THREADS"] = "0"  # Mesa draws on the thread whose clock is read
     return compiled_before(lambda: _profile(config))
@@ -146,15 +146,15 @@ def _rows(profile: StageProfile, sim_s: float) -> dict[str, dict[str, float]]:
         calls = profile.calls[stage]
         rows[stage] = {"calls": calls, "ms": 1e3 * seconds / max(calls, 1)}
         if stage not in _BEFORE:
-            rows[stage] |= {"ms_per_scan": 100.0 * seconds / sim_s, "share": seconds / total}
+            rows[stage] |= {"ms_per_scan": 100.0 * seconds / sim_s, "fraction": seconds / total}
     return rows
 
 
 def table(figures: Mapping[str, Any]) -> str:
     """The stages as text, the dearest first."""
-    lines = [f"{'stage':28}{'calls':>8}{'ms a call':>11}{'ms per 0.1 s':>14}{'share':>7}"]
+    lines = [f"{'stage':28}{'calls':>8}{'ms a call':>11}{'ms per 0.1 s':>14}{'fraction':>10}"]
     for stage, row in figures["stages"].items():
-        beside = f"{row['ms_per_scan']:14.2f}{row['share']:7.1%}" if "share" in row else ""
+        beside = f"{row['ms_per_scan']:14.2f}{row['fraction']:10.1%}" if "fraction" in row else ""
         lines.append(f"{stage:28}{row['calls']:8.0f}{row['ms']:11.3f}{beside}")
     total = figures["core_s_per_sim_s"]
     return "\n".join([*lines, f"{total:.3f} core-seconds per simulated second"])

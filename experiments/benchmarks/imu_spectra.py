@@ -83,14 +83,14 @@ def recorded_vibration(seconds: float, seed: int = 0) -> Array:
     """(N, 6) samples of the model at the recorded vehicle's rotor speeds, as its sensor samples."""
     rng = np.random.default_rng(seed)
     hover = 2.0 * np.pi * RECORDED_HOVER_HZ
-    share = RECORDED_SPREAD_HZ / RECORDED_HOVER_HZ
-    speeds = _wander(rng, round(seconds * RECORDED_HZ), RECORDED_HZ, hover, share)
+    fraction = RECORDED_SPREAD_HZ / RECORDED_HOVER_HZ
+    speeds = _wander(rng, round(seconds * RECORDED_HZ), RECORDED_HZ, hover, fraction)
     model = PropellerVibration(_AS_RECORDED, 1.0 / RECORDED_HZ, hover, seed)
     return np.array([model.sample(row) for row in speeds])
 
 
 def _wander(
-    rng: np.random.Generator, count: int, rate_hz: float, mean: float, share: float
+    rng: np.random.Generator, count: int, rate_hz: float, mean: float, fraction: float
 ) -> Array:
     """(N, 4) rotor speeds, each a Gauss-Markov process about ``mean``."""
     keep = np.exp(-1.0 / (rate_hz * RECORDED_WANDER_S))
@@ -98,7 +98,7 @@ def _wander(
     drive[0] = rng.standard_normal(4)
     for k in range(1, count):
         drive[k] += keep * drive[k - 1]
-    speeds: Array = mean * (1.0 + share * drive)
+    speeds: Array = mean * (1.0 + fraction * drive)
     return speeds
 
 

@@ -46,7 +46,7 @@ def measure_loop(config: Config, fly: Callable[[Config, Path], RunResult]) -> di
     """Flies in a temporary directory, once more if kernels were compiled during the flight.
 
     ``result`` is the flight's result; ``figures`` holds ``real_time_factor``, ``stage_ms`` (wall
-    milliseconds per 0.1 s of flight, one LIDAR scan), ``stage_share`` of the wall time, and
+    milliseconds per 0.1 s of flight, one LIDAR scan), ``stage_fraction`` of the wall time, and
     ``recording_mb``.
     """
     with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
@@ -65,7 +65,7 @@ def measure_loop(config: Config, fly: Callable[[Config, Path], RunResult]) -> di
         "wall_s": timing["wall_s"],
         "real_time_factor": timing["real_time_factor"],
         "stage_ms": stages,
-        "stage_share": {name: ms / per_scan_ms for name, ms in stages.items()},
+        "stage_fraction": {name: ms / per_scan_ms for name, ms in stages.items()},
         "recording_mb": recording_mb,
     }
     return {"result": result, "figures": figures}

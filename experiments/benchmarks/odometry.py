@@ -42,7 +42,7 @@ Rows = dict[str, dict[str, Any]]
 
 SCENES = ("crossroad", "lake", "houses", "forest")
 _SURVEY_BELOW_M = 0.5
-"""The survey begins where the vehicle first is this near to its greatest height."""
+"""The survey begins where the vehicle first is this near to its maximum height."""
 WITHOUT_CAMERA = "livo_no_camera"
 VARIANTS: dict[str, tuple[str, dict[str, bool]]] = {
     "livo: tight, all on": ("livo", {}),
@@ -150,9 +150,9 @@ def logged_scans(logged: LoggedRun, end_s: float) -> list[ScanPoints]:
                 continue
             back = scan.ranges > 0.0
             span_s = scan.end_time_s - scan.start_time_s
-            shares = (scan.time_offsets[back] / span_s).astype(np.float32)
+            fractions = (scan.time_offsets[back] / span_s).astype(np.float32)
             points = scan.points[back]
-            scans.append(ScanPoints(points, shares, scan.start_time_s, scan.end_time_s))
+            scans.append(ScanPoints(points, fractions, scan.start_time_s, scan.end_time_s))
         if obs.time_s > end_s + 1.0:
             break
     return scans

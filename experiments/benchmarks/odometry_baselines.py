@@ -45,20 +45,20 @@ settings are the defaults of the packages."""
 MAP_SCANS = 1000
 """Scans after which the map of small_gicp drops an untouched voxel: more than a survey has, so that
 revisited ground is still in it."""
-_MOST_ITERATIONS = 100
+_MAX_ITERATIONS = 100
 """Iterations of KISS-ICP per scan. Its default is 500, which only scans reach that do not
 converge."""
-_LEAST_RETURNS, _LEAST_POINTS = 100, 20
+_MIN_RETURNS, _MIN_POINTS = 100, 20
 """Least points of a usable scan, before and after downsampling: near the ground there are few."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanPoints:
-    """The returns of one scan: (N, 3) float32 metres, LIDAR frame; (N,) float32 share of the scan's
-    span, 0 to 1; and its span in seconds."""
+    """The returns of one scan: (N, 3) float32 metres, LIDAR frame; (N,) float32 fraction of the
+    scan's span, 0 to 1; and its span in seconds."""
 
     points: NDArray[np.float32]
-    shares: NDArray[np.float32]
+    fractions: NDArray[np.float32]
     start_s: float
     end_s: float
 
@@ -108,13 +108,13 @@ class KissIcp:
         config.data.deskew = deskew
         config.mapping.voxel_size = voxel_m
         config.registration.max_num_threads = 1
-        config.registration.max_num_iterations = _MOST_ITERATIONS
+        config.registration.max_num_iterations = _MAX_ITERATIONS
         config.adaptive_threshold.initial_threshold = initial_threshold_m
         self._odometry = KissICP(config)
 
-    def register(self, points: Array, shares: Array) -> Array:
+    def register(self, points: Array, fractions: Array) -> Array:
         # It divides by the span of the times, and aborts where that is 0.
-        self._odometry.register_frame(points, shares if np.ptp(shares) > 0.0 else np.zeros(0))
+        self._odometry.register_frame(points, fractions if np.ptp(fractions) > 0.0 else np.zeros(0))
         return np.asarray(self._odometry.last_pose)
 
 
@@ -131,11 +131,11 @@ class SmallGicp:
         self._map.set_lru(horizon=MAP_SCANS, clear_cycle=10)
         self._pose, self._step = np.eye(4), np.eye(4)
 
-    def register(self, points: Array, shares: Array) -> Array:
+    def register(self, points: Array, fractions: Array) -> Array:
         if self._deskew:
-            points = deskew_by_step(points, shares, self._step)
+            points = deskew_by_step(points, fractions, self._step)
         cloud = self._lib.voxelgrid_sampling(points, self._downsampling, num_threads=1)
-        if cloud.size() < _LEAST_POINTS:
+        if cloud.size() < _MIN_POINTS:
             self._pose = self._pose @ self._step
             return self._pose
         self._lib.estimate_covariances(cloud, num_neighbors=10, num_threads=1)
@@ -156,10 +156,10 @@ ODOMETRY: dict[str, Callable[..., KissIcp | SmallGicp]] = {
 pose of a scan in the frame of the first one."""
 
 
-def deskew_by_step(points: Array, shares: Array, step: Array) -> Array:
+def deskew_by_step(points: Array, fractions: Array, step: Array) -> Array:
     """(N, 3) points in the frame at the end of the scan, for the motion ``step`` (4, 4,
     previous_from_this scan) at constant velocity; small angles."""
-    missing = (shares - 1.0)[:, None]
+    missing = (fractions - 1.0)[:, None]
     rotation = so3_log(step[:3, :3])
     return np.asarray(points + missing * (step[:3, 3] + np.cross(rotation, points)))
 
@@ -187,12 +187,12 @@ def run_reference(
         true = true_pose(time_s)
         if world_from_first is None:
             early = setting["start"] == "survey" and scan.start_s < survey_s
-            if early or len(scan.points) < _LEAST_RETURNS:
+            if early or len(scan.points) < _MIN_RETURNS:
                 continue
             world_from_first = true @ body_from_lidar
-        points, shares = scan.points.astype(np.float64), scan.shares.astype(np.float64)
+        points, fractions = scan.points.astype(np.float64), scan.fractions.astype(np.float64)
         began = time.process_time()
-        pose = odometry.register(points, shares)
+        pose = odometry.register(points, fractions)
         track.cpu_s += time.process_time() - began
         track.data_s += scan.end_s - scan.start_s
         first_from_scan = Pose(pose[:3, :3], pose[:3, 3])

@@ -32,7 +32,7 @@ _INLIER_M = 0.02
 _GATE_SIGMAS = 4.0
 _SLACK_M = 0.12
 """tolerance by which a part may exceed the plate"""
-_SMALLEST_SHARE = 0.4
+_SMALLEST_FRACTION = 0.4
 """of the plate that has to be seen"""
 _RIM_M = 0.05
 """Returns nearer to the outline than this are left out: beams are split there."""
@@ -55,7 +55,7 @@ class BoardPlane:
 def find_board(points: Array, board: Chessboard, rng: np.random.Generator) -> BoardPlane | None:
     """The board's plane and returns in a cloud (N, 3) of the LIDAR, seen from the origin; None
     when no flat part has the plate's size."""
-    best, best_area = None, _SMALLEST_SHARE * float(np.prod(board.size_m))
+    best, best_area = None, _SMALLEST_FRACTION * float(np.prod(board.size_m))
     for part in _flat_parts(points):
         normal, distance, inside = ransac_plane(part, _INLIER_M, _TRIALS, rng)
         members = part[inside]

@@ -22,7 +22,7 @@ Bytes = NDArray[np.uint8]
 LENS_PARAMETERS = 9
 """fx, fy, cx, cy, k1, k2, p1, p2, k3"""
 _POSE_PARAMETERS = 6
-_REFINE_SHARE = 0.45
+_REFINE_FRACTION = 0.45
 """of the distance between corners: half the side of the window that refines a corner"""
 _SMOOTHING_PX = 1.0
 """Edges sharper than pixels pull corners towards the pixel grid: for rendered corners of known
@@ -87,7 +87,7 @@ def find_corners(rgb: Bytes, board: Chessboard) -> Array | None:
         return None
     grid = rough.reshape(board.rows, board.columns, 2)
     gaps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)]
-    half = max(2, int(_REFINE_SHARE * min(gaps)))
+    half = max(2, int(_REFINE_FRACTION * min(gaps)))
     smooth = cv2.GaussianBlur(grey, (0, 0), _SMOOTHING_PX)
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
     refined = cv2.cornerSubPix(smooth, rough, (half, half), (-1, -1), stop)

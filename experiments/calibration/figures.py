@@ -67,8 +67,8 @@ def overlay_image(view: CalibrationView, result: CalibrationResult) -> Image:
     points = view.points[::_OVERLAY_STEP]
     in_camera = result.camera_from_lidar.apply(points)
     low, high = np.percentile(in_camera[:, 2], [1.0, 99.0])
-    share = np.clip((high - in_camera[:, 2]) / (high - low), 0.12, 0.95)
-    tint = cv2.applyColorMap((255.0 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
+    fraction = np.clip((high - in_camera[:, 2]) / (high - low), 0.12, 0.95)
+    tint = cv2.applyColorMap((255.0 * fraction).astype(np.uint8), cv2.COLORMAP_TURBO)
     _dot(image, _pixels(points, result), tint.reshape(-1, 3)[:, ::-1], 1)
     return image
 

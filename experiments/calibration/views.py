@@ -32,14 +32,14 @@ _NEAR_M, _FAR_M = 1.8, 3.4
 _TILT_RAD = np.deg2rad([18.0, 45.0])
 _ROLL_RAD = np.deg2rad(25.0)
 _EDGE_PX = 12.0
-_MOST_OBLIQUE = np.cos(np.deg2rad(52.0))
+_MAX_OBLIQUE = np.cos(np.deg2rad(52.0))
 _LIDAR_HALF_VIEW = np.tan(0.5 * np.deg2rad([81.7, 25.1]))
-_LEAST_SEEN = 0.6
-"""Least share of the board within the LIDAR's field of view"""
+_MIN_SEEN = 0.6
+"""Least fraction of the board within the LIDAR's field of view"""
 _GOLDEN_ANGLE = np.pi * (3.0 - 5.0**0.5)
 _PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of the plane's low-discrepancy sequence (Roberts 2018)."""
-_MOST_TRIES = 400
+_MAX_TRIES = 400
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +113,10 @@ def board_poses(truth: CameraAndLidar, board: Chessboard, count: int, seed: int)
     camera = truth.camera
     size_px = np.array([camera.width, camera.height])
     for number in range(count):
-        for attempt in range(_MOST_TRIES):
+        for attempt in range(_MAX_TRIES):
             spot = (0.5 + (number + 1) * _PLASTIC) % 1.0
             # Towards the middle with every failure: not every tilt fits everywhere.
-            reach = 1.0 - attempt / _MOST_TRIES
+            reach = 1.0 - attempt / _MAX_TRIES
             pixel = size_px * (0.5 + reach * (spot - 0.5 + rng.normal(0.0, 0.03, 2)))
             tilt = rng.uniform(*_TILT_RAD)
             direction = number * _GOLDEN_ANGLE + rng.normal(0.0, 0.2)
@@ -156,11 +156,11 @@ def _in_image(k: CameraIntrinsics, board: Chessboard, pose: Pose) -> bool:
     limit = np.array([k.width - 1, k.height - 1]) - _EDGE_PX
     ray = pose.translation / np.linalg.norm(pose.translation)
     inside = ((pixels > _EDGE_PX) & (pixels < limit)).all()
-    return bool(inside and ray @ pose.rotation[:, 2] > _MOST_OBLIQUE)
+    return bool(inside and ray @ pose.rotation[:, 2] > _MAX_OBLIQUE)
 
 
 def _in_lidar(board: Chessboard, camera_from_lidar: Pose, pose: Pose) -> bool:
     """True if the LIDAR, by its data sheet's field of view, sees enough of the plate."""
     points = (camera_from_lidar.inverse() @ pose).apply(_outline(board, 15))
     slope = np.abs(points[:, :2] / points[:, 2:])
-    return float((slope < _LIDAR_HALF_VIEW).all(axis=1).mean()) >= _LEAST_SEEN
+    return float((slope < _LIDAR_HALF_VIEW).all(axis=1).mean()) >= _MIN_SEEN

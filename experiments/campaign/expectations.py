@@ -86,10 +86,10 @@ def _unexpected_means(expectation: Expect, rows: Sequence[Mapping[str, Any]]) ->
     for row in rows:
         groups.setdefault(f"{row.get('scene')}, {row.get('estimator')}", []).append(row)
     found: dict[str, str] = {}
-    least = expectation.success_at_least
+    minimum = expectation.success_at_least
     successful = sum(row.get("success") is True for row in rows)
-    if least is not None and not successful >= least * len(rows):
-        found["all"] = f"{successful} of {len(rows)} successful, at least {least:.0%} expected"
+    if minimum is not None and not successful >= minimum * len(rows):
+        found["all"] = f"{successful} of {len(rows)} successful, at least {minimum:.0%} expected"
     for name, word, sign in (("mean_at_most", "most", 1.0), ("mean_at_least", "least", -1.0)):
         for key, bound in getattr(expectation, name).items():
             for group, members in groups.items():

@@ -54,7 +54,7 @@ _OWN_KEYS = {
 
 SAME_FLIGHT = ("record", "sim.threads")
 """Keys that do not change a flight."""
-MOST_RUNS = 100_000
+MAX_RUNS = 100_000
 """of one campaign: its plan is one file"""
 
 
@@ -120,7 +120,7 @@ class Expect(_Strict):
     mean_at_least: Bounds = {}
     """the same from below"""
     success_at_least: float | None = Field(default=None, ge=0, le=1)
-    """share of the runs that land on safe ground, or complete the survey"""
+    """fraction of the runs that land on safe ground, or complete the survey"""
     happened: bool | list[str] = False
     """conditions that must have happened in each run: all that it names, or these of them"""
     unsafe: bool = False
@@ -301,7 +301,7 @@ def _axes(tree: Mapping[str, Any], source: str) -> dict[str, list[Any]]:
     if "seeds" in given:
         if "seed" in given:
             raise UsageError(f"[axes] of {source} has both seed and seeds; give one of them")
-        given["seed"] = parse_seeds(given.pop("seeds"), f"seeds in {source}:", MOST_RUNS)
+        given["seed"] = parse_seeds(given.pop("seeds"), f"seeds in {source}:", MAX_RUNS)
     if "scene" not in given:
         raise UsageError(f"[axes] of {source} lacks scene, such as scene = ['crossroad']")
     for key, values in given.items():
@@ -313,9 +313,9 @@ def _axes(tree: Mapping[str, Any], source: str) -> dict[str, list[Any]]:
             raise UsageError(f"axis '{key}' in {source} must be a list of one or more values")
         axes[key] = values
     count = math.prod(map(len, axes.values()))
-    if count > MOST_RUNS:
+    if count > MAX_RUNS:
         raise UsageError(
-            f"[axes] of {source} span {count} runs, more than {MOST_RUNS}; split the campaign"
+            f"[axes] of {source} span {count} runs, more than {MAX_RUNS}; split the campaign"
         )
     for key, values in given.items():
         seen: set[Any] = set()

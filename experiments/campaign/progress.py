@@ -133,12 +133,12 @@ def _cost_table(estimators: Mapping[str, Any]) -> Table:
     table.box = None
     for name, cost in estimators.items():
         runs = max(1, cost["runs"])
-        shares = [cost["stage_share"].get(stage, 0.0) for stage in shown]
+        fractions = [cost["stage_fraction"].get(stage, 0.0) for stage in shown]
         table.add_row(
             name,
             str(cost["runs"]),
             f"{cost['wall_s'] / runs:.1f}",
             f"{cost['cpu_s'] / runs:.1f}",
-            *(f"{share:.0%}" for share in (*shares, 1.0 - sum(shares))),
+            *(f"{fraction:.0%}" for fraction in (*fractions, 1.0 - sum(fractions))),
         )
     return table

@@ -280,9 +280,9 @@ def summary(directory: Path) -> dict[str, Any]:
 
     ``wall_s`` includes the session in progress; ``left_s`` is the time left by the mean duration
     of the finished runs, None where none is known or nobody flies.
-    ``estimators`` gives processor and wall seconds of the finished runs of each, and the share of
-    their wall time by stage: ``set_up`` is loading, building and writing, ``rest`` the loop itself.
-    ``expectations`` are `experiments.campaign.expectations.Verdict`; ``as_expected``
+    ``estimators`` gives processor and wall seconds of the finished runs of each, and the fraction
+    of their wall time by stage: ``set_up`` is loading, building and writing, ``rest`` the loop
+    itself. ``expectations`` are `experiments.campaign.expectations.Verdict`; ``as_expected``
     is true if every finished run is as expected. Raises UsageError where ``directory`` is no
     campaign.
     """
@@ -327,12 +327,12 @@ def _costs(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "runs": len(mine),
             "wall_s": wall,
             "cpu_s": sum(row["cpu_s"] or 0.0 for row in mine),
-            "stage_share": _stage_shares(mine, wall) if wall > 0 else {},
+            "stage_fraction": _stage_fractions(mine, wall) if wall > 0 else {},
         }
     return found
 
 
-def _stage_shares(rows: Sequence[Mapping[str, Any]], wall_s: float) -> dict[str, float]:
+def _stage_fractions(rows: Sequence[Mapping[str, Any]], wall_s: float) -> dict[str, float]:
     prefix = "timing.stage_ms."
     seconds: defaultdict[str, float] = defaultdict(float)
     for row in rows:

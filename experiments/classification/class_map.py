@@ -34,7 +34,7 @@ def classify_images(
     out: Path,
     classifier: OnnxClassifier,
     window_px: int | None,
-    least: float,
+    minimum: float,
     notes: Any,
 ) -> list[dict[str, Any]]:
     """Writes ``out``/NAME-classes.png for each file. Returns the fraction of each class in it.
@@ -67,7 +67,7 @@ def classify_images(
             return probabilities(classifier.scores(np.stack(scaled))).astype(np.float32)
 
         chance = class_map(image, window, max(1, window // 4), classify)
-        numbers = sure_classes(chance, least)
+        numbers = sure_classes(chance, minimum)
         write_png(target, class_overlay(image, numbers, classes))
         rows.append({
             "picture": str(file),
@@ -142,10 +142,10 @@ def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
     return wheel
 
 
-def sure_classes(chance: Float32, least: float) -> NDArray[np.int64]:
+def sure_classes(chance: Float32, minimum: float) -> NDArray[np.int64]:
     """Returns the number of the class (H, W) of each pixel; one more than the last where the best
     of the probabilities (H, W, C) is below ``least``."""
-    return np.where(chance.max(axis=2) >= least, chance.argmax(axis=2), chance.shape[2])
+    return np.where(chance.max(axis=2) >= minimum, chance.argmax(axis=2), chance.shape[2])
 
 
 def fractions(numbers: NDArray[np.int64], classes: Sequence[str]) -> dict[str, float]:

@@ -205,10 +205,12 @@ def reliability(scores: NDArray[np.float32], labels: NDArray[np.int64]) -> list[
     chance = probabilities(scores)
     right = chance.argmax(axis=1) == labels
     rows = []
-    for mean, share, number in calibration(chance.max(axis=1).astype(np.float32), right, BINS)[1]:
-        interval = fraction_interval(round(share * number), number)
+    for mean, fraction, number in calibration(chance.max(axis=1).astype(np.float32), right, BINS)[
+        1
+    ]:
+        interval = fraction_interval(round(fraction * number), number)
         bounds = [interval.low, interval.high]
-        rows.append({"mean": mean, "right": share, "interval": bounds, "pictures": number})
+        rows.append({"mean": mean, "right": fraction, "interval": bounds, "pictures": number})
     return rows
 
 

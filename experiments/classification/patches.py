@@ -88,7 +88,7 @@ class _Square:
 
 
 class NewLooks(NamedTuple):
-    """Shares of what looks other than in its scene."""
+    """Fractions of what looks other than in its scene."""
 
     colours: float = 0.0
     """of the views, in which each material has a random colour"""
@@ -223,18 +223,18 @@ def _counts(sums: NDArray[np.int32], top: int, left: int, side: int) -> NDArray[
 
 
 def _majority(sums: NDArray[np.int32], top: int, left: int, side: int) -> tuple[int, float]:
-    """Returns the most frequent land class of a square and its share of the pixels."""
+    """Returns the most frequent land class of a square and its fraction of the pixels."""
     counts = _counts(sums, top, left, side)[:_NOTHING]
     best = int(counts.argmax())
     return best, float(counts[best]) / side**2
 
 
-def _rarest(squares: list[_Square], taken: Counts, most: int) -> list[_Square]:
+def _rarest(squares: list[_Square], taken: Counts, maximum: int) -> list[_Square]:
     """Returns up to ``most`` squares that overlap little, of the rarest classes so far."""
     counts = taken.copy()
     of_view = np.zeros_like(counts)
     chosen: list[_Square] = []
-    while len(chosen) < most:
+    while len(chosen) < maximum:
         left = [
             s for s in squares
             if taken[s.land_class] >= 0

@@ -31,7 +31,7 @@ from touchdown.scenes.registry import scene_names
 MANIFEST = "manifest.csv"
 SHEET = "contact_sheet.png"
 COLUMNS = (
-    "file", "d_land", "d_scene", "scene", "seed", "split", "height_m", "side_m", "share",
+    "file", "d_land", "d_scene", "scene", "seed", "split", "height_m", "side_m", "fraction",
 )  # fmt: skip
 PER_SEED = 40
 Progress = Callable[[int, int, str], None]
@@ -59,9 +59,9 @@ class DatasetParams:
     per_seed: int = PER_SEED
     """patches of each seed of a scene"""
     new_colours: float = 0.0
-    """share of views in colours that the scene does not have"""
+    """fraction of views in colours that the scene does not have"""
     new_materials: float = 0.0
-    """share of seeds with ground of other materials of the same class"""
+    """fraction of seeds with ground of other materials of the same class"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,7 @@ def _render_layout(layout: _Layout) -> list[dict[str, Any]]:
             "split": split_of_layout(layout.scene, layout.seed),
             "height_m": f"{patch.height_m:.2f}",
             "side_m": f"{patch.side_m:.2f}",
-            "share": f"{patch.fraction:.3f}",
+            "fraction": f"{patch.fraction:.3f}",
         })  # fmt: skip
     return rows
 

@@ -145,7 +145,7 @@ def keep_freed_memory() -> None:
     Every step of a training needs the same memory. glibc returns large blocks to the system and
     allocates them again, zeroed page by page, which took a third of the time on a CPU.
     """
-    set_malloc(most_mappings=0, trim_bytes=-1)
+    set_malloc(max_mappings=0, trim_bytes=-1)
 
 
 def write_curves(path: Path, history: Sequence[Mapping[str, float]]) -> None:

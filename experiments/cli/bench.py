@@ -65,7 +65,7 @@ def bench() -> int:
 @JSON
 @QUIET
 def bench_loop(as_json: bool, quiet: bool, **chosen: Any) -> int:
-    """Fly with all sensors and recording: real-time factor and the share of each stage.
+    """Fly with all sensors and recording: real-time factor and the fraction of each stage.
 
     Example: touchdown bench loop --json
     """

@@ -47,11 +47,11 @@ _LEFT_OUT = click.option(
 )  # fmt: skip
 _FALSE_SAFE = click.option(
     "--false-safe", type=Number(0.0, 1.0), default=0.01, show_default=True,
-    help="Share of unsafe ground that may count as safe.",
+    help="Fraction of unsafe ground that may count as safe.",
 )  # fmt: skip
 _CONFIDENCE = click.option(
     "--confidence", type=Number(0.0, 1.0, max_open=True), default=0.95, show_default=True,
-    help="That the share is not larger.",
+    help="That the fraction is not larger.",
 )  # fmt: skip
 _NETWORK = click.argument("network", required=False, type=PATH)
 _NETWORK_OUT = click.option("--out", type=PATH, required=True, help="A file *.onnx.")
@@ -66,9 +66,9 @@ def _miss_cost(default: str) -> Callable[[Any], Any]:
     )  # fmt: skip
 
 
-def _share(name: str, help_text: str, most: float = 1.0) -> Callable[[Any], Any]:
+def _fraction(name: str, help_text: str, maximum: float = 1.0) -> Callable[[Any], Any]:
     return click.option(
-        name, type=Number(0.0, most), default=0.0, show_default=True, help=help_text
+        name, type=Number(0.0, maximum), default=0.0, show_default=True, help=help_text
     )
 
 
@@ -99,8 +99,8 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
               help="Of layouts, poses and light; scene seeds start at 1000.")  # fmt: skip
 @click.option("--scene", "scenes", multiple=True, metavar="NAME",
               help="Only this scene. May be repeated.  [all]")  # fmt: skip
-@_share("--new-colours", "Share of views with random colours of roads, paving, roofs …")
-@_share("--new-materials", "Share of seeds whose ground is of other materials of its class.")
+@_fraction("--new-colours", "Fraction of views with random colours of roads, paving, roofs …")
+@_fraction("--new-materials", "Fraction of seeds whose ground is of other materials of its class.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
               help="Processes; the images do not depend on it.")  # fmt: skip
 @answered(_print_dataset)
@@ -151,10 +151,12 @@ def _print_training(report: Mapping[str, Any]) -> None:
 @click.option("--learning-rate", type=Number(0.0, min_open=True), default=1e-3, show_default=True)
 @click.option("--variation", type=Number(0.0, 2.0), default=1.0, show_default=True,
               help="Strength of the augmentation of zoom, light, colour and noise.")  # fmt: skip
-@_share("--markings", "Share of images with painted lines, as of lanes and bays.")
-@_share("--colours", "Share of images of another colour: not of plants.")
-@_share("--textures", "Share of images with a photographed texture of their class.")
-@_share("--weather", "Share of coarse, hazy, wet, snowy, shaded, over- and underexposed images.", 2)
+@_fraction("--markings", "Fraction of images with painted lines, as of lanes and bays.")
+@_fraction("--colours", "Fraction of images of another colour: not of plants.")
+@_fraction("--textures", "Fraction of images with a photographed texture of their class.")
+@_fraction(
+    "--weather", "Fraction of coarse, hazy, wet, snowy, shaded, over- and underexposed images.", 2
+)
 @click.option("--frozen", type=click.IntRange(0), default=0, show_default=True,
               help="First layers that keep the weights of --start-from.")  # fmt: skip
 @_LEFT_OUT
@@ -307,8 +309,8 @@ def ensemble(quiet: bool, **options: Any) -> dict[str, Any]:
 
 def _print_classes(report: Mapping[str, Any]) -> None:
     for row in report["pictures"]:
-        shares = "  ".join(f"{name} {share:.0%}" for name, share in row["shares"].items())
-        say(f"{row['classes']}: {shares}")
+        fractions = "  ".join(f"{name} {fraction:.0%}" for name, fraction in row["shares"].items())
+        say(f"{row['classes']}: {fractions}")
 
 
 @click.command()

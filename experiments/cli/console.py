@@ -173,7 +173,7 @@ def print_stages(result: RunResult) -> None:
     stages: dict[str, float] = dict(timing["stage_ms"])
     total = 100.0 / timing["real_time_factor"]
     title = f"{result.scene}, {result.estimator}, per 0.1 s of flight"
-    table = make_table(title, "stage", "ms", "share")
+    table = make_table(title, "stage", "ms", "fraction")
     order = [name for name in _STAGE_ORDER if name in stages]
     order += [name for name in stages if name not in order]
     for name in order:
@@ -206,14 +206,14 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
     table = make_table("seeds of each scene", "scene", *heads)
     notes = []
     for row in rows:
-        pair = row["closest"] or {"seeds": [], "height_m": 0.0, "class_share": 0.0, "grey": 0.0}
-        low, middle = row["safe_share_min"] or 0.0, row["safe_share_median"] or 0.0
+        pair = row["closest"] or {"seeds": [], "height_m": 0.0, "class_fraction": 0.0, "grey": 0.0}
+        low, middle = row["safe_fraction_min"] or 0.0, row["safe_fraction_median"] or 0.0
         table.add_row(
             row["scene"],
             f"{row['built']} of {row['built'] + len(row['failed'])}",
             ", ".join(str(seed) for seed in pair["seeds"]) + ("" if row["differ"] else " SAME"),
             f"{pair['height_m']:.2f} m",
-            f"{pair['class_share']:.1%}",
+            f"{pair['class_fraction']:.1%}",
             f"{pair['grey']:.1f}",
             f"{low:.1%}, {middle:.1%}",
             f"{row['seconds_per_seed']:.1f}",
@@ -225,9 +225,9 @@ def print_scene_check(rows: Sequence[Mapping[str, Any]]) -> None:
     console = make_console()
     console.print(table)
     console.print(
-        "closest: the two most alike seeds, their mean absolute difference in height, share of "
+        "closest: the two most alike seeds, their mean absolute difference in height, fraction of "
         "cells of another class, mean absolute difference of the images from above (of 255); "
-        "safe ground: least and median share of the area seen",
+        "safe ground: least and median fraction of the area seen",
         style="dim",
     )
     _print_lines(notes)
@@ -240,10 +240,10 @@ def _origin_row(origin_m: Sequence[float]) -> list[tuple[str, str]]:
     return [("origin in the file", ", ".join(f"{value:.1f}" for value in origin_m) + " m")]
 
 
-def _some(names: Sequence[str], most: int = 4) -> str:
+def _some(names: Sequence[str], maximum: int = 4) -> str:
     """The first names of what may be hundreds, as of a terrain of boxes; ``--json`` has all."""
-    more = [f"{len(names) - most} more"] if len(names) > most else []
-    return ", ".join([*names[:most], *more]) or "none"
+    more = [f"{len(names) - maximum} more"] if len(names) > maximum else []
+    return ", ".join([*names[:maximum], *more]) or "none"
 
 
 def _guessed_rows(guessed: Iterable[tuple[str, str, str]]) -> list[tuple[str, str]]:
@@ -265,11 +265,14 @@ def print_place(row: Mapping[str, Any]) -> None:
         ("ground at take-off", f"{facts['takeoff_geom']} ({facts['takeoff_class']})"),
         ("height above surroundings", f"{facts['takeoff_above_m'] + 0.0:.1f} m"),
         ("take-off point is safe to land on", _yes(facts["takeoff_safe"])),
-        ("ground under the legs", f"{facts['legs_share']:.0%}"),
-        ("ground in the surveyed view", f"{facts['seen_share']:.0%}"),
+        ("ground under the legs", f"{facts['legs_fraction']:.0%}"),
+        ("ground in the surveyed view", f"{facts['seen_fraction']:.0%}"),
         ("highest below the legs", f"{facts['highest_m'] + 0.0:.1f} m"),
-        ("safe ground", f"{facts['safe_share']:.0%} of the surveyed view"),
-        ("safe but for its class", f"{facts['safe_geometry_share'] - facts['safe_share']:.0%}"),
+        ("safe ground", f"{facts['safe_fraction']:.0%} of the surveyed view"),
+        (
+            "safe but for its class",
+            f"{facts['safe_geometry_fraction'] - facts['safe_fraction']:.0%}",
+        ),
         ("geoms without a class", _some(facts["without_class"])),
         ("dressed ground", _some(facts["dressed"])),
         *_guessed_rows(facts["guessed"]),

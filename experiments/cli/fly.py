@@ -123,7 +123,7 @@ def land(site: tuple[float, float] | None, emergency: str | None, **options: Any
     SCENE is a name (see `touchdown scenes list`), the path of an MJCF file, or MODULE:FUNCTION as
     for --scene-from. Exit code 0 means landed on safe ground, 1 any other outcome, 2 bad input.
 
-    Example: touchdown land crossroad --seed 3 --wind-kmh 20 --set landing.second_look=false
+    Example: touchdown land crossroad --seed 3 --wind-kmh 20 --set landing.site_recheck=false
     """
     return _run_flight(options, site=site, emergency=emergency)
 

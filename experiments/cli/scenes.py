@@ -126,7 +126,7 @@ def scenes_check(
     site under the survey are named.
 
     An MJCF file is checked for a flight, as it is flown: take-off spot, ground under the survey,
-    share of safe ground, classes that are guessed. Exit code 1 when it cannot be flown, with the
+    fraction of safe ground, classes that are guessed. Exit code 1 when it cannot be flown, with the
     reason and the keys that would change it.
 
     Example: touchdown scenes check crossroad --seeds 5

@@ -43,7 +43,7 @@ def check_rates(config: Config) -> None:
             )
 
 
-MOST_CELLS = 2048
+MAX_CELLS = 2048
 """along a side of a map: its layers then take some hundred MB"""
 
 
@@ -51,10 +51,10 @@ def check_map(config: Config) -> None:
     """Raises UsageError for a landing without a map, and for a map that memory has no room for."""
     for extent, cell in (("extent_m", "cell_m"), ("fine_extent_m", "fine_cell_m")):
         sides = (getattr(config.mapper, extent), getattr(config.mapper, cell))
-        if sides[0] > MOST_CELLS * sides[1]:
+        if sides[0] > MAX_CELLS * sides[1]:
             raise UsageError(
                 f"mapper.{extent} = {sides[0]:g} over mapper.{cell} = {sides[1]:g} gives a map of "
-                f"more than {MOST_CELLS} cells along a side; take larger cells"
+                f"more than {MAX_CELLS} cells along a side; take larger cells"
             )
     if not config.mapper.enabled and not config.landing.survey_only:
         raise UsageError(

@@ -14,7 +14,7 @@ from touchdown.experiments.errors import UsageError, input_message, is_text
 from touchdown.scenes.api import names_function
 from touchdown.sim.files.opening import no_file
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """of a configuration file"""
 DEEPEST = 32
 """levels of tables and lists within each other"""
@@ -54,15 +54,15 @@ def _text(file: Path) -> str:
         raise UsageError(f"configuration file '{file}' {reason}")
     try:
         with file.open("rb") as opened:
-            content = opened.read(MOST_BYTES + 1)
+            content = opened.read(MAX_BYTES + 1)
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise UsageError(f"'{file}' cannot be read as text: {_one_line(error)}") from None
     except OSError as error:
         raise UsageError(input_message(error)) from None
-    if len(content) > MOST_BYTES:
+    if len(content) > MAX_BYTES:
         raise UsageError(
-            f"'{file}' has more than {MOST_BYTES >> 20} MB, which no configuration needs; name the "
+            f"'{file}' has more than {MAX_BYTES >> 20} MB, which no configuration needs; name the "
             "file of a configuration"
         )
     return text

@@ -22,10 +22,31 @@ RENAMED: Mapping[str, str] = {
     "landing.weight_smoothness": "landing.zou2024.weight_smoothness",
     "landing.weight_distance": "landing.zou2024.weight_distance",
     "landing.energy_weight": "landing.risk.weight_distance",
-    "landing.level_weight": "landing.risk.weight_level",
-    "landing.clearance_weight": "landing.risk.weight_room",
+    "landing.level_weight": "landing.risk.weight_slope",
+    "landing.clearance_weight": "landing.risk.weight_clearance",
     "landing.traffic_penalty": "landing.risk.weight_traffic",
     "landing.plants_penalty": "landing.risk.weight_plants",
+    "landing.second_look": "landing.site_recheck",
+    **{
+        f"landing.{selector}.{old}": f"landing.{selector}.{new}"
+        for selector in ("risk", "zou2024")
+        for old, new in (("weight_room", "weight_clearance"), ("weight_level", "weight_slope"))
+    },
+    **{
+        f"{key}_share": f"{key}_fraction"
+        for key in (
+            "vehicle_error.mass",
+            "vehicle_error.thrust",
+            "vehicle_error.torque",
+            "vehicle_error.rotor",
+            "faults.motor_loss",
+            "faults.dirt",
+            "livo.assumed_depth",
+            "landing.wind_thrust",
+            "landing.wind_gust",
+            "calibration_error.readout",
+        )
+    },
 }
 """Keys of earlier versions and their names now."""
 
@@ -38,6 +59,11 @@ RENAMED_GROUPS: Mapping[str, str] = {"paper": "zou2024"}
 RENAMED_VALUES: Mapping[tuple[str, str], str] = {
     ("estimator", "paper"): "zou2024",
     ("gps.preset", "paper"): "zou2024",
+    **{
+        (f"landing.{selector}.terms", old): new
+        for selector in ("risk", "zou2024")
+        for old, new in (("room", "clearance"), ("level", "slope"))
+    },
 }
 """Values of earlier versions, by key, and their names now."""
 

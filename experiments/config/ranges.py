@@ -80,7 +80,7 @@ def unit_of(key: str) -> Unit | None:
     return next((unit for end, unit in UNITS.items() if name.endswith(end)), None)
 
 
-MOST, LARGEST = 10_000, 1000.0
+MAX, LARGEST = 10_000, 1000.0
 """of other counts, such as features and keyframes, and of numbers without a unit"""
 SMALLEST = 1e-6
 """positive number that is no count: smaller ones overflow where they divide"""
@@ -147,7 +147,7 @@ def limits_of(key: str) -> Mapping[str, float]:
     count = found == {int}
     if not bounds.keys() & {"lt", "le"}:
         unit = unit_of(key)
-        largest = unit.largest if unit else MOST if count else LARGEST
+        largest = unit.largest if unit else MAX if count else LARGEST
         bounds["le"] = LARGEST_OF_KEY.get(key, largest)
     if bounds.get("gt") == 0 and "lt" not in bounds:
         del bounds["gt"]

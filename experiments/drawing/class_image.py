@@ -39,15 +39,15 @@ _CAPTION = "x east, y north (m, world); class of the ground by all views of the 
 
 def write_classes(path: Path, costmap: CostmapView, world_from_odom: Pose, marks: Marks) -> None:
     """Writes the map of ``costmap`` in the colours of its semantic map, with ticks in metres of the
-    world frame, take-off, the survey's rectangle and the share of each class. Raises ValueError
+    world frame, take-off, the survey's rectangle and the fraction of each class. Raises ValueError
     without a semantic map."""
     numbers, (extent, _) = class_numbers(costmap), extent_of(costmap, world_from_odom)
     palette = np.array([*(CLASS_RGB[name] for name in LAND_CLASSES), UNSURE_RGB, (0, 0, 0)]) / 255.0
     alpha = np.where(numbers == _UNSEEN, 0.0, _OPACITY)
     counts = np.bincount(numbers.ravel(), minlength=_UNSEEN + 1)[:_UNSEEN]
-    shares = zip((*LAND_CLASSES, "unsure"), counts / max(1, counts.sum()), palette, strict=False)
-    key = [Patch(facecolor=rgb, edgecolor="black", label=f"{name} {share:.0%}")
-           for name, share, rgb in shares if share >= 0.002]  # fmt: skip
+    fractions = zip((*LAND_CLASSES, "unsure"), counts / max(1, counts.sum()), palette, strict=False)
+    key = [Patch(facecolor=rgb, edgecolor="black", label=f"{name} {fraction:.0%}")
+           for name, fraction, rgb in fractions if fraction >= 0.002]  # fmt: skip
     with matplotlib.rc_context(STYLE):
         figure = new_figure(8.0, 8.0 * (extent[3] - extent[2]) / (extent[1] - extent[0]) + 0.8)
         axes = figure.add_subplot(xlabel=_CAPTION)

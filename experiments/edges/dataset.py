@@ -125,12 +125,12 @@ def _depth_jumps(
     finite = np.minimum(depth, np.float32(1e4))
     step = np.maximum(_STEP_M, _STEEPEST * finite / focal_px)
     crown = kind == LAND_CLASSES.index("trees")
-    least = np.where(crown, np.maximum(step, _CROWN_STEP_M), step)
-    return _jumps_right(finite, least), _jumps_right(finite.T, least.T).T
+    minimum = np.where(crown, np.maximum(step, _CROWN_STEP_M), step)
+    return _jumps_right(finite, minimum), _jumps_right(finite.T, minimum.T).T
 
 
-def _jumps_right(depth: NDArray[Any], least: NDArray[Any]) -> NDArray[np.bool_]:
-    return np.abs(np.diff(depth, axis=1)) > np.minimum(least[:, 1:], least[:, :-1])
+def _jumps_right(depth: NDArray[Any], minimum: NDArray[Any]) -> NDArray[np.bool_]:
+    return np.abs(np.diff(depth, axis=1)) > np.minimum(minimum[:, 1:], minimum[:, :-1])
 
 
 def connected(kind: Int32, jump_right: NDArray[np.bool_], jump_down: NDArray[np.bool_]) -> Int32:

@@ -41,7 +41,7 @@ _CANNY_LOW = 0.4
 """low threshold as a fraction of the high one, as in Matlab"""
 _TIMED = 40
 TOLERANCE = 0.0075
-"""Share of the image's diagonal"""
+"""Fraction of the image's diagonal"""
 THRESHOLDS = (np.arange(1, 36) / 36.0) ** 2
 """denser where the energy of faint edges lies"""
 _NMS_RADIUS = 2

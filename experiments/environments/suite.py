@@ -93,7 +93,7 @@ for the right arrow, which steps a viewer that is paused."""
 class Keyboard:
     """A policy of ``land_by_velocity`` for ``dm_control.viewer.launch``: arrows fly forward, back,
     left and right, Page Up and Page Down climb and sink, Home and End turn. Without a key the
-    vehicle hovers. speed: share of the greatest velocities, above 0, at most 1."""
+    vehicle hovers. speed: fraction of the maximum velocities, above 0, at most 1."""
 
     def __init__(self, speed: float = 0.4) -> None:
         self._speed = speed

@@ -112,11 +112,11 @@ def _wrong_needs(part: Any, rig: Any) -> str:
 
 
 def _wrong_limits(part: Any) -> str:
-    size, least = _get(part, "image_size"), _get(part, "min_probability")
+    size, minimum = _get(part, "image_size"), _get(part, "min_probability")
     if not isinstance(size, int) or not 1 <= size <= 1024:
         return f"image_size is {size!r}, not a number of pixels from 1 to 1024"
-    if not isinstance(least, int | float) or not 0.0 <= least <= 1.0:
-        return f"min_probability is {least!r}, not a probability from 0 to 1"
+    if not isinstance(minimum, int | float) or not 0.0 <= minimum <= 1.0:
+        return f"min_probability is {minimum!r}, not a probability from 0 to 1"
     return ""
 
 

@@ -260,14 +260,14 @@ class _Limits(NamedTuple):
     """A window counts if pose or velocity gives at least ``least``; the two agree within ``floor``
     plus ``fraction`` of the larger."""
 
-    least: float
+    minimum: float
     floor: float
     fraction: float = 0.25
 
 
-_POSITION = _Limits(least=0.5, floor=0.3)
+_POSITION = _Limits(minimum=0.5, floor=0.3)
 """metres"""
-_ATTITUDE = _Limits(least=np.deg2rad(10.0), floor=np.deg2rad(5.0))
+_ATTITUDE = _Limits(minimum=np.deg2rad(10.0), floor=np.deg2rad(5.0))
 """radians"""
 
 
@@ -319,7 +319,7 @@ def _disagreement(moved: Array, summed: Array, limits: _Limits) -> int | None:
     else None."""
     larger = np.maximum(np.linalg.norm(moved, axis=1), np.linalg.norm(summed, axis=1))
     off = np.linalg.norm(moved - summed, axis=1) - limits.floor - limits.fraction * larger
-    counts = larger > limits.least
+    counts = larger > limits.minimum
     if not counts.any() or np.mean(off[counts] > 0.0) <= 0.5:
         return None
     return int(np.argmax(np.where(counts, off, -np.inf)))

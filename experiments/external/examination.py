@@ -139,7 +139,7 @@ def attempt(findings: Findings, start: Callable[[], Session], ask: Ask) -> bool:
     return True
 
 
-def _latency(times_s: list[float], most_s: float) -> tuple[str, str]:
+def _latency(times_s: list[float], max_s: float) -> tuple[str, str]:
     """Wall times of calls as text, and the reason why the part is too slow, "" for another. The
     longest of each hundred, one at least, are left out of the mean: they may compile, or load a
     file."""
@@ -149,8 +149,8 @@ def _latency(times_s: list[float], most_s: float) -> tuple[str, str]:
         f"{1e3 * mean_s:.3g} ms a call, {1e3 * ordered[-1]:.3g} ms the longest "
         f"({len(ordered)} calls)"
     )
-    slow = f"{text}, above {1e3 * most_s:g} ms: a vehicle could not wait for it"
-    return text, slow if mean_s > most_s else ""
+    slow = f"{text}, above {1e3 * max_s:g} ms: a vehicle could not wait for it"
+    return text, slow if mean_s > max_s else ""
 
 
 def _trace_of(error: BaseException | None) -> str:

@@ -112,7 +112,7 @@ def no_site_of_nothing(seen: _Selected) -> str:
 
 # ----------------------------------------------------------------------------------------- mapper
 
-_OFF_M, _LEAST_M2, _SCANS_S = 0.1, 3.0, 3.0
+_OFF_M, _MIN_M2, _SCANS_S = 0.1, 3.0, 3.0
 """largest median error of the heights, and least area mapped, after so many seconds"""
 
 
@@ -156,7 +156,7 @@ def _ask_mapper(session: Session) -> _Mapped:
 def heights(seen: _Mapped) -> str:
     """The median height of the map's cells is within 0.1 m of the ground, over 3 square metres or
     more."""
-    if seen.area_m2 < _LEAST_M2:
+    if seen.area_m2 < _MIN_M2:
         return f"{seen.area_m2:.1f} square metres are mapped after {_SCANS_S:g} s"
     return f"heights are {seen.off_m:.2f} m off (median)" if seen.off_m > _OFF_M else ""
 

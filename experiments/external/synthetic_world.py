@@ -206,8 +206,8 @@ class FollowedSetpoints:
                 self.position = np.array(setpoint.position_odom, np.float64)
         self.position = np.maximum(self.position, [-np.inf, -np.inf, self._low])
         limit = np.inf if setpoint.thrust_limit is None else setpoint.thrust_limit
-        share = 1.0 - min(max(below / _BELOW_M, 0.0), 0.8) if self.on_ground else 1.0
-        self._carried = min(share, limit) if setpoint.motors_on else 0.0
+        fraction = 1.0 - min(max(below / _BELOW_M, 0.0), 0.8) if self.on_ground else 1.0
+        self._carried = min(fraction, limit) if setpoint.motors_on else 0.0
         self.velocity = (self.position - before) / self._step_s
         self._acceleration = (self.velocity - speed) / self._step_s
         self._tick += self._sensors.imu_ticks

@@ -113,12 +113,12 @@ class ExternalPart:
 
     def slowness(self) -> str:
         """A sentence about a part whose calls took more than `LONGEST_CALL_S`; "" for another."""
-        mean_s, most_s = self.seconds / max(self.calls, 1), LONGEST_CALL_S[self.kind]
-        if mean_s <= most_s:
+        mean_s, max_s = self.seconds / max(self.calls, 1), LONGEST_CALL_S[self.kind]
+        if mean_s <= max_s:
             return ""
         return (
             f"{self.kind} '{self.name}' took {1e3 * mean_s:.3g} ms a call, above "
-            f"{1e3 * most_s:g} ms (rule 'latency'): simulated time waited, a vehicle could not"
+            f"{1e3 * max_s:g} ms (rule 'latency'): simulated time waited, a vehicle could not"
         )
 
     def _error(self, defect: Defect, error: BaseException | None = None) -> BrokenRuleError:

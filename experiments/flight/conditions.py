@@ -112,8 +112,8 @@ class ConditionsObserver:
 def _of_sensors(
     scans: Mapping[str, Effect], images: Mapping[str, Effect], air: Mapping[str, Effect]
 ) -> dict[str, float | None]:
-    def share(effects: Mapping[str, Effect], name: str) -> float | None:
-        return effects[name].mean_share if name in effects else None
+    def fraction(effects: Mapping[str, Effect], name: str) -> float | None:
+        return effects[name].mean_fraction if name in effects else None
 
     def size(effects: Mapping[str, Effect], name: str) -> float | None:
         return effects[name].mean_amount if name in effects else None
@@ -121,32 +121,32 @@ def _of_sensors(
     dusty, swayed = scans.get("dust", _NOTHING), scans.get("sway", _NOTHING)
     return {
         "light_lux": size(images, "light_lux"),
-        "lamp_share": share(images, "lamp"),
+        "lamp_fraction": fraction(images, "lamp"),
         "exposure_ms": size(images, "exposure_ms"),
         "gain": size(images, "gain"),
         "exposure_error_stops": size(images, "exposure_error_stops"),
         "stamp_error_ms": size(images, "stamp_error_ms"),
         "range_error_m": size(scans, "ranging"),
-        "plants_share": share(scans, "vegetation"),
+        "plants_fraction": fraction(scans, "vegetation"),
         "sway_m": swayed.amount / swayed.messages if swayed.messages else None,
         "wakes_mps": size(air, "wakes"),
         "air_rotation_degps": size(air, "rotation"),
         "dust_scans": float(dusty.messages),
         "dust_images": float(images.get("dust", _NOTHING).messages),
-        "dust_returns_share": dusty.mean_share,
+        "dust_returns_fraction": dusty.mean_fraction,
     }
 
 
-LEAST_SHARE = 0.9
+MIN_FRACTION = 0.9
 """fraction of the messages, or of the time, that a lasting fault must have acted on. Not all: the
 first message of a stream cannot repeat another, and another fault may have taken a message away."""
-MOST_LUX: Mapping[str, float] = {"overcast": 25e3, "dusk": 1e3, "night": 1.0}
+MAX_LUX: Mapping[str, float] = {"overcast": 25e3, "dusk": 1e3, "night": 1.0}
 """Most light (illuminance times reflectivity) of an image. Full daylight without direct sun has 10
 to 25 klx, sunrise and sunset 400 lx, a full moon 0.05 to 0.3 lx."""
-WIND_SHARE = 0.35
+WIND_FRACTION = 0.35
 """fraction by which the mean over a flight may miss the mean wind: turbulence of a time scale of up
 to half a minute does not average out in one or two"""
-DRAWN_SHARE = 0.2
+DRAWN_FRACTION = 0.2
 """fraction of its standard deviation or bound that a drawn error must have: three normal deviates
 together are smaller in 0.2 % of flights"""
 HALF = 0.5
@@ -167,8 +167,8 @@ class Condition:
     """what was measured, in words"""
     value: float | None
     """the figure that decides; None: nothing measured it"""
-    least: float | None = None
-    most: float | None = None
+    minimum: float | None = None
+    maximum: float | None = None
 
 
 OF_THE_PLACE = ("dust",)
@@ -228,13 +228,13 @@ def judge_fault(fault: Fault, record: Mapping[str, Any], sim_s: float, config: C
     if "sun_deg" in record:
         off = abs(record["sun_deg"] - config.faults.low_sun_deg)
         text = f"{span}: the sun is {record['sun_deg']:.1f} degrees high"
-        return Condition(fault.text, off <= SUN_DEG, text, off, most=SUN_DEG)
+        return Condition(fault.text, off <= SUN_DEG, text, off, maximum=SUN_DEG)
     if "acted_s" in record:
         text = f"{span}: {record['acted_s']:.1f} s"
         if "gust_mps" in record:
             text += f", up to {record['gust_mps']:.1f} m/s"
-        value, least = record["acted_s"], LEAST_SHARE * _due_s(fault, sim_s, config)
-        return Condition(fault.text, value >= least > 0.0, text, value, least)
+        value, minimum = record["acted_s"], MIN_FRACTION * _due_s(fault, sim_s, config)
+        return Condition(fault.text, value >= minimum > 0.0, text, value, minimum)
     messages, came = record.get("messages", {}), record.get("came", {})
     used = {stream: count for stream, count in came.items() if count}
     if not used:
@@ -242,13 +242,13 @@ def judge_fault(fault: Fault, record: Mapping[str, Any], sim_s: float, config: C
         return Condition(fault.text, False, text, 0.0)
     text = f"{span}: " + ", ".join(f"{messages[s]} of {n} {s}" for s, n in used.items())
     if fault.count is not None:
-        value, least = min(messages[stream] for stream in used), fault.count
+        value, minimum = min(messages[stream] for stream in used), fault.count
     elif fault.kind in ("lens_dirt", "fog", "rain"):
         # each sensor sees it or not; weak air leaves ranges as they are
-        value, least = max(messages[s] / n for s, n in used.items()), LEAST_SHARE
+        value, minimum = max(messages[s] / n for s, n in used.items()), MIN_FRACTION
     else:
-        value, least = min(messages[s] / n for s, n in used.items()), LEAST_SHARE
-    return Condition(fault.text, value >= least, text + _change(record), value, least)
+        value, minimum = min(messages[s] / n for s, n in used.items()), MIN_FRACTION
+    return Condition(fault.text, value >= minimum, text + _change(record), value, minimum)
 
 
 def _span(fault: Fault) -> str:
@@ -285,14 +285,14 @@ def _change(record: Mapping[str, Any]) -> str:
 
 
 def _light(config: Config, measured: Measured) -> Condition:
-    name, most, lux = config.light, MOST_LUX[config.light], measured.light_lux
-    lamp = measured.lamp_share or 0.0
+    name, maximum, lux = config.light, MAX_LUX[config.light], measured.light_lux
+    lamp = measured.lamp_fraction or 0.0
     text = "no image measured the light" if lux is None else f"{lux:.3g} lx without the lamp"
-    dark = lux is not None and lux <= most
+    dark = lux is not None and lux <= maximum
     if name == "night" and config.lamp.below_m > 0.0:
         text += f", the lamp on in {lamp:.0%} of images"
         dark = dark and lamp > 0.0
-    return Condition(name, dark, f"{name}: {text}", lux, most=most)
+    return Condition(name, dark, f"{name}: {text}", lux, maximum=maximum)
 
 
 def _wind(config: Config, measured: Measured) -> Condition:
@@ -300,7 +300,7 @@ def _wind(config: Config, measured: Measured) -> Condition:
     if found is None:
         return Condition("wind", False, "wind: the flight never left the ground", None)
     kmh = 3.6 * found
-    low, high = (1.0 - WIND_SHARE) * asked, (1.0 + WIND_SHARE) * asked
+    low, high = (1.0 - WIND_FRACTION) * asked, (1.0 + WIND_FRACTION) * asked
     text = (
         f"wind of {asked:g} km/h: {kmh:.1f} km/h at 6 m, {3.6 * (measured.wind_mps or 0.0):.1f} at "
         f"the vehicle, gusts to {3.6 * (measured.gust_mps or 0.0):.1f}"
@@ -317,17 +317,17 @@ class _Rule:
 
     column: str
     unit: str
-    least: Callable[[Config], float]
+    minimum: Callable[[Config], float]
 
 
 def _lens(config: Config) -> float:
     error = config.calibration_error
-    return DRAWN_SHARE * max(error.center_sigma_px, error.distortion_sigma_px)
+    return DRAWN_FRACTION * max(error.center_sigma_px, error.distortion_sigma_px)
 
 
 def _mounting(config: Config) -> float:
     error = config.calibration_error
-    return DRAWN_SHARE * max(
+    return DRAWN_FRACTION * max(
         error.rotation_sigma_deg,
         error.imu_camera_rotation_sigma_deg,
         error.imu_lidar_rotation_sigma_deg,
@@ -344,38 +344,38 @@ def _latency(config: Config) -> float:
 EXPOSURE_STOPS_PER_S = 0.02
 """Least mean exposure error for each second of the control's time constant: a survey of `crossroad`
 in `harsh`, with one second, has 0.07"""
-LEAST_SHEAR_PX = 0.1
+MIN_SHEAR_PX = 0.1
 """Features are located to about a tenth of a pixel."""
-LEAST_PLANTS = 0.01
-"""Share of returns: a scan's pattern varies by as much"""
-LEAST_SWAY_M = 0.001
+MIN_PLANTS = 0.01
+"""Fraction of returns: a scan's pattern varies by as much"""
+MIN_SWAY_M = 0.001
 """a twentieth of the range noise"""
-LEAST_ROTATION_DEGPS = 0.5
+MIN_ROTATION_DEGPS = 0.5
 """the rotational gusts of a calm day of 3 m/s over a vehicle of half a metre"""
 VIBRATION_MPS2 = 9.4
 """Vibration of a sensor on the airframe itself (a survey of `crossroad` in `harsh`), of which a
-damped mount passes the share ``imu.vibration_isolation``"""
+damped mount passes the fraction ``imu.vibration_isolation``"""
 
 EFFECT_RULES: Mapping[str, _Rule] = {
     "latency": _Rule("scan_latency_sigma_ms", "ms of spread", _latency),
     "vehicle": _Rule(
-        "center_of_mass_m", "m", lambda c: DRAWN_SHARE * c.vehicle_error.center_of_mass_m
+        "center_of_mass_m", "m", lambda c: DRAWN_FRACTION * c.vehicle_error.center_of_mass_m
     ),
-    "imu": _Rule("imu_scale", "of scale", lambda c: DRAWN_SHARE * c.imu.scale_sigma),
+    "imu": _Rule("imu_scale", "of scale", lambda c: DRAWN_FRACTION * c.imu.scale_sigma),
     "vibration": _Rule(
         "vibration_mps2", "m/s^2", lambda c: HALF * VIBRATION_MPS2 * c.imu.vibration_isolation
     ),
     "lens": _Rule("lens_error_px", "px", _lens),
     "mounting": _Rule("mount_error_deg", "degrees", _mounting),
-    "shutter": _Rule("readout_shear_px", "px", lambda c: LEAST_SHEAR_PX),
+    "shutter": _Rule("readout_shear_px", "px", lambda c: MIN_SHEAR_PX),
     "stamps": _Rule("stamp_error_ms", "ms", lambda c: HALF * 1e3 * c.camera.stamp_delay_s),
     "exposure": _Rule(
         "exposure_error_stops", "stops", lambda c: EXPOSURE_STOPS_PER_S * c.camera.exposure_lag_s
     ),
-    "ranging": _Rule("range_error_m", "m", lambda c: DRAWN_SHARE * c.lidar.range_bias_m),
-    "vegetation": _Rule("plants_share", "of returns", lambda c: LEAST_PLANTS),
-    "sway": _Rule("sway_m", "m", lambda c: LEAST_SWAY_M),
-    "air": _Rule("air_rotation_degps", "degrees/s", lambda c: LEAST_ROTATION_DEGPS),
+    "ranging": _Rule("range_error_m", "m", lambda c: DRAWN_FRACTION * c.lidar.range_bias_m),
+    "vegetation": _Rule("plants_fraction", "of returns", lambda c: MIN_PLANTS),
+    "sway": _Rule("sway_m", "m", lambda c: MIN_SWAY_M),
+    "air": _Rule("air_rotation_degps", "degrees/s", lambda c: MIN_ROTATION_DEGPS),
     "dust": _Rule("dust_scans", "scans", lambda c: 1.0),
 }
 """The rule of every group of `experiments.config.profiles.effects`."""
@@ -383,10 +383,10 @@ EFFECT_RULES: Mapping[str, _Rule] = {
 
 def _effect(name: str, config: Config, measured: Measured) -> Condition:
     rule = EFFECT_RULES[name]
-    value, least = getattr(measured, rule.column), rule.least(config)
+    value, minimum = getattr(measured, rule.column), rule.minimum(config)
     found = "not measured" if value is None else f"{value:.3g} {rule.unit}"
-    happened = value is not None and value >= least > 0.0
-    return Condition(name, happened, f"{name}: {found}", value, least)
+    happened = value is not None and value >= minimum > 0.0
+    return Condition(name, happened, f"{name}: {found}", value, minimum)
 
 
 def inactive_faults(config: Config, needs: SensorNeeds) -> list[str]:

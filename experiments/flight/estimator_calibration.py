@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 _DISTORTION_TERMS = 4
 """k1, k2, p1 and p2"""
-DISTORTION_SHARE = 0.353
+DISTORTION_FRACTION = 0.353
 """of the standard deviation of the largest displacement, what each of them causes alone: their
 errors are independent, and there is a corner at which they add"""
 
@@ -164,8 +164,8 @@ def _lidar_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: int
 
 def _apart(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
     """With the errors of the readout and of the lever arms of antenna and rangefinder."""
-    if params.readout_share:
-        stretch = 1.0 + params.readout_share * _draws(seed, b"readout", 1)[0]
+    if params.readout_fraction:
+        stretch = 1.0 + params.readout_fraction * _draws(seed, b"readout", 1)[0]
         rig = replace(rig, camera_readout_s=float(rig.camera_readout_s * stretch))
     if not params.lever_sigma_m:
         return rig
@@ -211,7 +211,7 @@ def _distorted(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> Sen
         return rig
     draw = np.random.default_rng([seed, crc32(b"rig distortion")]).standard_normal
     unit = corner_displacement_px(rig.camera)
-    each = DISTORTION_SHARE * params.distortion_sigma_px
+    each = DISTORTION_FRACTION * params.distortion_sigma_px
     error = np.append(each * draw(_DISTORTION_TERMS) / unit, 0.0)
     camera = replace(rig.camera, distortion=rig.camera.distortion + error)
     return replace(rig, camera=camera)
@@ -226,5 +226,5 @@ def corner_displacement_px(camera: CameraIntrinsics) -> Array:
     square = x * x + y * y
     moved_x = np.stack([x * square, x * square**2, 2.0 * x * y, square + 2.0 * x * x])
     moved_y = np.stack([y * square, y * square**2, square + 2.0 * y * y, 2.0 * x * y])
-    most: Array = np.hypot(camera.fx * moved_x, camera.fy * moved_y).max(axis=1)
-    return most
+    maximum: Array = np.hypot(camera.fx * moved_x, camera.fy * moved_y).max(axis=1)
+    return maximum

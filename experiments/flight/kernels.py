@@ -124,10 +124,10 @@ class Recorder(event.Listener):
             place = f"{module.removeprefix(_PACKAGE)}:{kernel.py_func.__name__}"
             self.seconds[f"{place} {_list(event.data['args'])}"] = seconds
 
-    def lines(self, least_s: float = 0.0) -> list[str]:
-        """Those that took ``least_s`` or longer, the longest first."""
+    def lines(self, min_s: float = 0.0) -> list[str]:
+        """Those that took ``min_s`` or longer, the longest first."""
         longest = sorted(self.seconds, key=lambda line: -self.seconds[line])
-        return [line for line in longest if self.seconds[line] >= least_s]
+        return [line for line in longest if self.seconds[line] >= min_s]
 
 
 def write_lists(scene: str) -> None:

@@ -149,7 +149,7 @@ class Consistency:
         self.histogram[min(int(slot), _NEES_BINS - 1)] += 1
 
     def summary(self) -> Nees:
-        """Median, mean and the share below ``NEES_LIMIT``; None without a sample."""
+        """Median, mean and the fraction below ``NEES_LIMIT``; None without a sample."""
         if self.count == 0:
             return Nees(median=None, mean=None, below_14_2=None, samples=0)
         slot = int(np.searchsorted(np.cumsum(self.histogram), 0.5 * self.count))

@@ -99,22 +99,22 @@ def set_up_memory() -> Iterator[None]:
     and new pages of the system would take a third of the time. Afterwards free pages go back to it,
     and each block above 1 MB gets a mapping of its own, which goes back when it is freed: glibc
     would keep blocks of up to 32 MB, and holes between them stay."""
-    set_malloc(most_mappings=0, trim_bytes=1 << 30)
+    set_malloc(max_mappings=0, trim_bytes=1 << 30)
     gc.freeze()  # what is there already need not be searched for what the set-up leaves
     try:
         yield
     finally:
-        set_malloc(most_mappings=1 << 16, trim_bytes=1 << 17)
+        set_malloc(max_mappings=1 << 16, trim_bytes=1 << 17)
         release_memory()
         gc.unfreeze()
 
 
-def set_malloc(most_mappings: int, trim_bytes: int) -> None:
+def set_malloc(max_mappings: int, trim_bytes: int) -> None:
     """Sets how many blocks above 1 MB get a mapping of their own at a time, and the free bytes at
     the end of the heap above which they go back to the system, -1 for never. Does nothing where the
     C library is not glibc."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries lack it
     if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, 1 << 20)
-        mallopt(_M_MMAP_MAX, most_mappings)
+        mallopt(_M_MMAP_MAX, max_mappings)
         mallopt(_M_TRIM_THRESHOLD, trim_bytes)

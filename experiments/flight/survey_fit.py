@@ -35,7 +35,7 @@ SWATH_M = 20.0
 _RAISED_M = 6.0
 """clearance above objects of a survey that is raised"""
 _HIGHEST_M = 60.0
-"""greatest height to which a survey is raised"""
+"""maximum height to which a survey is raised"""
 _LOW_M = 20.0
 """height over a place that holds one leg of less than 24 m"""
 _STEP_M = 2.0
@@ -82,7 +82,7 @@ def fit_survey(config: Config, scene: Scene) -> Fit | None:
     width = survey.legs * survey.leg_spacing_m
     ground = survey_ground(scene, survey.leg_length_m, width)
     for one in sorted(_surveys(survey), key=lambda one: (-_seen_m2(one), one.legs)):
-        if _share(ground, one, one.legs) < GROUND_FRACTION:
+        if _fraction(ground, one, one.legs) < GROUND_FRACTION:
             continue
         one = one if one == survey else _timed(one, survey)
         highest = ground.highest_m(one.leg_length_m, _width(one))
@@ -90,17 +90,17 @@ def fit_survey(config: Config, scene: Scene) -> Fit | None:
         if highest > height - CLEARANCE_M:
             height = min(float(np.ceil(highest + _RAISED_M)), _HIGHEST_M)
         one = dataclasses.replace(one, height_m=height)
-        next_leg = _share(ground, one, one.legs + 1)
+        next_leg = _fraction(ground, one, one.legs + 1)
         legs = config.landing.search_legs if next_leg >= GROUND_FRACTION else 0
         return Fit(one, legs, _changed(survey, one, config.landing.search_legs, legs))
     return None
 
 
-def _share(ground: SurveyGround, survey: SurveyParams, legs: int) -> float:
+def _fraction(ground: SurveyGround, survey: SurveyParams, legs: int) -> float:
     """Of the legs or of the turns of ``survey`` with so many ``legs``, whichever is less."""
     length, spacing = survey.leg_length_m, survey.leg_spacing_m
-    below = ground.share(length, (legs - 1) * spacing)
-    return min(below, ground.turns_share(length, legs, spacing, TURN_M))
+    below = ground.fraction(length, (legs - 1) * spacing)
+    return min(below, ground.turns_fraction(length, legs, spacing, TURN_M))
 
 
 def _surveys(survey: SurveyParams) -> Iterator[SurveyParams]:

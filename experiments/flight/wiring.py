@@ -361,9 +361,9 @@ class BiasedEstimator:
         elapsed = (estimate.time_s - self._since_s) / self._ramp_s
         return self._shifted(estimate, min(elapsed, 1.0), ramping=elapsed < 1.0)
 
-    def _shifted(self, estimate: Estimate, share: float, *, ramping: bool) -> Estimate:
+    def _shifted(self, estimate: Estimate, fraction: float, *, ramping: bool) -> Estimate:
         pose = estimate.odom_from_body
-        offset = share * self._bias
+        offset = fraction * self._bias
         track = estimate.scan_track
         if track is not None:
             track = replace(track, positions_odom=track.positions_odom + offset)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 JUDGED_BY_CLASS, JUDGED_BY_GEOMETRY = "geometry and class", "geometry"
 
@@ -23,6 +25,22 @@ PointXY = Annotated[tuple[float, float] | None, Field(strict=False)]
 
 PointXYZ = Annotated[tuple[float, float, float] | None, Field(strict=False)]
 """x, y and z in metres; None where the run has no such point."""
+
+
+def present_columns(row: Mapping[str, Any]) -> dict[str, Any]:
+    """``row`` by the names of this version. Those of earlier ones are told in one warning."""
+    renamed = {
+        name: name.removesuffix("_share") + "_fraction"
+        for name in row
+        if name.removeprefix("measured.") in _EARLIER
+    }
+    if renamed:
+        told = "; ".join(f"'{old}' is '{new}'" for old, new in renamed.items())
+        warnings.warn(f"columns of an earlier version: {told} now", stacklevel=2)
+    return {renamed.get(name, name): value for name, value in row.items()}
+
+
+_EARLIER = {"lamp_share", "mass_share", "rotor_share", "plants_share", "dust_returns_share"}
 
 
 class Part(BaseModel):
@@ -58,7 +76,7 @@ class Nees(Part):
     median: Figure = None
     mean: Figure = None
     below_14_2: Figure = None
-    """share of samples"""
+    """fraction of samples"""
     samples: int = 0
     sigma_m: Figure = None
     """geometric mean of the standard deviation (3-D) that the estimate states of its position"""
@@ -182,8 +200,8 @@ class Measured(Part):
     """mean grey level of the delivered images, 0 to 255"""
     light_lux: Figure = None
     """mean light (illuminance times reflectivity) of images without the lamp"""
-    lamp_share: Figure = None
-    """share of images under the lamp"""
+    lamp_fraction: Figure = None
+    """fraction of images under the lamp"""
     exposure_ms: Figure = None
     gain: Figure = None
     exposure_error_stops: Figure = None
@@ -196,15 +214,15 @@ class Measured(Part):
     """mean shift between first and last row of an image by the vehicle's rotation"""
     mount_error_deg: Figure = None
     lens_error_px: Figure = None
-    mass_share: Figure = None
+    mass_fraction: Figure = None
     center_of_mass_m: Figure = None
-    rotor_share: Figure = None
+    rotor_fraction: Figure = None
     imu_scale: Figure = None
     imu_misalignment_deg: Figure = None
     range_error_m: Figure = None
     """mean systematic error of a range"""
-    plants_share: Figure = None
-    """share of returns that come from plants instead of the ground"""
+    plants_fraction: Figure = None
+    """fraction of returns that come from plants instead of the ground"""
     sway_m: Figure = None
     """mean displacement of returns from crowns, over scans that have some"""
     wakes_mps: Figure = None
@@ -212,8 +230,13 @@ class Measured(Part):
     dust_scans: Figure = None
     """scans that dust changed"""
     dust_images: Figure = None
-    dust_returns_share: Figure = None
+    dust_returns_fraction: Figure = None
     """of the returns of scans in dust"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_this_version(cls, tree: Any) -> Any:
+        return present_columns(tree) if isinstance(tree, Mapping) else tree
 
 
 class SiteTerm(Part):

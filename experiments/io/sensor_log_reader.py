@@ -127,8 +127,8 @@ class SensorLogReader:
             with damage_reported(self.path):
                 waiting += len(data)
                 if waiting > MAX_OBSERVATION_BYTES:
-                    most = MAX_OBSERVATION_BYTES >> 20
-                    raise DamagedError(f"an observation has more than {most} MiB of messages")
+                    maximum = MAX_OBSERVATION_BYTES >> 20
+                    raise DamagedError(f"an observation has more than {maximum} MiB of messages")
                 if topic == OBSERVATION_TOPIC:
                     if len(data) > MAX_TEXT_BYTES:
                         raise DamagedError("an observation has an absurd size")

@@ -61,7 +61,7 @@ class ThrustCurve:
     factor: float
     """f, PX4's THR_MDL_FAC"""
     hover: float
-    """share of the range in hover, MPC_THR_HOVER"""
+    """fraction of the range in hover, MPC_THR_HOVER"""
     range_n: float
     """of one rotor, from idle to full speed"""
 

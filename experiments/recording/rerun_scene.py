@@ -33,7 +33,7 @@ _GROUND_TINT = (140, 143, 155)
 """Darkens the ground, so that the map is visible on it."""
 _HIDDEN_GROUP = 3
 """MuJoCo's viewer hides geom groups from here on."""
-_CHORD_SHARE = 0.02
+_CHORD_FRACTION = 0.02
 """Round shapes have 16 edges all around."""
 _CRISP_FACES = 80
 """Meshes up to this many triangles are shaded flat, larger ones smoothly with shared vertices."""
@@ -153,7 +153,7 @@ def merged_mesh(model: Any, geoms: Iterable[int], poses: dict[int, Pose]) -> Mes
     vertices, faces, colours = [], [], []
     offset = 0
     for geom in geoms:
-        shape = geom_mesh(model, geom, 0.0, _CHORD_SHARE)
+        shape = geom_mesh(model, geom, 0.0, _CHORD_FRACTION)
         if shape is None or int(model.geom_type[geom]) in (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD):
             continue
         placed, triangles = poses[geom].apply(shape[0]), shape[1]

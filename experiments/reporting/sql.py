@@ -98,8 +98,8 @@ def _limited_memory() -> Iterator[None]:
     import psutil
 
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    most = psutil.Process().memory_info().data + MEMORY_BYTES
-    resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
+    maximum = psutil.Process().memory_info().data + MEMORY_BYTES
+    resource.setrlimit(resource.RLIMIT_DATA, (maximum, hard))
     try:
         yield
     finally:

@@ -196,7 +196,7 @@ def unpaired_p(new: Array, old: Array) -> float:
 
 
 def fisher_p(bad: int, flights: int, bad_before: int, flights_before: int) -> float:
-    """One-sided p of Fisher's exact test that the share of bad flights has grown."""
+    """One-sided p of Fisher's exact test that the fraction of bad flights has grown."""
     table = [[bad, flights - bad], [bad_before, flights_before - bad_before]]
     return float(stats.fisher_exact(table, alternative="greater")[1])
 

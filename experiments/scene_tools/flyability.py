@@ -25,7 +25,7 @@ from touchdown.scenes.truth.survey_facts import (
 STEP_M = 1.0
 """Height difference of the take-off spot to the ground around it that gives a remark"""
 SAME_HEIGHT_M = 0.01
-SAME_CLASS_SHARE = 0.005
+SAME_CLASS_FRACTION = 0.005
 SAME_GREY = 2.0
 """Two seeds count as the same scene when they differ by less than all three of these."""
 _ODD_TAKEOFF = ("building", "trees", "water")
@@ -79,9 +79,10 @@ def _fit_remark(fit: Fit | None) -> list[str]:
 
 def _problems(facts: dict[str, Any], config: Config) -> list[str]:
     survey, found = config.survey, list[str]()
-    if facts["legs_share"] < GROUND_FRACTION:
+    if facts["legs_fraction"] < GROUND_FRACTION:
         found.append(
-            f"there is ground under {facts['legs_share']:.0%} of the survey, {_size(survey)} ahead "
+            f"there is ground under {facts['legs_fraction']:.0%} of the survey, {_size(survey)} "
+            "ahead "
             "and to the left of the take-off; enlarge it, move or turn the site 'takeoff', or make "
             "the survey smaller (survey.leg_length_m, survey.legs, survey.leg_spacing_m)"
         )
@@ -99,11 +100,12 @@ def _problems(facts: dict[str, Any], config: Config) -> list[str]:
 
 
 def _key_for_class(facts: dict[str, Any]) -> str:
-    share = facts["safe_geometry_share"]
-    if share <= 0.0:
+    fraction = facts["safe_geometry_fraction"]
+    if fraction <= 0.0:
         return ""
     return (
-        f"; {share:.0%} is level and free: give its class by --classes, or land on roads and roofs "
+        f"; {fraction:.0%} is level and free: give its class by --classes, or land on roads and "
+        "roofs "
         "with landing.allow_risky=true"
     )
 
@@ -117,9 +119,10 @@ def _remarks(facts: dict[str, Any]) -> list[str]:
             f"{'above' if above >= 0.0 else 'below'} the ground around it; heights of the survey "
             "count from there"
         )
-    if facts["legs_share"] >= GROUND_FRACTION > facts["seen_share"]:
+    if facts["legs_fraction"] >= GROUND_FRACTION > facts["seen_fraction"]:
         found.append(
-            f"there is ground under {facts['seen_share']:.0%} of what LIDAR and camera see: beyond "
+            f"there is ground under {facts['seen_fraction']:.0%} of what LIDAR and camera see: "
+            "beyond "
             "its edge an estimator has nothing to hold on to"
         )
     return found
@@ -136,9 +139,9 @@ def check_scene(name: str, seeds: int, progress: Callable[[str], None]) -> dict[
     """Builds seeds 0 to ``seeds`` - 1 of a scene.
 
     ``built``: how many; ``failed``: the message of each that did not build; ``closest``: the two
-    most alike seeds and their differences in height (mean absolute, m), class (share of cells) and
-    grey (mean absolute, of 255); ``differ``: no two are the same scene; ``without_safe_site``: the
-    seeds without a safe site in the area that the survey sees; ``seeds``: the facts of each.
+    most alike seeds and their differences in height (mean absolute, m), class (fraction of cells)
+    and grey (mean absolute, of 255); ``differ``: no two are the same scene; ``without_safe_site``:
+    the seeds without a safe site in the area that the survey sees; ``seeds``: the facts of each.
     """
     started = time.perf_counter()
     facts: dict[int, dict[str, Any]] = {}
@@ -164,15 +167,15 @@ def check_scene(name: str, seeds: int, progress: Callable[[str], None]) -> dict[
         ]
         layouts[seed] = layout
     closest = min(pairs, key=_likeness, default=None)
-    shares = [fact["safe_share"] for fact in facts.values()]
+    fractions = [fact["safe_fraction"] for fact in facts.values()]
     return {
         "scene": name,
         "built": len(facts),
         "failed": failed,
         "closest": closest,
         "differ": closest is None or _likeness(closest) >= 1.0,
-        "safe_share_min": min(shares, default=None),
-        "safe_share_median": float(np.median(shares)) if shares else None,
+        "safe_fraction_min": min(fractions, default=None),
+        "safe_fraction_median": float(np.median(fractions)) if fractions else None,
         "without_safe_site": [s for s, fact in facts.items() if fact["safe_sites"] == 0],
         "seconds_per_seed": (time.perf_counter() - started) / max(seeds, 1),
         "seeds": facts,
@@ -189,6 +192,6 @@ def _likeness(pair: dict[str, Any]) -> float:
     """Largest of the three differences over its threshold; below 1: the same scene."""
     return max(
         pair["height_m"] / SAME_HEIGHT_M,
-        pair["class_share"] / SAME_CLASS_SHARE,
+        pair["class_fraction"] / SAME_CLASS_FRACTION,
         pair["grey"] / SAME_GREY,
     )

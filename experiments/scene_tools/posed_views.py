@@ -25,7 +25,7 @@ _MARGIN_M = 14.0
 _TILT_SIGMA = np.deg2rad(4.0)
 _NEAREST_M = 3.0
 """Views with a surface nearer than this are drawn again: the camera might be inside an object"""
-_MOST_TRIES = 40
+_MAX_TRIES = 40
 _LONGEST_TIME_S = 60.0
 
 
@@ -49,7 +49,7 @@ def random_view(
     noise.
     """
     low, high = scene.bounds_xy_m[0] + _MARGIN_M, scene.bounds_xy_m[1] - _MARGIN_M
-    for _ in range(_MOST_TRIES):
+    for _ in range(_MAX_TRIES):
         height = float(np.exp(rng.uniform(*np.log(heights_m))))
         position = np.array([*rng.uniform(low, high), float(scene.model.qpos0[2]) + height])
         tilt = so3_exp(np.array([*rng.normal(0.0, _TILT_SIGMA, 2), 0.0]))

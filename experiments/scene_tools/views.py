@@ -224,9 +224,9 @@ def _span(values: NDArray[np.floating], low: float, high: float) -> tuple[float,
     return float(ends.mean()) - half, float(ends.mean()) + half
 
 
-def _coloured(share: NDArray[np.floating], colormap: int) -> Image:
+def _coloured(fraction: NDArray[np.floating], colormap: int) -> Image:
     """(..., 3) RGB of (H, W) values in [0, 1]; NaN as 0."""
-    scaled = np.nan_to_num(255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8)
+    scaled = np.nan_to_num(255.0 * np.clip(fraction, 0.0, 1.0)).astype(np.uint8)
     return np.ascontiguousarray(cv2.applyColorMap(scaled, colormap)[..., ::-1])
 
 

@@ -25,7 +25,7 @@ Mask = NDArray[np.bool_]
 FALSE_SAFE, CONFIDENCE = 0.01, 0.95
 """fraction of images of unsafe ground that may count as safe, and the confidence with which limits
 are fitted to stay below it"""
-LEAST = 0.5
+MIN = 0.5
 """lower bound of ``Limits.min_probability``"""
 ENERGY_QUANTILE = 0.005
 """fraction of validation images below ``Limits.min_energy``"""
@@ -80,7 +80,7 @@ def upper_bound(count: int, of: int, confidence: float = CONFIDENCE) -> float:
 
 
 def allowed_mistakes(unsafe: int, false_safe: float, confidence: float) -> int:
-    """Returns how many of ``unsafe`` images may count as safe for the share to be below
+    """Returns how many of ``unsafe`` images may count as safe for the fraction to be below
     ``false_safe`` with ``confidence``; -1 where they are too few to show that."""
     count = -1
     while count + 1 < unsafe and upper_bound(count + 1, unsafe, confidence) <= false_safe:
@@ -94,9 +94,9 @@ def fitted_limits(
     false_safe: float = FALSE_SAFE,
     confidence: float = CONFIDENCE,
 ) -> Limits:
-    """Returns the lowest limits at which the share of unsafe images that count as safe is at most
-    ``false_safe`` with ``confidence``; where there are too few to show that, those at which none
-    does.
+    """Returns the lowest limits at which the fraction of unsafe images that count as safe is at
+    most ``false_safe`` with ``confidence``; where there are too few to show that, those at which
+    none does.
 
     ``labels`` (N,) of images that the network was not trained on; negative ones, of what is no
     class, are unsafe."""
@@ -108,11 +108,11 @@ def fitted_limits(
     passing = safe[chance.argmax(axis=1)] & (energy >= min_energy)
     tempting = chance[unsafe & passing][:, safe].sum(axis=1)
     allowed = max(0, allowed_mistakes(int(unsafe.sum()), false_safe, confidence))
-    least = LEAST
+    minimum = MIN
     if tempting.size > allowed:
         # just above the first one that is not allowed
-        least = max(LEAST, float(np.nextafter(np.sort(tempting)[::-1][allowed], 2.0)))
-    return Limits(min_probability=min(least, 1.0), min_energy=min_energy)
+        minimum = max(MIN, float(np.nextafter(np.sort(tempting)[::-1][allowed], 2.0)))
+    return Limits(min_probability=min(minimum, 1.0), min_energy=min_energy)
 
 
 def is_unsafe(labels: Labels) -> Mask:

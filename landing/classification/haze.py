@@ -33,10 +33,11 @@ _MIN_RISE = 0.05
 """least gain of linear light of the darkest ground from the lowest height to the highest; below it
 the air counts as clear, so that ground that is bright from every height is not taken for haze"""
 _COVERED, _COVERED_FRACTION = 0.6, 0.9
-"""share of the veil that images from high up must reach, and the share of the images that must
-reach it. Trees and roofs lie nearer than the ground, so some images do not; many mean clear air."""
+"""fraction of the veil that images from high up must reach, and the fraction of the images that
+must reach it. Trees and roofs lie nearer than the ground, so some images do not; many mean clear
+air."""
 _MIN_CLEAR = 0.1
-"""least share of the ground's light; below it haze removal would only amplify noise"""
+"""least fraction of the ground's light; below it haze removal would only amplify noise"""
 _SCALE = 0.02
 """linear light; scale of the robust loss"""
 

@@ -61,9 +61,9 @@ def calibration(
     for number in range(bins):
         inside = index == number
         if inside.any():
-            mean, share = float(predicted[inside].mean()), float(right[inside].mean())
-            rows.append((mean, share, int(inside.sum())))
-            error += abs(mean - share) * float(inside.mean())
+            mean, fraction = float(predicted[inside].mean()), float(right[inside].mean())
+            rows.append((mean, fraction, int(inside.sum())))
+            error += abs(mean - fraction) * float(inside.mean())
     return error, rows
 
 

@@ -5,7 +5,7 @@ their predictions are added up in log-odds at nodes of a grid. A view counts by 
 the size of its pixels on the ground and its steepness, half in dim light, little where the image
 looks like no known ground, and less where it was taken from nearly the same place as the one
 before. Views of one network over one ground share its errors: together they count as
-``landing.semantics.most_views`` at most.
+``landing.semantics.max_views`` at most.
 """
 
 from __future__ import annotations
@@ -98,20 +98,20 @@ class SemanticMap:
 
     def with_view(self, xy_odom: Array, chance: Array, reliability: float = 1.0) -> Array:
         """Returns the probabilities (7,) at ``xy_odom`` (2,) of the map and of one more view of it,
-        ``chance`` (7,). However often the map saw it, all its views count as ``most_views``
+        ``chance`` (7,). However often the map saw it, all its views count as ``max_views``
         beside the new one: many from afar do not outvote one from close by."""
         evidence, weight = reliability * log_odds(chance), reliability
         if self._grid is not None:
             row, col = np.rint(self._at(self._grid, xy_odom)).astype(int)
             if 0 <= row < _NODES and 0 <= col < _NODES:
                 seen = float(self._grid.weight[row, col])
-                counted = min(seen, self._params.most_views)
+                counted = min(seen, self._params.max_views)
                 evidence = evidence + self._grid.evidence[row, col] * (counted / max(seen, 1e-9))
                 weight += counted
         return self._fused(evidence[None], np.array([weight]))[0]
 
     def _fused(self, evidence: Array, weight: Array) -> Array:
-        return fused(evidence, weight, self._params.most_views)
+        return fused(evidence, weight, self._params.max_views)
 
     def _around(self, view: PosedImage) -> _Grid:
         if self._grid is None:
@@ -177,10 +177,10 @@ def log_odds(chance: Array) -> Array:
     return np.asarray(logs - logs.mean(axis=-1, keepdims=True))
 
 
-def fused(evidence: Array, weight: Array, most: float) -> Array:
+def fused(evidence: Array, weight: Array, maximum: float) -> Array:
     """Returns the probabilities (..., 7) of sums of weighted log-odds (..., 7); ``weight`` (...) is
     the sum of their weights, of which at most ``most`` counts. Uniform without any."""
-    scale = np.minimum(1.0, most / np.maximum(weight, 1e-9))
+    scale = np.minimum(1.0, maximum / np.maximum(weight, 1e-9))
     odds = evidence * scale[..., None]
     grown = np.exp(odds - odds.max(axis=-1, keepdims=True))
     return np.asarray(grown / grown.sum(axis=-1, keepdims=True))

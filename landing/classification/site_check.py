@@ -36,13 +36,13 @@ Array = NDArray[np.float64]
 _RECENT_S = 4.0
 """age of the images that the recheck prefers"""
 _MISSING_OVER_LAND, _MISSING_OVER_WATER = 0.01, 0.15
-"""share of missing pulses on average; straight below, water returns pulses as land does"""
+"""fraction of missing pulses on average; straight below, water returns pulses as land does"""
 _INDEPENDENT = 20.0
 """largest number of pulses that count as independent"""
 _TRAFFIC_RATIO = 20.0
 """likelihood ratio of motion on a road and on other ground"""
 _BLURRED = 0.5
-"""share of detail below which an image does not tell familiar ground from strange"""
+"""fraction of detail below which an image does not tell familiar ground from strange"""
 _WATER, _ROAD = LAND_CLASSES.index("water"), LAND_CLASSES.index("road")
 
 
@@ -55,7 +55,7 @@ class SiteClass:
     in_distribution: bool
     """False where the image lies far from the training data"""
     detail: float = 1.0
-    """share of the fine detail of a sharp picture, `survey_images.sharpness`"""
+    """fraction of the fine detail of a sharp picture, `survey_images.sharpness`"""
 
     @property
     def name(self) -> str:
@@ -188,7 +188,7 @@ class SiteClassCheck:
         self, site: Candidate, site_class: SiteClass | None, allow_risky: bool
     ) -> Candidate:
         why = self.refusal(site_class, allow_risky)
-        if site_class is None and self.images.dark and self._params.second_look:
+        if site_class is None and self.images.dark and self._params.site_recheck:
             later = f"{site.reason}, too dark to see what it is"
             return dataclasses.replace(site, reason=later)
         if why is not None:

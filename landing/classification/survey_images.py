@@ -241,7 +241,7 @@ class SurveyImages:
 
 
 def sharpness(patch: Image) -> float:
-    """Share of the fine detail of a sharp picture that a patch (H, W, 3) has, 0 to 1: by the
+    """Fraction of the fine detail of a sharp picture that a patch (H, W, 3) has, 0 to 1: by the
     contrast below two pixels over that of up to eight. Photographs of ground mostly have all of it;
     enlarged twice, half of them have less than 0.7, four times less than 0.3."""
     grey = patch.mean(axis=2, dtype=np.float32)

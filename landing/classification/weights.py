@@ -15,7 +15,7 @@ from touchdown.sim.files.opening import no_file
 SUFFIX = ".onnx"
 MAX_BYTES = 1 << 30
 IMAGE_SIZES = (16, 512)
-"""least and greatest side of a network's input, pixels"""
+"""least and maximum side of a network's input, pixels"""
 INPUT, OUTPUT = "pictures", "scores"
 _LIMIT_KEYS = {"min_probability": "least_probability", "min_energy": "least_energy"}
 """fields of ``Limits``, and their keys in a file"""
@@ -90,10 +90,11 @@ def facts_of(properties: Mapping[str, str], path: Path) -> NetworkFacts:
         raise ValueError(f"'{path}' has no usable metadata: {error}") from error
     if not (facts.network.isprintable() and 0 < len(facts.network) <= 64):
         raise ValueError(f"'{path}' has a name of its network that is none: {facts.network[:64]!r}")
-    least, most = IMAGE_SIZES
-    if not least <= facts.image_size <= most:
+    minimum, maximum = IMAGE_SIZES
+    if not minimum <= facts.image_size <= maximum:
         raise ValueError(
-            f"'{path}' has the image_size {facts.image_size} in its metadata, not {least} to {most}"
+            f"'{path}' has the image_size {facts.image_size} in its metadata, not {minimum} to "
+            f"{maximum}"
         )
     if math.isnan(facts.limits.min_energy) or not 0.0 <= facts.limits.min_probability <= 1.0:
         raise ValueError(f"'{path}' has limits in its metadata that are no numbers or no shares")

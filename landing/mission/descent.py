@@ -44,7 +44,7 @@ def descend_to(mission: Mission) -> RuledSteps:
     recheck, which may move the site."""
     state, params = mission.state, mission.params
     state.enter(Phase.DESCEND)
-    rechecks = params.second_look and (params.check_site or params.site_xy_m is None)
+    rechecks = params.site_recheck and (params.check_site or params.site_xy_m is None)
     yield from _sink_to(mission, params.look_height_m)
     if rechecks:
         refusal = yield from _recheck(mission, "10 m", _MAX_SHIFT_M)
@@ -146,12 +146,12 @@ class _Drift:
     than ``growth_m`` squared. Stays true."""
 
     def __init__(self, growth_m: float) -> None:
-        self._growth, self._least, self.found = growth_m**2, np.inf, False
+        self._growth, self._min, self.found = growth_m**2, np.inf, False
 
     def update(self, covariance: Array) -> bool:
         variance = float(np.linalg.eigvalsh(covariance[:2, :2])[1])
-        self._least = min(self._least, variance)
-        self.found = self.found or variance > self._least + self._growth
+        self._min = min(self._min, variance)
+        self.found = self.found or variance > self._min + self._growth
         return self.found
 
 

@@ -30,7 +30,7 @@ def landing_time_s(height_m: float, params: LandingParams, *, emergency: bool = 
     sink = max(height_m - params.commit_height_m, 0.0) / params.descent_speed_mps
     last = params.commit_height_m / params.final_speed_mps + _FINAL_S
     looks = _LOOK_S if emergency else 2.0 * _LOOK_S + _SWEEP_S
-    return sink + 2.0 * RAMP_S + last + (looks if params.second_look else 0.0)
+    return sink + 2.0 * RAMP_S + last + (looks if params.site_recheck else 0.0)
 
 
 def return_time_s(away_m: float, height_m: float, params: LandingParams) -> float:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 _ITERATIONS = 25
 _RELAXATION = 0.4
-"""share of a step of the fixed point that is taken: inflow and tilt drive each other"""
+"""fraction of a step of the fixed point that is taken: inflow and tilt drive each other"""
 ROTORS = 4
 
 MASS, THRUST, INFLOW, ROTOR_DRAG, BODY_DRAG, FASTEST = range(6)

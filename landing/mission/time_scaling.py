@@ -51,9 +51,9 @@ class TimeScaling:
     def __init__(self, vehicle: VehicleModel, params: LandingParams) -> None:
         self._coefficients = air_coefficients(vehicle)
         self._limits = np.array(
-            [params.wind_thrust_share, np.tan(np.radians(params.wind_tilt_deg))]
+            [params.wind_thrust_fraction, np.tan(np.radians(params.wind_tilt_deg))]
         )
-        self._gusts = 1.0 + params.wind_gust_share
+        self._gusts = 1.0 + params.wind_gust_fraction
         self._enabled = params.slow_in_wind
         self._learned = 1.0
         self._next_s = 0.0
@@ -91,8 +91,8 @@ class TimeScaling:
         if self._next_s <= 0.0:
             self._next_s = _PERIOD_S
             self._target = self._look(path, at_s, wind)
-        share = (_STOP_BEHIND_M - behind_m) / (_STOP_BEHIND_M - _BEHIND_M)
-        target = min(self._target, min(max(share, 0.0), 1.0))
+        fraction = (_STOP_BEHIND_M - behind_m) / (_STOP_BEHIND_M - _BEHIND_M)
+        target = min(self._target, min(max(fraction, 0.0), 1.0))
         target = 0.0 if stop else max(target, min_rate)
         before = self.rate
         self.rate, self.change = next_rate(self.rate, self.change, target, step_s)
@@ -110,8 +110,8 @@ class TimeScaling:
     ) -> None:
         """Compares the model with the rotor speed that the present motion takes, ``speed_mean``
         rad/s: a heavy vehicle, weak rotors or a low battery leave less than the model says."""
-        share, _ = rotor_need(through_air, acceleration, self._coefficients)
-        ratio = speed_mean / (share * self._coefficients[FASTEST])
+        fraction, _ = rotor_need(through_air, acceleration, self._coefficients)
+        ratio = speed_mean / (fraction * self._coefficients[FASTEST])
         self._learned += min(step_s / _LEARNED_S, 1.0) * (ratio - self._learned)
         self._learned = min(max(self._learned, 1.0), _MAX_LEARNED)
 
@@ -145,8 +145,8 @@ def next_rate(rate: float, change: float, target: float, step_s: float) -> tuple
     if target == 1.0 and rate == 1.0:
         return 1.0, 0.0
     wanted = min(max((target - rate) / _APPROACH_S, -BRAKE_PER_S), SPEED_UP_PER_S)
-    most = JERK_PER_S2 * step_s
-    following = change + min(max(wanted - change, -most), most)
+    maximum = JERK_PER_S2 * step_s
+    following = change + min(max(wanted - change, -maximum), maximum)
     moved = rate + 0.5 * step_s * (change + following)
     if target == 1.0 and moved > 1.0 - 1e-4 and abs(following) < 1e-3:
         return 1.0, 0.0
@@ -161,8 +161,8 @@ def next_rate(rate: float, change: float, target: float, step_s: float) -> tuple
 
 @njit(cache=True, error_model="numpy")
 def _load(velocity: Array, acceleration: Array, coefficients: Array, limits: Array) -> float:
-    share, tilt = rotor_need(velocity, acceleration, coefficients)
-    return max(share / limits[0], np.tan(min(tilt, 1.5)) / limits[1])
+    fraction, tilt = rotor_need(velocity, acceleration, coefficients)
+    return max(fraction / limits[0], np.tan(min(tilt, 1.5)) / limits[1])
 
 
 @njit(cache=True, error_model="numpy")
@@ -174,7 +174,7 @@ def allowed_rate(
 
     A point allows the rates whose load stays below 1, or a little above that of the hover where the
     hover itself is above."""
-    most = max(1.0, _load(-wind, np.zeros(3), coefficients, limits) + _SPARE)
+    maximum = max(1.0, _load(-wind, np.zeros(3), coefficients, limits) + _SPARE)
     best = 1.0
     end = starts[starts.size - 1]
     for k in range(_AHEAD_POINTS):
@@ -183,14 +183,14 @@ def allowed_rate(
             break
         _, velocity, acceleration = sample_quintics(starts, quintics, at_s + ahead)
         rate = 1.0
-        if _load(velocity - wind, acceleration, coefficients, limits) > most:
+        if _load(velocity - wind, acceleration, coefficients, limits) > maximum:
             low, high = 0.0, 1.0
             for _ in range(_BISECTIONS):
                 middle = 0.5 * (low + high)
                 load = _load(
                     middle * velocity - wind, middle**2 * acceleration, coefficients, limits
                 )
-                low, high = (low, middle) if load > most else (middle, high)
+                low, high = (low, middle) if load > maximum else (middle, high)
             rate = low
         best = min(best, np.sqrt(rate * rate + 2.0 * _PLANNED_PER_S * ahead))
     return best

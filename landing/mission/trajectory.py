@@ -25,7 +25,7 @@ PEAK_SPEED = 1.875
 RAMP_S = 3.0
 """duration of a change of the vertical speed"""
 _MANY_LEGS = 20
-"""number of legs above which the shares of the time for a turn shrink with the number of legs"""
+"""number of legs above which the fractions of the time for a turn shrink with the number of legs"""
 _MAX_LEGS = 10_000
 _MAX_SURVEY_ACCEL = 6.0
 _ZERO = np.zeros(3)
@@ -138,8 +138,8 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
     Leg i runs between 0 and ``leg_length_m`` along the heading, ``i * leg_spacing_m`` to the left
     of ``start`` (3,), the first one outward from ``start``. All legs have the same
     constant speed, so that a turn extends beyond the ends of its legs. The vehicle rests at both
-    ends. Short turns need large accelerations, long ones leave little time for the legs: the share
-    of the turns minimises the product of the largest speed and the largest acceleration.
+    ends. Short turns need large accelerations, long ones leave little time for the legs: the
+    fraction of the turns minimises the product of the largest speed and the largest acceleration.
     Raises ValueError where ``duration_s`` needs 6 m/s^2 or more; the message names the duration
     that is needed.
     """
@@ -150,19 +150,22 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
         )
     if params.legs > _MAX_LEGS:
         raise ValueError(f"survey.legs = {params.legs} must be {_MAX_LEGS} at most")
-    shares = np.linspace(0.02, 0.40, 77) * min(1.0, _MANY_LEGS / params.legs)
+    fractions = np.linspace(0.02, 0.40, 77) * min(1.0, _MANY_LEGS / params.legs)
     # All legs are alike: the first four of many have the same peaks as all of them.
     rated_legs = params.legs if params.legs <= _MANY_LEGS else 4
-    candidates = [(share, _survey(start, yaw, params, share, rated_legs)) for share in shares]
-    rated = [(*peaks(c, per_segment=24), share) for share, c in candidates if c is not None]
-    # The smallest share leaves legs of any number more than half of the time: one always remains.
+    candidates = [
+        (fraction, _survey(start, yaw, params, fraction, rated_legs)) for fraction in fractions
+    ]
+    rated = [(*peaks(c, per_segment=24), fraction) for fraction, c in candidates if c is not None]
+    # The smallest fraction leaves legs of any number more than half of the time: one always
+    # remains.
     _, acceleration, best = min(rated, key=lambda r: r[0] * r[1])
     if acceleration > _MAX_SURVEY_ACCEL:
         # Flown in k times the time, a path has 1 / k^2 of the acceleration.
-        least_s = params.duration_s * math.sqrt(acceleration / _MAX_SURVEY_ACCEL)
+        min_s = params.duration_s * math.sqrt(acceleration / _MAX_SURVEY_ACCEL)
         raise ValueError(
             f"a survey of {params.legs} legs of {params.leg_length_m:g} m does not fit into "
-            f"{params.duration_s:g} s; raise survey.duration_s to {math.ceil(least_s)} or more"
+            f"{params.duration_s:g} s; raise survey.duration_s to {math.ceil(min_s)} or more"
         )
     path = _survey(start, yaw, params, best, params.legs)
     assert path is not None
@@ -170,13 +173,13 @@ def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> Piecewi
 
 
 def _survey(
-    start: Array, yaw: float, params: SurveyParams, turn_share: float, first_legs: int
+    start: Array, yaw: float, params: SurveyParams, turn_fraction: float, first_legs: int
 ) -> PiecewiseTrajectory | None:
-    """Returns the first legs of a survey whose turns each take the given share of the duration, and
-    the ramps at start and end half of that; None where no time remains for the legs, or the legs
-    are too short for the ramps."""
+    """Returns the first legs of a survey whose turns each take the given fraction of the duration,
+    and the ramps at start and end half of that; None where no time remains for the legs, or the
+    legs are too short for the ramps."""
     total, legs, length = params.duration_s, params.legs, params.leg_length_m
-    turn, ramp = turn_share * total, 0.5 * turn_share * total
+    turn, ramp = turn_fraction * total, 0.5 * turn_fraction * total
     # A ramp between rest and the leg's speed covers half of what the leg's speed would.
     time_at_speed = total - (legs - 1) * turn - ramp
     if time_at_speed <= 0.0:
@@ -357,9 +360,9 @@ class HeadingTurn:
 
     def sample(self, t: float) -> tuple[float, float]:
         """Returns the angle turned, rad, and the rate, rad/s, at the time ``t`` in seconds."""
-        share = min(max((t - self.begin_s) / self.duration_s, 0.0), 1.0)
-        angle = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-        rate = 30.0 * share**2 * (1.0 - share) ** 2 / self.duration_s
+        fraction = min(max((t - self.begin_s) / self.duration_s, 0.0), 1.0)
+        angle = fraction**3 * (10.0 - 15.0 * fraction + 6.0 * fraction**2)
+        rate = 30.0 * fraction**2 * (1.0 - fraction) ** 2 / self.duration_s
         return self.angle_rad * angle, self.angle_rad * rate
 
 

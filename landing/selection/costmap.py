@@ -149,9 +149,9 @@ def _disc_sums(values: Float32, widths: NDArray[np.int64], column: Float32, sums
                     for col in range(cols):
                         middle[col] += source[col]
             left, right = column[reach - wide :], column[reach + wide :]
-            share = np.float32(1.0 if wide else 0.0)
+            fraction = np.float32(1.0 if wide else 0.0)
             for col in range(cols):
-                out[col] += left[col] + share * right[col]
+                out[col] += left[col] + fraction * right[col]
 
 
 # ----------------------------------------------------------------------------------- distance

@@ -51,7 +51,7 @@ _IS_HARD = np.isin(np.arange(len(Defect)), (Defect.UNKNOWN, Defect.MOVING, Defec
 """defects that exclude a cell whatever the coefficients"""
 _WORST_OF = [NAMES.index(name) for name in ("slope", "step", "neighbour")]
 _KNEE = 0.8
-"""share of a limit beyond which the error of the map dominates"""
+"""fraction of a limit beyond which the error of the map dominates"""
 _MAX_COEFFICIENT = -0.2
 """upper bound of the fitted coefficients. It decides where the data has no information: the maps
 are static, so that the effect of an old map cannot be fitted."""

@@ -260,9 +260,9 @@ def _shortlist(
     filled = np.nan_to_num(value, nan=-np.inf)
     by_value = sorted(spots, key=lambda spot: (-float(filled[spot]), spot))
     chosen: list[tuple[int, int]] = []
-    for wanted, most in ((True, (2 * limit + 2) // 3), (False, limit)):
+    for wanted, maximum in ((True, (2 * limit + 2) // 3), (False, limit)):
         for spot in by_value:
-            if len(chosen) >= most:
+            if len(chosen) >= maximum:
                 break
             if bool(allowed[spot]) is wanted and all(
                 np.hypot(spot[0] - other[0], spot[1] - other[1]) >= apart for other in chosen

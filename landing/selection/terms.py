@@ -87,18 +87,18 @@ def _distance(site: Inputs) -> tuple[Float32, Float32]:
     return value, np.sqrt((x**2)[None, :] + (y**2)[:, None]).astype(np.float32)
 
 
-def _room(site: Inputs) -> tuple[Float32, Float32]:
+def _clearance(site: Inputs) -> tuple[Float32, Float32]:
     """The reward of clearance, which ends at ``clearance_full_m``; metres."""
     full, clearance = site.params.clearance_full_m, site.clearance_m
-    gain = np.float32(site.selector.weight_room / full)
+    gain = np.float32(site.selector.weight_clearance / full)
     return np.minimum(clearance, np.float32(full)) * gain, clearance
 
 
-def _level(site: Inputs) -> tuple[Float32, Float32]:
+def _slope(site: Inputs) -> tuple[Float32, Float32]:
     """The penalty of the slope, whole from ``max_slope_deg`` on; degrees."""
     slope = site.landable.slope_deg
     tilt = np.minimum(slope / np.float32(site.params.max_slope_deg), 1.0)
-    return -(np.float32(site.selector.weight_level) * tilt), slope
+    return -(np.float32(site.selector.weight_slope) * tilt), slope
 
 
 def _traffic(site: Inputs) -> tuple[Float32, Float32]:
@@ -124,14 +124,14 @@ TERMS: Mapping[TermName, Callable[[Inputs], tuple[Float32, Float32]]] = {
     "flatness": _flatness,
     "smoothness": _smoothness,
     "distance": _distance,
-    "room": _room,
-    "level": _level,
+    "clearance": _clearance,
+    "slope": _slope,
     "traffic": _traffic,
     "plants": _plants,
     "ground": _ground,
 }
 """functions that return a term's weighted value and what it weights, (rows, cols) each"""
-_UNITS: Mapping[TermName, str] = {"distance": "m", "room": "m", "level": "deg"}
+_UNITS: Mapping[TermName, str] = {"distance": "m", "clearance": "m", "slope": "deg"}
 
 
 def layers_of(site: Inputs) -> tuple[TermLayer, ...]:
@@ -169,11 +169,11 @@ def terms_at(layers: tuple[TermLayer, ...], spot: tuple[int, int]) -> tuple[Scor
 def cluster_bonus(site: Inputs) -> Float32:
     """Returns what is added to the score where cells of one cluster are compared: the weight of
     clearance for the first ``clearance_enough_m``, nothing for a selector without that term."""
-    if "room" not in site.selector.terms:
+    if "clearance" not in site.selector.terms:
         return np.zeros(site.raster.shape, np.float32)
     enough = site.params.clearance_enough_m
-    share = np.minimum(site.clearance_m, enough) / enough
-    return (site.selector.weight_room * share).astype(np.float32)
+    fraction = np.minimum(site.clearance_m, enough) / enough
+    return (site.selector.weight_clearance * fraction).astype(np.float32)
 
 
 def allowed_ground(
@@ -235,9 +235,9 @@ def refusal_of(site: Inputs, spot: tuple[int, int], margin_m: float) -> Refusal:
     """Returns why the cell ``spot`` does not pass: what the map shows there, for a selector with
     the gate ``probability`` with the probability that follows from it."""
     params, gates = site.params, site.selector.gates
-    predicted, least = float(site.probability[spot]), params.min_safe_probability
-    unlikely = "probability" in gates and predicted < least
-    chance = f"safe with probability {predicted:.2f} (at least {least:.2f})"
+    predicted, minimum = float(site.probability[spot]), params.min_safe_probability
+    unlikely = "probability" in gates and predicted < minimum
+    chance = f"safe with probability {predicted:.2f} (at least {minimum:.2f})"
     if checks_ground(site.selector) and not site.landable.mask[spot]:
         found = explain(site.raster, site.landable, *spot, params, margin_m)
         return found._replace(text=f"{found.text}; {chance}") if unlikely else found
@@ -251,10 +251,10 @@ def refusal_of(site: Inputs, spot: tuple[int, int], margin_m: float) -> Refusal:
 
 def _unknown_terms(site: Inputs) -> list[str]:
     """Terms that are not known everywhere."""
-    names = ("smoothness", "flatness", "distance", "level")
+    names = ("smoothness", "flatness", "distance", "slope")
     return [name for name in site.selector.terms if name in names]
 
 
 def _measured(site: Inputs, name: str) -> NDArray[np.float32]:
-    layer: NDArray[np.float32] = site.landable.slope_deg if name == "level" else getattr(site, name)
+    layer: NDArray[np.float32] = site.landable.slope_deg if name == "slope" else getattr(site, name)
     return layer

@@ -28,7 +28,8 @@ _SHAPES = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Caster:
-    """A convex body that throws a shadow: (N, 3) world points and the share of light it stops."""
+    """A convex body that throws a shadow: (N, 3) world points and the fraction of light it
+    stops."""
 
     points: Array
     opacity: float
@@ -143,8 +144,8 @@ class SceneBuilder:
 
     def claim_line(self, start_m: Array, end_m: Array, count: int, radius_m: float) -> None:
         """Reserves ``count`` discs from one end of a segment to the other."""
-        for share in np.linspace(0.0, 1.0, count):
-            self.claim(start_m + share * (end_m - start_m), radius_m)
+        for fraction in np.linspace(0.0, 1.0, count):
+            self.claim(start_m + fraction * (end_m - start_m), radius_m)
 
     def is_free(self, xy_m: Array, radius_m: float) -> bool:
         """True if a disc overlaps no reserved one."""

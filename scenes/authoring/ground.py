@@ -267,7 +267,7 @@ def shade_ground(
 ) -> Bytes:
     """Returns the texture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
 
-    light: (n, n) share of full light, row 0 at y_min (see `light.bake_light`). pattern_angles:
+    light: (n, n) fraction of full light, row 0 at y_min (see `light.bake_light`). pattern_angles:
     radians by which slabs, mowing stripes and furrows of a material are turned. slopes: as the
     canvas, tones of a relief finer than the terrain's (see `scenes.authoring.micro_relief`)."""
     image = np.empty((*canvas.material.shape, 3), np.uint8)

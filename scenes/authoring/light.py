@@ -38,7 +38,7 @@ from touchdown.scenes.authoring.ground import Canvas, Ground, ground_shader
 from touchdown.scenes.authoring.relief import HeightField
 
 DUSK_SUN_DEG = 2.0
-DUSK_SUN_SHARE = 0.25
+DUSK_SUN_FRACTION = 0.25
 """of the light on level ground at dusk"""
 
 
@@ -81,11 +81,11 @@ def sun_shines() -> bool:
 
 
 def light_in_shadow(by_day: float) -> float:
-    """Share of the light that a full shadow leaves, which is ``by_day`` under the sun."""
+    """Fraction of the light that a full shadow leaves, which is ``by_day`` under the sun."""
     light = _sky.get().light
     if light == "day":
         return by_day
-    return 1.0 - DUSK_SUN_SHARE if light == "dusk" else 1.0
+    return 1.0 - DUSK_SUN_FRACTION if light == "dusk" else 1.0
 
 
 def set_sky(spec: Any) -> None:
@@ -179,7 +179,7 @@ def _under_sky(spec: Any, light: Any, direction: Array) -> Array:
     lowered = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
     light.dir = lowered
     light.ambient = np.array(light.ambient) + level * _DUSK_TINT
-    beam = DUSK_SUN_SHARE * level.max() / np.sin(elevation)
+    beam = DUSK_SUN_FRACTION * level.max() / np.sin(elevation)
     light.diffuse = min(beam, _BRIGHTEST_BEAM) * sun_colour(DUSK_SUN_DEG)
     headlight = spec.visual.headlight
     headlight.ambient = np.array(headlight.ambient) * _DUSK_TINT
@@ -241,8 +241,8 @@ def bake_light(
     ambient: float,
     hilly: bool = False,
 ) -> Float32:
-    """Returns the share of full light on the ground, (pixels, pixels) float32 in (0, 1], row 0 at
-    y_min.
+    """Returns the fraction of full light on the ground, (pixels, pixels) float32 in (0, 1], row 0
+    at y_min.
 
     sun_direction: (3,) unit, the direction in which the light travels. ambient: light left in full
     shadow by day (`light_in_shadow` under other lights). Casters are projected on the

@@ -114,7 +114,7 @@ def blob(
     metres_per_uv: float,
 ) -> MeshData:
     """A lumpy closed surface: the superellipsoid ``sum |x_i / half_i|**exponent = 1`` (2: an
-    ellipsoid, 8: a box with round edges), displaced along the radius by ``roughness`` (share of
+    ellipsoid, 8: a box with round edges), displaced along the radius by ``roughness`` (fraction of
     it). Texture: laid on from above and down the sides, ``metres_per_uv`` metres a texture."""
     sectors = 2 * rings
     polar = np.linspace(0.0, np.pi, rings + 1)

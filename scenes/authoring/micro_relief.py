@@ -22,7 +22,7 @@ from touchdown.scenes.authoring.relief import HeightField
 NEUTRAL = 128
 """Tone of level ground."""
 _FLAT = 128
-_TERRAIN_SHARE = 0.7
+_TERRAIN_FRACTION = 0.7
 _STEP_M = 0.001
 """Height of one grey level of `MicroRelief.prints`."""
 _SINE = np.sin(2.0 * np.pi * np.arange(4096) / 4096).astype(np.float32)
@@ -54,11 +54,11 @@ class MicroRelief:
     """(n, n, 2) rise to the east and to the north at nodes over the same square"""
 
     def stand_on(self, terrain: HeightField) -> None:
-        """Adds a share of the terrain's own slopes. MuJoCo's light saturates on level ground: it
+        """Adds a fraction of the terrain's own slopes. MuJoCo's light saturates on level ground: it
         shades what is turned from the sun, and does not brighten what is turned to it."""
         heights = cv2.GaussianBlur(terrain.heights_m, (3, 3), 0.6)
         rise_y, rise_x = np.gradient(heights, terrain.cell_m)
-        slopes = _TERRAIN_SHARE * np.stack([rise_x, rise_y], axis=-1)
+        slopes = _TERRAIN_FRACTION * np.stack([rise_x, rise_y], axis=-1)
         self.base_slopes = slopes.astype(np.float32)
 
     @property
@@ -85,7 +85,7 @@ class MicroRelief:
         self, rng: np.random.Generator, sun: Array, ripples: Ripples | None = None
     ) -> Bytes:
         """Returns the tone of every texel, (rows, cols) uint8, `NEUTRAL` where the ground is
-        level. sun: (3,) unit, the direction in which light travels; a share of the light, the
+        level. sun: (3,) unit, the direction in which light travels; a fraction of the light, the
         sky's, is the same for every slope."""
         size = len(self.prints)
         texel = 2.0 * self.half_m / size
@@ -201,18 +201,18 @@ def placed(at: Array, heading: float, local: Array) -> Array:
 def wander(rng: np.random.Generator, ends_m: Array, sway_m: float) -> Array:
     """(N, 2) a smooth way from one end to the other, (2, 2), a point every 0.1 m or so."""
     span = ends_m[1] - ends_m[0]
-    share = np.linspace(0.0, 1.0, max(8, int(np.hypot(*span) / 0.1)))
-    return sidled(rng, ends_m[0] + share[:, None] * span, sway_m)
+    fraction = np.linspace(0.0, 1.0, max(8, int(np.hypot(*span) / 0.1)))
+    return sidled(rng, ends_m[0] + fraction[:, None] * span, sway_m)
 
 
 def sidled(rng: np.random.Generator, line_m: Array, sway_m: float) -> Array:
     """A line (N, 2) that sways to both sides of another and shares its ends."""
     span = line_m[-1] - line_m[0]
     side = np.array([-span[1], span[0]]) / np.hypot(*span)
-    share = np.linspace(0.0, 1.0, len(line_m))
-    off = np.zeros(len(share))
+    fraction = np.linspace(0.0, 1.0, len(line_m))
+    off = np.zeros(len(fraction))
     for order in range(1, 5):
-        off += rng.normal(0.0, sway_m / order) * np.sin(order * np.pi * share)
+        off += rng.normal(0.0, sway_m / order) * np.sin(order * np.pi * fraction)
     return line_m + off[:, None] * side
 
 

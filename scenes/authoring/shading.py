@@ -76,19 +76,19 @@ def shade(
     node = -1
     for row in range(rows):
         y = (row + 0.5) * texel_m - half
-        share = row * to_patch
-        if min(int(share), patches.shape[0] - 2) != node:
-            node = min(int(share), patches.shape[0] - 2)
+        fraction = row * to_patch
+        if min(int(fraction), patches.shape[0] - 2) != node:
+            node = min(int(fraction), patches.shape[0] - 2)
             for k in range(2):
                 _stretch(ends[k], patches[node + k], to_patch)
                 _stretch(ends[2 + k], hue[node + k], to_patch)
-        share -= node
+        fraction -= node
         for first in range(0, cols, _PIECE):
             last = min(first + _PIECE, cols)
             n = last - first
             a, b, here = first_noise[:n], second_noise[:n], kinds[:n]
-            _mix(patch[:n], ends[0, first:last], ends[1, first:last], share)
-            _mix(drift[:n], ends[2, first:last], ends[3, first:last], share)
+            _mix(patch[:n], ends[0, first:last], ends[1, first:last], fraction)
+            _mix(drift[:n], ends[2, first:last], ends[3, first:last], fraction)
             start = first & tile  # a piece lies in one tile
             noise, canvas = fine[row & tile, start : start + n], material[row, first:last]
             for k in range(n):
@@ -161,14 +161,14 @@ def _fray(
 def _stretch(out: Array, nodes: Float32, to_node: float) -> None:
     for k in range(out.size):
         at = min(int(k * to_node), nodes.size - 2)
-        share = k * to_node - at
-        out[k] = nodes[at] * (1.0 - share) + nodes[at + 1] * share
+        fraction = k * to_node - at
+        out[k] = nodes[at] * (1.0 - fraction) + nodes[at + 1] * fraction
 
 
 @njit(cache=True, error_model="numpy")
-def _mix(out: Array, one: Array, other: Array, share: float) -> None:
+def _mix(out: Array, one: Array, other: Array, fraction: float) -> None:
     for k in range(out.size):
-        out[k] = one[k] * (1.0 - share) + other[k] * share
+        out[k] = one[k] * (1.0 - fraction) + other[k] * fraction
 
 
 @njit(cache=True, error_model="numpy")

@@ -165,7 +165,7 @@ def _raised(place: Place, geom: int, look: Look, wide: bool) -> Inferred:
 
 
 Names = Mapping[str, str]
-_MOST_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 _KNOWN = (*LAND_CLASSES, "other")
 _RASTER_CELLS = 640
 """along the longer side of a picture of classes: a quarter of a metre"""
@@ -177,7 +177,7 @@ def read_class_table(path: Path) -> Names:
     """Classes by pattern of ``path``, a TOML file ``[classes]`` of lines ``"pattern" = "class"``;
     ``*`` stands for anything, and of several the first that fits a name counts. Raises
     FileNotFoundError, and ValueError for another content."""
-    check_file(path, "a file of classes", _MOST_BYTES)
+    check_file(path, "a file of classes", _MAX_BYTES)
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8")).get("classes")
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -261,8 +261,8 @@ def read_given_classes(file: str, place: Place) -> GivenClasses:
         return GivenClasses(classes={geom: name for geom, name in named.items() if name})
     picture = read_class_picture(path)
     rows, cols = np.indices(seen.geom.shape)
-    share = np.array(picture.shape) / np.array(seen.geom.shape)
-    cell = ((rows + 0.5) * share[0]).astype(int), ((cols + 0.5) * share[1]).astype(int)
+    fraction = np.array(picture.shape) / np.array(seen.geom.shape)
+    cell = ((rows + 0.5) * fraction[0]).astype(int), ((cols + 0.5) * fraction[1]).astype(int)
     painted, classes = picture[cell], {}
     for geom in np.unique(seen.geom[seen.geom >= 0]).tolist():
         counts = np.bincount(painted[seen.geom == geom], minlength=len(_KNOWN))

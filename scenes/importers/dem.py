@@ -62,7 +62,7 @@ def import_dem(
     the model's south-west corner [where the fewest holes are, near the middle]. land_class: of
     the whole ground, one of `scenes.api.LAND_CLASSES`.
 
-    Holes are filled from their rims; one warning states their share. The site ``takeoff`` is the
+    Holes are filled from their rims; one warning states their fraction. The site ``takeoff`` is the
     flattest spot from which the survey stays inside; the height there is 0. Heading is east.
 
     Raises FileNotFoundError, and ValueError for what is not an elevation model or not an image,
@@ -156,16 +156,16 @@ def _window_centre(
         where = " around its middle; choose another with --centre" if part else ""
         raise ValueError(f"{path} holds no heights: every cell is a hole{where}")
     size = tuple(2 * np.floor(reach).astype(int) + 1)
-    share = ndimage.uniform_filter(known.astype(np.float32), size, mode="constant")
-    row, col = np.indices(share.shape, sparse=True)
+    fraction = ndimage.uniform_filter(known.astype(np.float32), size, mode="constant")
+    row, col = np.indices(fraction.shape, sparse=True)
     middle = 0.5 * np.array([rows - 1, cols - 1])
     inside = (
         (row >= low[0] - 0.5) & (row <= high[0] + 0.5)
         & (col >= low[1] - 0.5) & (col <= high[1] + 0.5)
     )  # fmt: skip
     aside = np.hypot(row - middle[0], col - middle[1]) / np.hypot(*middle)
-    best = np.argmax(np.where(inside, np.round(share, 3) - 1e-4 * aside, -np.inf))
-    return np.clip(np.array(np.unravel_index(best, share.shape), np.float64), low, high)
+    best = np.argmax(np.where(inside, np.round(fraction, 3) - 1e-4 * aside, -np.inf))
+    return np.clip(np.array(np.unravel_index(best, fraction.shape), np.float64), low, high)
 
 
 def _filled(raster: HeightRaster, middle: Array, half: float, path: Path) -> Array:
@@ -178,15 +178,17 @@ def _filled(raster: HeightRaster, middle: Array, half: float, path: Path) -> Arr
     heights = raster.heights_m.copy()
     part = heights[window]
     hole = np.isnan(part)
-    share = float(hole.mean())
-    if share > MAX_HOLES:
+    fraction = float(hole.mean())
+    if fraction > MAX_HOLES:
         raise ValueError(
-            f"{path}: {100 * share:.0f} % of the window are holes, more than half; choose another "
+            f"{path}: {100 * fraction:.0f} % of the window are holes, more than half; choose "
+            "another "
             "centre or a smaller window"
         )
-    if share > 0.0:
+    if fraction > 0.0:
         warnings.warn(
-            f"{path}: {100 * share:.2g} % of the window are holes; they are filled from their rims",
+            f"{path}: {100 * fraction:.2g} % of the window are holes; they are filled from their "
+            "rims",
             stacklevel=4,
         )
         nearest = ndimage.distance_transform_edt(hole, return_distances=False, return_indices=True)

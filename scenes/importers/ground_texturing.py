@@ -265,7 +265,7 @@ def _replace_shape(spec: Any, place: Place, geom: int, look: Look) -> bool:
 
 
 def _relief(name: str, shape: tuple[int, int], extent: Array) -> Array:
-    """(rows, cols) depths in shares of `RELIEF_M`, 0 to 1."""
+    """(rows, cols) depths in fractions of `RELIEF_M`, 0 to 1."""
     rng = np.random.default_rng([crc32(b"scenes.dress"), crc32(name.encode())])
     waves = max(_WAVES_M * shape[1] / float(extent[0]), 2.0)
     noise = fractal_noise(rng, shape, waves, 4, 0.6)
@@ -291,8 +291,8 @@ def painted(name: str, look: Look, extent: Array) -> Image:
     three materials."""
     rng = np.random.default_rng([crc32(b"scenes.dress.colour"), crc32(name.encode())])
     side = float(extent.max())
-    most = max(_MAX_TEXELS * float(np.sqrt(look.fraction)), 256.0)
-    texels = int(np.clip(round(side / TEXEL_M), 256, most)) // 4 * 4
+    maximum = max(_MAX_TEXELS * float(np.sqrt(look.fraction)), 256.0)
+    texels = int(np.clip(round(side / TEXEL_M), 256, maximum)) // 4 * 4
     canvas = Canvas.of_size(0.5 * side, texels)
     few = texels // 4
     main, *others = MATERIALS[look.land_class]

@@ -55,7 +55,7 @@ def ground_light(place: Place) -> float:
 
 
 def _falling(model: Any, data: Any, lamp: int, points: Array) -> Array:
-    """(N,) share of a lamp's light that falls on level ground at (N, 3) points."""
+    """(N,) fraction of a lamp's light that falls on level ground at (N, 3) points."""
     kind, axis = int(model.light_type[lamp]), data.light_xdir[lamp]
     if kind == int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL):
         return np.full(len(points), max(-axis[2], 0.0))

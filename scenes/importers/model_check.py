@@ -34,7 +34,7 @@ MAX_CELLS = 1 << 22
 MAX_TEXELS, MAX_TEXTURE_SIDE = 1 << 27, 16_384
 """of all textures together, and pixels along a side"""
 FARTHEST_M = 1e8
-"""Ten times the greatest northing of a map projection"""
+"""Ten times the maximum northing of a map projection"""
 MAX_TRIANGLES = 10_000_000
 """that a LIDAR scan is cast on; each geom counts for itself"""
 _NAMED_FILE = re.compile(r"""\bfile\w*\s*=\s*(?:"([^"]*)"|'([^']*)')""")
@@ -87,9 +87,9 @@ def check_texts(path: Path) -> None:
 def check_spec(spec: Any, path: Path) -> None:
     """Raises ValueError for what MuJoCo has read (MjSpec) beyond `MAX_ELEMENTS`, for shapes of
     plug-ins, and for assets that are no regular files."""
-    for kind, (most, remedy) in MAX_ELEMENTS.items():
-        if (count := len(getattr(spec, kind))) > most:
-            raise ValueError(f"{path}: it has {count} {kind}, more than {most}; {remedy}")
+    for kind, (maximum, remedy) in MAX_ELEMENTS.items():
+        if (count := len(getattr(spec, kind))) > maximum:
+            raise ValueError(f"{path}: it has {count} {kind}, more than {maximum}; {remedy}")
     for kind in ("geoms", "bodies", "meshes"):
         for element in getattr(spec, kind):
             if element.plugin.active:
@@ -176,12 +176,12 @@ def check_model(model: Any, data: Any, path: Path) -> None:
 
 
 def _check_grids(model: Any, path: Path) -> None:
-    for prefix, columns, rows, most, unit in (
+    for prefix, columns, rows, maximum, unit in (
         ("hfield", model.hfield_ncol, model.hfield_nrow, MAX_CELLS, "cells"),
         ("tex", model.tex_width, model.tex_height, MAX_TEXELS, "pixels"),
     ):
         sizes = columns.astype(np.int64) * rows
-        limit, bad = f"{most} with all others together", np.cumsum(sizes) > most
+        limit, bad = f"{maximum} with all others together", np.cumsum(sizes) > maximum
         if prefix == "tex":
             flat = model.tex_type == mujoco.mjtTexture.mjTEXTURE_2D
             wide = np.where(flat, np.maximum(columns, rows), columns) > MAX_TEXTURE_SIDE

@@ -184,8 +184,8 @@ def largest(labels: NDArray[np.int32]) -> int:
     return int(np.bincount(known).argmax()) if known.size else -1
 
 
-def level_cells(seen: TopView, radius_m: float, most_m: float) -> Mask:
-    """Cells around which heights differ by no more than ``most_m`` within ``radius_m``, all of them
+def level_cells(seen: TopView, radius_m: float, max_m: float) -> Mask:
+    """Cells around which heights differ by no more than ``max_m`` within ``radius_m``, all of them
     known."""
     reach = int(np.ceil(radius_m / seen.cell_m))
     row, col = np.mgrid[-reach : reach + 1, -reach : reach + 1]
@@ -193,7 +193,7 @@ def level_cells(seen: TopView, radius_m: float, most_m: float) -> Mask:
     known = np.where(np.isfinite(seen.height_m), seen.height_m, 1e9)
     kind = {"footprint": disc, "mode": "constant", "cval": 1e9}
     spread = ndimage.maximum_filter(known, **kind) - ndimage.minimum_filter(known, **kind)
-    return np.asarray(spread <= most_m) & (known < 1e9)
+    return np.asarray(spread <= max_m) & (known < 1e9)
 
 
 _AHEAD_M, _LEFT_M = 52.0, 42.0
@@ -205,11 +205,11 @@ _TURN_M = 13.0
 _SEEN_AHEAD_M, _SEEN_ASIDE_M = 12.0, 20.0
 """what LIDAR and camera see beyond the legs at 30 m"""
 _ROOM = 0.95
-"""least share of legs with ground below"""
+"""least fraction of legs with ground below"""
 _FREE_M, _LEVEL_M = 1.5, 0.12
 """Radius around a take-off that is level, and the heights within it."""
 _FAR = 0.0003
-"""Share of the survey that a metre's distance from the origin weighs."""
+"""Fraction of the survey that a metre's distance from the origin weighs."""
 
 
 def takeoff_spot(seen: TopView, wish_xy_m: Array) -> Array:
@@ -236,21 +236,21 @@ def takeoff_spot(seen: TopView, wish_xy_m: Array) -> Array:
 
 
 def _seen_by_smaller(total: Array, cell_m: float) -> Array:
-    """(rows, cols) share of all ground, or of what the standard survey would see, that the best of
-    the smaller surveys from a cell sees; 0 where there is no room for any."""
+    """(rows, cols) fraction of all ground, or of what the standard survey would see, that the best
+    of the smaller surveys from a cell sees; 0 where there is no room for any."""
     best = np.zeros((total.shape[0] - 1, total.shape[1] - 1))
     for width in _WIDTHS_M:
         turn = _TURN_M if width else 0.0
         for length in _LENGTHS_M:
             legs = (-turn, length + max(turn, cell_m)), (-cell_m, width + cell_m)
-            share = _below(total, cell_m, *legs) / _area(*legs)
+            fraction = _below(total, cell_m, *legs) / _area(*legs)
             ground = _below(
                 total, cell_m,
                 (-_SEEN_AHEAD_M, length + _SEEN_AHEAD_M), (-_SEEN_ASIDE_M, width + _SEEN_ASIDE_M),
             )  # fmt: skip
-            best = np.maximum(best, np.where(share >= _ROOM, ground, 0.0))
-    most = (_AHEAD_M + 2.0 * _SEEN_AHEAD_M) * (_LEFT_M + 2.0 * _SEEN_ASIDE_M)
-    return np.minimum(best / min(float(total[-1, -1]), most), 1.0)
+            best = np.maximum(best, np.where(fraction >= _ROOM, ground, 0.0))
+    maximum = (_AHEAD_M + 2.0 * _SEEN_AHEAD_M) * (_LEFT_M + 2.0 * _SEEN_ASIDE_M)
+    return np.minimum(best / min(float(total[-1, -1]), maximum), 1.0)
 
 
 def _below(

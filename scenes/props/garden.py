@@ -120,9 +120,9 @@ def add_washing_line(
         offset = np.array([*(side * across), 0.0])
         add_wire(builder, tops[0] + offset, tops[1] + offset, 0.008, [0.85, 0.85, 0.82, 1])
     rng = builder.rng
-    for share in np.arange(0.25, 0.85, 0.3) if laundry else ():
+    for fraction in np.arange(0.25, 0.85, 0.3) if laundry else ():
         size = rng.uniform([0.3, 0.3], [0.5, 0.55])
-        at = tops[0] + share * (tops[1] - tops[0]) + [*(0.45 * across), -size[1] - 0.02]
+        at = tops[0] + fraction * (tops[1] - tops[0]) + [*(0.45 * across), -size[1] - 0.02]
         builder.geom("laundry", CLOTH, box=[size[0], 0.012, size[1]], pos=at, heading=heading,
                      rgba=[*rng.uniform(0.55, 0.95, 3), 1.0])  # fmt: skip
     builder.claim_line(start_xy_m, end_xy_m, 5, 1.0)

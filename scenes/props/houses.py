@@ -163,8 +163,8 @@ def hip_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float) -
     for sign, first in ((1.0, 0.0), (-1.0, 0.5)):
         slope = np.array([[sign * x, sign * y, low], [-sign * x, sign * y, low],
                           [-sign * reach, 0.0, ridge_m], [sign * reach, 0.0, ridge_m]])  # fmt: skip
-        share = 0.5 * (1.0 - reach / x)
-        uv = [[0.0, first + 0.49], [1.0, first + 0.49], [1.0 - share, first], [share, first]]
+        fraction = 0.5 * (1.0 - reach / x)
+        uv = [[0.0, first + 0.49], [1.0, first + 0.49], [1.0 - fraction, first], [fraction, first]]
         parts.append(polygon(slope, np.array(uv)))
         hip = np.array([[sign * x, -sign * y, low], [sign * x, sign * y, low],
                         [sign * reach, 0.0, ridge_m]])  # fmt: skip

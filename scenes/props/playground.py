@@ -93,8 +93,8 @@ def add_goal(
             np.cos(half[0]) * np.sin(half[1]), np.sin(half[0]) * np.cos(half[1])]  # fmt: skip
     builder.geom("net", NET, box=[0.008, 0.5 * width_m, 0.5 * lean], quat=quat,
                  pos=foot - 0.55 * along + 0.5 * up, rgba=[0.90, 0.90, 0.90, 0.28])  # fmt: skip
-    for share in (-0.5, 0.0, 0.5):
-        builder.claim(xy_m + share * width_m * left[:2], 1.0)
+    for fraction in (-0.5, 0.0, 0.5):
+        builder.claim(xy_m + fraction * width_m * left[:2], 1.0)
 
 
 def add_net(

@@ -41,7 +41,7 @@ class Pool:
 
     @property
     def box_m(self) -> tuple[Array, Array]:
-        """Least and greatest (u, v)."""
+        """Least and maximum (u, v)."""
         return self.outline_m.min(axis=0), self.outline_m.max(axis=0)
 
 
@@ -314,11 +314,11 @@ def add_water_slide(builder: SceneBuilder, foot_xy_m: Array, heading: float) -> 
     for sx in (-0.9, 0.9):
         for sy in (-0.9, 0.9):
             add_post(builder, top + sx * back + sy * left, 4.9, 0.06, [0.70, 0.72, 0.74, 1])
-    for share in (0.35, 0.7):
-        spot = foot_xy_m + share * run * back
-        add_post(builder, spot, 0.3 + 3.6 * share**1.35, 0.06, [0.70, 0.72, 0.74, 1])
-    for share in np.linspace(0.0, 1.15, 8):
-        builder.claim(foot_xy_m + share * run * back, 1.3)
+    for fraction in (0.35, 0.7):
+        spot = foot_xy_m + fraction * run * back
+        add_post(builder, spot, 0.3 + 3.6 * fraction**1.35, 0.06, [0.70, 0.72, 0.74, 1])
+    for fraction in np.linspace(0.0, 1.15, 8):
+        builder.claim(foot_xy_m + fraction * run * back, 1.3)
 
 
 def add_whirlpool(builder: SceneBuilder, xy_m: Array) -> None:

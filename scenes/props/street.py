@@ -147,9 +147,9 @@ def add_sagging_wire(
     builder: SceneBuilder, start_m: Array, end_m: Array, sag_m: float, pieces: int = 2
 ) -> None:
     """Adds a hanging cable (a parabola) as straight pieces."""
-    share = np.linspace(0.0, 1.0, pieces + 1)[:, None]
-    points = start_m + share * (end_m - start_m)
-    points[:, 2] -= 4.0 * sag_m * (share * (1.0 - share))[:, 0]
+    fraction = np.linspace(0.0, 1.0, pieces + 1)[:, None]
+    points = start_m + fraction * (end_m - start_m)
+    points[:, 2] -= 4.0 * sag_m * (fraction * (1.0 - fraction))[:, 0]
     for first, second in pairwise(points):
         add_wire(builder, first, second, 0.014, [0.08, 0.08, 0.09, 1])
 

@@ -63,8 +63,8 @@ def tuft_mesh(rng: np.random.Generator, radius_m: float, height_m: float) -> Mes
     half = np.array([0.50 * radius_m, 0.50 * radius_m, 0.33 * height_m])
     core = blob(rng, half, 2.2, 0.22, 6, 1.0)
     points = core.vertices + [0.0, 0.0, 0.30 * height_m]
-    share = np.clip(points[:, 2] / height_m, 0.0, 1.0)
-    uv = np.column_stack([1.9 * points[:, 0] + 2.7 * points[:, 1], 0.97 - 0.75 * share])
+    fraction = np.clip(points[:, 2] / height_m, 0.0, 1.0)
+    uv = np.column_stack([1.9 * points[:, 0] + 2.7 * points[:, 1], 0.97 - 0.75 * fraction])
     parts = [MeshData(vertices=points, faces=core.faces, uv=uv)]
     for _ in range(int(240 * radius_m)):
         angle, reach = rng.uniform(0.0, 2.0 * np.pi), radius_m * np.sqrt(rng.uniform(0.05, 1.0))
@@ -195,18 +195,18 @@ BUOY = Surface(land_class="other", reflectivity=0.45)
 PAINTS: tuple[Colour, ...] = ((196.0, 52.0, 44.0), (232.0, 232.0, 226.0), (40.0, 92.0, 150.0),
               (54.0, 116.0, 92.0), (226.0, 172.0, 60.0), (120.0, 88.0, 62.0))  # fmt: skip
 _BEAM = np.array([0.72, 0.86, 0.96, 1.0, 0.98, 0.90, 0.74, 0.46, 0.05])
-"""Half width at stations from the stern to the bow, as a share of the greatest."""
+"""Half width at stations from the stern to the bow, as a fraction of the maximum."""
 _OUTSIDE, _INSIDE = 0.05, 0.45
-"""Where a texture's skin and boards begin, as a share of its height."""
+"""Where a texture's skin and boards begin, as a fraction of its height."""
 
 
 def hull_mesh(length_m: float, width_m: float, rim_m: float, decked: bool) -> MeshData:
     """Returns a round hull, bow along x: open with three thwarts, or ``decked`` over."""
-    share = np.linspace(0.0, 1.0, len(_BEAM))
-    x = (share - 0.5) * length_m
+    fraction = np.linspace(0.0, 1.0, len(_BEAM))
+    x = (fraction - 0.5) * length_m
     half = 0.5 * width_m * _BEAM
-    rim = rim_m * (1.0 + 0.55 * share**3)
-    keel = -0.16 + (0.16 + 0.4 * rim_m) * share**7
+    rim = rim_m * (1.0 + 0.55 * fraction**3)
+    keel = -0.16 + (0.16 + 0.4 * rim_m) * fraction**7
     skin = _section(x, [half, 0.74 * half, 0.0 * half], [rim, keel + 0.07, keel])
     parts = _loft(skin[:, ::-1], _OUTSIDE, length_m)
     stern = skin[0]
@@ -223,7 +223,7 @@ def hull_mesh(length_m: float, width_m: float, rim_m: float, decked: bool) -> Me
         parts += _loft(np.stack([left, right], axis=1), 0.9, length_m)
     parts.append(polygon(well[0, ::-1], _board_uv(well[0, ::-1, 1], well[0, ::-1, 2], _INSIDE)))
     for at in (0.18, 0.45, 0.72):
-        beam = 0.5 * width_m * float(np.interp(at, share, _BEAM)) - 0.05
+        beam = 0.5 * width_m * float(np.interp(at, fraction, _BEAM)) - 0.05
         centre = np.array([(at - 0.5) * length_m, 0.0, 0.78 * rim_m])
         seat = box(np.array([0.13, beam, 0.02]), centre)
         uv = np.column_stack([seat.uv[:, 0], np.full(len(seat.uv), 0.93)])

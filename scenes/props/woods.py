@@ -32,12 +32,12 @@ def conifer_mesh(rng: np.random.Generator, height_m: float, radius_m: float) -> 
     parts = []
     low = 0.13 * height_m
     for index in range(whorls):
-        share = index / whorls
-        base = low + (height_m - low) * share**0.92
-        top = min(base + (height_m - low) * (0.42 - 0.10 * share), height_m)
+        fraction = index / whorls
+        base = low + (height_m - low) * fraction**0.92
+        top = min(base + (height_m - low) * (0.42 - 0.10 * fraction), height_m)
         if index == whorls - 1:
             top = height_m
-        radius = radius_m * (1.0 - share) ** 0.85
+        radius = radius_m * (1.0 - fraction) ** 0.85
         parts.append(_whorl(rng, base, top, radius, spikes))
     return joined(parts)
 
@@ -114,7 +114,7 @@ def canopy_mesh(
 
 def lathe(rng: np.random.Generator, profile: Array, sides: int, wobble: float) -> MeshData:
     """Bark turned about +z through ``profile``, (K, 2) heights and radii, with sawn ends; each side
-    is off by up to ``wobble`` (share of the radius)."""
+    is off by up to ``wobble`` (fraction of the radius)."""
     angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)
     rough = 1.0 + rng.uniform(-wobble, wobble, sides + 1)
     rough[-1] = rough[0]
@@ -152,8 +152,8 @@ def needles(rng: np.random.Generator, base: Colour) -> Image:
     tones, hues = rng.normal(0.0, 0.13, count), rng.normal(0.0, 0.06, (count, 3))
     widths = rng.integers(2, 6, count)
     for i in range(count):
-        share = (tops[i] + lengths[i]) / size
-        tone = (0.48 + 0.75 * np.clip(share, 0.0, 1.0)) * (1.0 + tones[i])
+        fraction = (tops[i] + lengths[i]) / size
+        tone = (0.48 + 0.75 * np.clip(fraction, 0.0, 1.0)) * (1.0 + tones[i])
         colour = (np.array(base) * tone * (1.0 + hues[i]) + [4.0, 6.0, 0.0]).tolist()
         for shift in (-size, 0, size):
             x = lefts[i] + shift
@@ -370,10 +370,10 @@ def add_log(
     rng = builder.rng
     span = end_xy_m - start_xy_m
     length = float(np.hypot(*span))
-    share = np.linspace(0.0, 1.0, 9)
-    ground = builder.terrain.at(start_xy_m + share[:, None] * span)
+    fraction = np.linspace(0.0, 1.0, 9)
+    ground = builder.terrain.at(start_xy_m + fraction[:, None] * span)
     first, last = float(ground[0]), float(ground[-1])
-    lift = max(0.0, 0.6 * float((ground - (first + share * (last - first))).max()))
+    lift = max(0.0, 0.6 * float((ground - (first + fraction * (last - first))).max()))
     start = np.array([*start_xy_m, first + lift + 0.75 * radius_m])
     end = np.array([*end_xy_m, last + lift + 0.55 * radius_m])
     profile = np.array([[0.0, 1.25 * radius_m], [0.06 * length, radius_m],

@@ -34,9 +34,9 @@ class SceneFacts:
     """its land class, or ``other``"""
     takeoff_above_m: float
     """height above the surrounding ground (median)"""
-    legs_share: float
-    """share of the legs' rectangle with ground below"""
-    seen_share: float
+    legs_fraction: float
+    """fraction of the legs' rectangle with ground below"""
+    seen_fraction: float
     """the same for the area in view of the sensors"""
     highest_m: float
     """the highest object within `_CLEAR_OF_LEGS_M` of that rectangle, above the take-off spot"""
@@ -57,14 +57,14 @@ class SurveyGround:
     height_m: Array
     """(rows, cols) above the take-off spot; NaN where there is none"""
 
-    def share(self, length_m: float, width_m: float) -> float:
-        """Share of the legs' rectangle with ground below."""
+    def fraction(self, length_m: float, width_m: float) -> float:
+        """Fraction of the legs' rectangle with ground below."""
         inside = _distance_from_box(self.local, length_m, width_m) == 0.0
         return float(np.isfinite(self.height_m[inside]).mean())
 
-    def turns_share(self, length_m: float, legs: int, spacing_m: float, room_m: float) -> float:
-        """Share of the turns with ground below: half circles, ``room_m`` wider than they are flown,
-        at the far end of the first leg, at the near end of the second, and so on."""
+    def turns_fraction(self, length_m: float, legs: int, spacing_m: float, room_m: float) -> float:
+        """Fraction of the turns with ground below: half circles, ``room_m`` wider than they are
+        flown, at the far end of the first leg, at the near end of the second, and so on."""
         along, left = np.moveaxis(self.local, -1, 0)
         inside = np.zeros(along.shape, bool)
         for turn in range(legs - 1):
@@ -113,8 +113,8 @@ def scene_facts(
         takeoff_geom=name,
         takeoff_class=scene.surfaces[name].land_class if name in scene.surfaces else "other",
         takeoff_above_m=level - float(np.median(heights[around])) if around.any() else 0.0,
-        legs_share=float(ground[far == 0.0].mean()),
-        seen_share=float(ground[seen].mean()),
+        legs_fraction=float(ground[far == 0.0].mean()),
+        seen_fraction=float(ground[seen].mean()),
         highest_m=float(heights[ground & (far <= _CLEAR_OF_LEGS_M)].max()) - level,
         without_class=tuple(
             geom for geom, surface in scene.surfaces.items()
@@ -160,9 +160,9 @@ class SurveyFacts:
 
     seen_m2: float
     """area that the survey sees, inside the scene"""
-    safe_share: float
+    safe_fraction: float
     """of that area, touchdown points that are safe"""
-    safe_geometry_share: float
+    safe_geometry_fraction: float
     """the same by geometry alone, whatever the class"""
     safe_sites: int
     """connected safe areas in it"""
@@ -188,7 +188,7 @@ class LayoutDifference:
 
     height_m: float
     """mean absolute difference of the top surface"""
-    class_share: float
+    class_fraction: float
     """of the cells, those whose class differs"""
     grey: float
     """mean absolute difference of the images from above, 0..255"""
@@ -221,8 +221,8 @@ def survey_facts(
     start = np.floor((scene.takeoff_xy_m - maps.origin_xy_m) / maps.cell_m).astype(int)
     return SurveyFacts(
         seen_m2=float(seen.sum()) * maps.cell_m**2,
-        safe_share=float(safe.sum() / seen.sum()),
-        safe_geometry_share=float((maps.safe_geometry & seen).sum() / seen.sum()),
+        safe_fraction=float(safe.sum() / seen.sum()),
+        safe_geometry_fraction=float((maps.safe_geometry & seen).sum() / seen.sum()),
         safe_sites=int(ndimage.label(safe)[1]),
         takeoff_safe=bool(maps.safe[start[1], start[0]]),
     )
@@ -253,6 +253,6 @@ def layout_difference(a: LayoutRasters, b: LayoutRasters) -> LayoutDifference:
     known = np.isfinite(step)
     return LayoutDifference(
         height_m=float(step[known].mean()) if known.any() else 0.0,
-        class_share=float((a.class_id != b.class_id).mean()),
+        class_fraction=float((a.class_id != b.class_id).mean()),
         grey=float(np.abs(a.grey - b.grey).mean()),
     )

@@ -50,7 +50,7 @@ class Battery:
         return self.energy_used_j >= self._capacity_j
 
     @property
-    def speed_share(self) -> float:
+    def speed_fraction(self) -> float:
         """Highest rotor speed within reach over that of a full battery without load; 1 without sag.
         A motor's speed at full throttle is proportional to its voltage."""
         return self.voltage / self._full_v if self._sag else 1.0

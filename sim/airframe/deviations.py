@@ -44,9 +44,9 @@ class Deviations:
         rotor that differs most from the mean of the four."""
         single = self.thrust / self.thrust.mean() - 1.0
         return {
-            "mass_share": abs(self.mass - 1.0),
+            "mass_fraction": abs(self.mass - 1.0),
             "center_of_mass_m": float(np.linalg.norm(self.center_of_mass_m)),
-            "rotor_share": float(np.abs(single).max()),
+            "rotor_fraction": float(np.abs(single).max()),
         }
 
 
@@ -58,12 +58,12 @@ NOMINAL = Deviations(
 def draw_deviations(params: VehicleErrorParams, seed: int) -> Deviations:
     """The deviations of one flight. Each quantity has a stream of its own, so that a bound of 0
     leaves the draws of the others alone."""
-    single = params.rotor_share * _uniform(seed, b"rotors", ROTOR_COUNT)
+    single = params.rotor_fraction * _uniform(seed, b"rotors", ROTOR_COUNT)
     return Deviations(
-        mass=1.0 + params.mass_share * _uniform(seed, b"mass", 1).item(),
+        mass=1.0 + params.mass_fraction * _uniform(seed, b"mass", 1).item(),
         center_of_mass_m=params.center_of_mass_m * _uniform(seed, b"center of mass", 3),
-        thrust=(1.0 + params.thrust_share * _uniform(seed, b"thrust", 1)) * (1.0 + single),
-        torque=(1.0 + params.torque_share * _uniform(seed, b"torque", 1)) * (1.0 + single),
+        thrust=(1.0 + params.thrust_fraction * _uniform(seed, b"thrust", 1)) * (1.0 + single),
+        torque=(1.0 + params.torque_fraction * _uniform(seed, b"torque", 1)) * (1.0 + single),
     )
 
 

@@ -54,7 +54,7 @@ class Rotors:
             ]
         )
         self._deviations = deviations
-        self.speed_share = 1.0
+        self.speed_fraction = 1.0
         """of the highest speed, what the battery's voltage reaches"""
         self._min = vehicle.rotor_speed_min
         self._max = vehicle.rotor_speed_max
@@ -63,9 +63,9 @@ class Rotors:
         self.speeds = np.zeros(4)
         self.wrench = np.zeros(6)
 
-    def demand(self, rotor_speed_radps: Array, speed_share: Array | None = None) -> None:
+    def demand(self, rotor_speed_radps: Array, speed_fraction: Array | None = None) -> None:
         """Takes a command, (4,) rad/s: 0 switches a motor off, other values are clipped to the
-        motor's range. ``speed_share`` (4,) is the share of it that weak motors reach. Raises
+        motor's range. ``speed_fraction`` (4,) is the fraction of it that weak motors reach. Raises
         ValueError for a wrong shape or a value that is not finite."""
         # Scalars: at every control step, numpy's calls on four numbers are most of what they cost.
         wanted = np.asarray(rotor_speed_radps).tolist()
@@ -73,10 +73,10 @@ class Rotors:
             raise ValueError(
                 f"a command must hold 4 finite rotor speeds in rad/s, not {rotor_speed_radps!r}"
             )
-        low, high = self._min, self._max * self.speed_share
+        low, high = self._min, self._max * self.speed_fraction
         self._demand[:] = [min(max(w, low), high) if w > 0.0 else 0.0 for w in wanted]
-        if speed_share is not None:
-            self._demand *= speed_share
+        if speed_fraction is not None:
+            self._demand *= speed_fraction
 
     def cut(self) -> None:
         """Cuts the power: every demand is 0."""
@@ -116,8 +116,8 @@ class Rotors:
 
     def shaft_power(self) -> float:
         """Mechanical power of all rotors at their present speed, W."""
-        shares = self._deviations.torque.tolist()
-        cubes = sum(k * w * w * w for k, w in zip(shares, self.speeds.tolist(), strict=True))
+        fractions = self._deviations.torque.tolist()
+        cubes = sum(k * w * w * w for k, w in zip(fractions, self.speeds.tolist(), strict=True))
         return self._coefficients.item(_KQ) * cubes
 
 
@@ -137,8 +137,8 @@ def _step(
     positions: Array,
     spin: Array,
     coefficients: Array,
-    thrust_share: Array,
-    torque_share: Array,
+    thrust_fraction: Array,
+    torque_fraction: Array,
     center_of_mass: Array,
     quat_wxyz: Array,
     velocity_world: Array,
@@ -161,7 +161,7 @@ def _step(
         vz = air[2] + angular_velocity[0] * y - angular_velocity[1] * x
         rotor_up = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
         gain = ground_effect(ground_clearance + rotor_up, coefficients[_RADIUS])
-        lift = coefficients[_KT] * thrust_share[i]
+        lift = coefficients[_KT] * thrust_fraction[i]
         thrust = (lift * w - coefficients[_INFLOW] * vz) * w * gain
         fx = -coefficients[_DRAG] * w * vx
         fy = -coefficients[_DRAG] * w * vy
@@ -171,7 +171,7 @@ def _step(
         force[2] += fz
         torque[0] += b * fz - c * fy
         torque[1] += c * fx - a * fz
-        torque[2] += a * fy - b * fx + spin[i] * (coefficients[_KQ] * torque_share[i]) * w * w
+        torque[2] += a * fy - b * fx + spin[i] * (coefficients[_KQ] * torque_fraction[i]) * w * w
     force, torque = rotation @ force, rotation @ torque
     for a in range(3):
         wrench[a], wrench[3 + a] = force[a], torque[a]

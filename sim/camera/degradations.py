@@ -6,8 +6,8 @@
 - dirt: blobs that stay where they are in the image. What is seen through one is dimmer and, since
   it lies far out of focus, blurred (Gu, Ramamoorthi, Belhumeur and Nayar, "Removing image artifacts
   due to dirty camera lenses and thin occluders", ACM TOG 28, 2009). Blobs are where smooth noise
-  exceeds its own quantile, so that they cover the share asked for;
-- glare: where the sun shines on the front lens, a share of its light strays over the whole image
+  exceeds its own quantile, so that they cover the fraction asked for;
+- glare: where the sun shines on the front lens, a fraction of its light strays over the whole image
   (veiling glare, ISO 9358), in proportion to the cosine of its angle to the optical axis. A camera
   that looks down is hit when the vehicle tilts by more than the sun's elevation.
 
@@ -83,7 +83,7 @@ class CameraDegradations:
         self._low_sun = bool(Happening(faults, "low_sun", tick_hz).faults) and self._sun_id >= 0
         if self._dirty.faults:
             key = [seed, crc32(b"dirt of " + camera_name.encode())]
-            self._blobs = dirt_map(params, faults.dirt_share, faults.dirt_size, key)
+            self._blobs = dirt_map(params, faults.dirt_fraction, faults.dirt_size, key)
         if self._weather.ever or dust is not None:
             self._stretch = ray_stretch(raster)
 
@@ -157,9 +157,9 @@ class CameraDegradations:
         blurred = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma), (width, height))
         dimmed = self._faults.dirt_transmission ** (1.0 / GAMMA)
         where = self._blobs > 1.0 / 512.0
-        share = self._blobs[where][:, None]
+        fraction = self._blobs[where][:, None]
         out = image.copy()
-        mixed = (1.0 - share) * image[where] + share * np.float32(dimmed) * blurred[where]
+        mixed = (1.0 - fraction) * image[where] + fraction * np.float32(dimmed) * blurred[where]
         out[where] = np.rint(mixed).astype(np.uint8)
         return out
 
@@ -187,14 +187,14 @@ def ray_stretch(raster: CameraIntrinsics) -> Float32:
     return np.sqrt(1.0 + x**2 + y[:, None] ** 2).astype(np.float32)
 
 
-def dirt_map(params: CameraParams, share: float, size: float, key: list[int]) -> Float32:
-    """(H, W) share of each pixel's light that comes through dirt; its mean is ``share``, its edges
-    are soft. ``size``: correlation length of the blobs over the image's width."""
+def dirt_map(params: CameraParams, fraction: float, size: float, key: list[int]) -> Float32:
+    """(H, W) fraction of each pixel's light that comes through dirt; its mean is ``fraction``, its
+    edges are soft. ``size``: correlation length of the blobs over the image's width."""
     sigma = size * params.width
     shape = (params.height, params.width)
     noise = np.random.default_rng(key).standard_normal(shape, dtype=np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), sigma)
-    blobs = (smooth > np.quantile(smooth, 1.0 - share)).astype(np.float32)
+    blobs = (smooth > np.quantile(smooth, 1.0 - fraction)).astype(np.float32)
     soft: Float32 = np.asarray(cv2.GaussianBlur(blobs, (0, 0), sigma / 3.0), dtype=np.float32)
     return soft
 

@@ -85,7 +85,7 @@ def multiply_texture(
                         at, i, depth, inverse_far, per_level, eye, rays, frame, height, kind, noise
                     )
                     b = a
-                layer, x, y, d, share = a
+                layer, x, y, d, fraction = a
                 if layer == NO_DETAIL_ID:
                     continue
                 scale, level = texels_per_m[layer], 0
@@ -96,10 +96,11 @@ def multiply_texture(
                 layers = texels[starts[layer, level] :]
                 strength = min(one, (far - d) / (far - near))
                 step = (b[1] - x) * part * scale, (b[2] - y) * part * scale
-                shares = share, (b[4] - share) * part
+                fractions = fraction, (b[4] - fraction) * part
                 textured = True
                 _texture_run(
-                    factors[at : at + count], layers, shift, (x * scale, y * scale), step, shares,
+                    factors[at : at + count], layers, shift, (x * scale, y * scale), step,
+                    fractions,
                     size, strength, frame[4] * scale,
                 )  # fmt: skip
             start, this = stop, then
@@ -116,7 +117,7 @@ def _place(
     rays: Float32, frame: Array, height: Float32, kind: Bytes, noise: Float32,
 ) -> tuple[int, np.float32, np.float32, np.float32, np.float32]:  # fmt: skip
     """Photograph of pixel (i, j) or `NO_DETAIL_ID`, its place (x, y) in metres from the map's
-    corner, its depth in metres, and the share of the first layer there."""
+    corner, its depth in metres, and the fraction of the first layer there."""
     zero = np.float32(0.0)
     d = np.float32(1.0) / max(inverse_far + per_level * depth[i, j], np.float32(1e-6))
     right, up = np.float32(j), np.float32(i)
@@ -134,14 +135,14 @@ def _place(
     if row >= kind.shape[0] or col >= kind.shape[1]:
         return NO_DETAIL_ID, x, y, d, zero
     wrap, cells = noise.shape[0] - 1, np.float32(1.0 / NOISE_CELL_M)
-    share = noise[np.int32(y * cells) & wrap, np.int32(x * cells) & wrap]
-    return int(kind[row, col]), x, y, d, share
+    fraction = noise[np.int32(y * cells) & wrap, np.int32(x * cells) & wrap]
+    return int(kind[row, col]), x, y, d, fraction
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _texture_run(
     factors: Float32, texels: NDArray[np.uint32], shift: int, place: tuple[np.float32, np.float32],
-    step: tuple[np.float32, np.float32], shares: tuple[np.float32, np.float32],
+    step: tuple[np.float32, np.float32], fractions: tuple[np.float32, np.float32],
     size: np.float32, strength: np.float32, beyond: float,
 ) -> None:  # fmt: skip
     """Writes one photograph's (N, 3) factors at ``place`` and on by ``step``, in texels of a level;
@@ -153,14 +154,14 @@ def _texture_run(
     for j in range(len(factors)):
         count = np.float32(j)
         x, y = place[0] + count * step[0], place[1] + count * step[1]
-        share = shares[0] + count * shares[1]
+        fraction = fractions[0] + count * fractions[1]
         red, green, blue = base, base, base
-        if share > zero:
+        if fraction > zero:
             r, g, b = _texel(texels, shift, y, x, size)
-            weight = share * part
+            weight = fraction * part
             red, green, blue = red + weight * r, green + weight * g, blue + weight * b
-        if share < one:
-            weight = (one - share) * part
+        if fraction < one:
+            weight = (one - fraction) * part
             u = turn_c * x + turn_s * y
             v = turn_c * y - turn_s * x + ahead
             r, g, b = _texel(texels, shift, v, u, size)

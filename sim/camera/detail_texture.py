@@ -44,7 +44,7 @@ from touchdown.sim.typing import Array, Bytes, Float32
 PHOTOGRAPHS = Path(__file__).parent / "photographs"
 _HEIGHT_CELL_M = 0.25
 _KIND_CELL_M = 0.1
-_MOST_CELLS = 2048
+_MAX_CELLS = 2048
 _MARGIN_M = 8.0
 _HIGH_M = 1e3
 _FIRST_HIDDEN_GROUP = 3
@@ -62,7 +62,7 @@ class _Look(NamedTuple):
     gain: float
     """of its contrast"""
     colour: float
-    """share of its colour's own contrast: the scene's ground has its own colour"""
+    """fraction of its colour's own contrast: the scene's ground has its own colour"""
     smooth_px: float
     """structures wider than this are the scene's own texture's"""
 
@@ -164,7 +164,7 @@ def ground_lookup(scene: Scene) -> GroundLookup:
     lawn, field, path, road and water that do not move."""
     model = scene.model
     low, high = scene.bounds_xy_m[0] - _MARGIN_M, scene.bounds_xy_m[1] + _MARGIN_M
-    cell = max(_HEIGHT_CELL_M, float((high - low).max()) / _MOST_CELLS)
+    cell = max(_HEIGHT_CELL_M, float((high - low).max()) / _MAX_CELLS)
     cols, rows = np.ceil((high - low) / cell).astype(int)
     geoms = _ground_geoms(scene)
     heights = np.full((rows, cols), -np.inf, np.float32)
@@ -179,7 +179,7 @@ def ground_lookup(scene: Scene) -> GroundLookup:
         met = hits.geom >= 0
         heights.ravel()[met] = _HIGH_M - hits.distance[met]
         owner.ravel()[:] = hits.geom
-    kind_cell = max(_KIND_CELL_M, float((high - low).max()) / _MOST_CELLS)
+    kind_cell = max(_KIND_CELL_M, float((high - low).max()) / _MAX_CELLS)
     kinds = _kinds(scene, owner, low, cell, kind_cell)
     used = np.unique(kinds)
     used = used[used != NO_DETAIL_ID]
@@ -333,7 +333,7 @@ def _levels(image: Bytes) -> Iterator[NDArray[np.uint32]]:
 
 
 def blend_noise() -> Float32:
-    """(256, 256) periodic, about 0.5: the share of the first layer, mostly 0 or 1, in patches of
+    """(256, 256) periodic, about 0.5: the fraction of the first layer, mostly 0 or 1, in patches of
     about a metre."""
     rng = np.random.default_rng(crc32(b"sim.camera.detail"))
     rows = np.fft.fftfreq(_NOISE_PX, 1.0 / _NOISE_PX)[:, None]

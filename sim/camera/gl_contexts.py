@@ -18,7 +18,7 @@ from typing import Any
 
 BACKENDS = ("egl", "osmesa", "glfw")
 """In the order in which they are tried; GLFW needs a display."""
-_MOST_IDLE = 2
+_MAX_IDLE = 2
 _EGL = "mujoco.egl"
 
 _idle: list[Any] = []
@@ -61,7 +61,7 @@ def put_back(context: Any) -> None:
     """Keeps or frees a context in the thread where it is current. What its user has made in it must
     be deleted."""
     with _lock:
-        kept = type(context).__module__ == _EGL and len(_idle) < _MOST_IDLE
+        kept = type(context).__module__ == _EGL and len(_idle) < _MAX_IDLE
     if not kept:
         context.free()
         return

@@ -32,7 +32,7 @@ _OBLIQUE = 0.7
 """Texels along the sides of the texture a pixel, at least, over those in its own direction"""
 _WHOLE_SIDE = 1024
 """Textures up to this size are left whole."""
-_MOST_TEXELS = 3 << 20
+_MAX_TEXELS = 3 << 20
 """held with those of tiles out of view"""
 
 
@@ -92,10 +92,10 @@ class GroundPicture:
     def on(self, lists: Indices, boxes: Array, depths_m: Array) -> Indices:
         """Display lists that draw the tiles ``lists`` (N,) with their parts of the texture.
         ``boxes``: (N, 2, 2) lowest and highest x and y, field frame; ``depths_m``: (2, N) least and
-        greatest ones along the optical axis."""
-        least, greatest = depths_m
-        alike = (least > 0.0) & (greatest < _ALIKE * least)
-        depths = np.where(alike, 0.5 * (least + greatest), _OBLIQUE * least)
+        maximum ones along the optical axis."""
+        minimum, maximum = depths_m
+        alike = (minimum > 0.0) & (maximum < _ALIKE * minimum)
+        depths = np.where(alike, 0.5 * (minimum + maximum), _OBLIQUE * minimum)
         texels = np.maximum(self._per_m * depths, 1.0)  # a pixel
         levels = np.minimum((np.log2(texels) + 0.5).astype(int), len(self._levels) - 1)
         counts = np.where(alike, 1, _LEVELS)
@@ -105,7 +105,7 @@ class GroundPicture:
             part = self._parts.pop(key, None) or self._made(*key, box)
             self._parts[key] = part
             found.append(part.shown)
-        self._forget(len(found), _MOST_TEXELS)
+        self._forget(len(found), _MAX_TEXELS)
         return np.array([*found, self._undo])
 
     def _made(self, geometry: int, first: int, count: int, box: Array) -> _Part:
@@ -159,14 +159,14 @@ class GroundPicture:
             GL.glDeleteLists(self._undo, 1)
             self._undo = 0
 
-    def _forget(self, used: int, most: int) -> None:
+    def _forget(self, used: int, maximum: int) -> None:
         """Drops parts, the longest unused first, but for the ``used`` last ones, until ``most``
         texels are left."""
         from OpenGL import GL
 
         total = sum(part.texels for part in self._parts.values())
         for key in list(self._parts)[: len(self._parts) - used]:
-            if total <= most:
+            if total <= maximum:
                 return
             part = self._parts.pop(key)
             GL.glDeleteTextures([part.texture])

@@ -126,13 +126,13 @@ class ImageSensor:
         """(H, W, 3) image of rows whose exposures are the mean of K instants with the (H, K, 12)
         coefficients ``shifts``; noise of `sensor_noise`."""
         image = np.empty(self._shape, dtype=np.uint8)
-        share = light.electrons_per_lux / light.electrons
+        fraction = light.electrons_per_lux / light.electrons
         quiet = shifts.shape[1] == 1 and light.gain <= _QUIET_GAIN
-        if quiet and (light.lamp is None or share * most_lux(depth, light.lamp) < 1.0):
+        if quiet and (light.lamp is None or fraction * max_lux(depth, light.lamp) < 1.0):
             shown: Bytes | Float32 = drawn
             if light.lamp is not None:
                 shown = np.empty(drawn.shape, dtype=np.float32)
-                _lamp_up(drawn, _LEVELS, *buffers_of(depth), light.lamp, share, False, shown)
+                _lamp_up(drawn, _LEVELS, *buffers_of(depth), light.lamp, fraction, False, shown)
             _show(
                 shown, *buffers_of(depth), shifts, self._x, self._y, self._bent,
                 noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT, quiet_tone(light), image,
@@ -142,7 +142,7 @@ class ImageSensor:
         if light.lamp is None:
             _light_up(drawn, LIGHT, lit)
         else:
-            _lamp_up(drawn, LIGHT, *buffers_of(depth), light.lamp, share, True, lit)
+            _lamp_up(drawn, LIGHT, *buffers_of(depth), light.lamp, fraction, True, lit)
         _expose(
             lit, *buffers_of(depth), shifts, self._x, self._y, self._bent,
             noise, place.row, 3 * place.col, place.sign * _NOISE_UNIT,
@@ -156,7 +156,7 @@ def buffers_of(depth: InverseDepth) -> tuple[Float32, float, float]:
     return depth.levels, depth.far, depth.per_level
 
 
-def most_lux(depth: InverseDepth, lamp: LampField) -> float:
+def max_lux(depth: InverseDepth, lamp: LampField) -> float:
     """No surface gets more from the lamp."""
     inverse = depth.far + depth.per_level * float(depth.levels.max())
     return float(lamp.beam.max()) * inverse**2
@@ -177,9 +177,9 @@ def quiet_tone(light: Exposed) -> Tone:
     lit = np.array([0.0, *bends]) / 255.0
     collected = light.electrons * lit**GAMMA
     noise = np.sqrt(collected + light.read_noise**2)
-    most, least = collected + noise, np.maximum(collected - noise, 0.0)
+    maximum, minimum = collected + noise, np.maximum(collected - noise, 0.0)
     root = (light.gain / light.full_well) ** (1.0 / GAMMA)
-    spread = 127.5 * root * (most ** (1.0 / GAMMA) - least ** (1.0 / GAMMA))
+    spread = 127.5 * root * (maximum ** (1.0 / GAMMA) - minimum ** (1.0 / GAMMA))
     steps = np.diff(np.array([0.0, *bends]))
     rise = np.where(steps > 0.0, np.diff(spread) / np.maximum(steps, 1e-9), 0.0)
     slopes = rise - np.append(rise[1:], 0.0)
@@ -199,17 +199,17 @@ def _light_up(drawn: Bytes, light: Float32, lit: Float32) -> None:
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _lamp_up(
     drawn: Bytes, light: Float32, depth: Float32, far: float, per_level: float,
-    field: LampField, share: float, linear: bool, lit: Float32,
+    field: LampField, fraction: float, linear: bool, lit: Float32,
 ) -> None:  # fmt: skip
-    """``lit``: ``light`` of grey levels with the lamp, whose lux are worth ``share`` of the ambient
-    light each; in linear light or in grey levels."""
+    """``lit``: ``light`` of grey levels with the lamp, whose lux are worth ``fraction`` of the
+    ambient light each; in linear light or in grey levels."""
     rows, cols = depth.shape
     lux = np.empty(cols, np.float32)
     one, half, steps = np.float32(1.0), np.float32(0.5), np.float32(len(_BRIGHTER) - 1)
     for i in range(rows):
         lamp_row(depth, far, per_level, field, rows - 1 - i, lux)
         for j in range(cols):
-            more = np.float32(share) * lux[j]
+            more = np.float32(fraction) * lux[j]
             factor = one + more if linear else _BRIGHTER[np.intp(min(more, one) * steps + half)]
             for c in range(3):
                 lit[i, j, c] = factor * light[drawn[i, j, c]]

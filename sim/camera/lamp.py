@@ -20,7 +20,7 @@ from touchdown.sim.camera.gl import InverseDepth
 from touchdown.sim.typing import Float32
 
 _FAINT = 0.01
-"""share of the ambient light below which the lamp's is left out"""
+"""fraction of the ambient light below which the lamp's is left out"""
 _PATCH = 8
 """the height is the median over the middle part of the raster, 1 / 8 of its width and height"""
 

@@ -28,7 +28,7 @@ from touchdown.sim.typing import Array, Bytes
 _DARK_LIGHTS = ("dusk", "night")
 _SHARP_PX = 0.5
 """Shorter blur is not drawn"""
-_STEP_PX, _MOST_INSTANTS = 1.5, 12
+_STEP_PX, _MAX_INSTANTS = 1.5, 12
 """distance of a blur's instants in the image, and their largest number"""
 
 
@@ -73,7 +73,7 @@ class RowExposures:
         grey_noise: NDArray[np.int8],
         place: NoisePlace,
     ) -> tuple[Bytes, float]:
-        """(H, W, 3) image of a raster, bottom row first, and the share of saturation that white
+        """(H, W, 3) image of a raster, bottom row first, and the fraction of saturation that white
         gets. ``motion`` about the drawing; ``end_s``: time from it to the last row. None: at rest,
         with an exposure that has settled."""
         if not self.takes_time:
@@ -132,11 +132,11 @@ class RowExposures:
         longest = float(longest_shift(coefficients, self._lens.raster, near).max())
         if longest < _SHARP_PX:
             return 1
-        return min(max(math.ceil(longest / _STEP_PX), 2), _MOST_INSTANTS)
+        return min(max(math.ceil(longest / _STEP_PX), 2), _MAX_INSTANTS)
 
 
 MIDDLE_GREY = (110.0 / 255.0) ** 2.2
-"""share of saturation to which the mean of an image is brought: a display level of 110"""
+"""fraction of saturation to which the mean of an image is brought: a display level of 110"""
 _DARK = 1e-12
 
 
@@ -170,8 +170,8 @@ class AutoExposure:
         if self._level is None or lag <= 0.0 or time_s < self._time_s:
             self._level = wanted
         else:
-            share = 1.0 - math.exp(-(time_s - self._time_s) / lag)
-            self._level += share * (wanted - self._level)
+            fraction = 1.0 - math.exp(-(time_s - self._time_s) / lag)
+            self._level += fraction * (wanted - self._level)
         self._time_s = time_s
         self.error_stops = (self._level - wanted) / math.log(2.0)
         return self._split(self._level)

@@ -26,7 +26,7 @@ from touchdown.sim.typing import Array, Float32
 
 _MARGIN_RATE = 1.45
 """rad/s, of view and ground against one another: seldom more in the images of flights"""
-_MOST_MARGIN_PX = 64
+_MAX_MARGIN_PX = 64
 
 _OPTICAL_FROM_GL = np.diag([1.0, -1.0, -1.0])
 _BLOCK = 16
@@ -54,7 +54,7 @@ def margin_px(camera: CameraIntrinsics, readout_s: float, exposure_s: float) -> 
     image from the instant that is drawn, in the middle of the readout, to the first row's longest
     exposure."""
     way = _MARGIN_RATE * (0.5 * readout_s + exposure_s)
-    return min(math.ceil(max(camera.fx, camera.fy) * way), _MOST_MARGIN_PX)
+    return min(math.ceil(max(camera.fx, camera.fy) * way), _MAX_MARGIN_PX)
 
 
 def camera_motion(

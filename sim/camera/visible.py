@@ -192,11 +192,11 @@ class TerrainTiles:
 
 
 def heights_of(model: mujoco.MjModel, field: int) -> Float32:
-    """(rows, cols) of a height field, as a share of its size."""
+    """(rows, cols) of a height field, as a fraction of its size."""
     rows, cols = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     start = int(model.hfield_adr[field])
-    shares: Float32 = model.hfield_data[start : start + rows * cols].reshape(rows, cols)
-    return shares
+    fractions: Float32 = model.hfield_data[start : start + rows * cols].reshape(rows, cols)
+    return fractions
 
 
 def _vertices(heights: Float32, size: Array) -> Float32:

@@ -1,6 +1,7 @@
 """Scheduled disturbances of vehicle and air, and the weather, as functions of the tick alone.
 
-- motor: a motor that has lost the share g of its efficiency turns its rotor at sqrt(1 - g) of the
+- motor: a motor that has lost the fraction g of its efficiency turns its rotor at sqrt(1 - g) of
+the
   demanded speed, so that thrust and drag torque both fall to 1 - g: the loss of effectiveness
   u' = (1 - g) u of the literature on faulty actuators (Zhang and Jiang, "Bibliographical review on
   reconfigurable fault-tolerant control systems", Annual Reviews in Control 32, 2008);
@@ -68,18 +69,18 @@ class Disturbances:
         self._mount = Happening(params, "miscalibration", tick_hz)
         self._gusts = [fault for fault in params.schedule() if fault.kind == "gust"]
         self._peak_mps = (params.gust_kmh - mean_wind_kmh) / 3.6
-        self._speed_share = np.ones(ROTORS)
-        self._speed_share[params.motor] = math.sqrt(1.0 - params.motor_loss_share)
+        self._speed_fraction = np.ones(ROTORS)
+        self._speed_fraction[params.motor] = math.sqrt(1.0 - params.motor_loss_fraction)
         self._knock = _knock(params, seed) if self._mount.faults else None
         self._acted = {"motor_loss": 0, "gust": 0}
         self._largest_gust_mps = 0.0
 
-    def rotor_speed_share(self, tick: int) -> Array | None:
-        """(4,) share of the demanded rotor speeds that is reached, None: all of it."""
+    def rotor_speed_fraction(self, tick: int) -> Array | None:
+        """(4,) fraction of the demanded rotor speeds that is reached, None: all of it."""
         if not self._motor.faults or self._motor.since(tick) is None:
             return None
         self._acted["motor_loss"] += 1
-        return self._speed_share
+        return self._speed_fraction
 
     def add_gust(self, tick: int, mean_direction: Array, wind: Array) -> None:
         """Adds a gust to ``wind`` (3,) m/s, world frame, where there is one. ``mean_direction``

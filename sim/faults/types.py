@@ -46,10 +46,10 @@ WORLD_KINDS = frozenset(
 )
 """Those that happen where things are measured, at the time of measuring; others on delivery."""
 
-MOST_MOTOR_LOSS = 0.5
+MAX_MOTOR_LOSS = 0.5
 """of one rotor's thrust: with more, hovering level is beyond the other three"""
-LEAST_VISIBILITY_M = 5.0
-LEAST_SUN_DEG = 3.0
+MIN_VISIBILITY_M = 5.0
+MIN_SUN_DEG = 3.0
 
 _FORM = re.compile(
     r"(?P<kind>[a-z_]+)@(?P<start>[0-9.]+)(\+(?P<duration>[0-9.]+)|\*(?P<count>[0-9]{1,6}))?"
@@ -102,30 +102,30 @@ class FaultParams:
     """translation of the LIDAR in a direction drawn from the seed"""
     motor: Annotated[int, Interval(ge=0, le=3)] = 0
     """the rotor of ``motor_loss``, 0 to 3"""
-    motor_loss_share: Annotated[float, Interval(ge=0.0, le=MOST_MOTOR_LOSS)] = 0.2
-    """lost share of that rotor's thrust, 0 to 0.5"""
+    motor_loss_fraction: Annotated[float, Interval(ge=0.0, le=MAX_MOTOR_LOSS)] = 0.2
+    """lost fraction of that rotor's thrust, 0 to 0.5"""
     gust_kmh: Annotated[float, Interval(ge=0.0, le=200.0)] = 30.0
     """speed up to which a ``gust`` blows, mean wind included"""
     gust_rise_s: Annotated[float, Interval(ge=0.05, le=60.0)] = 1.5
     """from its beginning to its peak"""
     gust_direction_deg: Heading | None = None
     """direction it blows to, counter-clockwise from east; None: that of the mean wind"""
-    fog_visibility_m: Annotated[float, Interval(ge=LEAST_VISIBILITY_M, le=1e5)] = 200.0
+    fog_visibility_m: Annotated[float, Interval(ge=MIN_VISIBILITY_M, le=1e5)] = 200.0
     """meteorological optical range in ``fog``: where contrast has fallen to 2 %"""
     rain_mmph: Annotated[float, Interval(ge=0.0, le=200.0)] = 25.0
     """rate of ``rain``, millimetres an hour"""
-    dirt_share: Annotated[float, Interval(ge=0.0, le=0.9)] = 0.1
-    """share of the image that ``lens_dirt`` covers"""
+    dirt_fraction: Annotated[float, Interval(ge=0.0, le=0.9)] = 0.1
+    """fraction of the image that ``lens_dirt`` covers"""
     dirt_size: Annotated[float, Interval(ge=0.002, le=0.2)] = 0.02
-    """size of its blobs (correlation length), as a share of the image's width"""
+    """size of its blobs (correlation length), as a fraction of the image's width"""
     dirt_transmission: Fraction = 0.4
-    """share of light that passes it"""
-    low_sun_deg: Annotated[float, Interval(ge=LEAST_SUN_DEG, le=90.0)] = 10.0
+    """fraction of light that passes it"""
+    low_sun_deg: Annotated[float, Interval(ge=MIN_SUN_DEG, le=90.0)] = 10.0
     """elevation of ``low_sun``"""
     low_sun_azimuth_deg: Heading | None = None
     """its azimuth, counter-clockwise from east; None: that of the scene's sun"""
     glare: Fraction = 0.03
-    """share of the sunlight on the lens that strays over the whole image"""
+    """fraction of the sunlight on the lens that strays over the whole image"""
 
     def schedule(self) -> tuple[Fault, ...]:
         """ValueError: an entry that is not understood, in one sentence."""

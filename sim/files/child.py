@@ -105,15 +105,15 @@ def _limit() -> None:
     """Limits this process and what it starts, for good."""
     # Not of the address space, of which libraries reserve much and use little.
     held = getattr(psutil.Process().memory_info(), "data", 0)
-    for kind, most in (
+    for kind, maximum in (
         (resource.RLIMIT_CPU, CPU_S),
         (resource.RLIMIT_DATA, held + MEMORY_BYTES),
         (resource.RLIMIT_FSIZE, 0),
         (resource.RLIMIT_CORE, 0),
     ):
         hard = resource.getrlimit(kind)[1]
-        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(kind, (most, hard))
+        maximum = maximum if hard == resource.RLIM_INFINITY else min(maximum, hard)
+        resource.setrlimit(kind, (maximum, hard))
     sys.addaudithook(_refuse_sockets)
 
 

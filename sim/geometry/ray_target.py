@@ -15,7 +15,7 @@ from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.quadrics import ShapeTable, rays_behind, settle
 from touchdown.sim.typing import Array, Float32, Indices, Int32
 
-_MOST_LAYERS = 9
+_MAX_LAYERS = 9
 _LAYER_STEP_M = np.float32(1e-4)
 """Wrappings of round shapes that one ray may graze."""
 _NO_GEOM = -1
@@ -118,7 +118,7 @@ class RayTarget:
     def cast_on(self, rays: Float32, rows: Indices, travelled: Float32, hits: Hits) -> None:
         """Puts the hits of ``rays`` (K, 6), which have come ``travelled`` (K,) already, to ``rows``
         (K,) of ``hits`` where they are nearer than what is there."""
-        for _ in range(_MOST_LAYERS):
+        for _ in range(_MAX_LAYERS):
             answer, again = self.embree(rays), np.empty(len(rays), dtype=np.int64)
             wrapped, triangle = answer["t_hit"].numpy(), answer["primitive_ids"].numpy()
             count = settle(

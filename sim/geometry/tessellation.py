@@ -22,16 +22,16 @@ Mesh = tuple[Array, Triangles]
 CHORD_M = 1e-3
 """About the largest gap between a round surface up to 1 m in radius and its wrapping."""
 CHORD_RELATIVE = 1e-3
-"""The same for larger ones, as a share of the radius."""
+"""The same for larger ones, as a fraction of the radius."""
 POROUS_CHORD_RELATIVE = 1e-2
-"""As a share of the radius, for crowns and reeds, which are many."""
+"""As a fraction of the radius, for crowns and reeds, which are many."""
 _MARGIN = 1.0 + 1e-5
 """Keeps a wrapping outside after its corners are rounded to single precision."""
 
 _PLANE_CELL_M = 25.0
-_MOST_PLANE_CELLS = 400
+_MAX_PLANE_CELLS = 400
 """along one side: planes are settled exactly, so that large cells of vast ones do no harm"""
-_FEWEST_SEGMENTS = 12
+_MIN_SEGMENTS = 12
 
 _BOX_CORNERS = np.array(
     [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)], dtype=np.float64
@@ -49,7 +49,7 @@ def geom_mesh(
     """Triangles of one geom in the geom's own frame, or None for a kind that has no surface here
     (flexible shapes). Signed-distance shapes have the mesh that MuJoCo makes of them. An unbounded
     plane reaches ``plane_reach_m`` around the point ``around`` of its own frame. ``chord``: the
-    largest gap of a wrapping as a share of the radius."""
+    largest gap of a wrapping as a fraction of the radius."""
     size = np.array(model.geom_size[geom_id])
     kind = int(model.geom_type[geom_id])
     data_id = int(model.geom_dataid[geom_id])
@@ -78,7 +78,7 @@ def geom_mesh(
 def plane(half_sizes: Array, middle: Array) -> Mesh:
     """A rectangle in z = 0 around (2,) ``middle``, cut into cells so that single-precision hits
     stay exact."""
-    counts = np.clip(np.ceil(2.0 * half_sizes / _PLANE_CELL_M), 1, _MOST_PLANE_CELLS).astype(int)
+    counts = np.clip(np.ceil(2.0 * half_sizes / _PLANE_CELL_M), 1, _MAX_PLANE_CELLS).astype(int)
     (left, low), (right, high) = middle - half_sizes, middle + half_sizes
     xs, ys = np.linspace(left, right, counts[0] + 1), np.linspace(low, high, counts[1] + 1)
     return _grid_vertices(xs, ys, np.zeros((ys.size, xs.size))), grid_triangles(ys.size, xs.size)
@@ -156,13 +156,13 @@ def _stored_mesh(model: mujoco.MjModel, mesh_id: int) -> Mesh:
     return vertices.astype(np.float64), triangles.astype(np.int32)
 
 
-def _segments(radius: float, share: float | None) -> int:
+def _segments(radius: float, fraction: float | None) -> int:
     """Even number of edges round a circle that keeps the chord error."""
-    chord = max(CHORD_M, CHORD_RELATIVE * radius) if share is None else share * radius
+    chord = max(CHORD_M, CHORD_RELATIVE * radius) if fraction is None else fraction * radius
     if chord >= radius:
-        return _FEWEST_SEGMENTS
+        return _MIN_SEGMENTS
     needed = math.pi / math.acos(1.0 - chord / radius)
-    return 4 * math.ceil(max(needed, _FEWEST_SEGMENTS) / 4.0)
+    return 4 * math.ceil(max(needed, _MIN_SEGMENTS) / 4.0)
 
 
 def _swell(vertices: Array, triangles: Triangles) -> float:

@@ -13,7 +13,7 @@ _MAP_CELLS = 256.0
 """Along half a side of the octahedral map of a view: cells of 0.2 to 0.45 degrees."""
 _NEIGHBOUR_SQUARED = np.float32(math.radians(0.7) ** 2)
 _STEP_M, _SLACK = np.float32(0.05), np.float32(1.5)
-_LEAST_SQUARE = np.float32(0.05**2)
+_MIN_SQUARE = np.float32(0.05**2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -79,7 +79,7 @@ def near_edges(
 @njit(cache=True, forceinline=True, error_model="numpy")
 def _square(cosine: np.float32) -> np.float32:
     """Square of a cosine, which counts as 0.05 at least."""
-    return max(cosine * cosine, _LEAST_SQUARE)
+    return max(cosine * cosine, _MIN_SQUARE)
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")

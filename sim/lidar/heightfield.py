@@ -23,7 +23,7 @@ _SLOPES: Array = np.array([np.inf, 3.4, 2.4, 1.7, 1.2, 0.84, 0.6, 0.42, 0.3])
 _FLATTEST = -0.28
 """Downward part of a ray that is less steep than the last of them"""
 _TRIES = 3
-_MOST_PIECES = 64
+_MAX_PIECES = 64
 _BEAM_M = 0.15
 """Half a beam's width where it reaches the ground, with a margin."""
 
@@ -96,7 +96,7 @@ def _close(closed: Array, ground: Array, origin: Array, cell: Array, clutter: Ar
             low = min(corner[axis], across[axis], along[axis])
             span = max(span, (max(corner[axis], across[axis], along[axis]) - low) / cell[axis])
         # Pieces of about a cell, so that their boxes follow the slope of a large triangle.
-        pieces = min(max(1, math.ceil(span)), _MOST_PIECES)
+        pieces = min(max(1, math.ceil(span)), _MAX_PIECES)
         for i in range(pieces):
             for j in range(pieces - i):
                 _close_piece(closed, ground, origin, cell, corner, across, along, i, j, pieces)

@@ -37,11 +37,11 @@ WALK_DECADES = 1.5
 """Decades of echo power below the reference over which time walk grows to its bound"""
 SMEAR_M = 0.05
 """Depth of a smeared echo at which half of the incidence's share is reached"""
-SHARES = (0.3, 0.4, 0.3)
+FRACTIONS = (0.3, 0.4, 0.3)
 """Of the bound: the constant, time walk, incidence"""
 
 _STRENGTH_OF_LEVEL: Float32 = (np.maximum(np.arange(256), 1) / 150.0).astype(np.float32)
-_LEAST_COSINE = 0.05
+_MIN_COSINE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class RangeErrors:
     """least value of the incidence's part, not above 0"""
     sigma_m: float
     growth: float
-    """share of the noise's variance, at the reference, that falls with the power of the echo"""
+    """fraction of the noise's variance, at the reference, that falls with the power of the echo"""
     half_width_rad: float
     """half the beam's width along its long axis"""
     min_range_m: float
@@ -66,7 +66,7 @@ class RangeErrors:
         if params.range_bias_m <= 0.0 and params.range_noise_growth <= 0.0:
             return None
         draw = np.random.default_rng([seed, crc32(b"lidar range bias")]).uniform
-        bounds = params.range_bias_m * np.array(SHARES)
+        bounds = params.range_bias_m * np.array(FRACTIONS)
         return RangeErrors(
             constant_m=float(bounds[0] * draw(-1.0, 1.0)),
             walk_m=float(bounds[1] * draw(-1.0, 1.0)),
@@ -125,7 +125,7 @@ def _fill(
     """Fills ``bias`` (N,), which holds the decades of ``weakness`` (N,), the power of the
     reference's echo over that of these, and the noise's ``sigma`` (N,)."""
     for n in range(distance.shape[0]):
-        c = max(abs(cosine[n]), _LEAST_COSINE)
+        c = max(abs(cosine[n]), _MIN_COSINE)
         smear = half_width * distance[n] * np.sqrt(max(1.0 / (c * c) - 1.0, 0.0))
         late = min(max(bias[n] * (1.0 / WALK_DECADES), -1.0), 1.0)
         bias[n] = constant + walk * late + incidence * (smear / (smear + SMEAR_M))

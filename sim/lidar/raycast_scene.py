@@ -65,7 +65,7 @@ class OpticalTable:
     reflectivity: Float32
     """(G,) 0..1"""
     porosity: Float32
-    """(G,) share of pulses that pass"""
+    """(G,) fraction of pulses that pass"""
     water: Bools
     """(G,)"""
     ground_geom: int

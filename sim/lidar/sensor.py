@@ -31,7 +31,7 @@ from touchdown.sim.lidar.weather import Clutter, LidarWeather
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Array, Bytes, Float32, Indices, Int32
 
-_MOST_PASSES = 5
+_MAX_PASSES = 5
 """Porous surfaces that one pulse may cross (each crown counts twice: in and out)."""
 _ON_AXIS: Array = np.zeros((1, 3))
 _CALM: Array = np.zeros(2)
@@ -216,7 +216,7 @@ class LidarSensor:
             return
         rows, travelled = np.arange(len(pulses.rays)), np.empty(len(pulses.rays), np.float32)
         onward = np.empty((len(rows), 6), np.float32)
-        for left in range(_MOST_PASSES, -1, -1):
+        for left in range(_MAX_PASSES, -1, -1):
             count = returns.pass_on(rows, pulses, hits, porosity, onward, travelled)
             if not count or not left:
                 return
@@ -249,7 +249,7 @@ class LidarSensor:
             seen = Returns(ranges[:count], intensity[:count])
             clear = seen.copy()
             clutter.weaken(hits.distance, pulses.bits, strengths, ranges, intensity)
-            weakened.append(seen.changed_share(clear))
+            weakened.append(seen.changed_fraction(clear))
         ranges, intensity = ranges[:count], intensity[:count]
         if split.size:
             returns.receive_split(
@@ -264,7 +264,7 @@ class LidarSensor:
             seen = Returns(ranges, intensity)
             clear = seen.copy()
             clutter.scatter(pulses.bits[:count], ranges, intensity)
-            self.effects.note(clutter.effects, min(lost + seen.changed_share(clear), 1.0))
+            self.effects.note(clutter.effects, min(lost + seen.changed_fraction(clear), 1.0))
         return ranges, intensity
 
     def _refine(self, pulses: Rays, hits: Hits, cells: Int32, movers: Movers) -> Float32:

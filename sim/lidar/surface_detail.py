@@ -37,16 +37,16 @@ from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, U
 
 FINEST_M = 0.06
 """side of the smallest cells; those of the next octave are four times as large"""
-SHARES = (0.40, 0.35, 0.18, 0.07)
+FRACTIONS = (0.40, 0.35, 0.18, 0.07)
 """of the variance of the texture, from the finest octave to the coarsest"""
-_WEIGHTS = np.sqrt(np.array(SHARES, dtype=np.float32))
+_WEIGHTS = np.sqrt(np.array(FRACTIONS, dtype=np.float32))
 _EXIT_M = np.float32(0.01)
 """width of a beam where it leaves the LIDAR"""
 _PLANT_CELLS_M = (0.7, 3.5)
 _PLANT_SPREAD = 0.3
 """relative standard deviation of the height of plants from place to place, over cells of those
 sides; heights stay within a half and one and a half of the mean"""
-_LEAST_COSINE = 0.05
+_MIN_COSINE = 0.05
 _LEAF_SALT = 0x3C6EF372
 _PLANT_SALT = 0x9E3779B9
 _LEAF_PROJECTION = 0.5
@@ -195,10 +195,10 @@ class SurfaceDetail:
     def plant_height_m(self, x: Float32, y: Float32, mean_m: Float32) -> Float32:
         """Heights (N,) of plants of these mean heights (N,) at places (N,) in the world."""
         own = int(self.salt) ^ _PLANT_SALT
-        factor, share = np.ones(len(x), np.float32), np.empty(len(x), np.float32)
-        share[:] = _PLANT_SPREAD * math.sqrt(0.5)
+        factor, fraction = np.ones(len(x), np.float32), np.empty(len(x), np.float32)
+        fraction[:] = _PLANT_SPREAD * math.sqrt(0.5)
         for octave, cell in enumerate(_PLANT_CELLS_M):
-            add_plane_noise(x, y, cell, np.uint32((own + octave) % 2**32), share, factor)
+            add_plane_noise(x, y, cell, np.uint32((own + octave) % 2**32), fraction, factor)
         scale = np.float32(self.vegetation) * mean_m
         return scale * np.clip(factor, np.float32(0.5), np.float32(1.5))
 
@@ -307,7 +307,7 @@ def _shorten(
     shortened, total = 0, 0.0
     for k in range(rows.shape[0]):
         i = rows[k]
-        path = min(height[k] / max(cosine[i], _LEAST_COSINE), distance[i])
+        path = min(height[k] / max(cosine[i], _MIN_COSINE), distance[i])
         depth = passed[k] * height[k] / (_LEAF_PROJECTION * leaf_area[k])
         before = distance[i]
         distance[i] = before - path + depth if depth < path else before

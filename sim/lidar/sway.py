@@ -38,9 +38,9 @@ _ACROSS = 0.5
 _BEATS = 7.0
 """periods over which the swing waxes and wanes"""
 _WAXING = 0.5
-_LEAST_HEIGHT_M = 0.5
-_LEAST_HALF_M = 0.05
-_LEAST_COSINE = 0.3
+_MIN_HEIGHT_M = 0.5
+_MIN_HALF_M = 0.05
+_MIN_COSINE = 0.3
 _TINY = 1e-12
 
 
@@ -71,7 +71,7 @@ class Sway:
         draw = np.random.default_rng([seed, crc32(b"lidar sway")])
         crowns = scene.crowns(porous)
         porous &= crowns.height_m > 0.0  # not those that move anyway
-        height = np.maximum(crowns.height_m, _LEAST_HEIGHT_M)
+        height = np.maximum(crowns.height_m, _MIN_HEIGHT_M)
         frequency = sway_frequency_hz(height)
         spread = params.sway * sway_sigma_m(frequency, speed)
         # of (1 + b sin) sin: the mean square is (1 + b^2 / 2) / 2
@@ -83,7 +83,7 @@ class Sway:
             frequency_hz=frequency,
             phases=draw.uniform(0.0, 2.0 * np.pi, (3, len(porous))),
             centers=0.5 * (crowns.low + crowns.high),
-            squares=np.maximum(0.5 * (crowns.high - crowns.low), _LEAST_HALF_M) ** 2,
+            squares=np.maximum(0.5 * (crowns.high - crowns.low), _MIN_HALF_M) ** 2,
         )
 
     def move(self, pulses: Rays, hits: Hits) -> tuple[int, float]:
@@ -131,7 +131,7 @@ def _move(
         across = (normal_x * east + normal_y * north) / length
         # a surface that moves along its normal, towards the LIDAR, comes nearer
         before = distance[i]
-        distance[i] -= np.float32(across / max(abs(cosine[i]), _LEAST_COSINE))
+        distance[i] -= np.float32(across / max(abs(cosine[i]), _MIN_COSINE))
         moved += distance[i] != before
         total += abs(distance[i] - before)
     return moved, total

@@ -35,7 +35,7 @@ LIDAR_NM = 905.0
 LIDAR_RATIO_SR = 18.8
 DUST_RATIO_SR = 60.0
 """of mineral dust: 50 at 532 nm and 63 at 1064 nm (Haarig et al., Atmos. Chem. Phys. 22, 2022)"""
-LEAST_STRENGTH = 0.01
+MIN_STRENGTH = 0.01
 """Least strength of an echo of the air that is reported at short range"""
 
 _SPECKLES = 25.0
@@ -84,7 +84,7 @@ class Clutter:
     @cached_property
     def threshold(self) -> Array:
         """(K,) least strength of an echo of the air that is reported."""
-        return np.maximum(self.beam.budget.strength_needed(grid_m()), LEAST_STRENGTH)
+        return np.maximum(self.beam.budget.strength_needed(grid_m()), MIN_STRENGTH)
 
     def fog_per_metre(self) -> Array:
         """(K,) rate per metre of fog echoes that are reported as a target."""
@@ -97,8 +97,8 @@ class Clutter:
 
         length = self.beam.pulse_length_m
         strength = math.pi * length * extinction / lidar_ratio_sr * self._both_ways()
-        share: Array = gammaincc(_SPECKLES, _SPECKLES * self.threshold / strength)
-        return share / length
+        fraction: Array = gammaincc(_SPECKLES, _SPECKLES * self.threshold / strength)
+        return fraction / length
 
     def rain_per_metre(self) -> Array:
         """(K,) drops per metre of beam that are large enough to be reported as a target."""
@@ -116,8 +116,8 @@ class Clutter:
         hardly differs from pulse to pulse."""
         if self.air.rain_mmph <= 0.0:
             return _FOG_SPREAD
-        least_mm = 1000.0 * math.sqrt(2.0 * LEAST_STRENGTH * LIDAR_RATIO_SR / math.pi**2 * _EXIT_M2)
-        return 1.0 / (marshall_palmer_slope(self.air.rain_mmph) * least_mm)
+        min_mm = 1000.0 * math.sqrt(2.0 * MIN_STRENGTH * LIDAR_RATIO_SR / math.pi**2 * _EXIT_M2)
+        return 1.0 / (marshall_palmer_slope(self.air.rain_mmph) * min_mm)
 
     def weaken(
         self, distance: Float32, bits: Uint32, strengths: Float32, ranges: Float32, intensity: Bytes

@@ -10,7 +10,7 @@ from support.worlds import load_ideal_config as load_config
 
 
 @pytest.mark.parametrize(
-    ("estimator", "most_m", "most_deg", "most_off_m"),
+    ("estimator", "max_m", "max_deg", "max_off_m"),
     [
         ("gps", 3.2, 1.4, 0.23),
         ("hybrid_flow", 3.2, 1.4, 0.22),
@@ -19,15 +19,15 @@ from support.worlds import load_ideal_config as load_config
     ],
 )
 def test_short_survey_in_the_loop(
-    estimator: str, most_m: float, most_deg: float, most_off_m: float
+    estimator: str, max_m: float, max_deg: float, max_off_m: float
 ) -> None:
     """Bounds of 1.5 times the errors of this flight."""
     result = fly(tiny(estimator), None).plain()
     assert result["outcome"] == "COMPLETED"
-    assert result["position_error_m"]["mean"] < most_m
-    assert result["position_error_m"]["yaw_deg"] < most_deg
+    assert result["position_error_m"]["mean"] < max_m
+    assert result["position_error_m"]["yaw_deg"] < max_deg
     # the controller follows the estimate: path error and estimation error are equal
-    assert abs(result["trajectory_error_m"] - result["position_error_m"]["mean"]) < most_off_m
+    assert abs(result["trajectory_error_m"] - result["position_error_m"]["mean"]) < max_off_m
 
 
 def test_landing_without_a_map_is_refused() -> None:

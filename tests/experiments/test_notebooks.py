@@ -12,7 +12,7 @@ nbclient = pytest.importorskip("nbclient")
 FOLDER = Path(__file__).parents[2] / "docs" / "notebooks"
 LOW = (
     '"survey.height_m": 8.0, "survey.min_height_m": 8.0, "survey.leg_length_m": 6.0, '
-    '"survey.duration_s": 4.0, "landing.second_look": False, '
+    '"survey.duration_s": 4.0, "landing.site_recheck": False, '
     '"camera.width": 320, "camera.height": 180'
 )
 NAMES = sorted(path.stem for path in FOLDER.glob("*.ipynb"))

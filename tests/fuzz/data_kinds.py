@@ -62,9 +62,9 @@ def tum_case(rng: Rng, folder: Path, shared: Path) -> Case:
     return Case(arguments=pick(rng, commands), writes=("rep", "rep.ply", "out"))
 
 
-def _replace(rng: Rng, path: Path, data: str | bytes, share: float = 0.0) -> None:
+def _replace(rng: Rng, path: Path, data: str | bytes, fraction: float = 0.0) -> None:
     path.unlink(missing_ok=True)
-    put(rng, path, data, share)
+    put(rng, path, data, fraction)
 
 
 def _other_tum(rng: Rng, text: str) -> str:

@@ -36,9 +36,9 @@ def pick(rng: Rng, items: Iterable[Any]) -> Any:
     return items[int(rng.integers(len(items)))]
 
 
-def chance(rng: Rng, share: float) -> bool:
+def chance(rng: Rng, fraction: float) -> bool:
     """True with the given probability."""
-    return bool(rng.random() < share)
+    return bool(rng.random() < fraction)
 
 
 def value(rng: Rng, depth: int = 0) -> Any:
@@ -277,14 +277,14 @@ def encoded(text: str) -> bytes:
     return text.encode("utf-8", "surrogatepass")
 
 
-def put(rng: Rng, path: Path, data: str | bytes, share: float = 0.25) -> Path:
+def put(rng: Rng, path: Path, data: str | bytes, fraction: float = 0.25) -> Path:
     """Writes ``data``, damaged with the given probability, seldom as a file that is none."""
     data = encoded(data) if isinstance(data, str) else data
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_dir() and not path.is_symlink():
         path.rmdir()
     path.unlink(missing_ok=True)  # it may be a pipe, or a link to elsewhere
-    if not chance(rng, share):
+    if not chance(rng, fraction):
         path.write_bytes(data)
     elif chance(rng, 0.2):
         put_special(rng, path)

@@ -72,7 +72,7 @@ def read(path: Path) -> Verdicts:
 
 
 def table(verdicts: Iterable[dict[str, Any]]) -> str:
-    """By kind: cases, how they ended, findings, greatest time and memory."""
+    """By kind: cases, how they ended, findings, maximum time and memory."""
     rows = defaultdict(list)
     for verdict in verdicts:
         rows[verdict["kind"]].append(verdict)
@@ -85,8 +85,8 @@ def table(verdicts: Iterable[dict[str, Any]]) -> str:
 def _row(kind: str, found: Verdicts) -> tuple[Any, ...]:
     codes = Counter(verdict["code"] for verdict in found)
     faulty = sum(bool(verdict["faults"]) for verdict in found)
-    most = (max(verdict[key] for verdict in found) for key in ("cpu_s", "memory_mb"))
-    return (kind, len(found), codes[0] + codes[1], codes[2], codes["reached"], faulty, *most)
+    maximum = (max(verdict[key] for verdict in found) for key in ("cpu_s", "memory_mb"))
+    return (kind, len(found), codes[0] + codes[1], codes[2], codes["reached"], faulty, *maximum)
 
 
 def findings(verdicts: Verdicts) -> list[str]:

@@ -137,13 +137,13 @@ def _stream(number: int, errors: str) -> io.TextIOWrapper:
 def limit() -> None:
     """Limits this process and what it starts, for good."""
     held = psutil.Process().memory_info().data
-    for kind, most in (
+    for kind, maximum in (
         (resource.RLIMIT_CPU, round(time.process_time()) + CPU_S),
         (resource.RLIMIT_DATA, held + MEMORY_BYTES),
         (resource.RLIMIT_FSIZE, _LARGEST_FILE),
         (resource.RLIMIT_CORE, 0),
     ):
-        resource.setrlimit(kind, (most, most))
+        resource.setrlimit(kind, (maximum, maximum))
 
 
 def watched(start: Callable[[], None]) -> End:

@@ -159,13 +159,15 @@ def report(mutations: list[Mutation], outcomes: list[Outcome]) -> bool:
             print(f"{_line(states[m.name])}{m.survives and f': {m.survives}'}")
         elif m.survives:
             print(f"{m.name} is killed; its reason to survive can go")
-    share = len(killed) / max(1, len(mutations))
+    fraction = len(killed) / max(1, len(mutations))
     minutes = sum(outcome.seconds for outcome in outcomes) / 60
-    print(f"{len(killed)} of {len(mutations)} killed ({share:.1%}), {minutes:.0f} min of one core")
+    print(
+        f"{len(killed)} of {len(mutations)} killed ({fraction:.1%}), {minutes:.0f} min of one core"
+    )
     excused = all(
         m in killed or (m.survives and states[m.name].state == SURVIVED) for m in mutations
     )
-    return excused and share >= NEEDED
+    return excused and fraction >= NEEDED
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -38,12 +38,12 @@ def _nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> Iterator[None]:
 def _little(monkeypatch: pytest.MonkeyPatch) -> None:
     """Limits that small files meet."""
     few = {kind: (100, "leave some out") for kind in model_check.MAX_ELEMENTS}
-    for module, name, most in (
+    for module, name, maximum in (
         (child, "CPU_S", 2), (model_check, "MAX_ELEMENTS", few), (model_check, "MAX_FILES", 3),
         (model_check, "MAX_CELLS", 3000), (model_check, "MAX_TEXELS", 70_000),
         (model_check, "MAX_TRIANGLES", 5000), (model_check, "MAX_TEXT_BYTES", 1 << 20),
     ):  # fmt: skip
-        monkeypatch.setattr(module, name, most)
+        monkeypatch.setattr(module, name, maximum)
 
 
 def place(body: str = "", head: str = "", before: str = "") -> str:

@@ -13,7 +13,7 @@ from touchdown.scenes.api import LIGHT_LUX, Light
 from touchdown.scenes.authoring.builder import Caster
 from touchdown.scenes.authoring.light import (
     DUSK_SUN_DEG,
-    DUSK_SUN_SHARE,
+    DUSK_SUN_FRACTION,
     bake_light,
     draw_sun,
     light_in_shadow,
@@ -88,7 +88,7 @@ def test_shadows_are_those_of_the_light() -> None:
     day, dusk = baked("day", sun), baked("dusk", low)
     assert day[place[3]] == pytest.approx(0.5, abs=0.03)
     assert day[place[12]] == pytest.approx(1.0, abs=0.01)
-    assert dusk[place[12]] == pytest.approx(1.0 - DUSK_SUN_SHARE, abs=0.03)
+    assert dusk[place[12]] == pytest.approx(1.0 - DUSK_SUN_FRACTION, abs=0.03)
     assert dusk[place[25]] == pytest.approx(1.0, abs=0.01)
     for light in ("overcast", "night"):
         even = baked(light, sun)  # type: ignore[arg-type]

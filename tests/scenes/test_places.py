@@ -9,7 +9,7 @@ from touchdown.scenes.truth.survey_facts import survey_facts
 from support.places import cached_scene, check_seeds, check_surfaces, check_survey, check_takeoff
 
 PLACES = {
-    # name: seed, safe share of what the survey sees, metres free around the take-off and its
+    # name: seed, safe fraction of what the survey sees, metres free around the take-off and its
     # slope in degrees, height of the highest object and of trees
     "cottage": (0, (0.02, 0.8), (3.0, 0.2), (24.0, 24.0)),
     "crossroad": (0, (0.05, 0.9), (3.0, 2.0), (18.0, np.inf)),
@@ -35,7 +35,7 @@ def test_a_place_can_be_surveyed_and_landed_on(name: str) -> None:
     check_survey(scene, free_m, trees_m)
     check_surfaces(scene)
     facts = survey_facts(scene, 50.0, 40.0, 6.7, 26.0)
-    assert low <= facts.safe_share <= high, facts.safe_share
+    assert low <= facts.safe_fraction <= high, facts.safe_fraction
     assert facts.takeoff_safe and facts.safe_sites >= 1
 
 

@@ -35,7 +35,7 @@ def survey_maps(name: str, seed: int) -> TruthMaps:
     return truth_maps(scene, 0.25, np.array([corners.min(axis=0), corners.max(axis=0)]))
 
 
-def share(maps: TruthMaps, land_class: str) -> float:
+def fraction(maps: TruthMaps, land_class: str) -> float:
     return float((maps.class_id == LAND_CLASSES.index(land_class)).mean())
 
 
@@ -47,13 +47,13 @@ def test_cottage_lane_is_level_and_the_meadow_is_not() -> None:
     assert np.nanmedian(maps.slope_deg[lawn]) > 4.0
     assert (maps.safe_geometry & lane).mean() > 0.01
     assert not (maps.safe & lane).any()
-    assert share(maps, "building") > 0.02
+    assert fraction(maps, "building") > 0.02
 
 
 def test_pools_are_water_beside_a_safe_field() -> None:
     scene, maps = cached_scene("pools"), survey_maps("pools", 0)
     field = maps.class_id == LAND_CLASSES.index("field")
-    assert share(maps, "water") > 0.05
+    assert fraction(maps, "water") > 0.05
     assert (maps.safe & field).sum() > 0.3 * field.sum()
     water = [name for name, surface in scene.surfaces.items() if surface.water]
     assert len(water) >= 3

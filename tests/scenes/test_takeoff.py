@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def level(east_m: float, north_m: float, holes: float = 0.0) -> TopView:
-    """Level ground about the origin, where a box of 2 m stands, with a share of ``holes``."""
+    """Level ground about the origin, where a box of 2 m stands, with a fraction of ``holes``."""
     shape = round(north_m / CELL_M), round(east_m / CELL_M)
     height = np.zeros(shape)
     height[np.random.default_rng(0).random(shape) < holes] = np.nan

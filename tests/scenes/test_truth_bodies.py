@@ -154,8 +154,8 @@ def test_bare_ground_lies_where_its_body_puts_it(tmp_path: Path) -> None:
 
 BESIDE_M = np.array([1.37e-4, 2.11e-4])
 """Truth rays aim beside the edges of regular grids."""
-MOST_EDGES = 0.003
-"""share of points; a scene has some hundreds of metres of edges, looked at 4 mm wide"""
+MAX_EDGES = 0.003
+"""fraction of points; a scene has some hundreds of metres of edges, looked at 4 mm wide"""
 
 
 @pytest.mark.slow
@@ -177,4 +177,4 @@ def test_truth_maps_are_those_of_single_rays(name: str) -> None:
     print(f"{name}: {len(cells)} cells, {wrong.size + wrong_thin.size} differ by more than 1 cm, "
           f"{edges} at edges, {thin.sum()} with thin things")  # fmt: skip
     assert wrong.size == 0 and wrong_thin.size == 0
-    assert edges <= MOST_EDGES * len(cells) and thin.sum() <= 0.02 * len(cells)
+    assert edges <= MAX_EDGES * len(cells) and thin.sum() <= 0.02 * len(cells)

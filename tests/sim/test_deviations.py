@@ -39,7 +39,11 @@ XML = """<mujoco><asset>
   <site name="takeoff" pos="1 2 0"/>
 </worldbody></mujoco>"""
 ALL = sim.VehicleErrorParams(
-    mass_share=0.05, center_of_mass_m=0.01, thrust_share=0.05, torque_share=0.05, rotor_share=0.02
+    mass_fraction=0.05,
+    center_of_mass_m=0.01,
+    thrust_fraction=0.05,
+    torque_fraction=0.05,
+    rotor_fraction=0.02,
 )
 
 
@@ -69,7 +73,7 @@ def test_draws_are_uniform_within_their_bounds() -> None:
 def test_one_bound_leaves_the_draws_of_the_others_alone() -> None:
     both, alone = (
         draw_deviations(ALL, 4),
-        draw_deviations(sim.VehicleErrorParams(mass_share=0.05), 4),
+        draw_deviations(sim.VehicleErrorParams(mass_fraction=0.05), 4),
     )
     assert both.mass == alone.mass
     np.testing.assert_array_equal(alone.thrust, np.ones(4))
@@ -207,8 +211,8 @@ def test_voltage_sags_under_load_by_ohms_law() -> None:
     power = 500.0 / DRIVE_EFFICIENCY + HOTEL_LOAD_W
     current = power / battery.voltage
     assert open_circuit_voltage(1.0) - 0.025 * current == pytest.approx(battery.voltage, rel=1e-6)
-    assert battery.speed_share == pytest.approx(battery.voltage / open_circuit_voltage(1.0))
-    assert 0.9 < battery.speed_share < 0.98
+    assert battery.speed_fraction == pytest.approx(battery.voltage / open_circuit_voltage(1.0))
+    assert 0.9 < battery.speed_fraction < 0.98
     lost = 0.025 * current**2
     assert battery.energy_used_j == pytest.approx((power + lost) * 0.005, rel=1e-6)
 
@@ -218,10 +222,10 @@ def test_sag_grows_with_what_was_used_and_is_off_by_default() -> None:
     used.energy_used_j = 0.8 * 700e3
     for battery in (fresh, used):
         battery.draw(400.0, 0.005)
-    assert used.speed_share < fresh.speed_share - 0.05
+    assert used.speed_fraction < fresh.speed_fraction - 0.05
     plain = Battery(700e3)
     plain.draw(400.0, 0.005)
-    assert plain.speed_share == 1.0
+    assert plain.speed_fraction == 1.0
     assert plain.energy_used_j == (400.0 / DRIVE_EFFICIENCY + HOTEL_LOAD_W) * 0.005
 
 
@@ -229,13 +233,13 @@ def test_sag_limits_the_rotors(scene: Scene) -> None:
     fastest = {}
     for sag in (False, True):
         world = make(scene, sim=sim.SimParams(threads=1, battery_sag=sag))
-        most = world.rig.vehicle.rotor_speed_max
+        maximum = world.rig.vehicle.rotor_speed_max
         for _ in range(80):
-            world.step(sim.Command(rotor_speed_radps=np.full(4, most)))
+            world.step(sim.Command(rotor_speed_radps=np.full(4, maximum)))
         fastest[sag] = float(world.truth().rotor_speed_radps.mean())
         world.close()
-    assert fastest[False] == pytest.approx(most, rel=1e-3)
-    assert 0.85 * most < fastest[True] < 0.97 * most
+    assert fastest[False] == pytest.approx(maximum, rel=1e-3)
+    assert 0.85 * maximum < fastest[True] < 0.97 * maximum
 
 
 def flown(scene: Scene, offset: tuple[float, float, float]) -> tuple[list[Any], list[Any]]:

@@ -203,8 +203,8 @@ def test_fuselage_drag_is_that_of_a_bluff_body(tmp_path: Path, vehicle: VehicleM
     data.qpos[2] = 20.0
     data.qvel[0] = 5.0
     mujoco.mj_forward(scene.model, data)
-    front, most = np.pi * 0.12 * 0.055, np.pi * 0.15 * 0.12
-    expected = AIR_DENSITY_KGPM3 * (0.9 * front + 0.45 * (most - front)) * 25.0
+    front, maximum = np.pi * 0.12 * 0.055, np.pi * 0.15 * 0.12
+    expected = AIR_DENSITY_KGPM3 * (0.9 * front + 0.45 * (maximum - front)) * 25.0
     assert -data.qfrc_passive[0] == pytest.approx(expected, rel=0.02)
 
 

@@ -117,9 +117,9 @@ def test_a_resonance_has_its_spectrum_in_means_of_any_length(mode: int, period_s
 
 def test_the_mount_passes_what_is_slow_and_a_share_of_what_is_fast() -> None:
     corner = 2.0 * np.pi * 40.0
-    for share in (0.2, 0.5):
-        assert mount_gain(0.05 * corner, share, corner) == pytest.approx(1.0, abs=0.01)
-        assert mount_gain(20.0 * corner, share, corner) == pytest.approx(share, rel=0.02)
+    for fraction in (0.2, 0.5):
+        assert mount_gain(0.05 * corner, fraction, corner) == pytest.approx(1.0, abs=0.01)
+        assert mount_gain(20.0 * corner, fraction, corner) == pytest.approx(fraction, rel=0.02)
     for rate in (0.3, 1.0, 4.0):
         assert mount_gain(rate * corner, 1.0, corner) == 1.0
 
@@ -134,10 +134,10 @@ def test_isolation_weakens_lines_by_the_gain_at_their_frequency() -> None:
 def test_isolation_weakens_resonances_by_the_gain_at_their_frequency() -> None:
     """The narrow resonance at 57 Hz; slow ones pass."""
 
-    def rms(mode: int, share: float) -> float:
+    def rms(mode: int, fraction: float) -> float:
         levels = NO_MODES.copy()
         levels[mode] = 1.0
-        params = replace(BROAD, vibration_isolation=share)
+        params = replace(BROAD, vibration_isolation=fraction)
         model = PropellerVibration(params, PERIOD_S, HOVER, 5, (NO_LINES, levels))
         return float(np.sqrt((samples(model, np.full((8000, 4), HOVER)) ** 2).mean()))
 

@@ -281,7 +281,7 @@ def test_an_unkind_world_is_the_same_whatever_the_threads(scene: Scene) -> None:
     scans, images, air = (one.effects[name] for name in ("scans", "images", "air"))
     assert scans.keys() >= {"dust", "vegetation", "ranging"}
     assert 0.001 < scans["ranging"].mean_amount < 0.04
-    assert scans["vegetation"].mean_share > 0.01 and scans["dust"].messages > 0
+    assert scans["vegetation"].mean_fraction > 0.01 and scans["dust"].messages > 0
     assert images["dust"].messages > 0 and images["lamp"].messages == 0
     assert images["stamp_error_ms"].mean_amount == pytest.approx(4.0)
     assert 1e3 < images["light_lux"].mean_amount < 1e5

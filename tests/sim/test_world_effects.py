@@ -45,7 +45,7 @@ class Flown:
 
     def __init__(
         self, scene: Scene, needs: sim.SensorNeeds | None = None, height: float = 12.0,
-        speed_share: float = 1.0, steps: int = 100, **groups: Any,
+        speed_fraction: float = 1.0, steps: int = 100, **groups: Any,
     ) -> None:  # fmt: skip
         params = {"sim": sim.SimParams(threads=1), "wind": STILL_AIR, "imu": NO_NOISE}
         params |= {"camera": sim.CameraParams(width=64, height=36), **groups}
@@ -59,7 +59,7 @@ class Flown:
         self.accelerations, self.poses = [], [world.truth().world_from_body]
         for _ in range(steps):
             self.seen.append(
-                world.step(sim.Command(rotor_speed_radps=np.full(4, speed_share * self.hover)))
+                world.step(sim.Command(rotor_speed_radps=np.full(4, speed_fraction * self.hover)))
             )
             self.accelerations.append(world.truth().acceleration_world)
             self.poses.append(world.truth().world_from_body)
@@ -75,9 +75,9 @@ class Flown:
 
 
 def test_a_weak_motor_turns_its_rotor_more_slowly(scene: Scene) -> None:
-    faults = sim.FaultParams(events=("motor_loss@0",), motor=1, motor_loss_share=0.36)
-    shares = Flown(scene, faults=faults).truth.rotor_speed_radps / Flown(scene).hover
-    np.testing.assert_allclose(shares, [1.0, 0.8, 1.0, 1.0], atol=1e-3)
+    faults = sim.FaultParams(events=("motor_loss@0",), motor=1, motor_loss_fraction=0.36)
+    fractions = Flown(scene, faults=faults).truth.rotor_speed_radps / Flown(scene).hover
+    np.testing.assert_allclose(fractions, [1.0, 0.8, 1.0, 1.0], atol=1e-3)
 
 
 def test_scans_are_cast_from_the_true_mount(scene: Scene) -> None:
@@ -117,16 +117,16 @@ def test_crowns_sway_with_the_square_of_the_mean_wind(scene: Scene) -> None:
     assert amounts[0] > 1e-3
 
 
-@pytest.mark.parametrize("share", [1.0, 0.8])
-def test_the_imu_is_shaken_by_the_rotors_that_turn(scene: Scene, share: float) -> None:
-    plain = Flown(scene, speed_share=share).forces()
+@pytest.mark.parametrize("fraction", [1.0, 0.8])
+def test_the_imu_is_shaken_by_the_rotors_that_turn(scene: Scene, fraction: float) -> None:
+    plain = Flown(scene, speed_fraction=fraction).forces()
     white = replace(NO_NOISE, vibration_accel_density=0.2)
     lines = replace(NO_NOISE, vibration_harmonics=1.0)
-    density = (Flown(scene, speed_share=share, imu=white).forces() - plain)[30:].std()
-    assert density * math.sqrt(3 / 600) == pytest.approx(0.2 * share**2, rel=0.2)
-    shaken = (Flown(scene, speed_share=share, imu=lines).forces() - plain)[30:]
-    still = (Flown(scene, speed_share=1e-9, imu=lines).forces()
-             - Flown(scene, speed_share=1e-9).forces())[90:]  # fmt: skip
+    density = (Flown(scene, speed_fraction=fraction, imu=white).forces() - plain)[30:].std()
+    assert density * math.sqrt(3 / 600) == pytest.approx(0.2 * fraction**2, rel=0.2)
+    shaken = (Flown(scene, speed_fraction=fraction, imu=lines).forces() - plain)[30:]
+    still = (Flown(scene, speed_fraction=1e-9, imu=lines).forces()
+             - Flown(scene, speed_fraction=1e-9).forces())[90:]  # fmt: skip
     assert shaken.std(axis=0).min() > 3.0 * still.std(axis=0).max()
 
 
@@ -172,13 +172,13 @@ def test_the_lamp_lights_the_ground_at_night(place: Path) -> None:
 
 def test_effects_count_once_their_message_is_delivered() -> None:
     effects = Effects()
-    for share in (0.5, 0.0, 1.0):
-        effects.note(("fog", "rain"), share, 10.0 * share)
+    for fraction in (0.5, 0.0, 1.0):
+        effects.note(("fog", "rain"), fraction, 10.0 * fraction)
         effects.end_message()
     assert effects.delivered == {}
     effects.deliver(2)
     fog = effects.delivered["fog"]
-    assert (fog.came, fog.messages, fog.mean_share, fog.mean_amount) == (2, 1, 0.25, 2.5)
+    assert (fog.came, fog.messages, fog.mean_fraction, fog.mean_amount) == (2, 1, 0.25, 2.5)
     assert effects.delivered["rain"] == fog
     effects.deliver(1)
     assert effects.delivered["fog"].messages == 2
@@ -196,8 +196,8 @@ def test_images_and_lengths_that_differ() -> None:
     effects.end_message()
     effects.deliver(1)
     dirt, sway = effects.delivered["lens_dirt"], effects.delivered["sway"]
-    assert (dirt.mean_share, dirt.mean_amount) == (0.5, 4.0)
-    assert sway.mean_share == 0.5 and sway.mean_amount == pytest.approx(0.75)
+    assert (dirt.mean_fraction, dirt.mean_amount) == (0.5, 4.0)
+    assert sway.mean_fraction == 0.5 and sway.mean_amount == pytest.approx(0.75)
 
 
 def test_returns_that_differ() -> None:
@@ -205,5 +205,5 @@ def test_returns_that_differ() -> None:
     before = seen.copy()
     seen.ranges[:] = [5.05, 0.0, 5.0, 3.0]
     seen.intensity[:] = [50, 0, 49, 9]
-    assert seen.changed_share(before) == 0.75
-    assert seen.changed_share(seen.copy()) == 0.0
+    assert seen.changed_fraction(before) == 0.75
+    assert seen.changed_fraction(seen.copy()) == 0.0

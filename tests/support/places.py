@@ -36,11 +36,11 @@ def check_takeoff(scene: Scene, clear_m: float, slope_deg: float = 2.0) -> None:
     assert (np.ptp(scene.bounds_xy_m, axis=0) >= 120.0).all()
 
 
-def check_surfaces(scene: Scene, most: int = 620) -> None:
+def check_surfaces(scene: Scene, maximum: int = 620) -> None:
     """Every geom has a surface, and there are few of them."""
     names = {scene.model.geom(i).name for i in range(scene.model.ngeom)}
     own = {name for name in names if not name.startswith("vehicle/")}
-    assert own == set(scene.surfaces) and len(own) <= most
+    assert own == set(scene.surfaces) and len(own) <= maximum
 
 
 def check_survey(scene: Scene, free_m: float = 18.0, trees_m: float = np.inf) -> None:

@@ -214,9 +214,9 @@ class Peer:
         names = ("ROLL", "PITCH", "YAW")
         rates = np.array([gains[f"MC_{name}_P"] for name in names]) * angle
         roll, pitch, yaw = np.array([gains[f"MC_{n}RATE_P"] for n in names]) * (rates - self.gyro)
-        shares = np.clip(max(size, 0.0) + roll * _ROLL + pitch * _PITCH + yaw * _YAW, 0.0, 1.0)
+        fractions = np.clip(max(size, 0.0) + roll * _ROLL + pitch * _PITCH + yaw * _YAW, 0.0, 1.0)
         bend = gains["THR_MDL_FAC"]
-        root = np.sqrt((1.0 - bend) ** 2 + 4.0 * bend * shares)
+        root = np.sqrt((1.0 - bend) ** 2 + 4.0 * bend * fractions)
         return [float(u) for u in (root - (1.0 - bend)) / (2.0 * bend)]
 
 

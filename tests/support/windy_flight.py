@@ -50,9 +50,9 @@ def balance(vehicle: VehicleModel, through_air: Array, acceleration: Array) -> B
     body = vehicle.quadratic_drag * math.hypot(air_x, air_y, air_z)
 
     def excess(unknown: Array) -> list[float]:
-        x, y, share = unknown.tolist()
+        x, y, fraction = unknown.tolist()
         z = math.sqrt(max(1.0 - x * x - y * y, 1e-6))
-        speed, along = share * hover, air_x * x + air_y * y + air_z * z
+        speed, along = fraction * hover, air_x * x + air_y * y + air_z * z
         thrust = vehicle.thrust_coefficient * speed**2 - vehicle.rotor_inflow * speed * along
         disc, lift = 4.0 * per_rotor * speed, 4.0 * thrust
         return [
@@ -60,10 +60,10 @@ def balance(vehicle: VehicleModel, through_air: Array, acceleration: Array) -> B
             for up, air, force in zip((x, y, z), (air_x, air_y, air_z), wanted, strict=True)
         ]
 
-    x, y, share = fsolve(excess, np.array([0.02 * through_air[0], 0.02 * through_air[1], 1.0]))
+    x, y, fraction = fsolve(excess, np.array([0.02 * through_air[0], 0.02 * through_air[1], 1.0]))
     z = np.array([x, y, np.sqrt(1.0 - x * x - y * y)])
     left = np.array([0.0, z[2], -z[1]]) / math.hypot(z[1], z[2])
-    return Balance(np.column_stack([np.cross(left, z), left, z]), float(share * hover))
+    return Balance(np.column_stack([np.cross(left, z), left, z]), float(fraction * hover))
 
 
 def windy_run(

@@ -38,7 +38,7 @@ _NEAREST_M, _FARTHEST_M = 0.2, 1e3
 _SAME = 0.02
 _FARTHER = 2.0
 """ratio of distances up to which a feature is found again"""
-_LEAST_COSINE = 0.1
+_MIN_COSINE = 0.1
 
 
 class Features(NamedTuple):
@@ -137,7 +137,7 @@ def _new(flight: Flight, eye: Pose, local: Array) -> tuple[Array, Array, Array]:
     struck = surface.strike(surface.seen, origins, ahead)
     good = np.isfinite(struck.distance) & (struck.distance > _NEAREST_M)
     good &= ~((surface.optics.porosity > 0.0) | surface.optics.water)[struck.hits.geom]
-    good &= -np.einsum("ni,ni->n", struck.normal, ahead) > _LEAST_COSINE
+    good &= -np.einsum("ni,ni->n", struck.normal, ahead) > _MIN_COSINE
     points = eye.translation + struck.distance[good, None] * ahead[good]
     return points, struck.normal[good], struck.distance[good]
 

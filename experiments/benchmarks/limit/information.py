@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.estimator_calibration import (
-    DISTORTION_SHARE,
+    DISTORTION_FRACTION,
     corner_displacement_px,
 )
 from touchdown.sim.api import CameraIntrinsics
-from touchdown.sim.lidar.range_errors import SHARES
+from touchdown.sim.lidar.range_errors import FRACTIONS
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -81,7 +81,7 @@ def constant_sigmas(config: Config, lens: CameraIntrinsics) -> Array:
         3,
     )
     # Uniform between bounds, the last over half of its own.
-    sigmas[RANGE] = config.lidar.range_bias_m * np.array(SHARES) / np.sqrt([3.0, 3.0, 48.0])
+    sigmas[RANGE] = config.lidar.range_bias_m * np.array(FRACTIONS) / np.sqrt([3.0, 3.0, 48.0])
     sigmas[EYE_MOUNT] = np.repeat(
         [
             math.radians(errors.imu_camera_rotation_sigma_deg),
@@ -89,7 +89,7 @@ def constant_sigmas(config: Config, lens: CameraIntrinsics) -> Array:
         ],
         3,
     )
-    bent = DISTORTION_SHARE * errors.distortion_sigma_px / corner_displacement_px(lens)
+    bent = DISTORTION_FRACTION * errors.distortion_sigma_px / corner_displacement_px(lens)
     sigmas[LENS] = [*[errors.center_sigma_px] * 2, *[errors.focal_sigma] * 2, *bent]
     sigmas[CLOCK] = config.camera.stamp_delay_s
     return np.maximum(sigmas, _CERTAIN)

@@ -51,13 +51,13 @@ STRIDE = 8
 """pulses for one that is taken"""
 PATCHES = 4000
 """landmarks without a feature that stand for all of them"""
-CELL_SHARE = 0.005
+CELL_FRACTION = 0.005
 """of the cells with intensities, which stand for all"""
 OTHERS, CELLS = 10**6, 10**7
 """numbers of the first landmarks that are no features, and of the first cells"""
 _MATCH_M = 0.3
-_LEAST_COSINE, _LEVEL_COSINE = 0.1, 0.7
-_FEWEST = 5
+_MIN_COSINE, _LEVEL_COSINE = 0.1, 0.7
+_MIN = 5
 _LEVELS = 150.0
 """intensity of a reflectivity of 1"""
 _SPAN_S = 0.01
@@ -216,7 +216,7 @@ class Places(NamedTuple):
 
 def collect(scans: Iterable[LidarScan], flight: Flight) -> tuple[Pulses, Pulses]:
     """Of the returns of a log: those of one pulse in `STRIDE`, and all that fall into a random
-    share of the ground."""
+    fraction of the ground."""
     some, near = [], []
     mount = flight.surface.mounts.lidar
     for scan in scans:
@@ -245,11 +245,11 @@ def _joined(parts: list[Pulses]) -> Pulses:
 
 
 def _drawn(pulses: Pulses) -> Bools:
-    """Returns in a random share of the ground's blocks of 5 x 5 cells."""
+    """Returns in a random fraction of the ground's blocks of 5 x 5 cells."""
     points = pulses.origin[:, :2] + pulses.range_m[:, None] * pulses.direction[:, :2]
     block = np.floor(points / (5.0 * CELL_M)).astype(np.int64)
     mixed = (block[:, 0] * 73856093) ^ (block[:, 1] * 19349663)
-    chosen: Bools = (mixed * 2654435761 >> 8) % 2**20 < CELL_SHARE * 2**20
+    chosen: Bools = (mixed * 2654435761 >> 8) % 2**20 < CELL_FRACTION * 2**20
     return chosen
 
 
@@ -258,7 +258,7 @@ def places(flight: Flight, pulses: Pulses) -> Places:
     surface = flight.surface
     struck = surface.strike(surface.solid, pulses.origin, pulses.direction)
     cosine = -np.einsum("ni,ni->n", struck.normal, pulses.direction)
-    good = (np.abs(pulses.range_m - struck.distance) < _MATCH_M) & (cosine > _LEAST_COSINE)
+    good = (np.abs(pulses.range_m - struck.distance) < _MATCH_M) & (cosine > _MIN_COSINE)
     good &= struck.hits.geom >= 0
     points = pulses.origin + struck.distance[:, None] * pulses.direction
     return _chosen(Places(pulses, struck, points, cosine), good)
@@ -311,8 +311,8 @@ def mean_of(own: Indices, counts: Indices, table: Array) -> Array:
 
 def tangents(normals: Array) -> Array:
     """(N, 2, 3) two unit vectors across each of the unit normals (N, 3)."""
-    least = np.eye(3)[np.abs(normals).argmin(axis=1)]
-    first = np.cross(normals, least)
+    minimum = np.eye(3)[np.abs(normals).argmin(axis=1)]
+    first = np.cross(normals, minimum)
     first /= np.linalg.norm(first, axis=1)[:, None]
     return np.stack([first, np.cross(normals, first)], axis=1)
 
@@ -323,15 +323,15 @@ def range_rows(flight: Flight, pulses: Pulses, features: Array, facing: Array) -
     all."""
     found = places(flight, pulses)
     patches = Patches.of(found, features, facing)
-    enough, known = patches.counts >= _FEWEST, patches.feature >= 0
+    enough, known = patches.counts >= _MIN, patches.feature >= 0
     others = enough & ~known
-    share = min(1.0, PATCHES / max(int(others.sum()), 1))
-    drawn = others & (np.random.default_rng(0).random(len(others)) < share)
+    fraction = min(1.0, PATCHES / max(int(others.sum()), 1))
+    drawn = others & (np.random.default_rng(0).random(len(others)) < fraction)
     use = ((enough & known) | drawn)[patches.own]
     weight = STRIDE / _variance(flight, found, patches)[use]
     found, patches = _chosen(found, use), patches._replace(own=patches.own[use])
     rows = _plane_rows(flight, found, patches, weight)
-    rows.copies[:] = np.where(known, 1.0, 1.0 / share)[patches.own]
+    rows.copies[:] = np.where(known, 1.0, 1.0 / fraction)[patches.own]
     rows.constant[:, RANGE] = -found.cosine[:, None] * flight.surface.range_columns(
         found.struck.distance, np.maximum(found.pulses.level, 1.0) / _LEVELS, found.cosine
     )
@@ -425,14 +425,14 @@ def intensity_rows(flight: Flight, pulses: Pulses) -> Rows:
         + nonlinear[own]
         + (mean[:, 1:] ** 2).sum(axis=1) * across**2
     )
-    use = (counts >= _FEWEST)[own]
+    use = (counts >= _MIN)[own]
     # A shift of the ray moves the place along the surface, whatever its component along the ray.
     beam, normal = found.pulses.direction, found.struck.normal
     east = np.column_stack([mean[:, 1:], np.zeros(len(mean))])
-    share = np.einsum("ni,ni->n", east, beam) / -found.cosine
-    direction = east - share[:, None] * normal
+    fraction = np.einsum("ni,ni->n", east, beam) / -found.cosine
+    direction = east - fraction[:, None] * normal
     rows = _rows(flight, found, direction, CELLS + own, 1.0 / variance)
-    rows.copies[:] = 1.0 / CELL_SHARE
+    rows.copies[:] = 1.0 / CELL_FRACTION
     rows.local[:, 0], rows.local[:, 1:3] = -1.0, -offset
     return rows.chosen(use)
 

@@ -265,7 +265,7 @@ def table(figures: Sequence[Mapping[str, Any]]) -> str:
         lines += ["", "`livo` on the same logs: mean error (m), and over the bound", "", *head]
         for title in REPLAYED:
             pairs = [(run["reached_m"][title], run["bound_m"][title]["mean"]) for run in figures]
-            cells = [f"{error:.3f} ({error / least:.0f})" for error, least in pairs]
+            cells = [f"{error:.3f} ({error / minimum:.0f})" for error, minimum in pairs]
             lines.append(f"| {title} | " + " | ".join(cells) + " |")
     for title in SETS:
         lines += ["", f"{title}: bound (m) with a change", "", head[0].replace("sensors", "change")]

@@ -51,7 +51,7 @@ _STEPS = {
 """Layers that are kept as whole numbers of these; the noise of the LIDAR is 20 mm."""
 _UNKNOWN = np.int32(-(2**31))
 _VERSION = 1
-_MOST_BYTES = 1 << 29
+_MAX_BYTES = 1 << 29
 """of the layers of one file, unpacked"""
 
 
@@ -143,7 +143,7 @@ def read_map(file: Path) -> KeptMap:
         raise UsageError(f"'{file}' {reason}")
     try:
         with zipfile.ZipFile(file) as archive:
-            if sum(part.file_size for part in archive.infolist()) > _MOST_BYTES:
+            if sum(part.file_size for part in archive.infolist()) > _MAX_BYTES:
                 raise ValueError("it is too large")
         with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as layers:
             return _kept(json.loads(str(layers["about"])), {k: layers[k] for k in layers.files})

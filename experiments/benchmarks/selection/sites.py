@@ -140,11 +140,12 @@ _BUILT: dict[str, ExternalSelector] = {}
 def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Returns figures over many scenes.
 
-    ``precision``: share of chosen sites that are safe; ``precision_sites``: of all accepted ones;
-    ``precision_cells`` and ``recall_cells`` of the cells; ``found``: share of scenes with safe
-    ground where a site was accepted; ``regret_m``: mean loss of clearance relative to the best safe
-    site; ``ms``: mean processor time of a choice; ``calibration_error`` and ``reliability``: see
-    `landing.classification.scores.calibration`, None for a selector from outside."""
+    ``precision``: fraction of chosen sites that are safe; ``precision_sites``: of all accepted
+    ones; ``precision_cells`` and ``recall_cells`` of the cells; ``found``: fraction of scenes with
+    safe ground where a site was accepted; ``regret_m``: mean loss of clearance relative to the
+    best safe site; ``ms``: mean processor time of a choice; ``calibration_error`` and
+    ``reliability``: see `landing.classification.scores.calibration`, None for a selector from
+    outside."""
     chosen = [place["chosen_safe"] for place in places if place["chosen_safe"] is not None]
     offered = [place for place in places if place["best_clearance_m"] > 0.0]
     cells = {
@@ -156,14 +157,14 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
     regrets = [_regret(place) for place in offered]
     return {
         "places": len(places),
-        "precision": _share(sum(chosen), len(chosen)),
-        "precision_sites": _share(
+        "precision": _fraction(sum(chosen), len(chosen)),
+        "precision_sites": _fraction(
             sum(place["accepted_safe"] for place in places),
             sum(place["accepted"] for place in places),
         ),
-        "precision_cells": _share(cells["both"], cells["allowed"]),
-        "recall_cells": _share(cells["both"], cells["safe"]),
-        "found": _share(sum(place["accepted"] > 0 for place in offered), len(offered)),
+        "precision_cells": _fraction(cells["both"], cells["allowed"]),
+        "recall_cells": _fraction(cells["both"], cells["safe"]),
+        "found": _fraction(sum(place["accepted"] > 0 for place in offered), len(offered)),
         "regret_m": float(np.mean(regrets)) if regrets else None,
         "ms": 1e3 * float(np.mean([place["seconds"] for place in places])),
         "calibration_error": error,
@@ -201,7 +202,7 @@ def _gathered(places: Sequence[dict[str, Any]], key: str) -> NDArray[Any]:
     return np.concatenate([place["sample"][key] for place in places])
 
 
-def _share(part: int, whole: int) -> float | None:
+def _fraction(part: int, whole: int) -> float | None:
     return part / whole if whole else None
 
 
@@ -391,7 +392,7 @@ def row(place: dict[str, Any]) -> str:
     """Returns the result of one scene as a line of text."""
     verdict = {True: "safe", False: "UNSAFE", None: "no site"}[place["chosen_safe"]]
     cells = place["cells"]
-    precision, recall = (_share(cells["both"], cells[whole]) for whole in ("allowed", "safe"))
+    precision, recall = (_fraction(cells["both"], cells[whole]) for whole in ("allowed", "safe"))
     return (
         f"{place['scene']:16} seed {place['seed']:4}  {verdict:8}"
         f" sites {place['accepted_safe']}/{place['accepted']}"
@@ -409,8 +410,8 @@ def text(figures: dict[str, Any]) -> str:
         "regret m    ms"
     ]
     for name, total in rows.items():
-        shares = ("precision", "precision_sites", "precision_cells", "recall_cells", "found")
-        cells = [_percent(total[key]) for key in shares]
+        fractions = ("precision", "precision_sites", "precision_cells", "recall_cells", "found")
+        cells = [_percent(total[key]) for key in fractions]
         lines.append(
             f"{name:{width}}  {total['places']:6}  {cells[0]:>11}  {cells[1]:>10}  {cells[2]:>10}"
             f"  {cells[3]:>6}  {cells[4]:>5}  {total['regret_m'] or 0.0:8.2f}  {total['ms']:4.0f}"
@@ -418,8 +419,8 @@ def text(figures: dict[str, Any]) -> str:
     total = figures["summary"]
     if total["calibration_error"] is not None:
         lines.append(f"calibration error of {figures['selector']} {total['calibration_error']:.4f}")
-        lines += [f"  predicted {mean:.3f}  safe {share:.3f}  ({number})"
-                  for mean, share, number in total["reliability"]]  # fmt: skip
+        lines += [f"  predicted {mean:.3f}  safe {fraction:.3f}  ({number})"
+                  for mean, fraction, number in total["reliability"]]  # fmt: skip
     if "fit" in figures:
         weights = ", ".join(f"{weight:.2f}" for weight in figures["fit"]["weights"])
         lines.append(f"landing.risk_weights=[{weights}]")
@@ -427,5 +428,5 @@ def text(figures: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100.0 * share:.1f}%"
+def _percent(fraction: float | None) -> str:
+    return "-" if fraction is None else f"{100.0 * fraction:.1f}%"

@@ -48,19 +48,23 @@ class BoundedFigure:
     flights: int
     now: float
     before: float
-    least: float | None
-    most: float
+    minimum: float | None
+    maximum: float
     spread: float
 
     @property
     def worse(self) -> bool:
-        below = self.least is not None and self.now < self.least * (1.0 - _ROUNDING)
-        return below or self.now > self.most * (1.0 + _ROUNDING)
+        below = self.minimum is not None and self.now < self.minimum * (1.0 - _ROUNDING)
+        return below or self.now > self.maximum * (1.0 + _ROUNDING)
 
     @property
     def bounds(self) -> str:
         """The bounds as text."""
-        return f"{self.most:.4g}" if self.least is None else f"{self.least:.4g} to {self.most:.4g}"
+        return (
+            f"{self.maximum:.4g}"
+            if self.minimum is None
+            else f"{self.minimum:.4g} to {self.maximum:.4g}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -155,8 +159,8 @@ def _bounded(
         flights=len(both),
         now=math.exp(now),
         before=math.exp(before),
-        least=math.exp(before - margin) if figure.both_sides else None,
-        most=math.exp(before + margin),
+        minimum=math.exp(before - margin) if figure.both_sides else None,
+        maximum=math.exp(before + margin),
         spread=spread,
     )
 

@@ -38,10 +38,10 @@ Progress = Callable[[int, int, str], None]
 TEXTURES = "textures"
 """name of the data set of photographed textures"""
 _AVERAGE = 0.998
-"""share of the previous average that the averaged weights keep at each step"""
+"""fraction of the previous average that the averaged weights keep at each step"""
 _LARGEST_GRADIENT = 1.0
 _WARM_UP = 0.05
-"""share of all steps in which the learning rate rises from 0"""
+"""fraction of all steps in which the learning rate rises from 0"""
 _ALIKE = 3e-4
 """macro F1 below the best that counts as the best: of two such epochs the later one, at a lower
 rate of learning, is kept; it is surer of what it knows"""
@@ -71,13 +71,14 @@ class TrainParams:
     variation: float = 1.0
     """strength of the augmentation (`augment.augmented`)"""
     markings: float = 0.0
-    """share of images with lines painted on them (`augment.marked`)"""
+    """fraction of images with lines painted on them (`augment.marked`)"""
     colours: float = 0.0
-    """share of images of built or bare ground and water of another colour (`augment.recoloured`)"""
+    """fraction of images of built or bare ground and water of another colour
+    (`augment.recoloured`)"""
     textures: float = 0.0
-    """share of images that take on a photographed texture of their class (`augment.textured`)"""
+    """fraction of images that take on a photographed texture of their class (`augment.textured`)"""
     weather: float = 0.0
-    """share of `augment.weathered`, relative to its own"""
+    """fraction of `augment.weathered`, relative to its own"""
     teachers: tuple[str, ...] = ()
     """files of networks or ensembles, whose mean is learnt, too (`teaching.Teachers`)"""
     frozen: int = 0

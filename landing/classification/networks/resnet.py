@@ -27,16 +27,16 @@ def channel_attention(features: Tensor, mlp: Callable[[Tensor], Tensor]) -> Tens
 
     The pools go over all pixels; both share ``mlp``, (B, C) to (B, C)."""
     mean = functional.adaptive_avg_pool2d(features, 1).flatten(1)
-    most = functional.adaptive_max_pool2d(features, 1).flatten(1)
-    return torch.sigmoid(mlp(mean) + mlp(most))[:, :, None, None]
+    maximum = functional.adaptive_max_pool2d(features, 1).flatten(1)
+    return torch.sigmoid(mlp(mean) + mlp(maximum))[:, :, None, None]
 
 
 def spatial_attention(features: Tensor, window: Callable[[Tensor], Tensor]) -> Tensor:
     """Eq. 3: M_s(F) = sigmoid(f7x7([AvgPool(F); MaxPool(F)])), (B, 1, H, W).
 
     The pools go over the channels; ``window`` maps (B, 2, H, W) to (B, 1, H, W)."""
-    mean, most = features.mean(dim=1, keepdim=True), features.amax(dim=1, keepdim=True)
-    return torch.sigmoid(window(torch.cat([mean, most], dim=1)))
+    mean, maximum = features.mean(dim=1, keepdim=True), features.amax(dim=1, keepdim=True)
+    return torch.sigmoid(window(torch.cat([mean, maximum], dim=1)))
 
 
 def attend(

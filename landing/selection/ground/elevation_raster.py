@@ -210,14 +210,14 @@ class PlaneField:
 
 
 def fit_planes(
-    height: Float32, cell_m: float, half_width_m: float, *, min_share: float = 0.6
+    height: Float32, cell_m: float, half_width_m: float, *, min_fraction: float = 0.6
 ) -> PlaneField:
     """Fits planes by running sums of moments: the cost does not depend on the window.
 
-    ``height`` (rows, cols): float32, metres, NaN unknown. A window with less than ``min_share`` of
-    its cells known, or whose known cells lie on a line, gives NaN."""
+    ``height`` (rows, cols): float32, metres, NaN unknown. A window with less than ``min_fraction``
+    of its cells known, or whose known cells lie on a line, gives NaN."""
     reach = max(round(half_width_m / cell_m), 1)
-    enough = min_share * (2 * reach + 1) ** 2
+    enough = min_fraction * (2 * reach + 1) ** 2
     rise, level = (np.empty(height.shape, np.float32) for _ in range(2))
     _sliding_planes(height, reach, enough, rise, level)
     return PlaneField(angle_rad=np.arctan(np.sqrt(rise) / np.float32(cell_m)), level=level)

@@ -114,7 +114,7 @@ def moving_cells(raster: ElevationRaster, limits: GroundParams) -> Mask:
     opening.
     """
     with np.errstate(invalid="ignore"):
-        mostly_ground = raster.height - raster.low < limits.moving_share * (
+        mostly_ground = raster.height - raster.low < limits.moving_fraction * (
             raster.high - raster.low
         )
         spread = mostly_ground & (raster.std > limits.moving_std_m)

@@ -38,8 +38,8 @@ def standing_plants(
         lowest = cv2.erode(np.where(raster.known, raster.low, np.float32(1e6)), around)
         level = raster.low - lowest <= limits.plants_level_m
         spread = raster.high - raster.low
-        for side_m, most_m, mean_m in (limits.plants_clump, limits.plants_stand):
-            low = (spread <= most_m) & (raster.height - raster.low <= mean_m)
+        for side_m, max_m, mean_m in (limits.plants_clump, limits.plants_stand):
+            low = (spread <= max_m) & (raster.height - raster.low <= mean_m)
             some = (low & (spread > limits.plants_spread_m)).astype(np.uint8)
             filled = some
             if fill_gaps:

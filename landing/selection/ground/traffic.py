@@ -55,8 +55,8 @@ def _smooth_intensity(raster: ElevationRaster, window_m: float) -> Float32:
     seen = np.isfinite(raster.intensity) & raster.known
     intensity = np.where(seen, raster.intensity, np.float32(0.0))
     total = cv2.boxFilter(intensity, -1, size, borderType=cv2.BORDER_CONSTANT)
-    share = cv2.boxFilter(seen.astype(np.float32), -1, size, borderType=cv2.BORDER_CONSTANT)
-    return (total / np.maximum(share, np.float32(1e-3))).astype(np.float32)
+    fraction = cv2.boxFilter(seen.astype(np.float32), -1, size, borderType=cv2.BORDER_CONSTANT)
+    return (total / np.maximum(fraction, np.float32(1e-3))).astype(np.float32)
 
 
 def traffic_zone(raster: ElevationRaster, landable: LandableMap, params: LandingParams) -> Mask:

@@ -118,8 +118,10 @@ def add_slab(builder: SceneBuilder, land: Scrubland, xy_m: Array, radius_m: floa
     parts = []
     top = 0.0
     for layer in range(int(rng.integers(2, 4))):
-        share = 1.0 - 0.22 * layer
-        half = radius_m * np.array([share, share * rng.uniform(0.6, 0.8), rng.uniform(0.16, 0.26)])
+        fraction = 1.0 - 0.22 * layer
+        half = radius_m * np.array(
+            [fraction, fraction * rng.uniform(0.6, 0.8), rng.uniform(0.16, 0.26)]
+        )
         shift = np.array([*(0.12 * radius_m * rng.uniform(-1.0, 1.0, 2)), top])
         parts.append(blob(rng, half, 3.2, 0.09, 9, 1.6).moved(shift))
         top += 1.25 * float(half[2])
@@ -137,7 +139,7 @@ HALF_M = 64.0
 NODES = 321
 REPOSE = float(np.tan(np.deg2rad(32.0)))
 """Slope at which dry sand slides."""
-_FLAT_SHARE = 0.30
+_FLAT_FRACTION = 0.30
 """of a wave length, the flat before the next dune"""
 
 
@@ -201,7 +203,7 @@ def dune_profile(phase: Array, height_m: Array, wave_m: float) -> tuple[Array, A
     rise to the crest, and the fall at the angle of repose. height_m: (...) of the crest there."""
     fall = np.maximum(height_m, 1e-3) / (REPOSE * wave_m)
     crest = 1.0 - fall
-    rise = np.clip((phase - _FLAT_SHARE) / np.maximum(crest - _FLAT_SHARE, 0.05), 0.0, 1.0)
+    rise = np.clip((phase - _FLAT_FRACTION) / np.maximum(crest - _FLAT_FRACTION, 0.05), 0.0, 1.0)
     stoss = rise**1.5 * (1.0 - 0.35 * rise) / 0.65
     lee = np.clip((1.0 - phase) / fall, 0.0, 1.0)
     on_lee = phase > crest
@@ -219,7 +221,7 @@ def shape_dunes(rng: np.random.Generator, plan: Plan) -> Relief:
     # The take-off lies on a flat, a few metres behind a slip face.
     spot_sway = float(HeightField(heights_m=sway, half_m=HALF_M).at(plan.takeoff_xy_m))
     along = xy @ np.array([east, north]) - start + 6.5 * (sway - spot_sway)
-    phase = np.mod(along / plan.wave_m + 0.5 * _FLAT_SHARE, 1.0)
+    phase = np.mod(along / plan.wave_m + 0.5 * _FLAT_FRACTION, 1.0)
     # Crests break where the sand is scarce.
     scarce = fractal_noise(rng, shape, 30.0 / cell, 2, 0.4).astype(np.float64)
     high = plan.height_m * smoothstep(-1.3, 0.7, scarce)
@@ -245,12 +247,12 @@ def _settled(dune: Array, cell_m: float) -> Array:
     """Sand that lies steeper than its angle of repose, where crests turn, slides: (N, N) heights
     relaxed until no edge between nodes is steeper."""
     heights = dune.copy()
-    most = 1.04 * REPOSE * cell_m
+    maximum = 1.04 * REPOSE * cell_m
     for _ in range(40):
         moved = 0.0
         for axis in (0, 1):
             step = np.diff(heights, axis=axis)
-            excess = 0.5 * (step - np.clip(step, -most, most))
+            excess = 0.5 * (step - np.clip(step, -maximum, maximum))
             moved = max(moved, float(np.abs(excess).max()))
             pad = [(0, 0), (0, 0)]
             pad[axis] = (0, 1)

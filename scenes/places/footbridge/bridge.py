@@ -133,13 +133,13 @@ def shape_ground(rng: np.random.Generator, plan: Plan) -> Array:
         # A stream's banks are nowhere alike.
         ragged = fractal_noise(rng, heights.shape, 7.0 / terrain.cell_m, 3, 0.6)
         foot = foot + 0.7 * ragged * smoothstep(3.0, 9.0, np.abs(u) + np.abs(v))
-    share = np.clip(foot / plan.bank_m, 0.0, 1.0)
-    bank = 0.25 * smoothstep(0.0, 1.0, share) + 0.75 * share
+    fraction = np.clip(foot / plan.bank_m, 0.0, 1.0)
+    bank = 0.25 * smoothstep(0.0, 1.0, fraction) + 0.75 * fraction
     heights = heights * smoothstep(-3.0, 4.0, foot - plan.bank_m) - plan.depth_m * (1.0 - bank)
     if plan.over_road:
         return heights - ROAD_DEPTH_M * smoothstep(0.0, GUTTER_M, 0.5 * ROAD_M - distance)
     bed = 0.08 * fractal_noise(rng, heights.shape, 4.0 / terrain.cell_m, 3, 0.6)
-    return heights + bed * (1.0 - share)
+    return heights + bed * (1.0 - fraction)
 
 
 ASPHALT_DECK = Surface(land_class="road", reflectivity=0.24)
@@ -344,5 +344,5 @@ def _add_stairs(
     for spot, z in zip(aside, (high, low), strict=True):
         builder.geom("railing", STEEL, rgba=rgba, cylinder=0.03,
                      fromto=[*spot, z - 0.2, *spot, z + 1.0])  # fmt: skip
-    for share in (0.1, 0.5, 0.9):
-        builder.claim(share * ends[0] + (1.0 - share) * ends[1], 1.4)
+    for fraction in (0.1, 0.5, 0.9):
+        builder.claim(fraction * ends[0] + (1.0 - fraction) * ends[1], 1.4)

@@ -183,8 +183,8 @@ def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
             builder.geom("rail_post", WOOD, fromto=[*post[0], *post[1]], capsule=0.055,
                          rgba=_TIMBER)  # fmt: skip
     builder.cast_box((3.1, 1.6), (0.0,), heading, origin)
-    for share in (-2.5, 0.0, 2.5):
-        builder.claim(at + share * unit(heading), 2.4)
+    for fraction in (-2.5, 0.0, 2.5):
+        builder.claim(at + fraction * unit(heading), 2.4)
 
 
 def add_hide(builder: SceneBuilder, xy_m: Array, toward_xy_m: Array) -> None:
@@ -273,7 +273,7 @@ TREE_TOP_M = 17.0
 """No tree reaches higher over the take-off spot."""
 _GRID = 128
 _OVERLAP = 0.62
-"""Neighbouring crowns reach into one another: share of their radii that stays apart."""
+"""Neighbouring crowns reach into one another: fraction of their radii that stays apart."""
 
 
 def plant(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:

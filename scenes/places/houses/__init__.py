@@ -110,7 +110,7 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     level = rng.uniform(1.0, 5.0)
     swing = rng.uniform(2.0, 6.0) * (1.0 if rng.random() < 0.5 else -1.0)
     shape = ((-84.0, -1.0), (-45.0, -1.0), (-14.0, 0.5), (26.0, -0.3), (50.0, 1.0), (84.0, 1.0))
-    corners = [(u, level + share * swing) for u, share in shape]
+    corners = [(u, level + fraction * swing) for u, fraction in shape]
     main = street(corners, rng.uniform(6.0, 6.8), rng.uniform(1.7, 2.1))
     stations = np.array([main.point(s, 0.0) for s in np.arange(0.0, main.length_m, 1.0)])
     local = frame.coordinates(stations)

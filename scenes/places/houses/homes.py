@@ -197,8 +197,8 @@ def _furnish(builder: SceneBuilder, home: Home, nursery: Nursery) -> None:
     elif home.garden == "vegetables":
         low, high = _bed(home)
         bed = 0.5 * (width - 6.8), high - low - 0.4
-        for share in (0.27, 0.75):
-            u = 1.4 + share * (width - 6.4)
+        for fraction in (0.27, 0.75):
+            u = 1.4 + fraction * (width - 6.4)
             middle = plot.at(u, 0.5 * (low + high))
             add_crop_rows(builder, middle, plot.angle, bed, rng.uniform(0.25, 0.6))
         if rng.random() < 0.6:

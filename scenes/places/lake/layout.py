@@ -45,7 +45,7 @@ class Plan:
     centre_xy_m: Array
     radius_m: float
     waves: Array
-    """(K, 2) amplitude (share of the radius) and phase of the k+2-th harmonic"""
+    """(K, 2) amplitude (fraction of the radius) and phase of the k+2-th harmonic"""
     kinds: NDArray[np.int64]
     """(720,) shore kinds by bearing, half a degree each"""
     islet_xy_m: Array

@@ -288,8 +288,8 @@ def _furnish_pitch(builder: SceneBuilder, plan: Plan) -> None:
     middle = 0.5 * (v0 + v1)
     add_goal(builder, frame.at(u0 + 0.4, middle), frame.angle, 5.0, 2.0)
     add_goal(builder, frame.at(u1 - 0.4, middle), frame.angle + np.pi, 5.0, 2.0)
-    share = rng.uniform(0.66, 0.8)
-    across = u0 + share * (u1 - u0)
+    fraction = rng.uniform(0.66, 0.8)
+    across = u0 + fraction * (u1 - u0)
     add_net(builder, frame.at(across, v0 + 1.5), frame.at(across, v1 - 1.5), (0.3, 1.1))
     for u in (u0, u1):
         for v in (v0, v1):

@@ -44,9 +44,14 @@ class Ramp:
     def depth(self, xy_m: Array) -> Array:
         """(..., 2) -> (...) metres below the deck, 0 outside."""
         x, y = np.asarray(xy_m)[..., 0], np.asarray(xy_m)[..., 1]
-        share = (x - self.top_x_m) / (self.foot_x_m - self.top_x_m)
-        inside = (y > self.low_y_m + 1e-6) & (y < self.high_y_m - 1e-6) & (share > 0) & (share <= 1)
-        return np.where(inside, RAMP_DEPTH_M * share, 0.0)
+        fraction = (x - self.top_x_m) / (self.foot_x_m - self.top_x_m)
+        inside = (
+            (y > self.low_y_m + 1e-6)
+            & (y < self.high_y_m - 1e-6)
+            & (fraction > 0)
+            & (fraction <= 1)
+        )
+        return np.where(inside, RAMP_DEPTH_M * fraction, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -318,8 +323,8 @@ def furnish_deck(builder: SceneBuilder, plan: Plan, models: Models) -> None:
             z = builder.terrain.point(*at)
             stops.append(box((0.85, 0.075, 0.06), (*at, z + 0.06)))
             middle = np.array([x, 0.5 * (mouth + head) + inward * 0.25]) + rng.normal(0.0, 0.12, 2)
-            share = 0.62 if heading < 0.0 else 0.42
-            if rng.random() < share and builder.is_free(middle, 0.6):
+            fraction = 0.62 if heading < 0.0 else 0.42
+            if rng.random() < fraction and builder.is_free(middle, 0.6):
                 turn = heading + (np.pi if rng.random() < 0.3 else 0.0) + rng.normal(0.0, 0.02)
                 free = builder.occupied[:]
                 park_car(builder, pick(rng, models), middle, turn)

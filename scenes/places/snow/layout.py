@@ -34,7 +34,7 @@ class Plan:
     pond_xy_m: Array
     pond_radius_m: float
     pond_waves: Array
-    """(K, 2) amplitude (share of the radius) and phase of the k+2-th harmonic"""
+    """(K, 2) amplitude (fraction of the radius) and phase of the k+2-th harmonic"""
     hut_xy_m: Array
     hut_angle: float
     hill_xy_m: Array
@@ -127,12 +127,12 @@ def sastrugi(rng: np.random.Generator, plan: Plan, xy: Array, wave_m: float) -> 
     steeply against it and trail off behind."""
     downwind, across = along_wind(plan, xy, np.zeros(2))
     field = np.zeros(xy.shape[:-1])
-    for share, stretch in ((1.0, 1.0), (0.55, 0.55)):
+    for fraction, stretch in ((1.0, 1.0), (0.55, 0.55)):
         sway = 1.2 * np.sin(downwind / (3.1 * wave_m * stretch) + rng.uniform(0.0, 6.3))
         noise = fractal_noise(rng, (_GRID, _GRID), 8.0, 2, 0.5)
         col = downwind / (3.6 * wave_m * stretch) * 8.0 + rng.uniform(0.0, _GRID)
         row = (across + 0.3 * sway) / (wave_m * stretch) * 8.0 + rng.uniform(0.0, _GRID)
-        field += share * _mirrored(noise, row, col)
+        field += fraction * _mirrored(noise, row, col)
     field /= field.std()
     return np.sign(field) * np.abs(field) ** 1.2
 

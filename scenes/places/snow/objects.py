@@ -35,14 +35,14 @@ SNOW_RGB = np.array([226.0, 231.0, 239.0])
 _GREENS: tuple[Colour, ...] = ((50.0, 70.0, 54.0), (44.0, 62.0, 50.0), (66.0, 78.0, 54.0))
 
 
-def laden(rng: np.random.Generator, image: Image, share: float) -> Image:
-    """``image`` (H, W, 3), periodic, with clumps of snow on ``share`` of it: more towards the
+def laden(rng: np.random.Generator, image: Image, fraction: float) -> Image:
+    """``image`` (H, W, 3), periodic, with clumps of snow on ``fraction`` of it: more towards the
     bottom, where the boughs' outer ends are; each clump casts a shade below it."""
     height, width = image.shape[:2]
     lumps = tileable_noise(rng, max(height, width), 1.5, 9.0)[:height, :width]
     lumps = lumps + 0.35 * tileable_noise(rng, max(height, width), 0.9, 30.0)[:height, :width]
     outward = np.linspace(-0.55, 0.55, height, dtype=np.float32)[:, None]
-    level = float(np.quantile(lumps + outward, 1.0 - share))
+    level = float(np.quantile(lumps + outward, 1.0 - fraction))
     cover = np.clip((lumps + outward - level) * 3.0, 0.0, 1.0)
     relief = cv2.GaussianBlur(lumps, (0, 0), 2.0)
     shade = 0.90 + 0.10 * np.clip(np.roll(relief, 5, axis=0) * -1.0 + relief + 0.6, 0.0, 1.2)

@@ -23,7 +23,7 @@ SHELTER = Surface(land_class="building", reflectivity=0.30)
 _WHITE = [0.93, 0.93, 0.92, 1.0]
 CLUB_TINTS = ([0.72, 0.12, 0.12, 1], [0.10, 0.22, 0.55, 1], [0.10, 0.40, 0.20, 1])
 CROWN = 0.005
-"""The pitch falls from its middle to the touchlines by this share, so that rain runs off."""
+"""The pitch falls from its middle to the touchlines by this fraction, so that rain runs off."""
 
 
 class Pitch:

@@ -125,7 +125,7 @@ class Coarse(HybridFlowEstimator):
 
 
 @pytest.mark.parametrize(
-    ("make", "leg_m", "most_mps"),
+    ("make", "leg_m", "max_mps"),
     [
         (OpticalFlowEstimator, 0.3, 0.05),
         (HybridFlowEstimator, 0.3, 0.05),
@@ -134,11 +134,11 @@ class Coarse(HybridFlowEstimator):
     ],
     ids=["flow", "hybrid", "coarse", "stereo"],
 )
-def test_images_correct_a_wrong_velocity(make: Any, leg_m: float, most_mps: float) -> None:
+def test_images_correct_a_wrong_velocity(make: Any, leg_m: float, max_mps: float) -> None:
     """0.5 m/s of error; over ground 12 m below, which flow learns by the rangefinder."""
     rig = rig_of(leg_m)
     estimate, error, turned = fly(make(rig), rig, faster)
-    assert np.abs(error[:2]).max() < most_mps and abs(error[2]) < 0.1
+    assert np.abs(error[:2]).max() < max_mps and abs(error[2]) < 0.1
     assert np.abs(turned).max() < 0.01
     name = "features_tracked" if make is StereoEstimator else "flow_used"
     assert estimate.diagnostics[name] >= (1 if make is Coarse else 20)

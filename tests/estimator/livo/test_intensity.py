@@ -77,8 +77,8 @@ def test_image_holds_the_reflectivity_of_places():
     assert means[at[1], at[0]] == pytest.approx(
         reflectivity(np.array([[3.0, 4.0, 0.0]]))[0], abs=0.06
     )
-    assert image.share_known(TRUE.inverse().apply(ground(500, 5))) > 0.98
-    assert image.share_known(TRUE.inverse().apply(ground(500, 5) + [200.0, 0, 0])) == 0.0
+    assert image.fraction_known(TRUE.inverse().apply(ground(500, 5))) > 0.98
+    assert image.fraction_known(TRUE.inverse().apply(ground(500, 5) + [200.0, 0, 0])) == 0.0
 
 
 HERE = Frame.of(Pose.identity())
@@ -160,9 +160,9 @@ def test_a_scan_is_compared_with_the_newest_and_the_best_known_images():
         eskf.covariance[at, at] = (8.0 - k) ** 2 * 1e-4 + 1.0 * (k == 7)
     points = scan_from(TRUE, places).points
     assert update.choose(eskf, points) == [0, 4, 5, 6, 7]
-    for share, expected in ((0.10, []), (0.14, [0, 4, 5, 6, 7])):
+    for fraction, expected in ((0.10, []), (0.14, [0, 4, 5, 6, 7])):
         beside = points.copy()
-        beside[round(share * len(points)) :] += [200.0, 0.0, 0.0]
+        beside[round(fraction * len(points)) :] += [200.0, 0.0, 0.0]
         assert update.choose(eskf, np.random.default_rng(0).permutation(beside)) == expected
 
 
@@ -243,7 +243,7 @@ def test_noise_of_the_image_is_no_texture():
     )
     image = view_of(update.images[0], TRUE.rotation)
     part = photometry(Returns(scan.points, scan.beams), noisy, image, HERE, LEVER, 0.25)
-    assert 0.02 < part.noise_share < 0.7
+    assert 0.02 < part.noise_fraction < 0.7
     np.testing.assert_allclose(
-        found[:6, :6], (1.0 - part.noise_share) * part.information[:6, :6], atol=1e-6
+        found[:6, :6], (1.0 - part.noise_fraction) * part.information[:6, :6], atol=1e-6
     )

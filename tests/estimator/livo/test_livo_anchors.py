@@ -249,7 +249,7 @@ def test_calibration_is_carried_and_corrected() -> None:
     partial = Eskf(state, np.full(base, 0.01))
     partial.covariance = prior.copy()
     partial.update_covariance(touched, information, quarter)
-    # an estimate that takes a share keeps (1 - share)^2 of what full correction takes off
+    # an estimate that takes a fraction keeps (1 - share)^2 of what full correction takes off
     lost = np.outer(expected, full @ prior)[STATE_DIM:base, STATE_DIM:base]
     kept_block = prior[STATE_DIM:base, STATE_DIM:base] - (1.0 - 0.75**2) * lost
     np.testing.assert_allclose(

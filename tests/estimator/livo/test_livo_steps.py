@@ -141,7 +141,7 @@ def test_an_imu_mounted_askew_gives_the_same_estimate(seen: bool) -> None:
     level, found = ends
     assert (found.diagnostics.get("features_tracked", 0.0) > 20.0) == seen
     # other returns are chosen from a scan whose frame is turned
-    near, share = (2e-3, 0.2) if seen else (1e-9, 1e-5)
+    near, fraction = (2e-3, 0.2) if seen else (1e-9, 1e-5)
     np.testing.assert_allclose(found.angular_velocity_body, rate, atol=1e-9 + 0.1 * near)
     for name in ("velocity_odom", "acceleration_odom"):
         np.testing.assert_allclose(getattr(found, name), getattr(level, name), atol=near)
@@ -150,7 +150,7 @@ def test_an_imu_mounted_askew_gives_the_same_estimate(seen: bool) -> None:
         np.testing.assert_allclose(getattr(pose, name), getattr(other, name), atol=near)
     for name in ("position_covariance", "rotation_covariance"):
         np.testing.assert_allclose(
-            getattr(found, name), getattr(level, name), rtol=share, atol=1e-3 * near
+            getattr(found, name), getattr(level, name), rtol=fraction, atol=1e-3 * near
         )
 
 
@@ -205,14 +205,14 @@ def test_level_ground_is_reported_as_degenerate() -> None:
 
 
 def test_where_intensities_measure_the_covariance_counts_their_noise_that_repeats() -> None:
-    shares = []
+    fractions = []
     for after_s in (0.2, 60.0):
         params = LivoParams(use_vision=False, use_intensity=True, intensity_after_s=after_s)
         livo, estimates = run(FLIGHT[:120], params)
         jump, floor = livo._filter.jump[3:6], np.diag([0.005] * 3) ** 2
         spread = estimates[-1].position_covariance - floor - jump * jump[:, None]
-        shares.append(np.trace(spread[:2, :2]) / np.trace(livo._filter.covariance[3:5, 3:5]))
-    assert shares == pytest.approx([2.7, 1.8])
+        fractions.append(np.trace(spread[:2, :2]) / np.trace(livo._filter.covariance[3:5, 3:5]))
+    assert fractions == pytest.approx([2.7, 1.8])
 
 
 def test_the_map_belongs_to_clones_of_the_poses_that_made_it() -> None:

@@ -97,11 +97,11 @@ def test_other_ground_is_not_taken_for_that_of_the_keyframe() -> None:
     source, other = grey_levels(view(key)), grey_levels(view(key)[::-1, ::-1].copy())
     pixels = detect_features(source[0], 100)
     planes = np.tile(plane_in(key), (len(pixels), 1))
-    shares = [
+    fractions = [
         track(source, target, pixels, planes, Frame.of(Pose.identity()), LENS)[0].mean()
         for target in (source, other)
     ]
-    assert shares[0] > 0.9 and shares[1] < 0.1
+    assert fractions[0] > 0.9 and fractions[1] < 0.1
 
 
 def test_feature_planes_fit_a_slope_and_refuse_a_step() -> None:
@@ -300,10 +300,12 @@ def test_an_image_is_tracked_from_old_keyframes_as_well_as_the_newest(
     assert report.keyframes_tracked == 1
 
 
-@pytest.mark.parametrize(("least", "tracked"), [(0.35, 2), (0.6, 1), (0.9, 0)])
-def test_in_a_climb_images_are_tracked_from_keyframes_far_below(least: float, tracked: int) -> None:
+@pytest.mark.parametrize(("minimum", "tracked"), [(0.35, 2), (0.6, 1), (0.9, 0)])
+def test_in_a_climb_images_are_tracked_from_keyframes_far_below(
+    minimum: float, tracked: int
+) -> None:
     """From 4 and 8 m, seen from 10 m; the pose is 6 cm and 0.2 degrees of heading off."""
-    vision, returns = front_end(track_scale=least), ground_returns()
+    vision, returns = front_end(track_scale=minimum), ground_returns()
     eskf = filter_at(imu_pose((0, 0, 4), (0, 0, 0)))
     for k, height_m in enumerate((4.0, 8.0)):
         pose = imu_pose((0.0, 0.0, height_m), (0, 0, 0.6 * k))

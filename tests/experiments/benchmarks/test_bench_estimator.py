@@ -61,12 +61,13 @@ def _scans(count: int) -> list[ScanPoints]:
     scans = []
     for number in range(count):
         start_s = 0.1 * number
-        shares = np.repeat((np.arange(40) + 1.0) / 40.0, 150)
+        fractions = np.repeat((np.arange(40) + 1.0) / 40.0, 150)
         slices = [
-            _room(_flight(start_s + 0.1 * share) @ LIDAR, 150, rng) for share in shares[::150]
+            _room(_flight(start_s + 0.1 * fraction) @ LIDAR, 150, rng)
+            for fraction in fractions[::150]
         ]
         points = np.concatenate(slices).astype(np.float32)
-        scans.append(ScanPoints(points, shares.astype(np.float32), start_s, start_s + 0.1))
+        scans.append(ScanPoints(points, fractions.astype(np.float32), start_s, start_s + 0.1))
     return scans
 
 
@@ -96,10 +97,10 @@ def test_constant_velocity_deskewing_undoes_a_share_of_the_step() -> None:
     step[0, 3] = 1.0
     turned = np.eye(4)
     turned[:3, :3] = rotation_from_yaw(np.radians(0.25))
-    shares = np.array([0.0, 0.5, 1.0])
-    assert deskew_by_step(points, shares, step)[:, 0].tolist() == [9.0, 9.5, 10.0]
+    fractions = np.array([0.0, 0.5, 1.0])
+    assert deskew_by_step(points, fractions, step)[:, 0].tolist() == [9.0, 9.5, 10.0]
     expected = -10.0 * np.radians([0.25, 0.125, 0.0])
-    assert deskew_by_step(points, shares, turned)[:, 1] == pytest.approx(expected, abs=1e-9)
+    assert deskew_by_step(points, fractions, turned)[:, 1] == pytest.approx(expected, abs=1e-9)
 
 
 def test_missing_references_are_one_line(monkeypatch: pytest.MonkeyPatch, says: Says) -> None:
@@ -115,7 +116,7 @@ def test_scans_are_those_of_the_judged_span(run: Path) -> None:
     logged = open_run(run)
     scans = odometry.logged_scans(logged, 1.5)
     assert [round(scan.end_s, 6) for scan in scans] == [1.0, 1.1, 1.2, 1.3, 1.4]
-    assert all(scan.shares.min() >= 0.0 and scan.shares.max() <= 1.0 for scan in scans)
+    assert all(scan.fractions.min() >= 0.0 and scan.fractions.max() <= 1.0 for scan in scans)
     assert all(np.linalg.norm(scan.points, axis=1).min() > 0.0 for scan in scans)
 
 

@@ -72,8 +72,8 @@ def test_the_table_adds_up() -> None:
     profile.seconds = {"scene": 5.0, "film": 1.0, "rest": 3.0}
     profile.calls = {"scene": 1, "film": 20, "rest": 1}
     rows = flight_profile._rows(profile, sim_s=2.0)
-    assert rows["film"] == {"calls": 20, "ms": 50.0, "ms_per_scan": 50.0, "share": 0.25}
-    assert "share" not in rows["scene"]
+    assert rows["film"] == {"calls": 20, "ms": 50.0, "ms_per_scan": 50.0, "fraction": 0.25}
+    assert "fraction" not in rows["scene"]
     text = flight_profile.table({"stages": rows, "core_s_per_sim_s": 2.0})
     assert "25.0%" in text and text.endswith("2.000 core-seconds per simulated second")
 

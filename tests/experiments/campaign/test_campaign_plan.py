@@ -126,7 +126,7 @@ def test_shards_share_the_runs_among_them() -> None:
 def test_axes_that_span_too_many_runs_are_not_multiplied(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, Any]
 ) -> None:
-    monkeypatch.setattr(plans, "MOST_RUNS", 10)
+    monkeypatch.setattr(plans, "MAX_RUNS", 10)
     with pytest.raises(UsageError, match=r"more than 10; (give fewer|split the campaign)"):
         make_plan(tmp_path, axes(scene=["flat"], **more))
 

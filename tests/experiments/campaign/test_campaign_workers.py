@@ -80,11 +80,11 @@ def test_no_partial_files_remain(faulty: tuple[Path, dict[str, Any]]) -> None:
     totals = faulty[1]
     assert (totals["finished"], totals["crashed"], totals["remaining"]) == (7, 3, 0)
     assert totals["flying"] == []
-    shares = totals["estimators"]["fake:good"]["stage_share"]
-    assert sum(shares.values()) == pytest.approx(1.0)
+    fractions = totals["estimators"]["fake:good"]["stage_fraction"]
+    assert sum(fractions.values()) == pytest.approx(1.0)
     # 1 ms of the world and 0.5 ms of the estimator in a loop of 2 ms.
-    assert shares["world"] == pytest.approx(2 * shares["estimator"])
-    assert shares["rest"] == pytest.approx(shares["estimator"])
+    assert fractions["world"] == pytest.approx(2 * fractions["estimator"])
+    assert fractions["rest"] == pytest.approx(fractions["estimator"])
 
 
 def test_a_second_call_repeats_only_crashed_runs(

@@ -106,10 +106,10 @@ def test_a_share_of_seeds_is_of_other_materials(monkeypatch: pytest.MonkeyPatch)
         raise BuiltError
 
     monkeypatch.setattr(patches, "build_scene", build)
-    for share in (0.0, 0.5, 1.0):
+    for fraction in (0.0, 0.5, 1.0):
         for seed in range(40):
             with pytest.raises(BuiltError):
-                patches.scene_patches("turf", seed, 1, 40, 0, patches.NewLooks(0.0, share))
+                patches.scene_patches("turf", seed, 1, 40, 0, patches.NewLooks(0.0, fraction))
     assert not any(found[:40]) and all(found[80:]) and 10 <= sum(found[40:80]) <= 30
     assert present_variation() is None
 
@@ -152,7 +152,8 @@ def test_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert tuple(rows[0]) == render_dataset.COLUMNS
     assert rows[0] == {
         "file": "lake-1000/0000.png", "d_land": "lawn", "d_scene": "meadow", "scene": "lake",
-        "seed": "1000", "split": "train", "height_m": "20.00", "side_m": "6.40", "share": "0.900",
+        "seed": "1000", "split": "train", "height_m": "20.00", "side_m": "6.40",
+        "fraction": "0.900",
     }  # fmt: skip
     for row in rows:
         assert (read_picture(out / row["file"]) == int(row["seed"]) % 256).all()

@@ -40,11 +40,11 @@ def _placed(messages: dict[str, list[Any]], body: str) -> np.ndarray:
         rows = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
         xyz = mount.apply(np.column_stack([points["x"], points["y"], points["z"]]).astype(float))
         for row in np.unique(rows):
-            share = (at[rows == row] - times[row - 1]) / (times[row] - times[row - 1])
+            fraction = (at[rows == row] - times[row - 1]) / (times[row] - times[row - 1])
             # level flight without rotation: one rotation holds for the span
             rotation = interpolate_pose(poses[row - 1], poses[row], 0.5).rotation
             way = poses[row].translation - poses[row - 1].translation
-            origin = poses[row - 1].translation + share[:, None] * way
+            origin = poses[row - 1].translation + fraction[:, None] * way
             placed.append(xyz[rows == row] @ rotation.T + origin)
     return np.vstack(placed)
 

@@ -34,8 +34,8 @@ def observe(time_s: float) -> Observation:
 def test_ramp() -> None:
     biased = BiasedEstimator(Script(), BiasParams(xy_m=(0.5, -1.0)))
     assert biased.needs == SensorNeeds(lidar=True)
-    for time_s, share in ((0.0, 0.0), (1.0, 0.0), (3.5, 0.5), (6.0, 1.0), (30.0, 1.0)):
+    for time_s, fraction in ((0.0, 0.0), (1.0, 0.0), (3.5, 0.5), (6.0, 1.0), (30.0, 1.0)):
         estimate = biased.update(observe(time_s))
-        expected = share * np.array([0.5, -1.0])
+        expected = fraction * np.array([0.5, -1.0])
         np.testing.assert_allclose(estimate.world_from_body.translation[:2], expected)
         np.testing.assert_allclose(estimate.scan_track.positions_odom[:, :2], [expected] * 2)

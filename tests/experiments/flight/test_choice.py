@@ -17,7 +17,7 @@ def _candidate(rule: SiteRule, value: float, accepted: bool) -> Candidate:
         position_odom=np.array([1.0, 2.0, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.6,
         slope_deg=0.4, roughness_m=0.02, clearance_m=2.5, accepted=accepted, reason="level",
         rule=rule, value=value, step_m=0.03, cluster_bonus=0.1, safe_probability=0.99,
-        terms=(ScoreTerm(name="room", value=0.08, quantity=2.5, unit="m"),),
+        terms=(ScoreTerm(name="clearance", value=0.08, quantity=2.5, unit="m"),),
         class_predicted="lawn", class_probability=0.9,
     )  # fmt: skip
 
@@ -41,7 +41,7 @@ def test_last_decision_is_listed_in_full_and_earlier_ones_by_rule() -> None:
         1, (10.0, 20.0, 5.0), "highest_value", 1.05,
     )  # fmt: skip
     assert (won.terms[0].name, won.terms[0].value, won.terms[0].quantity, won.terms[0].unit) == (
-        "room", 0.08, 2.5, "m",
+        "clearance", 0.08, 2.5, "m",
     )  # fmt: skip
     figures = (won.c_sum, won.slope_deg, won.roughness_m, won.step_m, won.clearance_m)
     assert figures == (0.6, 0.4, 0.02, 0.03, 2.5)

@@ -96,9 +96,9 @@ def test_effects_of_the_world() -> None:
     }  # fmt: skip
     rig = make_rig()
     found = flown().measured(WorldRecord([], effects, {"center_of_mass_m": 0.02}), rig, rig)
-    assert (found.dust_scans, found.dust_returns_share, found.dust_images) == (3.0, 0.25, 0.0)
-    assert (found.plants_share, found.sway_m, found.range_error_m) == (0.25, 0.02, 0.015)
-    assert (found.lamp_share, found.light_lux, found.gain) == (0.3, 0.002, 16.0)
+    assert (found.dust_scans, found.dust_returns_fraction, found.dust_images) == (3.0, 0.25, 0.0)
+    assert (found.plants_fraction, found.sway_m, found.range_error_m) == (0.25, 0.02, 0.015)
+    assert (found.lamp_fraction, found.light_lux, found.gain) == (0.3, 0.002, 16.0)
     assert (found.stamp_error_ms, found.wakes_mps, found.air_rotation_degps) == (3.0, 0.5, 0.0)
     assert found.center_of_mass_m == 0.02 and found.exposure_ms is None
 
@@ -150,20 +150,20 @@ def judged(config: Config, **figures: float) -> dict[str, Any]:
 
 def test_a_night_must_have_been_dark_and_the_lamp_on() -> None:
     night = load_config(None, ["lamp.below_m=12"], light="night")
-    dark = judged(night, light_lux=6e-4, lamp_share=0.3)
+    dark = judged(night, light_lux=6e-4, lamp_fraction=0.3)
     assert dark["happened"] and "0.0006 lx without the lamp, the lamp on in 30%" in dark["text"]
-    assert not judged(night, light_lux=2e4, lamp_share=0.3)["happened"]
-    assert not judged(night, light_lux=6e-4, lamp_share=0.0)["happened"]
+    assert not judged(night, light_lux=2e4, lamp_fraction=0.3)["happened"]
+    assert not judged(night, light_lux=6e-4, lamp_fraction=0.0)["happened"]
     assert not judged(night)["happened"]
     without_lamp = load_config(None, ["lamp.below_m=0"], light="night")
-    assert judged(without_lamp, light_lux=6e-4, lamp_share=0.0)["happened"]
+    assert judged(without_lamp, light_lux=6e-4, lamp_fraction=0.0)["happened"]
 
 
 def test_the_wind_must_have_blown_as_asked() -> None:
     config = load_config(None, ["wind.mean_kmh=36"])
     assert judged(config, wind_at_6m_mps=10.0, wind_mps=13.0, gust_mps=20.0) == {
         "name": "wind", "happened": True, "value": 36.0,
-        "least": pytest.approx(23.4), "most": pytest.approx(48.6),
+        "minimum": pytest.approx(23.4), "maximum": pytest.approx(48.6),
         "text": "wind of 36 km/h: 36.0 km/h at 6 m, 46.8 at the vehicle, gusts to 72.0",
     }  # fmt: skip
     assert not judged(config, wind_at_6m_mps=3.3)["happened"] and not judged(config)["happened"]
@@ -173,10 +173,10 @@ def test_the_wind_must_have_blown_as_asked() -> None:
 def test_an_effect_of_nothing_did_not_happen(name: str) -> None:
     config = load_config(None, ["profile=field", f"harsh_effects=['{name}']"])
     rule = EFFECT_RULES[name]
-    least = rule.least(config)
-    assert least > 0.0 and not judged(config)["happened"]
-    assert not judged(config, **{rule.column: 0.99 * least})["happened"]
-    assert judged(config, **{rule.column: 1.01 * least})["happened"]
+    minimum = rule.minimum(config)
+    assert minimum > 0.0 and not judged(config)["happened"]
+    assert not judged(config, **{rule.column: 0.99 * minimum})["happened"]
+    assert judged(config, **{rule.column: 1.01 * minimum})["happened"]
 
 
 def test_what_did_not_happen_is_a_warning() -> None:

@@ -65,7 +65,7 @@ def test_the_flight_follows_the_estimate_not_the_truth() -> None:
     site = (x, y)
     result = run(
         None, "preset=short", "survey.height_m=9.0", "survey.min_height_m=9.0",
-        "survey.leg_length_m=4.0", "survey.duration_s=3.0", "landing.second_look=false",
+        "survey.leg_length_m=4.0", "survey.duration_s=3.0", "landing.site_recheck=false",
         "landing.touchdown_speed_mps=0.3", "bias.xy_m=[0.3, -0.4]", estimator="oracle",
         scene="flat", seed=0, site=site,
     )  # fmt: skip

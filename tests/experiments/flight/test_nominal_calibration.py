@@ -90,13 +90,13 @@ def test_distortion_displaces_the_corners_by_its_sigma() -> None:
     u, v = np.meshgrid(np.linspace(0, k.width - 1, 33), np.linspace(0, k.height - 1, 25))
     x, y = (u.ravel() - k.cx) / k.fx, (v.ravel() - k.cy) / k.fy
     points = np.column_stack([x, y, np.ones_like(x)])
-    most = []
+    maximum = []
     for seed in range(200):
         lens = erring_rig(rig, params, seed).camera.distortion
         seen, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), k.matrix(), lens)
         off = seen[:, 0] - np.column_stack([u.ravel(), v.ravel()])
-        most.append(np.linalg.norm(off, axis=1).max())
-    assert float(np.sqrt(np.mean(np.square(most)))) == pytest.approx(0.5, rel=0.1)
+        maximum.append(np.linalg.norm(off, axis=1).max())
+    assert float(np.sqrt(np.mean(np.square(maximum)))) == pytest.approx(0.5, rel=0.1)
     assert corner_displacement_px(k).shape == (4,)
 
 
@@ -136,7 +136,7 @@ def test_calibration_file_says_the_pair_and_both_err_against_the_imu(tmp_path: P
 def test_readout_and_lever_arms_err_by_their_sigmas() -> None:
     """Each by itself, drawn from the seed."""
     rig = replace(make_rig(), camera_readout_s=0.015)
-    params = CalibrationErrorParams(readout_share=0.01, lever_sigma_m=0.005)
+    params = CalibrationErrorParams(readout_fraction=0.01, lever_sigma_m=0.005)
     config = load_config().model_copy(update={"calibration_error": params})
     found = [nominal_rig(rig, config.model_copy(update={"seed": seed})) for seed in range(400)]
     off = np.array(

@@ -17,7 +17,7 @@ from support.worlds import load_ideal_config
 pytest.importorskip("pymavlink")
 LOW = (
     "preset=short", "survey.height_m=4.0", "survey.leg_length_m=2.0", "survey.duration_s=2.0",
-    "landing.site_xy_m=[-20.0,-18.0]", "landing.check_site=false", "landing.second_look=false",
+    "landing.site_xy_m=[-20.0,-18.0]", "landing.check_site=false", "landing.site_recheck=false",
     "landing.touchdown_speed_mps=0.2", "landing.sweep_m=0",
 )  # fmt: skip
 """A hop of four metres to a site nearby."""

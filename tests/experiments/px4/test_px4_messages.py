@@ -129,9 +129,9 @@ def wrench_of(thrust: float, roll: float, pitch: float, yaw: float) -> np.ndarra
     forward, left, up. Motors: front right, rear left (both counter-clockwise), front left, rear
     right."""
     mix = np.sqrt(0.5) * (roll * np.array([-1, 1, 1, -1]) + pitch * np.array([1, -1, 1, -1]))
-    shares = thrust + mix + yaw * np.array([1, 1, -1, -1])
+    fractions = thrust + mix + yaw * np.array([1, 1, -1, -1])
     factor = PARAMETERS["THR_MDL_FAC"]
-    controls = (np.sqrt((1 - factor) ** 2 + 4 * factor * shares) - (1 - factor)) / (2 * factor)
+    controls = (np.sqrt((1 - factor) ** 2 + 4 * factor * fractions) - (1 - factor)) / (2 * factor)
     speeds = airframe.Motors(VEHICLE).speeds(controls.tolist())
     return allocation_matrix(VEHICLE) @ speeds**2
 

@@ -47,7 +47,7 @@ def _candidate(x: float, y: float, *, accepted: bool = True) -> Candidate:
         position_odom=np.array([x, y, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5,
         slope_deg=1.0, roughness_m=0.0, clearance_m=2.0, accepted=accepted, reason="",
         rule="lower_value" if accepted else "water", value=0.9, step_m=0.02,
-        terms=(ScoreTerm(name="room", value=0.9, quantity=2.0, unit="m"),),
+        terms=(ScoreTerm(name="clearance", value=0.9, quantity=2.0, unit="m"),),
     )  # fmt: skip
 
 
@@ -66,8 +66,8 @@ def test_image_shows_score_and_winner_beside_the_other_candidates() -> None:
     nobody = costmap_image(view, None)
     assert not _has(nobody, drawing.CHOSEN)
     right = nobody[:, nobody.shape[1] // 2 :]
-    for share in (0.0, 0.5, 1.0):
-        assert _has(right, viridis(share)), "accepted ground"
+    for fraction in (0.0, 0.5, 1.0):
+        assert _has(right, viridis(fraction)), "accepted ground"
     assert _has(right, "black") and _has(right, np.array(drawing.UNKNOWN_RGB) / 255.0)
     with pytest.raises(ValueError, match="no costmap"):
         costmap_image(make_view(Phase.SELECT), None)

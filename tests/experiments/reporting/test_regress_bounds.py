@@ -50,7 +50,7 @@ def test_the_bound_follows_from_the_spread_between_seeds() -> None:
     for figure, count in ((one, 2), (both, 4)):
         assert figure.flights == count and figure.spread == pytest.approx(0.2)
         assert figure.now == pytest.approx(figure.before) == pytest.approx(3.0 * math.exp(-0.1))
-        allowed = math.log(figure.most / figure.before)
+        allowed = math.log(figure.maximum / figure.before)
         assert allowed == pytest.approx(quantile * 0.2 * math.sqrt(2.0 / count))
 
 

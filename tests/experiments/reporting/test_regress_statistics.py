@@ -48,9 +48,9 @@ def test_two_flights_have_no_interval() -> None:
 
 def test_wilson_by_hand() -> None:
     """10 of 10: lower end n / (n + z^2)."""
-    share = statistics.fraction_interval(10, 10)
-    assert share.high == pytest.approx(1.0)
-    assert share.low == pytest.approx(10 / (10 + 1.959964**2), abs=1e-6)
+    fraction = statistics.fraction_interval(10, 10)
+    assert fraction.high == pytest.approx(1.0)
+    assert fraction.low == pytest.approx(10 / (10 + 1.959964**2), abs=1e-6)
 
 
 def test_pooled_variance_is_that_of_all_samples_together() -> None:
@@ -62,14 +62,14 @@ def test_pooled_variance_is_that_of_all_samples_together() -> None:
     assert found.low is not None and found.high is not None and found.low < found.value < found.high
 
 
-@pytest.mark.parametrize(("flights", "least"), [(5, 0.89), (10, 0.93), (20, 0.94)])
-def test_intervals_cover_as_often_as_they_say(flights: int, least: float) -> None:
+@pytest.mark.parametrize(("flights", "minimum"), [(5, 0.89), (10, 0.93), (20, 0.94)])
+def test_intervals_cover_as_often_as_they_say(flights: int, minimum: float) -> None:
     """1000 normal samples. Plain percentiles cover 0.82 and 0.90 for five and ten flights; five
     flights cannot be resampled beyond their extremes."""
     samples = np.random.default_rng([9, flights]).normal(size=(1000, flights))
     found = [statistics.mean_interval(sample) for sample in samples]
     covered = [not interval.excludes(0.0) for interval in found if interval is not None]
-    assert least <= np.mean(covered) <= 0.965
+    assert minimum <= np.mean(covered) <= 0.965
 
 
 def test_detectable_effect_of_ten_pairs_by_hand() -> None:

@@ -236,7 +236,7 @@ def test_flights_without_a_map_are_not_in_the_tables_of_maps(tmp_path: Path) -> 
 
 
 def drift(run: Path, per_metre: float) -> None:
-    """After a climb of 2 m, along x at 8 m/s; the estimate errs by a share of the way."""
+    """After a climb of 2 m, along x at 8 m/s; the estimate errs by a fraction of the way."""
     truth = np.zeros((len(TIMES_S), 3))
     truth[1:, 2] = 2.0
     truth[1:, 0] = 8.0 * (TIMES_S[1:] - TIMES_S[1])

@@ -124,12 +124,12 @@ def test_all_views_of_a_file_are_written_and_listed(
 def test_survey_facts_of_known_ground(place: Scene) -> None:
     facts = survey_facts(place, 8.0, 0.0, 2.0, 4.0)
     assert facts.seen_m2 == pytest.approx(12.0 * 8.0, rel=0.02)
-    assert facts.safe_share == facts.safe_geometry_share == 1.0 and facts.safe_sites == 1
+    assert facts.safe_fraction == facts.safe_geometry_fraction == 1.0 and facts.safe_sites == 1
     assert facts.takeoff_safe
     # Legs towards the slab in the north, to the left of the heading: 48 m^2 of road are no safe
     # class; within 1.5 m of its step there is no safe geometry.
     wide = survey_facts(place, 8.0, 16.0, 2.0, 4.0)
-    assert wide.safe_share < wide.safe_geometry_share < 1.0
+    assert wide.safe_fraction < wide.safe_geometry_fraction < 1.0
 
 
 def write_place(tmp_path: Path, geoms: str) -> str:
@@ -184,7 +184,7 @@ def test_the_check_of_a_file_is_a_table_and_an_exit_code(
         assert cli.main(["scenes", "check", place, "--as-is", "--json"]) == 1
     (row,) = json.loads(capsys.readouterr().out)["places"]
     assert row["facts"]["without_class"] == ["heap"]
-    assert row["facts"]["legs_share"] == pytest.approx(0.2, abs=0.01)
+    assert row["facts"]["legs_fraction"] == pytest.approx(0.2, abs=0.01)
     short = ["--as-is", "--set", "survey.legs=1", "--set", "survey.leg_length_m=12"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # the heap was reported already

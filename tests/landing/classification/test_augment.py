@@ -65,13 +65,14 @@ def test_some_lines_are_the_outline_of_a_court(torch: Any) -> None:
 
 
 def test_lanes_over_lines_two_sets_of_which_one_is_as_likely_as_the_other(torch: Any) -> None:
-    """Of a share of 0.5 three quarters have one set at least, but for those that are too faint."""
+    """Of a fraction of 0.5 three quarters have one set at least, but for those that are too
+    faint."""
     from touchdown.landing.classification.learning.augment import augmented
 
     plain = torch.full((300, 3, 48, 48), 0.3)
     painted = augmented(plain, torch.Generator().manual_seed(5), 0.0, 0.5)
-    share = float(((painted - plain).abs().amax(dim=(1, 2, 3)) > 0.02).float().mean())
-    assert 0.6 < share <= 0.85
+    fraction = float(((painted - plain).abs().amax(dim=(1, 2, 3)) > 0.02).float().mean())
+    assert 0.6 < fraction <= 0.85
 
 
 def test_a_share_of_the_pictures_has_another_colour_but_plants(torch: Any) -> None:
@@ -122,8 +123,8 @@ def test_weather_falls_on_shares_of_the_pictures(torch: Any) -> None:
     changed = augment.weathered(plain, torch.Generator().manual_seed(5))
     assert float(changed.min()) >= 0.0 and float(changed.max()) <= 1.0
     left = ((changed - plain).abs().amax(dim=(1, 2, 3)) < 1e-5).float().mean()
-    shares = [share for name, share in augment._FRACTIONS.items() if name != "coarse"]
-    expected = float(np.prod([1.0 - share for share in shares]))
+    fractions = [fraction for name, fraction in augment._FRACTIONS.items() if name != "coarse"]
+    expected = float(np.prod([1.0 - fraction for fraction in fractions]))
     assert float(left) == pytest.approx(expected, abs=3.0 * np.sqrt(expected / 400))
     again = augment.weathered(plain, torch.Generator().manual_seed(5))
     assert torch.equal(changed, again)

@@ -75,7 +75,7 @@ def test_limits_are_set_by_an_interval_of_the_share_of_unsafe_images() -> None:
     assert (found["unsafe_unknown"], found["safe_unknown"]) == (int((claims > 0.55).sum()) - 3, 0)
     assert decision.is_unsafe(np.array([-1, 0, 5])).tolist() == [True, False, True]
     easy = decision.fitted_limits(_scores(chances(lawn=SURE)), np.array([D_LAND.index("lawn")]))
-    assert easy.min_probability == decision.LEAST
+    assert easy.min_probability == decision.MIN
 
 
 def test_file_carries_its_limits_and_an_older_one_gets_defaults() -> None:
@@ -206,11 +206,11 @@ def test_a_blurred_closer_look_adds_little() -> None:
     def grainy(x: Array, y: Array) -> Array:
         return plain("lawn")(x, y) + grain[(97 * x + 61 * y).astype(int)][..., None]
 
-    for paint, share, known in ((plain("lawn"), 0.0, True), (grainy, 0.5, False)):
+    for paint, fraction, known in ((plain("lawn"), 0.0, True), (grainy, 0.5, False)):
         unsure.image_size = 64
         seen = _check(unsure, paint).reclassify(before, np.zeros(3), FLAT, 2.0)
         assert seen is not None and seen.in_distribution is known
-        lawn = (1.0 - share) * 0.99 + share * 0.6
+        lawn = (1.0 - fraction) * 0.99 + fraction * 0.6
         assert seen.probabilities[D_LAND.index("lawn")] == pytest.approx(lawn, abs=0.03)
     water = ByColour(0.97)
     water.image_size = 64
@@ -308,12 +308,12 @@ def test_in_the_dark_the_class_is_left_to_the_second_look() -> None:
     rig = small_rig()
     pose = Pose(np.eye(3), np.array([0, 0, 40.0]))
     night = photograph(rig, pose, black, 1.0, noise=10.0)
-    for second_look in (True, False):
-        check = SiteClassCheck(ByColour(), rig, LandingParams(second_look=second_look))
+    for site_recheck in (True, False):
+        check = SiteClassCheck(ByColour(), rig, LandingParams(site_recheck=site_recheck))
         check.update(make_obs(600, images=(night,)), make_estimate(600, pose), FLAT)
         (judged,) = check.judge(_sites((-9, 0)), FLAT)
-        assert judged.accepted is second_look and judged.class_predicted is None
-        assert ("too dark" in judged.reason) is second_look
+        assert judged.accepted is site_recheck and judged.class_predicted is None
+        assert ("too dark" in judged.reason) is site_recheck
     assert check.refusal(None, False) is not None  # and from close by it must be seen
 
 

@@ -175,16 +175,16 @@ def test_textures_are_those_of_the_class(torch: Any, tmp_path: Path) -> None:
         source=np.array([0] * 6 + [1] * 3), sources=("rendered", "textures"),
     )  # fmt: skip
     val = coloured(6, 2)
-    for share in (0.0, 1.0):
-        folder = tmp_path / str(share)
+    for fraction in (0.0, 1.0):
+        folder = tmp_path / str(fraction)
         folder.mkdir()
-        params = TrainParams(network="mobilenet_v3_large", image_size=32, textures=share)
+        params = TrainParams(network="mobilenet_v3_large", image_size=32, textures=fraction)
         trainer = Trainer(params, train, val, folder, torch.device("cpu"))
         grey = torch.full((3, 3, 32, 32), 0.4)
         found = trainer._textured(grey, np.array([0, 1, 2]), torch.Generator().manual_seed(1))
         hues = [tuple((255.0 * one.mean(dim=(1, 2))).round().int().tolist()) for one in found]
         kept = (102, 102, 102)
-        assert hues == ([kept] * 3 if share == 0.0 else [(200, 10, 10), (10, 10, 200), kept])
+        assert hues == ([kept] * 3 if fraction == 0.0 else [(200, 10, 10), (10, 10, 200), kept])
 
 
 def test_each_variation_reaches_the_images_of_a_step(torch: Any, tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def test_what_cannot_be_built(name: str, size: int, message: str) -> None:
 
 
 def test_channel_attention_by_hand() -> None:
-    """Means 2 and 0, greatest 4 and 0; the MLP doubles: sigmoid(2 (2 + 4)) and sigmoid(0)."""
+    """Means 2 and 0, maximum 4 and 0; the MLP doubles: sigmoid(2 (2 + 4)) and sigmoid(0)."""
     features = torch.tensor([[[[1.0, 1.0], [2.0, 4.0]], [[0.0, 0.0], [0.0, 0.0]]]])
     weights = resnet.channel_attention(features, lambda pooled: 2.0 * pooled)
     assert weights.shape == (1, 2, 1, 1)
@@ -63,7 +63,7 @@ def test_channel_attention_by_hand() -> None:
 
 
 def test_spatial_attention_by_hand() -> None:
-    """Over two channels: means 2 and -1, greatest 3 and 1; the window takes their difference."""
+    """Over two channels: means 2 and -1, maximum 3 and 1; the window takes their difference."""
     features = torch.tensor([[[[1.0, 1.0]], [[3.0, -3.0]]]])
     weights = resnet.spatial_attention(features, lambda pools: pools[:, 1:] - pools[:, :1])
     assert weights.shape == (1, 1, 1, 2)

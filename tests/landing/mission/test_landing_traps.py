@@ -38,7 +38,7 @@ def refusal(place: Surveyed, x: float, y: float) -> str:
     return site.reason
 
 
-def allowed_share(place: Surveyed, x0: float, x1: float, y0: float, y1: float) -> float:
+def allowed_fraction(place: Surveyed, x0: float, x1: float, y0: float, y1: float) -> float:
     """Of the cells of a rectangle, those that the selector would land on."""
     costmap = place.selection.costmap
     low = np.floor((np.array([x0, y0]) - costmap.origin_xy_m) / costmap.cell_m).astype(int)
@@ -49,30 +49,30 @@ def allowed_share(place: Surveyed, x0: float, x1: float, y0: float, y1: float) -
 def test_open_lawn_is_taken(garden: Surveyed) -> None:
     site = garden.selection.candidates[0]
     assert site.accepted and site.safe_probability > 0.99
-    assert allowed_share(garden, 12.5, 15.5, -4.0, 1.0) > 0.95
+    assert allowed_fraction(garden, 12.5, 15.5, -4.0, 1.0) > 0.95
 
 
 def test_flat_pond_is_refused_by_missing_pulses(garden: Surveyed) -> None:
     """As flat as anything, and near the nadir it even gives returns."""
-    assert allowed_share(garden, 4.0, 14.0, 3.0, 13.0) == 0.0
+    assert allowed_fraction(garden, 4.0, 14.0, 3.0, 13.0) == 0.0
     assert "water" in refusal(garden, 9.0, 8.0)
 
 
 def test_roof_is_taken_in_the_middle_but_not_at_its_edge(garden: Surveyed) -> None:
-    assert allowed_share(garden, 5.0, 7.0, -11.0, -9.0) > 0.9
+    assert allowed_fraction(garden, 5.0, 7.0, -11.0, -9.0) > 0.9
     for x0, x1, y0, y1 in ((2, 3, -14, -6), (9, 10, -14, -6), (2, 10, -14, -13), (2, 10, -7, -6)):
-        assert allowed_share(garden, x0, x1, y0, y1) == 0.0
+        assert allowed_fraction(garden, x0, x1, y0, y1) == 0.0
     refusal(garden, 9.5, -10.0)
 
 
 def test_slope_of_12_degrees_is_too_steep(garden: Surveyed) -> None:
-    assert allowed_share(garden, 19.0, 27.0, -14.0, -6.0) == 0.0
+    assert allowed_fraction(garden, 19.0, 27.0, -14.0, -6.0) == 0.0
     site, _ = check_site(garden.map_view, garden.estimate, PARAMS, np.array([23.0, -10.0]))
     assert site.slope_deg == pytest.approx(12.0, abs=0.5) and not site.accepted
 
 
 def test_hole_in_the_map_is_unknown_not_flat(garden: Surveyed) -> None:
-    assert allowed_share(garden, 19.2, 24.8, 3.2, 8.8) == 0.0
+    assert allowed_fraction(garden, 19.2, 24.8, 3.2, 8.8) == 0.0
     refusal(garden, 22.0, 6.0)
 
 

@@ -153,7 +153,7 @@ def test_each_look_refuses_rubble(seen_below: float, height: str) -> None:
     assert still.sum() * STEP_S > 4.0
 
 
-@pytest.mark.parametrize("changes", [{}, {"second_look": False}])
+@pytest.mark.parametrize("changes", [{}, {"site_recheck": False}])
 def test_an_emergency_refuses_nothing_and_does_not_sweep(changes: dict[str, Any]) -> None:
     stage = Stage(SITE + [0.0, 0.0, 15.0], **changes)
     stage.maps = lambda legs: (RUBBLE, 1)
@@ -262,16 +262,16 @@ def test_motors_stop_in_half_a_second_and_rest_for_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("share", "sink", "after_s"),
+    ("fraction", "sink", "after_s"),
     [(0.5, 0.0, 0.145), (0.5, 0.2, 0.41), (0.75, 0.0, 1.29), (0.85, 0.0, None)],
     ids=["pressed and still", "sinking", "a quarter missing", "ground effect"],
 )
 def test_touchdown_is_found_when_the_weight_is_missing(
-    share: float, sink: float, after_s: float | None
+    fraction: float, sink: float, after_s: float | None
 ) -> None:
     """Of (1 - share) weights, low-passed over 5 samples above 0.3 for 0.12 s, or over 0.8 s above
     0.2: 0.8 ln(s / (s - 0.2)) seconds with s = 0.5 or 0.25."""
-    detector, speed = TouchdownDetector(landing_support.make_rig()), HOVER_RADPS * np.sqrt(share)
+    detector, speed = TouchdownDetector(landing_support.make_rig()), HOVER_RADPS * np.sqrt(fraction)
     found = None
     for tick in range(3, 1800, 3):
         obs = landing_support.make_obs(
@@ -451,7 +451,7 @@ def test_costs_of_segments_by_hand() -> None:
     landing = 8.0 + 6.0 + (8.0 + 6.0) + (5.0 + 8.0)
     assert energy.landing_time_s(20.0, params) == pytest.approx(landing)
     assert energy.landing_time_s(20.0, params, emergency=True) == pytest.approx(30.5)
-    blind = dataclasses.replace(params, second_look=False)
+    blind = dataclasses.replace(params, site_recheck=False)
     assert energy.landing_time_s(20.0, blind) == pytest.approx(28.0)
     assert energy.return_time_s(40.0, 20.0, params) == pytest.approx(1.2 * (15.0 + landing))
     legs = SurveyParams(leg_length_m=40.0, leg_spacing_m=16.0)

@@ -53,21 +53,21 @@ def _flown(wind: Array, seconds: float, behind_m: float = 0.0) -> tuple[Array, .
 
 def test_climbing_needs_the_thrust_that_inflow_takes() -> None:
     # k_T w^2 - k_i w v = m g / 4 for v = 3 m/s, with the drag 0.05 * 3 * 3 N of the fuselage.
-    share, _ = _need(np.array([0.0, 0.0, 3.0]), np.zeros(3))
+    fraction, _ = _need(np.array([0.0, 0.0, 3.0]), np.zeros(3))
     force = (VEHICLE.mass_kg * GRAVITY_MPS2 + 0.05 * 9.0) / 4.0
     lost = VEHICLE.rotor_inflow * 3.0
     speed = (lost + np.sqrt(lost**2 + 4 * VEHICLE.thrust_coefficient * force)) / (
         2 * VEHICLE.thrust_coefficient
     )
-    assert share * VEHICLE.rotor_speed_max == pytest.approx(speed, rel=1e-3)
+    assert fraction * VEHICLE.rotor_speed_max == pytest.approx(speed, rel=1e-3)
 
 
 @pytest.mark.parametrize("speed", [3.0, 8.0, 13.0, 16.0])
 def test_need_is_the_balance_of_forces(speed: float) -> None:
     through_air, acceleration = np.array([speed, -2.0, 0.5]), np.array([0.8, 0.3, -0.2])
     solved = balance(VEHICLE, through_air, acceleration)
-    share, tilt = _need(through_air, acceleration)
-    assert share * VEHICLE.rotor_speed_max == pytest.approx(solved.speed, rel=2e-3)
+    fraction, tilt = _need(through_air, acceleration)
+    assert fraction * VEHICLE.rotor_speed_max == pytest.approx(solved.speed, rel=2e-3)
     assert tilt == pytest.approx(np.arccos(solved.rotation[2, 2]), abs=2e-3)
 
 
@@ -143,11 +143,11 @@ def test_slowed_survey_needs_no_more_than_the_margin() -> None:
     unslowed = max(
         _need(v - wind, a)[0] for _, v, a in (SURVEY.sample(t) for t in np.linspace(0.0, 36.0, 300))
     )
-    shares = [
+    fractions = [
         _need(v - wind, a)[0] for v, a in zip(velocities[::20], accelerations[::20], strict=True)
     ]
     assert unslowed > 1.0
-    assert max(shares) < params.wind_thrust_share + 0.02
+    assert max(fractions) < params.wind_thrust_fraction + 0.02
 
 
 def test_clock_waits_for_a_vehicle_that_falls_behind() -> None:
@@ -162,9 +162,9 @@ def test_weak_rotors_slow_the_clock_earlier() -> None:
         time_scaling.TimeScaling(VEHICLE, SLOWING),
         time_scaling.TimeScaling(VEHICLE, SLOWING),
     )
-    share = _need(-wind, np.zeros(3))[0]
+    fraction = _need(-wind, np.zeros(3))[0]
     for _ in range(200):
-        weak.learn(-wind, np.zeros(3), 1.12 * share * VEHICLE.rotor_speed_max, 0.1)
+        weak.learn(-wind, np.zeros(3), 1.12 * fraction * VEHICLE.rotor_speed_max, 0.1)
     rates = {}
     for name, scaling in (("nominal", nominal), ("weak", weak)):
         scaling.begin(leg, wind)
@@ -238,7 +238,7 @@ def test_wind_beyond_reach_ends_the_mission_on_the_ground() -> None:
         return np.array([-6.0 if t < 12.0 else -17.5, 0.0, 0.0])
 
     events: list[str] = []
-    for _, view, reached in windy_run(front, 300.0, second_look=False):
+    for _, view, reached in windy_run(front, 300.0, site_recheck=False):
         events += view.events
         if view.phase is Phase.DESCEND and reached[2] < 1.0:
             break

@@ -17,22 +17,22 @@ _GROUND_EFFECT = 1.03
 _POSE = Pose(np.eye(3), np.array([0.0, 0.0, 0.4]))
 
 
-def speeds(rig: SensorRig, mass: float, thrust: float, share: float) -> np.ndarray:
-    """(4,) rad/s at which the rotors of the true vehicle carry ``share`` of its weight."""
+def speeds(rig: SensorRig, mass: float, thrust: float, fraction: float) -> np.ndarray:
+    """(4,) rad/s at which the rotors of the true vehicle carry ``fraction`` of its weight."""
     vehicle = rig.vehicle
-    force = share * mass * vehicle.mass_kg * GRAVITY_MPS2
+    force = fraction * mass * vehicle.mass_kg * GRAVITY_MPS2
     return np.full(4, np.sqrt(force / (4.0 * thrust * vehicle.thrust_coefficient)))
 
 
-def detected_after(mass: float, thrust: float, share: float, sink: float) -> float | None:
-    """Seconds until touchdown is detected on a vehicle whose rotors carry ``share`` of its weight,
-    the ground, if anything, the rest; None: not within ten seconds."""
+def detected_after(mass: float, thrust: float, fraction: float, sink: float) -> float | None:
+    """Seconds until touchdown is detected on a vehicle whose rotors carry ``fraction`` of its
+    weight, the ground, if anything, the rest; None: not within ten seconds."""
     rig = make_rig()
     detector = TouchdownDetector(rig)
     telemetry = SpeedTelemetry(
         VehicleErrorParams(telemetry_sigma_radps=1.0, telemetry_step_radps=1.5), 1
     )
-    shown = speeds(rig, mass, thrust, share)
+    shown = speeds(rig, mass, thrust, fraction)
     for k in range(1, 2001):
         tick = 3 * k
         obs = make_obs(

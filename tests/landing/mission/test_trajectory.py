@@ -45,8 +45,10 @@ def assert_smooth(trajectory: PiecewiseTrajectory, max_jerk: float) -> None:
 def test_rest_to_rest_is_the_minimum_jerk_polynomial() -> None:
     path = through([State(np.zeros(3)), State(np.array([2.0, 0.0, -4.0]))], [3.0])
     for s in (0.0, 0.2, 0.5, 0.9, 1.0):
-        share = 10 * s**3 - 15 * s**4 + 6 * s**5
-        np.testing.assert_allclose(path.sample(3.0 * s)[0], [2 * share, 0, -4 * share], atol=1e-12)
+        fraction = 10 * s**3 - 15 * s**4 + 6 * s**5
+        np.testing.assert_allclose(
+            path.sample(3.0 * s)[0], [2 * fraction, 0, -4 * fraction], atol=1e-12
+        )
     assert path.sample(1.5)[1][0] == pytest.approx(1.875 * 2.0 / 3.0)
 
 

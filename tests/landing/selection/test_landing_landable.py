@@ -159,8 +159,8 @@ def test_touchdown_is_detected_by_weight_on_the_legs_not_by_gusts_or_a_bump() ->
     detector = TouchdownDetector(make_rig())
     weight = 4.0 * 9.81
 
-    def step(tick: int, force_mps2: float, thrust_share: float, sink: float) -> bool:
-        speed = np.full(4, np.sqrt(thrust_share * weight / 4.0 / 4e-5))
+    def step(tick: int, force_mps2: float, thrust_fraction: float, sink: float) -> bool:
+        speed = np.full(4, np.sqrt(thrust_fraction * weight / 4.0 / 4e-5))
         obs = make_obs(tick, imu=(make_imu(tick, force_mps2),), rotor_speed_radps=speed)
         estimate = make_estimate(tick, Pose.identity(), (0.0, 0.0, -sink))
         return detector.update(obs, estimate)
@@ -168,8 +168,10 @@ def test_touchdown_is_detected_by_weight_on_the_legs_not_by_gusts_or_a_bump() ->
     rng = np.random.default_rng(1)
     tick = 0
     for _ in range(400):  # sinking at 0.12 m/s with ground effect of 12 % and gusts
-        share = 0.9 + 0.05 * rng.standard_normal()
-        assert not step(tick, 9.81 * (share + 0.12) + 0.3 * rng.standard_normal(), share, 0.12)
+        fraction = 0.9 + 0.05 * rng.standard_normal()
+        assert not step(
+            tick, 9.81 * (fraction + 0.12) + 0.3 * rng.standard_normal(), fraction, 0.12
+        )
         tick += 3
     assert not step(tick, 40.0, 0.9, 0.02)  # one hard bump, then airborne again
     for _ in range(100):

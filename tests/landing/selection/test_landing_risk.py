@@ -81,7 +81,7 @@ def test_calibration_error_by_hand() -> None:
     safe = np.array([True, False, True, True])
     error, rows = calibration(predict, safe)
     assert error == pytest.approx(0.5 * 0.35 + 0.5 * 0.05, abs=1e-6)
-    assert [(share, number) for _, share, number in rows] == [(0.5, 2), (1.0, 2)]
+    assert [(fraction, number) for _, fraction, number in rows] == [(0.5, 2), (1.0, 2)]
 
 
 def test_all_selectors_land_on_the_good_half_and_an_emergency_takes_the_least_bad() -> None:

@@ -24,8 +24,9 @@ RETURNS = 40
 
 
 def _map(ground: Array, cover: Array, through: float = 0.5, cell_m: float = 0.2) -> GridMap:
-    """A map of ``ground`` (rows, cols) under plants as high as ``cover``, of whose pulses the share
-    ``through`` reaches the ground and the rest comes from anywhere in them; noise of 2 cm."""
+    """A map of ``ground`` (rows, cols) under plants as high as ``cover``, of whose pulses the
+    fraction ``through`` reaches the ground and the rest comes from anywhere in them; noise of 2
+    cm."""
     rng = np.random.default_rng(5)
     shape = (RETURNS, *ground.shape)
     up = np.where(rng.random(shape) < through, 0.0, rng.random(shape)) * cover

@@ -128,15 +128,15 @@ def at(found: RiskFeatures, name: str, spot: tuple[int, int] = SPOT) -> float:
 
 
 @pytest.mark.parametrize(
-    ("name", "layer", "value", "share"),
+    ("name", "layer", "value", "fraction"),
     [("object", "max_height_m", 0.08, 0.8), ("spread", "height_std_m", 0.025, 0.5)],
 )
 def test_objects_and_spread_are_the_worst_of_the_footprint(
-    name: str, layer: str, value: float, share: float
+    name: str, layer: str, value: float, fraction: float
 ) -> None:
     found = features(changed(layer, value))
     # the plane through 5 x 5 cells does not know of the highest return
-    assert at(found, name, (40, 45)) == pytest.approx(share, abs=1e-3)
+    assert at(found, name, (40, 45)) == pytest.approx(fraction, abs=1e-3)
     assert at(found, name, (40, 46)) == pytest.approx(0.0, abs=1e-6)
 
 
@@ -154,9 +154,9 @@ def test_sparsity_and_age() -> None:
 def test_gusts_take_away_clearance() -> None:
     """2.4 m to the post's cell: 0.6 m too little of 3 m, 1.1 m in gusts that drift by 0.5 m."""
     grid = changed("max_height_m", 0.2)
-    for drift_m, share in ((0.0, 0.3), (0.5, 0.55)):
+    for drift_m, fraction in ((0.0, 0.3), (0.5, 0.55)):
         found = features(grid, drift_m=drift_m)
-        assert at(found, "confinement", (40, 52)) == pytest.approx(share, abs=1e-3)
+        assert at(found, "confinement", (40, 52)) == pytest.approx(fraction, abs=1e-3)
 
 
 def test_unknown_ground_motion_water_and_the_edge_are_closed_whatever_the_weights() -> None:
@@ -255,8 +255,8 @@ def test_a_third_of_the_list_is_left_to_refused_sites_and_all_keep_their_distanc
     value[0, [0, 4, 6, 20, 40, 60, 80]] = [9, 8, 7, 6, 5, np.nan, 4]
     allowed = np.zeros((1, 81), bool)
     allowed[0, [0, 4, 6, 20, 80]] = True
-    for most, wanted in ((3, [0, 6, 40]), (4, [0, 6, 20, 40]), (6, [0, 6, 20, 80, 40, 60])):
-        params = LandingParams(max_candidates=most, candidate_spacing_m=1.0)
+    for maximum, wanted in ((3, [0, 6, 40]), (4, [0, 6, 20, 40]), (6, [0, 6, 20, 80, 40, 60])):
+        params = LandingParams(max_candidates=maximum, candidate_spacing_m=1.0)
         assert _shortlist(spots, value, allowed, 0.2, params) == [(0, col) for col in wanted]
 
 

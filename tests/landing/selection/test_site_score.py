@@ -78,16 +78,16 @@ def test_terms_of_risk_by_hand() -> None:
     assert list(terms) == [
         "probability",
         "distance",
-        "room",
-        "level",
+        "clearance",
+        "slope",
         "traffic",
         "plants",
         "ground",
     ]
     assert terms["probability"].value == pytest.approx(site.safe_probability, abs=1e-7)
-    assert terms["level"].value == pytest.approx(-0.2 * 2.0 / 5.0, abs=1e-3)
-    assert (terms["level"].quantity, terms["level"].unit) == (pytest.approx(2.0, abs=0.02), "deg")
-    clearance = terms["room"]
+    assert terms["slope"].value == pytest.approx(-0.2 * 2.0 / 5.0, abs=1e-3)
+    assert (terms["slope"].quantity, terms["slope"].unit) == (pytest.approx(2.0, abs=0.02), "deg")
+    clearance = terms["clearance"]
     assert clearance.quantity == pytest.approx(site.clearance_m) and clearance.unit == "m"
     assert clearance.value == pytest.approx(0.1 * min(site.clearance_m, 3.0) / 3.0, abs=1e-6)
     away = np.linalg.norm(site.position_odom[:2] - [-30.0, 8.0])
@@ -96,8 +96,8 @@ def test_terms_of_risk_by_hand() -> None:
     horizontal = np.hypot(along + 30.0, (along - 8.0)[:, None])
     metres = np.hypot(horizontal, _ground(2.0) - 30.0)
     here = np.linalg.norm(site.position_odom - [-30.0, 8.0, 30.0])
-    share = (here - metres.min()) / (metres.max() - metres.min())
-    assert terms["distance"].value == pytest.approx(-0.05 * share, abs=1e-3)
+    fraction = (here - metres.min()) / (metres.max() - metres.min())
+    assert terms["distance"].value == pytest.approx(-0.05 * fraction, abs=1e-3)
     assert terms["traffic"].value == terms["plants"].value == terms["ground"].value == 0.0
     assert site.step_m == pytest.approx(np.tan(np.deg2rad(2.0)) * 0.4, abs=2e-3)
 
@@ -114,8 +114,8 @@ def test_zou2024_is_c_sum_and_its_candidates_are_the_modes() -> None:
         np.testing.assert_array_equal(view.value, view.total)
         assert [layer.name for layer in view.terms] == ["smoothness", "flatness", "distance"]
         layers = (view.smoothness, view.flatness, view.distance)
-        for layer, weight, share in zip(view.terms, (0.3, 0.5, 0.2), layers, strict=True):
-            np.testing.assert_allclose(layer.value, weight * share, atol=1e-6)
+        for layer, weight, fraction in zip(view.terms, (0.3, 0.5, 0.2), layers, strict=True):
+            np.testing.assert_allclose(layer.value, weight * fraction, atol=1e-6)
         sites = [site for site in chosen.candidates if site.accepted]
         assert sites
         density = kernel_density(view.value, 1.5 * 0.5 / 0.2)
@@ -131,7 +131,7 @@ def test_a_selector_without_gates_takes_any_ground() -> None:
     """The geometric gate, the gate of the probability and the reach, each switched off."""
     steep, away, shown = make_grid(_ground(7.0)), {"reach_m": 0.0}, {}
     for gates in ((), ("geometry",), ("probability",), ("reach",)):
-        params = SelectorParams(gates=gates, terms=("probability", "level"))
+        params = SelectorParams(gates=gates, terms=("probability", "slope"))
         sites = _sites(steep, away, risk=params)
         shown[gates] = {site.rule for site in sites}
     assert shown[()] <= {"highest_value", "lower_value"}
@@ -179,7 +179,10 @@ def test_bonus_for_clearance_chooses_the_cell_and_ranks_none() -> None:
     clearances = []
     for weight in (0.0, 0.02):
         by_distance = SelectorParams(
-            terms=("distance", "room"), gates=("geometry",), weight_distance=1.0, weight_room=weight
+            terms=("distance", "clearance"),
+            gates=("geometry",),
+            weight_distance=1.0,
+            weight_clearance=weight,
         )
         site = _sites(make_grid(strip), risk=by_distance)[0]
         assert site.value == pytest.approx(sum(term.value for term in site.terms), abs=1e-6)
@@ -209,12 +212,12 @@ def _site(
 
 
 _FIRST = _site(
-    1.05, "lower_value", ("probability", 0.97, 0.97, ""), ("room", 0.10, 3.0, "m"),
-    ("level", -0.02, 0.5, "deg"), ("traffic", 0.0, 0.0, ""),
+    1.05, "lower_value", ("probability", 0.97, 0.97, ""), ("clearance", 0.10, 3.0, "m"),
+    ("slope", -0.02, 0.5, "deg"), ("traffic", 0.0, 0.0, ""),
 )  # fmt: skip
 _SECOND = _site(
-    0.63, "lower_value", ("probability", 0.91, 0.91, ""), ("room", 0.05, 1.2, "m"),
-    ("level", -0.02, 0.5, "deg"), ("traffic", -0.3, 1.0, ""),
+    0.63, "lower_value", ("probability", 0.91, 0.91, ""), ("clearance", 0.05, 1.2, "m"),
+    ("slope", -0.02, 0.5, "deg"), ("traffic", -0.3, 1.0, ""),
 )  # fmt: skip
 
 

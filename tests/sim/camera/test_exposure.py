@@ -24,9 +24,9 @@ STRIPE = '<geom type="box" size="30 0.1 0.001" pos="0 0 0.001" rgba="0.95 0.95 0
 
 
 def linear(image: Bytes) -> Array:
-    """Share of saturation."""
-    share: Array = (image / 255.0) ** 2.2
-    return share
+    """Fraction of saturation."""
+    fraction: Array = (image / 255.0) ** 2.2
+    return fraction
 
 
 def still(
@@ -158,7 +158,7 @@ def test_light_and_lamp_are_noted(below_m: float, lamp: float) -> None:
     sensor.effects.end_message()
     sensor.effects.deliver(1)
     noted = sensor.effects.delivered
-    assert noted["lamp"].mean_share == lamp and ("light_lux" in noted) == (lamp == 0.0)
+    assert noted["lamp"].mean_fraction == lamp and ("light_lux" in noted) == (lamp == 0.0)
     if lamp == 0.0:
         assert 2e-4 < noted["light_lux"].mean_amount < 2e-3
         assert noted["gain"].mean_amount == CameraParams().gain_max

@@ -57,14 +57,14 @@ def test_rows_show_the_drawing_between_its_pixels() -> None:
     assert np.abs(within - levels).max() <= 256.0 * _RIGID_PX
 
 
-@pytest.mark.parametrize("share", [0.6, 3.0])
-def test_the_lamp_adds_to_the_ambient_light(share: float) -> None:
-    """On a grey floor 2 m below, in the middle of the image: ``share`` of the ambient light."""
+@pytest.mark.parametrize("fraction", [0.6, 3.0])
+def test_the_lamp_adds_to_the_ambient_light(fraction: float) -> None:
+    """On a grey floor 2 m below, in the middle of the image: ``fraction`` of the ambient light."""
     lens = make_lens(CameraParams(width=64, height=48))
     lamp = LampParams(below_m=12.0)
     light = Exposed(
         electrons=2e3, full_well=25e3, read_noise=6.0, gain=1.0, lamp=lamp_field(lamp, lens.raster),
-        electrons_per_lux=2e3 * share / (peak_candela(lamp) / 4.0),
+        electrons_per_lux=2e3 * fraction / (peak_candela(lamp) / 4.0),
     )  # fmt: skip
     depth = InverseDepth(np.full((48, 64), 0.49, np.float32), 0.01, 1.0)
     noise = np.zeros((48 + NOISE_MARGIN, 3 * (64 + NOISE_MARGIN)), np.int8)
@@ -72,7 +72,7 @@ def test_the_lamp_adds_to_the_ambient_light(share: float) -> None:
     image = ImageSensor(lens).exposed(
         drawn, depth, identity_shifts(48), noise, NoisePlace(0, 0, 1), light
     )  # fmt: skip
-    lit = 2e3 * (1.0 + share) * (150.0 / 255.0) ** GAMMA / 25e3
+    lit = 2e3 * (1.0 + fraction) * (150.0 / 255.0) ** GAMMA / 25e3
     assert image[24, 32] == pytest.approx(255.0 * lit ** (1.0 / GAMMA), abs=1.0)
 
 

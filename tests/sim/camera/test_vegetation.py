@@ -31,7 +31,7 @@ from touchdown.sim.posed_sensors import PosedSensors
 from touchdown.sim.world import MujocoWorld
 
 CANOPY_M, LEAVES = 0.25, 1.7
-SHARE = 1.0 - (1.0 - math.exp(-0.5 * LEAVES)) / (0.5 * LEAVES)
+FRACTION = 1.0 - (1.0 - math.exp(-0.5 * LEAVES)) / (0.5 * LEAVES)
 """of a plant's height from which its echoes come, on average"""
 PAD_TOP_M = 0.04
 GRASS = LidarParams(
@@ -120,8 +120,8 @@ def test_visible_height_is_the_mean_of_the_law_of_the_pulses() -> None:
     x, y = grid(MEADOW, 8.0)
     detail, mean = plants(), np.full(len(x), CANOPY_M, np.float32)
     height = detail.plant_height_m(x.astype(np.float32), y.astype(np.float32), mean)
-    np.testing.assert_allclose(detail.visible_height_m(x, y), SHARE * height, rtol=1e-5)
-    assert detail.visible_height_m(x, y).mean() == pytest.approx(SHARE * CANOPY_M, abs=0.01)
+    np.testing.assert_allclose(detail.visible_height_m(x, y), FRACTION * height, rtol=1e-5)
+    assert detail.visible_height_m(x, y).mean() == pytest.approx(FRACTION * CANOPY_M, abs=0.01)
     road = grid(ROAD, 8.0)
     assert not detail.visible_height_m(*road).any()
     beyond = np.array([500.0])
@@ -136,8 +136,8 @@ def test_depth_over_a_meadow_is_nearer_by_the_visible_height(
 ) -> None:
     pose = above(MEADOW, 6.0)
     nearer = bare.view(pose, 0.0, 0).depth_m - grown.view(pose, 0.0, 0).depth_m
-    assert nearer.mean() == pytest.approx(SHARE * CANOPY_M, abs=0.01)
-    assert nearer.min() > 0.4 * SHARE * CANOPY_M
+    assert nearer.mean() == pytest.approx(FRACTION * CANOPY_M, abs=0.01)
+    assert nearer.min() > 0.4 * FRACTION * CANOPY_M
 
 
 def test_asphalt_is_drawn_as_it_is(grown: PosedSensors, bare: PosedSensors) -> None:

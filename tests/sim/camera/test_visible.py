@@ -131,7 +131,7 @@ def test_only_tiles_in_view_are_drawn(stage: Stage, monkeypatch: pytest.MonkeyPa
     for pose in ("low and slanted", "level"):
         stage.colour(snapshot_at(stage._model, pose), 0, 0, PINHOLE.height)
     assert 0 < drawn[0] <= 5 and 4 <= drawn[1] < 17  # with the list that ends them
-    monkeypatch.setattr(ground_picture, "_MOST_TEXELS", 0)
+    monkeypatch.setattr(ground_picture, "_MAX_TEXELS", 0)
     stage.colour(snapshot_at(stage._model, "low and slanted"), 0, 0, PINHOLE.height)
     assert len(stage._pictures[0]._parts) == drawn[2] - 1
 

@@ -90,16 +90,16 @@ def clutter(air: Air) -> Clutter:
     ("rain@0", {"rain_mmph": 50.0}, Air(rain_mmph=50.0)),
 ])  # fmt: skip
 def test_false_returns_are_a_poisson_process(event: str, faults: Any, air: Air) -> None:
-    """Into the empty sky: the share of pulses that return nearer than r is 1 - exp(-H(r))."""
+    """Into the empty sky: the fraction of pulses that return nearer than r is 1 - exp(-H(r))."""
     scan = look_down('<geom name="plane" size="0.1" pos="0 0 -900"/>', 30.0, event, **faults)
     table, grid = clutter(air).expected, grid_m()
     table = np.maximum(table - np.interp(0.5, grid, table), 0.0)
     count = len(scan.ranges)
     assert scan.ranges[scan.ranges > 0].min() >= 0.5
     for r in (1.0, 2.0, 5.0, 60.0):
-        share = 1.0 - math.exp(-float(np.interp(r, grid, table)))
+        fraction = 1.0 - math.exp(-float(np.interp(r, grid, table)))
         found = float(((scan.ranges > 0) & (scan.ranges < r)).mean())
-        assert found == pytest.approx(share, abs=4.0 * math.sqrt(share / count) + 1e-3)
+        assert found == pytest.approx(fraction, abs=4.0 * math.sqrt(fraction / count) + 1e-3)
     assert np.median(scan.ranges[scan.ranges > 0]) < 4.0  # near the sensor
 
 
@@ -169,13 +169,15 @@ def test_dirt_covers_the_configured_share() -> None:
 def test_dirt_dims_what_is_behind_it_and_stays_where_it_is() -> None:
     scene = camera_scene(floor="0.5 0.5 0.5 1")
     clean = photograph(scene).astype(float)
-    dirty = photograph(scene, "lens_dirt@0", dirt_share=0.2, dirt_transmission=0.25).astype(float)
-    share = dirty / clean
-    assert share.max() == 1.0
-    assert share.min() == pytest.approx(0.25 ** (1 / 2.2), abs=0.01)
-    covered = (1.0 - share[..., 0]) / (1.0 - 0.25 ** (1 / 2.2))
+    dirty = photograph(scene, "lens_dirt@0", dirt_fraction=0.2, dirt_transmission=0.25).astype(
+        float
+    )
+    fraction = dirty / clean
+    assert fraction.max() == 1.0
+    assert fraction.min() == pytest.approx(0.25 ** (1 / 2.2), abs=0.01)
+    covered = (1.0 - fraction[..., 0]) / (1.0 - 0.25 ** (1 / 2.2))
     assert covered.mean() == pytest.approx(0.2, abs=0.01)
-    again = photograph(scene, "lens_dirt@0", dirt_share=0.2, dirt_transmission=0.25)
+    again = photograph(scene, "lens_dirt@0", dirt_fraction=0.2, dirt_transmission=0.25)
     np.testing.assert_array_equal(again, dirty)
 
 

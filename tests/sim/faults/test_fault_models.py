@@ -109,12 +109,12 @@ def test_a_weak_motor_loses_the_stated_share_of_its_thrust() -> None:
     hubs = np.column_stack([vehicle.rotor_xy_m, np.zeros(4)])
     geometry = RotorGeometry(positions_body=hubs, radius_m=0.1, drag=0.0, inflow=0.0)
     disturbances = Disturbances(
-        FaultParams(events=("motor_loss@1+1",), motor=2, motor_loss_share=0.3), HZ, 12.0, 0
+        FaultParams(events=("motor_loss@1+1",), motor=2, motor_loss_fraction=0.3), HZ, 12.0, 0
     )
     wrenches = {}
     for tick in (599, 600, 1199, 1200):
         rotors = Rotors(vehicle, geometry, 1.0 / HZ)
-        rotors.demand(np.full(4, 700.0), disturbances.rotor_speed_share(tick))
+        rotors.demand(np.full(4, 700.0), disturbances.rotor_speed_fraction(tick))
         still = (np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3), np.zeros(3), math.inf)
         for _ in range(600):
             rotors.step(*still)
@@ -225,7 +225,7 @@ def test_effects_of_faults_in_the_world_are_counted(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(("overrides", "events", "fragment"), [
-    (["faults.motor_loss_share=0.6"], (), "motor_loss_share = 0.6 .* within 0 to 0.5"),
+    (["faults.motor_loss_fraction=0.6"], (), "motor_loss_fraction = 0.6 .* within 0 to 0.5"),
     (["faults.motor=4"], (), "must be within 0 to 3"),
     (["faults.fog_visibility_m=1.0"], (), "must be within 5 to 100000"),
     (["faults.low_sun_deg=0.0"], (), "low_sun_deg"), ([], ("low_sun@5",), "give low_sun@0"),

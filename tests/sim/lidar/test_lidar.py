@@ -115,15 +115,15 @@ def test_range_limits(reflectivity: float, limit: float) -> None:
     assert BUDGET.strength_needed(np.array([limit]))[0] == pytest.approx(reflectivity)
     surface = Surface(land_class="other", reflectivity=reflectivity)
 
-    def share(distance: float) -> float:
+    def fraction(distance: float) -> float:
         scene = make_scene(wall(distance), {"wall": surface})
         params = LidarParams(max_range_m=400.0)
         scan = take_scan(scene, FORWARD, params=params)
         ahead = scan.directions[:, 2] > np.cos(np.deg2rad(3.0))
         return float(np.mean(returned(scan)[ahead]))
 
-    assert share(0.94 * limit) > 0.95
-    assert share(1.06 * limit) < 0.05
+    assert fraction(0.94 * limit) > 0.95
+    assert fraction(1.06 * limit) < 0.05
 
 
 def test_incidence_shortens_the_range_and_dims_the_return() -> None:

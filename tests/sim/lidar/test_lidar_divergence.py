@@ -51,7 +51,7 @@ def test_low_step_gives_ranges_in_between() -> None:
     assert np.abs(thin[mixed, 0]).max() < 0.105 * 1.3
     inside = (np.abs(thin[:, 0]) > 0.2) | (np.abs(thin[:, 1]) > 38.0)
     np.testing.assert_array_equal(wide[inside], thin[inside])
-    # The mean follows the share of the beam that lies on the block.
+    # The mean follows the fraction of the beam that lies on the block.
     order = np.corrcoef(thin[mixed, 0], wide[mixed, 2])[0, 1]
     assert order < -0.8
 
@@ -103,11 +103,11 @@ def test_parts_of_a_beam() -> None:
 def test_maximum_ranges_of_presets_match_the_data_sheet(
     preset: str, reflectivity: float, limit: float
 ) -> None:
-    """Around the limit, within 5 %, the share of returns falls from all to none. A ball around the
-    sensor is met at right angles everywhere."""
+    """Around the limit, within 5 %, the fraction of returns falls from all to none. A ball around
+    the sensor is met at right angles everywhere."""
     surface = Surface(land_class="other", reflectivity=reflectivity)
 
-    def share(distance: float) -> float:
+    def fraction(distance: float) -> float:
         ball = f'<geom name="ball" type="sphere" size="{distance}"/>'
         params = replace(RAYS, preset=preset, max_range_m=1000.0)
         return float(
@@ -115,5 +115,5 @@ def test_maximum_ranges_of_presets_match_the_data_sheet(
         )
 
     assert PATTERNS[preset].range_limits_m[0] <= limit
-    assert share(0.95 * limit) > 0.98
-    assert share(1.05 * limit) < 0.02
+    assert fraction(0.95 * limit) > 0.98
+    assert fraction(1.05 * limit) < 0.02

@@ -56,7 +56,7 @@ def mujoco_distances(scene: Scene, rays: Float32) -> Array:
     return np.where(out < 0.0, np.inf, out)
 
 
-def share_within_1_mm(scene: Scene, rays: Float32) -> float:
+def fraction_within_1_mm(scene: Scene, rays: Float32) -> float:
     target = LidarScene(scene).static
     ours, theirs = target.cast(rays).distance.astype(np.float64), mujoco_distances(scene, rays)
     missed = np.isinf(ours) & np.isinf(theirs)
@@ -83,7 +83,7 @@ def test_every_geom_type_as_in_mujoco(kind: str) -> None:
         rays[:, :3] = np.array([1.0, 2.0, 3.0]) - 15.0 * rays[:, 3:]
     hits = np.isfinite(mujoco_distances(scene, rays)).mean()
     assert hits > 0.0005
-    assert share_within_1_mm(scene, rays) > 0.9999
+    assert fraction_within_1_mm(scene, rays) > 0.9999
 
 
 def test_grazing_rays_and_touching_shapes() -> None:
@@ -98,7 +98,7 @@ def test_grazing_rays_and_touching_shapes() -> None:
     sideways = np.cross(rays[:, 3:], rng.standard_normal((20_000, 3)))
     sideways /= np.linalg.norm(sideways, axis=1, keepdims=True)
     rays[:, :3] += sideways * rng.uniform(0.9, 1.02, (20_000, 1))
-    assert share_within_1_mm(scene_of(world), rays.astype(np.float32)) > 0.999
+    assert fraction_within_1_mm(scene_of(world), rays.astype(np.float32)) > 0.999
 
 
 def test_rays_from_inside_leave_where_mujoco_lets_them() -> None:
@@ -106,7 +106,7 @@ def test_rays_from_inside_leave_where_mujoco_lets_them() -> None:
         scene = scene_of(f"<geom {GEOMS[kind]}/>")
         rays = rays_at(np.zeros(3), 0.1, 3000, seed=5)
         rays[:, :3] += 15.0 * rays[:, 3:]
-        assert share_within_1_mm(scene, rays) == 1.0
+        assert fraction_within_1_mm(scene, rays) == 1.0
 
 
 def scene_rays(scene: Scene, count: int) -> Float32:
@@ -130,7 +130,7 @@ def scene_rays(scene: Scene, count: int) -> Float32:
 )
 def test_scenes_as_in_mujoco(name: str) -> None:
     scene = cached_scene(name)
-    assert share_within_1_mm(scene, scene_rays(scene, 50_000)) > 0.999
+    assert fraction_within_1_mm(scene, scene_rays(scene, 50_000)) > 0.999
 
 
 def test_open_ground_is_a_shortcut_and_nothing_else() -> None:

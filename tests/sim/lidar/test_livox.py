@@ -33,9 +33,9 @@ def coverage(
 def test_horizon_covers_its_field_of_view(seconds: float, recorded: float, model: float) -> None:
     """Cells of 0.31 degrees."""
     starts = (0, 1_234_567, 50_000_000)
-    share = np.mean([coverage(HORIZON, start, seconds, (264, 81)) for start in starts])
-    assert share == pytest.approx(model, abs=1.0)
-    assert share == pytest.approx(recorded, abs=3.0)
+    fraction = np.mean([coverage(HORIZON, start, seconds, (264, 81)) for start in starts])
+    assert fraction == pytest.approx(model, abs=1.0)
+    assert fraction == pytest.approx(recorded, abs=3.0)
 
 
 def test_avia_rosette_covers_its_field_of_view() -> None:

@@ -9,7 +9,7 @@ import pytest
 from touchdown.scenes.api import Surface
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.lidar.patterns import HORIZON
-from touchdown.sim.lidar.range_errors import SHARES, SMEAR_M, RangeErrors
+from touchdown.sim.lidar.range_errors import FRACTIONS, SMEAR_M, RangeErrors
 from touchdown.sim.lidar.sensor import LidarSensor
 
 from support.lidar_support import DOWN, PERFECT, PLANE, TICK_HZ, make_scene, track
@@ -51,10 +51,10 @@ def test_noise_variance_follows_the_power_of_the_echo(growth: float) -> None:
         exact = _scan(dataclasses.replace(params, range_sigma_m=0.0), height, reflectivity)
         near = (noisy.ranges > 0) & (noisy.directions[:, 2] > math.cos(math.radians(10.0)))
         spread = (noisy.ranges - exact.ranges)[near].std()
-        share = 1.0 - growth + growth * (height / 20.0) ** 2 * 0.8 / reflectivity
-        assert spread == pytest.approx(0.02 * math.sqrt(share), rel=0.05)
+        fraction = 1.0 - growth + growth * (height / 20.0) ** 2 * 0.8 / reflectivity
+        assert spread == pytest.approx(0.02 * math.sqrt(fraction), rel=0.05)
         known = _errors(params).noise_sigma_m(*_at(height, reflectivity))
-        assert known == pytest.approx(0.02 * math.sqrt(share))
+        assert known == pytest.approx(0.02 * math.sqrt(fraction))
 
 
 def test_bias_curve_in_a_scan_is_the_known_one() -> None:
@@ -87,17 +87,17 @@ def test_bias_parts_by_hand() -> None:
 
 def test_bias_is_bounded_constant_over_a_flight_and_differs_between_flights() -> None:
     params = LidarParams(range_bias_m=0.02)
-    assert sum(SHARES) == pytest.approx(1.0)
+    assert sum(FRACTIONS) == pytest.approx(1.0)
     drawn = [_errors(params, seed) for seed in range(200)]
     assert drawn[7] == _errors(params, 7)
     for errors in drawn:
         for where in ((1.0, 0.9, 1.0), (30.0, 0.1, 0.5), (200.0, 0.01, 0.1)):
             assert abs(errors.bias_m(*_at(*where))) <= 0.02
-    for name, share in zip(("constant_m", "walk_m"), SHARES, strict=False):
+    for name, fraction in zip(("constant_m", "walk_m"), FRACTIONS, strict=False):
         values = np.array([getattr(errors, name) for errors in drawn])
-        assert abs(values.mean()) < 0.1 * 0.02 * share * 2
-        assert values.std() == pytest.approx(0.02 * share / math.sqrt(3.0), rel=0.1)
-    assert all(-0.02 * SHARES[2] <= errors.incidence_m < 0.0 for errors in drawn)
+        assert abs(values.mean()) < 0.1 * 0.02 * fraction * 2
+        assert values.std() == pytest.approx(0.02 * fraction / math.sqrt(3.0), rel=0.1)
+    assert all(-0.02 * FRACTIONS[2] <= errors.incidence_m < 0.0 for errors in drawn)
 
 
 def test_errors_apply_to_split_beams_and_keep_the_minimum_range() -> None:

@@ -12,7 +12,7 @@ from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.lidar.surface_detail import (
     FINEST_M,
-    SHARES,
+    FRACTIONS,
     SurfaceDetail,
     add_plane_noise,
     add_space_noise,
@@ -79,14 +79,14 @@ def _log_gain(params: LidarParams, scene: Scene, height: float) -> np.ndarray:
 def test_spread_is_that_of_the_surface_less_what_the_footprint_averages(spread: float) -> None:
     def left(height: float) -> float:
         widths = 0.01 + height * np.deg2rad([0.03, 0.28])
-        cells = FINEST_M * 4.0 ** np.arange(len(SHARES))
+        cells = FINEST_M * 4.0 ** np.arange(len(FRACTIONS))
         fade = np.prod(cells[:, None] / (cells[:, None] + widths), axis=1)
-        return float(math.sqrt(np.array(SHARES) @ fade))
+        return float(math.sqrt(np.array(FRACTIONS) @ fade))
 
     for height in (3.0, 20.0):
         found = _log_gain(TEXTURED, _plane(spread=spread), height).std()
         assert found == pytest.approx(spread * left(height), rel=0.15 if height < 5 else 0.07)
-    assert sum(SHARES) == pytest.approx(1.0)
+    assert sum(FRACTIONS) == pytest.approx(1.0)
 
 
 def test_texture_keeps_ranges_and_the_mean_and_costs_nothing_where_off() -> None:
@@ -200,7 +200,7 @@ def _heights(detail: SurfaceDetail, x: np.ndarray, y: np.ndarray, mean: float) -
 @pytest.mark.parametrize(("canopy", "leaves"), [(0.25, 1.7), (0.05, 3.6)])
 def test_returns_of_plants_follow_beer_and_lambert(canopy: float, leaves: float) -> None:
     """Optical depth from the canopy's top, over 1 - exp(-total), is evenly distributed for what
-    meets a leaf; the ground answers with the share exp(-L / (2 cosine))."""
+    meets a leaf; the ground answers with the fraction exp(-L / (2 cosine))."""
     scene = _plane(canopy_m=canopy, leaf_area=leaves)
     above, cosine = _depths(scene, GRASS)
     total = 0.5 * leaves / cosine
@@ -212,9 +212,9 @@ def test_returns_of_plants_follow_beer_and_lambert(canopy: float, leaves: float)
     places = (scan.points @ DOWN.rotation.T)[scan.ranges > 0]
     heights = _heights(detail, places[:, 0], places[:, 1], canopy)
     depth = total * (1.0 - above * cosine / heights)  # optical, from the top
-    share = ((1.0 - np.exp(-depth)) / (1.0 - np.exp(-total)))[~ground]
-    assert share.min() > -1e-3 and share.max() < 1.0 + 1e-3
-    quantiles = np.quantile(share, [0.1, 0.25, 0.5, 0.75, 0.9])
+    fraction = ((1.0 - np.exp(-depth)) / (1.0 - np.exp(-total)))[~ground]
+    assert fraction.min() > -1e-3 and fraction.max() < 1.0 + 1e-3
+    quantiles = np.quantile(fraction, [0.1, 0.25, 0.5, 0.75, 0.9])
     np.testing.assert_allclose(quantiles, [0.1, 0.25, 0.5, 0.75, 0.9], atol=0.02)
 
 

@@ -107,7 +107,7 @@ def test_moved_returns_are_noted() -> None:
     sensor.effects.end_message()
     sensor.effects.deliver(1)
     noted = sensor.effects.delivered["sway"]
-    assert 0.02 < noted.mean_share < 0.9 and 0.001 < noted.mean_amount < 0.3
+    assert 0.02 < noted.mean_fraction < 0.9 and 0.001 < noted.mean_amount < 0.3
 
 
 def test_ground_and_calm_air_do_not_sway() -> None:
