@@ -321,7 +321,7 @@ def _print_classes(report: Mapping[str, Any]) -> None:
               help="Folder for NAME-classes.png.")  # fmt: skip
 @click.option("--window", "window_px", type=click.IntRange(16),
               help="Side of the classified square.  [a quarter of the image]")  # fmt: skip
-@click.option("--least", type=Number(0.0, 1.0), default=0.5, show_default=True,
+@click.option("--least", "minimum", type=Number(0.0, 1.0), default=0.5, show_default=True,
               help="Probability below which the class is unsure.")  # fmt: skip
 @_threads(1)
 @answered(_print_classes)

@@ -64,10 +64,10 @@ def view(run: Path, other: Path | None, web: bool, save: Path | None) -> int:
 
 def _check_recording(save: Path) -> None:
     """Raises UsageError where ``save`` exists and is no recording, which would be lost."""
-    if save.is_dir():
-        raise UsageError(f"--save {save}: is a directory; name a file, such as pair.rrd")
     if not save.exists():
         return
+    if reason := no_file(save):
+        raise UsageError(f"--save {save}: {reason}; name a file, such as pair.rrd")
     with save.open("rb") as file:
         if file.read(3) != b"RRF":
             raise UsageError(f"--save {save}: is no recording, and would be lost; name another")

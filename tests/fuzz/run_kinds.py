@@ -270,11 +270,14 @@ def _other_table(rng: Rng, table: Any, pa: Any) -> Any:
 
 
 def _baseline() -> dict[str, Any]:
-    flights = [{"seed": n, "error_m": 0.1, "outcome": "COMPLETED", "bad": False} for n in range(3)]
+    flights = [
+        {"seed": n, "outcome": "COMPLETED", "bad": False, "figures": {"position_error_m.mean": 0.1}}
+        for n in range(3)
+    ]
     cell = {"scene": "flat", "estimator": "gps", "variant": "land", "flights": flights}
     return {
-        "format": "touchdown-baseline-1", "metric": "position_error_m.mean", "cells": [cell],
-        "git_revision": None, "config_sha": "0" * 12,
+        "format": "touchdown-baseline-1", "cells": [cell], "git_revision": "abc",
+        "config_sha": "0" * 12,
     }  # fmt: skip
 
 

@@ -51,6 +51,8 @@ def _run(folder: Path, side_mps: float, **result: Any) -> Path:
 
 def test_two_flights_stand_side_by_side_and_part_where_they_do(tmp_path: Path, says: Says) -> None:
     runs = _run(tmp_path / "one", 0.0), _run(tmp_path / "two", 0.5)
+    os.mkfifo(tmp_path / "pipe")  # opening it would wait for ever
+    assert "is a named pipe" in says(2, "view", *runs, "--save", tmp_path / "pipe").err
     assert says(0, "view", *runs, "--save", tmp_path / "pair.rrd").out == ""
     (tmp_path / "own.rrd").write_text("mine")
     assert "is no recording" in says(2, "view", *runs, "--save", tmp_path / "own.rrd").err
