@@ -41,8 +41,8 @@ def classify_images(
 
     ``window_px``: side of the square that is classified, by default a quarter of the image's
     shorter side, at least the network's input size; windows overlap by three quarters. Pixels whose
-    best class is less probable than ``minimum`` are ``unsure``. Raises UsageError, before anything is
-    written, where a file is not an image or two results would have the same name.
+    best class is less probable than ``minimum`` are ``unsure``. Raises UsageError, before anything
+    is written, where a file is not an image or two results would have the same name.
     """
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out: '{out}' is a file; name a folder")
