@@ -7,6 +7,7 @@ import contextlib
 import json
 import re
 import resource
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -86,7 +87,9 @@ def run_sql(directory: Path, sql: str) -> QueryResult:
             try:
                 return found.result()
             except KeyboardInterrupt:  # a signal reaches this thread alone, not that of the query
-                connection.interrupt()
+                while not found.done():
+                    connection.interrupt()  # one that comes before the query runs is lost
+                    time.sleep(0.05)
                 raise
     except (duckdb.Error, MemoryError, UnicodeError, UsageError) as error:
         raise UsageError(f"query of '{directory}': {_message(error)}") from error

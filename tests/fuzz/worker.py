@@ -143,7 +143,8 @@ def limit() -> None:
         (resource.RLIMIT_FSIZE, _LARGEST_FILE),
         (resource.RLIMIT_CORE, 0),
     ):
-        resource.setrlimit(kind, (maximum, maximum))
+        # SIGXCPU tells the limit of time apart; at the hard one the kernel kills.
+        resource.setrlimit(kind, (maximum, maximum + (kind == resource.RLIMIT_CPU)))
 
 
 def watched(start: Callable[[], None]) -> End:

@@ -230,7 +230,7 @@ def test_folders_that_cannot_be_used(
 ])  # fmt: skip
 def test_manifests_that_cannot_be_used(folder: Any, text: str, message: str) -> None:
     data = folder({"lawn": 1})
-    columns = "file,d_land,d_scene,scene,seed,split,height_m,side_m,share"
+    columns = "file,d_land,d_scene,scene,seed,split,height_m,side_m,fraction"
     content = text.format(columns=columns).encode("utf-8", "surrogateescape")
     (data / "manifest.csv").write_bytes(content)
     with pytest.raises(UsageError, match=message):

@@ -86,7 +86,7 @@ def test_a_data_set_replaces_nothing(run: Path, tmp_path: Path, says: Says) -> N
     (tmp_path / "own.txt").touch()
     err = says(2, "export", run, "--format", "euroc", "--out", tmp_path).err
     assert "holds something; name a new one" in err
-    assert "not for --format euroc" in says(2, "export", run, "--format", "euroc", "--poses",
+    assert "not euroc" in says(2, "export", run, "--format", "euroc", "--poses",
                                             "truth").err  # fmt: skip
     assert [file.name for file in tmp_path.iterdir()] == ["own.txt"]
 

@@ -84,7 +84,7 @@ def test_pictures_of_a_flight_have_a_table_of_the_choice(tmp_path: Path) -> None
     drawing.write_costmap(tmp_path / "c.png", view, np.zeros(3), Pose.identity(), marks)
     assert read_picture(tmp_path / "c.png").shape[0] > costmap_image(view, np.zeros(3)).shape[0]
     lines = drawing._table(decision)
-    assert " ".join(lines[-3].split()) == "score = room ground slope, step, clearance rule"
+    assert " ".join(lines[-3].split()) == "score = clearance ground slope, step, clearance rule"
     assert lines[-1].split("  ")[:3] == ["2", "0.900", "0.900 (2.0 m)"]
     assert lines[-2].endswith("1.0 deg, 0.02 m, 2.0 m  lower value")
 

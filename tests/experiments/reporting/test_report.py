@@ -31,7 +31,7 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no finished run"):
         load_runs(tmp_path)
     (tmp_path / "result.json").write_text("{}")
-    with pytest.raises(UsageError, match="estimator, outcome, scene, seed missing"):
+    with pytest.raises(UsageError, match="outcome: Field required"):
         load_runs(tmp_path)
 
 
