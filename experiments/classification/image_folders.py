@@ -35,6 +35,8 @@ from touchdown.landing.classification.labels import SCHEMES
 
 SQUARES = Path(__file__).with_name("caliterra.csv")
 RENDERED = "rendered"
+_READ = COLUMNS[:-1]
+"""columns of a manifest that are read; the last one had another name in earlier versions"""
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 _WITH_OTHERS = ("ucmerced",)
 """kinds of which images of no class of a scheme show what must not be taken for one"""
@@ -154,7 +156,7 @@ def _is_rendered(folder: Path) -> bool:
     if not manifest.is_file():
         return False
     with manifest.open(encoding="utf-8", errors="replace") as file:
-        return file.readline(1000).rstrip("\r\n") == ",".join(COLUMNS)
+        return file.readline(1000).startswith(",".join(_READ))
 
 
 def _rendered(folder: Path, scheme: str) -> Entries:
@@ -163,7 +165,7 @@ def _rendered(folder: Path, scheme: str) -> Entries:
             f"--data: '{folder}' has no {MANIFEST} of `touchdown dataset render` in it"
         )
     classes, manifest = SCHEMES[scheme], folder / MANIFEST
-    for number, row in enumerate(_table(manifest, COLUMNS), start=2):
+    for number, row in enumerate(_table(manifest, _READ), start=2):
         name = row[scheme]
         if (name and name not in classes) or row["split"] not in SPLITS:
             raise UsageError(f"--data: '{manifest}', line {number}: unknown class or split")
