@@ -186,12 +186,16 @@ def test_ctrl_c_ends_an_endless_query(runs: Path) -> None:
         while not ended.wait(1.0):  # Python drops one that comes while it frees an object
             os.kill(os.getpid(), signal.SIGINT)
 
+    before = signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # processes of xdist have none
     threading.Thread(target=press).start()
     endless = "select sum(a.range % 7) from range(100000000000) a"
     try:
         assert cli.main(["query", str(runs), endless]) == 130
     finally:
         ended.set()
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture
