@@ -29,7 +29,7 @@ class PidGains:
     ki: Array
     kd: Array
     integral_limit: Array
-    """bound on the magnitude of the integral's fraction of the output"""
+    """bound on the magnitude of the integral's part of the output"""
 
 
 class VectorPid:

@@ -51,10 +51,12 @@ class MovingBodies:
 
     def write(self, data: Any, time_s: float) -> None:
         """Puts the mocap bodies of an MjData where they are at ``time_s``."""
+        if not self._paths:
+            return
+        positions, quats, times_s = data.mocap_pos, data.mocap_quat, np.array([time_s])
         for path in self._paths:
-            track = path.at(np.array([time_s]))
-            data.mocap_pos[path.mocap_id] = track.positions[0]
-            data.mocap_quat[path.mocap_id] = track.quats_wxyz[0]
+            at = slice(path.mocap_id, path.mocap_id + 1)
+            path.locate(times_s, positions[at], quats[at])
 
     def tracks(self, times_s: Array) -> dict[str, BodyTrack]:
         """By body name: the poses at (M,) times."""
@@ -86,9 +88,13 @@ class _Path:
     def at(self, times_s: Array) -> BodyTrack:
         positions = np.empty((len(times_s), 3))
         quats = np.empty((len(times_s), 4))
-        travelled = self._start + self._speed * times_s
-        _locate(self._starts, self._directions, self._arc, travelled, positions, quats)
+        self.locate(times_s, positions, quats)
         return BodyTrack(times_s=times_s, positions=positions, quats_wxyz=quats)
+
+    def locate(self, times_s: Array, positions: Array, quats_wxyz: Array) -> None:
+        """Writes (M, 3) and (M, 4) at (M,) times."""
+        travelled = self._start + self._speed * times_s
+        _locate(self._starts, self._directions, self._arc, travelled, positions, quats_wxyz)
 
 
 @njit(cache=True, error_model="numpy")

@@ -74,7 +74,7 @@ def weak_directions(
     information: Array, noise: Array, sigma_rad: float, sigma_m: float
 ) -> tuple[Array, Array]:
     """Returns the degenerate axes of rotation (3, r) and directions of translation (3, t) as unit
-    columns: those whose standard deviation under ``information`` (6, 6), less twice its fraction of
+    columns: those whose standard deviation under ``information`` (6, 6), less twice its part of
     ``noise`` (6, 6), exceeds the limits.
 
     Rotation and translation are treated separately, each after marginalisation of the other (Schur
@@ -289,7 +289,7 @@ class Eskf:
         prior: Prior | None = None,
     ) -> None:  # fmt: skip
         """Updates the covariance: ``P - P_t (I + A P_tt)^-1 A P_t^T``; parameters of the
-        calibration lose what belongs to their fraction. ``prior``: that of ``touched``, if
+        calibration lose what belongs to their part. ``prior``: that of ``touched``, if
         known."""
         rows, spread = prior or self.prior(touched)
         middle = np.linalg.solve(np.eye(len(touched)) + information @ spread, information)

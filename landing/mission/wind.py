@@ -63,7 +63,7 @@ class WindEstimator:
 class FeltWind:
     """The horizontal wind of the last second or so, odom frame, for `time_scaling`.
 
-    In the rotors' plane thrust has no fraction: the felt force there is the drag of rotors and
+    In the rotors' plane thrust has no component: the felt force there is the drag of rotors and
     fuselage at the velocity through the air. Taken as horizontal, the wind follows from the two
     components; the drag of the rotors is that at their measured speed."""
 
