@@ -202,7 +202,8 @@ def _write_table(figure: Figure, words: Sequence[str], signs: Sequence[str]) -> 
     """Writes lines below the maps, those of the candidates in the colours of their signs."""
     height = float(figure.get_figheight())
     engine: Any = figure.get_layout_engine()
-    engine.set(rect=(0.0, _ROW_IN * len(words) / height, 1.0, 1.0))
+    below = _ROW_IN * len(words) / height
+    engine.set(rect=(0.0, below, 1.0, 1.0 - below))
     colours = [INK] * (len(words) - len(signs) - 1) + [FAINT, *signs]
     for line, (text, colour) in enumerate(zip(words, colours, strict=True), start=1):
         figure.text(0.03, _ROW_IN * (len(words) - line + 0.4) / height, text, family="monospace",

@@ -13,6 +13,7 @@ from touchdown.experiments.drawing import costmap_image as drawing
 from touchdown.experiments.drawing.class_image import CLASS_RGB, class_numbers, write_classes
 from touchdown.experiments.drawing.costmap_image import costmap_image
 from touchdown.experiments.drawing.map_images import survey_marks
+from touchdown.experiments.drawing.style import pixels_of
 from touchdown.experiments.io.images import read_picture
 from touchdown.landing.api import (
     Candidate,
@@ -83,7 +84,12 @@ def test_pictures_of_a_flight_have_a_table_of_the_choice(tmp_path: Path) -> None
     marks = survey_marks(np.array([20.0, 20.0]), 0.5, SurveyParams())
     drawing.write_costmap(tmp_path / "c.png", view, np.zeros(3), Pose.identity(), marks)
     assert read_picture(tmp_path / "c.png").shape[0] > costmap_image(view, np.zeros(3)).shape[0]
+    figure = drawing._figure(view, np.zeros(3), Pose.identity(), marks)
+    pixels_of(figure)
     lines = drawing._table(decision)
+    for axes in figure.axes:  # between the table and the upper edge
+        box = axes.get_position()
+        assert drawing._ROW_IN * len(lines) / figure.get_figheight() < box.y0 < box.y1 < 1.0
     assert " ".join(lines[-3].split()) == "score = clearance ground slope, step, clearance rule"
     assert lines[-1].split("  ")[:3] == ["2", "0.900", "0.900 (2.0 m)"]
     assert lines[-2].endswith("1.0 deg, 0.02 m, 2.0 m  lower value")
