@@ -109,8 +109,8 @@ def _figure(
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         panels[0].imshow(photo_of(costmap), origin="lower", extent=extent, interpolation="nearest")
         shown = _draw_score(panels[1], costmap, extent)
-        figure.colorbar(shown, ax=panels, shrink=0.7, pad=0.01, label="score of accepted ground; "
-                        "refused ground is grey, brighter for a higher score")  # fmt: skip
+        figure.colorbar(shown, ax=panels, shrink=0.7, pad=0.01, label="score of accepted ground;\n"
+                        "refused ground is grey, brighter for more")  # fmt: skip
         for axes in panels:
             if marks is not None:
                 draw_marks(axes, marks)
