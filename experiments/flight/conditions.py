@@ -313,7 +313,7 @@ def _wind(config: Config, measured: Measured) -> Condition:
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """The figure of an effect must reach ``least`` of a configuration."""
+    """The figure of an effect must reach ``minimum`` of a configuration."""
 
     column: str
     unit: str
