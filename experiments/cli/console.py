@@ -307,20 +307,17 @@ def print_calibration(report: Mapping[str, Any]) -> None:
 
 def print_scores(report: Mapping[str, Any]) -> None:
     """Prints the scores of the edge detector beside those of Canny."""
-    from touchdown.experiments.edges.figures import DETECTOR_LABELS
+    from touchdown.experiments.edges import DETECTOR_LABELS
 
-    scenes = list(next(iter(report["scenes"].values())))
-    heads = ("ODS", "OIS", "AP", "precision", "recall", *(f"ODS {scene}" for scene in scenes))
+    heads = ("ODS", "OIS", "AP", "precision", "recall")
     table = make_table(f"{report['pictures']} pictures", "", *heads)
     for name, row in report["detectors"].items():
-        figures = [*row.values(), *report["scenes"][name].values()]
-        table.add_row(DETECTOR_LABELS.get(name, name), *(f"{figure:.3f}" for figure in figures))
+        table.add_row(DETECTOR_LABELS.get(name, name), *(f"{value:.3f}" for value in row.values()))
     make_console().print(table)
     blur, threshold = (report["canny_setting"][key] for key in ("sigma_px", "threshold"))
     _print_lines(
         [
             f"Canny at its best: blur {blur:.1f} px, threshold {threshold:.0f}",
             f"ODS above Canny's: {report['ods_above_canny']:+.3f}",
-            f"one picture: {report['detect_ms']:.1f} ms of one core",
         ]
     )

@@ -272,8 +272,7 @@ def edges_evaluate(model: str, seeds: int, plot: Path | None, quiet: bool) -> di
 
     Example: touchdown edges evaluate --seeds 3 --plot edges.png
     """
-    from touchdown.experiments.edges.evaluate import evaluate
-    from touchdown.experiments.edges.figures import plot_curves
+    from touchdown.experiments.edges import evaluate, plot_curves
 
     report = evaluate(model, seeds, make_notes(quiet))
     if plot is not None:
@@ -283,17 +282,16 @@ def edges_evaluate(model: str, seeds: int, plot: Path | None, quiet: bool) -> di
 
 @edges.command("picture")
 @click.option("--out", type=PATH, default=Path("edge-pictures"), show_default=True,
-              help="Folder for edges.jpg and smoothness.jpg.")  # fmt: skip
+              help="Folder for smoothness.jpg.")  # fmt: skip
 @SEED
 @_MODEL
 @QUIET
 def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
-    """Draw the edge energy beside Canny and the truth, and the smoothness of the estimator.
+    """Draw the edge energy of an image and the smoothness of the returns by it.
 
     Example: touchdown edges picture --out edge-pictures
     """
-    from touchdown.experiments.edges.figures import draw_figures
+    from touchdown.experiments.edges import draw_figure
 
-    for path in usage_errors(lambda: draw_figures(out, seed, model, make_notes(quiet))):
-        say(str(path))
+    say(str(usage_errors(lambda: draw_figure(out, seed, model, make_notes(quiet)))))
     return EXIT_DONE

@@ -58,8 +58,6 @@ _PICTURES: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
         ("fig4", "Fig. 4: edge energy and local smoothness",
          "An image, the energy of its structured edges, f_c of the returns of one scan, and the "
          "edge and planar points selected by it.", "smoothness.jpg"),
-        ("fig4_edges", "The detector beside Canny and the truth",
-         "On scenes that it was not trained on.", "edges.jpg"),
     ),
     "world": (
         ("fig7", "Fig. 7: the vehicle",

@@ -99,11 +99,11 @@ def _calibration(job: Job) -> Done:
 
 
 def _edges(job: Job) -> Done:
-    from touchdown.experiments.edges.figures import draw_figures
+    from touchdown.experiments.edges import draw_figure
 
     with filled_folder(job.folder / PICTURES) as partial_folder:
-        files = draw_figures(partial_folder, 0, "shipped", job.notes)
-    return Done({"pictures": [file.name for file in files]})
+        file = draw_figure(partial_folder, 0, "shipped", job.notes)
+    return Done({"pictures": [file.name]})
 
 
 def _world(job: Job) -> Done:

@@ -109,11 +109,10 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
             "consistency": {"consistent": found.consistent},
         }
 
-    @replaced("edges.figures.draw_figures", "edges")
-    def _(folder: Path, seed: int, model: str, notes: Any) -> tuple[Path, Path]:
-        files = folder / "edges.jpg", folder / "smoothness.jpg"
-        draw(*files)
-        return files
+    @replaced("edges.draw_figure", "edges")
+    def _(folder: Path, seed: int, model: str, notes: Any) -> Path:
+        draw(folder / "smoothness.jpg")
+        return folder / "smoothness.jpg"
 
     @replaced("scene_tools.render.vehicle_portrait", "vehicle")
     def _(scene: Any) -> tuple[Any, Any]:

@@ -13,16 +13,17 @@ from touchdown.estimator.zou2024.structured_edges import (
     check_model,
     edge_detector,
 )
-from touchdown.experiments.edges.dataset import boundaries, connected, without_specks
-from touchdown.experiments.edges.evaluate import (
+from touchdown.experiments.edges import (
     TEST_SCENES,
     Counts,
+    boundaries,
+    connected,
     counts_of_masks,
-    f_measure,
     matched_pairs,
     ridges,
     score,
     thinned,
+    without_specks,
 )
 
 
@@ -103,12 +104,12 @@ def test_scores_are_those_worked_out_by_hand() -> None:
     two = Counts(30, np.array([40, 10]), np.array([20, 10]))
     result = score([one, two])
     # first threshold: 30 of 60 right, 30 of 40 found; second: 16 of 18, 16 of 40
-    np.testing.assert_allclose(result.precision, [0.5, 16 / 18])
-    np.testing.assert_allclose(result.recall, [0.75, 0.4])
+    np.testing.assert_allclose(result.total.precision, [0.5, 16 / 18])
+    np.testing.assert_allclose(result.total.recall, [0.75, 0.4])
     assert result.ods == pytest.approx(0.6) and result.best == 0
     # the first image is better at its second (12 / 18 > 20 / 30 is a tie: the first is kept)
     assert result.ois == pytest.approx(2 * 30 / (40 + 60))
-    assert f_measure(np.zeros(1), np.zeros(1))[0] == 0.0
+    assert Counts(3, np.zeros(1), np.zeros(1)).f[0] == 0.0
 
 
 def test_ridges_and_thinning_leave_one_line() -> None:
