@@ -307,7 +307,7 @@ def print_calibration(report: Mapping[str, Any]) -> None:
 
 def print_scores(report: Mapping[str, Any]) -> None:
     """Prints the scores of the edge detector beside those of Canny."""
-    from touchdown.experiments.edges import DETECTOR_LABELS
+    from touchdown.experiments.edges.scores import DETECTOR_LABELS
 
     heads = ("ODS", "OIS", "AP", "precision", "recall")
     table = make_table(f"{report['pictures']} pictures", "", *heads)

@@ -272,7 +272,7 @@ def edges_evaluate(model: str, seeds: int, plot: Path | None, quiet: bool) -> di
 
     Example: touchdown edges evaluate --seeds 3 --plot edges.png
     """
-    from touchdown.experiments.edges import evaluate, plot_curves
+    from touchdown.experiments.edges.scores import evaluate, plot_curves
 
     report = evaluate(model, seeds, make_notes(quiet))
     if plot is not None:
@@ -291,7 +291,7 @@ def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
 
     Example: touchdown edges picture --out edge-pictures
     """
-    from touchdown.experiments.edges import draw_figure
+    from touchdown.experiments.edges.scores import draw_figure
 
     say(str(usage_errors(lambda: draw_figure(out, seed, model, make_notes(quiet)))))
     return EXIT_DONE

@@ -99,7 +99,7 @@ def _calibration(job: Job) -> Done:
 
 
 def _edges(job: Job) -> Done:
-    from touchdown.experiments.edges import draw_figure
+    from touchdown.experiments.edges.scores import draw_figure
 
     with filled_folder(job.folder / PICTURES) as partial_folder:
         file = draw_figure(partial_folder, 0, "shipped", job.notes)

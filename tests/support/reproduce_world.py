@@ -109,7 +109,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
             "consistency": {"consistent": found.consistent},
         }
 
-    @replaced("edges.draw_figure", "edges")
+    @replaced("edges.scores.draw_figure", "edges")
     def _(folder: Path, seed: int, model: str, notes: Any) -> Path:
         draw(folder / "smoothness.jpg")
         return folder / "smoothness.jpg"

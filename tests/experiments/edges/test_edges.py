@@ -13,18 +13,16 @@ from touchdown.estimator.zou2024.structured_edges import (
     check_model,
     edge_detector,
 )
-from touchdown.experiments.edges import (
+from touchdown.experiments.edges.scores import (
     TEST_SCENES,
     Counts,
-    boundaries,
-    connected,
     counts_of_masks,
     matched_pairs,
     ridges,
     score,
     thinned,
-    without_specks,
 )
+from touchdown.experiments.edges.views import boundaries, connected, without_specks
 
 
 def test_a_damaged_model_is_named_in_one_line(tmp_path: Path) -> None:
