@@ -10,8 +10,9 @@ import numpy as np
 
 from touchdown.scenes.api import Image, Scene, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder
-from touchdown.scenes.authoring.generation import Takeoff, finish
+from touchdown.scenes.authoring.generation import finish
 from touchdown.scenes.authoring.meshes import MeshData
+from touchdown.scenes.authoring.plots import SurveyFrame
 from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.compose import compile_scene, prepare_spec
 
@@ -43,7 +44,7 @@ def calibration_room(image: Image, width_m: float, height_m: float, seed: int) -
     spec.visual.headlight.ambient = [0.35] * 3
     spec.visual.headlight.diffuse = [0.3] * 3
     spec.visual.headlight.specular = [0.0] * 3
-    draft = finish(Takeoff(takeoff_xy_m=np.zeros(2), takeoff_yaw=0.0), builder, None)
+    draft = finish(SurveyFrame(takeoff_xy_m=np.zeros(2), takeoff_yaw=0.0), builder, None)
     prepare_spec(draft)
     return compile_scene(spec, draft, "calibration_room", seed, "the calibration room")
 

@@ -6,44 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 from zlib import crc32
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Array, GroundRaster, MovingBody, Surface
+from touchdown.scenes.api import GroundRaster, MovingBody, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.light import SUN_ELEVATIONS_DEG, draw_sun, ground_texture
+from touchdown.scenes.authoring.plots import SurveyFrame
 from touchdown.scenes.authoring.relief import HeightField, write_hfield
 from touchdown.scenes.authoring.water import Float32, WaterLook, flood_raster, lay_water, varied
 
 PLACES = Path(__file__).parents[1] / "places"
 LAWN = Surface(land_class="lawn", reflectivity=0.45)
-
-
-class TakeoffPlan(Protocol):
-    """A plan that fixes the take-off pose."""
-
-    @property
-    def takeoff_xy_m(self) -> Array:
-        """(2,) world"""
-
-    @property
-    def takeoff_yaw(self) -> float:
-        """radians"""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Takeoff:
-    """A take-off pose of its own, for scenes without a plan."""
-
-    takeoff_xy_m: Array
-    """(2,) world"""
-    takeoff_yaw: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -110,7 +89,7 @@ def paint_terrain(
 
 
 def finish(
-    plan: TakeoffPlan,
+    frame: SurveyFrame,
     builder: SceneBuilder,
     ground: GroundRaster | None,
     *,
@@ -118,7 +97,7 @@ def finish(
     terrain: Surface = LAWN,
     moving: tuple[MovingBody, ...] = (),
 ) -> SceneDraft:
-    """Returns the draft of everything placed.
+    """Returns the draft of everything placed, with the take-off pose of ``frame``.
 
     ground: class raster of the ground's geom. half_m: half the side of the scene's bounds, by
     default that of the terrain. terrain: surface of the geom `terrain` outside of its raster.
@@ -128,8 +107,8 @@ def finish(
         builder.surfaces["terrain"] = terrain
     return SceneDraft(
         spec=builder.spec,
-        takeoff_xy_m=plan.takeoff_xy_m,
-        takeoff_yaw=plan.takeoff_yaw,
+        takeoff_xy_m=frame.takeoff_xy_m,
+        takeoff_yaw=frame.takeoff_yaw,
         bounds_xy_m=np.array([[-half, -half], [half, half]]),
         surfaces=builder.surfaces,
         ground=ground,

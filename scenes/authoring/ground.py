@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
@@ -24,8 +25,8 @@ from touchdown.scenes.api import (
 )
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.relief import HALF_M
 from touchdown.scenes.authoring.shading import mixed_blocks, ragged_texels, shade
-from touchdown.scenes.authoring.variation import Variation, present_variation, varied
 
 TEXELS = 5120
 RASTER_STRIDE = 4
@@ -163,6 +164,25 @@ def mown_askew(rng: np.random.Generator, angle: float) -> dict[Ground, float]:
     return dict.fromkeys(Ground, angle) | {Ground.LAWN: angle + float(rng.uniform(0.2, 1.3))}
 
 
+class Variation(NamedTuple):
+    """Other materials and other water than a scene is planned with."""
+
+    materials: Bytes
+    """(len(`Ground`),) the material in place of each"""
+    body: tuple[float, float, float]
+    """as `scenes.authoring.water.WaterLook`, like the following"""
+    clarity_m: tuple[float, float, float]
+    ripple: float
+
+
+_variation: ContextVar[Variation | None] = ContextVar("variation", default=None)
+
+
+def present_variation() -> Variation | None:
+    """That of the context; None where scenes are made as planned."""
+    return _variation.get()
+
+
 @contextlib.contextmanager
 def varied_materials(rng: np.random.Generator) -> Iterator[None]:
     """Gives all scenes made inside the context other ground and water: each material becomes a
@@ -177,8 +197,11 @@ def varied_materials(rng: np.random.Generator) -> Iterator[None]:
     clear = float(np.exp(rng.uniform(*_CLARITY)))
     clarity = (0.6 * clear, clear, clear * rng.uniform(0.7, 1.3))
     water = (red, green, blue), clarity, rng.uniform(0.1, 0.7)
-    with varied(Variation(table, *water)):
+    token = _variation.set(Variation(table, *water))
+    try:
         yield
+    finally:
+        _variation.reset(token)
 
 
 PAINT_REFLECTIVITY = 0.60
@@ -191,7 +214,7 @@ class Canvas:
     """Rasters over the square of +-half_m, row 0 at y_min: material ids, marking paint and dark
     stains (0..255 coverage)."""
 
-    half_m: float
+    half_m: float = HALF_M
     material: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
     paint: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
     stain: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))

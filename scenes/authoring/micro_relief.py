@@ -17,7 +17,7 @@ from touchdown.scenes.api import Array, Bytes, Float32
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import SQUARE, rotated, unit, unit_circle
-from touchdown.scenes.authoring.relief import HeightField
+from touchdown.scenes.authoring.relief import HALF_M, HeightField
 
 NEUTRAL = 128
 """Tone of level ground."""
@@ -45,7 +45,7 @@ class Ripples:
 class MicroRelief:
     """Fine heights over the square of +-half_m, row 0 at y_min."""
 
-    half_m: float
+    half_m: float = HALF_M
     drifts_m: Float32 = field(default_factory=lambda: np.zeros((TEXELS // 2,) * 2, np.float32))
     """at half the canvas' resolution"""
     prints: Bytes = field(default_factory=lambda: np.full((TEXELS, TEXELS), _FLAT, np.uint8))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -101,6 +101,24 @@ def claim_free(
             builder.claim(spot, gap_m if claim_m is None else claim_m)
             found.append(spot)
     return found
+
+
+def free_spots(
+    builder: SceneBuilder,
+    count: int,
+    tries: int,
+    half_m: float,
+    gap_m: float,
+    fits: Callable[[Array], bool],
+) -> Iterator[Array]:
+    """Yields up to ``count`` of ``tries`` random spots of a square that fit and are ``gap_m``
+    clear: what is placed on one keeps the next ones away."""
+    found = 0
+    for _ in range(tries):
+        spot = builder.rng.uniform(-half_m, half_m, 2)
+        if found < count and builder.is_free(spot, gap_m) and fits(spot):
+            found += 1
+            yield spot
 
 
 def claim_area(

@@ -11,6 +11,8 @@ import numpy as np
 from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.noise import fractal_noise
 
+HALF_M = 64.0
+"""Half the side of places"""
 NODES = 193
 TAKEOFF_FLAT_M = 2.0
 TAKEOFF_BLEND_M = 5.0
@@ -66,16 +68,18 @@ def segment_distance(xy_m: Array, start_xy_m: Array, end_xy_m: Array) -> Array:
     return np.linalg.norm(xy_m - start_xy_m - t[..., None] * span, axis=-1)
 
 
-def natural_ground(rng: np.random.Generator, nodes: int, half_m: float) -> Array:
+def natural_ground(rng: np.random.Generator, nodes: int = NODES) -> tuple[Array, Array]:
     """(nodes, nodes) metres: long swells, and hummocks of a step's size that come in patches, so
-    that part of the lawns cannot be landed on."""
-    cell = 2.0 * half_m / (nodes - 1)
+    that part of the lawns cannot be landed on; and (nodes, nodes, 2) world points of the nodes."""
+    cell = 2.0 * HALF_M / (nodes - 1)
     shape = (nodes, nodes)
     swell = rng.uniform(0.35, 0.6) * fractal_noise(rng, shape, 38.0 / cell, 2, 0.35)
     hummocks = fractal_noise(rng, shape, 3.2 / cell, 3, 0.6)
     patches = smoothstep(-0.2, 1.1, fractal_noise(rng, shape, 16.0 / cell, 2).astype(np.float64))
     roughness = 0.006 + rng.uniform(0.07, 0.11) * patches
-    return np.asarray(swell + roughness * hummocks, np.float64)
+    heights = np.asarray(swell + roughness * hummocks, np.float64)
+    grid = HeightField(heights_m=heights).node_grid()
+    return heights, np.stack(grid, axis=-1)
 
 
 def dig_ditches(heights: Array, xy: Array, ditches: Iterable[Ditch]) -> Array:
@@ -105,7 +109,7 @@ def level_pads(heights: Array, xy: Array, pads: Iterable[Pad]) -> Array:
     return heights
 
 
-def level_takeoff(heights: Array, half_m: float, takeoff_xy_m: Array) -> HeightField:
+def level_takeoff(heights: Array, takeoff_xy_m: Array, half_m: float = HALF_M) -> HeightField:
     """The terrain of ``heights`` (N, N) with a level disc of 2 m around the take-off spot, moved
     up or down so that the height there is 0."""
     terrain = HeightField(heights_m=heights, half_m=half_m)
@@ -124,7 +128,7 @@ class HeightField:
     """
 
     heights_m: Array
-    half_m: float
+    half_m: float = HALF_M
 
     @property
     def cell_m(self) -> float:

@@ -14,10 +14,13 @@ from touchdown.scenes.authoring.builder import SceneBuilder, quat_z
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.meshes import MeshData, polygon
 from touchdown.scenes.authoring.plane import unit, unit_circle
+from touchdown.scenes.authoring.relief import smoothstep
 
 KERB = Surface(land_class="path", reflectivity=0.35)
 STEP_M = 0.5
 KERB_RUN_M = 18.0
+ROAD_DEPTH_M, GUTTER_M = 0.12, 0.45
+"""How far roadways lie below the ground beside them, and the width in which they fall."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,6 +75,11 @@ class Street:
         last = min(last_m, self.length_m)
         stations = np.linspace(first_m, last, max(2, round((last - first_m) / 1.0) + 1))
         return np.array([self.point(float(station), across_m) for station in stations])
+
+
+def roadway_depth(kerb_m: Array) -> Array:
+    """(...) metres of a roadway below the ground, at (...) metres from its edge, negative on it."""
+    return ROAD_DEPTH_M * smoothstep(0.0, GUTTER_M, -kerb_m)
 
 
 class Way(Protocol):

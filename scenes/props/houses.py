@@ -80,8 +80,7 @@ def add_house(builder: SceneBuilder, house: House, looks: HouseLooks | None = No
     """Adds walls, a roof and objects on it, in ``looks`` or in colours of its own. The ground below
     is taken as level."""
     rng = builder.rng
-    z = builder.terrain.point(*house.centre_xy_m)
-    origin = np.array([*house.centre_xy_m, z])
+    origin = builder.on_ground(house.centre_xy_m)
     name = builder.unique("house")
     if looks is None:
         colour, brick = pick(rng, WALLS)

@@ -260,10 +260,9 @@ def add_umbrella_models(builder: SceneBuilder, count: int) -> list[tuple[str, st
 
 def add_umbrella(builder: SceneBuilder, model: tuple[str, str], xy_m: Array) -> None:
     """Adds a sunshade on a thin pole."""
-    z = builder.terrain.point(*xy_m)
     add_post(builder, xy_m, 2.3, 0.025, [0.86, 0.86, 0.84, 1])
     heading = float(builder.rng.uniform(0.0, 0.8))
-    at = np.array([*xy_m, z + 1.95])
+    at = builder.on_ground(xy_m, 1.95)
     builder.geom("umbrella", CLOTH, mesh=model[0], material=model[1], pos=at, heading=heading)
     turn = np.arange(0.0, 2.0 * np.pi, 0.25 * np.pi) + heading
     rim = np.column_stack([at[:2] + 1.4 * unit(turn), np.full(8, at[2])])
@@ -323,11 +322,10 @@ def add_water_slide(builder: SceneBuilder, foot_xy_m: Array, heading: float) -> 
 
 def add_whirlpool(builder: SceneBuilder, xy_m: Array) -> None:
     """Adds a round raised tub, 0.5 m high, full to the brim."""
-    z = builder.terrain.point(*xy_m)
     for stem, radius, low, high, tint, surface in (
         ("tub", 1.6, -0.2, 0.50, [0.74, 0.71, 0.66, 1], KERB),
         ("water_tub", 1.3, 0.3, 0.52, [0.42, 0.76, 0.82, 1], WATER),
     ):
         mesh = builder.mesh(builder.unique(stem), drum(radius, low, high, 24))
-        builder.geom(stem, surface, mesh=mesh, pos=[*xy_m, z], rgba=tint)
+        builder.geom(stem, surface, mesh=mesh, pos=builder.on_ground(xy_m), rgba=tint)
     builder.claim(xy_m, 2.2)

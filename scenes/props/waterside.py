@@ -350,8 +350,7 @@ def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None
 
 def add_buoy(builder: SceneBuilder, xy_m: Array, radius_m: float, rgba: list[float]) -> None:
     """Adds a ball that floats half out of the water; large ones carry a pole with a topmark."""
-    z = builder.terrain.point(*xy_m)
-    at = np.array([*xy_m, z + 0.3 * radius_m])
+    at = builder.on_ground(xy_m, 0.3 * radius_m)
     builder.geom("buoy", BUOY, ball=radius_m, pos=at, rgba=rgba)
     ring = np.column_stack([radius_m * unit_circle(10), np.zeros(10)])
     builder.cast(np.concatenate([at + ring, at + [[0.0, 0.0, radius_m]]]), 0.9)

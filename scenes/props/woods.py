@@ -298,8 +298,7 @@ def _add_trunk(builder: SceneBuilder, mesh: str, material: str, foot: Array) -> 
 def add_conifer(builder: SceneBuilder, wood: Wood, xy_m: Array, crown: Crown, needles: str) -> None:
     """Adds a spruce or pine: trunk and crown."""
     rng = builder.rng
-    z = builder.terrain.point(*xy_m)
-    foot = np.array([*xy_m, z])
+    foot = builder.on_ground(xy_m)
     _add_trunk(builder, wood.trunks[crown.mesh], wood.bark, foot)
     _add_cone(builder, "trees_conifer", crown, needles, foot, draw_heading(rng))
 

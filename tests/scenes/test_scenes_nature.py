@@ -19,7 +19,7 @@ from touchdown.scenes.authoring.micro_relief import (
     runners,
     wander,
 )
-from touchdown.scenes.authoring.relief import HeightField
+from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.authoring.water import WaterLook, lay_water, upsample
 from touchdown.scenes.places import dunes
 from touchdown.scenes.places.forest import layout
@@ -86,7 +86,7 @@ def test_ice_is_slippery_and_covers_the_pond() -> None:
     # The slab's top is what feet meet, millimetres over what is seen.
     slab, terrain = scene.model.geom(over[0]), scene.model.geom("terrain")
     field = scene.model.hfield_data.reshape(snow.NODES, snow.NODES) * scene.model.hfield_size[0, 2]
-    seen = HeightField(heights_m=field + terrain.pos[2], half_m=snow.HALF_M).point(*middle)
+    seen = HeightField(heights_m=field + terrain.pos[2], half_m=HALF_M).point(*middle)
     assert 0.001 < slab.pos[2] + slab.size[2] - seen < 0.008
 
 

@@ -7,62 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.scenes.api import Array
+from touchdown.scenes.authoring import relief
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground, mown_askew
 from touchdown.scenes.authoring.plane import left_of, pick, unit, unit_circle
-from touchdown.scenes.authoring.plots import Plot, scatter
-from touchdown.scenes.authoring.relief import (
-    NODES,
-    Ditch,
-    HeightField,
-    Pad,
-    dig_ditches,
-    level_pads,
-    level_takeoff,
-    natural_ground,
-    smoothstep,
-)
+from touchdown.scenes.authoring.plots import Plot, SurveyFrame, scatter
 from touchdown.scenes.authoring.streets import STEP_M, Street, paint_street, smooth_line
+from touchdown.scenes.props import garden, houses, plants, stonework
 from touchdown.scenes.props.cars import Models, add_car_models, park_car
-from touchdown.scenes.props.garden import (
-    add_crop_rows,
-    add_greenhouse,
-    add_shed,
-    add_table,
-    add_toys,
-    add_washing_line,
-)
-from touchdown.scenes.props.houses import (
-    WALL,
-    House,
-    HouseLooks,
-    add_house,
-    paint_house_looks,
-    tiled_roof,
-)
-from touchdown.scenes.props.plants import (
-    Nursery,
-    add_bush,
-    add_rock,
-    add_small_tree,
-    add_tree,
-    plant_nursery,
-)
-from touchdown.scenes.props.stonework import (
-    add_cart,
-    add_electric_fence,
-    add_log_pile,
-    add_sheep,
-    add_sheep_models,
-    add_stone_wall,
-    add_well,
-    thatch,
-)
 from touchdown.scenes.props.street import add_bench, add_line, add_sign, add_wire
 
-HALF_M = 64.0
 VERGE_M = 0.8
 """Level ground beside the lane."""
 _LIFT_M = 40.0
@@ -70,7 +26,7 @@ _LIFT_M = 40.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plan:
+class Plan(SurveyFrame):
     """``frame``: v points uphill, the lane runs about along u."""
 
     frame: Plot
@@ -81,8 +37,6 @@ class Plan:
     """slope of the hill above it"""
     lawn_uv: Array
     """middle of a level drying green near the take-off spot"""
-    takeoff_xy_m: Array
-    takeoff_yaw: float
 
 
 def draw_plan(rng: np.random.Generator) -> Plan:
@@ -117,15 +71,14 @@ def hillside(plan: Plan, xy_m: Array) -> Array:
 
 
 def shape_ground(
-    rng: np.random.Generator, plan: Plan, pads: list[Pad], ditches: list[Ditch]
-) -> HeightField:
+    rng: np.random.Generator, plan: Plan, pads: list[relief.Pad], ditches: list[relief.Ditch]
+) -> relief.HeightField:
     """Returns hillside, terraces, and the lane as a bench along it; the take-off spot is at height
     0."""
-    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
-    xy = np.stack(terrain.node_grid(), axis=-1)
-    heights = terrain.heights_m + hillside(plan, xy) + _LIFT_M
-    heights = level_pads(dig_ditches(heights, xy, ditches), xy, pads)
-    rough = HeightField(heights_m=heights, half_m=HALF_M)
+    heights, xy = relief.natural_ground(rng)
+    heights = heights + hillside(plan, xy) + _LIFT_M
+    heights = relief.level_pads(relief.dig_ditches(heights, xy, ditches), xy, pads)
+    rough = relief.HeightField(heights_m=heights)
     along_line = rough.at(plan.lane.line_m)
     window = np.hanning(61)
     padded = np.pad(along_line, 30, mode="edge")
@@ -133,8 +86,8 @@ def shape_ground(
     distance, along = plan.lane.nearest(xy)
     level = np.interp(along, 0.5 * np.arange(len(profile)), profile)
     half = 0.5 * plan.lane.width_m + VERGE_M
-    heights = level + (heights - level) * smoothstep(half, half + 4.0, distance)
-    return level_takeoff(heights, HALF_M, plan.takeoff_xy_m)
+    heights = level + (heights - level) * relief.smoothstep(half, half + 4.0, distance)
+    return relief.level_takeoff(heights, plan.takeoff_xy_m)
 
 
 WIDTH_M, YARD_V, DEPTH_M = 21.0, 15.5, 29.0
@@ -147,15 +100,15 @@ class Farmstead:
     on the side of ``wing_u``."""
 
     plot: Plot
-    house: House
-    wing: House
+    house: houses.House
+    wing: houses.House
     wing_u: float
     gate_u: float
     yard: Ground
     clutter: str
     """`well`, `cart` or `washing`"""
 
-    def pads(self) -> list[Pad]:
+    def pads(self) -> list[relief.Pad]:
         """The yard with the buildings, and a terrace behind."""
         return [
             self.plot.pad(0.5 * WIDTH_M, 7.4, (0.5 * WIDTH_M - 0.3, 8.0), 2.4),
@@ -169,10 +122,10 @@ def draw_farmstead(rng: np.random.Generator, plot: Plot, clutter: str) -> Farmst
     length, width = rng.uniform(10.0, 12.5), rng.uniform(5.8, 6.6)
     wing_u = 3.4 if left else WIDTH_M - 3.4
     u = WIDTH_M - 1.2 - 0.5 * length if left else 1.2 + 0.5 * length
-    house = House(centre_xy_m=plot.at(u, YARD_V - 1.2 - 0.5 * width), angle=plot.angle,
+    house = houses.House(centre_xy_m=plot.at(u, YARD_V - 1.2 - 0.5 * width), angle=plot.angle,
                   size_m=(length, width, rng.uniform(2.5, 2.8)),
                   ridge_m=rng.uniform(2.9, 3.5))  # fmt: skip
-    wing = House(centre_xy_m=plot.at(wing_u, rng.uniform(6.0, 7.0)), angle=plot.away,
+    wing = houses.House(centre_xy_m=plot.at(wing_u, rng.uniform(6.0, 7.0)), angle=plot.away,
                  size_m=(rng.uniform(6.0, 7.5), 4.4, 2.4), ridge_m=2.1)  # fmt: skip
     return Farmstead(plot=plot, house=house, wing=wing, wing_u=wing_u, clutter=clutter,
                      gate_u=rng.uniform(9.0, 11.0),
@@ -195,54 +148,66 @@ def paint_farmstead(canvas: Canvas, farmstead: Farmstead) -> None:
 
 
 def build_farmstead(
-    builder: SceneBuilder, farmstead: Farmstead, looks: HouseLooks, nursery: Nursery, models: Models
+    builder: SceneBuilder,
+    farmstead: Farmstead,
+    looks: houses.HouseLooks,
+    nursery: plants.Nursery,
+    models: Models,
 ) -> None:
     """Adds all objects of the farmstead."""
     rng, plot = builder.rng, farmstead.plot
     for house in (farmstead.house, farmstead.wing):
-        add_house(builder, house, looks)
+        houses.add_house(builder, house, looks)
     u, v = plot.coordinates(farmstead.house.centre_xy_m)
     z = builder.terrain.point(*farmstead.house.centre_xy_m)
-    builder.geom("building_door", WALL, box=[0.5, 0.04, 1.0], heading=plot.angle,
+    builder.geom("building_door", houses.WALL, box=[0.5, 0.04, 1.0], heading=plot.angle,
                  pos=[*plot.at(u + 0.4, v - 0.5 * farmstead.house.size_m[1] - 0.03), z + 1.0],
                  rgba=[*rng.uniform([0.15, 0.2, 0.15], [0.5, 0.4, 0.5]), 1.0])  # fmt: skip
     wall_m = rng.uniform(0.9, 1.15)
     gap = farmstead.gate_u - 1.6, farmstead.gate_u + 1.6
-    add_stone_wall(builder, plot.points(np.array([[0.0, 10.0], [0.0, 0.3], [gap[0], 0.3]])), wall_m)
+    stonework.add_stone_wall(
+        builder, plot.points(np.array([[0.0, 10.0], [0.0, 0.3], [gap[0], 0.3]])), wall_m
+    )
     edge = np.array([[gap[1], 0.3], [WIDTH_M, 0.3], [WIDTH_M, 10.0]])
-    add_stone_wall(builder, plot.points(edge), wall_m)
+    stonework.add_stone_wall(builder, plot.points(edge), wall_m)
     back = [[0.0, YARD_V + 1.2], [0.0, DEPTH_M], [WIDTH_M, DEPTH_M], [WIDTH_M, YARD_V + 1.2]]
-    add_stone_wall(builder, plot.points(np.array(back)), 0.85)
+    stonework.add_stone_wall(builder, plot.points(np.array(back)), 0.85)
     _clutter(builder, farmstead, models)
-    add_crop_rows(builder, plot.at(5.4, 21.3), plot.angle, (7.4, 2.6), rng.uniform(0.25, 0.5))
-    add_crop_rows(builder, plot.at(5.4, 25.1), plot.angle, (7.4, 2.6), rng.uniform(0.25, 0.5))
+    garden.add_crop_rows(
+        builder, plot.at(5.4, 21.3), plot.angle, (7.4, 2.6), rng.uniform(0.25, 0.5)
+    )
+    garden.add_crop_rows(
+        builder, plot.at(5.4, 25.1), plot.angle, (7.4, 2.6), rng.uniform(0.25, 0.5)
+    )
     _bean_poles(builder, plot.at(5.4, 18.6), plot.angle)
     if rng.random() < 0.5:
-        add_greenhouse(builder, plot.at(WIDTH_M - 3.0, 26.6), plot.angle)
+        garden.add_greenhouse(builder, plot.at(WIDTH_M - 3.0, 26.6), plot.angle)
     else:
-        add_shed(builder, plot.at(WIDTH_M - 2.8, 26.4), plot.angle, (3.2, 2.4, 2.0))
+        garden.add_shed(builder, plot.at(WIDTH_M - 2.8, 26.4), plot.angle, (3.2, 2.4, 2.0))
     for spot in scatter(builder, plot, 2, (11.0, WIDTH_M - 1.5), (18.0, 27.5), 1.8):
-        add_small_tree(builder, nursery, spot, rng.uniform(0.75, 1.05))
+        plants.add_small_tree(builder, nursery, spot, rng.uniform(0.75, 1.05))
     for spot in scatter(builder, plot, 2, (1.2, WIDTH_M - 1.2), (1.2, 1.6), 0.7):
-        add_bush(builder, nursery, spot)
+        plants.add_bush(builder, nursery, spot)
 
 
 def _clutter(builder: SceneBuilder, farmstead: Farmstead, models: Models) -> None:
     """Adds objects that make the level courtyard unfit for landing."""
     rng, plot = builder.rng, farmstead.plot
     inner = (6.6, 18.4) if farmstead.wing_u < 8.0 else (2.6, 14.4)
-    add_log_pile(builder, plot.at(inner[1] - 1.0, 7.3), plot.angle)
+    stonework.add_log_pile(builder, plot.at(inner[1] - 1.0, 7.3), plot.angle)
     if farmstead.clutter == "well":
-        add_well(builder, plot.at(0.5 * sum(inner) + rng.uniform(-1, 1), 4.9), plot.angle)
-        add_table(builder, plot.at(inner[0] + 1.2, 6.6), plot.angle)
+        stonework.add_well(builder, plot.at(0.5 * sum(inner) + rng.uniform(-1, 1), 4.9), plot.angle)
+        garden.add_table(builder, plot.at(inner[0] + 1.2, 6.6), plot.angle)
     elif farmstead.clutter == "cart":
-        add_cart(builder, plot.at(inner[0] + 2.0, 5.6), plot.angle + rng.uniform(-0.5, 0.5))
+        stonework.add_cart(
+            builder, plot.at(inner[0] + 2.0, 5.6), plot.angle + rng.uniform(-0.5, 0.5)
+        )
         model = pick(rng, models)
         park_car(builder, model, plot.at(farmstead.gate_u + 2.4, 5.0), plot.angle + 0.1)
     else:
         ends = plot.at(inner[0] + 0.3, 5.2), plot.at(inner[1] - 0.3, 4.4)
-        add_washing_line(builder, *ends)
-        add_toys(builder, plot.at(0.5 * sum(inner), 6.8))
+        garden.add_washing_line(builder, *ends)
+        garden.add_toys(builder, plot.at(0.5 * sum(inner), 6.8))
 
 
 def _bean_poles(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
@@ -253,8 +218,7 @@ def _bean_poles(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
         tip = builder.on_ground(middle, 2.1)
         for angle in (0.4, 2.5, 4.6):
             foot = middle + 0.45 * unit(angle)
-            z = builder.terrain.point(*foot)
-            add_wire(builder, np.array([*foot, z]), tip, 0.015, [0.62, 0.50, 0.32, 1])
+            add_wire(builder, builder.on_ground(foot), tip, 0.015, [0.62, 0.50, 0.32, 1])
         builder.claim(middle, 0.9)
 
 
@@ -265,7 +229,7 @@ def generate(seed: int) -> SceneDraft:
     farmsteads = draw_farmsteads(rng, plan)
     pads = [pad for farmstead in farmsteads for pad in farmstead.pads()]
     pads.append(plan.frame.pad(float(plan.lawn_uv[0]), float(plan.lawn_uv[1]), (5.2, 3.6), 2.5))
-    ditch = Ditch(start_xy_m=plan.frame.at(-60.0, rng.uniform(-9.5, -8.0)),
+    ditch = relief.Ditch(start_xy_m=plan.frame.at(-60.0, rng.uniform(-9.5, -8.0)),
                   end_xy_m=plan.frame.at(-36.0, rng.uniform(-12.0, -9.0)),
                   depth_m=rng.uniform(0.5, 0.8), half_width_m=1.6)  # fmt: skip
     terrain = shape_ground(rng, plan, pads, [ditch])
@@ -304,10 +268,15 @@ def draw_farmsteads(rng: np.random.Generator, plan: Plan) -> list[Farmstead]:
 def place_objects(builder: SceneBuilder, plan: Plan, farmsteads: list[Farmstead]) -> None:
     """Adds all objects."""
     rng, frame = builder.rng, plan.frame
-    nursery = plant_nursery(builder)
+    nursery = plants.plant_nursery(builder)
     models = add_car_models(builder, 4)
-    roofs = [thatch(rng), thatch(rng), tiled_roof(rng, 11.0, 4.6), tiled_roof(rng, 11.0, 4.6)]
-    looks = paint_house_looks(builder, roofs)
+    roofs = [
+        stonework.thatch(rng),
+        stonework.thatch(rng),
+        houses.tiled_roof(rng, 11.0, 4.6),
+        houses.tiled_roof(rng, 11.0, 4.6),
+    ]
+    looks = houses.paint_house_looks(builder, roofs)
     builder.claim(plan.takeoff_xy_m, 6.5)
     builder.claim(frame.points(plan.lawn_uv), 4.5)
     for along in np.arange(0.0, plan.lane.length_m, 2.0):
@@ -335,9 +304,9 @@ def wall_the_lane(builder: SceneBuilder, plan: Plan, farmsteads: list[Farmstead]
                  < [0.5 * WIDTH_M + 0.4, 10.0]).all(axis=1).any()
                 for farmstead in farmsteads
             )  # fmt: skip
-            inside = np.abs(line).max() < HALF_M - 0.5
+            inside = np.abs(line).max() < relief.HALF_M - 0.5
             if inside and not on_farmstead and rng.random() < 0.75:
-                add_stone_wall(builder, line, rng.uniform(0.7, 0.95))
+                stonework.add_stone_wall(builder, line, rng.uniform(0.7, 0.95))
 
 
 def hang_laundry(builder: SceneBuilder, plan: Plan) -> None:
@@ -346,7 +315,7 @@ def hang_laundry(builder: SceneBuilder, plan: Plan) -> None:
     u, v = plan.lawn_uv
     side = 2.1 if rng.random() < 0.5 else -2.1
     ends = [plan.frame.at(u + x, v + side) for x in (-5.0, 5.2)]
-    add_washing_line(builder, ends[0], ends[1], laundry=False)
+    garden.add_washing_line(builder, ends[0], ends[1], laundry=False)
 
 
 def graze_meadow(builder: SceneBuilder, plan: Plan) -> None:
@@ -354,17 +323,17 @@ def graze_meadow(builder: SceneBuilder, plan: Plan) -> None:
     rng, frame = builder.rng, plan.frame
     u = np.arange(-58.0, 12.0, 6.0)
     fence_v = -33.0 + rng.uniform(-1.0, 1.0) + 0.8 * np.sin(0.1 * u)
-    add_electric_fence(builder, frame.points(np.column_stack([u, fence_v])), 0.9)
-    mesh = add_sheep_models(builder)
+    stonework.add_electric_fence(builder, frame.points(np.column_stack([u, fence_v])), 0.9)
+    mesh = stonework.add_sheep_models(builder)
     for spot in scatter(builder, frame, int(rng.integers(6, 10)), (-50, 10), (-56, -36), 1.5):
-        add_sheep(builder, mesh, spot, float(rng.uniform(0.0, 6.28)))
+        stonework.add_sheep(builder, mesh, spot, float(rng.uniform(0.0, 6.28)))
     for spot in scatter(builder, frame, 6, (-50.0, 56.0), (38.0, 58.0), 1.0):
-        add_rock(builder, spot, rng.uniform(0.25, 0.65))
+        plants.add_rock(builder, spot, rng.uniform(0.25, 0.65))
     for spot in scatter(builder, frame, 4, (-16.0, 8.0), (-31.0, -8.0), 1.0):
-        add_rock(builder, spot, rng.uniform(0.22, 0.4))
+        plants.add_rock(builder, spot, rng.uniform(0.22, 0.4))
 
 
-def plant_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
+def plant_trees(builder: SceneBuilder, plan: Plan, nursery: plants.Nursery) -> None:
     """Adds an orchard in rows, oaks on the hill, bushes."""
     rng, frame = builder.rng, plan.frame
     first = rng.uniform(-58.0, -54.0)
@@ -372,14 +341,14 @@ def plant_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
         for v in (-28.0, -22.0, -16.0):
             spot = frame.at(u + rng.normal(0.0, 0.3), v + rng.normal(0.0, 0.3))
             if builder.is_free(spot, 2.0):
-                add_small_tree(builder, nursery, spot, rng.uniform(0.9, 1.15))
+                plants.add_small_tree(builder, nursery, spot, rng.uniform(0.9, 1.15))
     for low, high, count in ((38.0, 59.0, 5), (-60.0, -36.0, 3)):
         for spot in scatter(builder, frame, count, (-58.0, 58.0), (low, high), 3.0):
-            add_tree(builder, nursery, spot, rng.uniform(1.0, 1.35))
+            plants.add_tree(builder, nursery, spot, rng.uniform(1.0, 1.35))
     for spot in scatter(builder, frame, 2, (-18.0, 4.0), (-14.0, -4.0), 2.8):
-        add_tree(builder, nursery, spot, rng.uniform(0.8, 1.0))
+        plants.add_tree(builder, nursery, spot, rng.uniform(0.8, 1.0))
     for spot in scatter(builder, frame, 9, (-58.0, 58.0), (-58.0, 58.0), 1.2):
-        add_bush(builder, nursery, spot)
+        plants.add_bush(builder, nursery, spot)
 
 
 def wire_and_park(builder: SceneBuilder, plan: Plan, models: Models) -> None:
@@ -388,7 +357,7 @@ def wire_and_park(builder: SceneBuilder, plan: Plan, models: Models) -> None:
     rng, lane = builder.rng, plan.lane
     side = 0.5 * lane.width_m + 0.55
     spots = [lane.point(along, side) for along in np.arange(24.0, lane.length_m - 22.0, 29.0)]
-    spots = [spot for spot in spots if np.abs(spot).max() < HALF_M - 1.0]
+    spots = [spot for spot in spots if np.abs(spot).max() < relief.HALF_M - 1.0]
     add_line(builder, spots, 6.2, 0.6)
     along = rng.uniform(92.0, 108.0)
     heading = lane.heading(along)
@@ -400,10 +369,10 @@ def wire_and_park(builder: SceneBuilder, plan: Plan, models: Models) -> None:
 
 
 def paint_ground(
-    rng: np.random.Generator, plan: Plan, farmsteads: list[Farmstead], ditch: Ditch
+    rng: np.random.Generator, plan: Plan, farmsteads: list[Farmstead], ditch: relief.Ditch
 ) -> Canvas:
     """Paints meadow, orchard, farmsteads, and the lane with its wheel tracks and grassy edges."""
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     frame, lane = plan.frame, plan.lane
     u = np.arange(-100.0, 101.0, 2.0)
     for far, edge in ((-100.0, -31.0), (100.0, 34.5)):

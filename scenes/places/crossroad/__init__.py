@@ -16,31 +16,12 @@ from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_r
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.plane import pick, unit, unit_circle
 from touchdown.scenes.authoring.plots import scatter
-from touchdown.scenes.authoring.relief import Ditch, Pad
+from touchdown.scenes.authoring.relief import HALF_M, Ditch, Pad
 from touchdown.scenes.authoring.streets import trace_crack
-from touchdown.scenes.places.crossroad.layout import (
-    HALF_M,
-    QUADRANTS,
-    Plan,
-    Quarter,
-    add_traffic,
-    draw_plan,
-    paint_markings,
-    paint_surfaces,
-    place_kerbs,
-    shape_ground,
-    wear_down,
-)
+from touchdown.scenes.places.crossroad import layout
+from touchdown.scenes.props import plants
 from touchdown.scenes.props.cars import Models, add_car_models, park_car
 from touchdown.scenes.props.houses import House, add_house
-from touchdown.scenes.props.plants import (
-    Nursery,
-    add_bush,
-    add_hedge,
-    add_rock,
-    add_tree,
-    plant_nursery,
-)
 from touchdown.scenes.props.street import add_bench, add_bin, add_fence, add_lamp, add_sign
 
 STRAW = Surface(land_class="other", reflectivity=0.5)
@@ -52,7 +33,7 @@ DEPTH_M = 44.0
 class Theme(ABC):
     """Use of a quarter: its relief first, then its texture, then its objects."""
 
-    quarter: Quarter
+    quarter: layout.Quarter
     rng: np.random.Generator
     pads: list[Pad] = field(default_factory=list)
     ditches: list[Ditch] = field(default_factory=list)
@@ -70,13 +51,13 @@ class Theme(ABC):
     def paint(self, canvas: Canvas) -> None: ...
 
     @abstractmethod
-    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None: ...
+    def build(self, builder: SceneBuilder, nursery: plants.Nursery, models: Models) -> None: ...
 
 
 class Homes(Theme):
     """Two houses with gardens, driveways, hedges and a shed."""
 
-    def __init__(self, quarter: Quarter, rng: np.random.Generator) -> None:
+    def __init__(self, quarter: layout.Quarter, rng: np.random.Generator) -> None:
         super().__init__(quarter=quarter, rng=rng)
         self.plots: list[tuple[float, House]] = []
         for first in (2.0, 23.0):
@@ -107,15 +88,17 @@ class Homes(Theme):
             canvas.fill(quarter.rectangle(*bed), Ground.MULCH)
             canvas.fill(quarter.rectangle((first + 1.0, first + 5.5), (26.0, 31.0)), Ground.SOIL)
 
-    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None:
+    def build(self, builder: SceneBuilder, nursery: plants.Nursery, models: Models) -> None:
         rng, quarter = self.rng, self.quarter
         for first, house in self.plots:
             add_house(builder, house)
             s, t = quarter.coordinates(house.centre_xy_m)
             way = quarter.away + (np.pi if rng.random() < 0.5 else 0.0)
             park_car(builder, pick(rng, models), self.at(first + 17.0, 6.5), way)
-            add_hedge(builder, nursery, self.at(first, 0.9), self.at(s - 1.6, 0.9), 0.9)
-            add_hedge(builder, nursery, self.at(s + 1.6, 0.9), self.at(first + 14.6, 0.9), 0.9)
+            plants.add_hedge(builder, nursery, self.at(first, 0.9), self.at(s - 1.6, 0.9), 0.9)
+            plants.add_hedge(
+                builder, nursery, self.at(s + 1.6, 0.9), self.at(first + 14.6, 0.9), 0.9
+            )
             shed = House(centre_xy_m=self.at(first + 15.5, 30.0), angle=house.angle,
                          size_m=(3.0, 2.4, 2.1), ridge_m=0.7)  # fmt: skip
             add_house(builder, shed)
@@ -125,20 +108,20 @@ class Homes(Theme):
         fence = [0.86, 0.85, 0.81, 1] if rng.random() < 0.5 else [0.48, 0.36, 0.25, 1]
         for s in (1.0, 21.8, 42.5):
             add_fence(builder, self.at(s, 2.2), self.at(s, 33.5), fence)
-        add_hedge(builder, nursery, self.at(1.4, 34.0), self.at(21.4, 34.0), 1.7)
-        add_hedge(builder, nursery, self.at(22.2, 34.0), self.at(42.0, 34.0), 1.7)
+        plants.add_hedge(builder, nursery, self.at(1.4, 34.0), self.at(21.4, 34.0), 1.7)
+        plants.add_hedge(builder, nursery, self.at(22.2, 34.0), self.at(42.0, 34.0), 1.7)
         for spot in scatter(builder, self, int(rng.integers(4, 7)), (4.0, 40.0), (21.0, 31.0), 2.6):
-            add_tree(builder, nursery, spot, rng.uniform(0.7, 1.0))
+            plants.add_tree(builder, nursery, spot, rng.uniform(0.7, 1.0))
         for spot in scatter(builder, self, 6, (3.0, 41.0), (2.5, 32.0), 1.0):
-            add_bush(builder, nursery, spot)
+            plants.add_bush(builder, nursery, spot)
         for spot in scatter(builder, self, 3, (3.0, 42.0), (37.0, DEPTH_M), 2.6):
-            add_tree(builder, nursery, spot, rng.uniform(0.9, 1.25))
+            plants.add_tree(builder, nursery, spot, rng.uniform(0.9, 1.25))
 
 
 class Shop(Theme):
     """A flat-roofed building behind a marked car park."""
 
-    def __init__(self, quarter: Quarter, rng: np.random.Generator) -> None:
+    def __init__(self, quarter: layout.Quarter, rng: np.random.Generator) -> None:
         super().__init__(quarter=quarter, rng=rng)
         self.shift = rng.uniform(0.0, 6.0)
         length, width = rng.uniform(17.0, 21.0), rng.uniform(10.5, 13.0)
@@ -177,7 +160,7 @@ class Shop(Theme):
             start = self.at(self.rng.uniform(3, 33) + shift, self.rng.uniform(4, 20))
             trace_crack(canvas, self.rng, start)
 
-    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None:
+    def build(self, builder: SceneBuilder, nursery: plants.Nursery, models: Models) -> None:
         rng, quarter, shift = self.rng, self.quarter, self.shift
         add_house(builder, self.house)
         for bay in np.arange(4.0, 24.0, 2.7):
@@ -188,22 +171,26 @@ class Shop(Theme):
                     park_car(builder, pick(rng, models), spot, way)
         for s in (9.0, 23.0):
             add_lamp(builder, self.at(s + shift, 3.2), quarter.away, 5.5)
-        add_hedge(builder, nursery, self.at(1.0 + shift, 1.6), self.at(13.0 + shift, 1.6), 0.8)
-        add_hedge(builder, nursery, self.at(14.0 + shift, 1.6), self.at(26.5 + shift, 1.6), 0.8)
+        plants.add_hedge(
+            builder, nursery, self.at(1.0 + shift, 1.6), self.at(13.0 + shift, 1.6), 0.8
+        )
+        plants.add_hedge(
+            builder, nursery, self.at(14.0 + shift, 1.6), self.at(26.5 + shift, 1.6), 0.8
+        )
         for s in (6.5, 8.0):
             add_bin(builder, self.at(s + shift, 24.0), [0.25, 0.27, 0.30, 1])
         for spot in scatter(builder, self, 5, (2.0, DEPTH_M), (39.0, DEPTH_M), 2.8):
-            add_tree(builder, nursery, spot, rng.uniform(0.9, 1.25))
+            plants.add_tree(builder, nursery, spot, rng.uniform(0.9, 1.25))
         for spot in scatter(builder, self, 4, (36.0 + shift, DEPTH_M + 2.0), (4.0, 38.0), 2.6):
-            add_tree(builder, nursery, spot, rng.uniform(0.8, 1.1))
+            plants.add_tree(builder, nursery, spot, rng.uniform(0.8, 1.1))
         for spot in scatter(builder, self, 6, (2.0, DEPTH_M), (22.0, DEPTH_M), 1.0):
-            add_bush(builder, nursery, spot)
+            plants.add_bush(builder, nursery, spot)
 
 
 class Farm(Theme):
     """A bare field behind a ditch, hay bales on a meadow, a row of trees."""
 
-    def __init__(self, quarter: Quarter, rng: np.random.Generator) -> None:
+    def __init__(self, quarter: layout.Quarter, rng: np.random.Generator) -> None:
         super().__init__(quarter=quarter, rng=rng)
         self.near = rng.uniform(17.0, 20.0)
         ditch_t = self.near - 3.5
@@ -223,24 +210,24 @@ class Farm(Theme):
         ditch = self.ditches[0]
         canvas.track(np.array([ditch.start_xy_m, ditch.end_xy_m]), 0.9, Ground.WORN)
 
-    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None:
+    def build(self, builder: SceneBuilder, nursery: plants.Nursery, models: Models) -> None:
         rng = self.rng
         builder.claim(self.at(20.0, 30.0), 6.0)
         for s in np.arange(11.0, 46.0, rng.uniform(6.5, 8.5)):
             spot = self.at(s + rng.uniform(-0.8, 0.8), self.near - 6.6)
             if builder.is_free(spot, 1.5):
-                add_tree(builder, nursery, spot, rng.uniform(0.85, 1.2))
+                plants.add_tree(builder, nursery, spot, rng.uniform(0.85, 1.2))
         bales = scatter(builder, self, int(rng.integers(4, 7)), (41.5, 52.0), (18.0, 46.0), 1.6)
         for spot in bales:
             self._bale(builder, spot)
-        add_hedge(builder, nursery, self.at(7.0, 43.5), self.at(24.0, 43.5), 1.6)
-        add_hedge(builder, nursery, self.at(25.5, 43.5), self.at(41.0, 43.5), 1.6)
+        plants.add_hedge(builder, nursery, self.at(7.0, 43.5), self.at(24.0, 43.5), 1.6)
+        plants.add_hedge(builder, nursery, self.at(25.5, 43.5), self.at(41.0, 43.5), 1.6)
         add_fence(builder, self.at(5.0, 2.0), self.at(26.0, 2.0), [0.50, 0.40, 0.30, 1])
         add_fence(builder, self.at(26.0, 2.0), self.at(47.0, 2.0), [0.50, 0.40, 0.30, 1])
         for spot in scatter(builder, self, 7, (6.0, 46.0), (3.5, self.near - 6.0), 0.8):
-            add_rock(builder, spot, rng.uniform(0.22, 0.55))
+            plants.add_rock(builder, spot, rng.uniform(0.22, 0.55))
         for spot in scatter(builder, self, 6, (5.0, 50.0), (3.5, 50.0), 1.0):
-            add_bush(builder, nursery, spot)
+            plants.add_bush(builder, nursery, spot)
 
     def _bale(self, builder: SceneBuilder, spot: Array) -> None:
         """A round bale on its side."""
@@ -260,7 +247,7 @@ class Farm(Theme):
 class Common(Theme):
     """A village green with a gravel path, benches and single trees: the take-off spot is here."""
 
-    def __init__(self, quarter: Quarter, rng: np.random.Generator) -> None:
+    def __init__(self, quarter: layout.Quarter, rng: np.random.Generator) -> None:
         super().__init__(quarter=quarter, rng=rng)
         self.start = quarter.coordinates(quarter.plan.takeoff_xy_m)
         s = np.arange(-2.0, 80.0, 1.0)
@@ -279,7 +266,7 @@ class Common(Theme):
         if float(np.hypot(*(bed - quarter.plan.takeoff_xy_m))) > 7.0:
             canvas.fill(bed + 1.9 * (1.3 * unit_circle(40)), Ground.MULCH)
 
-    def build(self, builder: SceneBuilder, nursery: Nursery, models: Models) -> None:
+    def build(self, builder: SceneBuilder, nursery: plants.Nursery, models: Models) -> None:
         rng, quarter = self.rng, self.quarter
         builder.claim(quarter.plan.takeoff_xy_m, 6.0)
         for spot in self.path[::2]:
@@ -294,13 +281,13 @@ class Common(Theme):
         for s in np.arange(5.0, 47.0, rng.uniform(8.0, 10.0)):
             spot = self.at(s, 2.4)
             if builder.is_free(spot, 1.5):
-                add_tree(builder, nursery, spot, rng.uniform(0.8, 1.05))
+                plants.add_tree(builder, nursery, spot, rng.uniform(0.8, 1.05))
         for spot in scatter(builder, self, int(rng.integers(5, 8)), (3.0, 50.0), (6.0, 46.0), 3.0):
-            add_tree(builder, nursery, spot, rng.uniform(0.85, 1.3))
+            plants.add_tree(builder, nursery, spot, rng.uniform(0.85, 1.3))
         for spot in scatter(builder, self, 6, (3.0, 50.0), (3.0, 48.0), 1.0):
-            add_bush(builder, nursery, spot)
+            plants.add_bush(builder, nursery, spot)
         for spot in scatter(builder, self, 5, (3.0, 50.0), (24.0, 48.0), 0.9):
-            add_rock(builder, spot, rng.uniform(0.25, 0.6))
+            plants.add_rock(builder, spot, rng.uniform(0.25, 0.6))
 
 
 CAR_MODELS = 8
@@ -309,11 +296,11 @@ CAR_MODELS = 8
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = scene_rng("crossroad", seed)
-    plan = draw_plan(rng)
+    plan = layout.draw_plan(rng)
     themes = draw_themes(rng, plan)
     pads = [pad for theme in themes for pad in theme.pads]
     ditches = [ditch for theme in themes for ditch in theme.ditches]
-    terrain = shape_ground(rng, plan, pads, ditches)
+    terrain = layout.shape_ground(rng, plan, pads, ditches)
     builder = start_scene("crossroad", rng, terrain)
     moving = place_objects(builder, plan, themes)
     canvas = paint_ground(rng, plan, themes)
@@ -321,25 +308,27 @@ def generate(seed: int) -> SceneDraft:
     return finish(plan, builder, ground, moving=moving)
 
 
-def draw_themes(rng: np.random.Generator, plan: Plan) -> list[Theme]:
+def draw_themes(rng: np.random.Generator, plan: layout.Plan) -> list[Theme]:
     """Returns the green in the south-west; houses, a shop and a farm on the other plots in any
     order."""
-    kinds: list[Callable[[Quarter, np.random.Generator], Theme]] = [Homes, Shop, Farm]
+    kinds: list[Callable[[layout.Quarter, np.random.Generator], Theme]] = [Homes, Shop, Farm]
     order = rng.permutation(3)
-    themes: list[Theme] = [Common(Quarter(plan=plan, signs=QUADRANTS["SW"]), rng)]
+    themes: list[Theme] = [Common(layout.Quarter(plan=plan, signs=layout.QUADRANTS["SW"]), rng)]
     for name, index in zip(("NE", "NW", "SE"), order, strict=True):
-        themes.append(kinds[int(index)](Quarter(plan=plan, signs=QUADRANTS[name]), rng))
+        themes.append(
+            kinds[int(index)](layout.Quarter(plan=plan, signs=layout.QUADRANTS[name]), rng)
+        )
     return themes
 
 
-def place_objects(builder: SceneBuilder, plan: Plan, themes: list[Theme]) -> tuple[Any, ...]:
+def place_objects(builder: SceneBuilder, plan: layout.Plan, themes: list[Theme]) -> tuple[Any, ...]:
     """Adds all objects and cars. Returns the moving cars."""
     rng = builder.rng
-    nursery = plant_nursery(builder)
+    nursery = plants.plant_nursery(builder)
     models = add_car_models(builder, CAR_MODELS)
     builder.claim(plan.takeoff_xy_m, 6.0)
     openings = [opening for theme in themes for opening in theme.openings]
-    place_kerbs(builder, plan, openings)
+    layout.place_kerbs(builder, plan, openings)
     for theme in themes:
         theme.build(builder, nursery, models)
     scatter_edge_trees(builder, plan, nursery)
@@ -363,10 +352,10 @@ def place_objects(builder: SceneBuilder, plan: Plan, themes: list[Theme]) -> tup
         heading = plan.side.angle + (0.0 if across < 0 else np.pi)
         if builder.is_free(spot, 1.0):
             park_car(builder, pick(rng, models), spot, heading)
-    return add_traffic(builder, plan, models, rng)
+    return layout.add_traffic(builder, plan, models, rng)
 
 
-def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
+def scatter_edge_trees(builder: SceneBuilder, plan: layout.Plan, nursery: plants.Nursery) -> None:
     """Adds single trees on the outskirts, where the plots end."""
     rng = builder.rng
     for _ in range(14):
@@ -374,21 +363,21 @@ def scatter_edge_trees(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> N
         spot = rng.uniform(54.0, 61.0) * unit(angle)
         spot = np.clip(spot * 1.25, -HALF_M + 3.0, HALF_M - 3.0)
         if float(plan.kerb_distance(spot)) > plan.corridor_m + 2.5 and builder.is_free(spot, 2.8):
-            add_tree(builder, nursery, spot, rng.uniform(0.9, 1.3))
+            plants.add_tree(builder, nursery, spot, rng.uniform(0.9, 1.3))
 
 
-def paint_ground(rng: np.random.Generator, plan: Plan, themes: list[Theme]) -> Canvas:
+def paint_ground(rng: np.random.Generator, plan: layout.Plan, themes: list[Theme]) -> Canvas:
     """Paints materials, markings and stains: plots first, roads over them."""
     canvas = Canvas(half_m=HALF_M)
     for theme in themes:
         theme.paint(canvas)
-    paint_surfaces(canvas, plan)
-    wear_down(canvas, plan, rng)
-    paint_markings(canvas, plan)
+    layout.paint_surfaces(canvas, plan)
+    layout.wear_down(canvas, plan, rng)
+    layout.paint_markings(canvas, plan)
     return canvas
 
 
-def pattern_angles(rng: np.random.Generator, plan: Plan) -> dict[Ground, float]:
+def pattern_angles(rng: np.random.Generator, plan: layout.Plan) -> dict[Ground, float]:
     """Slabs along the roads, mowing stripes askew, furrows along or across."""
     angle = plan.main.angle
     turned = dict.fromkeys(Ground, angle)

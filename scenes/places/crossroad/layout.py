@@ -9,27 +9,13 @@ from itertools import pairwise
 import numpy as np
 
 from touchdown.scenes.api import Array, MovingBody
+from touchdown.scenes.authoring import relief, streets
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.plane import left_of, pick, unit
-from touchdown.scenes.authoring.relief import (
-    NODES,
-    Ditch,
-    HeightField,
-    Pad,
-    dig_ditches,
-    level_pads,
-    level_takeoff,
-    natural_ground,
-    smoothstep,
-)
-from touchdown.scenes.authoring.streets import add_car, band, paint_wear, path_length
+from touchdown.scenes.authoring.plots import SurveyFrame
 from touchdown.scenes.props.cars import CAR_SURFACE, Models
 from touchdown.scenes.props.street import add_kerb
-
-HALF_M = 64.0
-ROAD_DEPTH_M = 0.12
-GUTTER_M = 0.45
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,21 +43,19 @@ class Road:
     def ends_m(self) -> tuple[float, float]:
         """Along-road coordinates at which the centre line leaves the square of the scene."""
         with np.errstate(divide="ignore"):
-            low = (-HALF_M - self.junction_xy_m) / self.along
-            high = (HALF_M - self.junction_xy_m) / self.along
+            low = (-relief.HALF_M - self.junction_xy_m) / self.along
+            high = (relief.HALF_M - self.junction_xy_m) / self.along
         return float(np.minimum(low, high).max()), float(np.maximum(low, high).min())
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plan:
+class Plan(SurveyFrame):
     """The junction of a main road (about east-west) and a side road (about north-south)."""
 
     main: Road
     side: Road
     corner_radius_m: float
     pavement_m: float
-    takeoff_xy_m: Array
-    takeoff_yaw: float
 
     def kerb_distance(self, xy_m: Array) -> Array:
         """(..., 2) world points -> (...) metres to the kerb line, negative on the roadway."""
@@ -195,22 +179,20 @@ def draw_plan(rng: np.random.Generator) -> Plan:
 
 
 def shape_ground(
-    rng: np.random.Generator, plan: Plan, pads: list[Pad], ditches: list[Ditch]
-) -> HeightField:
+    rng: np.random.Generator, plan: Plan, pads: list[relief.Pad], ditches: list[relief.Ditch]
+) -> relief.HeightField:
     """Returns natural ground with the roads, pads, ditches and the take-off spot cut in. The height
     at the take-off spot is 0."""
-    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
-    xy = np.stack(terrain.node_grid(), axis=-1)
-    heights = terrain.heights_m + (0.35 - terrain.heights_m.mean())
-    heights = level_pads(dig_ditches(heights, xy, ditches), xy, pads)
+    heights, xy = relief.natural_ground(rng)
+    heights = heights + (0.35 - heights.mean())
+    heights = relief.level_pads(relief.dig_ditches(heights, xy, ditches), xy, pads)
     kerb = plan.kerb_distance(xy)
     # Beyond the pavement the ground may rise or fall over a few metres; it never dips below it
     # near the edge, as a gardener would have it.
-    blend = smoothstep(plan.corridor_m, plan.corridor_m + 5.0, kerb)
+    blend = relief.smoothstep(plan.corridor_m, plan.corridor_m + 5.0, kerb)
     heights = blend * heights
-    roadway = smoothstep(0.0, GUTTER_M, -kerb)
-    heights = heights - ROAD_DEPTH_M * roadway
-    return level_takeoff(heights, HALF_M, plan.takeoff_xy_m)
+    heights = heights - streets.roadway_depth(kerb)
+    return relief.level_takeoff(heights, plan.takeoff_xy_m)
 
 
 LINE_M = 0.14
@@ -220,16 +202,16 @@ STOP_LINE_GAP_M, STOP_LINE_M = 1.0, 0.45
 
 def paint_surfaces(canvas: Canvas, plan: Plan) -> None:
     """Paints pavements first, then the roadway over them."""
-    far = 2.0 * HALF_M
+    far = 2.0 * relief.HALF_M
     pairs = ((plan.side, Ground.SIDE_PAVEMENT), (plan.main, Ground.PAVEMENT))
     for road, material in pairs:
         edge = 0.5 * road.width_m + plan.pavement_m
-        canvas.fill(band(road, (-far, far), (-edge, edge)), material)
+        canvas.fill(streets.band(road, (-far, far), (-edge, edge)), material)
     for signs in QUADRANTS.values():
         canvas.fill(plan.corner_outline(signs, plan.pavement_m), Ground.PAVEMENT)
     for road in (plan.side, plan.main):
         half = 0.5 * road.width_m
-        canvas.fill(band(road, (-far, far), (-half, half)), Ground.ASPHALT)
+        canvas.fill(streets.band(road, (-far, far), (-half, half)), Ground.ASPHALT)
     for signs in QUADRANTS.values():
         canvas.fill(plan.corner_outline(signs, 0.0), Ground.ASPHALT)
 
@@ -243,7 +225,7 @@ def _junction_reach(plan: Plan, road: Road) -> float:
 def paint_markings(canvas: Canvas, plan: Plan) -> None:
     """Paints zebra crossings, stop lines, a solid centre line near the junction and dashes beyond
     it, edge lines."""
-    far = 1.6 * HALF_M
+    far = 1.6 * relief.HALF_M
     for road in (plan.main, plan.side):
         reach = _junction_reach(plan, road)
         half = 0.5 * road.width_m
@@ -251,25 +233,29 @@ def paint_markings(canvas: Canvas, plan: Plan) -> None:
             start = reach + ZEBRA_FROM_M
             end = start + ZEBRA_DEPTH_M
             for across in np.arange(-half + 0.55, half - 0.5, 1.0):
-                canvas.mark(band(road, (sign * start, sign * end), (across, across + 0.5)))
+                canvas.mark(streets.band(road, (sign * start, sign * end), (across, across + 0.5)))
             line = end + STOP_LINE_GAP_M
             # Traffic keeps right: approaching from +along it drives on the left of ``along``.
             near, outer = sign * 0.12, sign * (half - 0.35)
-            canvas.mark(band(road, (sign * line, sign * (line + STOP_LINE_M)), (near, outer)))
+            canvas.mark(
+                streets.band(road, (sign * line, sign * (line + STOP_LINE_M)), (near, outer))
+            )
             solid = line + 12.0
             centre = (-0.5 * LINE_M, 0.5 * LINE_M)
-            canvas.mark(band(road, (sign * line, sign * solid), centre))
+            canvas.mark(streets.band(road, (sign * line, sign * solid), centre))
             for dash in np.arange(solid + 3.0, far, 6.0):
-                canvas.mark(band(road, (sign * dash, sign * (dash + 3.0)), centre))
+                canvas.mark(streets.band(road, (sign * dash, sign * (dash + 3.0)), centre))
             for edge in (half - 0.42, -half + 0.30):
-                canvas.mark(band(road, (sign * end, sign * far), (edge, edge + 0.12)))
+                canvas.mark(streets.band(road, (sign * end, sign * far), (edge, edge + 0.12)))
             if road is plan.main:
                 _arrow(canvas, road, sign * (line + 4.5), sign * 0.25 * road.width_m, -sign)
 
 
 def _arrow(canvas: Canvas, road: Road, along: float, across: float, way: float) -> None:
     """A straight-on arrow that points to ``way`` (+1: along the road)."""
-    canvas.mark(band(road, (along - way * 1.6, along + way * 0.4), (across - 0.08, across + 0.08)))
+    canvas.mark(
+        streets.band(road, (along - way * 1.6, along + way * 0.4), (across - 0.08, across + 0.08))
+    )
     tip = [
         (along + way * 0.3, across - 0.32),
         (along + way * 1.5, across),
@@ -281,13 +267,13 @@ def _arrow(canvas: Canvas, road: Road, along: float, across: float, way: float) 
 def wear_down(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
     """Paints patches, cracks and stains on both roads."""
     for road in (plan.main, plan.side):
-        paint_wear(canvas, road, rng, _junction_reach(plan, road))
+        streets.paint_wear(canvas, road, rng, _junction_reach(plan, road))
 
 
 def place_kerbs(builder: SceneBuilder, plan: Plan, openings: list[tuple[Array, float]]) -> None:
     """Adds kerb stones along every straight and corner, lowered away at zebra crossings and at
     ``openings`` (centre, radius: driveways)."""
-    top = builder.terrain.point(*plan.main.point(0.0, 0.0)) + ROAD_DEPTH_M + 0.015
+    top = builder.terrain.point(*plan.main.point(0.0, 0.0)) + streets.ROAD_DEPTH_M + 0.015
     for signs in QUADRANTS.values():
         arc = plan.corner_arc(signs, 0.08, 6)
         for first, second in pairwise(arc):
@@ -332,9 +318,9 @@ def add_traffic(
     for index in range(int(rng.integers(2, 4))):
         path = lane_loop(builder, plan.main if index != 1 else plan.side)
         look = pick(rng, models)[:2]
-        start = (0.17 + 0.5 * (index // 2) + rng.uniform(0.0, 0.15)) * path_length(path)
+        start = (0.17 + 0.5 * (index // 2) + rng.uniform(0.0, 0.15)) * streets.path_length(path)
         speed = float(rng.uniform(5.0, 9.0))
-        moving.append(add_car(builder, path, look, CAR_SURFACE, speed, start))
+        moving.append(streets.add_car(builder, path, look, CAR_SURFACE, speed, start))
     return tuple(moving)
 
 

@@ -9,30 +9,16 @@ import cv2
 import numpy as np
 
 from touchdown.scenes.api import Array, Image, Surface
+from touchdown.scenes.authoring import micro_relief, textures
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.meshes import MeshData, blob
-from touchdown.scenes.authoring.micro_relief import (
-    MicroRelief,
-    Ripples,
-    footprints,
-    sidled,
-    vehicle_track,
-    wander,
-)
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import draw_heading, pick, unit, unit_ball
-from touchdown.scenes.authoring.plots import Plot, draw_frame
-from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep
-from touchdown.scenes.authoring.textures import (
-    TILE_PX,
-    Colour,
-    foliage,
-    hedge_or_soil_tint,
-    to_texture,
-)
+from touchdown.scenes.authoring.plots import SurveyFrame, draw_frame
+from touchdown.scenes.authoring.relief import HALF_M, HeightField, level_takeoff, smoothstep
 from touchdown.scenes.authoring.water import upsample
 from touchdown.scenes.props.street import add_post
 from touchdown.scenes.props.waterside import reed_texture, tuft_mesh
@@ -41,7 +27,11 @@ from touchdown.scenes.props.woods import canopy_mesh
 SCRUB = Surface(land_class="trees", reflectivity=0.36, porosity=0.30)
 TUFT = Surface(land_class="lawn", reflectivity=0.42, porosity=0.45)
 STONE = Surface(land_class="other", reflectivity=0.32)
-_GREENS: tuple[Colour, ...] = ((176.0, 170.0, 122.0), (150.0, 152.0, 112.0), (196.0, 176.0, 126.0))
+_GREENS: tuple[textures.Colour, ...] = (
+    (176.0, 170.0, 122.0),
+    (150.0, 152.0, 112.0),
+    (196.0, 176.0, 126.0),
+)
 
 
 @dataclass(kw_only=True, slots=True)
@@ -62,8 +52,10 @@ def grow_scrub(builder: SceneBuilder) -> Scrubland:
     rng = builder.rng
     land = Scrubland()
     for index, base in enumerate(_GREENS):
-        tint = hedge_or_soil_tint(rng, base, 0.08)
-        land.leaves.append(builder.material(f"trees_scrub_{index}", foliage(rng, tint, (7, 16))))
+        tint = textures.hedge_or_soil_tint(rng, base, 0.08)
+        land.leaves.append(
+            builder.material(f"trees_scrub_{index}", textures.foliage(rng, tint, (7, 16)))
+        )
     for index, radius in enumerate((0.35, 0.5, 0.7, 0.95)):
         half = radius * np.array([1.0, rng.uniform(0.8, 1.1), rng.uniform(0.6, 0.8)])
         mesh = builder.mesh(f"scrub_{index}", canopy_mesh(rng, half, 9, 1.2))
@@ -79,13 +71,13 @@ def grow_scrub(builder: SceneBuilder) -> Scrubland:
 
 def sandstone(rng: np.random.Generator) -> Image:
     """(512, 512, 3), periodic: weathered sandstone with dark joints."""
-    tone = 1.0 + 0.10 * tileable_noise(rng, TILE_PX, 1.3, 3.0)
-    tone += 0.07 * tileable_noise(rng, TILE_PX, 0.4, 20.0)
-    joints = np.abs(tileable_noise(rng, TILE_PX, 2.0, 3.0))
+    tone = 1.0 + 0.10 * tileable_noise(rng, textures.TILE_PX, 1.3, 3.0)
+    tone += 0.07 * tileable_noise(rng, textures.TILE_PX, 0.4, 20.0)
+    joints = np.abs(tileable_noise(rng, textures.TILE_PX, 2.0, 3.0))
     tone *= 1.0 - 0.35 * np.exp(-((joints / 0.03) ** 2))
-    hue = tileable_noise(rng, TILE_PX, 1.8, 2.0)[..., None]
+    hue = tileable_noise(rng, textures.TILE_PX, 1.8, 2.0)[..., None]
     image = tone[..., None] * np.array([158.0, 122.0, 92.0]) + hue * np.array([8.0, 3.0, -2.0])
-    return to_texture(image.astype(np.float32))
+    return textures.to_texture(image.astype(np.float32))
 
 
 def add_scrub(builder: SceneBuilder, land: Scrubland, xy_m: Array) -> None:
@@ -135,7 +127,6 @@ def add_slab(builder: SceneBuilder, land: Scrubland, xy_m: Array, radius_m: floa
 _BALL = unit_ball(5, 10)
 
 
-HALF_M = 64.0
 NODES = 321
 REPOSE = float(np.tan(np.deg2rad(32.0)))
 """Slope at which dry sand slides."""
@@ -144,13 +135,9 @@ _FLAT_FRACTION = 0.30
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plan:
+class Plan(SurveyFrame):
     """Spots in world metres."""
 
-    takeoff_xy_m: Array
-    takeoff_yaw: float
-    middle: Plot
-    """coordinates from the survey's middle, the first along the take-off heading"""
     wind_angle: float
     """radians, the way the wind blows"""
     wave_m: float
@@ -190,7 +177,6 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     return Plan(
         takeoff_xy_m=frame.takeoff_xy_m,
         takeoff_yaw=frame.takeoff_yaw,
-        middle=middle,
         wind_angle=float(rng.uniform(-np.pi, np.pi)),
         wave_m=float(rng.uniform(27.0, 36.0)),
         height_m=float(rng.uniform(2.3, 3.4)),
@@ -219,7 +205,7 @@ def shape_dunes(rng: np.random.Generator, plan: Plan) -> Relief:
     sway = fractal_noise(rng, shape, 34.0 / cell, 2, 0.35).astype(np.float64)
     start = plan.takeoff_xy_m @ np.array([east, north])
     # The take-off lies on a flat, a few metres behind a slip face.
-    spot_sway = float(HeightField(heights_m=sway, half_m=HALF_M).at(plan.takeoff_xy_m))
+    spot_sway = float(HeightField(heights_m=sway).at(plan.takeoff_xy_m))
     along = xy @ np.array([east, north]) - start + 6.5 * (sway - spot_sway)
     phase = np.mod(along / plan.wave_m + 0.5 * _FLAT_FRACTION, 1.0)
     # Crests break where the sand is scarce.
@@ -239,7 +225,7 @@ def shape_dunes(rng: np.random.Generator, plan: Plan) -> Relief:
         rock = np.maximum(rock, smoothstep(radius + 0.4, radius - 0.8, off) * (dune < 0.5))
     steps = 0.14 * np.round(2.0 * fractal_noise(rng, shape, 2.2 / cell, 2).astype(np.float64))
     heights = ground + _settled(dune, cell) + rock * (0.25 + 0.5 * steps)
-    terrain = level_takeoff(heights, HALF_M, plan.takeoff_xy_m)
+    terrain = level_takeoff(heights, plan.takeoff_xy_m)
     return Relief(terrain=terrain, dune=dune, slip=slip, rock=rock)
 
 
@@ -274,7 +260,7 @@ def generate(seed: int) -> SceneDraft:
     relief = shape_dunes(rng, plan)
     builder = start_scene("dunes", rng, relief.terrain, sun_deg=SUN_DEG)
     place_objects(builder, plan, relief)
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     paint_sand(rng, canvas, relief)
     fine = fine_relief(rng, relief)
     paint_traces(rng, canvas, fine, plan)
@@ -290,7 +276,7 @@ def place_objects(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
     """Adds everything that stands in the sand: scrub and grass on the flats, in clumps."""
     rng = builder.rng
     land = grow_scrub(builder)
-    dune = HeightField(heights_m=relief.dune, half_m=HALF_M)
+    dune = HeightField(heights_m=relief.dune)
     builder.claim(plan.takeoff_xy_m, 6.0)
     for centre, radius in plan.outcrops:
         if float(dune.at(centre)) > 0.4:
@@ -299,7 +285,7 @@ def place_objects(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
             spot = centre + rng.normal(0.0, 0.45 * radius, 2)
             add_slab(builder, land, spot, float(rng.uniform(0.5, 1.3)))
     for _ in range(70):
-        middle = plan.middle.points(rng.uniform([-56.0, -52.0], [56.0, 52.0]))
+        middle = plan.from_middle.points(rng.uniform([-56.0, -52.0], [56.0, 52.0]))
         for _ in range(int(rng.integers(2, 8))):
             spot = middle + rng.normal(0.0, 2.6, 2)
             outside = np.abs(spot).max() > HALF_M - 2.0
@@ -307,7 +293,9 @@ def place_objects(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
                 continue
             (add_tuft if rng.random() < 0.62 else add_scrub)(builder, land, spot)
     for side in (-1.0, 1.0):
-        spot = plan.middle.points(np.array([side * rng.uniform(14.0, 28.0), rng.uniform(-16, 16)]))
+        spot = plan.from_middle.points(
+            np.array([side * rng.uniform(14.0, 28.0), rng.uniform(-16, 16)])
+        )
         if builder.is_free(spot, 1.0):
             add_post(builder, spot, 1.5, 0.05, [0.45, 0.37, 0.28, 1.0])
 
@@ -331,9 +319,9 @@ def paint_sand(rng: np.random.Generator, canvas: Canvas, relief: Relief) -> None
     canvas.material[:] = cv2.resize(layer, (TEXELS, TEXELS), interpolation=cv2.INTER_NEAREST)
 
 
-def fine_relief(rng: np.random.Generator, relief: Relief) -> MicroRelief:
+def fine_relief(rng: np.random.Generator, relief: Relief) -> micro_relief.MicroRelief:
     """Returns lumps of the coarse flats, joints of the rock and runnels of slip faces."""
-    fine = MicroRelief(half_m=HALF_M)
+    fine = micro_relief.MicroRelief()
     size = TEXELS // 2
     rock = upsample(relief.rock, size)
     joints = np.abs(fractal_noise(rng, (size, size), 16.0, 3, 0.55))
@@ -343,7 +331,7 @@ def fine_relief(rng: np.random.Generator, relief: Relief) -> MicroRelief:
     return fine
 
 
-def draw_ripples(rng: np.random.Generator, plan: Plan, relief: Relief) -> Ripples:
+def draw_ripples(rng: np.random.Generator, plan: Plan, relief: Relief) -> micro_relief.Ripples:
     """Ripples over the dunes' windward sides and part of the flats, none on slip faces, rock or
     where the sand is too coarse."""
     size = 640
@@ -353,7 +341,7 @@ def draw_ripples(rng: np.random.Generator, plan: Plan, relief: Relief) -> Ripple
     cover = np.clip(0.55 + 0.5 * patches, 0.12, 1.0) * np.where(dune > 0.1, 1.0, 0.6)
     cover *= np.clip(1.0 - 1.6 * cv2.GaussianBlur(slip, (0, 0), 1.0), 0.0, 1.0) * (1.0 - rock)
     wave = float(rng.uniform(0.10, 0.15))
-    return Ripples(
+    return micro_relief.Ripples(
         wave_m=wave,
         height_m=wave / 15.0,
         wind_angle=plan.wind_angle,
@@ -361,19 +349,25 @@ def draw_ripples(rng: np.random.Generator, plan: Plan, relief: Relief) -> Ripple
     )
 
 
-def paint_traces(rng: np.random.Generator, canvas: Canvas, fine: MicroRelief, plan: Plan) -> None:
+def paint_traces(
+    rng: np.random.Generator, canvas: Canvas, fine: micro_relief.MicroRelief, plan: Plan
+) -> None:
     """A track of vehicles across the field, driven a few times, and walkers from it."""
-    plot = plan.middle
+    plot = plan.from_middle
     turn = rng.uniform(-0.35, 0.35)
     middle = rng.uniform(-8.0, 14.0)
     slant = 85.0 * np.tan(turn)
-    line = wander(
+    line = micro_relief.wander(
         rng, plot.points(np.array([[-85.0, middle - slant], [85.0, middle + slant]])), 5.0
     )
     for _ in range(3):
         shift = rng.normal(0.0, 0.35, 2)
-        vehicle_track(rng, canvas, fine, sidled(rng, line + shift, 0.5), Ground.RUTTED_SAND)
+        micro_relief.vehicle_track(
+            rng, canvas, fine, micro_relief.sidled(rng, line + shift, 0.5), Ground.RUTTED_SAND
+        )
     for _ in range(2):
         start = line[int(rng.uniform(0.3, 0.7) * len(line))]
         end = start + rng.uniform(18.0, 30.0) * unit(rng.uniform(0.0, 2.0 * np.pi))
-        footprints(rng, canvas, fine, wander(rng, np.array([start, end]), 1.5), None)
+        micro_relief.footprints(
+            rng, canvas, fine, micro_relief.wander(rng, np.array([start, end]), 1.5), None
+        )

@@ -12,39 +12,33 @@ import cv2
 import numpy as np
 
 from touchdown.scenes.api import Array
+from touchdown.scenes.authoring import generation
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import (
-    Takeoff,
-    finish,
-    paint_terrain,
-    scene_rng,
-    start_scene,
-)
 from touchdown.scenes.authoring.ground import Canvas, Ground, mown_askew
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import SQUARE, pick, rotated, unit
-from touchdown.scenes.authoring.relief import HeightField
+from touchdown.scenes.authoring.plots import SurveyFrame
+from touchdown.scenes.authoring.relief import HALF_M, HeightField
 
 NODES = 9
 
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = scene_rng("flat", seed)
+    rng = generation.scene_rng("flat", seed)
     # The ground goes on beyond the bounds, so that it is safe up to the very edge.
     terrain = HeightField(heights_m=np.zeros((NODES, NODES)), half_m=HALF_M + MARGIN_M)
-    builder = start_scene("flat", rng, terrain, base_m=1.0)
+    builder = generation.start_scene("flat", rng, terrain, base_m=1.0)
     canvas = Canvas(half_m=terrain.half_m)
     takeoff = np.array([-25.0, -20.0]) + rng.uniform(-2.5, 2.5, 2)
     angle = float(rng.uniform(0.0, np.pi))
     paint_parcels(rng, canvas, angle)
     paint_pitch(rng, canvas, takeoff + rng.uniform([18.0, 12.0], [30.0, 26.0]))
-    ground = paint_terrain(builder, canvas, mown_askew(rng, angle))
-    plan = Takeoff(takeoff_xy_m=takeoff, takeoff_yaw=float(rng.uniform(-0.10, 0.10)))
-    return finish(plan, builder, ground, half_m=HALF_M)
+    ground = generation.paint_terrain(builder, canvas, mown_askew(rng, angle))
+    plan = SurveyFrame(takeoff_xy_m=takeoff, takeoff_yaw=float(rng.uniform(-0.10, 0.10)))
+    return generation.finish(plan, builder, ground, half_m=HALF_M)
 
 
-HALF_M = 64.0
 MARGIN_M = 4.0
 _GRASS = (Ground.LAWN, Ground.MEADOW, Ground.LAWN, Ground.MEADOW)
 _TILLED = (Ground.SOIL, Ground.CROPS, Ground.PITCH)

@@ -7,35 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from touchdown.scenes.api import Array, MovingBody
+from touchdown.scenes.authoring import generation, streets
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import (
-    Flood,
-    finish,
-    paint_terrain,
-    scene_rng,
-    start_scene,
-)
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.plane import SQUARE, left_of, pick, unit_circle
-from touchdown.scenes.authoring.relief import HeightField
-from touchdown.scenes.authoring.streets import (
-    lane_loop,
-    paint_dashes,
-    paint_street,
-    paint_wear,
-    place_street_kerb,
-    send_round,
-    smooth_line,
-)
+from touchdown.scenes.authoring.plots import free_spots
+from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.authoring.water import WaterLook, upsample
-from touchdown.scenes.places.footbridge.bridge import (
-    HALF_M,
-    Plan,
-    add_bridge,
-    draw_plan,
-    shape_ground,
-)
+from touchdown.scenes.places.footbridge import bridge
 from touchdown.scenes.props.cars import CAR_SURFACE, add_car_models
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, add_tree, plant_nursery
 from touchdown.scenes.props.street import add_bench, add_bin, add_fence, add_lamp
@@ -44,7 +24,7 @@ from touchdown.scenes.props.waterside import add_molehill, add_reeds, grow_reeds
 PATH_M = 3.0
 
 
-def draw_paths(rng: np.random.Generator, plan: Plan) -> list[Array]:
+def draw_paths(rng: np.random.Generator, plan: bridge.Plan) -> list[Array]:
     """Returns paths, (N, 2) each, from the ramps' feet to the edges of the scene; one branches
     off along the bank."""
     paths = []
@@ -55,17 +35,19 @@ def draw_paths(rng: np.random.Generator, plan: Plan) -> list[Array]:
         corners = [foot, ahead]
         corners.append(np.array([0.5 * (ahead[0] + edge), ahead[1] + rng.uniform(-9.0, 9.0)]))
         corners.append(np.array([edge, ahead[1] + rng.uniform(-14.0, 14.0)]))
-        paths.append(smooth_line(np.array(corners)))
+        paths.append(streets.smooth_line(np.array(corners)))
         along = np.linspace(0.0, 1.0, 5) * rng.choice([-1.0, 1.0])
         stations = plan.course.nearest(foot)[1] + along * 80.0
         aside = -sign * (plan.floor_m + plan.bank_m + 5.0)
         bank = [plan.course.point(float(s), aside) for s in stations[1:]]
         if sign > 0.0 or rng.random() < 0.3:
-            paths.append(smooth_line(np.array([ahead, *bank])))
+            paths.append(streets.smooth_line(np.array([ahead, *bank])))
     return paths
 
 
-def paint_ground(canvas: Canvas, plan: Plan, paths: list[Array], rng: np.random.Generator) -> None:
+def paint_ground(
+    canvas: Canvas, plan: bridge.Plan, paths: list[Array], rng: np.random.Generator
+) -> None:
     """Paints mown lawns about the bridge and the take-off spot, meadows beyond, rough banks, paths,
     and the road or the stream's bed."""
     canvas.fill(SQUARE * 2.0 * HALF_M, Ground.MEADOW)
@@ -84,17 +66,17 @@ def paint_ground(canvas: Canvas, plan: Plan, paths: list[Array], rng: np.random.
     for path in paths:
         canvas.track(path, PATH_M, material)
     if plan.over_road:
-        paint_street(canvas, plan.course, pavement=Ground.PAVEMENT)
-        paint_street(canvas, plan.course)
-        paint_wear(canvas, plan.course, rng, 0.0)
-        paint_dashes(canvas, plan.course, 0.0, plan.course.length_m)
+        streets.paint_street(canvas, plan.course, pavement=Ground.PAVEMENT)
+        streets.paint_street(canvas, plan.course)
+        streets.paint_wear(canvas, plan.course, rng, 0.0)
+        streets.paint_dashes(canvas, plan.course, 0.0, plan.course.length_m)
     else:
         canvas.track(line, 2.0 * plan.floor_m + 2.4, Ground.WORN)
         canvas.track(line, 2.0 * plan.floor_m + 1.0, Ground.MUD)
 
 
 def furnish(
-    builder: SceneBuilder, plan: Plan, paths: list[Array], nursery: Nursery
+    builder: SceneBuilder, plan: bridge.Plan, paths: list[Array], nursery: Nursery
 ) -> tuple[MovingBody, ...]:
     """Lamps, benches, fences, trees, rocks, reeds. Returns the cars that drive below."""
     rng = builder.rng
@@ -128,12 +110,12 @@ def _beside(builder: SceneBuilder, path: Array, station: int, nursery: Nursery) 
         add_bin(builder, seat + 1.6 * span / np.linalg.norm(span), [0.20, 0.30, 0.24, 1])
 
 
-def _furnish_road(builder: SceneBuilder, plan: Plan) -> tuple[MovingBody, ...]:
+def _furnish_road(builder: SceneBuilder, plan: bridge.Plan) -> tuple[MovingBody, ...]:
     """Adds kerbs, fences at the tops of the cutting, traffic."""
     rng = builder.rng
     course = plan.course
     for side in (1.0, -1.0):
-        place_street_kerb(builder, course, side, [], 0.02)
+        streets.place_street_kerb(builder, course, side, [], 0.02)
         middle = float(course.nearest(plan.bridge.plot.origin_xy_m)[1])
         aside = side * (plan.floor_m + plan.bank_m + 0.7)
         for first in (-38.0, -22.0, 6.0, 22.0):
@@ -141,12 +123,12 @@ def _furnish_road(builder: SceneBuilder, plan: Plan) -> tuple[MovingBody, ...]:
             if np.abs(run).max() < HALF_M - 1.0:
                 add_fence(builder, run[0], run[1], [0.46, 0.44, 0.40, 1])
     models = add_car_models(builder, 5)
-    path = lane_loop(builder, course, 10.0, course.length_m - 10.0)
+    path = streets.lane_loop(builder, course, 10.0, course.length_m - 10.0)
     chosen = [pick(rng, models)[:2] for _ in range(int(rng.integers(2, 4)))]
-    return send_round(builder, path, chosen, CAR_SURFACE, float(rng.uniform(6.0, 10.0)))
+    return streets.send_round(builder, path, chosen, CAR_SURFACE, float(rng.uniform(6.0, 10.0)))
 
 
-def _furnish_stream(builder: SceneBuilder, plan: Plan) -> None:
+def _furnish_stream(builder: SceneBuilder, plan: bridge.Plan) -> None:
     """Adds reeds and boulders along the water's edge."""
     rng = builder.rng
     bed = grow_reeds(builder)
@@ -165,58 +147,57 @@ def _furnish_stream(builder: SceneBuilder, plan: Plan) -> None:
             add_rock(builder, spot, rng.uniform(0.35, 0.8))
 
 
-def _plant(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
+def _plant(builder: SceneBuilder, plan: bridge.Plan, nursery: Nursery) -> None:
     """Trees, bushes, rocks and molehills; fewer trees on the lawns in view of the survey."""
     rng = builder.rng
-    for kind, count, gap in (("tree", 24, 3.0), ("bush", 14, 1.0), ("rock", 5, 1.0),
-                             ("mole", 6, 0.8)):  # fmt: skip
-        placed = 0
-        for _ in range(14 * count):
-            spot = rng.uniform(-HALF_M + 3.0, HALF_M - 3.0, 2)
-            bank = float(plan.bank_distance(spot))
-            lawn = np.linalg.norm(spot - plan.takeoff_xy_m) < 20.0
-            fits = bank > (1.5 if kind != "bush" else -plan.bank_m + 1.5)
-            if placed == count or not fits or not builder.is_free(spot, gap):
-                continue
-            if kind == "tree" and lawn and rng.random() < 0.7:
-                continue
-            placed += 1
-            if kind == "tree":
-                add_tree(builder, nursery, spot, rng.uniform(0.8, 1.35))
-            elif kind == "bush":
-                add_bush(builder, nursery, spot)
-            elif kind == "rock":
-                add_rock(builder, spot, rng.uniform(0.25, 0.6))
-            else:
-                add_molehill(builder, spot)
+
+    def beside(spot: Array) -> bool:
+        return float(plan.bank_distance(spot)) > 1.5
+
+    def for_a_tree(spot: Array) -> bool:
+        near = np.linalg.norm(spot - plan.takeoff_xy_m) < 20.0
+        return beside(spot) and not (near and rng.random() < 0.7)
+
+    def for_a_bush(spot: Array) -> bool:
+        return float(plan.bank_distance(spot)) > -plan.bank_m + 1.5
+
+    half = HALF_M - 3.0
+    for spot in free_spots(builder, 24, 14 * 24, half, 3.0, for_a_tree):
+        add_tree(builder, nursery, spot, rng.uniform(0.8, 1.35))
+    for spot in free_spots(builder, 14, 14 * 14, half, 1.0, for_a_bush):
+        add_bush(builder, nursery, spot)
+    for spot in free_spots(builder, 5, 14 * 5, half, 1.0, beside):
+        add_rock(builder, spot, rng.uniform(0.25, 0.6))
+    for spot in free_spots(builder, 6, 14 * 6, half, 0.8, beside):
+        add_molehill(builder, spot)
 
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = scene_rng("footbridge", seed)
-    plan = draw_plan(rng)
-    bottom = shape_ground(rng, plan)
+    rng = generation.scene_rng("footbridge", seed)
+    plan = bridge.draw_plan(rng)
+    bottom = bridge.shape_ground(rng, plan)
     surface = bottom if plan.over_road else np.maximum(bottom, plan.level_m)
     terrain = HeightField(heights_m=surface, half_m=HALF_M)
     # Objects stand on the stream's bed, not on the water.
     bed = replace(terrain, heights_m=bottom)
-    builder = start_scene("footbridge", rng, terrain, support=bed)
+    builder = generation.start_scene("footbridge", rng, terrain, support=bed)
     nursery = plant_nursery(builder)
     paths = draw_paths(rng, plan)
-    add_bridge(builder, plan)
+    bridge.add_bridge(builder, plan)
     moving = furnish(builder, plan, paths, nursery)
     canvas = Canvas(half_m=HALF_M)
     paint_ground(canvas, plan, paths, rng)
     turned = dict.fromkeys(Ground, plan.bridge.plot.angle)
     turned[Ground.LAWN] = float(rng.uniform(0.0, np.pi))
     stream = None if plan.over_road else _stream(plan, bottom)
-    ground = paint_terrain(builder, canvas, turned, hilly=True, flood=stream)
-    return finish(plan, builder, ground, moving=moving)
+    ground = generation.paint_terrain(builder, canvas, turned, hilly=True, flood=stream)
+    return generation.finish(plan, builder, ground, moving=moving)
 
 
-def _stream(plan: Plan, bottom_m: Array) -> Flood:
+def _stream(plan: bridge.Plan, bottom_m: Array) -> generation.Flood:
     """The water over a bed with heights ``bottom_m`` (N, N)."""
-    return Flood(
+    return generation.Flood(
         depth_m=upsample(plan.level_m - bottom_m, TEXELS // 2),
         draw_look=lambda rng: _look(rng, plan.course.heading(30.0)),
     )

@@ -13,15 +13,13 @@ from touchdown.scenes.authoring.builder import SceneBuilder, quat_z, turned
 from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import pick
-from touchdown.scenes.authoring.plots import Plot
-from touchdown.scenes.authoring.relief import NODES, HeightField, natural_ground, smoothstep
-from touchdown.scenes.authoring.streets import Street, smooth_line
+from touchdown.scenes.authoring.plots import Plot, SurveyFrame
+from touchdown.scenes.authoring.relief import HALF_M, NODES, natural_ground, smoothstep
+from touchdown.scenes.authoring.streets import Street, roadway_depth, smooth_line
 from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.props.waterside import planks
 
-HALF_M = 64.0
 ROAD_M, VERGE_M = 7.0, 1.7
-ROAD_DEPTH_M, GUTTER_M = 0.12, 0.45
 LANDING_M = 1.6
 """Level ground between the top of the bank and the end of the deck's approach."""
 
@@ -55,7 +53,7 @@ class Bridge:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plan:
+class Plan(SurveyFrame):
     """A course that winds from south to north and the bridge over it."""
 
     over_road: bool
@@ -70,8 +68,6 @@ class Plan:
     water_m: float
     """of the water over the stream's bed, 0: none"""
     bridge: Bridge
-    takeoff_xy_m: Array
-    takeoff_yaw: float
 
     @property
     def level_m(self) -> float:
@@ -118,9 +114,9 @@ def draw_plan(rng: np.random.Generator) -> Plan:
 def shape_ground(rng: np.random.Generator, plan: Plan) -> Array:
     """Returns (N, N) heights without the water. The banks' tops are rugged lawns about height 0;
     level at 0 around the take-off spot and along the way over the bridge."""
-    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
-    xy = np.stack(terrain.node_grid(), axis=-1)
-    heights = terrain.heights_m - terrain.heights_m.mean() + 0.15
+    heights, xy = natural_ground(rng)
+    cell = 2.0 * HALF_M / (NODES - 1)
+    heights = heights - heights.mean() + 0.15
     spot = np.linalg.norm(xy - plan.takeoff_xy_m, axis=-1)
     heights = heights * smoothstep(2.5, 7.0, spot)
     u, v = np.moveaxis(plan.bridge.plot.coordinates(xy), -1, 0)
@@ -131,14 +127,14 @@ def shape_ground(rng: np.random.Generator, plan: Plan) -> Array:
     foot = distance - plan.floor_m
     if not plan.over_road:
         # A stream's banks are nowhere alike.
-        ragged = fractal_noise(rng, heights.shape, 7.0 / terrain.cell_m, 3, 0.6)
+        ragged = fractal_noise(rng, heights.shape, 7.0 / cell, 3, 0.6)
         foot = foot + 0.7 * ragged * smoothstep(3.0, 9.0, np.abs(u) + np.abs(v))
     fraction = np.clip(foot / plan.bank_m, 0.0, 1.0)
     bank = 0.25 * smoothstep(0.0, 1.0, fraction) + 0.75 * fraction
     heights = heights * smoothstep(-3.0, 4.0, foot - plan.bank_m) - plan.depth_m * (1.0 - bank)
     if plan.over_road:
-        return heights - ROAD_DEPTH_M * smoothstep(0.0, GUTTER_M, 0.5 * ROAD_M - distance)
-    bed = 0.08 * fractal_noise(rng, heights.shape, 4.0 / terrain.cell_m, 3, 0.6)
+        return heights - roadway_depth(distance - 0.5 * ROAD_M)
+    bed = 0.08 * fractal_noise(rng, heights.shape, 4.0 / cell, 3, 0.6)
     return heights + bed * (1.0 - fraction)
 
 

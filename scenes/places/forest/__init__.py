@@ -15,30 +15,11 @@ from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import SQUARE, pick, rotated, unit
 from touchdown.scenes.authoring.plots import claim_free
-from touchdown.scenes.places.forest.layout import (
-    HALF_M,
-    WATER_DEPTH_M,
-    Clearing,
-    Plan,
-    draw_plan,
-    shape_ground,
-)
+from touchdown.scenes.authoring.relief import HALF_M
+from touchdown.scenes.places.forest import layout
+from touchdown.scenes.props import woods
 from touchdown.scenes.props.plants import add_rock
 from touchdown.scenes.props.street import WOOD
-from touchdown.scenes.props.woods import (
-    LOG,
-    TRUNKS_M,
-    Wood,
-    add_broadleaf,
-    add_conifer,
-    add_log,
-    add_sapling,
-    add_shrub,
-    add_stump,
-    grow_wood,
-    joined,
-    lathe,
-)
 
 WATER = Surface(land_class="water", reflectivity=0.05, water=True)
 BRIDGE = Surface(land_class="path", reflectivity=0.35)
@@ -46,7 +27,7 @@ _TIMBER = [0.46, 0.37, 0.27, 1.0]
 _WATER_HALF_M = 0.95
 
 
-def furnish(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
+def furnish(builder: SceneBuilder, wood: woods.Wood, plan: layout.Plan) -> None:
     """Adds the objects that later plants keep away from."""
     builder.claim(plan.frame.takeoff_xy_m, 5.0)
     add_water(builder, plan)
@@ -67,7 +48,7 @@ def furnish(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
 
 
 def _scatter(
-    builder: SceneBuilder, clearing: Clearing, count: int, margin_m: float, gap_m: float
+    builder: SceneBuilder, clearing: layout.Clearing, count: int, margin_m: float, gap_m: float
 ) -> list[Array]:
     """Up to ``count`` free spots in a clearing, ``margin_m`` from its edge."""
     reach = clearing.radius_m * 1.2
@@ -76,18 +57,18 @@ def _scatter(
     return claim_free(builder, inside, count, gap_m, 0.5 * gap_m)
 
 
-def _fell(builder: SceneBuilder, wood: Wood, clearing: Clearing) -> None:
+def _fell(builder: SceneBuilder, wood: woods.Wood, clearing: layout.Clearing) -> None:
     """A felled patch: low stumps in high grass, and a few trunks left behind."""
     rng = builder.rng
     for spot in _scatter(builder, clearing, 3, 2.0, 2.0):
         angle, half = rng.uniform(0.0, np.pi), 0.5 * rng.uniform(3.0, 5.5)
         axis = half * unit(angle)
-        add_log(builder, wood, spot - axis, spot + axis, float(rng.uniform(0.12, 0.22)))
+        woods.add_log(builder, wood, spot - axis, spot + axis, float(rng.uniform(0.12, 0.22)))
     for spot in _scatter(builder, clearing, 22, 0.3, 1.1):
-        add_stump(builder, wood, spot)
+        woods.add_stump(builder, wood, spot)
 
 
-def _edge_spot(builder: SceneBuilder, plan: Plan, clearing: Clearing) -> Array:
+def _edge_spot(builder: SceneBuilder, plan: layout.Plan, clearing: layout.Clearing) -> Array:
     """(2,) a free spot at the edge of a clearing, away from track and brook."""
     turn = builder.rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 2.0 * np.pi, 24)
     ring = unit(turn)
@@ -97,7 +78,7 @@ def _edge_spot(builder: SceneBuilder, plan: Plan, clearing: Clearing) -> Array:
     return np.asarray(spots[int(free[0]) if len(free) else int(room.argmax())])
 
 
-def _strew(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
+def _strew(builder: SceneBuilder, wood: woods.Wood, plan: layout.Plan) -> None:
     """Fallen trunks and rocks on the forest floor, rocks in and beside the brook."""
     rng = builder.rng
     spots = rng.uniform(-HALF_M + 6.0, HALF_M - 6.0, (400, 2))
@@ -107,7 +88,7 @@ def _strew(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
         angle, half = rng.uniform(0.0, np.pi), 0.5 * rng.uniform(5.0, 9.0)
         axis = half * unit(angle)
         if builder.is_free(spot, 2.0):
-            add_log(builder, wood, spot - axis, spot + axis, float(rng.uniform(0.16, 0.30)))
+            woods.add_log(builder, wood, spot - axis, spot + axis, float(rng.uniform(0.16, 0.30)))
     for spot in free[9:26]:
         if builder.is_free(spot, 0.8):
             add_rock(builder, spot, float(rng.uniform(0.4, 1.1)))
@@ -118,7 +99,7 @@ def _strew(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
             add_rock(builder, spot, float(rng.uniform(0.2, 0.45)))
 
 
-def add_water(builder: SceneBuilder, plan: Plan) -> None:
+def add_water(builder: SceneBuilder, plan: layout.Plan) -> None:
     """Adds the brook's surface: level strips that step down the valley. It has no contacts: a body
     that falls in rests on the bed."""
     brook = plan.brook
@@ -130,7 +111,7 @@ def add_water(builder: SceneBuilder, plan: Plan) -> None:
     heights = np.array([heights[max(i - 1, 0) : i + 2].mean() for i in range(len(line))])
     step = np.gradient(line, axis=0)
     left = np.stack([-step[:, 1], step[:, 0]], -1) / np.linalg.norm(step, axis=1, keepdims=True)
-    z = heights + WATER_DEPTH_M
+    z = heights + layout.WATER_DEPTH_M
     banks = np.stack([line + _WATER_HALF_M * left, line - _WATER_HALF_M * left], axis=1)
     points = np.concatenate([banks, np.repeat(z[:, None, None], 2, axis=1)], axis=-1)
     low = points - np.array([0.0, 0.0, 0.05])
@@ -156,7 +137,7 @@ def _ripples(rng: np.random.Generator) -> NDArray[np.uint8]:
     return np.clip(image, 0.0, 255.0).astype(np.uint8)
 
 
-def add_bridge(builder: SceneBuilder, plan: Plan) -> None:
+def add_bridge(builder: SceneBuilder, plan: layout.Plan) -> None:
     """Adds a plank bridge at the crossing of track and brook."""
     distance, _ = plan.brook.nearest(plan.track.line_m)
     index = int(distance.argmin())
@@ -229,7 +210,7 @@ def _yaw_pitch(yaw: float, pitch: float) -> list[float]:
     return [float(cy * cp), float(-sy * sp), float(cy * sp), float(sy * cp)]
 
 
-def _add_log_pile(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
+def _add_log_pile(builder: SceneBuilder, wood: woods.Wood, plan: layout.Plan) -> None:
     """Adds cut trunks stacked beside the track."""
     rng = builder.rng
     line = plan.track.line_m
@@ -245,13 +226,13 @@ def _add_log_pile(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
         for number in range(count):
             profile = np.array([[-0.5 * length, radius], [0.5 * length, 0.92 * radius]])
             profile[:, 0] += rng.uniform(-0.15, 0.15)
-            log = lathe(rng, profile, 9, 0.05)
+            log = woods.lathe(rng, profile, 9, 0.05)
             y = (number - 0.5 * (count - 1)) * 2.04 * radius
             z = radius + row * 1.74 * radius
             parts.append(_laid(log, np.array([0.0, y, z])))
-    mesh = builder.mesh("log_pile", joined(parts))
+    mesh = builder.mesh("log_pile", woods.joined(parts))
     origin = builder.on_ground(spot, -0.08)
-    builder.geom("log_pile", LOG, mesh=mesh, material=wood.bark, pos=origin, heading=heading)
+    builder.geom("log_pile", woods.LOG, mesh=mesh, material=wood.bark, pos=origin, heading=heading)
     corners = [[sx * 0.5 * length, sy * (1.1 - 0.5 * h), h] for sx in (-1, 1) for sy in (-1, 1)
                for h in (0.0, 1.2)]  # fmt: skip
     builder.cast(turned(np.array(corners), heading, origin))
@@ -276,7 +257,7 @@ _OVERLAP = 0.62
 """Neighbouring crowns reach into one another: fraction of their radii that stays apart."""
 
 
-def plant(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
+def plant(builder: SceneBuilder, wood: woods.Wood, plan: layout.Plan) -> None:
     """Trees in groups of their kind, dense except where the ground is clear; undergrowth between
     them and along the edges."""
     rng = builder.rng
@@ -299,7 +280,7 @@ def plant(builder: SceneBuilder, wood: Wood, plan: Plan) -> None:
     _undergrow(builder, wood, plan, standing)
 
 
-def open_ground(plan: Plan, xy_m: Array) -> Array:
+def open_ground(plan: layout.Plan, xy_m: Array) -> Array:
     """(N, 2) -> (N,) metres to the nearest clearing, track or brook; negative on them."""
     to_track, _ = plan.track.nearest(xy_m)
     to_brook, _ = plan.brook.nearest(xy_m)
@@ -309,7 +290,7 @@ def open_ground(plan: Plan, xy_m: Array) -> Array:
 
 def _plant_one(
     builder: SceneBuilder,
-    wood: Wood,
+    wood: woods.Wood,
     spot: Array,
     conifer: bool,
     room_m: float,
@@ -323,7 +304,7 @@ def _plant_one(
     gap = np.linalg.norm(standing[:, :2] - spot, axis=1) - _OVERLAP * standing[:, 2]
     nearest = float(gap.min()) if len(gap) else 99.0
     ceiling = TREE_TOP_M - builder.terrain.point(*spot)
-    trunk_m = pick(rng, TRUNKS_M)
+    trunk_m = pick(rng, woods.TRUNKS_M)
     drawn = np.sort(rng.integers(0, len(crowns), 3))[::-1]
     for index in drawn:
         crown = crowns[int(index)]
@@ -334,16 +315,16 @@ def _plant_one(
         if conifer:
             count = len(wood.needles)
             leaf = int(np.clip(0.5 * count + 0.9 * species + rng.normal(0.0, 0.5), 0, count - 1))
-            add_conifer(builder, wood, spot, crown, wood.needles[leaf])
+            woods.add_conifer(builder, wood, spot, crown, wood.needles[leaf])
         else:
             count = len(wood.leaves)
             leaf = int(np.clip(0.5 * count + 1.2 * species + rng.normal(0.0, 0.5), 0, count - 1))
-            add_broadleaf(builder, wood, spot, crown, wood.leaves[leaf], trunk_m)
+            woods.add_broadleaf(builder, wood, spot, crown, wood.leaves[leaf], trunk_m)
         return crown.radius_m
     return 0.0
 
 
-def _undergrow(builder: SceneBuilder, wood: Wood, plan: Plan, standing: Array) -> None:
+def _undergrow(builder: SceneBuilder, wood: woods.Wood, plan: layout.Plan, standing: Array) -> None:
     """Saplings and shrubs wherever no trunk is near, most of them at the edges of clearings."""
     rng = builder.rng
     spots = rng.uniform(-HALF_M + 1.0, HALF_M - 1.0, (2600, 2))
@@ -360,7 +341,7 @@ def _undergrow(builder: SceneBuilder, wood: Wood, plan: Plan, standing: Array) -
             continue
         if len(placed) and np.linalg.norm(placed - spot, axis=1).min() < 1.5:
             continue
-        (add_sapling if rng.random() < 0.45 else add_shrub)(builder, wood, spot)
+        (woods.add_sapling if rng.random() < 0.45 else woods.add_shrub)(builder, wood, spot)
         placed = np.concatenate([placed, [spot]])
 
 
@@ -370,9 +351,9 @@ FLOOR = Surface(land_class="trees", reflectivity=0.35)
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = scene_rng("forest", seed)
-    plan = draw_plan(rng)
-    builder = start_scene("forest", rng, shape_ground(rng, plan))
-    wood = grow_wood(builder)
+    plan = layout.draw_plan(rng)
+    builder = start_scene("forest", rng, layout.shape_ground(rng, plan))
+    wood = woods.grow_wood(builder)
     furnish(builder, wood, plan)
     plant(builder, wood, plan)
     canvas = paint_floor(rng, plan)
@@ -386,7 +367,7 @@ _GRASS = {"start": Ground.MEADOW, "meadow": Ground.MEADOW, "plot": Ground.MEADOW
           "slope": Ground.ROUGH, "stumps": Ground.MEADOW, "boulders": Ground.ROUGH}  # fmt: skip
 
 
-def paint_floor(rng: np.random.Generator, plan: Plan) -> Canvas:
+def paint_floor(rng: np.random.Generator, plan: layout.Plan) -> Canvas:
     """Paints litter and ferns, grass in the clearings, the track and its ruts, the brook's muddy
     banks."""
     canvas = Canvas(half_m=HALF_M)
@@ -427,14 +408,14 @@ def _distance_to(line_m: Array) -> NDArray[np.float32]:
     return np.asarray(distance * cell, np.float32)
 
 
-def _plough(canvas: Canvas, plan: Plan, clearing: Clearing) -> None:
+def _plough(canvas: Canvas, plan: layout.Plan, clearing: layout.Clearing) -> None:
     """A game plot: a tilled rectangle in the middle of the clearing."""
     corners = SQUARE * (clearing.radius_m * np.array([0.62, 0.50]))
     turned = rotated(corners, plan.frame.takeoff_yaw + 0.4)
     canvas.fill(clearing.centre_xy_m + turned, Ground.SOIL)
 
 
-def _rut(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
+def _rut(canvas: Canvas, plan: layout.Plan, rng: np.random.Generator) -> None:
     """Wheel ruts, a puddle's length dark here and there."""
     line = plan.track.line_m
     step = np.gradient(line, axis=0)

@@ -13,9 +13,8 @@ from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import left_of
 from touchdown.scenes.authoring.plots import Plot, SurveyFrame, draw_frame
-from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep
+from touchdown.scenes.authoring.relief import HALF_M, HeightField, level_takeoff, smoothstep
 
-HALF_M = 64.0
 SLOTS_M = ((17.0, 3.0), (47.0, 35.0), (15.0, 37.0), (50.0, 4.0))
 """Places for clearings in survey coordinates, around the crossing of track and brook."""
 KINDS = ("slope", "stumps", "boulders")
@@ -137,7 +136,7 @@ BROOK_FALL = 0.012
 def shape_ground(rng: np.random.Generator, plan: Plan) -> HeightField:
     """Returns the forest's ground; the height at the take-off spot is 0."""
     heights = hills(rng)
-    plain = HeightField(heights_m=heights, half_m=HALF_M)
+    plain = HeightField(heights_m=heights)
     xy = np.stack(plain.node_grid(), axis=-1)
     to_brook, at_brook = plan.brook.nearest(xy)
     bed = brook_profile(plan.brook, plain)
@@ -148,7 +147,7 @@ def shape_ground(rng: np.random.Generator, plan: Plan) -> HeightField:
     for clearing in plan.clearings:
         heights = _clear(rng, heights, xy, clearing, rough)
     to_track, at_track = plan.track.nearest(xy)
-    course = HeightField(heights_m=heights, half_m=HALF_M).at(plan.track.line_m)
+    course = HeightField(heights_m=heights).at(plan.track.line_m)
     over, nearest = plan.brook.nearest(plan.track.line_m)
     bridge = bed[nearest] + BROOK_DEPTH_M + 0.2
     even = gaussian_filter1d(course, 7.0, mode="nearest")
@@ -156,7 +155,7 @@ def shape_ground(rng: np.random.Generator, plan: Plan) -> HeightField:
     level = gaussian_filter1d(even, 2.0, mode="nearest")[at_track]
     heights = level + (heights - level) * smoothstep(TRACK_HALF_M, TRACK_HALF_M + 4.5, to_track)
     heights = _lowered_to(heights, bed[at_brook], to_brook)
-    return level_takeoff(heights, HALF_M, plan.frame.takeoff_xy_m)
+    return level_takeoff(heights, plan.frame.takeoff_xy_m)
 
 
 def hills(rng: np.random.Generator) -> Array:

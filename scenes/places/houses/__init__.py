@@ -7,36 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.scenes.api import Array, MovingBody
+from touchdown.scenes.authoring import relief, streets
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground, mown_askew
 from touchdown.scenes.authoring.plane import pick, unit, unit_circle
-from touchdown.scenes.authoring.plots import Plot, claim_area, scatter
-from touchdown.scenes.authoring.relief import (
-    NODES,
-    Ditch,
-    HeightField,
-    Mound,
-    Pad,
-    dig_ditches,
-    level_pads,
-    level_takeoff,
-    natural_ground,
-    raise_mounds,
-    smoothstep,
-)
-from touchdown.scenes.authoring.streets import (
-    Street,
-    add_car,
-    lane_loop,
-    paint_dashes,
-    paint_street,
-    paint_wear,
-    path_length,
-    place_street_kerb,
-    smooth_line,
-)
+from touchdown.scenes.authoring.plots import Plot, SurveyFrame, claim_area, scatter
 from touchdown.scenes.places.houses.homes import (
     GARDENS,
     Home,
@@ -45,39 +22,29 @@ from touchdown.scenes.places.houses.homes import (
     fence_home,
     paint_home,
 )
+from touchdown.scenes.props import playground
 from touchdown.scenes.props.cars import CAR_SURFACE, Models, add_car_models, park_car
 from touchdown.scenes.props.garden import add_toys
 from touchdown.scenes.props.houses import paint_house_looks, tiled_roof
 from touchdown.scenes.props.plants import Nursery, add_bush, add_small_tree, add_tree, plant_nursery
-from touchdown.scenes.props.playground import (
-    add_climbing_dome,
-    add_goal,
-    add_play_slide,
-    add_slackline,
-    add_swing,
-)
 from touchdown.scenes.props.street import add_bench, add_kerb, add_lamp, add_line, add_sagging_wire
 
-HALF_M = 64.0
-ROAD_DEPTH_M, GUTTER_M = 0.12, 0.45
 TURNING_M = 7.2
 """Radius of the turning circle at the end of the close."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plan:
+class Plan(SurveyFrame):
     """``frame``: coordinates of the whole scene, its main street about along u. The green, with
     the take-off spot, lies in the quarter of negative u and v."""
 
     frame: Plot
-    main: Street
-    south: Street
-    close: Street
-    takeoff_xy_m: Array
-    takeoff_yaw: float
+    main: streets.Street
+    south: streets.Street
+    close: streets.Street
 
     @property
-    def streets(self) -> tuple[Street, Street, Street]:
+    def streets(self) -> tuple[streets.Street, streets.Street, streets.Street]:
         return self.main, self.south, self.close
 
     @property
@@ -103,9 +70,9 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     angle = 0.5 * np.pi * int(rng.integers(4)) + rng.uniform(-0.06, 0.06)
     frame = Plot(origin_xy_m=rng.uniform(-1.0, 1.0, 2), angle=angle)
 
-    def street(corners: list[tuple[float, float]], width: float, pavement: float) -> Street:
-        line = smooth_line(frame.points(np.array(corners)))
-        return Street(line_m=line, width_m=width, pavement_m=pavement)
+    def street(corners: list[tuple[float, float]], width: float, pavement: float) -> streets.Street:
+        line = streets.smooth_line(frame.points(np.array(corners)))
+        return streets.Street(line_m=line, width_m=width, pavement_m=pavement)
 
     level = rng.uniform(1.0, 5.0)
     swing = rng.uniform(2.0, 6.0) * (1.0 if rng.random() < 0.5 else -1.0)
@@ -135,18 +102,21 @@ def draw_plan(rng: np.random.Generator) -> Plan:
 
 
 def shape_ground(
-    rng: np.random.Generator, plan: Plan, pads: list[Pad], ditches: list[Ditch], mounds: list[Mound]
-) -> HeightField:
+    rng: np.random.Generator,
+    plan: Plan,
+    pads: list[relief.Pad],
+    ditches: list[relief.Ditch],
+    mounds: list[relief.Mound],
+) -> relief.HeightField:
     """Returns natural ground with mounds, ditches, pads and streets; the take-off spot is at height
     0."""
-    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
-    xy = np.stack(terrain.node_grid(), axis=-1)
-    heights = terrain.heights_m + (0.30 - terrain.heights_m.mean())
-    heights = level_pads(heights, xy, pads)
-    heights = raise_mounds(dig_ditches(heights, xy, ditches), xy, mounds)
-    heights = heights * smoothstep(0.5, 5.5, plan.pavement_distance(xy))
-    heights = heights - ROAD_DEPTH_M * smoothstep(0.0, GUTTER_M, -plan.kerb_distance(xy))
-    return level_takeoff(heights, HALF_M, plan.takeoff_xy_m)
+    heights, xy = relief.natural_ground(rng)
+    heights = heights + (0.30 - heights.mean())
+    heights = relief.level_pads(heights, xy, pads)
+    heights = relief.raise_mounds(relief.dig_ditches(heights, xy, ditches), xy, mounds)
+    heights = heights * relief.smoothstep(0.5, 5.5, plan.pavement_distance(xy))
+    heights = heights - streets.roadway_depth(plan.kerb_distance(xy))
+    return relief.level_takeoff(heights, plan.takeoff_xy_m)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -162,8 +132,8 @@ class Green:
     """middle of the playground"""
     path_m: Array
     """(N, 2) world"""
-    mound: Mound
-    ditch: Ditch
+    mound: relief.Mound
+    ditch: relief.Ditch
 
 
 def draw_green(rng: np.random.Generator, plan: Plan) -> Green:
@@ -179,10 +149,11 @@ def draw_green(rng: np.random.Generator, plan: Plan) -> Green:
     spot = frame.at(east - rng.uniform(7.0, 9.0), -15.0 + rng.uniform(-4.0, 3.0))
     return Green(plan=plan, west=-44.0, east=east, low=-50.0, high=high,
                  play_uv=np.array([-30.0 + rng.uniform(-5.0, 6.0), -41.5]), path_m=path,
-                 mound=Mound(centre_xy_m=spot, height_m=rng.uniform(0.8, 1.3),
-                 radius_m=rng.uniform(3.4, 4.2)), ditch=Ditch(start_xy_m=frame.at(-62.0, -51.0),
-                 end_xy_m=frame.at(east - 4.0, -50.0), depth_m=rng.uniform(0.5, 0.8),
-                 half_width_m=1.6))  # fmt: skip
+                 mound=relief.Mound(centre_xy_m=spot, height_m=rng.uniform(0.8, 1.3),
+                                    radius_m=rng.uniform(3.4, 4.2)),
+                 ditch=relief.Ditch(start_xy_m=frame.at(-62.0, -51.0),
+                                    end_xy_m=frame.at(east - 4.0, -50.0),
+                                    depth_m=rng.uniform(0.5, 0.8), half_width_m=1.6))  # fmt: skip
 
 
 def paint_green(canvas: Canvas, green: Green, rng: np.random.Generator) -> None:
@@ -211,20 +182,20 @@ def build_green(builder: SceneBuilder, green: Green, nursery: Nursery) -> None:
     for spot in green.path_m[::2]:
         builder.claim(spot, 1.0)
     u, v = green.play_uv
-    add_swing(builder, frame.at(u - 5.5, v + 1.5), frame.angle)
-    add_play_slide(builder, frame.at(u - 1.0, v - 1.8), frame.angle)
-    add_climbing_dome(builder, frame.at(u + 2.0, v + 2.0))
+    playground.add_swing(builder, frame.at(u - 5.5, v + 1.5), frame.angle)
+    playground.add_play_slide(builder, frame.at(u - 1.0, v - 1.8), frame.angle)
+    playground.add_climbing_dome(builder, frame.at(u + 2.0, v + 2.0))
     builder.claim(frame.at(u + 8.0, v), 3.4)
     claim_area(builder, frame, (u - 8.5, u + 4.5), (v - 4.6, v + 4.6))
     for reach in (-5.0, 4.0):
         add_bench(builder, frame.at(u + reach, v + 6.0), frame.away + np.pi)
     add_toys(builder, frame.at(start[0] + rng.uniform(7.0, 11.0), start[1] + rng.uniform(4.0, 9.0)))
     near = frame.at(start[0] - 9.0, start[1] + rng.uniform(4.0, 8.0))
-    add_goal(builder, near, frame.angle, 2.4, 1.6)
+    playground.add_goal(builder, near, frame.angle, 2.4, 1.6)
     line_v = start[1] + rng.uniform(-7.0, -5.0)
     first, last = start[0] + rng.uniform(5.0, 8.0), start[0] + rng.uniform(17.0, 20.0)
-    add_slackline(builder, frame.at(first, line_v), frame.at(last, line_v + rng.uniform(-2, 2)),
-                  rng.uniform(0.45, 0.9))  # fmt: skip
+    far = frame.at(last, line_v + rng.uniform(-2, 2))
+    playground.add_slackline(builder, frame.at(first, line_v), far, rng.uniform(0.45, 0.9))
     builder.claim(frame.at(0.5 * (first + last), line_v), 5.0)
     for along in np.arange(green.west + 2.0, green.east - 3.0, rng.uniform(8.5, 10.5)):
         spot = frame.at(along, green.high - 1.0)
@@ -264,7 +235,7 @@ def draw_rows(rng: np.random.Generator, plan: Plan) -> list[list[Home]]:
     """Returns rows of neighbouring homes along the streets, gardens of all kinds."""
     main, south, close, frame = plan.main, plan.south, plan.close, plan.frame
 
-    def station(street: Street, u: float | None = None, v: float | None = None) -> float:
+    def station(street: streets.Street, u: float | None = None, v: float | None = None) -> float:
         local = frame.coordinates(street.line_m)
         axis, value = (0, u) if u is not None else (1, v)
         return 0.5 * float(np.argmin(np.abs(local[:, axis] - (value or 0.0))))
@@ -338,23 +309,23 @@ def place_kerbs(builder: SceneBuilder, plan: Plan, homes: list[Home]) -> None:
                 if distance < street.edge_m + 1.0 and aside > 0.0:
                     gaps.append((float(along) - 1.9, float(along) + 1.9))
             gaps += _junction_gaps(plan, street, side)
-            place_street_kerb(builder, street, side, gaps, 0.015)
+            streets.place_street_kerb(builder, street, side, gaps, 0.015)
     ring = plan.turning_xy_m + (TURNING_M + 0.08) * unit_circle(20)
-    top = builder.terrain.point(*plan.turning_xy_m) + ROAD_DEPTH_M + 0.015
+    top = builder.terrain.point(*plan.turning_xy_m) + streets.ROAD_DEPTH_M + 0.015
     for index in range(20):
         first, second = ring[index], ring[(index + 1) % 20]
         if float(plan.close.kerb_distance(0.5 * (first + second))) > 0.3:
             add_kerb(builder, first, second, top)
 
 
-def _junction_gaps(plan: Plan, street: Street, side: float) -> list[tuple[float, float]]:
+def _junction_gaps(plan: Plan, street: streets.Street, side: float) -> list[tuple[float, float]]:
     """Stretches of a kerb that lie on another roadway or outside of the scene."""
     stations = np.arange(0.0, street.length_m, 0.5)
     kerb = np.array([street.point(s, side * (0.5 * street.width_m + 0.08)) for s in stations])
     other = [s.kerb_distance(kerb) for s in plan.streets if s is not street]
     if street is plan.close:
         other.append(np.linalg.norm(kerb - plan.turning_xy_m, axis=1) - TURNING_M)
-    inside = (np.minimum.reduce(other) < 0.1) | (np.abs(kerb).max(axis=1) > HALF_M)
+    inside = (np.minimum.reduce(other) < 0.1) | (np.abs(kerb).max(axis=1) > relief.HALF_M)
     return [(float(s) - 0.3, float(s) + 0.3) for s in stations[inside]]
 
 
@@ -412,33 +383,33 @@ def add_traffic(builder: SceneBuilder, plan: Plan, models: Models) -> tuple[Movi
     """Adds one or two cars on the main street."""
     rng, main = builder.rng, plan.main
     inside = [s for s in np.arange(0.0, main.length_m, 1.0)
-              if np.abs(main.point(s, 0.0)).max() < HALF_M - 5.0]  # fmt: skip
-    path = lane_loop(builder, main, float(inside[0]), float(inside[-1]))
+              if np.abs(main.point(s, 0.0)).max() < relief.HALF_M - 5.0]  # fmt: skip
+    path = streets.lane_loop(builder, main, float(inside[0]), float(inside[-1]))
     moving = []
     for index in range(int(rng.integers(1, 3))):
         look = pick(rng, models)[:2]
-        start = (0.1 + 0.5 * index + rng.uniform(0.0, 0.3)) * path_length(path)
-        moving.append(add_car(builder, path, look, CAR_SURFACE, 6.5, start))
+        start = (0.1 + 0.5 * index + rng.uniform(0.0, 0.3)) * streets.path_length(path)
+        moving.append(streets.add_car(builder, path, look, CAR_SURFACE, 6.5, start))
     return tuple(moving)
 
 
 def paint_ground(rng: np.random.Generator, plan: Plan, homes: list[Home], green: Green) -> Canvas:
     """Paints gardens and green first, pavements and roadways over them."""
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     paint_green(canvas, green, rng)
     for home in homes:
         paint_home(canvas, home, rng)
     circle = unit_circle(48)
     for street in plan.streets:
-        paint_street(canvas, street, pavement=Ground.PAVEMENT)
+        streets.paint_street(canvas, street, pavement=Ground.PAVEMENT)
     canvas.fill(plan.turning_xy_m + (TURNING_M + plan.close.pavement_m) * circle, Ground.PAVEMENT)
     for home in homes:
         drive = (home.drive_u - 1.6, home.drive_u + 1.6)
         canvas.fill(home.plot.rectangle(drive, (-plan.main.pavement_m - 0.4, 0.0)), Ground.PAVERS)
     for street in plan.streets:
-        paint_street(canvas, street)
+        streets.paint_street(canvas, street)
     canvas.fill(plan.turning_xy_m + TURNING_M * circle, Ground.ASPHALT)
     for street in plan.streets:
-        paint_wear(canvas, street, rng, 0.0)
-    paint_dashes(canvas, plan.main, 3.0, plan.main.length_m - 3.0)
+        streets.paint_wear(canvas, street, rng, 0.0)
+    streets.paint_dashes(canvas, plan.main, 3.0, plan.main.length_m - 3.0)
     return canvas

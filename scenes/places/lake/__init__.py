@@ -6,39 +6,26 @@ import cv2
 import numpy as np
 
 from touchdown.scenes.api import Array
+from touchdown.scenes.authoring import generation
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import (
-    Flood,
-    finish,
-    paint_terrain,
-    scene_rng,
-    start_scene,
-)
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, unit
 from touchdown.scenes.authoring.plots import claim_free
-from touchdown.scenes.authoring.relief import HeightField
+from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.authoring.water import WaterLook, upsample
-from touchdown.scenes.places.lake.layout import HALF_M, Basin, Plan, Shore, draw_plan, shape_basin
+from touchdown.scenes.places.lake.layout import (
+    Basin,
+    Plan,
+    Shore,
+    draw_plan,
+    shape_basin,
+)
+from touchdown.scenes.props import waterside
 from touchdown.scenes.props.houses import House, add_house
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, add_tree, plant_nursery
 from touchdown.scenes.props.street import add_bench, add_bin, add_fence, add_sign
-from touchdown.scenes.props.waterside import (
-    Deck,
-    add_boat,
-    add_boat_models,
-    add_buoy,
-    add_deck,
-    add_molehill,
-    add_net,
-    add_pile,
-    add_reeds,
-    add_sailing_boat,
-    grow_reeds,
-    planks,
-)
 
 TIMBER = (150.0, 134.0, 112.0)
 
@@ -48,7 +35,7 @@ class Surroundings:
 
     def __init__(self, plan: Plan, basin: Basin) -> None:
         self.plan, self.basin = plan, basin
-        self._shore = HeightField(heights_m=basin.shore_m, half_m=HALF_M)
+        self._shore = HeightField(heights_m=basin.shore_m)
 
     def shore_m(self, xy_m: Array) -> float:
         """Metres from the waterline, negative in the lake."""
@@ -114,17 +101,21 @@ def _place_jetty(builder: SceneBuilder, around: Surroundings) -> None:
     way = unit(inward)
     length, width = float(rng.uniform(12.0, 16.0)), float(rng.uniform(1.7, 2.0))
     top = max(level + 0.5, builder.terrain.point(*root) + 0.04)
-    parts = [Deck(centre_xy_m=root + 0.5 * length * way, angle=inward, size_m=(length, width),
-             top_m=top), Deck(centre_xy_m=root + (length + 0.9) * way, angle=inward + 0.5 * np.pi,
-             size_m=(5.2, 1.9), top_m=top)]  # fmt: skip
-    models = add_boat_models(builder, 4)
+    parts = [
+        waterside.Deck(centre_xy_m=root + along * way, angle=angle, size_m=size, top_m=top)
+        for along, angle, size in (
+            (0.5 * length, inward, (length, width)),
+            (length + 0.9, inward + 0.5 * np.pi, (5.2, 1.9)),
+        )
+    ]
+    models = waterside.add_boat_models(builder, 4)
     for part in parts:
-        add_deck(builder, part, planks(rng, part.size_m, 96.0, TIMBER))
+        waterside.add_deck(builder, part, waterside.planks(rng, part.size_m, 96.0, TIMBER))
         reach, side = 0.5 * part.size_m[0] - 0.15, 0.5 * part.size_m[1] + 0.08
         count = max(2, round(part.size_m[0] / 3.2))
         feet = [[x, y] for x in np.linspace(-reach, reach, count) for y in (-side, side)]
         for spot in part.points(np.array(feet)):
-            add_pile(builder, spot, top + float(rng.uniform(0.35, 0.7)))
+            waterside.add_pile(builder, spot, top + float(rng.uniform(0.35, 0.7)))
         for x in np.arange(-reach, reach + 0.1, 1.0):
             builder.claim(part.points(np.array([[x, 0.0]]))[0], side)
     for index, (x, y) in enumerate(((0.18, 1.0), (0.26, -1.0), (-0.08, -1.0))):
@@ -132,11 +123,19 @@ def _place_jetty(builder: SceneBuilder, around: Surroundings) -> None:
         spot = parts[0].points(local)[0]
         if around.shore_m(spot) < -1.5:
             heading = inward + rng.uniform(-0.12, 0.12) + (np.pi if rng.random() < 0.5 else 0.0)
-            add_boat(builder, models[index], spot, heading)
-    add_boat(builder, models[3], around.on_shore(bearing + 0.22, 3.4), bearing + 1.2, upturned=True)
-    add_boat(builder, models[2], around.on_shore(bearing + 0.30, 3.2), bearing + 1.3, upturned=True)
-    add_boat(builder, models[1], around.on_shore(bearing - 1.3, -9.0), rng.uniform(0.0, 6.3))
-    add_sailing_boat(builder, around.on_shore(bearing + 0.75, -10.0), rng.uniform(0.0, 6.3))
+            waterside.add_boat(builder, models[index], spot, heading)
+    waterside.add_boat(
+        builder, models[3], around.on_shore(bearing + 0.22, 3.4), bearing + 1.2, upturned=True
+    )
+    waterside.add_boat(
+        builder, models[2], around.on_shore(bearing + 0.30, 3.2), bearing + 1.3, upturned=True
+    )
+    waterside.add_boat(
+        builder, models[1], around.on_shore(bearing - 1.3, -9.0), rng.uniform(0.0, 6.3)
+    )
+    waterside.add_sailing_boat(
+        builder, around.on_shore(bearing + 0.75, -10.0), rng.uniform(0.0, 6.3)
+    )
     shed = around.on_shore(bearing - 0.20, 5.2)
     add_house(builder, House(centre_xy_m=shed, angle=inward, size_m=(6.0, 4.4, 2.3), ridge_m=1.5))
 
@@ -146,12 +145,14 @@ def _place_beach(builder: SceneBuilder, around: Surroundings) -> None:
     rng = builder.rng
     middle = around.plan.middle_of(Shore.BEACH)
     side = rng.choice([-0.13, 0.13])
-    add_net(builder, around.on_shore(middle + side, 5.0), middle)
+    waterside.add_net(builder, around.on_shore(middle + side, 5.0), middle)
     bearings = np.linspace(middle - 0.36, middle + 0.36, 11)
     for index, bearing in enumerate(bearings):
         out = -8.5 * (1.0 - 0.8 * abs(2.0 * index / 10.0 - 1.0) ** 3)
         colour = [0.84, 0.14, 0.10, 1] if index % 2 else [0.95, 0.95, 0.93, 1]
-        add_buoy(builder, around.plan.shore_point(float(bearing), out - 1.0), 0.24, colour)
+        waterside.add_buoy(
+            builder, around.plan.shore_point(float(bearing), out - 1.0), 0.24, colour
+        )
     add_sign(builder, around.on_shore(middle - 2.0 * side, 8.0), middle + np.pi, [0.9, 0.9, 0.9, 1])
     add_bin(builder, around.on_shore(middle - 1.4 * side, 9.4), [0.16, 0.30, 0.20, 1])
 
@@ -171,7 +172,7 @@ def _place_islet(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
 def _place_reeds(builder: SceneBuilder, around: Surroundings, limit: int = 74) -> None:
     """Adds tufts close together in the shallows and on the mud of the reedy stretches."""
     rng, plan = builder.rng, around.plan
-    bed = grow_reeds(builder)
+    bed = waterside.grow_reeds(builder)
     reedy = np.flatnonzero(plan.kinds == int(Shore.REEDS))
     grown = 0
     for _ in range(8 * limit):
@@ -181,7 +182,7 @@ def _place_reeds(builder: SceneBuilder, around: Surroundings, limit: int = 74) -
             continue
         spot = around.on_shore(bearing, out)
         if builder.is_free(spot, 0.45):
-            add_reeds(builder, bed, spot)
+            waterside.add_reeds(builder, bed, spot)
             grown += 1
 
 
@@ -219,28 +220,28 @@ def _place_pasture(builder: SceneBuilder, around: Surroundings) -> None:
         for _ in range(7):
             spot = middle + rng.normal(0.0, 1.9, 2)
             if builder.is_free(spot, 0.5) and around.shore_m(spot) > 2.0:
-                add_molehill(builder, spot)
+                waterside.add_molehill(builder, spot)
 
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = scene_rng("lake", seed)
+    rng = generation.scene_rng("lake", seed)
     plan = draw_plan(rng)
     basin = shape_basin(rng, plan)
-    builder = start_scene("lake", rng, basin.terrain)
+    builder = generation.start_scene("lake", rng, basin.terrain)
     nursery = plant_nursery(builder)
     path = footpath(plan, rng)
     place_objects(builder, plan, basin, nursery, path)
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     paint_shore(rng, canvas, plan, basin)
     paint_fields(rng, canvas)
     paint_strand(rng, canvas, plan)
     canvas.track(path, 1.9, Ground.GRAVEL)
     rows = dict.fromkeys(Ground, float(rng.uniform(0.0, np.pi)))
     depth = upsample(basin.level_m - basin.bottom_m, TEXELS // 2)
-    flood = Flood(depth_m=depth, draw_look=draw_look)
-    ground = paint_terrain(builder, canvas, rows, flood=flood)
-    return finish(plan, builder, ground)
+    flood = generation.Flood(depth_m=depth, draw_look=draw_look)
+    ground = generation.paint_terrain(builder, canvas, rows, flood=flood)
+    return generation.finish(plan, builder, ground)
 
 
 def draw_look(rng: np.random.Generator) -> WaterLook:

@@ -13,9 +13,9 @@ from scipy import ndimage
 from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.plots import SurveyFrame
 from touchdown.scenes.authoring.relief import HeightField, level_takeoff, natural_ground, smoothstep
 
-HALF_M = 64.0
 NODES = 257
 _TURNS = 720
 
@@ -39,7 +39,7 @@ _PROFILE: dict[Shore, tuple[float, float, float, float]] = {
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plan:
+class Plan(SurveyFrame):
     """A lake about ``centre_xy_m`` whose outline is a Fourier series of the bearing."""
 
     centre_xy_m: Array
@@ -52,8 +52,6 @@ class Plan:
     islet_radius_m: float
     """negative: there is none"""
     jetty_bearing: float
-    takeoff_xy_m: Array
-    takeoff_yaw: float
 
     def outline_m(self, bearing: Array) -> Array:
         """Radius of the plain outline at bearings in radians."""
@@ -172,8 +170,7 @@ def shore_distance(rng: np.random.Generator, plan: Plan, xy: Array) -> Array:
 
 def shape_basin(rng: np.random.Generator, plan: Plan) -> Basin:
     """Returns meadows, banks and the lake's bed; the height at the take-off spot is 0."""
-    ground = natural_ground(rng, NODES, HALF_M)
-    xy = np.stack(HeightField(heights_m=ground, half_m=HALF_M).node_grid(), axis=-1)
+    ground, xy = natural_ground(rng, NODES)
     cell = float(xy[0, 1, 0] - xy[0, 0, 0])
     shore = shore_distance(rng, plan, xy)
     row = profile(plan, plan.bearing(xy))
@@ -192,7 +189,7 @@ def shape_basin(rng: np.random.Generator, plan: Plan) -> Basin:
     bed = -(1.0 - sink) * fall * out - sink * rng.uniform(2.6, 3.6)
     bed += bumps * smoothstep(0.4, 2.5, out)
     heights = np.where(shore >= 0.0, land, bed)
-    takeoff = float(HeightField(heights_m=heights, half_m=HALF_M).at(plan.takeoff_xy_m))
-    bottom = level_takeoff(heights, HALF_M, plan.takeoff_xy_m).heights_m
-    terrain = HeightField(heights_m=np.maximum(bottom, -takeoff), half_m=HALF_M)
+    takeoff = float(HeightField(heights_m=heights).at(plan.takeoff_xy_m))
+    bottom = level_takeoff(heights, plan.takeoff_xy_m).heights_m
+    terrain = HeightField(heights_m=np.maximum(bottom, -takeoff))
     return Basin(terrain=terrain, bottom_m=bottom, shore_m=shore, level_m=-takeoff)

@@ -3,6 +3,7 @@ or an islet, by the seed."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -10,37 +11,20 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Array, GroundRaster, Image, Surface
+from touchdown.scenes.authoring import water
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import Takeoff, finish, scene_rng, start_scene
+from touchdown.scenes.authoring.generation import finish, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.light import bake_light, ground_texture
 from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, pick, unit
+from touchdown.scenes.authoring.plots import SurveyFrame, free_spots
 from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep, write_hfield
 from touchdown.scenes.authoring.textures import to_texture
-from touchdown.scenes.authoring.water import (
-    WATER_REFLECTIVITY,
-    Float32,
-    WaterLook,
-    flood_raster,
-    lay_water,
-    upsample,
-    varied,
-)
+from touchdown.scenes.props import waterside
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, plant_nursery
-from touchdown.scenes.props.waterside import (
-    PILE,
-    Deck,
-    add_boat,
-    add_boat_models,
-    add_buoy,
-    add_deck,
-    add_pile,
-    add_sailing_boat,
-    planks,
-)
 
 CONCRETE = Surface(land_class="path", reflectivity=0.36)
 FREEBOARD_M = 0.45
@@ -51,38 +35,42 @@ def place_raft(builder: SceneBuilder) -> None:
     """Adds a bathing raft of boards on drums, a flagpole at a corner, a rowing boat alongside."""
     rng = builder.rng
     size = (float(rng.uniform(6.4, 8.0)), float(rng.uniform(6.0, 7.0)))
-    deck = Deck(
+    deck = waterside.Deck(
         centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size, top_m=0.0
     )
     tone = rng.uniform(0.85, 1.15)
-    add_deck(builder, deck, planks(rng, size, 128.0, (168.0 * tone, 140.0 * tone, 108.0 * tone)))
+    waterside.add_deck(
+        builder,
+        deck,
+        waterside.planks(rng, size, 128.0, (168.0 * tone, 140.0 * tone, 108.0 * tone)),
+    )
     builder.claim(np.zeros(2), 0.75 * max(size))
     x, y = 0.5 * size[0], 0.5 * size[1]
     for side in (-1.0, 1.0):
         along = side * (y - 0.35)
         ends = deck.points(np.array([[-x + 0.2, along], [x - 0.2, along]]))
-        builder.geom("drum", PILE, capsule=0.33, rgba=[0.16, 0.24, 0.36, 1],
+        builder.geom("drum", waterside.PILE, capsule=0.33, rgba=[0.16, 0.24, 0.36, 1],
                      fromto=[*ends[0], -0.5, *ends[1], -0.5])  # fmt: skip
     _flagpole(builder, deck.points(np.array([[x - 0.25, y - 0.25]]))[0])
     _ladder(builder, deck, -x)
-    model = add_boat_models(builder, 1)[0]
+    model = waterside.add_boat_models(builder, 1)[0]
     spot = deck.points(np.array([[0.8, -y - 1.1]]))[0]
-    add_boat(builder, model, spot, deck.angle + rng.uniform(-0.06, 0.06))
+    waterside.add_boat(builder, model, spot, deck.angle + rng.uniform(-0.06, 0.06))
 
 
 def place_pontoon(builder: SceneBuilder) -> None:
     """Adds a concrete work pontoon with a painted circle, bollards, a rail and crates."""
     rng = builder.rng
     size = (float(rng.uniform(9.0, 12.0)), float(rng.uniform(6.2, 7.4)))
-    deck = Deck(centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size,
+    deck = waterside.Deck(centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size,
                 top_m=0.0, thick_m=0.9)  # fmt: skip
-    add_deck(builder, deck, _concrete(rng, size), CONCRETE)
+    waterside.add_deck(builder, deck, _concrete(rng, size), CONCRETE)
     builder.claim(np.zeros(2), 0.7 * max(size))
     x, y = 0.5 * size[0], 0.5 * size[1]
     corners = deck.points(np.array([[sx * (x - 0.3), sy * (y - 0.3)]
                                     for sx in (-1, 1) for sy in (-1, 1)]))  # fmt: skip
     for corner in corners:
-        builder.geom("bollard", PILE, type=GEOM.mjGEOM_CYLINDER, size=[0.12, 0.2, 0],
+        builder.geom("bollard", waterside.PILE, type=GEOM.mjGEOM_CYLINDER, size=[0.12, 0.2, 0],
                      pos=[*corner, 0.18], rgba=[0.80, 0.64, 0.12, 1])  # fmt: skip
         _square_shadow(builder, corner, 0.12, 0.0, 0.36)
     side = -1.0 if rng.random() < 0.5 else 1.0
@@ -90,16 +78,16 @@ def place_pontoon(builder: SceneBuilder) -> None:
         np.array([[side * (x - 0.1), t] for t in np.linspace(-y + 0.8, y - 0.8, 4)])
     )
     for post in posts:
-        builder.geom("rail_post", PILE, capsule=0.03,
+        builder.geom("rail_post", waterside.PILE, capsule=0.03,
                      fromto=[*post, 0.0, *post, 1.05], rgba=[0.86, 0.86, 0.84, 1])  # fmt: skip
         _square_shadow(builder, post, 0.03, 0.0, 1.05)
     for height in (0.55, 1.05):
-        builder.geom("rail", PILE, capsule=0.025, fromto=[*posts[0], height, *posts[-1], height],
-                     rgba=[0.86, 0.86, 0.84, 1])  # fmt: skip
+        builder.geom("rail", waterside.PILE, capsule=0.025, rgba=[0.86, 0.86, 0.84, 1],
+                     fromto=[*posts[0], height, *posts[-1], height])  # fmt: skip
     for index in range(int(rng.integers(1, 4))):
         spot = deck.points(np.array([[-side * (x - 0.8), -y + 1.0 + 1.3 * index]]))[0]
         half = rng.uniform([0.35, 0.3, 0.25], [0.5, 0.45, 0.45])
-        builder.geom("crate", PILE, box=half, pos=[*spot, half[2]],
+        builder.geom("crate", waterside.PILE, box=half, pos=[*spot, half[2]],
                      heading=deck.angle + rng.uniform(-0.3, 0.3),
                      rgba=[0.30, 0.36 + 0.08 * index, 0.46, 1])  # fmt: skip
 
@@ -125,20 +113,20 @@ def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Image:
 
 
 def _flagpole(builder: SceneBuilder, xy_m: Array) -> None:
-    builder.geom("flagpole", PILE, cylinder=0.03,
+    builder.geom("flagpole", waterside.PILE, cylinder=0.03,
                  fromto=[*xy_m, 0.0, *xy_m, 2.8], rgba=[0.92, 0.92, 0.92, 1])  # fmt: skip
     turn = draw_heading(builder.rng)
     flag = xy_m + 0.38 * unit(turn)
-    builder.geom("flag", PILE, box=[0.36, 0.01, 0.22], pos=[*flag, 2.55],
+    builder.geom("flag", waterside.PILE, box=[0.36, 0.01, 0.22], pos=[*flag, 2.55],
                  heading=turn, rgba=[0.86, 0.16, 0.12, 1])  # fmt: skip
     _square_shadow(builder, xy_m, 0.03, 0.0, 2.8)
 
 
-def _ladder(builder: SceneBuilder, deck: Deck, x: float) -> None:
+def _ladder(builder: SceneBuilder, deck: waterside.Deck, x: float) -> None:
     """Two bent tubes over the edge at ``x`` of the deck."""
     for y in (-0.25, 0.25):
         foot = deck.points(np.array([[x - 0.05, y]]))[0]
-        builder.geom("ladder", PILE, capsule=0.025,
+        builder.geom("ladder", waterside.PILE, capsule=0.025,
                      fromto=[*foot, -0.9, *foot, 0.75], rgba=[0.75, 0.77, 0.78, 1])  # fmt: skip
 
 
@@ -186,17 +174,17 @@ def shape_islet(rng: np.random.Generator) -> Islet:
     land = hump + lumps * smoothstep(1.0, 3.0, shore)
     heights = np.where(shore > 0.0, land, np.maximum(0.16 * shore, -_SUNK_M))
     level = -float(HeightField(heights_m=heights, half_m=ISLET_HALF_M).point(0.0, 0.0))
-    terrain = level_takeoff(heights, ISLET_HALF_M, np.zeros(2))
+    terrain = level_takeoff(heights, np.zeros(2), ISLET_HALF_M)
     return Islet(terrain=terrain, shore_m=shore, level_m=level)
 
 
-def bed_depth(islet: Islet, size: int, half_m: float) -> Float32:
+def bed_depth(islet: Islet, size: int, half_m: float) -> water.Float32:
     """(size, size) depth of the water over a square of +-half_m about the islet, row 0 at y_min:
     shallows that fall off to 7 m."""
     inner = round(size * ISLET_HALF_M / half_m)
     shore = np.full((size, size), -40.0, np.float32)
     first = (size - inner) // 2
-    shore[first : first + inner, first : first + inner] = upsample(islet.shore_m, inner)
+    shore[first : first + inner, first : first + inner] = water.upsample(islet.shore_m, inner)
     axis = (np.arange(size) + 0.5) / size * 2.0 * half_m - half_m
     reach = np.hypot(*np.meshgrid(axis, axis)).astype(np.float32)
     out = np.where(shore > -30.0, -shore, reach - 8.0)
@@ -211,7 +199,7 @@ def add_islet(builder: SceneBuilder, islet: Islet) -> GroundRaster:
     spec, rng = builder.spec, builder.rng
     spec.add_texture(name="islet", type=mujoco.mjtTexture.mjTEXTURE_2D, nchannel=3)
     canvas = Canvas.of_size(ISLET_HALF_M, ISLET_TEXELS)
-    shore = upsample(islet.shore_m, ISLET_TEXELS)
+    shore = water.upsample(islet.shore_m, ISLET_TEXELS)
     fray = fractal_noise(rng, shore.shape, 60.0, 4, 0.6)
     canvas.material[:] = int(Ground.BEACH)
     canvas.material[shore > 2.1 + 0.35 * fray] = int(Ground.MEADOW)
@@ -225,8 +213,8 @@ def add_islet(builder: SceneBuilder, islet: Islet) -> GroundRaster:
     wet = np.clip(1.0 - shore / 0.6, 0.0, 1.0)[::-1, :, None]
     texture[:] = (texture * (1.0 - 0.34 * wet)).astype(np.uint8)
     fill_texture(spec.texture("islet"), texture)
-    depth = upsample(islet.level_m - islet.terrain.heights_m, ISLET_TEXELS)
-    return flood_raster(canvas.raster("islet"), depth)
+    depth = water.upsample(islet.level_m - islet.terrain.heights_m, ISLET_TEXELS)
+    return water.flood_raster(canvas.raster("islet"), depth)
 
 
 def place_islet(builder: SceneBuilder, islet: Islet) -> None:
@@ -246,26 +234,26 @@ def place_islet(builder: SceneBuilder, islet: Islet) -> None:
     builder.claim(np.zeros(2), 3.2)
     nursery: Nursery = plant_nursery(builder)
     shore = HeightField(heights_m=islet.shore_m, half_m=ISLET_HALF_M)
-    wanted = {"bush": int(rng.integers(2, 5)), "rock": int(rng.integers(7, 12)), "beacon": 1}
-    ranges = {"bush": (1.6, 4.5), "rock": (-1.2, 1.2), "beacon": (1.0, 3.5)}
-    for what, count in wanted.items():
-        for _ in range(60 * count):
-            spot = rng.uniform(-11.0, 11.0, 2)
-            low, high = ranges[what]
-            if count and low < float(shore.at(spot)) < high and builder.is_free(spot, 0.9):
-                count -= 1
-                if what == "bush":
-                    add_bush(builder, nursery, spot)
-                elif what == "rock":
-                    add_rock(builder, spot, rng.uniform(0.25, 0.7))
-                else:
-                    add_beacon(builder, spot)
+    bushes, rocks = int(rng.integers(2, 5)), int(rng.integers(7, 12))
+
+    def spots(count: int, low_m: float, high_m: float) -> Iterator[Array]:
+        """Of the shore."""
+        return free_spots(
+            builder, count, 60 * count, 11.0, 0.9, lambda xy: low_m < float(shore.at(xy)) < high_m
+        )
+
+    for spot in spots(bushes, 1.6, 4.5):
+        add_bush(builder, nursery, spot)
+    for spot in spots(rocks, -1.2, 1.2):
+        add_rock(builder, spot, rng.uniform(0.25, 0.7))
+    for spot in spots(1, 1.0, 3.5):
+        add_beacon(builder, spot)
 
 
 def add_beacon(builder: SceneBuilder, xy_m: Array) -> None:
     """Adds a mast of 4.5 m with a striped board."""
     z = builder.terrain.point(*xy_m)
-    add_pile(builder, xy_m, z + 4.5, 0.07)
+    waterside.add_pile(builder, xy_m, z + 4.5, 0.07)
     for index, rgba in enumerate(([0.85, 0.12, 0.10, 1], [0.95, 0.95, 0.93, 1])):
         builder.geom("beacon_board", Surface(land_class="other", reflectivity=0.5), box=[0.04, 0.4,
                      0.3], pos=[*xy_m, z + 4.2 - 0.6 * index], rgba=rgba)  # fmt: skip
@@ -299,7 +287,7 @@ def generate(seed: int) -> SceneDraft:
     else:
         depth = np.full((_DEPTH_PX, _DEPTH_PX), 7.0, np.float32)
     _spread_water(builder, level, depth)
-    plan = Takeoff(takeoff_xy_m=np.zeros(2), takeoff_yaw=float(rng.uniform(-np.pi, np.pi)))
+    plan = SurveyFrame(takeoff_xy_m=np.zeros(2), takeoff_yaw=float(rng.uniform(-np.pi, np.pi)))
     return finish(plan, builder, ground)
 
 
@@ -327,26 +315,26 @@ def _place_boats(builder: SceneBuilder) -> None:
             spots.append(spot)
     wind = rng.uniform(0.0, 2.0 * np.pi)
     for spot in spots[:wanted]:
-        add_sailing_boat(builder, spot, wind + rng.uniform(-0.25, 0.25))
+        waterside.add_sailing_boat(builder, spot, wind + rng.uniform(-0.25, 0.25))
     for index, spot in enumerate(spots[wanted:]):
         colour = [0.82, 0.13, 0.10, 1] if index % 2 else [0.10, 0.48, 0.22, 1]
-        add_buoy(builder, spot, 0.55, colour)
+        waterside.add_buoy(builder, spot, 0.55, colour)
 
 
-def _spread_water(builder: SceneBuilder, level_m: float, depth: Float32) -> None:
+def _spread_water(builder: SceneBuilder, level_m: float, depth: water.Float32) -> None:
     """The sheet and its texture, after all objects that cast a shadow on it."""
     spec, rng = builder.spec, builder.rng
     top = HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     below = box((HALF_M, HALF_M, 0.25), (0.0, 0.0, -0.252), 1e3)
     mesh = builder.mesh("water", MeshData.join([polygon(top, uv), below]))
-    water = Surface(land_class="water", reflectivity=WATER_REFLECTIVITY, water=True)
-    builder.geom("water", water, mesh=mesh, material="water", pos=[0.0, 0.0, level_m])
+    sheet = Surface(land_class="water", reflectivity=water.WATER_REFLECTIVITY, water=True)
+    builder.geom("water", sheet, mesh=mesh, material="water", pos=[0.0, 0.0, level_m])
     light = bake_light(builder.casters, builder.terrain, builder.sun, TEXELS // 2, ambient=0.50)
     bed = fractal_noise(rng, (_DEPTH_PX, _DEPTH_PX), 20.0, 4, 0.6)
     coarse = np.clip(_SAND * (1.0 + 0.08 * bed[..., None]), 0.0, 255.0).astype(np.uint8)
     image = np.asarray(cv2.resize(coarse, (TEXELS, TEXELS)), np.uint8)
-    lay_water(rng, image, depth, HALF_M, varied(draw_look(rng)), builder.sun)
+    water.lay_water(rng, image, depth, HALF_M, water.varied(draw_look(rng)), builder.sun)
     # A shadow takes the sun from the water's body but leaves the mirrored sky.
     dim = (0.35 + 0.65 * light) / (0.35 + 0.65 * light.max())
     shade = cv2.resize((255.0 * dim[::-1]).astype(np.uint8), (TEXELS, TEXELS))
@@ -355,11 +343,11 @@ def _spread_water(builder: SceneBuilder, level_m: float, depth: Float32) -> None
     fill_texture(spec.texture("water"), image)
 
 
-def draw_look(rng: np.random.Generator) -> WaterLook:
+def draw_look(rng: np.random.Generator) -> water.WaterLook:
     """Returns the look of blue, green or grey water with waves of some metres."""
     colours = np.array([[18.0, 66.0, 96.0], [22.0, 80.0, 84.0], [46.0, 76.0, 88.0]])
     red, green, blue = rng.dirichlet(np.ones(3)) @ colours
-    return WaterLook(
+    return water.WaterLook(
         body=(red, green, blue),
         clarity_m=(0.7, 1.5, 1.4),
         wave_m=float(rng.uniform(2.5, 5.0)),

@@ -8,23 +8,15 @@ from itertools import pairwise
 import numpy as np
 
 from touchdown.scenes.api import Array
+from touchdown.scenes.authoring import relief
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import Canvas, Ground, mown_askew
 from touchdown.scenes.authoring.plane import pick, unit, unit_circle
-from touchdown.scenes.authoring.plots import Plot, claim_area, scatter
-from touchdown.scenes.authoring.relief import (
-    NODES,
-    HeightField,
-    Mound,
-    Pad,
-    level_pads,
-    level_takeoff,
-    natural_ground,
-    raise_mounds,
-)
+from touchdown.scenes.authoring.plots import Plot, SurveyFrame, claim_area, scatter
 from touchdown.scenes.authoring.streets import trace_crack
+from touchdown.scenes.props import street
 from touchdown.scenes.props.cars import add_car_models, park_car
 from touchdown.scenes.props.garden import SHED, add_table
 from touchdown.scenes.props.houses import House, add_house
@@ -43,22 +35,12 @@ from touchdown.scenes.props.pools import (
     kidney_outline,
     rectangle_outline,
 )
-from touchdown.scenes.props.street import (
-    add_bench,
-    add_bin,
-    add_fence,
-    add_lamp,
-    add_post,
-    add_wire,
-)
 
 Span = tuple[float, float]
 
-HALF_M = 64.0
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plan:
+class Plan(SurveyFrame):
     """All spans in ``frame`` coordinates, (first, last) metres; the car park lies towards +v."""
 
     frame: Plot
@@ -71,11 +53,9 @@ class Plan:
     """middle of the beach court"""
     house_u: float
     """middle of the service building"""
-    mounds: tuple[Mound, ...]
-    takeoff_xy_m: Array
-    takeoff_yaw: float
+    mounds: tuple[relief.Mound, ...]
 
-    def pads(self) -> list[Pad]:
+    def pads(self) -> list[relief.Pad]:
         (u0, u1), (v0, v1) = self.deck
         (p0, p1), (q0, q1) = self.pitch
         pad = self.frame.pad
@@ -120,7 +100,7 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     small_u = middle["leisure"] + (13.5 if order.index("leisure") < 1 else -13.5)
     small_u = float(np.clip(small_u, -34.0, 34.0))
     round_ = 2.4 * unit_circle(28) + [small_u, v - 10.6]
-    pools = (
+    basins = (
         Pool(plot=frame, outline_m=outlines["lanes"], lanes=lanes),
         Pool(plot=frame, outline_m=outlines["leisure"]),
         Pool(plot=frame, outline_m=outlines["covered"], covered=True),
@@ -129,11 +109,11 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     first = rng.uniform(-6.0, 1.0)
     takeoff = np.array([-25.0, -20.0]) + rng.uniform(-1.5, 1.5, 2)
     low = -28.0 + rng.uniform(-2.0, 2.0)
-    slope = Mound(centre_xy_m=frame.at(rng.uniform(-42.0, -36.0), rng.uniform(-8.0, -3.0)),
+    slope = relief.Mound(centre_xy_m=frame.at(rng.uniform(-42.0, -36.0), rng.uniform(-8.0, -3.0)),
                   height_m=rng.uniform(1.0, 1.5), radius_m=rng.uniform(4.0, 5.0))  # fmt: skip
     return Plan(
         frame=frame,
-        pools=pools,
+        pools=basins,
         deck=((-38.0, 38.0), (v - 9.0, v + 9.5)),
         pitch=((first, first + rng.uniform(34.0, 38.0)), (low, low + rng.uniform(20.0, 23.0))),
         pitch_ground=Ground.PITCH if rng.random() < 0.7 else Ground.CLAY,
@@ -145,14 +125,13 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     )
 
 
-def shape_ground(rng: np.random.Generator, plan: Plan) -> HeightField:
+def shape_ground(rng: np.random.Generator, plan: Plan) -> relief.HeightField:
     """Returns uneven lawns with level pads below all buildings; the take-off spot is at height
     0."""
-    terrain = HeightField(heights_m=natural_ground(rng, NODES, HALF_M), half_m=HALF_M)
-    xy = np.stack(terrain.node_grid(), axis=-1)
-    heights = terrain.heights_m + (0.35 - terrain.heights_m.mean())
-    heights = level_pads(raise_mounds(heights, xy, plan.mounds), xy, plan.pads())
-    return level_takeoff(heights, HALF_M, plan.takeoff_xy_m)
+    heights, xy = relief.natural_ground(rng)
+    heights = heights + (0.35 - heights.mean())
+    heights = relief.level_pads(relief.raise_mounds(heights, xy, plan.mounds), xy, plan.pads())
+    return relief.level_takeoff(heights, plan.takeoff_xy_m)
 
 
 Shades = list[tuple[str, str]]
@@ -175,9 +154,9 @@ def build_bath(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Shad
     for u in np.arange(u0 + 6.0, u1, 21.0):
         spot = frame.at(u + rng.uniform(-1.0, 1.0), v1 - 0.7)
         if builder.is_free(spot, 0.3):
-            add_lamp(builder, spot, frame.away + np.pi, 4.6)
+            street.add_lamp(builder, spot, frame.away + np.pi, 4.6)
     for u in (u0 + 3.0, u1 - 3.0):
-        add_bin(builder, frame.at(u, v0 + 0.9), [0.20, 0.42, 0.62, 1])
+        street.add_bin(builder, frame.at(u, v0 + 0.9), [0.20, 0.42, 0.62, 1])
 
 
 def _add_slide(builder: SceneBuilder, plan: Plan) -> None:
@@ -200,8 +179,7 @@ def _add_guards(builder: SceneBuilder, plan: Plan) -> None:
     for lane in range(lanes):
         v = low[1] + (lane + 0.5) * (high[1] - low[1]) / lanes
         spot = frame.at(float(high[0]) + 0.75, float(v))
-        z = builder.terrain.point(*spot)
-        builder.geom("block", SHED, box=[0.28, 0.26, 0.32], pos=[*spot, z + 0.3],
+        builder.geom("block", SHED, box=[0.28, 0.26, 0.32], pos=builder.on_ground(spot, 0.3),
                      heading=frame.angle, rgba=[0.92, 0.92, 0.9, 1])  # fmt: skip
         builder.claim(spot, 0.6)
     (u0, u1), (v0, _) = plan.deck
@@ -236,7 +214,7 @@ def _add_buildings(builder: SceneBuilder, plan: Plan) -> None:
         add_table(builder, frame.at(first + side * (3.0 + 3.4 * index), 38.0), frame.angle)
     for index, rgba in enumerate(([0.2, 0.4, 0.7, 1], [0.92, 0.9, 0.88, 1], [0.8, 0.2, 0.2, 1])):
         add_flag(builder, frame.at(u - side * (14.0 + 1.8 * index), 43.0), 6.5, rgba)
-    add_bench(builder, frame.at(u, 30.4), frame.away + np.pi)
+    street.add_bench(builder, frame.at(u, 30.4), frame.away + np.pi)
 
 
 def _add_loungers(builder: SceneBuilder, plan: Plan, shades: Shades) -> None:
@@ -293,14 +271,14 @@ def _furnish_pitch(builder: SceneBuilder, plan: Plan) -> None:
     add_net(builder, frame.at(across, v0 + 1.5), frame.at(across, v1 - 1.5), (0.3, 1.1))
     for u in (u0, u1):
         for v in (v0, v1):
-            add_post(builder, frame.at(u, v), 1.5, 0.02, [0.95, 0.85, 0.2, 1])
+            street.add_post(builder, frame.at(u, v), 1.5, 0.02, [0.95, 0.85, 0.2, 1])
     stakes = [frame.at(u, v1 + 1.2) for u in np.linspace(u0, u1, 6)]
     tops = [builder.on_ground(spot, 0.95) for spot in stakes]
     for spot in stakes:
-        add_post(builder, spot, 1.0, 0.03, [0.92, 0.92, 0.92, 1])
+        street.add_post(builder, spot, 1.0, 0.03, [0.92, 0.92, 0.92, 1])
         builder.claim(spot, 0.6)
     for first, second in pairwise(tops):
-        add_wire(builder, first, second, 0.015, [0.90, 0.88, 0.82, 1])
+        street.add_wire(builder, first, second, 0.015, [0.90, 0.88, 0.82, 1])
     claim_area(builder, frame, (u0, u1), (v0, v1))
 
 
@@ -319,7 +297,7 @@ def _fence_in(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
     frame, rng = plan.frame, builder.rng
     green = [0.24, 0.40, 0.30, 1]
     for first in (-56.0, -36.0, 12.0, 34.0):
-        add_fence(builder, frame.at(first, 46.0), frame.at(first + 20.0, 46.0), green)
+        street.add_fence(builder, frame.at(first, 46.0), frame.at(first + 20.0, 46.0), green)
     height = rng.uniform(1.5, 1.9)
     for u in (-56.5, 56.5):
         for v in (-56.0, -30.5, -5.0, 20.5):
@@ -352,12 +330,12 @@ def _dress_lawn(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Sha
         add_bush(builder, nursery, spot)
     (u0, u1), (v0, _) = plan.pitch
     for u in (u0 + 8.0, u1 - 8.0):
-        add_bench(builder, frame.at(u, v0 - 2.0), frame.away)
+        street.add_bench(builder, frame.at(u, v0 - 2.0), frame.away)
 
 
 def paint_all(rng: np.random.Generator, plan: Plan) -> Canvas:
     """Paints lawns, deck, buildings' paving, sports grounds with their lines, car park."""
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     frame = plan.frame
     (u0, u1), (v0, v1) = plan.deck
     canvas.fill(frame.rectangle((-90.0, 90.0), (46.5, 90.0)), Ground.LAWN)

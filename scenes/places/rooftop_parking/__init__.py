@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from touchdown.scenes.api import Float32, Image, MovingBody, Surface
+from touchdown.scenes.api import Array, Float32, Image, MovingBody, Surface
+from touchdown.scenes.authoring import relief, streets
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, scene_rng, start_scene
@@ -15,27 +17,9 @@ from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground, shade_grou
 from touchdown.scenes.authoring.light import bake_light
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import SQUARE, pick, rotated, unit_circle
-from touchdown.scenes.authoring.relief import (
-    NODES,
-    HeightField,
-    Pad,
-    level_pads,
-    natural_ground,
-    smoothstep,
-)
-from touchdown.scenes.authoring.streets import (
-    Street,
-    band,
-    lane_loop,
-    paint_dashes,
-    paint_street,
-    paint_wear,
-    place_street_kerb,
-    send_round,
-)
+from touchdown.scenes.authoring.plots import free_spots
 from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.places.rooftop_parking.deck import (
-    HALF_M,
     STREET_M,
     Plan,
     deck_heights,
@@ -50,7 +34,6 @@ from touchdown.scenes.props.plants import Nursery, add_bush, add_hedge, add_tree
 from touchdown.scenes.props.street import add_bench, add_lamp
 
 WALL = Surface(land_class="building", reflectivity=0.36)
-ROAD_DEPTH_M, GUTTER_M = 0.12, 0.45
 APRON_M = 2.0
 """Paved strip around the building."""
 
@@ -69,7 +52,7 @@ def draw_houses(rng: np.random.Generator, plan: Plan) -> list[House]:
             else (rng.uniform(9.0, 12.0), rng.uniform(7.6, 9.0), 2.8 * storeys)
         )
         angle = float(rng.choice([0.0, 0.5 * np.pi])) + rng.uniform(-0.03, 0.03)
-        spot = rng.uniform(-HALF_M + 8.0, HALF_M - 8.0, 2)
+        spot = rng.uniform(-relief.HALF_M + 8.0, relief.HALF_M - 8.0, 2)
         reach = 0.5 * float(np.hypot(size[0], size[1])) + 1.0
         near = min(float(s.kerb_distance(spot)) - s.pavement_m for s in plan.streets)
         outside = np.maximum(np.maximum(plan.low_xy_m - spot, spot - plan.high_xy_m), 0.0)
@@ -82,28 +65,27 @@ def draw_houses(rng: np.random.Generator, plan: Plan) -> list[House]:
     return houses
 
 
-def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> HeightField:
+def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> relief.HeightField:
     """Returns the ground around the building: level under it, streets a kerb's height below
     pavements."""
-    heights = 0.6 * natural_ground(rng, NODES, HALF_M)
+    heights, xy = relief.natural_ground(rng)
+    heights *= 0.6
     heights += 0.25 - heights.mean()
-    x, y = HeightField(heights_m=heights, half_m=HALF_M).node_grid()
-    xy = np.stack([x, y], axis=-1)
     pads = [
-        Pad(
+        relief.Pad(
             centre_xy_m=h.centre_xy_m, half_size_m=0.5 * np.array(h.size_m[:2]) + 1.5, angle=h.angle
         )
         for h in houses
     ]
-    heights = level_pads(heights, xy, pads)
+    heights = relief.level_pads(heights, xy, pads)
     outside = np.maximum(np.maximum(plan.low_xy_m - xy, xy - plan.high_xy_m), 0.0)
     apron = np.hypot(outside[..., 0], outside[..., 1])
-    heights = heights * smoothstep(APRON_M + 0.5, APRON_M + 4.0, apron)
+    heights = heights * relief.smoothstep(APRON_M + 0.5, APRON_M + 4.0, apron)
     kerb = np.min([street.kerb_distance(xy) for street in plan.streets], axis=0)
     corridor = plan.streets[0].pavement_m + 0.5
-    heights = heights * smoothstep(corridor, corridor + 4.0, kerb)
-    heights = heights - ROAD_DEPTH_M * smoothstep(0.0, GUTTER_M, -kerb)
-    return HeightField(heights_m=heights - plan.height_m, half_m=HALF_M)
+    heights = heights * relief.smoothstep(corridor, corridor + 4.0, kerb)
+    heights = heights - streets.roadway_depth(kerb)
+    return relief.HeightField(heights_m=heights - plan.height_m)
 
 
 # ---------------------------------------------------------------------------------------- texture
@@ -113,7 +95,7 @@ def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.G
     """Paints lawns, terraces, apron, pavements, streets with their markings."""
     plot = plan.plot()
     for _ in range(7):
-        middle, reach = rng.uniform(-HALF_M, HALF_M, 2), rng.uniform(4.0, 13.0)
+        middle, reach = rng.uniform(-relief.HALF_M, relief.HALF_M, 2), rng.uniform(4.0, 13.0)
         edge = unit_circle(28) * (1.0 + 0.25 * np.sin(3.0 * np.linspace(0.0, 6.28, 28)))[:, None]
         canvas.fill(middle + reach * edge, Ground.MEADOW if rng.random() < 0.7 else Ground.WORN)
     for house in houses:
@@ -133,22 +115,24 @@ def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.G
     y0, y1 = sorted((float(plan.centre[1]), float(along_x.point(0.5 * along_x.length_m, 0.0)[1])))
     canvas.fill(plot.rectangle((gate - 3.2, gate + 3.2), (y0, y1)), Ground.PAVERS)
     for street in plan.streets:
-        paint_street(canvas, street, pavement=Ground.PAVEMENT)
+        streets.paint_street(canvas, street, pavement=Ground.PAVEMENT)
     for street in plan.streets:
-        paint_street(canvas, street)
+        streets.paint_street(canvas, street)
     for street in plan.streets:
-        paint_wear(canvas, street, rng, 0.0)
+        streets.paint_wear(canvas, street, rng, 0.0)
     for street, other in ((along_x, along_y), (along_y, along_x)):
         cross = crossing_m(street, other)
-        paint_dashes(canvas, street, 0.0, cross - 9.0)
-        paint_dashes(canvas, street, cross + 9.0, street.length_m)
+        streets.paint_dashes(canvas, street, 0.0, cross - 9.0)
+        streets.paint_dashes(canvas, street, cross + 9.0, street.length_m)
         for sign in (-1.0, 1.0):
             start = cross + sign * (0.5 * STREET_M + 2.6)
             for across in np.arange(-0.5 * STREET_M + 0.5, 0.5 * STREET_M - 0.6, 1.0):
-                canvas.mark(band(street, (start, start + sign * 3.0), (across, across + 0.5)))
+                canvas.mark(
+                    streets.band(street, (start, start + sign * 3.0), (across, across + 0.5))
+                )
 
 
-def crossing_m(street: Street, other: Street) -> float:
+def crossing_m(street: streets.Street, other: streets.Street) -> float:
     """Metres along ``street`` to the point nearest to ``other``."""
     stations = np.arange(0.0, street.length_m, 0.5)
     points = np.array([street.point(float(s), 0.0) for s in stations])
@@ -212,7 +196,7 @@ def furnish_town(
             if street is along_x:
                 gate = _gate_x(plan) - float(street.line_m[0][0])
                 openings.append((gate - 3.4, gate + 3.4))
-            place_street_kerb(builder, street, side, openings, 0.02)
+            streets.place_street_kerb(builder, street, side, openings, 0.02)
             # Cars are parked where none drive.
             _line_street(builder, street, side, gap, models if street is along_x else [])
     _plant(builder, plan, nursery)
@@ -220,7 +204,11 @@ def furnish_town(
 
 
 def _line_street(
-    builder: SceneBuilder, street: Street, side: float, gap: tuple[float, float], models: Models
+    builder: SceneBuilder,
+    street: streets.Street,
+    side: float,
+    gap: tuple[float, float],
+    models: Models,
 ) -> None:
     """Adds lamps on one side, cars at the other kerb, where there are ``models``."""
     rng = builder.rng
@@ -230,11 +218,11 @@ def _line_street(
             continue
         if side > 0:
             spot = street.point(float(along), 0.5 * street.width_m + 0.6)
-            if np.abs(spot).max() < HALF_M - 1.0 and builder.is_free(spot, 0.3):
+            if np.abs(spot).max() < relief.HALF_M - 1.0 and builder.is_free(spot, 0.3):
                 add_lamp(builder, spot, heading - 0.5 * np.pi)
         elif models and rng.random() < 0.55:
             spot = street.point(float(along), -0.5 * street.width_m + 1.05)
-            if np.abs(spot).max() < HALF_M - 4.0 and builder.is_free(spot, 1.0):
+            if np.abs(spot).max() < relief.HALF_M - 4.0 and builder.is_free(spot, 1.0):
                 park_car(builder, pick(rng, models), spot, heading)
 
 
@@ -245,30 +233,31 @@ def _plant(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
     for start, end in (((x0, y0 + 2.0), (x0, y0 + 16.0)), ((x1, y1 - 16.0), (x1, y1 - 2.0))):
         if all(float(s.kerb_distance(np.array(start))) > s.pavement_m + 1.0 for s in plan.streets):
             add_hedge(builder, nursery, np.array(start), np.array(end), 1.1)
-    for kind, count, gap in (("tree", 21, 2.4), ("bush", 14, 1.0), ("bench", 3, 1.4)):
-        placed = 0
-        for _ in range(20 * count):
-            spot = rng.uniform(-HALF_M + 3.0, HALF_M - 3.0, 2)
+
+    def spots(count: int, gap_m: float) -> Iterator[Array]:
+        """Beside streets and building."""
+
+        def clear(spot: Array) -> bool:
             away = min(float(s.kerb_distance(spot)) - s.pavement_m for s in plan.streets)
             outside = np.maximum(np.maximum(plan.low_xy_m - spot, spot - plan.high_xy_m), 0.0)
-            clear = float(np.hypot(*outside)) > APRON_M + gap and away > gap
-            if placed == count or not clear or not builder.is_free(spot, gap):
-                continue
-            placed += 1
-            if kind == "tree":
-                add_tree(builder, nursery, spot, rng.uniform(0.8, 1.3))
-            elif kind == "bush":
-                add_bush(builder, nursery, spot)
-            else:
-                add_bench(builder, spot, rng.uniform(0.0, 2.0 * np.pi))
+            return float(np.hypot(*outside)) > APRON_M + gap_m and away > gap_m
+
+        return free_spots(builder, count, 20 * count, relief.HALF_M - 3.0, gap_m, clear)
+
+    for spot in spots(21, 2.4):
+        add_tree(builder, nursery, spot, rng.uniform(0.8, 1.3))
+    for spot in spots(14, 1.0):
+        add_bush(builder, nursery, spot)
+    for spot in spots(3, 1.4):
+        add_bench(builder, spot, rng.uniform(0.0, 2.0 * np.pi))
 
 
-def _drive(builder: SceneBuilder, street: Street, models: Models) -> tuple[MovingBody, ...]:
+def _drive(builder: SceneBuilder, street: streets.Street, models: Models) -> tuple[MovingBody, ...]:
     """Two or three cars that go to the end of a street and come back."""
     rng = builder.rng
-    path = lane_loop(builder, street, 14.0, street.length_m - 14.0)
+    path = streets.lane_loop(builder, street, 14.0, street.length_m - 14.0)
     chosen = [pick(rng, models)[:2] for _ in range(int(rng.integers(2, 4)))]
-    return send_round(builder, path, chosen, CAR_SURFACE, float(rng.uniform(5.0, 9.0)))
+    return streets.send_round(builder, path, chosen, CAR_SURFACE, float(rng.uniform(5.0, 9.0)))
 
 
 def generate(seed: int) -> SceneDraft:
@@ -278,7 +267,7 @@ def generate(seed: int) -> SceneDraft:
     houses = draw_houses(rng, plan)
     ground = shape_town(rng, plan, houses)
     # Objects stand on the deck where there is one: one height field holds both.
-    both = HeightField(heights_m=deck_heights(rng, plan, ground), half_m=HALF_M)
+    both = relief.HeightField(heights_m=deck_heights(rng, plan, ground))
     builder = start_scene("rooftop_parking", rng, ground, support=both)
     nursery = plant_nursery(builder)
     models = add_car_models(builder, 8)
@@ -286,7 +275,7 @@ def generate(seed: int) -> SceneDraft:
     moving = furnish_town(builder, plan, houses, nursery, models)
     below = len(builder.casters)
     furnish_deck(builder, plan, models)
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     paint_town(canvas, plan, houses, rng)
     paint_deck(canvas, plan, rng)
     light = _light(builder, below, plan, ground)
@@ -300,16 +289,16 @@ def generate(seed: int) -> SceneDraft:
     return finish(plan, builder, canvas.raster("terrain"), moving=moving)
 
 
-def _light(builder: SceneBuilder, below: int, plan: Plan, ground: HeightField) -> Float32:
+def _light(builder: SceneBuilder, below: int, plan: Plan, ground: relief.HeightField) -> Float32:
     """Light on the ground and, over the building, on the deck, (n, n), row 0 at y_min: the first
     ``below`` casters stand on the ground, the others on the deck."""
     pixels = TEXELS // 2
     casters, sun = builder.casters, builder.sun
     light = bake_light(casters[:below], ground, sun, pixels, 0.50)
     on_deck = bake_light(casters[below:], builder.terrain, sun, pixels, 0.50)
-    per_m = pixels / (2.0 * HALF_M)
+    per_m = pixels / (2.0 * relief.HALF_M)
     (c0, r0), (c1, r1) = (
-        np.round((corner + HALF_M) * per_m).astype(int)
+        np.round((corner + relief.HALF_M) * per_m).astype(int)
         for corner in (plan.low_xy_m, plan.high_xy_m)
     )
     light[r0:r1, c0:c1] = on_deck[r0:r1, c0:c1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,12 @@ from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import pick, unit_circle
-from touchdown.scenes.authoring.plots import Plot
-from touchdown.scenes.authoring.relief import HeightField
+from touchdown.scenes.authoring.plots import Plot, SurveyFrame
+from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.authoring.streets import Street, smooth_line
 from touchdown.scenes.props.cars import Models, park_car
 from touchdown.scenes.props.street import STEEL, add_lamp
 
-HALF_M = 64.0
 NODE_M = 2.0 / 3.0
 """Node spacing of ground and deck; three of it are 80 texels."""
 STOREY_M = 2.9
@@ -55,7 +54,7 @@ class Ramp:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plan:
+class Plan(SurveyFrame):
     """The deck's rectangle lies on nodes of the terrain. Rows of bays along x; y from the south:
     bays, aisle, two rows of bays, aisle, bays, and a strip with the ramp and the stair house."""
 
@@ -67,8 +66,6 @@ class Plan:
     stairs_x_m: float
     streets: tuple[Street, Street]
     """along x, along y"""
-    takeoff_xy_m: Array
-    takeoff_yaw: float
 
     @property
     def centre(self) -> Array:
@@ -142,7 +139,7 @@ def draw_plan(rng: np.random.Generator) -> Plan:
                 ramp=ramp, stairs_x_m=stairs, streets=(streets[0], streets[1]),
                 takeoff_xy_m=np.zeros(2), takeoff_yaw=float(rng.uniform(-0.10, 0.10)))  # fmt: skip
     spot = np.array([-24.0 + rng.uniform(-2.0, 2.0), plan.aisles()[0]])
-    return Plan(**{**{f: getattr(plan, f) for f in Plan.__slots__}, "takeoff_xy_m": spot})
+    return replace(plan, takeoff_xy_m=spot)
 
 
 def _on_node(value: float) -> float:
@@ -170,7 +167,7 @@ def deck_heights(rng: np.random.Generator, plan: Plan, terrain: HeightField) -> 
     nearest = np.min([np.abs(y - aisle) for aisle in plan.aisles()], axis=0)
     uneven = 0.004 * fractal_noise(rng, x.shape, 3.0 / NODE_M, 3)
     deck = FALL * np.minimum(nearest, 9.0) + uneven - plan.ramp.depth(xy)
-    level = HeightField(heights_m=deck, half_m=HALF_M).at(plan.takeoff_xy_m)
+    level = HeightField(heights_m=deck).at(plan.takeoff_xy_m)
     return np.where(plan.inside(xy), deck - level, terrain.heights_m)
 
 

@@ -5,33 +5,15 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from touchdown.scenes.authoring import micro_relief
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
-from touchdown.scenes.authoring.micro_relief import (
-    OVAL,
-    SKIS,
-    SLEDGE,
-    MicroRelief,
-    footprints,
-    parallel,
-    placed,
-    runners,
-    vehicle_track,
-    wander,
-)
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import unit
-from touchdown.scenes.authoring.relief import HeightField
+from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.authoring.water import upsample
-from touchdown.scenes.places.snow.layout import (
-    HALF_M,
-    Plan,
-    Relief,
-    draw_plan,
-    sastrugi,
-    shape_snow,
-)
+from touchdown.scenes.places.snow import layout
 from touchdown.scenes.places.snow.objects import SNOW, lay_ice, place_objects
 
 SUN_DEG = (26.0, 40.0)
@@ -40,8 +22,8 @@ SUN_DEG = (26.0, 40.0)
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = scene_rng("snow", seed)
-    plan = draw_plan(rng)
-    relief = shape_snow(rng, plan)
+    plan = layout.draw_plan(rng)
+    relief = layout.shape_snow(rng, plan)
     builder = start_scene("snow", rng, relief.terrain, sun_deg=SUN_DEG)
     place_objects(builder, plan, relief)
     lay_ice(builder, plan, relief)
@@ -55,17 +37,19 @@ def generate(seed: int) -> SceneDraft:
     return finish(plan, builder, ground, terrain=SNOW)
 
 
-def fine_relief(rng: np.random.Generator, plan: Plan, relief: Relief) -> MicroRelief:
+def fine_relief(
+    rng: np.random.Generator, plan: layout.Plan, relief: layout.Relief
+) -> micro_relief.MicroRelief:
     """Returns the relief that the nodes cannot hold: small ridges along the wind where it has cut,
     faint ripples elsewhere."""
-    fine = MicroRelief(half_m=HALF_M)
+    fine = micro_relief.MicroRelief(half_m=HALF_M)
     size = TEXELS // 2
     small = 1024
     axis = (np.arange(small) + 0.5) / small * 2.0 * HALF_M - HALF_M
     xy = np.stack(np.meshgrid(axis, axis), axis=-1)
     cut = upsample(relief.sastrugi, small)
     dry = np.clip(upsample(relief.pond_m, small), 0.0, 1.0)
-    ridges = (0.006 + 0.020 * cut) * sastrugi(rng, plan, xy, 0.85)
+    ridges = (0.006 + 0.020 * cut) * layout.sastrugi(rng, plan, xy, 0.85)
     heights = (dry * ridges).astype(np.float32)
     fine.drifts_m[:] = cv2.resize(heights, (size, size), interpolation=cv2.INTER_CUBIC)
     grain = fractal_noise(rng, (size, size), 5.0, 2, 0.6)
@@ -75,47 +59,65 @@ def fine_relief(rng: np.random.Generator, plan: Plan, relief: Relief) -> MicroRe
 
 
 def paint_tracks(
-    rng: np.random.Generator, canvas: Canvas, fine: MicroRelief, plan: Plan, relief: Relief
+    rng: np.random.Generator,
+    canvas: Canvas,
+    fine: micro_relief.MicroRelief,
+    plan: layout.Plan,
+    relief: layout.Relief,
 ) -> None:
     """Draws a vehicle's track past the hut, skis across the field, sledges down the hill, and the
     walkers between hut, pond, hill and take-off."""
-    plot = plan.middle
+    plot = plan.from_middle
     lane = rng.uniform(26.0, 29.0)
     ends = plot.points(np.array([[-75.0, lane + rng.uniform(-6.0, 6.0)], [75.0, lane + 5.0]]))
-    vehicle_track(rng, canvas, fine, wander(rng, ends, 2.5), Ground.PACKED_SNOW)
+    micro_relief.vehicle_track(
+        rng, canvas, fine, micro_relief.wander(rng, ends, 2.5), Ground.PACKED_SNOW
+    )
     for _ in range(3):
         tilt = rng.uniform(-25.0, 25.0)
         start = rng.uniform(-30.0, 30.0)
         cross = np.array([[start, -75.0], [start + tilt, 75.0]])
         cross = cross if rng.random() < 0.5 else np.array([[-75.0, start], [75.0, start + tilt]])
-        line = wander(rng, plot.points(0.75 * cross), 4.0)
-        runners(canvas, fine, line, SKIS, Ground.PACKED_SNOW)
+        line = micro_relief.wander(rng, plot.points(0.75 * cross), 4.0)
+        micro_relief.runners(canvas, fine, line, micro_relief.SKIS, Ground.PACKED_SNOW)
         for side in (-0.42, 0.42):  # pole marks
-            for spot in parallel(line, side)[:: int(rng.integers(16, 24))]:
-                fine.press(spot + 0.05 * OVAL, 0.03)
+            for spot in micro_relief.parallel(line, side)[:: int(rng.integers(16, 24))]:
+                fine.press(spot + 0.05 * micro_relief.OVAL, 0.03)
     for _ in range(int(rng.integers(3, 6))):
         angle = rng.uniform(0.0, 2.0 * np.pi)
         way = unit(angle)
         run = np.array([plan.hill_xy_m + 0.5 * way, plan.hill_xy_m + rng.uniform(15.0, 20.0) * way])
-        runners(canvas, fine, wander(rng, run, 0.6), SLEDGE, Ground.PACKED_SNOW)
+        micro_relief.runners(
+            canvas,
+            fine,
+            micro_relief.wander(rng, run, 0.6),
+            micro_relief.SLEDGE,
+            Ground.PACKED_SNOW,
+        )
         back = np.array([run[1] + rng.uniform(-2.0, 2.0, 2), plan.hill_xy_m])
-        footprints(rng, canvas, fine, wander(rng, back, 1.0), Ground.PACKED_SNOW)
+        micro_relief.footprints(
+            rng, canvas, fine, micro_relief.wander(rng, back, 1.0), Ground.PACKED_SNOW
+        )
     shore = plan.pond_xy_m + 1.2 * (plan.hut_xy_m - plan.pond_xy_m) * (
         plan.pond_radius_m / np.hypot(*(plan.hut_xy_m - plan.pond_xy_m))
     )
-    door = plan.hut_xy_m + placed(np.zeros(2), plan.hut_angle, np.array([0.0, -3.0]))
+    door = plan.hut_xy_m + micro_relief.placed(np.zeros(2), plan.hut_angle, np.array([0.0, -3.0]))
     bearing = rng.uniform(-0.2, 0.2) + plan.takeoff_yaw
     beside = plan.takeoff_xy_m + 5.0 * unit(bearing)
     for origin, end, sway in (
         (door, shore, 1.2), (door, shore, 2.0), (door, plan.hill_xy_m, 2.5), (shore, beside, 2.0),
         (door, plot.points(np.array([-5.0, 60.0])), 2.0),
     ):  # fmt: skip
-        line = wander(rng, np.array([origin, end]), sway)
-        footprints(rng, canvas, fine, line, Ground.PACKED_SNOW)
+        line = micro_relief.wander(rng, np.array([origin, end]), sway)
+        micro_relief.footprints(rng, canvas, fine, line, Ground.PACKED_SNOW)
 
 
 def paint_ice(
-    rng: np.random.Generator, canvas: Canvas, fine: MicroRelief, plan: Plan, relief: Relief
+    rng: np.random.Generator,
+    canvas: Canvas,
+    fine: micro_relief.MicroRelief,
+    plan: layout.Plan,
+    relief: layout.Relief,
 ) -> None:
     """Paints the wind-swept ice with its cracks; wisps of snow too narrow to land on cross it."""
     size = TEXELS // 2

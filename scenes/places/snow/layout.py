@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import unit
-from touchdown.scenes.authoring.plots import Plot, draw_frame
-from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep
+from touchdown.scenes.authoring.plots import SurveyFrame, draw_frame
+from touchdown.scenes.authoring.relief import HALF_M, HeightField, level_takeoff, smoothstep
 
-HALF_M = 64.0
 _GRID = 512
 NODES = 321
 SASTRUGI_M = (0.10, 0.16)
@@ -22,13 +21,9 @@ decimetres in nature."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plan:
+class Plan(SurveyFrame):
     """Spots in world metres."""
 
-    takeoff_xy_m: Array
-    takeoff_yaw: float
-    middle: Plot
-    """coordinates from the survey's middle, the first along the take-off heading"""
     wind_angle: float
     """radians, the way the wind blew"""
     pond_xy_m: Array
@@ -89,7 +84,6 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     return Plan(
         takeoff_xy_m=frame.takeoff_xy_m,
         takeoff_yaw=frame.takeoff_yaw,
-        middle=middle,
         wind_angle=wind,
         pond_xy_m=middle.points(pond),
         pond_radius_m=float(rng.uniform(7.5, 9.5)),
@@ -195,6 +189,6 @@ def shape_snow(rng: np.random.Generator, plan: Plan) -> Relief:
     bank = ice + 0.10 * smoothstep(0.0, 0.5, pond) + 0.05 * np.maximum(pond, 0.0)
     into = smoothstep(0.0, 7.0, pond)
     heights = np.where(pond > 0.0, (1.0 - into) * bank + into * heights, ice)
-    level = float(HeightField(heights_m=heights, half_m=HALF_M).at(plan.takeoff_xy_m))
-    terrain = level_takeoff(heights, HALF_M, plan.takeoff_xy_m)
+    level = float(HeightField(heights_m=heights).at(plan.takeoff_xy_m))
+    terrain = level_takeoff(heights, plan.takeoff_xy_m)
     return Relief(terrain=terrain, pond_m=pond, ice_m=ice - level, sastrugi=cut)

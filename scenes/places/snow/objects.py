@@ -12,22 +12,17 @@ from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
 from touchdown.scenes.authoring.meshes import blob
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import draw_heading, pick, rotated, unit, unit_ball
+from touchdown.scenes.authoring.relief import HALF_M
 from touchdown.scenes.authoring.textures import Colour, hedge_or_soil_tint, to_texture
-from touchdown.scenes.places.snow.layout import HALF_M, Plan, Relief
+from touchdown.scenes.places.snow.layout import (
+    Plan,
+    Relief,
+)
+from touchdown.scenes.props import woods
 from touchdown.scenes.props.houses import House, HouseLooks, add_house
 from touchdown.scenes.props.plants import ROCK
 from touchdown.scenes.props.stonework import add_log_pile
 from touchdown.scenes.props.street import add_bench, add_fence
-from touchdown.scenes.props.woods import (
-    Wood,
-    add_conifer,
-    add_sapling,
-    add_shrub,
-    bark,
-    grow_conifers,
-    grow_shrubs,
-    needles,
-)
 
 CAP = Surface(land_class="other", reflectivity=0.87)
 POLE = Surface(land_class="other", reflectivity=0.35)
@@ -52,20 +47,20 @@ def laden(rng: np.random.Generator, image: Image, fraction: float) -> Image:
     return to_texture((dark + cover[..., None] * (white - dark)).astype(np.float32))
 
 
-def grow_winter_wood(builder: SceneBuilder) -> Wood:
+def grow_winter_wood(builder: SceneBuilder) -> woods.Wood:
     """Adds snow-laden conifers from young to 12 m, and bushes, for the functions of
     `scenes.props.woods`."""
     rng = builder.rng
-    wood = Wood()
+    wood = woods.Wood()
     for index, base in enumerate(_GREENS):
-        green = needles(rng, hedge_or_soil_tint(rng, base, 0.08))
+        green = woods.needles(rng, hedge_or_soil_tint(rng, base, 0.08))
         image = laden(rng, green, float(rng.uniform(0.60, 0.78)))
         wood.needles.append(builder.material(f"trees_needles_{index}", image))
-    twigs = needles(rng, hedge_or_soil_tint(rng, (96.0, 80.0, 66.0), 0.08))
+    twigs = woods.needles(rng, hedge_or_soil_tint(rng, (96.0, 80.0, 66.0), 0.08))
     wood.leaves.append(builder.material("trees_twigs", laden(rng, twigs, 0.55)))
-    wood.bark = builder.material("wood_bark", bark(rng, (92.0, 78.0, 66.0)))
-    grow_conifers(builder, wood, (5.0, 7.0, 9.0, 11.0, 12.5), (1.3, 2.4), (0.19, 0.23))
-    grow_shrubs(builder, wood, (0.5, 0.8), 0.7, 1.4)
+    wood.bark = builder.material("wood_bark", woods.bark(rng, (92.0, 78.0, 66.0)))
+    woods.grow_conifers(builder, wood, (5.0, 7.0, 9.0, 11.0, 12.5), (1.3, 2.4), (0.19, 0.23))
+    woods.grow_shrubs(builder, wood, (0.5, 0.8), 0.7, 1.4)
     return wood
 
 
@@ -128,7 +123,7 @@ _GREY_WOOD = [0.40, 0.34, 0.29, 1.0]
 def place_objects(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
     """Adds everything that stands in the snow."""
     rng = builder.rng
-    plot = plan.middle
+    plot = plan.from_middle
     builder.claim(plan.takeoff_xy_m, 7.0)
     builder.claim(plan.pond_xy_m, 1.25 * plan.pond_radius_m)
     builder.claim(plan.hill_xy_m, 9.0)
@@ -199,20 +194,20 @@ def _snow_roof(rng: np.random.Generator) -> NDArray[np.uint8]:
     return to_texture(image.astype(np.float32))
 
 
-def _place_trees(builder: SceneBuilder, plan: Plan, wood: Wood) -> None:
+def _place_trees(builder: SceneBuilder, plan: Plan, wood: woods.Wood) -> None:
     """Clumps of conifers, most of them around the survey, a few single ones in it."""
     rng = builder.rng
-    plot = plan.middle
+    plot = plan.from_middle
 
     def plant(spot: Array) -> None:
         if np.abs(spot).max() > HALF_M - 2.5 or not builder.is_free(spot, 1.6):
             return
         if rng.random() < 0.24:
-            add_sapling(builder, wood, spot)
+            woods.add_sapling(builder, wood, spot)
             builder.claim(spot, 1.2)
             return
         crown = pick(rng, wood.conifers)
-        add_conifer(builder, wood, spot, crown, pick(rng, wood.needles))
+        woods.add_conifer(builder, wood, spot, crown, pick(rng, wood.needles))
         builder.claim(spot, 0.75 * crown.radius_m)
 
     for _ in range(15):
@@ -226,7 +221,7 @@ def _place_trees(builder: SceneBuilder, plan: Plan, wood: Wood) -> None:
     for _ in range(14):
         spot = plot.points(rng.uniform([-45.0, -40.0], [45.0, 40.0]))
         if np.abs(spot).max() < HALF_M - 2.0 and builder.is_free(spot, 1.0):
-            add_shrub(builder, wood, spot)
+            woods.add_shrub(builder, wood, spot)
             builder.claim(spot, 1.0)
 
 

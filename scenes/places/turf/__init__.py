@@ -6,21 +6,19 @@ import numpy as np
 from scipy import ndimage
 
 from touchdown.scenes.api import Array, Float32
+from touchdown.scenes.authoring import generation
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.authoring.generation import (
-    Flood,
-    finish,
-    paint_terrain,
-    scene_rng,
-    start_scene,
-)
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.plots import SurveyFrame, draw_frame
-from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep
+from touchdown.scenes.authoring.relief import HALF_M, HeightField, level_takeoff, smoothstep
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.turf.airfield import Airfield
 from touchdown.scenes.places.turf.golf import Golf
-from touchdown.scenes.places.turf.layout import HALF_M, Turf, plant_edge, undulation
+from touchdown.scenes.places.turf.layout import (
+    Turf,
+    plant_edge,
+    undulation,
+)
 from touchdown.scenes.places.turf.pitch import Pitch
 from touchdown.scenes.props.woods import grow_wood
 
@@ -30,22 +28,22 @@ EDGE_TREES = 42
 
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
-    rng = scene_rng("turf", seed)
+    rng = generation.scene_rng("turf", seed)
     frame = draw_frame(rng)
     turf = draw_turf(seed, rng, frame)
     terrain, depth = shape_ground(rng, frame, turf)
-    builder = start_scene("turf", rng, terrain)
+    builder = generation.start_scene("turf", rng, terrain)
     wood = grow_wood(builder)
     builder.claim(frame.takeoff_xy_m, 5.0)
     turf.build(builder, wood)
     plant_edge(builder, wood, turf, EDGE_TREES)
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     turf.paint(canvas, rng)
     wet = upsample(depth, TEXELS // 2)
     soak(canvas, wet)
-    flood = Flood(depth_m=wet, draw_look=lambda _: POND)
-    ground = paint_terrain(builder, canvas, stripe_angles(rng, frame), flood=flood)
-    return finish(frame, builder, ground)
+    flood = generation.Flood(depth_m=wet, draw_look=lambda _: POND)
+    ground = generation.paint_terrain(builder, canvas, stripe_angles(rng, frame), flood=flood)
+    return generation.finish(frame, builder, ground)
 
 
 def draw_turf(seed: int, rng: np.random.Generator, frame: SurveyFrame) -> Turf:
@@ -60,11 +58,11 @@ def shape_ground(
     """Returns the terrain, level water included, and the water's depth at its nodes (N, N),
     negative on land. The height at the take-off spot is 0."""
     heights = undulation(rng, float(rng.uniform(0.40, 0.60)))
-    xy = np.stack(HeightField(heights_m=heights, half_m=HALF_M).node_grid(), axis=-1)
+    xy = np.stack(HeightField(heights_m=heights).node_grid(), axis=-1)
     heights = turf.shape(heights, xy)
     depth = turf.pools(xy)
     heights = level_pools(heights, depth)
-    return level_takeoff(heights, HALF_M, frame.takeoff_xy_m), depth
+    return level_takeoff(heights, frame.takeoff_xy_m), depth
 
 
 def level_pools(heights: Array, depth: Array) -> Array:

@@ -7,19 +7,16 @@ from itertools import pairwise
 import numpy as np
 
 from touchdown.scenes.api import Array, Surface
+from touchdown.scenes.authoring import relief
 from touchdown.scenes.authoring.builder import SceneBuilder, turned
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.meshes import MeshData, polygon
 from touchdown.scenes.authoring.plane import draw_heading, unit
 from touchdown.scenes.authoring.plots import Plot, SurveyFrame
-from touchdown.scenes.authoring.relief import (
-    Ditch,
-    dig_ditches,
-    level_pads,
-    segment_distance,
-    smoothstep,
+from touchdown.scenes.places.turf.layout import (
+    furnish_path,
+    stroke,
 )
-from touchdown.scenes.places.turf.layout import HALF_M, furnish_path, stroke
 from touchdown.scenes.props.garden import add_table
 from touchdown.scenes.props.houses import House, add_house
 from touchdown.scenes.props.street import add_fence, add_lamp, add_post
@@ -48,7 +45,7 @@ class Airfield:
         self.apron_u = float(rng.uniform(-26.0, 4.0))
         self.hangar_v = 37.0
         ends = self.plot.at(-95.0, -34.0), self.plot.at(95.0, -37.0)
-        self.ditch = Ditch(start_xy_m=ends[0], end_xy_m=ends[1],
+        self.ditch = relief.Ditch(start_xy_m=ends[0], end_xy_m=ends[1],
                            depth_m=float(rng.uniform(0.6, 0.9)), half_width_m=2.1)  # fmt: skip
         self.puddle = np.array([rng.uniform(-20.0, 25.0), rng.uniform(8.0, 14.0)])
         self.phase = draw_heading(rng)
@@ -67,9 +64,9 @@ class Airfield:
         uv = self.plot.coordinates(xy)
         across = np.abs(uv[..., 1] - self.runway_v)
         strip = 0.35 * heights
-        heights = strip + (heights - strip) * smoothstep(self.half_width, 26.0, across)
+        heights = strip + (heights - strip) * relief.smoothstep(self.half_width, 26.0, across)
         apron = self.plot.pad(self.apron_u + 6.0, self.hangar_v - 4.0, (21.0, 11.0), 6.0)
-        return dig_ditches(level_pads(heights, xy, [apron]), xy, [self.ditch])
+        return relief.dig_ditches(relief.level_pads(heights, xy, [apron]), xy, [self.ditch])
 
     def pools(self, xy: Array) -> Array:
         rel = self.plot.coordinates(xy) - self.puddle
@@ -83,7 +80,7 @@ class Airfield:
         apron = np.maximum(np.abs(uv[..., 0] - self.apron_u - 6.0) - 24.0,
                            np.abs(uv[..., 1] - self.hangar_v) - 13.0)  # fmt: skip
         between = np.maximum(uv[..., 1] - 40.0, -30.0 - uv[..., 1])
-        ditch = segment_distance(xy_m, self.ditch.start_xy_m, self.ditch.end_xy_m) - 1.0
+        ditch = relief.segment_distance(xy_m, self.ditch.start_xy_m, self.ditch.end_xy_m) - 1.0
         return np.minimum.reduce([strip, apron, np.maximum(between, 0.0), ditch])
 
     def paint(self, canvas: Canvas, rng: np.random.Generator) -> None:
@@ -144,9 +141,8 @@ class Airfield:
         for house in (self.hangar, self.clubhouse):
             builder.claim(house.centre_xy_m, 9.0)
         door = plot.at(self.apron_u, self.hangar_v - 5.56)
-        z = builder.terrain.point(*door)
         builder.geom("building_door", MARKER, box=[5.6, 0.06, 1.6], rgba=[0.42, 0.46, 0.50, 1],
-                     pos=[*door, z + 1.6], heading=plot.angle)  # fmt: skip
+                     pos=builder.on_ground(door, 1.6), heading=plot.angle)  # fmt: skip
         spots = rng.permutation(4)
         for index in range(int(rng.integers(2, 4))):
             u = self.apron_u - 8.0 + 12.5 * index
@@ -162,7 +158,7 @@ class Airfield:
                      plot.angle - 0.5 * np.pi, 6.0)  # fmt: skip
         for u in (-50.0, -25.0, 0.0, 25.0):
             ends = plot.at(u, self.hangar_v + 13.5), plot.at(u + 24.6, self.hangar_v + 13.5)
-            if all((np.abs(end) < HALF_M - 1.0).all() for end in ends):
+            if all((np.abs(end) < relief.HALF_M - 1.0).all() for end in ends):
                 add_fence(builder, *ends, [0.50, 0.40, 0.30, 1])
         furnish_path(builder, self.path, plot.angle - 0.5 * np.pi, lamps=False)
 

@@ -11,8 +11,11 @@ from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.meshes import box
 from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.plots import Plot, SurveyFrame
-from touchdown.scenes.authoring.relief import smoothstep
-from touchdown.scenes.places.turf.layout import HALF_M, furnish_path, plant_one
+from touchdown.scenes.authoring.relief import HALF_M, smoothstep
+from touchdown.scenes.places.turf.layout import (
+    furnish_path,
+    plant_one,
+)
 from touchdown.scenes.props.plants import add_rock
 from touchdown.scenes.props.street import WOOD, add_bench, add_bin, add_post
 from touchdown.scenes.props.woods import Wood

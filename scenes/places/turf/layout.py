@@ -13,11 +13,10 @@ from touchdown.scenes.authoring.ground import Canvas
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import pick, unit
 from touchdown.scenes.authoring.plots import Plot
-from touchdown.scenes.authoring.relief import NODES
+from touchdown.scenes.authoring.relief import HALF_M, NODES
 from touchdown.scenes.props.street import add_bench, add_bin, add_lamp
 from touchdown.scenes.props.woods import TRUNKS_M, Wood, add_broadleaf, add_conifer, add_shrub
 
-HALF_M = 64.0
 LINE_M = 0.12
 
 

@@ -144,9 +144,8 @@ class Pitch:
         """A mast of 13 m with a row of lamps that look at the middle."""
         add_post(builder, xy_m, 13.0, 0.14, [0.62, 0.64, 0.66, 1])
         heading = float(np.arctan2(*(self.plot.origin_xy_m - xy_m)[::-1]))
-        z = builder.terrain.point(*xy_m)
         for level in (12.2, 12.9):
-            at = np.array([*xy_m, z + level])
+            at = builder.on_ground(xy_m, level)
             builder.geom("floodlight", STEEL, box=[0.10, 1.15, 0.24],
                          rgba=[0.86, 0.87, 0.86, 1], pos=at, heading=heading)  # fmt: skip
             builder.cast_box((0.1, 1.15), (-0.24, 0.24), heading, at)
@@ -192,9 +191,8 @@ class Pitch:
         tints = ([0.90, 0.88, 0.84, 1], self.tint, [0.92, 0.78, 0.22, 1], [0.2, 0.3, 0.5, 1])
         for v in np.linspace(-15.0, 15.0, 6):
             spot = self.plot.at(sign * (self.half[0] + 3.6), v)
-            z = builder.terrain.point(*spot)
             tint = pick(builder.rng, tints)
-            at = np.array([*spot, z + 0.45])
+            at = builder.on_ground(spot, 0.45)
             builder.geom("board", WOOD, box=[0.04, 2.4, 0.45], rgba=tint,
                          pos=at, heading=self.plot.angle)  # fmt: skip
             builder.cast_box((0.04, 2.4), (-0.45, 0.45), self.plot.angle, at)
