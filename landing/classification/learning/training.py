@@ -27,12 +27,8 @@ from touchdown.landing.classification.learning.augment import (
     textured,
     weathered,
 )
-from touchdown.landing.classification.learning.teaching import Teachers, taught
-from touchdown.landing.classification.networks.registry import (
-    FIXED_SIZE,
-    build_network,
-    check_network,
-)
+from touchdown.landing.classification.learning.ensemble import Teachers, taught
+from touchdown.landing.classification.networks.registry import build_network, check_network
 
 Progress = Callable[[int, int, str], None]
 TEXTURES = "textures"
@@ -51,8 +47,6 @@ the written file only, or the images, which are compared themselves"""
 _WEIGHT_DECAY, _LABEL_SMOOTHING = 0.05, 0.05
 _TAUGHT = 0.7
 """weight of the teachers' probabilities in the targets (chosen, not fitted)"""
-_SIZES, _SIZE_STEP = 4, 16
-"""number of sizes of growing images, and the number of pixels that a size is a multiple of"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,9 +56,6 @@ class TrainParams:
     network: str = "resnet50_cbam"
     labels: str = "d_land"
     image_size: int = 96
-    first_size: int | None = None
-    """side of the images of the first epochs, which grow to ``image_size`` (Tan and Le, ICML 2021,
-    section 4.2); None: the same for all epochs"""
     epochs: int = 30
     batch_size: int = 64
     learning_rate: float = 1e-3
@@ -80,7 +71,7 @@ class TrainParams:
     weather: float = 0.0
     """fraction of `augment.weathered`, relative to its own"""
     teachers: tuple[str, ...] = ()
-    """files of networks or ensembles, whose mean is learnt, too (`teaching.Teachers`)"""
+    """files of networks or ensembles, whose mean is learnt, too (`ensemble.Teachers`)"""
     frozen: int = 0
     """first layers of the network that keep their initial weights"""
     left_out: tuple[str, ...] = ()
@@ -137,7 +128,6 @@ class Trainer:
         """``start``: folder of another training of this network, or a network's file, with the
         initial weights."""
         check_network(params.network, params.image_size)
-        check_growth(params)
         self.params, self._train, self._val = params, train, val
         self._folder, self._device = folder, device
         files = [Path(name) for name in params.teachers]
@@ -179,9 +169,7 @@ class Trainer:
         done = len(self.history)
         if done >= self.params.epochs:
             return True
-        # images that still grow make the network better at what it is validated on
-        grown = size_of_epoch(self.params, done) == self.params.image_size
-        return grown and done - 1 - self.best_epoch >= self.params.patience
+        return done - 1 - self.best_epoch >= self.params.patience
 
     def write(self) -> None:
         """Writes the checkpoint: all that the next epoch and the result depend on."""
@@ -262,9 +250,6 @@ class Trainer:
         if self.params.teachers:
             given = self._teachers.probabilities(images)
             targets = taught(targets, labels >= 0, given, _TAUGHT)
-        size = size_of_epoch(self.params, step // self.steps)
-        if size < images.shape[-1]:
-            images = functional.interpolate(images, size=(size, size), mode="area")
         with _autocast(self._device, self.params.network):
             loss = functional.cross_entropy(
                 self.network(normalised(images)), targets, label_smoothing=_LABEL_SMOOTHING
@@ -300,32 +285,6 @@ class Trainer:
     def _key(self, name: str, epoch: int) -> int:
         sequence = np.random.SeedSequence([self.params.seed, crc32(name.encode()), epoch])
         return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
-
-
-def check_growth(params: TrainParams) -> None:
-    """Raises ValueError where ``first_size`` is too large, too small for the network, or where the
-    network sees images of one size only."""
-    first = params.first_size
-    if first is None:
-        return
-    if first > params.image_size:
-        raise ValueError(
-            f"first_size {first} is more than image_size {params.image_size}: images grow"
-        )
-    if params.network in FIXED_SIZE:
-        raise ValueError(f"{params.network} sees images of one size only: leave out first_size")
-    check_network(params.network, first)
-
-
-def size_of_epoch(params: TrainParams, epoch: int) -> int:
-    """Returns the side of the images of an epoch (from 0): equally many epochs for each of a few
-    sizes from ``first_size`` to ``image_size``."""
-    if params.first_size is None:
-        return params.image_size
-    stage = min(_SIZES * epoch // params.epochs, _SIZES - 1)
-    span = params.image_size - params.first_size
-    size = params.first_size + span * stage / (_SIZES - 1)
-    return min(params.image_size, max(params.first_size, _SIZE_STEP * round(size / _SIZE_STEP)))
 
 
 def schedule(step: int, steps: int) -> float:

@@ -27,8 +27,6 @@ PRETRAINED = ("efficientnet_lite0",)
 _SMALLEST = {"inception_v4": 75}
 """image size below which a convolution without padding has no input left"""
 _SMALLEST_OF_OTHERS = 32
-FIXED_SIZE = ("vgg19",)
-"""networks whose linear layers fit one image size only"""
 
 NETWORKS = tuple(_BUILDERS)
 

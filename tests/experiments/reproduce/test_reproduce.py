@@ -188,19 +188,17 @@ def test_photographs_train_every_network_until_it_has_converged(
     assert "photographs of pictures alone" in text and "22 of 22 trainings converged" in text
 
 
-def test_vgg19_learns_more_slowly_and_sees_one_size(tmp_path: Path) -> None:
+def test_vgg19_learns_more_slowly(tmp_path: Path) -> None:
     found = {one.network: one.options for one in _trainings(tmp_path, plans.PHOTOGRAPHS, ())}
-    assert found["vgg19"]["learning_rate"] == 2e-4 and found["vgg19"]["first_size"] is None
-    assert "learning_rate" not in found["resnet50"] and found["resnet50"]["first_size"] == 48
+    assert found["vgg19"]["learning_rate"] == 2e-4
+    assert "learning_rate" not in found["resnet50"]
 
 
 def test_every_network_of_every_edition_can_see_its_images(tmp_path: Path) -> None:
-    training = pytest.importorskip("touchdown.landing.classification.learning.training")
     for edition in (plans.QUICK, plans.WHOLE, plans.WHOLE_ON_GPU):
         for size in (edition.recognition, edition.photographs):
             for one in _trainings(tmp_path, size, ()):
                 check_network(one.network, one.options["image_size"])
-                training.check_growth(training.TrainParams(**one.options))
 
 
 @pytest.mark.usefixtures("no_report")

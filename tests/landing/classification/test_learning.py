@@ -45,32 +45,11 @@ def test_learning_rate_rises_and_falls(torch: Any) -> None:
     assert schedule(52, 100) == pytest.approx(0.5, abs=0.01) and schedule(99, 100) < 1e-3
 
 
-def test_pictures_grow(torch: Any) -> None:
-    from touchdown.landing.classification.learning.training import (
-        TrainParams,
-        check_growth,
-        size_of_epoch,
-    )
-
-    params = TrainParams(image_size=96, first_size=48, epochs=8)
-    check_growth(params)
-    sizes = [size_of_epoch(params, epoch) for epoch in range(8)]
-    assert sizes == [48, 48, 64, 64, 80, 80, 96, 96]
-    assert {size_of_epoch(TrainParams(epochs=8), epoch) for epoch in range(8)} == {96}
-    for wrong, message in (
-        ({"first_size": 128}, "is more than image_size 96"),
-        ({"first_size": 48, "network": "inception_v4"}, "at least 75 pixels, not 48"),
-        ({"first_size": 48, "network": "vgg19"}, "one size only"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            check_growth(TrainParams(**wrong))
-
-
 def test_a_stopped_training_ends_as_one_that_was_not(torch: Any, tmp_path: Path) -> None:
     from touchdown.landing.classification.learning.training import Trainer, TrainParams
 
     plan: Any = {
-        "network": "mobilenet_v3_large", "image_size": 48, "first_size": 32, "epochs": 3, "seed": 4,
+        "network": "mobilenet_v3_large", "image_size": 48, "epochs": 3, "seed": 4,
     }  # fmt: skip
     params = TrainParams(**plan, batch_size=12)
     train, val, cpu = coloured(36, 1, 48), coloured(12, 2, 48), torch.device("cpu")
@@ -262,7 +241,7 @@ SECOND = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.4, 0.1])
 
 def test_teachers_give_the_mean_of_their_scores_without_costs(torch: Any, tmp_path: Path) -> None:
     """Scores of white light are the sum of those of three colours."""
-    from touchdown.landing.classification.learning.teaching import Teachers
+    from touchdown.landing.classification.learning.ensemble import Teachers
 
     files = [
         write_colour_network(
@@ -279,7 +258,7 @@ def test_teachers_give_the_mean_of_their_scores_without_costs(torch: Any, tmp_pa
 
 
 def test_only_images_of_a_class_are_taught(torch: Any) -> None:
-    from touchdown.landing.classification.learning.teaching import taught
+    from touchdown.landing.classification.learning.ensemble import taught
 
     targets = torch.tensor([[1.0, 0.0], [0.5, 0.5]])
     given = torch.tensor([[0.2, 0.8], [0.0, 1.0]])
