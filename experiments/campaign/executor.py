@@ -23,10 +23,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
-from touchdown.experiments.campaign.guard import SUPERVISOR
 from touchdown.experiments.campaign.plan import Limits
 from touchdown.experiments.campaign.worker import Failure, Task
-from touchdown.experiments.external.processes import descendants, memory_bytes
+from touchdown.experiments.external.processes import (
+    descendants,
+    guarded,
+    memory_bytes,
+    resident_bytes,
+)
 from touchdown.experiments.flight.platform import rendering_backend
 
 Event = dict[str, Any]
@@ -63,10 +67,7 @@ _END_S = 15.0
 """Time for the guard to end what an estimator started."""
 _START_UP_S = 300.0
 """Time for a worker to load what it needs, on a machine that is busy."""
-_COMMAND = (
-    sys.executable, "-P", "-m", "touchdown.experiments.campaign.guard",
-    sys.executable, "-P", "-c", "from touchdown.experiments.campaign.worker import serve; serve()",
-)  # fmt: skip
+_SERVE = "from touchdown.experiments.campaign.worker import serve; serve()"
 
 
 class Engine(Protocol):
@@ -145,12 +146,13 @@ class Supervisor:
         self._runs = 0
         self._connection, theirs = multiprocessing.Pipe()
         path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+        command, environment = guarded([sys.executable, "-P", "-c", _SERVE])
         self._guard = subprocess.Popen(
-            _COMMAND,
+            command,
             stdin=theirs.fileno(),
             stdout=self._log,
             stderr=self._log,
-            env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": path, SUPERVISOR: str(os.getpid())},
+            env={**environment, **SINGLE_THREAD, "PYTHONPATH": path},
             start_new_session=True,  # Ctrl-C is for the parent
         )
         theirs.close()
@@ -174,8 +176,8 @@ class Supervisor:
                 return self._death(self._guard)
             if time.monotonic() - since > limit_s:
                 return Failure("time", f"took longer than {limit_s:g} s")
-            limit = self._limits.memory_gb * 1e9
-            if memory_bytes(descendants(self._guard.pid), limit) > limit:
+            pids, limit = descendants(self._guard.pid), self._limits.memory_gb * 1e9
+            if resident_bytes(pids) > limit and memory_bytes(pids) > limit:
                 return Failure("memory", f"took more than {self._limits.memory_gb:g} GB of memory")
         return None
 

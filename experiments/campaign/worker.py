@@ -2,7 +2,7 @@
 
 A worker takes tasks from a `multiprocessing` connection in the place of its stdin and answers each
 with the row of the run, or with a failure. It is started by a guard
-(`touchdown.experiments.campaign.guard`) on the same machine, and ends with it.
+(`touchdown.experiments.external.processes`) on the same machine, and ends with it.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.campaign.guard import SUPERVISOR
 from touchdown.experiments.campaign.plan import config_for, config_sha
 from touchdown.experiments.campaign.results_table import make_row
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.processes import (
+    SUPERVISOR,
     adopt_orphans,
     descendants,
     memory_bytes,

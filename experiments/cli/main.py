@@ -23,7 +23,7 @@ from touchdown.experiments.cli.common import (
     interrupt_code,
 )
 from touchdown.experiments.errors import UsageError, system_message, visible
-from touchdown.experiments.external.command_process import run_in_child, runs_external_code
+from touchdown.experiments.external.processes import run_in_child, runs_external_code
 from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_backend, rendering_fault
 from touchdown.experiments.terminal import end_progress, error_line, warning_line
 

@@ -1,6 +1,8 @@
-"""Processes that an estimator starts: found in whatever session they are, measured, ended.
+"""Processes of code that is not ours: measured, guarded, and ended with all that they start.
 
-Linux only; elsewhere ``descendants`` needs no more than psutil, and orphans are not adopted.
+A guard is the parent of every process that its program leaves behind, in whatever session, so that
+none outlives the program. It is a small process of its own (``python -m`` this module), or the
+process of a command, whose copy runs code that may end it without a word.
 """
 
 from __future__ import annotations
@@ -8,46 +10,69 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
-import math
 import os
+import re
+import resource
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-from touchdown.sim.files.child import prctl
+import psutil
 
+from touchdown.sim.files.child import die_with_parent, prctl
+
+SUPERVISOR = "TOUCHDOWN_SUPERVISOR"
+"""environment variable: the process whose end a guard, or a worker, does not survive"""
 _PR_SET_CHILD_SUBREAPER = 36
-_END_TIMEOUT_S = 10.0
-_PAUSE_S = 0.01
+_END_TIMEOUT_S, _PAUSE_S = 10.0, 0.01
+_SIGNAL_TIMEOUT_S = 20
+"""After a signal a command may take this long for its end."""
+_COMMANDS = ("fly", "land", "check-estimator", "check-plugin")
+_PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def adopt_orphans() -> None:
     """Makes this process the parent of all its descendants whose own parent has ended, so that none
-    of them gets out of sight, not even in a session of its own."""
+    of them gets out of sight, not even in a session of its own. On Linux alone."""
     prctl(_PR_SET_CHILD_SUBREAPER, 1)
 
 
 def descendants(pid: int) -> list[int]:
     """Process ids of the children of ``pid``, of theirs and so on, without those that have ended
     and wait to be collected. A process that is started meanwhile may be missing."""
-    found, waiting = [], [pid]
-    while waiting:
-        children = _children(waiting.pop())
-        waiting += children
-        found += [child for child in children if not _is_zombie(child)]
+    found = []
+    with contextlib.suppress(psutil.Error):
+        for child in psutil.Process(pid).children(recursive=True):
+            with contextlib.suppress(psutil.Error):
+                found += [child.pid] if child.status() != psutil.STATUS_ZOMBIE else []
     return found
 
 
-def memory_bytes(pids: list[int], enough: float = math.inf) -> float:
-    """Memory of processes together, bytes: their anonymous and shared pages. Pages of mapped files
-    are left out: how many of them are resident depends on the system's page cache. Pages that the
-    processes share count once, which takes longer to find out: it is done where the plain sum
-    exceeds ``enough``."""
-    total = sum(map(_own_bytes, pids))
-    if total <= enough or len(pids) == 1:
-        return total
-    return min(total, sum(map(_proportional_bytes, pids)))
+def memory_bytes(pids: Sequence[int]) -> float:
+    """Memory of processes together, bytes: their anonymous and shared pages, those that they share
+    counted once. Pages of mapped files are left out: how many of them are resident depends on the
+    system's page cache."""
+    total = 0.0
+    for pid in pids:
+        try:
+            text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+            total += sum(1024.0 * int(kb) for kb in re.findall(r"Pss_(?:Anon|Shmem): *(\d+)", text))
+        except OSError:  # it has ended, or the system has no such file
+            total += resident_bytes([pid])
+    return total
+
+
+def resident_bytes(pids: Sequence[int]) -> float:
+    """At least `memory_bytes`, and quick: all resident pages of each process."""
+    total = 0.0
+    for pid in pids:
+        with contextlib.suppress(psutil.Error):
+            total += psutil.Process(pid).memory_info().rss
+    return total
 
 
 def release_memory() -> None:
@@ -67,17 +92,19 @@ def release_pages() -> None:
 
 def end_descendants(pid: int, keep: frozenset[int] = frozenset()) -> None:
     """Kills the descendants of ``pid`` except ``keep``, however they defend themselves, and returns
-    when none is left. Only those of this very process are collected."""
+    when none is left, or the kernel does not let go of them. Only those of this very process are
+    collected."""
     deadline = time.monotonic() + _END_TIMEOUT_S
     while left := [child for child in descendants(pid) if child not in keep]:
         for child in left:
             with contextlib.suppress(OSError):
                 os.kill(child, signal.SIGKILL)
         if time.monotonic() > deadline:
-            return  # the kernel does not let go of them
+            return
         time.sleep(_PAUSE_S)
-        if pid == os.getpid():
-            _collect(set(_children(pid)) - keep)
+        for child in left:
+            with contextlib.suppress(OSError):
+                os.waitpid(child, os.WNOHANG)
 
 
 @contextlib.contextmanager
@@ -91,67 +118,111 @@ def none_left() -> Iterator[None]:
         end_descendants(os.getpid(), keep=before)
 
 
-def _children(pid: int) -> list[int]:
-    try:
-        threads = os.listdir(f"/proc/{pid}/task")
-        texts = [Path(f"/proc/{pid}/task/{one}/children").read_text() for one in threads]
-    except OSError:
-        # The process or its thread has ended, or this kernel does not list children there.
-        return _children_by_psutil(pid)
-    return [int(word) for text in texts for word in text.split()]
+# ------------------------------------------------------------------------------- a guarded program
 
 
-def _children_by_psutil(pid: int) -> list[int]:
-    import psutil
-
-    try:
-        return [child.pid for child in psutil.Process(pid).children()]
-    except psutil.Error:
-        return []
+def guarded(program: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """Command and environment of a program under a guard that ends with this process."""
+    command = [sys.executable, "-P", "-m", __name__, *program]
+    return command, {**os.environ, SUPERVISOR: str(os.getpid())}
 
 
-def _is_zombie(pid: int) -> bool:
-    try:
-        state = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0]
-    except (OSError, IndexError):
-        return not Path("/proc/self/stat").exists()
-    return state in (b"Z", b"X")
+def guard(program: Sequence[str]) -> None:
+    """Starts a program on the same pipes and ends as it ends, by the same signal or exit code, when
+    no process of it is left. SIGTERM, or the end of the supervisor, ends them all at once."""
+    signal.signal(signal.SIGTERM, _end)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor decides
+    die_with_parent(int(os.environ.get(SUPERVISOR, os.getppid())), signal.SIGTERM)
+    adopt_orphans()
+    worker = subprocess.Popen(program, env={**os.environ, SUPERVISOR: str(os.getpid())})
+    for pipe in (0, 1):
+        os.close(pipe)  # they close when the worker's ends do
+    code = None
+    while code is None:
+        pid, status = os.waitpid(-1, 0)
+        if pid == worker.pid:
+            code = os.waitstatus_to_exitcode(status)
+    end_descendants(os.getpid())
+    if code < 0:
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        if code not in (-signal.SIGKILL, -signal.SIGSTOP):
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(code)
 
 
-def _own_bytes(pid: int) -> float:
-    found = _sizes(f"/proc/{pid}/status", "RssAnon", "RssShmem")
-    return _own_bytes_by_psutil(pid) if found is None else found
+def _end(_signal: int, _frame: Any) -> None:
+    end_descendants(os.getpid())
+    os._exit(128 + signal.SIGTERM)
 
 
-def _proportional_bytes(pid: int) -> float:
-    found = _sizes(f"/proc/{pid}/smaps_rollup", "Pss_Anon", "Pss_Shmem")
-    return _own_bytes(pid) if found is None else found
+# ------------------------------------------------------------------------------- a guarded command
 
 
-def _sizes(file: str, *names: str) -> float | None:
-    """Sum of the sizes of these names in a file of /proc, bytes; None where one is missing."""
-    try:
-        lines = Path(file).read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        return None
-    sizes = dict(line.split(":", 1) for line in lines if ":" in line)
-    if not all(name in sizes for name in names):
-        return None
-    return sum(1024.0 * int(sizes[name].split()[0]) for name in names)
+def runs_external_code(arguments: Sequence[str]) -> bool:
+    """True for a command that may build a part MODULE:FUNCTION."""
+    words = arguments[1:]
+    named = any(":" in word or word.startswith("--config") for word in words)
+    return bool(words) and arguments[0] in _COMMANDS and named
 
 
-def _own_bytes_by_psutil(pid: int) -> float:
-    """Where /proc does not tell kinds of pages apart: resident memory without what is shared."""
-    import psutil
+def run_in_child(command: Callable[[], int]) -> tuple[int, str]:
+    """Runs ``command`` in a copy of this process and returns its exit code, and the line to print
+    where the copy has ended before the command: the code is 1 then. In the copy the call returns,
+    too. SIGINT, SIGTERM and SIGHUP are passed on."""
+    reader, writer = os.pipe()
+    parent = os.getpid()
+    sys.stdout.flush()
+    signal.pthread_sigmask(signal.SIG_BLOCK, _PASSED_ON)  # until both can take them
+    adopt_orphans()  # before the copy can leave any
+    child = os.fork()
+    if child == 0:
+        os.close(reader)
+        os.setpgid(0, 0)  # Ctrl-C reaches it once, from its parent
+        die_with_parent(parent)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
+        try:
+            code = command()
+        except BaseException:
+            os.write(writer, b"1")  # of the program: it prints its traceback
+            raise
+        os.write(writer, str(code).encode())
+        return code, ""
+    os.close(writer)
+    signals = _pass_on(child)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _PASSED_ON)
+    ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    signal.alarm(0)
+    end_descendants(parent)
+    os.set_blocking(reader, False)  # what it has started may hold the other end
+    with contextlib.suppress(BlockingIOError):
+        if answer := os.read(reader, 8):
+            return int(answer), ""
+    if signals:
+        return 128 + signals[0], ""
+    how = f"exit code {ended}" if ended >= 0 else signal.Signals(-ended).name
+    return 1, (
+        f"the process ended in the middle ({how}): code of an external part has ended it, or "
+        "there was no memory left; a part answers or raises"
+    )
 
-    try:
-        memory = psutil.Process(pid).memory_info()
-    except psutil.Error:
-        return 0.0
-    return float(memory.rss - getattr(memory, "shared", 0))
+
+def _pass_on(child: int) -> list[int]:
+    """Passes signals on to ``child``, which is killed if it does not end then. Returns the list
+    that they are noted in."""
+    seen: list[int] = []
+
+    def pass_on(number: int, _frame: Any) -> None:
+        seen.append(number)
+        os.kill(child, number)
+        signal.alarm(_SIGNAL_TIMEOUT_S)
+
+    for number in _PASSED_ON:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, pass_on)
+    signal.signal(signal.SIGALRM, lambda _number, _frame: os.kill(child, signal.SIGKILL))
+    return seen
 
 
-def _collect(pids: set[int]) -> None:
-    for pid in pids:
-        with contextlib.suppress(OSError):
-            os.waitpid(pid, os.WNOHANG)
+if __name__ == "__main__":
+    guard(sys.argv[1:])

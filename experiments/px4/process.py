@@ -8,12 +8,12 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
 from touchdown.experiments.api import Px4Params
 from touchdown.experiments.errors import visible
+from touchdown.experiments.external.processes import guarded
 from touchdown.experiments.px4.link import Ports
 from touchdown.experiments.px4.messages import Px4Error
 
@@ -22,9 +22,7 @@ VARIABLE = "TOUCHDOWN_PX4"
 LOG_FILE, ULOG_FILE = "px4.log", "px4.ulg"
 _MODEL = "none_iris"
 """PX4's airframe for a quadrotor X of a simulator that it does not start itself"""
-_GUARD = "touchdown.experiments.campaign.guard"
-_SUPERVISOR = "TOUCHDOWN_SUPERVISOR"
-_PATIENCE_S = 5.0
+_END_TIMEOUT_S = 5.0
 _LOG_BYTES = 1 << 20
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _WARNING = re.compile(r"(?:WARN|ERROR)\s+\[(\w+)\] (.*)")
@@ -70,16 +68,16 @@ class Px4Process:
         (folder / "px4-rc.mavlink").write_text(
             f"mavlink start -x -u {ports.of_px4} -r 4000000 -m onboard -o {ports.own}\n"
         )
-        kept = {k: v for k, v in os.environ.items() if not k.startswith("PX4_")}
-        environment = kept | {
+        command, environment = guarded(
+            [str(program), "-d", "-i", str(ports.instance), str(scripts)]
+        )
+        environment = {k: v for k, v in environment.items() if not k.startswith("PX4_")} | {
             "PATH": f"{folder.resolve()}:{os.environ.get('PATH', os.defpath)}",
             "PX4_SIM_MODEL": _MODEL,
-            _SUPERVISOR: str(os.getpid()),
         }
-        command = [str(program), "-d", "-i", str(ports.instance), str(scripts)]
         with open(folder / LOG_FILE, "wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", _GUARD, *command],
+                command,
                 cwd=folder,
                 env=environment,
                 stdin=subprocess.DEVNULL,
@@ -115,7 +113,7 @@ class Px4Process:
             with contextlib.suppress(ProcessLookupError):
                 self._process.send_signal(number)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(_PATIENCE_S)
+                self._process.wait(_END_TIMEOUT_S)
                 break
         if keep_in is not None:
             (keep_in / LOG_FILE).write_text(self._log(), encoding="utf-8")

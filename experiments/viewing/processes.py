@@ -15,8 +15,8 @@ from urllib.parse import quote, urlsplit
 
 import click
 
-from touchdown.experiments.campaign import guard
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.external.processes import guarded
 from touchdown.experiments.flight.platform import has_display
 
 LOCALHOST = "127.0.0.1"
@@ -150,11 +150,8 @@ def run_viewer(command: list[str]) -> int:
 
 
 def _start(command: list[str]) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", guard.__name__, *command],
-        env={**os.environ, guard.SUPERVISOR: str(os.getpid())},
-        start_new_session=True,
-    )
+    program, environment = guarded(command)
+    return subprocess.Popen(program, env=environment, start_new_session=True)
 
 
 def _end_group(viewer: subprocess.Popen[bytes]) -> None:

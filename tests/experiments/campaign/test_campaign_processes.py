@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.campaign.results_table import load_rows
-from touchdown.experiments.external import processes
 from touchdown.experiments.external.processes import memory_bytes
 
 from support.campaign_fakes import PAGE, SIZE, mapped_file, started
@@ -91,12 +90,6 @@ def test_a_run_that_hangs_leaves_no_process(tmp_path: Path) -> None:
     pytest.fail("none of them started")
 
 
-def test_memory_is_known_where_kinds_of_pages_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    by_kind = memory_bytes([os.getpid()])
-    monkeypatch.setattr(processes, "_sizes", lambda *_: None)
-    assert memory_bytes([os.getpid()]) == pytest.approx(by_kind, rel=0.1)
-
-
 def test_shared_pages_count_once_and_those_of_files_do_not() -> None:
     size, file = SIZE // 4, os.memfd_create("shared")
     os.truncate(file, size)
@@ -110,7 +103,7 @@ def test_shared_pages_count_once_and_those_of_files_do_not() -> None:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         )  # fmt: skip
         assert child.stdout and child.stdout.readline()
-        together = memory_bytes([os.getpid(), child.pid], enough=0.0)
+        together = memory_bytes([os.getpid(), child.pid])
         child.communicate(b"\n")
     os.close(file)
     assert together - before == pytest.approx(size, rel=0.2)

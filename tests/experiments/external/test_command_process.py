@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from touchdown.experiments.external.command_process import runs_external_code
+from touchdown.experiments.external.processes import runs_external_code
 
 PROGRAM = """
 import os, signal, sys, time
-from touchdown.experiments.external import command_process
-command_process._END_TIMEOUT_S = 1
+from touchdown.experiments.external import processes
+processes._SIGNAL_TIMEOUT_S = 1
 def command():
     exec(sys.argv[1])
     return 3
-code, fault = command_process.run_in_child(command)
+code, fault = processes.run_in_child(command)
 sys.stderr.write(fault)
 sys.exit(code)
 """
