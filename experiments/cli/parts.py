@@ -86,7 +86,7 @@ def _check(
     overrides: tuple[str, ...],
     as_json: bool,
 ) -> int:
-    from touchdown.experiments.external.examine import RULES
+    from touchdown.experiments.external.examination import RULES
     from touchdown.experiments.external.processes import none_left
     from touchdown.experiments.flight.platform import limit_threads
 

@@ -10,20 +10,14 @@ import copy
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate
-from touchdown.experiments.external.examination import (
-    Findings,
-    Kind,
-    Session,
-    attempt,
-    examine_as,
-)
+from touchdown.experiments.external.examination import Examined, Findings, attempt, examine_as
 from touchdown.experiments.external.examination import Violation as Violation
 from touchdown.experiments.external.loading import Build
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
@@ -41,6 +35,7 @@ TURN_RAD = 0.5
 """Turn of the synthetic flight, which distinguishes degrees from radians."""
 MOVED_M, MIN_FRACTION = 0.5, 0.25
 """Way of the vehicle from which on the estimator must have moved, and least fraction along it."""
+WINDOW_S, _STRIDE_S = 1.0, 0.1
 _GAP = (0.4, 0.75)
 """Part of the stream in which data is missing."""
 
@@ -71,27 +66,45 @@ def examine_estimator(
     if observations is not None and rig is None:
         raise ValueError("observations need the rig that recorded them")
     rig = rig or synthetic_rig()
-    start = functools.partial(Session, "estimator", build, rig, params or {})
-    needed: list[SensorNeeds] = []
+    start = functools.partial(Examined, "estimator", build, rig, params or {})
 
     @functools.cache
     def messages(needs: SensorNeeds) -> list[tuple[Observation, Array | None]]:
-        needed.append(needs)
         if observations is not None:
             return [(obs, true_position(obs.tick)) for obs in observations]
         stream = SyntheticStream(rig, needs, seconds, turn_rad=TURN_RAD)
         return [(obs, stream.true_pose(obs.tick).translation) for obs in stream]
 
-    findings = examine_as(Kind(lambda session: _follow(session, messages), CHECKS), start)
-    for needs in needed[:1] if "latency" in findings.figures else ():
-        for field, used in (("scans", needs.lidar), ("images", needs.camera_hz)):
-            if used:
-                stream = [obs for obs, _ in messages(needs)]
-                attempt(findings, start, functools.partial(_ask_without, field, stream))
+    def follow(part: Examined) -> Iterator[tuple[str, str]]:
+        steps = [
+            # It may use its arrays again.
+            Step(obs, copy.deepcopy(part.ask("update", obs, when=_when(obs))), true)
+            for obs, true in messages(part.inner.needs)
+        ]
+        if (ways := _ways(steps)) is not None:
+            part.figures["moved"] = _told(*ways)
+        for check in CHECKS:
+            yield check.__name__, check(steps)
+        yield "frames", frames(rig.world_from_body_start, steps[0].estimate)
+
+    def without(field: str, part: Examined) -> Iterator[tuple[str, str]]:
+        """A pass in the middle of which ``field`` of the observations is empty."""
+        stream = [obs for obs, _ in messages(part.inner.needs)]
+        first, last = (int(part_of * len(stream)) for part_of in _GAP)
+        for number, obs in enumerate(stream if any(getattr(o, field) for o in stream) else ()):
+            nothing: dict[str, Any] = {field: ()} if first <= number < last else {}
+            part.ask("update", dataclasses.replace(obs, **nothing), rule="missing data",
+                     when=f"without {field}, {_when(obs)},")  # fmt: skip
+        yield from ()
+
+    findings = examine_as(follow, start)
+    if "latency" in findings.figures:
+        for field in ("scans", "images"):
+            attempt(findings, start, functools.partial(without, field))
     return findings
 
 
-# --------------------------------------------------------------------------------- checks of motion
+# ------------------------------------------------------------------------------------------ checks
 
 
 class Step(NamedTuple):
@@ -102,34 +115,14 @@ class Step(NamedTuple):
     true: Array | None
 
 
-class Followed(NamedTuple):
-    """The take-off pose and all steps."""
-
-    start: Pose
-    steps: Sequence[Step]
-
-
-def _follow(session: Session, messages: Callable[[SensorNeeds], Any]) -> Followed:
-    steps = [
-        # It may use its arrays again.
-        Step(obs, copy.deepcopy(session.ask("update", obs, when=_when(obs))), true)
-        for obs, true in messages(session.part.needs)
-    ]
-    followed = Followed(session.rig.world_from_body_start, steps)
-    ways = _ways(steps)
-    if ways is not None:
-        session.figures["moved"] = _told(*ways)
-    return followed
-
-
 def _when(obs: Observation) -> str:
     return f"at {obs.time_s:.3f} s"
 
 
-def time(followed: Followed) -> str:
+def time(steps: Sequence[Step]) -> str:
     """An estimate is for the time of its observation, so that time never goes back."""
     last_s = -np.inf
-    for obs, estimate, _ in followed.steps:
+    for obs, estimate, _ in steps:
         if estimate.time_s < last_s:
             return (
                 f"{_when(obs)} after an estimate for {last_s:.3f} s came one for "
@@ -144,58 +137,54 @@ def time(followed: Followed) -> str:
     return ""
 
 
-def shapes(followed: Followed) -> str:
+def shapes(steps: Sequence[Step]) -> str:
     """Rotations are rotations, covariances symmetric and not negative; times of tracks ascend."""
-    for step in followed.steps:
-        if reason := _meaningless(step.estimate):
-            return f"{_when(step.obs)} {reason}"
+    for obs, estimate, _ in steps:
+        reason = ""
+        for name in ("odom_from_body", "world_from_odom"):
+            rotation = getattr(estimate, name).rotation
+            if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
+                reason = f"{name}.rotation is no rotation matrix"
+        for name in ("position_covariance", "rotation_covariance"):
+            matrix = getattr(estimate, name)
+            scale = float(np.abs(matrix).max())
+            if np.abs(matrix - matrix.T).max() > 1e-6 * scale:
+                reason = f"{name} is not symmetric"
+            elif np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
+                reason = f"{name} has a negative eigenvalue"
+        track = estimate.scan_track
+        if track is not None and np.any(np.diff(track.times_s) <= 0.0):
+            reason = "scan_track.times_s does not ascend"
+        if reason:
+            return f"{_when(obs)} {reason}"
     return ""
 
 
-def _meaningless(estimate: Estimate) -> str:
-    for name in ("odom_from_body", "world_from_odom"):
-        rotation = getattr(estimate, name).rotation
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
-            return f"{name}.rotation is no rotation matrix"
-    for name in ("position_covariance", "rotation_covariance"):
-        matrix = getattr(estimate, name)
-        scale = float(np.abs(matrix).max())
-        if np.abs(matrix - matrix.T).max() > 1e-6 * scale:
-            return f"{name} is not symmetric"
-        if np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
-            return f"{name} has a negative eigenvalue"
-    track = estimate.scan_track
-    if track is not None and np.any(np.diff(track.times_s) <= 0.0):
-        return "scan_track.times_s does not ascend"
-    return ""
-
-
-def finite(followed: Followed) -> str:
+def finite(steps: Sequence[Step]) -> str:
     """Diagnostics are finite, as all numbers are."""
-    for step in followed.steps:
-        for name, value in step.estimate.diagnostics.items():
+    for obs, estimate, _ in steps:
+        for name, value in estimate.diagnostics.items():
             if not np.all(np.isfinite(value)):
-                return f"{_when(step.obs)} diagnostics['{name}'] is not finite"
+                return f"{_when(obs)} diagnostics['{name}'] is not finite"
     return ""
 
 
-def frames(followed: Followed) -> str:
+def frames(start: Pose, first: Estimate) -> str:
     """The first estimate is near the take-off pose: world ENU, body FLU."""
-    for step in followed.steps[:1]:
-        distance, angle_deg = _between(followed.start, step.estimate.world_from_body)
-        if distance > START_DISTANCE_M:
-            return f"the first estimate is {distance:.1f} m from the take-off point"
-        if angle_deg > START_ANGLE_DEG:
-            return (
-                f"the first estimate is rotated by {angle_deg:.0f} degrees from the take-off "
-                "attitude; odom_from_body maps the body (x forward, y left, z up)"
-            )
+    distance, angle_deg = _between(start, first.world_from_body)
+    if distance > START_DISTANCE_M:
+        return f"the first estimate is {distance:.1f} m from the take-off point"
+    if angle_deg > START_ANGLE_DEG:
+        return (
+            f"the first estimate is rotated by {angle_deg:.0f} degrees from the take-off "
+            "attitude; odom_from_body maps the body (x forward, y left, z up)"
+        )
     return ""
 
 
-def continuity(followed: Followed) -> str:
+def continuity(steps: Sequence[Step]) -> str:
     """The pose odom_from_body does not jump."""
-    for before, now in itertools.pairwise(followed.steps):
+    for before, now in itertools.pairwise(steps):
         estimate = now.estimate
         distance, angle_deg = _between(before.estimate.odom_from_body, estimate.odom_from_body)
         step_s = now.obs.time_s - before.obs.time_s
@@ -209,9 +198,9 @@ def continuity(followed: Followed) -> str:
     return ""
 
 
-def motion(followed: Followed) -> str:
+def motion(steps: Sequence[Step]) -> str:
     """It moves with the vehicle: one that ignores every sensor is none."""
-    ways = _ways(followed.steps)
+    ways = _ways(steps)
     if ways is None:
         return ""
     estimated, true = ways
@@ -220,6 +209,54 @@ def motion(followed: Followed) -> str:
     if true_m < MOVED_M or along_m >= MIN_FRACTION * true_m:
         return ""
     return f"it does not move with the vehicle: it moved {_told(estimated, true)}"
+
+
+def twist(steps: Sequence[Step]) -> str:
+    """The fields velocity_odom and angular_velocity_body are those of odom_from_body.
+
+    Corrections move a pose without a velocity, so that one disagreement proves nothing: twist and
+    poses must agree in most seconds with motion."""
+    estimates = [step.estimate for step in steps]
+    times = np.array([step.obs.time_s for step in steps[1:]])
+    if len(times) == 0 or times[-1] - times[0] < WINDOW_S:
+        return ""
+    moved = [_moved(*pair) for pair in itertools.pairwise(estimates)]
+    sums = np.vstack([np.zeros(12), np.cumsum(moved, axis=0)])
+    starts = np.arange(times[0], times[-1] - WINDOW_S, _STRIDE_S)
+    windows = sums[np.searchsorted(times, starts + WINDOW_S)] - sums[np.searchsorted(times, starts)]
+    for first, names, unit, minimum, floor in (
+        (0, ("moved", "velocity_odom", "m/s, in the odom frame"), "m", 0.5, 0.3),
+        (6, ("rotated", "angular_velocity_body", "rad/s, in the body frame"), "degrees", 10.0, 5.0),
+    ):
+        by_poses, by_twist = windows[:, first : first + 3], windows[:, first + 3 : first + 6]
+        larger = np.maximum(*(np.linalg.norm(way, axis=1) for way in (by_poses, by_twist)))
+        off = np.linalg.norm(by_poses - by_twist, axis=1) - floor - 0.25 * larger
+        counts = larger > minimum
+        if counts.any() and np.mean(off[counts] > 0.0) > 0.5:
+            worst = int(np.argmax(np.where(counts, off, -np.inf)))
+            verb, field, meaning = names
+            return (
+                f"in the second from {starts[worst]:.1f} s odom_from_body {verb} by "
+                f"{_text(by_poses[worst])} {unit}, but {field} adds up to "
+                f"{_text(by_twist[worst])} {unit}; it is in {meaning}"
+            )
+    return ""
+
+
+CHECKS = (time, shapes, finite, continuity, twist, motion)
+"""Checks of what an estimator answers over a whole stream; the names are those of the rules."""
+
+
+def _moved(last: Estimate, now: Estimate) -> Array:
+    """(12,): the step of the position, m, and that of the velocity; the step of the attitude,
+    degrees, and that of the rates."""
+    step_s = now.time_s - last.time_s
+    moved = now.odom_from_body.translation - last.odom_from_body.translation
+    velocity = 0.5 * (last.velocity_odom + now.velocity_odom)
+    # Small rotations in the body frame add up to any total rotation.
+    rotation = so3_log(last.odom_from_body.rotation.T @ now.odom_from_body.rotation)
+    turn = np.rad2deg([rotation, now.angular_velocity_body * step_s])
+    return np.concatenate([moved, velocity * step_s, *turn])
 
 
 def _ways(steps: Sequence[Step]) -> tuple[Array, Array] | None:
@@ -250,98 +287,5 @@ def _between(first: Pose, second: Pose) -> tuple[float, float]:
     return distance, float(np.degrees(angle))
 
 
-# ------------------------------------------------------------------------------ twist against poses
-
-WINDOW_S = 1.0
-_STRIDE_S = 0.1
-
-
-class _Limits(NamedTuple):
-    """A window counts if pose or velocity gives at least ``least``; the two agree within ``floor``
-    plus ``fraction`` of the larger."""
-
-    minimum: float
-    floor: float
-    fraction: float = 0.25
-
-
-_POSITION = _Limits(minimum=0.5, floor=0.3)
-"""metres"""
-_ATTITUDE = _Limits(minimum=np.deg2rad(10.0), floor=np.deg2rad(5.0))
-"""radians"""
-
-
-def twist(followed: Followed) -> str:
-    """The fields velocity_odom and angular_velocity_body are those of odom_from_body.
-
-    Corrections move a pose without a velocity, so that one disagreement proves nothing: twist and
-    poses must agree in most seconds with motion."""
-    estimates = [step.estimate for step in followed.steps]
-    times = np.array([step.obs.time_s for step in followed.steps[1:]])
-    if len(times) == 0 or times[-1] - times[0] < WINDOW_S:
-        return ""
-    steps = [_moved(*pair) for pair in itertools.pairwise(estimates)]
-    sums = np.vstack([np.zeros(12), np.cumsum(steps, axis=0)])
-    starts = np.arange(times[0], times[-1] - WINDOW_S, _STRIDE_S)
-    first = np.searchsorted(times, starts)
-    windows = sums[np.searchsorted(times, starts + WINDOW_S)] - sums[first]
-    worst = _disagreement(windows[:, :3], windows[:, 3:6], _POSITION)
-    if worst is not None:
-        return (
-            f"in the second from {starts[worst]:.1f} s odom_from_body moved by "
-            f"{_text(windows[worst, :3])} m, but velocity_odom adds up to "
-            f"{_text(windows[worst, 3:6])} m; it is in m/s, in the odom frame"
-        )
-    worst = _disagreement(windows[:, 6:9], windows[:, 9:], _ATTITUDE)
-    if worst is not None:
-        rotated, summed = np.rad2deg(windows[worst, 6:9]), np.rad2deg(windows[worst, 9:])
-        return (
-            f"in the second from {starts[worst]:.1f} s odom_from_body rotated by {_text(rotated)} "
-            f"degrees, but angular_velocity_body adds up to {_text(summed)} degrees; it is in "
-            "rad/s, in the body frame"
-        )
-    return ""
-
-
-def _moved(last: Estimate, now: Estimate) -> Array:
-    """(12,): the steps of position and attitude, each with that of the velocities."""
-    step_s = now.time_s - last.time_s
-    moved = now.odom_from_body.translation - last.odom_from_body.translation
-    velocity = 0.5 * (last.velocity_odom + now.velocity_odom)
-    # Small rotations in the body frame add up to any total rotation.
-    rotation = so3_log(last.odom_from_body.rotation.T @ now.odom_from_body.rotation)
-    rates = now.angular_velocity_body
-    return np.concatenate([moved, velocity * step_s, rotation, rates * step_s])
-
-
-def _disagreement(moved: Array, summed: Array, limits: _Limits) -> int | None:
-    """Index of the largest difference of (N, 3) and (N, 3) if most windows that count disagree,
-    else None."""
-    larger = np.maximum(np.linalg.norm(moved, axis=1), np.linalg.norm(summed, axis=1))
-    off = np.linalg.norm(moved - summed, axis=1) - limits.floor - limits.fraction * larger
-    counts = larger > limits.minimum
-    if not counts.any() or np.mean(off[counts] > 0.0) <= 0.5:
-        return None
-    return int(np.argmax(np.where(counts, off, -np.inf)))
-
-
 def _text(vector: Array) -> str:
     return "(" + ", ".join(f"{value:.2f}" for value in vector) + ")"
-
-
-CHECKS: Mapping[str, Callable[[Followed], str]] = {
-    check.__name__: check for check in (time, shapes, finite, frames, continuity, twist, motion)
-}
-"""Checks of what an estimator answers over a whole stream, by rule."""
-
-
-# ------------------------------------------------------------------------------------- missing data
-
-
-def _ask_without(field: str, stream: Sequence[Observation], session: Session) -> None:
-    """Runs a pass in the middle of which ``field`` of the observations is empty."""
-    first, last = (int(part_of * len(stream)) for part_of in _GAP)
-    for number, obs in enumerate(stream):
-        nothing: dict[str, Any] = {field: ()} if first <= number < last else {}
-        session.ask("update", dataclasses.replace(obs, **nothing), rule="missing data",
-                    when=f"without {field}, {_when(obs)},")  # fmt: skip

@@ -1,9 +1,5 @@
 """The examination of external parts: a part is asked in the synthetic world as a flight asks it,
-and every rule that it breaks is noted.
-
-A kind of part has one function that asks it, and checks of what it answered, by rule. They run
-where every answer by itself is valid.
-"""
+and every rule that it breaks is noted. A kind of part has one function that asks it."""
 
 from __future__ import annotations
 
@@ -11,21 +7,27 @@ import io
 import itertools
 import pickle
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from touchdown.experiments.external.loading import Build
-from touchdown.experiments.external.wrapper import (
-    LONGEST_CALL_S,
-    BrokenRuleError,
-    ExternalPart,
-)
+from touchdown.experiments.external.wrapper import LONGEST_CALL_S, BrokenRuleError, ExternalPart
 
-Ask = Callable[["Session"], Any]
-"""asks the part of a session and returns what the checks look at"""
+_COMMON = frozenset({
+    "builds", "answers", "shapes", "finite", "inputs", "deterministic", "missing data", "latency",
+})  # fmt: skip
+RULES: Mapping[str, frozenset[str]] = {
+    "estimator": _COMMON | {"time", "frames", "continuity", "twist", "motion"},
+    "selector": _COMMON | {"terms", "order", "ground"},
+    "lander": _COMMON | {"continuity", "mission", "touchdown"},
+    "controller": _COMMON | {"steers", "limit", "stop"},
+    "mapper": _COMMON | {"heights", "version"},
+    "classifier": _COMMON | {"probabilities", "batch", "images"},
+}
+"""Names of the checked rules of each kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,32 +52,23 @@ class Findings:
     figures: dict[str, str] = field(default_factory=dict)
     """measured figures by name, as text"""
 
-    def note(self, rule: str, reason: str, error: BaseException | None = None) -> None:
+    def note(self, rule: str, reason: str, trace: str = "") -> None:
         """Notes a broken rule; the first reason of each counts."""
         if reason and not any(violation.rule == rule for violation in self.violations):
-            self.violations.append(Violation(rule, reason, _trace_of(error)))
+            self.violations.append(Violation(rule, reason, trace))
 
 
-class Kind(NamedTuple):
-    """How parts of a kind are examined: ``checks``, by rule, take what ``ask`` returns and give the
-    reason why a part breaks the rule, "" where none does."""
-
-    ask: Ask
-    checks: Mapping[str, Callable[[Any], str]]
-
-
-class Session:
-    """A new part, and what it is asked. Raises BrokenRuleError where it breaks a rule."""
+class Examined(ExternalPart):
+    """A new part, and what it has answered. Raises BrokenRuleError where it breaks a rule."""
 
     def __init__(self, kind: str, build: Build, rig: Any, params: Mapping[str, Any]) -> None:
-        self.kind, self.rig, self.figures = kind, rig, dict[str, str]()
+        super().__init__(kind, f"{build.__module__}:build", params, rig, build)
+        self.figures: dict[str, str] = {}
         self.answers: list[tuple[str, int]] = []
         """of each call when it was and a digest of the answer, equal for answers that are equal to
         the bit"""
         self.times_s: list[float] = []
         self._last: Any = None
-        self._part = ExternalPart(kind, f"{build.__module__}:build", params, rig, build)
-        self.part = self._part.inner
 
     def ask(
         self,
@@ -85,58 +78,57 @@ class Session:
         rule: str = "answers",
         compared: Callable[[Any], Any] = lambda answer: answer,
     ) -> Any:
-        """The answer of a call as `ExternalPart.ask` gives it. ``compared``: what of it is to
-        repeat."""
-        before = self._part.seconds
-        answer = self._part.ask(method, *arguments, when=when, rule=rule)
-        self.times_s.append(self._part.seconds - before)
+        """As `ExternalPart.ask`. ``compared``: what of the answer is to repeat."""
+        before = self.seconds
+        answer = super().ask(method, *arguments, when=when, rule=rule)
+        self.times_s.append(self.seconds - before)
         if answer is not self._last or not self.answers:
             self.answers.append((when or method, _digest(compared(answer))))
         self._last = answer
         return answer
 
 
-def examine_as(asking: Kind, start: Callable[[], Session]) -> Findings:
-    """The rules that a part breaks, its latency and other figures. ``start`` begins a session.
+Examiner = Callable[[Examined], Iterator[tuple[str, str]]]
+"""asks a part; gives rules, each with the reason why the part breaks it, "" where it does not"""
 
-    Two new parts are asked the same, the second with another state of NumPy's global random
-    numbers, and their answers compared."""
+
+def examine_as(examiner: Examiner, start: Callable[[], Examined]) -> Findings:
+    """The rules that a part breaks, its latency and other figures. ``start`` makes a new one.
+
+    Two are asked the same, the second with another state of NumPy's global random numbers, and
+    their answers compared."""
     findings = Findings()
-    sessions: list[Session] = []
-
-    def ask(session: Session) -> None:
-        sessions.append(session)
-        seen = asking.ask(session)
-        for rule, check in asking.checks.items() if len(sessions) == 1 else ():
-            findings.note(rule, check(seen))
-
-    if not attempt(findings, start, ask):
+    first = attempt(findings, start, examiner)
+    if first is None:
         return findings
-    first = sessions[0]
     text, reason = _latency(first.times_s, LONGEST_CALL_S[first.kind])
     findings.figures = {**first.figures, "latency": text}
     findings.note("latency", reason)
     state = np.random.get_state()  # noqa: NPY002  the one that two objects share by mistake
     np.random.seed(20240229)  # noqa: NPY002
     try:
-        attempt(findings, start, ask)
+        again = attempt(findings, start, examiner)
     finally:
         np.random.set_state(state)  # noqa: NPY002
-    for one, other in itertools.zip_longest(first.answers, sessions[-1].answers):
+    for one, other in itertools.zip_longest(first.answers, again.answers if again else ()):
         if one != other:
             when = (one or other)[0].removeprefix("at ")
             findings.note("deterministic", f"two runs differ from {when} on")
     return findings
 
 
-def attempt(findings: Findings, start: Callable[[], Session], ask: Ask) -> bool:
-    """Asks a new part, and notes the rule that ends it. Returns whether it answered all."""
+def attempt(
+    findings: Findings, start: Callable[[], Examined], examiner: Examiner
+) -> Examined | None:
+    """Asks a new part, and notes what it breaks. Returns it where it has answered all."""
     try:
-        ask(start())
+        part = start()
+        for rule, reason in examiner(part):
+            findings.note(rule, reason)
     except BrokenRuleError as error:
-        findings.note(error.rule, error.reason, error.__cause__)
-        return False
-    return True
+        findings.note(error.rule, error.reason, _trace_of(error.__cause__))
+        return None
+    return part
 
 
 def _latency(times_s: list[float], max_s: float) -> tuple[str, str]:

@@ -1,6 +1,6 @@
-"""Synthetic sensor messages of a few seconds, by numpy alone: a take-off over rolling ground.
+"""Synthetic sensor messages of a few seconds, without a simulator: a take-off over rolling ground.
 
-For checks that need plausible input without a simulator. Rates, delays and mounts are those of the
+For checks that need plausible input. Rates, delays and mounts are those of the
 vehicle; the ground is a sum of waves, its texture a random mosaic, and the vehicle stays level.
 """
 
@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -104,50 +105,40 @@ class SyntheticStream:
 
     def __iter__(self) -> Iterator[Observation]:
         rng = np.random.default_rng([self._seed, 2])
-        on_the_way: defaultdict[int, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
-        rig = self._rig
-        yield self._observation(0, {})
-        for tick in range(1, round(self._seconds * rig.tick_hz) + 1):
-            if tick % rig.imu_ticks == 0:
-                on_the_way[tick]["imu"].append(self._imu(tick, rng))
-            for name, arrival, measure in self._due(tick):
-                on_the_way[arrival][name].append(measure(tick, rng))
+        arriving: defaultdict[int, defaultdict[str, list[Any]]]
+        arriving = defaultdict(lambda: defaultdict(list))
+        sensors = self._sensors()
+        for tick in range(round(self._seconds * self._rig.tick_hz) + 1):
+            for name, period, latency, measure in sensors:
+                if tick and tick % period == 0:
+                    steps = -(-(tick + latency) // CONTROL_TICKS)
+                    arriving[steps][name].append(measure(tick, rng))
             if tick % CONTROL_TICKS == 0:
-                arrived: dict[str, list[Any]] = defaultdict(list)
-                for due in range(tick - CONTROL_TICKS + 1, tick + 1):
-                    for name, messages in on_the_way.pop(due, {}).items():
-                        arrived[name] += messages
-                yield self._observation(tick, arrived)
+                yield self._observation(tick, arriving.pop(tick // CONTROL_TICKS, {}))
 
     def true_pose(self, tick: int) -> Pose:
         """``world_from_body``; level."""
         times = np.array([tick / self._rig.tick_hz])
         heading = rotation_from_yaw(float(self._headings(times)[0]))
-        return Pose(self._start.rotation @ heading, self._positions(times)[0])
+        return Pose(self._start.rotation @ heading, self._points(times, np.zeros(3))[0])
 
-    def _due(self, tick: int) -> list[tuple[str, int, Callable[..., Any]]]:
-        """(field, arrival tick, measuring function) of the measurements at ``tick``."""
-        rig, needs, nav = self._rig, self._needs, self._rig.nav
-        late = rig.compute_latency_ticks
-        clock_hz = rig.tick_hz // rig.camera_ticks
-        image_ticks = rig.camera_ticks * (clock_hz // max(1, needs.camera_hz))
-        small = (nav.gps, nav.barometer, nav.magnetometer, nav.rangefinder)
-        table = [
-            ("scans", needs.lidar, rig.lidar_scan_ticks, late, self._scan),
-            ("images", needs.camera_hz > 0, image_ticks, late, self._image),
-            ("gps", needs.gps, small[0].period_ticks, small[0].latency_ticks, self._gps),
-            ("barometer", needs.barometer, small[1].period_ticks, small[1].latency_ticks,
-             self._barometer),
-            ("magnetometer", needs.magnetometer, small[2].period_ticks, small[2].latency_ticks,
-             self._magnetometer),
-            ("rangefinder", needs.rangefinder, small[3].period_ticks, small[3].latency_ticks,
-             self._rangefinder),
-        ]  # fmt: skip
-        return [
-            (name, tick + delay, measure)
-            for name, wanted, period, delay, measure in table
-            if wanted and tick % period == 0
+    def _sensors(self) -> list[tuple[str, int, int, Callable[..., Any]]]:
+        """(field, period and latency in ticks, measuring function) of the sensors that are
+        needed."""
+        rig, needs, late = self._rig, self._needs, self._rig.compute_latency_ticks
+        image_ticks = rig.tick_hz // max(1, needs.camera_hz)
+        found: list[tuple[str, int, int, Callable[..., Any]]] = [
+            ("imu", rig.imu_ticks, 0, self._imu)
         ]
+        found += [("scans", rig.lidar_scan_ticks, late, self._scan)] if needs.lidar else []
+        found += [("images", image_ticks, late, self._image)] if needs.camera_hz else []
+        for name in ("gps", "barometer", "magnetometer", "rangefinder"):
+            if getattr(needs, name):
+                sheet = getattr(rig.nav, name)
+                found.append(
+                    (name, sheet.period_ticks, sheet.latency_ticks, getattr(self, f"_{name}"))
+                )
+        return found
 
     # ------------------------------------------------------------------------ the flight
 
@@ -157,12 +148,6 @@ class SyntheticStream:
         smooth = minimum_jerk((times_s - REST_S) / span_s)[0]
         return np.asarray(smooth * min(1.0, span_s / _CLIMB_S) ** 2)  # as it can accelerate
 
-    def _positions(self, times_s: Array) -> Array:
-        """(N, 3) of the body origin."""
-        aside = self._start.rotation @ np.array([0.6, 0.8, 0.0])
-        way = _ASIDE_M * aside + np.array([0.0, 0.0, _CLIMB_M])
-        return np.asarray(self._start.translation + self._progress(times_s)[:, None] * way)
-
     def _headings(self, times_s: Array) -> Array:
         """(N,) change of the heading since the start, rad."""
         return np.asarray(self._turn_rad * self._progress(times_s))
@@ -170,7 +155,10 @@ class SyntheticStream:
     def _points(self, times_s: Array, offset_body: Array) -> Array:
         """(N, 3) world positions of what is mounted at ``offset_body`` (3,)."""
         offsets = np.broadcast_to(offset_body, (len(times_s), 3))
-        return self._positions(times_s) + self._in_world(times_s, offsets)
+        aside = self._start.rotation @ np.array([0.6, 0.8, 0.0])
+        way = _ASIDE_M * aside + np.array([0.0, 0.0, _CLIMB_M])
+        positions = self._start.translation + self._progress(times_s)[:, None] * way
+        return np.asarray(positions + self._in_world(times_s, offsets))
 
     def _in_world(self, times_s: Array, vectors: Array) -> Array:
         """(N, 3) in the world, of (N, 3) in the body at these times."""
@@ -268,15 +256,11 @@ class SyntheticStream:
         eye = camera.translation.astype(np.float32)
         distances = _ranges_to_ground(eye, rays, steps=3)
         places = (eye + distances[:, None] * rays)[:, :2] / np.float32(_TILE_M)
-        low = np.floor(places).astype(int)
-        fraction = (places - low)[..., None]
-        (x, y), (u, v) = (low & 255).T, np.moveaxis(fraction, 1, 0)
-        x1, y1 = (x + 1) & 255, (y + 1) & 255
-        tiles = self._tiles
-        levels = (1 - u) * (1 - v) * tiles[y, x] + u * (1 - v) * tiles[y, x1]
-        levels += (1 - u) * v * tiles[y1, x] + u * v * tiles[y1, x1]
-        levels += np.float32(1.5) * rng.standard_normal(levels.shape, np.float32)
-        return np.clip(np.rint(levels), 0, 255).astype(np.uint8).reshape(k.height, k.width, 3)
+        x, y = places.T.reshape(2, k.height, k.width)
+        levels = cv2.remap(self._tiles, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        noise = rng.standard_normal(levels.shape, np.float32)
+        levels = levels + np.float32(1.5) * noise
+        return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
     def _gps(self, tick: int, rng: np.random.Generator) -> GpsFix:
         hz = self._rig.tick_hz

@@ -72,7 +72,7 @@ class ExternalPart:
         self, kind: str, name: str, params: Mapping[str, Any], rig: Any, build: Build | None = None
     ) -> None:
         build = build or external_builder(name, kind)
-        self.kind, self.name, self._rig = kind, name, rig
+        self.kind, self.name, self.rig = kind, name, rig
         self.calls, self.seconds = 0, 0.0
         """of wall time in calls so far"""
         self._time = ""
@@ -106,7 +106,7 @@ class ExternalPart:
             raise self._error(_raised(what, error, rule), error) from error
         if answer is self._map is not None:
             return answer
-        if defect := wrong_answer(self.kind, method, answer, self._rig, arguments):
+        if defect := wrong_answer(self.kind, method, answer, self.rig, arguments):
             raise self._error(Defect(defect.rule, f"{what} returned {defect.reason}"))
         self._map = answer if isinstance(answer, MapView) else None
         return answer
@@ -186,7 +186,7 @@ class _Slot:
     kind = ""
 
     def __init__(self, name: str, params: Mapping[str, Any], rig: Any) -> None:
-        self.part, self._rig = ExternalPart(self.kind, name, params, rig), rig
+        self.part, self.rig = ExternalPart(self.kind, name, params, rig), rig
         self.needs: SensorNeeds = getattr(self.part.inner, "needs", SensorNeeds())
 
 
@@ -218,7 +218,7 @@ class ExternalSelector(_Slot):
 
     def select(self, seen: SelectorInput) -> Selection:
         """The selection that these sites make."""
-        return selection_of(own(self.offer(seen)), seen, self._rig.landing)
+        return selection_of(own(self.offer(seen)), seen, self.rig.landing)
 
 
 class ExternalController(_Slot):

@@ -18,7 +18,7 @@ from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.slots import SLOTS
-from touchdown.experiments.external.examine import RULES
+from touchdown.experiments.external.examination import RULES
 from touchdown.experiments.scene_tools.flyability import check_scene_file
 
 from support.docs_support import (

@@ -15,7 +15,7 @@ import pytest
 from touchdown.estimator.api import Estimate
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.external.conformance import Violation, check_estimator
-from touchdown.experiments.external.examine import RULES
+from touchdown.experiments.external.examination import RULES
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw

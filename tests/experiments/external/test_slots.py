@@ -15,8 +15,8 @@ from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.config.slots import SLOTS, other_parts, params_of
 from touchdown.experiments.errors import ExternalPartError, UsageError
+from touchdown.experiments.external.examination import RULES
 from touchdown.experiments.external.examine import (
-    RULES,
     examine,
     setpoint_at,
     textures,
