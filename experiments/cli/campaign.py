@@ -28,6 +28,7 @@ from touchdown.experiments.terminal import say
 
 if TYPE_CHECKING:
     from touchdown.experiments.campaign.forecast import Forecast
+    from touchdown.experiments.reproduce.parts import Part
 
 
 def _shard(text: str) -> tuple[int, int]:
@@ -275,21 +276,37 @@ def reproduce(
     """
     from touchdown.experiments.campaign.progress import Display
     from touchdown.experiments.campaign.session import Watcher, default_jobs
-    from touchdown.experiments.reproduce.report import figures_of
-    from touchdown.experiments.reproduce.run import overview
-    from touchdown.experiments.reproduce.run import reproduce as run
-    from touchdown.experiments.reproduce.state import REPORT
+    from touchdown.experiments.reproduce import run
     from touchdown.experiments.terminal import make_notes
 
     chosen["jobs"] = jobs or default_jobs()
     if only_list:
-        return answer({"parts": overview(**chosen)}, as_json, _print_list)
+        wanted = run.parts_wanted(chosen["skip"], chosen["photographs"])
+        return answer({"parts": _overview(wanted, chosen["quick"])}, as_json, _print_list)
     if out is None:
         raise click.UsageError("missing option '--out'", click.get_current_context())
     with resumable("parts are kept, and the same command resumes the rest"):
-        done = run(out, notes=make_notes(quiet), watcher=Watcher if quiet else Display, **chosen)
-    answer(figures_of(done, out / REPORT), as_json, _print_parts)
+        done = run.reproduce(
+            out, notes=make_notes(quiet), watcher=Watcher if quiet else Display, **chosen
+        )
+    answer(done.as_json(), as_json, _print_parts)
     return EXIT_DONE if done.successful else EXIT_FAILED
+
+
+def _overview(parts: Sequence[Part], quick: bool) -> list[dict[str, Any]]:
+    """Parts with their tables, figures and approximate times on one core."""
+    from touchdown.experiments.reproduce.parts import Extent
+
+    extent = Extent(quick=quick)
+    return [
+        {
+            "part": part.name,
+            "title": part.title,
+            "shows": list(part.shows),
+            "core_minutes": part.core_seconds(extent) / 60.0,
+        }
+        for part in parts
+    ]
 
 
 def _print_list(figures: Mapping[str, Any]) -> None:

@@ -205,20 +205,11 @@ def _print_comparison(
     margin: float,
     require_power: bool,
 ) -> int:
-    from touchdown.experiments.reporting.regression.compare import (
-        compare,
-        table_lines,
-        verdict_sentences,
-    )
+    from touchdown.experiments.reporting.regression.compare import compare, comparison_lines
 
     found = compare(rows, baseline, margin)
-    words = verdict_sentences(found)
-    table = [*table_lines(found), ""] if found.cells else []
-
-    def show(_figures: Mapping[str, Any]) -> None:
-        say("\n".join(map(visible, [*table, *words])))
-
-    answer({**found.as_json(), "words": words}, as_json, show)
+    lines = comparison_lines(found)
+    answer(found.as_json(), as_json, lambda _: say("\n".join(map(visible, lines))))
     return EXIT_FAILED if found.failed(require_power) else EXIT_DONE
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 SOURCE = (
     "C. Zou, Y. Sun, L. Kong: Unmanned Aerial Vehicle Landing on Rugged Terrain by On-Board "
@@ -47,8 +47,7 @@ LANDINGS: Mapping[str, Mapping[str, float]] = {
 """Table 5, by the column of our rows and method. Its v_z is not compared: ours is commanded."""
 
 
-@dataclass(frozen=True, slots=True)
-class PublishedSite:
+class PublishedSite(NamedTuple):
     """A column of Table 6."""
 
     obstacle_distance_m: float
@@ -83,16 +82,14 @@ NETWORK_NAMES: Mapping[str, str] = {
 """Networks of this project and the names that the paper's tables give to them, in its order."""
 
 
-@dataclass(frozen=True, slots=True)
-class Scores:
+class Scores(NamedTuple):
     loss: float
     macro_f1: float
     recall: float
     top1: float
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
+class Cost(NamedTuple):
     """Table 4 heads ROM and RAM with "Mb"."""
 
     rom_mb: float
@@ -137,8 +134,7 @@ TEST: Mapping[str, tuple[Cost, Scores]] = {
 two numbers run together, RAM is taken to have three digits before its point in every row."""
 
 
-@dataclass(frozen=True, slots=True)
-class StepTime:
+class StepTime(NamedTuple):
     """Milliseconds: ``mean`` and the number that the paper prints after its "±"."""
 
     name: str

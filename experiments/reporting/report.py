@@ -32,17 +32,16 @@ from touchdown.experiments.reporting.flights import (
     recorded_revision,
 )
 from touchdown.experiments.reporting.report_tables import (
-    accuracy_tables,
+    accuracy_table,
     axis_table,
     expectation_table,
     flight_table,
     landing_tables,
     map_table,
-    time_table,
 )
 from touchdown.experiments.reporting.statistics import INTERVAL
 from touchdown.experiments.reporting.tables import Table, fenced, markdown_cell, markdown_text
-from touchdown.experiments.reporting.trajectories import add_trajectory_columns
+from touchdown.experiments.reporting.trajectories import add_path_deviation
 
 _FILES = {"markdown": "report.md", "html": "report.html", "json": "report.json"}
 _MAX_DRAWN = 4
@@ -64,7 +63,6 @@ class Section:
 @dataclass(frozen=True, slots=True)
 class Report:
     title: str
-    tiles: list[tuple[str, str]]
     sections: list[Section]
     configuration: str = ""
     """text of the campaign's file, empty without one"""
@@ -81,7 +79,7 @@ def make_report(
     """Returns the report of the flights ``rows`` (see `flights.load_flights`); ``verdicts``: on the
     expectations of the campaign; ``first``: its first condition, with which the others are
     compared. Every figure is of the flights of one condition."""
-    add_trajectory_columns(rows)
+    add_path_deviation(rows)
     label_conditions(rows)
     frame = frame_of(sorted(rows, key=lambda row: (row["condition"] != first, row["condition"])))
     pictures = _pictures(frame)
@@ -92,19 +90,18 @@ def make_report(
     sections = [
         Section("summary", "Summary", summary_words(frame)),
         Section("flights", "Flights", tables=[flight_table(frame, first)]),
-        Section("accuracy", "Accuracy", tables=accuracy_tables(frame)),
+        Section("accuracy", "Accuracy", tables=[accuracy_table(frame)]),
         Section("axes", "Errors by axis", [], [axis_table(frame)], drawn("fig10")),
         Section("map", "Maps", tables=[map_table(frame)]),
         Section("paths", "Trajectories", pictures=drawn("fig9")),
         Section("landings", "Landings", [], landing_tables(frame), drawn("fig12")),
-        Section("time", "Time", tables=[time_table(frame)]),
         Section("expected", "As expected", tables=[expectation_table(verdicts)]),
         Section("conditions", "Conditions", condition_words(rows)),
     ]
     for section in sections:
         section.tables = [table for table in section.tables if table.rows]
     kept = [section for section in sections if section.words or section.tables or section.pictures]
-    return Report(title, tiles(frame), kept, configuration)
+    return Report(title, kept, configuration)
 
 
 def _pictures(frame: pd.DataFrame) -> list[Picture]:
@@ -123,18 +120,6 @@ def _pictures(frame: pd.DataFrame) -> list[Picture]:
 
 
 # ------------------------------------------------------------------------------------------- words
-
-
-def tiles(frame: pd.DataFrame) -> list[tuple[str, str]]:
-    """The figures at the head of the page."""
-    conditions = frame["condition"].nunique()
-    successful = f"{frame['success'].eq(True).sum()} of {len(frame)}"
-    return [
-        ("flights", str(len(frame))),
-        ("conditions", str(conditions)) if conditions > 1 else ("successful", successful),
-        *((f"{name}s", str(frame[column].nunique()))
-          for name, column in (("scene", "scene"), ("method", "estimator"), ("seed", "seed"))),
-    ]  # fmt: skip
 
 
 def summary_words(frame: pd.DataFrame) -> list[str]:

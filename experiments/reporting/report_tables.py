@@ -31,7 +31,6 @@ from touchdown.experiments.reporting.tables import (
     pooled_variance,
     value,
 )
-from touchdown.experiments.reporting.trajectories import DISTANCES
 from touchdown.scenes.api import RISKY_CLASSES, SAFE_CLASSES
 
 _ERROR, _PATH = "position_error_m.mean", "trajectory_error_m"
@@ -74,6 +73,8 @@ def flight_table(frame: pd.DataFrame, first: str = "") -> Table:
         mean(_CONTACT),
         largest(_CONTACT, "worst (m)"),
         mean("landing.target_offset_m"),
+        mean("timing.wall_s"),
+        mean("timing.real_time_factor"),
     ]
     if frame["condition"].nunique() > 1 and (frame["condition"] == first).any():
         base = frame[frame["condition"] == first]
@@ -96,8 +97,8 @@ def _error_ratio(own: pd.DataFrame, base: pd.DataFrame) -> Estimate | None:
     return ratio_interval(pairs.iloc[:, -2:].to_numpy(np.float64))
 
 
-def accuracy_tables(frame: pd.DataFrame) -> list[Table]:
-    """Table 2, with the error of the estimate itself and NEES, and how the error grows."""
+def accuracy_table(frame: pd.DataFrame) -> Table:
+    """Table 2, with the error of the estimate itself and NEES."""
     columns = [
         mean(_PATH, best=True, printed=_of_analysed_scene(published.TRAJECTORY_ERROR_M)),
         pooled_variance(
@@ -117,17 +118,7 @@ def accuracy_tables(frame: pd.DataFrame) -> list[Table]:
         "The paper's figures are of a crossroad scene in Gazebo, 10 flights per method.",
     ]
     title = "Table 2: deviation of the path, and error of the estimate"
-    by_distance = [mean(f"error_by_distance.{name}", f"{name} m") for name in DISTANCES]
-    growth = make_table(
-        frame,
-        "distance",
-        "Position error (m) over the distance flown",
-        by_distance,
-        ("condition", "estimator"),
-        notes=["All scenes together; the climb to the survey's height counts as distance too."],
-    )
-    shown = sum(bool(values(frame, column.column).size) for column in by_distance) > 1
-    return [make_table(frame, "table2", title, columns, notes=notes), *[growth] * shown]
+    return make_table(frame, "table2", title, columns, notes=notes)
 
 
 def _of_analysed_scene(figures: Any) -> Callable[[str, str], float | None]:
@@ -280,43 +271,6 @@ def _touchdown_table(landings: pd.DataFrame) -> Table:
     ]
     return make_table(landings, "touchdowns", "How landings went, and the extremes", columns,
                       notes=notes)  # fmt: skip
-
-
-# -------------------------------------------------------------------------------------------- time
-
-
-def time_table(frame: pd.DataFrame) -> Table:
-    """Wall time, and the fraction of it that each stage took."""
-    prefix = "timing.stage_ms."
-    if "timing.wall_s" in frame:
-        frame = frame.dropna(subset=["timing.wall_s"])
-    stages = [name.removeprefix(prefix) for name in frame if str(name).startswith(prefix)]
-    columns = [
-        FLIGHTS,
-        mean("timing.wall_s"),
-        mean("timing.real_time_factor"),
-        *(
-            Column(key=name, title=f"{name} (%)", of=_stage_fraction(prefix + name), scale=100.0)
-            for name in stages
-        ),
-    ]
-    notes = [
-        f"{len(frame)} flights took {values(frame, 'timing.wall_s').sum() / 3600.0:.2g} hours of "
-        "wall time, added up over processes. Stages: parts of the wall time."
-    ]
-    return make_table(frame, "time", "Wall time and the part of each stage", columns,
-                      ("condition", "estimator"), notes=notes)  # fmt: skip
-
-
-def _stage_fraction(column: str) -> Callable[[pd.DataFrame], float | None]:
-    """``column`` is in ms for 0.1 s of simulated time."""
-
-    def of(own: pd.DataFrame) -> float | None:
-        known = own[[column, "timing.sim_s", "timing.wall_s"]].dropna()
-        spent = float((1e-2 * known[column] * known["timing.sim_s"]).sum())
-        return spent / float(known["timing.wall_s"].sum()) if len(known) else None
-
-    return of
 
 
 # ------------------------------------------------------------------------------------ expectations

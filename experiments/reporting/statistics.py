@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -73,32 +74,21 @@ class Estimate:
         return not self.low <= other <= self.high
 
     def as_json(self) -> dict[str, float | int | None]:
-        return {"value": self.value, "low": self.low, "high": self.high, "flights": self.flights}
+        return asdict(self)
 
 
 def mean_interval(values: Sequence[float] | Array) -> Estimate | None:
     """Mean over flights with its interval; None without a value."""
-    sample = np.asarray(values, dtype=np.float64)
-    if sample.size == 0:
-        return None
-    return _interval(float(sample.mean()), bootstrap_weights(sample.size) @ sample, sample.size)
-
-
-def difference_interval(new: Array, old: Array) -> Estimate:
-    """Difference of the means of two independent samples, each resampled on its own."""
-    drawn = bootstrap_weights(len(new), "new") @ new - bootstrap_weights(len(old), "old") @ old
-    return _interval(float(new.mean() - old.mean()), drawn, min(len(new), len(old)))
+    return _resampled(np.asarray(values, dtype=np.float64), lambda mean: mean)
 
 
 def ratio_interval(pairs: Sequence[tuple[float, float]]) -> Estimate | None:
     """Ratio of the means of paired values, the first over the second, pairs resampled together;
-    None without a pair or with a second mean that is not positive."""
+    None without a pair or with a second value that is not positive."""
     sample = np.asarray(pairs, dtype=np.float64).reshape(-1, 2)
-    if not len(sample) or not (sample[:, 1] > 0.0).all():
+    if not (sample[:, 1] > 0.0).all():
         return None
-    drawn = bootstrap_weights(len(sample)) @ sample
-    mean = sample.mean(axis=0)
-    return _interval(float(mean[0] / mean[1]), drawn[:, 0] / drawn[:, 1], len(sample))
+    return _resampled(sample, lambda mean: mean[..., 0] / mean[..., 1])
 
 
 def variance_interval(
@@ -107,11 +97,23 @@ def variance_interval(
     """Pooled variance with equal weights of flights: mean of their variances plus variance of their
     means."""
     mean, within = np.asarray(means, dtype=np.float64), np.asarray(variances, dtype=np.float64)
-    if mean.size == 0:
+    moments = np.column_stack([within + mean**2, mean])
+    return _resampled(moments, lambda m: np.maximum(m[..., 0] - m[..., 1] ** 2, 0.0))
+
+
+def difference_interval(new: Array, old: Array) -> Estimate:
+    """Difference of the means of two independent samples, each resampled on its own."""
+    drawn = bootstrap_weights(len(new), "new") @ new - bootstrap_weights(len(old), "old") @ old
+    return _interval(float(new.mean() - old.mean()), drawn, min(len(new), len(old)))
+
+
+def _resampled(sample: Array, figure: Callable[[Array], Any]) -> Estimate | None:
+    """``figure`` of the means over flights of a sample (flights,) or (flights, columns), of arrays
+    of which it takes the last axis; None without a flight."""
+    if not len(sample):
         return None
-    weights = bootstrap_weights(mean.size)
-    drawn = weights @ (within + mean**2) - (weights @ mean) ** 2
-    return _interval(float(within.mean() + mean.var()), np.maximum(drawn, 0.0), mean.size)
+    drawn = figure(bootstrap_weights(len(sample)) @ sample)
+    return _interval(float(figure(sample.mean(axis=0))), drawn, len(sample))
 
 
 def _interval(value: float, drawn: Array, flights: int) -> Estimate:
@@ -172,19 +174,19 @@ def _signs(pairs: int) -> tuple[Array, bool]:
     return np.where(drawn, -1.0, 1.0), False
 
 
-def sign_flip_p(differences: Array) -> Array:
+def sign_flip_p(differences: Array) -> Any:
     """One-sided p of "the differences are symmetric about zero" against "greater".
 
-    ``differences`` is (pairs,) or (pairs, cells); the answer () or (cells,). The statistic is the
-    mean. Exact for at most ``EXACT_PAIRS`` pairs, otherwise over 20 000 seeded patterns of signs,
-    the observed one counted in.
+    ``differences`` is (pairs,) or (pairs, cells); the answer a number or (cells,). The statistic is
+    the mean. Exact for at most ``EXACT_PAIRS`` pairs, otherwise over 20 000 seeded patterns of
+    signs, the observed one counted in.
     """
     signs, exact = _signs(differences.shape[0])
     observed = differences.sum(axis=0)
     # Rounding must not make the observed pattern, or ties with it, look smaller than it is.
     slack = 1e-9 * np.abs(differences).sum(axis=0) + 1e-300
     reached = (signs @ differences >= observed - slack).sum(axis=0)
-    return np.asarray(reached / len(signs) if exact else (reached + 1) / (len(signs) + 1))
+    return reached / len(signs) if exact else (reached + 1) / (len(signs) + 1)
 
 
 def unpaired_p(new: Array, old: Array) -> float:

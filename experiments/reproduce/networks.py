@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import functools
+import importlib.util
 import json
 import math
 import multiprocessing
@@ -17,7 +19,6 @@ from typing import Any
 
 from touchdown.experiments.io.run_directory import move_beside, write_text
 from touchdown.experiments.io.untrusted import read_object
-from touchdown.experiments.reproduce.plans import Recognition, on_gpu
 from touchdown.sim.files.child import die_with_parent
 from touchdown.sim.files.opening import no_file
 
@@ -32,6 +33,43 @@ _LEVEL = 0.01
 _FALLING = 0.05
 """relative fall of the training loss from one tenth of the epochs to the next of a network that is
 still learning"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recognition:
+    """The networks of a part, and the size of the data set that is rendered for them."""
+
+    images: int = 0
+    """0: none are rendered"""
+    pixels: int = 0
+    per_seed: int = 0
+    scenes: tuple[str, ...] = ()
+    """empty: all scenes"""
+    networks: tuple[str, ...]
+    labels: tuple[str, ...]
+    image_size: int
+    epochs: int
+    """at most; the learning rate falls to 0 over so many"""
+    patience: int = 8
+    """epochs without a better macro F1 on the validation images after which a network has
+    converged"""
+    learning_rates: tuple[tuple[str, float], ...] = ()
+    """of networks that do not learn at the common one"""
+    image_sizes: tuple[tuple[str, int], ...] = ()
+    """of networks that the common one is too small for"""
+    repeated: tuple[str, ...] = ()
+    """networks that are trained with each of ``seeds`` under ``d_land``, the others with the first
+    alone"""
+    seeds: tuple[int, ...] = (0,)
+
+
+@functools.cache
+def on_gpu() -> bool:
+    if importlib.util.find_spec("torch") is None:
+        return False
+    import torch
+
+    return bool(torch.cuda.is_available())
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.figures import Picture
-from touchdown.experiments.reporting.flights import check_revisions, frame_of, load_flights
+from touchdown.experiments.reporting.flights import check_revisions, load_flights
 from touchdown.experiments.reporting.published import NETWORK_NAMES, SITES
 from touchdown.experiments.reporting.report import (
     Report,
     Section,
     condition_words,
     make_report,
-    tiles,
     write_report,
 )
-from touchdown.experiments.reproduce.items import item_table
+from touchdown.experiments.reporting.tables import MISSING, Cell, Table
 from touchdown.experiments.reproduce.networks import PICTURES
-from touchdown.experiments.reproduce.plans import PAPER_SCENES
-from touchdown.experiments.reproduce.state import PartState, Reproduction
-from touchdown.experiments.reproduce.steps import FLIGHTS, PARTS, VEHICLE, Part
+from touchdown.experiments.reproduce.parts import FLIGHTS, PAPER_SCENES, PARTS, VEHICLE, Part
+from touchdown.experiments.reproduce.run import PartResult, Reproduction
 from touchdown.experiments.reproduce.tables import (
     calibration_table,
     claim_table,
@@ -72,23 +70,19 @@ def write_reproduction(done: Reproduction, out: Path) -> dict[str, Path]:
     cannot be written."""
     rows: list[dict[str, Any]] = []
     sections = [
-        _section(part, done.states[part.name], done.out / part.name, rows)
+        _section(part, done.results[part.name], done.out / part.name, rows)
         for part in PARTS
-        if part.name in done.states
+        if part.name in done.results
     ]
     sections[:0] = [
         Section("summary", "Summary", _summary_words(done)),
         Section("items", "Items of the paper and their sections here",
-                tables=[item_table(done.states)]),
+                tables=[item_table(done.results)]),
     ]  # fmt: skip
     if rows:
         sections.append(Section("conditions", "Conditions", condition_words(rows)))
-    ended = sum(not state.error for state in done.states.values())
-    heads = [("parts ended", f"{ended} of {len(PARTS)}"), *(tiles(frame_of(rows)) if rows else [])]
     edition = "quick edition" if done.quick else "whole edition"
-    return write_report(
-        Report(f"Touchdown: the paper reproduced, {edition}", heads, sections), rows, out
-    )
+    return write_report(Report(f"Touchdown: the paper reproduced, {edition}", sections), rows, out)
 
 
 def _summary_words(done: Reproduction) -> list[str]:
@@ -100,34 +94,28 @@ def _summary_words(done: Reproduction) -> list[str]:
             "without `--quick` in the same directory flies the rest."
         )
     for part in PARTS:
-        state = done.states.get(part.name)
         shows = f" ({', '.join(part.shows)})" if part.shows else ""
-        if state is None:
-            why = "by `--skip`" if part.name in done.skipped else "not done yet"
-            if part.needs_photographs:
-                why = "which `--photographs` names images for"
-            lines.append(f"`{part.name}`{shows} is left out, {why}.")
-        elif state.error:
-            lines.append(f"`{part.name}`{shows} ended with an error: {state.error}.")
-        elif state.why:
-            lines.append(f"`{part.name}`{shows} failed its purpose: {state.why}.")
+        if (result := done.results.get(part.name)) is None:
+            lines.append(f"`{part.name}`{shows} is left out.")
+        elif result.failure:
+            lines.append(f"`{part.name}`{shows} failed: {result.failure}.")
     return lines
 
 
 # ---------------------------------------------------------------------------------------- sections
 
 
-def _section(part: Part, state: PartState, folder: Path, rows: list[dict[str, Any]]) -> Section:
+def _section(part: Part, result: PartResult, folder: Path, rows: list[dict[str, Any]]) -> Section:
     """Section of a part; the flights of its campaign are added to ``rows``."""
-    revision = f"at revision `{state.git_revision}`" if state.git_revision else "of no revision"
+    revision = f"at revision `{result.git_revision}`" if result.git_revision else "of no revision"
     purpose = f"For {', '.join(part.shows)}" if part.shows else "Beside the paper's own system"
     if part.needs_photographs:
         purpose = "Beside the networks of Tables 3 and 4"
-    words = [f"{purpose}, by the part `{part.name}`, {state.edition} edition, ended {revision}."]
-    if state.why or state.error:
-        words.append(f"Not successful: {state.error or state.why}.")
+    words = [f"{purpose}, by the part `{part.name}`, {result.edition} edition, ended {revision}."]
+    if result.failure:
+        words.append(f"Not successful: {result.failure}.")
     section = Section(part.name, part.title, words)
-    if state.error and not state.figures:
+    if result.error and not result.figures:
         return section
     if part.name in _SECTIONS:
         _add_campaign(section, folder / FLIGHTS, rows)
@@ -138,7 +126,7 @@ def _section(part: Part, state: PartState, folder: Path, rows: list[dict[str, An
             for name, title, caption, file in _PICTURES.get(part.name, ())
         ]
         if fill := _FILLERS.get(part.name):
-            fill(section, state, folder)
+            fill(section, result, folder)
     except (KeyError, IndexError, TypeError, AttributeError) as error:
         raise UsageError(
             f"'{folder / 'part.json'}' lacks figures of its part; delete it, and the part runs "
@@ -168,16 +156,8 @@ def _renamed(tables: list[Any], part: str) -> list[Any]:
     return [replace(table, key=f"{part}_{table.key}") for table in tables]
 
 
-def _fill_calibration(section: Section, state: PartState, _folder: Path) -> None:
-    section.tables.append(calibration_table(state.figures))
-    section.words.append(
-        "Errors are against the simulated camera and LIDAR; the paper prints no errors of its "
-        "calibration."
-    )
-
-
-def _fill_world(section: Section, state: PartState, folder: Path) -> None:
-    section.tables.append(rig_table(state.figures))
+def _fill_world(section: Section, result: PartResult, folder: Path) -> None:
+    section.tables.append(rig_table(result.figures))
     section.pictures += [
         raster(f"fig8_{scene}", f"Fig. 8: {scene}", "Seed 0, from the south-west.",
                folder / PICTURES / f"{scene}.jpg")
@@ -185,11 +165,11 @@ def _fill_world(section: Section, state: PartState, folder: Path) -> None:
     ]  # fmt: skip
 
 
-def _fill_sites(section: Section, state: PartState, folder: Path) -> None:
-    section.tables.append(site_table(state.figures))
+def _fill_sites(section: Section, result: PartResult, folder: Path) -> None:
+    section.tables.append(site_table(result.figures))
     section.words.append(
         f"Posed survey: the sensors take the planned poses without a flight; the selector is "
-        f"`{state.figures['selector']}`."
+        f"`{result.figures['selector']}`."
     )
     section.pictures += [
         raster(f"fig11_{scene}", f"Fig. 11: {scene}",
@@ -199,12 +179,8 @@ def _fill_sites(section: Section, state: PartState, folder: Path) -> None:
     ]  # fmt: skip
 
 
-def _fill_speed(section: Section, state: PartState, _folder: Path) -> None:
-    section.tables.append(speed_table(state.figures))
-
-
-def _fill_recognition(section: Section, state: PartState, folder: Path) -> None:
-    size = state.figures["size"]
+def _fill_recognition(section: Section, result: PartResult, folder: Path) -> None:
+    size = result.figures["size"]
     networks, schemes = len(size["networks"]), len(size["labels"])
     section.words.append(
         f"{size['images']} rendered images of {size['pixels']} pixels; networks "
@@ -218,15 +194,15 @@ def _fill_recognition(section: Section, state: PartState, folder: Path) -> None:
             f"{networks} under {schemes}, small and for few epochs. This checks that training and "
             "evaluation work; it does not measure attainable scores."
         )
-    section.tables += network_tables(state.figures["networks"])
+    section.tables += network_tables(result.figures["networks"])
     section.pictures.append(
         raster("fig5", "Fig. 5: kinds of ground", "Ten rendered images of each class of D_Land.",
-               folder / state.edition / PICTURES / "contact_sheet.png")
+               folder / result.edition / PICTURES / "contact_sheet.png")
     )  # fmt: skip
 
 
-def _fill_photographs(section: Section, state: PartState, _folder: Path) -> None:
-    size, networks = state.figures["size"], state.figures["networks"]
+def _fill_photographs(section: Section, result: PartResult, _folder: Path) -> None:
+    size, networks = result.figures["size"], result.figures["networks"]
     names = [Path(argument.rpartition("=")[2]).name for argument in size["photographs"]]
     epochs = [one["epochs"] for one in networks]
     converged = sum(one["converged"] for one in networks)
@@ -241,11 +217,13 @@ def _fill_photographs(section: Section, state: PartState, _folder: Path) -> None
 
 
 _JPEG_QUALITY = 80
-_FILLERS: Mapping[str, Callable[[Section, PartState, Path], None]] = {
-    "calibration": _fill_calibration,
+_FILLERS: Mapping[str, Callable[[Section, PartResult, Path], None]] = {
+    "calibration": lambda section, result, _folder: section.tables.append(
+        calibration_table(result.figures)
+    ),
     "world": _fill_world,
     "sites": _fill_sites,
-    "speed": _fill_speed,
+    "speed": lambda section, result, _folder: section.tables.append(speed_table(result.figures)),
     "recognition": _fill_recognition,
     "photographs": _fill_photographs,
 }
@@ -270,28 +248,85 @@ def raster(name: str, title: str, caption: str, file: Path) -> Picture:
     return Picture(name, title, caption, svg)
 
 
-# -------------------------------------------------------------------------------------------- json
+# ------------------------------------------------------------------------------------------- items
+
+_WITHOUT_NUMBERS = "no: the paper prints it without numbers, of other scenes"
+_OTHER_IMAGES = "no: trained and tested on other images than the paper's"
+_V_Z = "v_z is set by `landing.touchdown_speed_mps`"
 
 
-def figures_of(done: Reproduction, report: Path) -> dict[str, Any]:
-    """Result of each part and the files of the ``report``, for ``--json``."""
-    parts = [
-        {
-            "part": name,
-            "edition": state.edition,
-            "good": state.successful,
-            "why": state.error or state.why,
-            "wall_s": state.wall_s,
-            "figures": state.figures,
-        }
-        for name, state in done.states.items()
-    ]
-    return {
-        "directory": str(done.out),
-        "edition": "quick" if done.quick else "whole",
-        "good": done.successful,
-        "skipped": list(done.skipped),
-        "wall_s": done.wall_s,
-        "parts": parts,
-        "files": {kind: str(report / f"report.{kind}") for kind in ("html", "md", "json")},
-    }
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A table or figure of the paper. ``comparable``: its figures with the paper's, in part or not,
+    and why; ``measured``: False for a drawing; ``settings``: its figures that the configuration
+    sets."""
+
+    name: str
+    content: str
+    comparable: str
+    measured: bool = True
+    settings: str = ""
+
+
+ITEMS: tuple[Item, ...] = (
+    Item("Fig. 2", "a coloured cloud of camera and LIDAR",
+         "no: the paper prints no errors of its calibration"),
+    Item("Fig. 4", "edge energy of an image, and smoothness of the returns by it",
+         _WITHOUT_NUMBERS, measured=False),
+    Item("Fig. 5", "images of the kinds of ground", "no: rendered images, not the paper's",
+         measured=False),
+    Item("Fig. 7", "the vehicle", "no: a model, not the paper's vehicle", measured=False),
+    Item("Fig. 8", "the simulated vehicle and four scenes", "no: other scenes", measured=False),
+    Item("Table 1", "scan time, density and levelness of the maps",
+         "in part: levelness of other scenes, and the paper does not define its ±; its T_total and "
+         "ρ_map cannot be told apart", settings="T_total is set by `survey.duration_s`"),
+    Item("Fig. 9 a", "trajectories of surveys", _WITHOUT_NUMBERS),
+    Item("Table 2", "mean and variance of the deviation from the path, by method",
+         "in part: the same measure over another crossroad scene in another simulator, without "
+         "`gps`", settings="the error of `gps` is set by `gps.preset`"),
+    Item("Fig. 10", "paths by method, and errors by axis", _WITHOUT_NUMBERS),
+    Item("Fig. 9 b", "trajectories of landings", _WITHOUT_NUMBERS),
+    Item("Table 3", "scores of networks under two label schemes", _OTHER_IMAGES),
+    Item("Table 4", "cost of networks, and scores on the test images",
+         f"{_OTHER_IMAGES}; times on another processor"),
+    Item("Table 5", "landings on a designated spot, by method",
+         "in part: d_L, a_z and α_L of simulated flights; the paper's are five of a real vehicle",
+         settings=_V_Z),
+    Item("Fig. 12", "touchdown points", _WITHOUT_NUMBERS),
+    Item("Fig. 11", "the steps to a site on five kinds of sites", _WITHOUT_NUMBERS),
+    Item("Table 6", "landings on five kinds of sites",
+         "in part: sites made to be alike; the paper's are real places", settings=_V_Z),
+    Item("Table 7", "time of each step of site selection",
+         "in part: the same steps on another processor and another map"),
+)  # fmt: skip
+"""Tables and figures of the paper by part; its Figs. 1, 3 and 6 are concept drawings."""
+
+
+def measured(item: Item, result: PartResult | None) -> str:
+    """ "yes", or how far not and why: what was measured by the part that shows ``item``; ``result``
+    is None where it was left out."""
+    if result is None:
+        return "no: its part was left out"
+    if result.error:
+        return f"no: its part ended with an error, {result.error}"
+    if not item.measured:
+        return "no: a drawing, nothing to measure"
+    quick = "quick edition, one seed of few scenes" * (result.edition == "quick")
+    lacking = [text for text in (item.settings, quick, result.why) if text]
+    return f"in part: {'; '.join(lacking)}" if lacking else "yes"
+
+
+def item_table(results: Mapping[str, PartResult]) -> Table:
+    """A line for each item of the paper: where it is, and how far it is measured and comparable."""
+    rows = []
+    for item in ITEMS:
+        part = next(part for part in PARTS if item.name in part.shows)
+        own = measured(item, results.get(part.name))
+        beside = "no: not measured" if own.startswith("no") and item.measured else item.comparable
+        where = part.title if part.name in results else MISSING
+        texts = (item.name, item.content, where, own, beside)
+        rows.append([Cell(text, kind="name") for text in texts])
+    header = ["item of the paper", "content", "section here", "measured",
+              "comparable with the paper"]  # fmt: skip
+    notes = ["Figs. 1, 3 and 6 of the paper are concept drawings; they hold nothing to measure."]
+    return Table("items", "Item by item", header, rows, notes)

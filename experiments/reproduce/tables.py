@@ -55,7 +55,10 @@ def calibration_table(report: Figures) -> Table:
         "Errors of the calibration",
         ["what", "error", "stated σ"],
         rows,
-        [f"{views['used']} of {views['given']} views used. Errors and covariance {agree}."],
+        [
+            f"{views['used']} of {views['given']} views used. Errors are against the simulated "
+            f"camera and LIDAR; they and the covariance {agree}."
+        ],
         {"error": error, "consistent": consistent},
     )
 

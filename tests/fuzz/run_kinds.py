@@ -335,8 +335,7 @@ def calibration_case(rng: Rng, folder: Path, _shared: Path) -> Case:
 
 def reproduction_case(rng: Rng, folder: Path, _shared: Path) -> Case:
     """``part.json`` and ``reproduction.json``: the state of a reproduction that is continued."""
-    from touchdown.experiments.reproduce.plans import Extent
-    from touchdown.experiments.reproduce.steps import PARTS
+    from touchdown.experiments.reproduce.parts import PARTS, Extent
 
     extent = Extent(quick=True, photographs=())
     out = folder / "out"

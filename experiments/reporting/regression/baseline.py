@@ -1,13 +1,15 @@
-"""The baseline of `touchdown regress`: outcomes and figures of a campaign's flights."""
+"""The baseline of `touchdown regress`: outcomes and figures of a campaign's flights by cell.
+
+A *cell* is a scene with a method and a variant, see `_variant`.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import AllowInfNan, BaseModel, ConfigDict, NonNegativeFloat
 
@@ -18,10 +20,8 @@ from touchdown.experiments.io.result_parts import PartNames
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.io.untrusted import read_object
 from touchdown.experiments.reporting.flights import Row, condition_of, number
+from touchdown.experiments.reporting.tables import ALL_SCENES
 from touchdown.sim.files.opening import no_file
-
-METRIC = "position_error_m.mean"
-ALL_SCENES = "all scenes"
 
 
 class Trial(BaseModel):
@@ -36,8 +36,7 @@ class Trial(BaseModel):
     figures: dict[str, Annotated[NonNegativeFloat, AllowInfNan(False)]]
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
+class Figure(NamedTuple):
     """A figure of a flight. Values below ``floor`` count as ``floor``, so that their logarithms do
     not decide. More is worse, with ``both_sides`` less too."""
 
@@ -52,8 +51,10 @@ class Figure:
         return None if value is None else math.log(max(value, self.floor))
 
 
+METRIC = "position_error_m.mean"
+ERROR = Figure("position error (m)", METRIC, 1e-4)
 FIGURES = (
-    Figure("position error (m)", METRIC, 0.01),
+    ERROR._replace(floor=0.01),
     Figure("NEES", "nees.mean", 0.3),  # a tenth of what is consistent
     # Less is overconfidence that small errors hide, more is a measurement that is lost.
     Figure("stated σ (m)", "nees.sigma_m", 0.001, both_sides=True),
@@ -63,53 +64,81 @@ FIGURES = (
 )
 """What `bounds` compares."""
 
-
 Key = tuple[str, str, str]
 """scene, method, variant"""
-Cells = Mapping[Key, Mapping[int, Trial]]
-"""flights by cell and seed"""
-Pairs = Mapping[Key, tuple[Mapping[int, Trial], Mapping[int, Trial]]]
-"""flights of a cell by seed, new and old"""
+Trials = Mapping[int, Trial]
+"""flights of a cell by seed"""
+Pairs = Mapping[Key, tuple[Trials, Trials]]
+"""flights of a cell, new and old"""
 
 
-@dataclass(frozen=True, slots=True)
-class Baseline:
-    """``config_sha`` is one hash over the configurations of all flights."""
+class _Cell(BaseModel):
+    scene: str
+    estimator: str
+    variant: str
+    flights: list[Trial]
 
-    cells: Cells
+
+class Baseline(BaseModel):
+    """The file of a baseline. ``config_sha``: one hash over the configurations of all flights."""
+
+    format: Literal["touchdown-baseline-1"] = "touchdown-baseline-1"
     git_revision: str | None
     config_sha: str
+    cells: list[_Cell]
+
+    @property
+    def trials(self) -> dict[Key, Trials]:
+        """Flights by cell and seed."""
+        return {
+            (c.scene, c.estimator, c.variant): {t.seed: t for t in c.flights} for c in self.cells
+        }
 
     @property
     def some_cells(self) -> str:
         """The names of its first cells."""
-        return "; ".join(map(cell_name, sorted(self.cells)[:6])) or "none"
+        return "; ".join(map(cell_name, sorted(self.trials)[:6])) or "none"
 
 
-def cell_name(key: Key) -> str:
-    scene, method, variant = key
-    return f"{scene}, {method}" + (f" ({variant})" if variant else "")
+def baseline_of(rows: Sequence[Row]) -> Baseline:
+    """The baseline of flights. Raises UsageError as `cells_of`."""
+    revisions = sorted({str(row["git_revision"]) for row in rows if row.get("git_revision")})
+    cells = [
+        _Cell(scene=scene, estimator=estimator, variant=variant,
+              flights=[trials[seed] for seed in sorted(trials)])
+        for (scene, estimator, variant), trials in sorted(cells_of(rows).items())
+    ]  # fmt: skip
+    sha = configuration_sha(rows)
+    return Baseline(git_revision=", ".join(revisions) or None, config_sha=sha, cells=cells)
 
 
-def newly_bad(pairs: Pairs) -> list[str]:
-    """Equal seeds that were successful in the baseline and are no longer."""
-    return [
-        f"{cell_name(key)}, seed {seed}: {old[seed].outcome} before, {new[seed].outcome} now"
-        for key, (new, old) in pairs.items()
-        for seed in sorted(new.keys() & old.keys())
-        if new[seed].bad and not old[seed].bad
-    ]
+def write_baseline(rows: Sequence[Row], path: Path) -> None:
+    """Writes the baseline of flights, atomically. Raises UsageError, without writing, where
+    ``path`` is another kind of file."""
+    if path.exists():
+        read_baseline(path)
+    text = baseline_of(rows).model_dump_json(indent=1) + "\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, text)
+    except OSError as error:
+        raise UsageError(f"--baseline {path}: cannot be written: {error.strerror}") from error
 
 
-def over_scenes(keys: Iterable[Key]) -> dict[Key, list[Key]]:
-    """The cells of each method and variant that has several, by the key of all of them together."""
-    found: dict[Key, list[Key]] = {}
-    for key in keys:
-        found.setdefault((ALL_SCENES, *key[1:]), []).append(key)
-    return {total: own for total, own in found.items() if len(own) > 1}
+def read_baseline(path: Path) -> Baseline:
+    """Returns the baseline of a file. Raises UsageError where it is missing or damaged."""
+    if reason := no_file(path):
+        raise UsageError(f"baseline '{path}' {reason}; write it with --update")
+    try:
+        return Baseline.model_validate({"format": "", **read_object(path)})
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"'{path}' is no baseline of `touchdown regress`: {reason_of(error)}; write one with "
+            "--update to another name"
+        ) from None
 
 
-# ------------------------------------------------------------------------------------------- rows
+# ------------------------------------------------------------------------------------------- cells
 
 
 def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
@@ -117,8 +146,7 @@ def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
     cells: dict[Key, dict[int, Trial]] = {}
     for row in rows:
         key = (row["scene"], row["estimator"], _variant(row))
-        trials = cells.setdefault(key, {})
-        seed = int(row["seed"])
+        trials, seed = cells.setdefault(key, {}), int(row["seed"])
         if seed in trials:
             raise UsageError(
                 f"{cell_name(key)} was flown twice with seed {seed} ('{row['run_id']}' is one of "
@@ -126,9 +154,8 @@ def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
             )
         found = {figure.column: number(row, figure.column) for figure in FIGURES}
         figures = {column: value for column, value in found.items() if value is not None}
-        trials[seed] = Trial(
-            seed=seed, outcome=str(row["outcome"]), bad=not is_successful(row), figures=figures
-        )
+        bad = not is_successful(row)
+        trials[seed] = Trial(seed=seed, outcome=str(row["outcome"]), bad=bad, figures=figures)
     return cells
 
 
@@ -143,60 +170,30 @@ def _variant(row: Row) -> str:
     return " ".join(filter(None, [*found, *([axes] if axes else parts)]))
 
 
+def cell_name(key: Key) -> str:
+    scene, method, variant = key
+    return f"{scene}, {method}" + (f" ({variant})" if variant else "")
+
+
+def over_scenes(keys: Iterable[Key]) -> dict[Key, list[Key]]:
+    """The cells of each method and variant that has several, by the key of all of them together."""
+    found: dict[Key, list[Key]] = {}
+    for key in keys:
+        found.setdefault((ALL_SCENES, *key[1:]), []).append(key)
+    return {total: own for total, own in found.items() if len(own) > 1}
+
+
+def newly_bad(pairs: Pairs) -> list[str]:
+    """Equal seeds that were successful in the baseline and are no longer."""
+    return [
+        f"{cell_name(key)}, seed {seed}: {old[seed].outcome} before, {new[seed].outcome} now"
+        for key, (new, old) in pairs.items()
+        for seed in sorted(new.keys() & old.keys())
+        if new[seed].bad and not old[seed].bad
+    ]
+
+
 def configuration_sha(rows: Iterable[Row]) -> str:
     """One hash over the configurations of all flights, in no particular order."""
     shas = sorted({str(row.get("config_sha")) for row in rows})
     return hashlib.sha256(" ".join(shas).encode()).hexdigest()[:12]
-
-
-# ------------------------------------------------------------------------------------------- file
-
-
-class _StoredCell(BaseModel):
-    scene: str
-    estimator: str
-    variant: str
-    flights: list[Trial]
-
-
-class _File(BaseModel):
-    format: Literal["touchdown-baseline-1"] = "touchdown-baseline-1"
-    git_revision: str | None
-    config_sha: str
-    cells: list[_StoredCell]
-
-
-def write_baseline(rows: Sequence[Row], path: Path) -> None:
-    """Writes the flights of ``rows`` as a baseline, atomically. Raises UsageError, without writing,
-    where ``path`` is another kind of file."""
-    if path.exists():
-        read_baseline(path)
-    revisions = sorted({str(row["git_revision"]) for row in rows if row.get("git_revision")})
-    cells = [
-        _StoredCell(scene=scene, estimator=estimator, variant=variant,
-                    flights=[trials[seed] for seed in sorted(trials)])
-        for (scene, estimator, variant), trials in sorted(cells_of(rows).items())
-    ]  # fmt: skip
-    file = _File(
-        git_revision=", ".join(revisions) or None, config_sha=configuration_sha(rows), cells=cells
-    )
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, file.model_dump_json(indent=1) + "\n")
-    except OSError as error:
-        raise UsageError(f"--baseline {path}: cannot be written: {error.strerror}") from error
-
-
-def read_baseline(path: Path) -> Baseline:
-    """Returns the baseline of a file. Raises UsageError where it is missing or damaged."""
-    if reason := no_file(path):
-        raise UsageError(f"baseline '{path}' {reason}; write it with --update")
-    try:
-        file = _File.model_validate({"format": "", **read_object(path)})
-    except (OSError, ValueError) as error:
-        raise UsageError(
-            f"'{path}' is no baseline of `touchdown regress`: {reason_of(error)}; write one with "
-            "--update to another name"
-        ) from None
-    cells = {(c.scene, c.estimator, c.variant): {t.seed: t for t in c.flights} for c in file.cells}
-    return Baseline(cells, file.git_revision, file.config_sha)

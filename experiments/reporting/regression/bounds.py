@@ -8,7 +8,7 @@ may differ as much as flights of two seeds do, and no more.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -20,11 +20,10 @@ from touchdown.experiments.reporting.flights import Row
 from touchdown.experiments.reporting.regression.baseline import (
     FIGURES,
     Baseline,
-    Cells,
     Figure,
     Key,
     Pairs,
-    Trial,
+    Trials,
     cell_name,
     cells_of,
     newly_bad,
@@ -40,7 +39,7 @@ _ROUNDING = 1e-9
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BoundedFigure:
     """A figure over the flights of a cell, or of all cells of a method. ``now``, ``before``,
-    ``least`` (None: no bound) and ``most`` are geometric means; ``spread`` is the standard
+    ``minimum`` (None: no bound) and ``maximum`` are geometric means; ``spread`` is the standard
     deviation of the logarithm between seeds."""
 
     name: str
@@ -51,27 +50,21 @@ class BoundedFigure:
     minimum: float | None
     maximum: float
     spread: float
-
-    @property
-    def worse(self) -> bool:
-        below = self.minimum is not None and self.now < self.minimum * (1.0 - _ROUNDING)
-        return below or self.now > self.maximum * (1.0 + _ROUNDING)
+    worse: bool
 
     @property
     def bounds(self) -> str:
-        """The bounds as text."""
-        return (
-            f"{self.maximum:.4g}"
-            if self.minimum is None
-            else f"{self.minimum:.4g} to {self.maximum:.4g}"
-        )
+        lower = "" if self.minimum is None else f"{self.minimum:.4g} to "
+        return f"{lower}{self.maximum:.4g}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BoundsVerdict:
+    """``lost``: flights that were successful, or had a figure, in the baseline and are so no
+    longer."""
+
     figures: list[BoundedFigure]
     lost: list[str]
-    """flights that were successful, or had a figure, in the baseline and are so no longer"""
     baseline_revision: str | None
 
     @property
@@ -79,8 +72,7 @@ class BoundsVerdict:
         return bool(self.lost) or any(figure.worse for figure in self.figures)
 
     def as_json(self) -> dict[str, Any]:
-        figures = [asdict(figure) | {"worse": figure.worse} for figure in self.figures]
-        return {**asdict(self), "figures": figures, "failed": self.failed, "alpha": ALPHA}
+        return asdict(self) | {"failed": self.failed, "alpha": ALPHA}
 
 
 def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
@@ -109,17 +101,31 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
             if gone and len(keys) == 1:
                 lost.append(f"{name}: {gone} of {len(values)} flights have no {figure.title}")
             if both:
-                spread, freedom = _spread(figure, baseline.cells, total)
+                spread, freedom = _spread(figure, baseline.trials, total)
                 t = float(stats.t.ppf(1.0 - alpha / (1 + figure.both_sides), freedom))
                 margin = t * spread * math.sqrt(2.0 / len(both))
-                figures.append(_bounded(name, figure, both, spread, margin))
+                now, before = np.mean(both, axis=0).tolist()
+                low = before - margin if figure.both_sides else -math.inf
+                figures.append(
+                    BoundedFigure(
+                        name=name,
+                        figure=figure.title,
+                        flights=len(both),
+                        now=math.exp(now),
+                        before=math.exp(before),
+                        minimum=math.exp(low) or None,
+                        maximum=math.exp(before + margin),
+                        spread=spread,
+                        worse=not low - _ROUNDING <= now <= before + margin + _ROUNDING,
+                    )
+                )
     return BoundsVerdict(figures=figures, lost=lost, baseline_revision=baseline.git_revision)
 
 
-def _equal_seeds(new: Cells, baseline: Baseline) -> Pairs:
+def _equal_seeds(new: Mapping[Key, Trials], baseline: Baseline) -> Pairs:
     """Flights of equal seeds by cell, new and old."""
-    old = baseline.cells
-    pairs: dict[Key, tuple[dict[int, Trial], dict[int, Trial]]] = {}
+    old = baseline.trials
+    pairs = {}
     for key in sorted(new.keys() & old.keys()):
         seeds = sorted(new[key].keys() & old[key].keys())
         if seeds:
@@ -132,7 +138,7 @@ def _equal_seeds(new: Cells, baseline: Baseline) -> Pairs:
     return pairs
 
 
-def _spread(figure: Figure, cells: Cells, total: Key) -> tuple[float, int]:
+def _spread(figure: Figure, cells: Mapping[Key, Trials], total: Key) -> tuple[float, int]:
     """The standard deviation between seeds, pooled over the cells of the method and variant of
     ``total``, and its degrees of freedom."""
     freedom, squares = 0, 0.0
@@ -147,22 +153,6 @@ def _spread(figure: Figure, cells: Cells, total: Key) -> tuple[float, int]:
             "seeds of each scene"
         )
     return math.sqrt(squares / freedom), freedom
-
-
-def _bounded(
-    name: str, figure: Figure, both: Sequence[tuple[float, float]], spread: float, margin: float
-) -> BoundedFigure:
-    now, before = (float(mean) for mean in np.mean(both, axis=0))
-    return BoundedFigure(
-        name=name,
-        figure=figure.title,
-        flights=len(both),
-        now=math.exp(now),
-        before=math.exp(before),
-        minimum=math.exp(before - margin) if figure.both_sides else None,
-        maximum=math.exp(before + margin),
-        spread=spread,
-    )
 
 
 def bounds_lines(found: BoundsVerdict) -> list[str]:

@@ -12,16 +12,15 @@ import pytest
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.regression.baseline import (
-    Baseline,
+    baseline_of,
     cells_of,
-    configuration_sha,
     read_baseline,
     write_baseline,
 )
 from touchdown.experiments.reporting.regression.compare import (
     Comparison,
     compare,
-    table_lines,
+    comparison_lines,
     verdict_sentences,
 )
 
@@ -57,7 +56,7 @@ def scaled(rows: list[Row], factor: Callable[[Row], float]) -> list[Row]:
 
 
 def against(new: list[Row], old: list[Row], margin: float = 0.0) -> Comparison:
-    return compare(new, Baseline(cells_of(old), "abc", configuration_sha(old)), margin)
+    return compare(new, baseline_of(old), margin)
 
 
 def test_cells_are_of_one_variant() -> None:
@@ -85,7 +84,7 @@ def test_the_same_flights_are_no_regression() -> None:
     assert {cell.ratio for cell in found.cells} == {1.0}
     assert {cell.p_adjusted for cell in found.cells} == {1.0}
     assert found.missing == found.added == found.newly_bad == found.warnings == []
-    assert {cell.spread for cell in found.cells} == {"seeds, at most"}
+    assert all(cell.at_most for cell in found.cells)
     assert verdict_sentences(found)[0] == "Nothing got worse beyond chance in 30 comparisons."
     exact = against(nothing := [flight("flat", "oracle", s, 0.0) for s in range(6)], nothing)
     assert not exact.regressed and exact.cells[0].ratio == 1.0, "no logarithm of zero"
@@ -98,12 +97,12 @@ def test_thirty_percent_on_equal_seeds_are_found_and_named() -> None:
     found = against(worse, rows)
     named = [cell for cell in found.cells if cell.worse]
     assert found.regressed
-    assert [(c.scene, c.method) for c in named] == [("lake", "livo"), ("all scenes", "livo")]
+    assert [c.name for c in named] == ["lake, livo", "all scenes, livo"]
     assert named[0].ratio == pytest.approx(1.3) and named[0].p == 1 / 1024
     assert 24 / 1024 <= named[0].p_adjusted <= 30 / 1024
     assert verdict_sentences(found)[0].startswith("WORSE  lake, livo: position error ")
     assert "1.3 times" in verdict_sentences(found)[0]
-    assert {line.split(" | ")[0] for line in table_lines(found)[2:4]} == {
+    assert {line.split(" | ")[0] for line in comparison_lines(found)[2:4]} == {
         "| lake, livo",
         "| all scenes, livo",
     }
@@ -118,7 +117,7 @@ def test_thirty_percent_with_noise_in_every_scene_are_found_over_all_scenes() ->
         rows, lambda r: (1.3 if r["estimator"] == "livo" else 1.0) * rng.lognormal(0, 0.3)
     )
     found = against(worse, rows)
-    named = {(cell.scene, cell.method) for cell in found.cells if cell.worse}
+    named = {tuple(cell.name.split(", ")) for cell in found.cells if cell.worse}
     assert ("all scenes", "livo") in named and {method for _, method in named} == {"livo"}
     assert len(named) < 5, "ten pairs do not show it everywhere"
 
@@ -137,7 +136,7 @@ def test_other_seeds_find_a_doubled_error() -> None:
     old, new = campaign(rng, range(10), 0.2), campaign(rng, range(10, 20), 0.2)
     worse = scaled(new, lambda r: 2.0 if r["scene"] == "forest" else 1.0)
     found = against(worse, old)
-    named = {(cell.scene, cell.method) for cell in found.cells if cell.worse}
+    named = {tuple(cell.name.split(", ")) for cell in found.cells if cell.worse}
     assert {cell.test for cell in found.cells} == {"unpaired"}
     assert named == {("forest", method) for method in METHODS}
 
@@ -235,7 +234,7 @@ def test_too_few_seeds_to_find_any_change_are_reported() -> None:
     words = verdict_sentences(found)[-1]
     assert words.startswith("No change could have been found in 24 of 30 comparisons (")
     assert words.endswith(", ...): one needs 10 equal seeds.")
-    assert {c.scene for c in found.cells if c.worse} == {"all scenes"}
+    assert all(c.name.startswith("all scenes") for c in found.cells if c.worse)
 
 
 # ------------------------------------------------------------------------------- the command line
@@ -344,8 +343,8 @@ def test_a_baseline_reads_back(tmp_path: Path) -> None:
     rows[1] |= {"outcome": "CRASHED", "position_error_m.mean": None}
     write_baseline(rows, tmp_path / "base.json")
     found = read_baseline(tmp_path / "base.json")
-    assert found.cells == cells_of(rows)
-    assert found.git_revision == "abc" and found.config_sha == configuration_sha(rows)
+    assert found == baseline_of(rows)
+    assert found.trials == cells_of(rows) and found.git_revision == "abc"
 
 
 def test_nothing_in_common_is_an_error(tmp_path: Path, says: Says) -> None:

@@ -35,7 +35,7 @@ def flights(**changes: float) -> list[Row]:
 
 
 def against(rows: list[Row], old: list[Row]) -> bounds.BoundsVerdict:
-    return bounds.check_bounds(rows, baseline.Baseline(baseline.cells_of(old), "abc", ""))
+    return bounds.check_bounds(rows, baseline.baseline_of(old))
 
 
 def test_the_bound_follows_from_the_spread_between_seeds() -> None:

@@ -12,12 +12,12 @@ import pytest
 
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.reproduce import plans
+from touchdown.experiments.reproduce import parts
 from touchdown.experiments.reproduce import run as reproduce
-from touchdown.experiments.reproduce.items import ITEMS, item_table, measured
 from touchdown.experiments.reproduce.networks import PICTURES, _trainings, train_and_score
-from touchdown.experiments.reproduce.state import PartState
-from touchdown.experiments.reproduce.steps import PARTS, part_named
+from touchdown.experiments.reproduce.parts import PARTS, part_named
+from touchdown.experiments.reproduce.report import ITEMS, item_table, measured
+from touchdown.experiments.reproduce.run import PartResult
 from touchdown.experiments.reproduce.tables import claim_table
 from touchdown.landing.classification.networks.registry import check_network
 
@@ -89,7 +89,7 @@ def test_quick_becomes_whole_and_keeps_its_flights(world: World, tmp_path: Path)
     kept = ("landing", "positioning", "commanded_site")
     whole = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=kept)
     assert whole.successful
-    assert {name: state.edition for name, state in whole.states.items()} == {
+    assert {name: state.edition for name, state in whole.results.items()} == {
         name: "quick" if name in (*kept, *_SAME) else "whole" for name in USUAL
     }
     assert world.count("footbridge-livo-s0") == 1 and world.count("turf-livo-s4") == 1
@@ -112,18 +112,20 @@ def test_a_part_that_fails_its_purpose_is_reported(
     assert output.err == ""
     assert re.search(r"calibration +quick .* FAILED: its errors exceed", output.out)
     text = (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
-    assert "`calibration` (Fig. 2) failed its purpose" in text
-    assert "`zou2024` (Fig. 9 b) is left out, by `--skip`" in text
+    assert "`calibration` (Fig. 2) failed: its errors exceed" in text
+    assert "`zou2024` (Fig. 9 b) is left out" in text
     assert cli.main(arguments) == 1 and world.count("calibration") == 1
 
 
 def test_a_part_that_breaks_leaves_the_others(world: World, tmp_path: Path) -> None:
     world.broken = "speed"
     done = run_quick(tmp_path, skip=["recognition", *CAMPAIGNS])
-    assert not done.successful and done.states["speed"].error == "RuntimeError: a wing came off"
+    assert not done.successful and done.results["speed"].error == "RuntimeError: a wing came off"
     assert "Traceback" in (tmp_path / "speed" / "error.txt").read_text()
-    assert done.states["sites"].successful
-    assert "ended with an error" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
+    assert not done.results["sites"].failure
+    assert "`speed` (Table 7) failed: RuntimeError" in (
+        tmp_path / "report" / "report.md"
+    ).read_text(encoding="utf-8")
     world.broken = ""
     assert run_quick(tmp_path, skip=["recognition", *CAMPAIGNS]).successful
 
@@ -140,8 +142,8 @@ def test_a_campaign_without_some_outcomes_fails(
     )
     skip = [other.name for other in PARTS if other is not part]
     done = run_quick(tmp_path, skip=skip)
-    assert done.states["real_sites"].why == "2 of 5 flights have no outcome"
-    assert not reproduce.is_done(part, tmp_path, plans.Extent(quick=True)), "it is gone on with"
+    assert done.results["real_sites"].why == "2 of 5 flights have no outcome"
+    assert not reproduce.is_done(part, tmp_path, parts.Extent(quick=True)), "it is gone on with"
 
 
 @pytest.mark.usefixtures("no_report")
@@ -173,7 +175,7 @@ def test_photographs_train_every_network_until_it_has_converged(
     done = reproduce.reproduce(
         tmp_path, quick=False, jobs=1, skip=skip, photographs=["ucmerced=/pictures"]
     )
-    state = done.states["photographs"]
+    state = done.results["photographs"]
     assert not state.error and not state.why
     assert state.figures["size"]["photographs"] == ["ucmerced=/pictures"]
     assert world.count("training") == 9 * 2 + 2 * 2 and world.count("pictures") == 0
@@ -189,14 +191,17 @@ def test_photographs_train_every_network_until_it_has_converged(
 
 
 def test_vgg19_learns_more_slowly(tmp_path: Path) -> None:
-    found = {one.network: one.options for one in _trainings(tmp_path, plans.PHOTOGRAPHS, ())}
+    found = {
+        one.network: one.options
+        for one in _trainings(tmp_path, parts.TRAININGS["whole"]["photographs"], ())
+    }
     assert found["vgg19"]["learning_rate"] == 2e-4
     assert "learning_rate" not in found["resnet50"]
 
 
 def test_every_network_of_every_edition_can_see_its_images(tmp_path: Path) -> None:
-    for edition in (plans.QUICK, plans.WHOLE, plans.WHOLE_ON_GPU):
-        for size in (edition.recognition, edition.photographs):
+    for edition in parts.TRAININGS.values():
+        for size in edition.values():
             for one in _trainings(tmp_path, size, ()):
                 check_network(one.network, one.options["image_size"])
 
@@ -206,7 +211,7 @@ def test_a_network_that_still_improves_has_not_converged(world: World, tmp_path:
     world.course = lambda epoch: 0.01 * epoch
     skip = [name for name in USUAL if name != "speed"]
     done = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=skip, photographs=["x"])
-    assert done.states["photographs"].why.startswith("not converged: resnext50, d_scene; ")
+    assert done.results["photographs"].why.startswith("not converged: resnext50, d_scene; ")
 
 
 @pytest.mark.usefixtures("no_report")
@@ -218,7 +223,7 @@ def test_patience_that_ends_while_a_network_learns_is_no_convergence(
     world.loss = lambda epoch: 1.0 - fall * (epoch >= 32)  # the last tenth of 80 epochs
     skip = [name for name in USUAL if name != "speed"]
     done = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=skip, photographs=["x"])
-    assert ("not converged" in done.states["photographs"].why) is not converged
+    assert ("not converged" in done.results["photographs"].why) is not converged
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
@@ -263,12 +268,12 @@ def test_two_reproductions_in_one_directory_are_refused(world: World, tmp_path: 
 # ------------------------------------------------------------------------------------------- items
 
 
-def state(part: str, **changes: Any) -> PartState:
+def state(part: str, **changes: Any) -> PartResult:
     given: dict[str, Any] = {
         "part": part, "edition": "whole", "settings": {}, "figures": {}, "why": "", "error": "",
         "wall_s": 1.0, "finished_utc": "", "git_revision": "0123abc",
     }  # fmt: skip
-    return PartState(**given | changes)
+    return PartResult(**given | changes)
 
 
 BY_NAME = {item.name: item for item in ITEMS}
@@ -307,7 +312,11 @@ def test_a_failed_training_gives_its_reason(tmp_path: Path) -> None:
     (tmp_path / PICTURES / "lawn").mkdir(parents=True)
     two = ("mobilenet_v3_large", "resnet18")
     size = replace(
-        plans.QUICK.recognition, networks=two, labels=("d_land",), image_size=32, epochs=1
+        parts.TRAININGS["quick"]["recognition"],
+        networks=two,
+        labels=("d_land",),
+        image_size=32,
+        epochs=1,
     )
     with pytest.raises(UsageError, match="is empty: it holds no image"):
         train_and_score(tmp_path, size, [], {}, 2, lambda note: None)

@@ -11,7 +11,7 @@ import pytest
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reproduce import run as reproduce
-from touchdown.experiments.reproduce.steps import PARTS
+from touchdown.experiments.reproduce.parts import PARTS
 
 if TYPE_CHECKING:
     from support.reproduce_world import World
