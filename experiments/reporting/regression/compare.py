@@ -248,19 +248,26 @@ def _detectable(sample: _Sample, alpha: float) -> tuple[float | None, bool]:
 
 def _compare_outcomes(pairs: Pairs) -> list[OutcomeResult]:
     """Fisher's test per cell, and per method over all its cells where it has several."""
-    counts: dict[Key, Any] = {
-        key: tuple(f for ts in both for f in (sum(t.bad for t in ts.values()), len(ts)))
-        for key, both in pairs.items()
-    }
+    counts = {key: np.array([*_bad(new), *_bad(old)]) for key, (new, old) in pairs.items()}
     for total, keys in over_scenes(pairs).items():
-        counts[total] = np.sum([counts[key] for key in keys], axis=0).tolist()
+        counts[total] = np.sum([counts[key] for key in keys], axis=0)
     raw = [statistics.fisher_p(*counted) for counted in counts.values()]
-    return [
-        OutcomeResult(cell_name(key), *counted, p, adjusted, adjusted <= OUTCOME_ALPHA)
-        for (key, counted), p, adjusted in zip(
-            counts.items(), raw, statistics.holm(raw), strict=True
+    adjusted = statistics.holm(raw)
+    found = []
+    for (key, counted), p, corrected in zip(counts.items(), raw, adjusted, strict=True):
+        bad, flights, bad_before, flights_before = map(int, counted)
+        worse = corrected <= OUTCOME_ALPHA
+        found.append(
+            OutcomeResult(
+                cell_name(key), bad, flights, bad_before, flights_before, p, corrected, worse
+            )
         )
-    ]
+    return found
+
+
+def _bad(trials: Trials) -> tuple[int, int]:
+    """Numbers of unsuccessful and of all flights."""
+    return sum(trial.bad for trial in trials.values()), len(trials)
 
 
 def _absent(these: Mapping[Key, Trials], those: Mapping[Key, Trials]) -> list[str]:
