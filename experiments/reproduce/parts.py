@@ -13,6 +13,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import BaseModel, ConfigDict
+
 from touchdown.experiments.campaign.forecast import stated_core_s
 from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, load_plan
 from touchdown.experiments.campaign.session import Watcher, default_jobs
@@ -24,7 +26,7 @@ from touchdown.experiments.reproduce.networks import PICTURES, Recognition, on_g
 
 EditionName = Literal["quick", "whole", "whole-gpu"]
 PAPER_SCENES = ("crossroad", "lake", "houses", "forest")
-FLIGHTS, VEHICLE = "flights", "vehicle.jpg"
+FLIGHTS, REPORT, VEHICLE = "flights", "report", "vehicle.jpg"
 _PLANS = Path(__file__).parent / "plans"
 _POSES = 12
 """of the chessboard"""
@@ -359,3 +361,69 @@ def part_named(name: str) -> Part:
     if name not in known:
         raise UsageError(f"unknown part '{name}'{nearest(name, known)}; known: {', '.join(known)}")
     return PARTS[known.index(name)]
+
+
+# ------------------------------------------------------------------------------------------ results
+
+
+class PartResult(BaseModel):
+    """``part.json``: result of a part. ``error``: of a part that did not end and will run again;
+    ``why``: the reason why a part failed its purpose, else empty."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    part: str
+    edition: EditionName
+    settings: dict[str, Any]
+    figures: dict[str, Any]
+    why: str
+    error: str
+    wall_s: float
+    finished_utc: str
+    git_revision: str | None
+
+    @property
+    def failure(self) -> str:
+        """Why the part did not end or serve its purpose; empty where it did."""
+        return self.error or self.why
+
+
+@dataclass(frozen=True, slots=True)
+class Reproduction:
+    """Result of a reproduction. ``results``: of all parts that ever ended, by name in the order of
+    `PARTS`; ``skipped``: parts that this call left out."""
+
+    out: Path
+    quick: bool
+    results: dict[str, PartResult]
+    skipped: tuple[str, ...]
+    wall_s: float
+
+    @property
+    def successful(self) -> bool:
+        """True if every requested part served its purpose."""
+        return not any(r.failure for name, r in self.results.items() if name not in self.skipped)
+
+    def as_json(self) -> dict[str, Any]:
+        """Result of each part and the files of the report."""
+        parts = [
+            {
+                "part": name,
+                "edition": result.edition,
+                "good": not result.failure,
+                "why": result.failure,
+                "wall_s": result.wall_s,
+                "figures": result.figures,
+            }
+            for name, result in self.results.items()
+        ]
+        report = self.out / REPORT
+        return {
+            "directory": str(self.out),
+            "edition": "quick" if self.quick else "whole",
+            "good": self.successful,
+            "skipped": list(self.skipped),
+            "wall_s": self.wall_s,
+            "parts": parts,
+            "files": {kind: str(report / f"report.{kind}") for kind in ("html", "md", "json")},
+        }

@@ -21,8 +21,15 @@ from touchdown.experiments.reporting.report import (
 )
 from touchdown.experiments.reporting.tables import MISSING, Cell, Table
 from touchdown.experiments.reproduce.networks import PICTURES
-from touchdown.experiments.reproduce.parts import FLIGHTS, PAPER_SCENES, PARTS, VEHICLE, Part
-from touchdown.experiments.reproduce.run import PartResult, Reproduction
+from touchdown.experiments.reproduce.parts import (
+    FLIGHTS,
+    PAPER_SCENES,
+    PARTS,
+    VEHICLE,
+    Part,
+    PartResult,
+    Reproduction,
+)
 from touchdown.experiments.reproduce.tables import (
     calibration_table,
     claim_table,

@@ -10,11 +10,8 @@ import json
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-from pydantic import BaseModel, ConfigDict
 
 from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.errors import UsageError, reason_of, system_message
@@ -22,81 +19,19 @@ from touchdown.experiments.io.run_directory import clear_partials, utc_now, writ
 from touchdown.experiments.io.untrusted import read_object, refuse_links, shown
 from touchdown.experiments.reproduce.parts import (
     PARTS,
-    EditionName,
+    REPORT,
     Extent,
     Job,
     Notes,
     Part,
+    PartResult,
+    Reproduction,
     part_named,
 )
 from touchdown.sim.files.opening import no_file
 
-REPORT = "report"
 _MARK, _RESULT, _ERROR = "reproduction.json", "part.json", "error.txt"
 _QUICK, _WHOLE = '"edition": "quick"', '"edition": "whole"'
-
-
-class PartResult(BaseModel):
-    """``part.json``: result of a part. ``error``: of a part that did not end and will run again;
-    ``why``: the reason why a part failed its purpose, else empty."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
-
-    part: str
-    edition: EditionName
-    settings: dict[str, Any]
-    figures: dict[str, Any]
-    why: str
-    error: str
-    wall_s: float
-    finished_utc: str
-    git_revision: str | None
-
-    @property
-    def failure(self) -> str:
-        """Why the part did not end or serve its purpose; empty where it did."""
-        return self.error or self.why
-
-
-@dataclass(frozen=True, slots=True)
-class Reproduction:
-    """Result of a reproduction. ``results``: of all parts that ever ended, by name in the order of
-    `PARTS`; ``skipped``: parts that this call left out."""
-
-    out: Path
-    quick: bool
-    results: dict[str, PartResult]
-    skipped: tuple[str, ...]
-    wall_s: float
-
-    @property
-    def successful(self) -> bool:
-        """True if every requested part served its purpose."""
-        return not any(r.failure for name, r in self.results.items() if name not in self.skipped)
-
-    def as_json(self) -> dict[str, Any]:
-        """Result of each part and the files of the report."""
-        parts = [
-            {
-                "part": name,
-                "edition": result.edition,
-                "good": not result.failure,
-                "why": result.failure,
-                "wall_s": result.wall_s,
-                "figures": result.figures,
-            }
-            for name, result in self.results.items()
-        ]
-        report = self.out / REPORT
-        return {
-            "directory": str(self.out),
-            "edition": "quick" if self.quick else "whole",
-            "good": self.successful,
-            "skipped": list(self.skipped),
-            "wall_s": self.wall_s,
-            "parts": parts,
-            "files": {kind: str(report / f"report.{kind}") for kind in ("html", "md", "json")},
-        }
 
 
 def reproduce(

@@ -15,9 +15,8 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reproduce import parts
 from touchdown.experiments.reproduce import run as reproduce
 from touchdown.experiments.reproduce.networks import PICTURES, _trainings, train_and_score
-from touchdown.experiments.reproduce.parts import PARTS, part_named
+from touchdown.experiments.reproduce.parts import PARTS, PartResult, Reproduction, part_named
 from touchdown.experiments.reproduce.report import ITEMS, item_table, measured
-from touchdown.experiments.reproduce.run import PartResult
 from touchdown.experiments.reproduce.tables import claim_table
 from touchdown.landing.classification.networks.registry import check_network
 
@@ -31,7 +30,7 @@ CAMPAIGNS = ("positioning", "commanded_site", "zou2024_sites", "zou2024", "real_
 USUAL = tuple(part.name for part in PARTS if not part.needs_photographs)
 
 
-def run_quick(out: Path, **options: Any) -> reproduce.Reproduction:
+def run_quick(out: Path, **options: Any) -> Reproduction:
     return reproduce.reproduce(out, quick=True, jobs=1, **options)
 
 
