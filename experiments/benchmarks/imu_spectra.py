@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from touchdown.experiments.errors import UsageError
@@ -63,16 +64,10 @@ def read_recordings(folder: Path) -> dict[str, Array]:
 
 def _read(file: Path) -> Array:
     columns = ["time", *(f"{kind}_{axis}" for kind in ("Gyr", "Acc") for axis in "XYZ")]
-    with file.open() as lines:
-        names = lines.readline().strip().split(",")
-    if missing := [name for name in columns if name not in names]:
-        raise UsageError(f"'{file}' has no column {missing[0]}; it has {', '.join(names)}")
     try:
-        table = np.loadtxt(file, delimiter=",", skiprows=1, ndmin=2)[
-            :, [*map(names.index, columns)]
-        ]
-    except (ValueError, IndexError) as error:
-        raise UsageError(f"'{file}' is not a table of numbers: {error}") from error
+        table = pd.read_csv(file, usecols=columns)[columns].to_numpy(float)
+    except ValueError as error:
+        raise UsageError(f"'{file}' is no recording: {error}") from error
     if len(table) < _SEGMENT:
         raise UsageError(f"'{file}' has {len(table)} samples; a spectrum needs {_SEGMENT}")
     table[:, 1:4] = np.radians(table[:, 1:4])
@@ -93,13 +88,12 @@ def _wander(
     rng: np.random.Generator, count: int, rate_hz: float, mean: float, fraction: float
 ) -> Array:
     """(N, 4) rotor speeds, each a Gauss-Markov process about ``mean``."""
+    from scipy.signal import lfilter
+
     keep = np.exp(-1.0 / (rate_hz * RECORDED_WANDER_S))
     drive = np.sqrt(1.0 - keep**2) * rng.standard_normal((count, 4))
     drive[0] = rng.standard_normal(4)
-    for k in range(1, count):
-        drive[k] += keep * drive[k - 1]
-    speeds: Array = mean * (1.0 + fraction * drive)
-    return speeds
+    return np.asarray(mean * (1.0 + fraction * lfilter([1.0], [1.0, -keep], drive, axis=0)))
 
 
 def measure(folder: Path) -> dict[str, Any]:

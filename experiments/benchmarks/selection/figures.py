@@ -14,9 +14,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from touchdown.experiments.drawing.costmap_image import photo_of, seen_box
-from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import Candidate, CostmapView, Selection
-from touchdown.scenes.api import short_name
 
 Layer = NDArray[Any]
 
@@ -94,20 +92,6 @@ def write_steps(path: Path, place: str, selection: Selection) -> None:
     with matplotlib.rc_context(_STYLE):
         figure = steps_figure(selection, f"{place}\n{verdict}")
         figure.savefig(path, format="jpg", pil_kwargs={"quality": _JPEG_QUALITY})
-
-
-def figure_files(places: Sequence[tuple[str, int]], folder: Path) -> list[Path]:
-    """Creates ``folder`` and returns a file in it for each scene and seed, such as
-    ``site_turf.jpg``, with the seed in the name where there are several. Raises UsageError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"--pictures: '{folder}' cannot be created: {error.strerror}") from error
-    several = len({seed for _, seed in places}) > 1
-    return [
-        folder / f"site_{short_name(scene)}{f'_{seed}' if several else ''}.jpg"
-        for scene, seed in places
-    ]
 
 
 def chosen(candidates: Sequence[Candidate]) -> Candidate | None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import multiprocessing
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -18,7 +20,6 @@ from scipy.ndimage import distance_transform_edt
 
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.benchmarks.selection.maps import (
-    SUFFIX,
     KeptMap,
     SafeGround,
     make_map,
@@ -30,6 +31,7 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.config.slots import SLOTS, names_code, params_of
+from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.wrapper import ExternalSelector
 from touchdown.experiments.flight.slots import check_parts_available
 from touchdown.experiments.flight.wiring import check_scene_name
@@ -37,6 +39,7 @@ from touchdown.landing.api import CostmapView, Selection, SelectorInput, Selecto
 from touchdown.landing.classification.scores import calibration
 from touchdown.landing.selection import probability as risk
 from touchdown.landing.selection.selector import select_sites
+from touchdown.scenes.api import short_name
 from touchdown.sim.api import VehicleModel
 
 Array = NDArray[np.float64]
@@ -54,10 +57,8 @@ CLEARANCE_CAP_M = 3.0
 """distance to unsafe ground from which the clearance no longer rises"""
 
 
-def check_map(kept: KeptMap, config: Config, figure: Path | None = None) -> dict[str, Any]:
-    """Judges the configured selector on one map by its true ground.
-
-    Draws the steps of the selection into the file ``figure``, if given. Returns:
+def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
+    """Judges the configured selector on one map by its true ground. Returns:
 
     ``chosen_safe`` (None where nothing was accepted), ``accepted`` and ``accepted_safe`` sites;
     ``cells``: numbers of surveyed cells that are safe, allowed, and both; ``clearance_m`` of the
@@ -75,10 +76,6 @@ def check_map(kept: KeptMap, config: Config, figure: Path | None = None) -> dict
     accepted = [site for site in selection.candidates if site.accepted]
     verdicts = [_value_at(truth, truth.safe, site.position_odom[:2]) for site in accepted]
     clearance = np.minimum(distance_transform_edt(truth.safe) * truth.cell_m, CLEARANCE_CAP_M)
-    if figure is not None:
-        from touchdown.experiments.benchmarks.selection.figures import write_steps
-
-        write_steps(figure, f"{kept.scene}, seed {kept.seed}", selection)
     safe, judged = _on_grid(truth, costmap)
     seen = judged & _seen(kept.map_view.coarse, costmap)
     return {
@@ -251,10 +248,6 @@ class Posed:
         yield from ((s, n) for s in self.scenes for n in parse_seeds(self.seeds, "--seeds"))
 
 
-Place = tuple[str, int, str] | Path
-"""Scene, seed and profile of a survey; or the file of a kept map."""
-
-
 def make_maps(
     source: Posed, out: Path, jobs: int, overrides: Sequence[str], report: Callable[[Path], None]
 ) -> list[Path]:
@@ -298,27 +291,31 @@ def run(
     given = tuple(overrides)
     for name in names:
         check_parts_available(_config("field", name, given, "flat", 0))
-    places: list[Place] = (
-        list(map_files(source))
-        if isinstance(source, Path)
-        else [(scene, seed, source.profile) for scene, seed in source.places()]
-    )
-    files: dict[Place, Path] = {}
     if pictures is not None:
-        from touchdown.experiments.benchmarks.selection.figures import figure_files
-
-        files = dict(zip(places, figure_files(list(map(_name_of, places)), pictures), strict=True))
-    check = partial(_checked, selectors=names, overrides=given)
-    first = files if worst is None else {}
-    found: list[list[dict[str, Any]]] = []
-    for results in _mapped(check, [(place, first.get(place)) for place in places], jobs):
-        report(results[0])
-        found.append(results)
-    if worst is not None:
-        order = sorted(range(len(places)), key=lambda n: _regret(found[n][0]), reverse=True)
-        draw = partial(_checked, selectors=names[:1], overrides=given)
-        list(_mapped(draw, [(places[n], files.get(places[n])) for n in order[:worst]], jobs))
-    mine = [results[0] for results in found]
+        try:
+            pictures.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(
+                f"--pictures: '{pictures}' cannot be created: {error.strerror}"
+            ) from error
+    with contextlib.ExitStack() as stack:
+        if isinstance(source, Path):
+            files = map_files(source)
+        else:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            files = make_maps(source, folder, jobs, given, lambda _file: None)
+        check = partial(_checked, selectors=names, overrides=given)
+        found: list[list[dict[str, Any]]] = []
+        for results in _mapped(check, files, jobs):
+            report(results[0])
+            found.append(results)
+        mine = [results[0] for results in found]
+        if pictures is not None:
+            order = sorted(range(len(files)), key=lambda n: _regret(mine[n]), reverse=True)
+            several = len({place["seed"] for place in mine}) > 1
+            draw = partial(_draw, selector=names[0], overrides=given, folder=pictures,
+                           several=several)  # fmt: skip
+            list(_mapped(draw, [files[n] for n in order[:worst]], jobs))
     chosen = names[0] or _config("field", None, given, "flat", 0).landing.selector
     figures: dict[str, Any] = {"selector": chosen, "summary": summary(mine)}
     if len(names) > 1:
@@ -335,21 +332,31 @@ def run(
 
 
 def _checked(
-    task: tuple[Place, Path | None],
-    selectors: tuple[str | None, ...],
-    overrides: tuple[str, ...],
+    file: Path, selectors: tuple[str | None, ...], overrides: tuple[str, ...]
 ) -> list[dict[str, Any]]:
-    """`check_map` of one place by each selector; the choice of the first one is drawn."""
-    place, figure = task
-    if isinstance(place, Path):
-        kept = read_map(place)
-    else:
-        scene, seed, profile = place
-        kept = make_map(_config(profile, None, overrides, scene, seed))
-    configs = [_config(kept.profile, name, overrides, kept.scene, kept.seed) for name in selectors]
+    """`check_map` of one map by each selector."""
+    kept = read_map(file)
     return [
-        check_map(kept, config, None if number else figure) for number, config in enumerate(configs)
+        check_map(kept, _config(kept.profile, name, overrides, kept.scene, kept.seed))
+        for name in selectors
     ]
+
+
+def _draw(
+    file: Path, selector: str | None, overrides: tuple[str, ...], folder: Path, several: bool
+) -> None:
+    """Draws the steps of one choice as site_SCENE.jpg, with the seed where there are several."""
+    from touchdown.experiments.benchmarks.selection.figures import write_steps
+
+    kept = read_map(file)
+    config = _config(kept.profile, selector, overrides, kept.scene, kept.seed)
+    seed = f"_{kept.seed}" if several else ""
+    selection = chooser(config, kept.vehicle)(kept)
+    write_steps(
+        folder / f"site_{short_name(kept.scene)}{seed}.jpg",
+        f"{kept.scene}, seed {kept.seed}",
+        selection,
+    )
 
 
 @functools.lru_cache(maxsize=256)
@@ -378,14 +385,6 @@ def _mapped(function: Callable[[Any], Any], tasks: Sequence[Any], jobs: int) -> 
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
         yield from pool.map(function, tasks)
-
-
-def _name_of(place: Place) -> tuple[str, int]:
-    if isinstance(place, Path):
-        stem = place.name.removesuffix(SUFFIX)
-        scene, _, seed = stem.rpartition("-")
-        return scene, int(seed) if seed.isdecimal() else 0
-    return place[:2]
 
 
 def row(place: dict[str, Any]) -> str:
