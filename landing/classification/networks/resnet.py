@@ -8,12 +8,13 @@ since Goyal et al. (2017).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from touchdown.landing.classification.networks.blocks import ConvNorm, GlobalMean, fresh_weights
+from touchdown.landing.classification.networks.blocks import ConvNorm, GlobalMean
 
 _WIDTHS = (64, 128, 256, 512)
 REDUCTION = 16
@@ -66,14 +67,15 @@ class Cbam(nn.Module):
 
 
 class Residual(nn.Module):
-    """relu(shortcut(x) + attention(branch(x)))."""
+    """relu(shortcut(x) + attention(branch(x))). It begins as its shortcut (Goyal et al. 2017,
+    section 5.1)."""
 
-    def __init__(self, inside: int, branch: nn.Sequential, stride: int, attention: bool) -> None:
+    def __init__(
+        self, inside: int, outside: int, branch: list[ConvNorm], stride: int, attention: bool
+    ) -> None:
         super().__init__()
-        last = branch[-1]
-        assert isinstance(last, ConvNorm)
-        outside = last.norm.num_features
-        self.branch = branch
+        nn.init.zeros_(branch[-1][1].weight)  # type: ignore[arg-type]
+        self.branch = nn.Sequential(*branch)
         self.attention = Cbam(outside) if attention else nn.Identity()
         same = stride == 1 and inside == outside
         self.shortcut = (
@@ -87,90 +89,71 @@ class Residual(nn.Module):
         return rest
 
 
-def basic_branch(inside: int, width: int, stride: int) -> nn.Sequential:
+def _basic(inside: int, width: int, stride: int) -> list[ConvNorm]:
     """Two 3x3 convolutions."""
-    return nn.Sequential(
+    return [
         ConvNorm(inside, width, 3, stride=stride, padding=1),
         ConvNorm(width, width, 3, padding=1, activation=None),
-    )
+    ]
 
 
-def bottleneck_branch(
-    inside: int, width: int, stride: int, groups: int = 1, group_width: int = 64
-) -> nn.Sequential:
-    """1x1, 3x3 in ``groups`` of ``group_width`` x width / 64 channels, 1x1 to 4 ``width``."""
-    middle = width * group_width // 64 * groups
-    return nn.Sequential(
+def _bottleneck(inside: int, width: int, stride: int, groups: int = 1) -> list[ConvNorm]:
+    """1x1, 3x3, 1x1 to 4 ``width``; with ``groups``, which are of width / 16 channels, the middle
+    is twice as wide."""
+    middle = width if groups == 1 else width * groups // 16
+    return [
         ConvNorm(inside, middle, 1),
         ConvNorm(middle, middle, 3, stride=stride, padding=1, groups=groups),
         ConvNorm(middle, 4 * width, 1, activation=None),
-    )
+    ]
 
 
-def _grouped_branch(inside: int, width: int, stride: int) -> nn.Sequential:
-    return bottleneck_branch(inside, width, stride, groups=32, group_width=4)
-
-
-class ResNet(nn.Sequential):
+def _resnet(
+    classes: int,
+    depths: tuple[int, ...],
+    branch: Callable[[int, int, int], list[ConvNorm]] = _bottleneck,
+    expansion: int = 4,
+    attention: bool = False,
+) -> nn.Module:
     """A stem, four stages of residual blocks, the mean over all pixels, a linear layer."""
-
-    def __init__(
-        self,
-        classes: int,
-        depths: tuple[int, int, int, int],
-        branch: Callable[[int, int, int], nn.Sequential],
-        attention: bool = False,
-    ) -> None:
-        layers: list[nn.Module] = [
-            ConvNorm(3, 64, 7, stride=2, padding=3),
-            nn.MaxPool2d(3, 2, padding=1),
-        ]
-        inside = 64
-        for stage, (width, depth) in enumerate(zip(_WIDTHS, depths, strict=True)):
-            blocks = []
-            for number in range(depth):
-                stride = 2 if number == 0 and stage > 0 else 1
-                block = Residual(inside, branch(inside, width, stride), stride, attention)
-                inside = _channels(block)
-                blocks.append(block)
-            layers.append(nn.Sequential(*blocks))
-        super().__init__(*layers, GlobalMean(), nn.Linear(inside, classes))
-        fresh_weights(self)
-        for layer in self.modules():
-            if isinstance(layer, Residual):
-                # every block begins as its shortcut (Goyal et al. 2017, section 5.1)
-                last = layer.branch[-1]
-                assert isinstance(last, ConvNorm)
-                nn.init.zeros_(last.norm.weight)
-
-
-def _channels(block: Residual) -> int:
-    last = block.branch[-1]
-    assert isinstance(last, ConvNorm)
-    return last.norm.num_features
+    layers: list[nn.Module] = [
+        ConvNorm(3, 64, 7, stride=2, padding=3),
+        nn.MaxPool2d(3, 2, padding=1),
+    ]
+    inside = 64
+    for stage, (width, depth) in enumerate(zip(_WIDTHS, depths, strict=True)):
+        blocks = []
+        for number in range(depth):
+            stride = 2 if number == 0 and stage > 0 else 1
+            outside = expansion * width
+            block = branch(inside, width, stride)
+            blocks.append(Residual(inside, outside, block, stride, attention))
+            inside = outside
+        layers.append(nn.Sequential(*blocks))
+    return nn.Sequential(*layers, GlobalMean(), nn.Linear(inside, classes))
 
 
 def resnet18(classes: int, image_size: int) -> nn.Module:
-    return ResNet(classes, (2, 2, 2, 2), basic_branch)
+    return _resnet(classes, (2, 2, 2, 2), _basic, expansion=1)
 
 
 def resnet34(classes: int, image_size: int) -> nn.Module:
-    return ResNet(classes, (3, 4, 6, 3), basic_branch)
+    return _resnet(classes, (3, 4, 6, 3), _basic, expansion=1)
 
 
 def resnet50(classes: int, image_size: int) -> nn.Module:
-    return ResNet(classes, (3, 4, 6, 3), bottleneck_branch)
+    return _resnet(classes, (3, 4, 6, 3))
 
 
 def resnet101(classes: int, image_size: int) -> nn.Module:
-    return ResNet(classes, (3, 4, 23, 3), bottleneck_branch)
+    return _resnet(classes, (3, 4, 23, 3))
 
 
 def resnet50_cbam(classes: int, image_size: int) -> nn.Module:
     """The paper's network: `Cbam` in every residual block."""
-    return ResNet(classes, (3, 4, 6, 3), bottleneck_branch, attention=True)
+    return _resnet(classes, (3, 4, 6, 3), attention=True)
 
 
 def resnext50(classes: int, image_size: int) -> nn.Module:
     """32x4d: 32 groups of 4 channels in the first stage."""
-    return ResNet(classes, (3, 4, 6, 3), _grouped_branch)
+    return _resnet(classes, (3, 4, 6, 3), partial(_bottleneck, groups=32))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import nn
 
-from touchdown.landing.classification.networks.blocks import MeanGrid, fresh_weights
+from touchdown.landing.classification.networks.blocks import MeanGrid
 
 _STAGES = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))
 """channels and number of 3x3 convolutions before each halving"""
@@ -21,7 +21,7 @@ def vgg19(classes: int, image_size: int) -> nn.Module:
             layers += [nn.Conv2d(inside, width, 3, padding=1), nn.ReLU()]
             inside = width
         layers.append(nn.MaxPool2d(2))
-    network = nn.Sequential(
+    return nn.Sequential(
         *layers,
         MeanGrid(image_size // 2 ** len(_STAGES), _GRID),
         nn.Flatten(),
@@ -33,5 +33,3 @@ def vgg19(classes: int, image_size: int) -> nn.Module:
         nn.Dropout(0.5),
         nn.Linear(_HIDDEN, classes),
     )
-    fresh_weights(network)
-    return network

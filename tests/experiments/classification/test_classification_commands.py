@@ -160,20 +160,6 @@ def test_classifying_by_command(
     assert "64 pixels do not fit into an image of 90 x 60" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("change", [lambda content: content[:-100], lambda content: b"x" + content])
-def test_broken_networks_are_reported_in_one_line(
-    change: Any, trained: Path, folder: Path, tmp_path: Path, says: Says
-) -> None:
-    broken = tmp_path / "network.onnx"
-    broken.write_bytes(change(trained.read_bytes()))
-    weights.checksum_file(broken).write_bytes(weights.checksum_file(trained).read_bytes())
-    output = says(2, "evaluate", broken, "--data", folder, "--quiet").err
-    assert "is truncated or changed" in output and output.count("\n") == 1
-    weights.write_network(broken, b"no network at all")
-    output = says(2, "evaluate", broken, "--data", folder).err
-    assert "cannot be loaded as a network" in output and output.count("\n") == 1
-
-
 def test_commands_say_what_is_missing(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     says: Says,

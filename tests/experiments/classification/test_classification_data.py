@@ -165,18 +165,6 @@ def test_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert pictures.images.shape == (len(expected), 32, 32, 3) and pictures.sources == ("rendered",)
 
 
-def test_an_interrupted_dataset_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def stop(*_: Any) -> Any:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(render_dataset, "scene_patches", stop)
-    with pytest.raises(KeyboardInterrupt):
-        render_dataset.render_dataset(tmp_path / "new", DatasetParams(images=4, scenes=["lake"]))
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Any:
     """Makes class folders with small coloured images."""

@@ -9,7 +9,7 @@ from touchdown.landing.api import GroundPrediction, LandingParams, SemanticMapPa
 from touchdown.landing.classification import engine, site_check
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.scores import probabilities
-from touchdown.landing.classification.survey_images import SurveyImages, brightened
+from touchdown.landing.classification.survey_images import SurveyImages
 from touchdown.sim.frames import Pose
 
 from support.ground_class_support import COLOURS, ByColour, photograph, plain, site_at, small_rig
@@ -71,11 +71,6 @@ def test_newer_images_alone_where_they_are_asked_for() -> None:
 def test_images_are_kept_a_fifth_of_their_height_apart_and_not_from_near_the_ground() -> None:
     views = (0.0, 2.6, "lawn"), (0.0, 20.0, "lawn"), (3.9, 20.0, "lawn"), (4.1, 20.0, "lawn")
     assert len(images_of(*views)) == 2
-
-
-def test_a_dim_patch_gets_the_light_of_day() -> None:
-    light = (brightened(np.full((8, 8, 3), 30, np.uint8)) / 255.0) ** 2.2
-    assert light.mean() == pytest.approx((110.0 / 255.0) ** 2.2, rel=0.02)
 
 
 def test_pulses_count_in_the_square_around_the_site_alone() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.landing.api import Candidate, LandingParams, Selection, SemanticMapParams
+from touchdown.landing.api import Candidate, LandingParams, SemanticMapParams
 from touchdown.landing.classification import decision, weights
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.site_check import (
@@ -315,18 +315,6 @@ def test_in_the_dark_the_class_is_left_to_the_second_look() -> None:
         assert judged.accepted is site_recheck and judged.class_predicted is None
         assert ("too dark" in judged.reason) is site_recheck
     assert check.refusal(None, False) is not None  # and from close by it must be seen
-
-
-def test_traffic_zone_is_read_at_the_site() -> None:
-    view = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
-    selection = select(view, make_estimate(0, ABOVE), LandingParams())
-    assert selection.costmap is not None
-    traffic_zone = np.zeros_like(selection.allowed)
-    traffic_zone[:, traffic_zone.shape[1] // 2 :] = True
-    marked: Selection = dataclasses.replace(selection, traffic_zone=traffic_zone)
-    check = _check(ByColour(sure=0.93), plain("lawn"))
-    west, east = check.judge(_sites((-9, 0), (9, 0)), view, selection=marked)
-    assert west.accepted and not east.accepted
 
 
 def test_refused_surfaces_rank_lower() -> None:

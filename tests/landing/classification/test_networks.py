@@ -7,7 +7,7 @@ import pytest
 
 torch: Any = pytest.importorskip("torch")
 
-from touchdown.landing.classification.networks import blocks, mobile, resnet  # noqa: E402
+from touchdown.landing.classification.networks import blocks, resnet  # noqa: E402
 from touchdown.landing.classification.networks.registry import NETWORKS, build_network  # noqa: E402
 
 PUBLISHED = {
@@ -101,10 +101,3 @@ def test_mean_grid_is_adaptive_pooling(side: int) -> None:
     features = torch.rand(2, 3, side, side, generator=torch.Generator().manual_seed(1))
     expected = torch.nn.functional.adaptive_avg_pool2d(features, 7)
     np.testing.assert_allclose(blocks.MeanGrid(side, 7)(features), expected, atol=1e-6)
-
-
-def test_channels_are_rounded_to_eighths() -> None:
-    """MobileNet: 72/4 = 18 would lose more than a tenth at 16; 120/4 = 30 rounds up to 32."""
-    assert [mobile.rounded_channels(c / 4) for c in (72, 120, 480, 672, 960)] == [
-        24, 32, 120, 168, 240,
-    ]  # fmt: skip

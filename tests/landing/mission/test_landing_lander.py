@@ -74,14 +74,6 @@ def test_no_site_searches_another_leg_then_returns_home() -> None:
     assert first.why.startswith("No site: 12 candidates refused: ") and not first.given_up
 
 
-def test_commanded_site_is_flown_to() -> None:
-    puppet = Puppet(make_lander(site_xy_m=(7.0, 5.0)), flat_map())
-    phases, view = fly(puppet)
-    assert phases[-1] is Phase.DONE and Phase.RETURN not in phases
-    assert puppet.position[:2] == pytest.approx([7.0, 5.0], abs=0.01)
-    assert view.committed_site_world == pytest.approx([7.0, 5.0, 0.0], abs=0.02)
-
-
 def test_unsuitable_commanded_site_is_refused_with_its_reason() -> None:
     height = np.zeros((280, 280))
     height[120:130, 132:140] = 0.8  # a box at x 6.4..8, y 4..6

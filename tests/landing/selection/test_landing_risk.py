@@ -76,14 +76,6 @@ def test_fit_finds_calibrated_probabilities_and_keeps_signs() -> None:
     assert sum(number for _, _, number in rows) == 20000
 
 
-def test_calibration_error_by_hand() -> None:
-    predict = np.array([0.15, 0.15, 0.95, 0.95], np.float32)
-    safe = np.array([True, False, True, True])
-    error, rows = calibration(predict, safe)
-    assert error == pytest.approx(0.5 * 0.35 + 0.5 * 0.05, abs=1e-6)
-    assert [(fraction, number) for _, fraction, number in rows] == [(0.5, 2), (1.0, 2)]
-
-
 def test_all_selectors_land_on_the_good_half_and_an_emergency_takes_the_least_bad() -> None:
     rng = np.random.default_rng(2)
     half = np.zeros((80, 80))

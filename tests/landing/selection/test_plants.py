@@ -109,14 +109,6 @@ def test_low_wall_is_no_clump_although_its_edges_spread() -> None:
         assert not standing_plants(raster, GROUND, fill_gaps=fill)[:, 41].any()
 
 
-def test_bare_ground_comes_first() -> None:
-    cover = _flat()
-    cover[:, :55] = 0.25
-    chosen = select(view_of(_map(_flat(), cover)), ABOVE, PARAMS)
-    assert chosen.allowed[20:60, 20:40].any()
-    assert chosen.candidates[0].accepted and chosen.candidates[0].position_odom[0] > 11.0
-
-
 def test_look_from_ten_metres_lands_between_and_on_clumps_of_grass() -> None:
     """Clumps of 40 cm with gaps between them, 20 cm high, in fine cells of 5 cm."""
     cover = np.zeros((320, 320))
