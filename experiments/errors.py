@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from typing import Any
 
-from pydantic import ValidationError
-
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """The hint `` (did you mean 'x'?)`` with the nearest known name; "" if none is near."""
@@ -100,6 +98,8 @@ def input_message(error: ValueError | OSError) -> str:
 def reason_of(error: Exception) -> str:
     """The words of an error, without the number that the system gives it; of a document that does
     not fit its model the first fault and its place."""
+    from pydantic import ValidationError
+
     if isinstance(error, ValidationError):
         first = error.errors(include_url=False)[0]
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"

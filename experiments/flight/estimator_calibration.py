@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -97,19 +96,13 @@ def _relative(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> Sens
     )
     if not any(sigmas):
         return rig
-    draw = np.random.default_rng([seed, crc32(b"rig error")]).standard_normal
-    rotation = np.deg2rad(params.rotation_sigma_deg) * draw(3)
-    translation = params.translation_sigma_m * draw(3)
-    stretch = 1.0 + params.focal_sigma * draw(2)
-    center = params.center_sigma_px * draw(2)
-    k = rig.camera
-    camera = replace(
-        k,
-        fx=float(k.fx * stretch[0]),
-        fy=float(k.fy * stretch[1]),
-        cx=float(k.cx + center[0]),
-        cy=float(k.cy + center[1]),
-    )
+    draws = _draws(seed, b"rig error", 10)
+    rotation = np.deg2rad(params.rotation_sigma_deg) * draws[:3]
+    translation = params.translation_sigma_m * draws[3:6]
+    k, stretch, center = rig.camera, params.focal_sigma * draws[6:8], draws[8:]
+    fx, fy = np.array([k.fx, k.fy]) * (1.0 + stretch)
+    cx, cy = np.array([k.cx, k.cy]) + params.center_sigma_px * center
+    camera = replace(k, fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy))
     true = rig.body_from_camera.inverse() @ rig.body_from_lidar
     return _with(
         rig, camera, Pose(so3_exp(rotation) @ true.rotation, true.translation + translation)
@@ -143,23 +136,21 @@ def calibration_errors(true: SensorRig, nominal: SensorRig) -> dict[str, float]:
 
 def _camera_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
     """With the error of the cameras' mount, which carries both of a stereo pair."""
-    rotation = params.imu_camera_rotation_sigma_deg
-    translation = params.imu_camera_translation_sigma_m
-    if not (rotation or translation):
+    sigmas = params.imu_camera_rotation_sigma_deg, params.imu_camera_translation_sigma_m
+    if not any(sigmas):
         return rig
-    wrong = _mount_error(rig, rotation, translation, seed, b"camera")
     pair = rig.body_from_camera.inverse() @ rig.body_from_camera_right
-    camera = wrong(rig.body_from_camera)
+    camera = _erring_mount(rig, "camera", seed, *sigmas)
     return replace(rig, body_from_camera=camera, body_from_camera_right=camera @ pair)
 
 
 def _lidar_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
-    rotation = params.imu_lidar_rotation_sigma_deg
-    translation = params.imu_lidar_translation_sigma_m
-    if not (rotation or translation):
-        return rig
-    wrong = _mount_error(rig, rotation, translation, seed, b"lidar")
-    return replace(rig, body_from_lidar=wrong(rig.body_from_lidar))
+    sigmas = params.imu_lidar_rotation_sigma_deg, params.imu_lidar_translation_sigma_m
+    return (
+        replace(rig, body_from_lidar=_erring_mount(rig, "lidar", seed, *sigmas))
+        if any(sigmas)
+        else rig
+    )
 
 
 def _apart(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
@@ -187,20 +178,16 @@ def _draws(seed: int, name: bytes, count: int) -> Array:
     return np.random.default_rng([seed, crc32(name)]).standard_normal(count)
 
 
-def _mount_error(
-    rig: SensorRig, rotation_sigma_deg: float, translation_sigma_m: float, seed: int, sensor: bytes
-) -> Callable[[Pose], Pose]:
-    """Returns the error of one sensor's mount on the body: a rotation about the sensor and a
-    translation, in the IMU's axes."""
-    draw = np.random.default_rng([seed, crc32(b"imu mount of " + sensor)]).standard_normal
-    rotation = so3_exp(np.deg2rad(rotation_sigma_deg) * draw(3))
-    translation = translation_sigma_m * draw(3)
-
-    def wrong(body_from_sensor: Pose) -> Pose:
-        true = rig.body_from_imu.inverse() @ body_from_sensor
-        return rig.body_from_imu @ Pose(rotation @ true.rotation, true.translation + translation)
-
-    return wrong
+def _erring_mount(
+    rig: SensorRig, sensor: str, seed: int, rotation_sigma_deg: float, translation_sigma_m: float
+) -> Pose:
+    """Returns ``body_from_SENSOR`` with an error: a rotation about the sensor and a translation, in
+    the IMU's axes."""
+    draws = _draws(seed, f"imu mount of {sensor}".encode(), 6)
+    rotation = so3_exp(np.deg2rad(rotation_sigma_deg) * draws[:3])
+    true = rig.body_from_imu.inverse() @ getattr(rig, f"body_from_{sensor}")
+    moved = true.translation + translation_sigma_m * draws[3:]
+    return rig.body_from_imu @ Pose(rotation @ true.rotation, moved)
 
 
 # -------------------------------------------------------------------------- distortion
@@ -209,12 +196,10 @@ def _mount_error(
 def _distorted(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
     if not params.distortion_sigma_px:
         return rig
-    draw = np.random.default_rng([seed, crc32(b"rig distortion")]).standard_normal
-    unit = corner_displacement_px(rig.camera)
     each = DISTORTION_FRACTION * params.distortion_sigma_px
-    error = np.append(each * draw(_DISTORTION_TERMS) / unit, 0.0)
-    camera = replace(rig.camera, distortion=rig.camera.distortion + error)
-    return replace(rig, camera=camera)
+    draws = _draws(seed, b"rig distortion", _DISTORTION_TERMS)
+    error = np.append(each * draws / corner_displacement_px(rig.camera), 0.0)
+    return replace(rig, camera=replace(rig.camera, distortion=rig.camera.distortion + error))
 
 
 def corner_displacement_px(camera: CameraIntrinsics) -> Array:

@@ -9,7 +9,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,14 +68,6 @@ class PositioningError:
         )
 
 
-class DeviationSummary(NamedTuple):
-    """Figures of `TrajectoryDeviation`."""
-
-    mean_m: float | None
-    max_m: float | None
-    variance_m2: float | None
-
-
 @dataclass(slots=True)
 class TrajectoryDeviation:
     """E_tra and its variance: |truth - reference| at equal times (the paper's Table 2)."""
@@ -96,12 +88,6 @@ class TrajectoryDeviation:
     @property
     def variance(self) -> float:
         return self._m2 / self.count if self.count else 0.0
-
-    def summary(self) -> DeviationSummary:
-        """Mean, maximum and variance; all None without a sample."""
-        if self.count == 0:
-            return DeviationSummary(None, None, None)
-        return DeviationSummary(self.mean, self.largest, self.variance)
 
 
 NEES_LIMIT = 14.2
@@ -164,18 +150,6 @@ class Consistency:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class TouchdownSummary:
-    """Means over the last half second before the first contact, maxima from it on."""
-
-    vertical_speed_mps: float
-    horizontal_speed_mps: float
-    vertical_accel_mps2: float
-    impact_peak_mps2: float
-    bounce_m: float
-    tilt_deg: float
-
-
 class TouchdownWindow:
     """Truth of the last half second before the first contact and of the time after it."""
 
@@ -211,16 +185,17 @@ class TouchdownWindow:
         self.tilt_deg = max(self.tilt_deg, tilt)
         self.impact_peak_mps2 = max(self.impact_peak_mps2, truth.peak_contact_accel)
 
-    def summary(self) -> TouchdownSummary:
-        """Returns the figures of the touchdown so far."""
-        return TouchdownSummary(
-            vertical_speed_mps=float(np.mean(self._vertical_speed)),
-            horizontal_speed_mps=float(np.mean(self._horizontal_speed)),
-            vertical_accel_mps2=float(np.mean(self._vertical_accel)),
-            impact_peak_mps2=self.impact_peak_mps2,
-            bounce_m=self.bounce_m,
-            tilt_deg=self.tilt_deg,
-        )
+    def summary(self) -> dict[str, float]:
+        """The figures of the touchdown so far by their names in `Landing`: means over the last half
+        second before the first contact, maxima from it on."""
+        return {
+            "vertical_speed_mps": float(np.mean(self._vertical_speed)),
+            "horizontal_speed_mps": float(np.mean(self._horizontal_speed)),
+            "vertical_accel_mps2": float(np.mean(self._vertical_accel)),
+            "impact_peak_mps2": self.impact_peak_mps2,
+            "bounce_m": self.bounce_m,
+            "tilt_deg": self.tilt_deg,
+        }
 
 
 @dataclass(frozen=True, slots=True)

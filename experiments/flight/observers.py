@@ -41,20 +41,6 @@ class EventLog:
                 self.kept.append(Event(time_s=time_s, text=text))
 
 
-class PhaseLog:
-    """Beginnings of phases: the first ``_MAX_EVENTS`` changes."""
-
-    def __init__(self) -> None:
-        self.kept: list[PhaseStart] = []
-        self._phase = ""
-
-    def add(self, time_s: float, phase: str) -> None:
-        """Adds the phase of one control step."""
-        if phase != self._phase and len(self.kept) < _MAX_EVENTS:
-            self.kept.append(PhaseStart(time_s=time_s, phase=phase))
-        self._phase = phase
-
-
 class StepObserver:
     """Passes every step on to the recorder, keeps events, phases and maps, reports progress, and
     has free memory given back."""
@@ -66,16 +52,16 @@ class StepObserver:
         roughness_length_m: float = WindParams().roughness_length_m,
     ) -> None:
         self.events = EventLog()
-        self.phases = PhaseLog()
+        self.phases: list[PhaseStart] = []
+        """beginnings of phases, the first ``_MAX_EVENTS``"""
         self.slowed_s = 0.0
         """time by which wind has made the lander's trajectories longer than they were set"""
         self.decisions: tuple[Decision, ...] = ()
         """decisions of the lander so far"""
         self.conditions = ConditionsObserver(roughness_length_m)
-        self._recorder = recorder
-        self._progress = progress
-        self._next_s = 0.0
-        self._release_s = 0.0
+        self._recorder, self._progress = recorder, progress
+        self._phase = ""
+        self._next_s = self._release_s = 0.0
         self._latest_map: GridMap | None = None
         self._survey_map: GroundMap | None = None
 
@@ -83,11 +69,12 @@ class StepObserver:
         """Takes one control step."""
         time_s, phase = step.truth.time_s, str(step.lander_view.phase)
         self.events.add(step.estimate.time_s, step.estimate.events)
-        self.events.add(time_s, step.lander_view.events)
-        self.events.add(time_s, step.command.events)
+        self.events.add(time_s, step.lander_view.events + step.command.events)
         self.slowed_s = step.lander_view.slowed_s
         self.decisions = step.lander_view.decisions
-        self.phases.add(time_s, phase)
+        if phase != self._phase and len(self.phases) < _MAX_EVENTS:
+            self.phases.append(PhaseStart(time_s=time_s, phase=phase))
+        self._phase = phase
         self.conditions.tick(step)
         self._latest_map = step.map_view.coarse
         if self._progress is not None and time_s >= self._next_s:
@@ -122,11 +109,9 @@ class StageClock:
     """Accumulates wall time per stage. Constant memory."""
 
     def __init__(self) -> None:
-        self._seconds: defaultdict[str, float] = defaultdict(float)
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        """by stage, so far"""
         self._started = time.perf_counter()
-
-    def add(self, stage: str, seconds: float) -> None:
-        self._seconds[stage] += seconds
 
     def wall_s(self) -> float:
         """Time since the start, inside and outside of stages."""
@@ -135,26 +120,23 @@ class StageClock:
     def stage_ms(self, sim_s: float) -> dict[str, float]:
         """Milliseconds of wall time per 0.1 s of simulated time (one LIDAR scan), by stage."""
         scans = max(sim_s / 0.1, 1e-9)
-        return {name: 1e3 * total / scans for name, total in sorted(self._seconds.items())}
+        return {name: 1e3 * total / scans for name, total in sorted(self.seconds.items())}
 
 
 class Timed:
     """Proxy of a component that times the calls of one of its methods."""
 
     def __init__(self, target: Any, method: str, stage: str, clock: StageClock) -> None:
-        self._target = target
-        setattr(self, method, _timed(getattr(target, method), stage, clock))
+        call, self._target = getattr(target, method), target
+
+        def timed(*args: Any) -> Any:
+            started = time.perf_counter()
+            try:
+                return call(*args)
+            finally:
+                clock.seconds[stage] += time.perf_counter() - started
+
+        setattr(self, method, timed)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._target, name)
-
-
-def _timed(call: Callable[..., Any], stage: str, clock: StageClock) -> Callable[..., Any]:
-    def timed(*args: Any) -> Any:
-        started = time.perf_counter()
-        try:
-            return call(*args)
-        finally:
-            clock.add(stage, time.perf_counter() - started)
-
-    return timed

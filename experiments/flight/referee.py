@@ -15,7 +15,6 @@ from touchdown.estimator.api import Estimate
 from touchdown.experiments.api import Outcome, RefereeParams
 from touchdown.experiments.flight.metrics import (
     Consistency,
-    DeviationSummary,
     PositioningError,
     TouchdownWindow,
     TrajectoryDeviation,
@@ -30,7 +29,7 @@ from touchdown.experiments.io.result_parts import (
 from touchdown.landing.api import LanderView, Phase
 from touchdown.scenes.api import SAFE_CLASSES, Scene
 from touchdown.sim.api import Contact, Truth
-from touchdown.sim.frames import Pose, tilt_from_rotation
+from touchdown.sim.frames import tilt_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -58,7 +57,7 @@ class Judgement:
     span_s: tuple[float | None, float | None]
     """lift-off and end of the survey, between which positions are judged"""
     position_error: PositionError
-    deviation: DeviationSummary
+    deviation: TrajectoryDeviation
     nees: Nees
     landing: Landing | None
 
@@ -120,9 +119,11 @@ class Referee:
                     estimate.position_covariance,
                 )
         self._follow_touchdown(truth, view)
-        self._follow_estimate(truth, estimated, view)
+        true = truth.world_from_body.translation
+        error_m = math.dist(estimated.translation.tolist(), true.tolist())
+        self._follow_estimate(error_m, view)
         return (
-            self._judge_estimate(truth, estimated)
+            self._judge_estimate(error_m)
             or self._judge_attitude(truth)
             or self._judge_contacts(truth, view)
             or self._judge_end(truth, view)
@@ -147,7 +148,7 @@ class Referee:
             survey_s=survey_s,
             span_s=(self._lift_off_s, self._survey_to_s),
             position_error=self._position_error.summary(),
-            deviation=self._deviation.summary(),
+            deviation=self._deviation,
             nees=self._consistency.summary(),
             landing=landing,
         )
@@ -179,25 +180,19 @@ class Referee:
         else:
             touchdown.add_before(truth)
 
-    def _follow_estimate(self, truth: Truth, estimated: Pose, view: LanderView) -> None:
+    def _follow_estimate(self, error_m: float, view: LanderView) -> None:
         """Keeps the error of the estimate where the descent is committed, and where it ends."""
         committed = view.committed_site_world is not None and self._error_at_commit is None
         touched = self._touchdown.contact_xy is not None and self._error_at_contact is None
-        if not (committed or touched):
-            return
-        true = truth.world_from_body.translation
-        error = math.dist(estimated.translation.tolist(), true.tolist())
         if committed:
-            self._error_at_commit = error
+            self._error_at_commit = error_m
         if touched:
-            self._error_at_contact = error
+            self._error_at_contact = error_m
 
-    def _judge_estimate(self, truth: Truth, estimated: Pose) -> Outcome | None:
-        true = truth.world_from_body
-        distance = math.dist(estimated.translation.tolist(), true.translation.tolist())
-        if distance <= self._params.divergence_m:
+    def _judge_estimate(self, error_m: float) -> Outcome | None:
+        if error_m <= self._params.divergence_m:
             return None
-        self._reason = f"the estimate is {distance:.1f} m off"  # or not a number
+        self._reason = f"the estimate is {error_m:.1f} m off"  # or not a number
         return Outcome.DIVERGED
 
     def _judge_attitude(self, truth: Truth) -> Outcome | None:
@@ -255,7 +250,7 @@ class Referee:
         known = agrees is not False
         site = view.committed_site_world
         offset = None if site is None else float(np.linalg.norm(contact_xy - site[:2]))
-        touchdown = self._touchdown.summary()
+        figures: dict[str, Any] = dict(self._touchdown.summary())
         return Landing(
             commanded_xy_m=self._commanded_xy_m,
             site_xy_m=None if site is None else (float(site[0]), float(site[1])),
@@ -265,12 +260,7 @@ class Referee:
             estimate_error_at_commit_m=self._error_at_commit,
             estimate_error_at_contact_m=self._error_at_contact,
             slope_deg=verdict.slope_deg,
-            vertical_speed_mps=touchdown.vertical_speed_mps,
-            horizontal_speed_mps=touchdown.horizontal_speed_mps,
-            vertical_accel_mps2=touchdown.vertical_accel_mps2,
-            impact_peak_mps2=touchdown.impact_peak_mps2,
-            bounce_m=touchdown.bounce_m,
-            tilt_deg=touchdown.tilt_deg,
+            **figures,
             obstacle_distance_m=verdict.obstacle_distance_m,
             class_predicted=view.site_class,
             class_probability=view.site_class_probability,

@@ -28,7 +28,7 @@ from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.metrics import Consistency, PositioningError
-from touchdown.experiments.flight.observers import EventLog, Progress
+from touchdown.experiments.flight.observers import EventLog, Progress, StageClock
 from touchdown.experiments.io.provenance import git_revision, versions
 from touchdown.experiments.io.result_parts import StageTimes, Timing
 from touchdown.experiments.io.results import RunResult, load_result
@@ -66,6 +66,13 @@ class LoggedRun:
     """lift-off"""
     to_s: float
     """the end of the survey"""
+
+    @property
+    def truth_hz(self) -> float:
+        """Rate of the true poses in Hz."""
+        ticks = sorted(self.truth)
+        span = ticks[-1] - ticks[0]
+        return self.sensors.rig.tick_hz * (len(ticks) - 1) / span if span else 0.0
 
     def judged(self, tick: int) -> bool:
         """True if positions at ``tick`` count: from lift-off to the end of the survey."""
@@ -118,15 +125,15 @@ def replay_config(
     ``allow_code``: the run may name an external estimator. Raises UsageError for a key of the
     flight itself.
     """
-    if reason := no_file(run / "config.json"):
+    file = run / "config.json"
+    if reason := no_file(file):
         raise UsageError(f"'{run}' is no run directory: its config.json {reason}")
-    for text in overrides:
-        key = text.partition("=")[0].strip()
+    set_here = [text.partition("=")[0].strip() for text in overrides]
+    for key in set_here:
         if key.partition(".")[0] in _FLOWN:
             raise UsageError(f"--set {key}: the flight is over; a replay changes estimators only")
     gone: list[str] = []
-    same = estimator in (None, read_values(run / "config.json").get("estimator"))
-
+    same = estimator in (None, read_values(file).get("estimator"))
     others = {slot.key for slot in SLOTS.values() if slot.kind != "estimator"}
 
     def take(key: str) -> bool:
@@ -138,9 +145,7 @@ def replay_config(
             gone.append(key)
         return not fresh and is_key(key) and (same or not is_external_key(key))
 
-    file = run / "config.json"
     config = load_config(file, overrides, take, allow_code=True, estimator=estimator)
-    set_here = {text.partition("=")[0].strip() for text in overrides}
     if not allow_code and estimator is None and "estimator" not in set_here:
         check_named_code(file, [("estimator", config.estimator)])  # a scene of code is not made
     if gone and not fresh:
@@ -189,28 +194,6 @@ def seen_by(needs: SensorNeeds, reader: SensorLogReader) -> Iterator[Observation
         if not wanted.stereo:
             images = tuple(dataclasses.replace(image, right_rgb=None) for image in images)
         yield dataclasses.replace(obs, images=images, **dropped)
-
-
-class CpuClock:
-    """CPU time of an estimator in all threads, without that of its caller."""
-
-    def __init__(self) -> None:
-        self._process = time.process_time()
-        self._elsewhere = 0.0
-        self._mark = time.thread_time()
-
-    def enter(self) -> None:
-        """Marks the beginning of a call of the estimator."""
-        self._elsewhere += time.thread_time() - self._mark
-
-    def leave(self) -> None:
-        """Marks the end of a call."""
-        self._mark = time.thread_time()
-
-    def seconds(self) -> float:
-        """CPU time of all threads so far, less that of this thread outside of the estimator."""
-        outside = self._elsewhere + time.thread_time() - self._mark
-        return time.process_time() - self._process - outside
 
 
 def replay_faults(config: Config, events: tuple[str, ...], tick_hz: int) -> FaultInjector:
@@ -278,16 +261,11 @@ def replay(
 
 
 def _replay(
-    logged: LoggedRun,
-    estimator: Estimator,
-    config: Config,
-    writer: TumWriter | None,
-    progress: Progress | None,
-    injector: FaultInjector,
-    until_s: float,
-) -> RunResult:
+    logged: LoggedRun, estimator: Estimator, config: Config, writer: TumWriter | None,
+    progress: Progress | None, injector: FaultInjector, until_s: float,
+) -> RunResult:  # fmt: skip
     error, consistency = PositioningError(), Consistency()
-    clock, started, events = CpuClock(), time.perf_counter(), EventLog()
+    clock, events = StageClock(), EventLog()
     outcome, reason, last_s = Outcome.COMPLETED, "", 0.0
     observations = map(injector.apply, seen_by(estimator.needs, logged.sensors))
     for obs, estimate in _estimates(estimator, observations, clock, logged):
@@ -312,8 +290,7 @@ def _replay(
             progress(obs.time_s, "REPLAY", "")
     if outcome is Outcome.COMPLETED and not np.isfinite(logged.from_s):
         outcome, reason = Outcome.GROUNDED, "the logged flight never took off"
-    wall_s = time.perf_counter() - started
-    scans = max(last_s / 0.1, 1e-9)
+    wall_s = clock.wall_s()
     code: dict[str, Any] = dict(flown_code(config.estimator))
     return RunResult(
         outcome=str(outcome),
@@ -327,7 +304,7 @@ def _replay(
         wind_kmh=config.wind.mean_kmh,
         replay_of=str(logged.path),
         flown_by=logged.result.estimator,
-        judged_hz=logged_hz(logged),
+        judged_hz=logged.truth_hz,
         position_error_m=error.summary(),
         nees=consistency.summary(),
         landing=None,
@@ -335,7 +312,7 @@ def _replay(
             wall_s=wall_s,
             sim_s=last_s,
             real_time_factor=last_s / wall_s,
-            stage_ms=StageTimes(estimator=1e3 * clock.seconds() / scans),
+            stage_ms=StageTimes(**clock.stage_ms(last_s)),
         ),
         versions=versions(),
         git_revision=git_revision(),
@@ -346,20 +323,20 @@ def _replay(
 
 
 def _estimates(
-    estimator: Estimator, observations: Iterable[Observation], clock: CpuClock, logged: LoggedRun
+    estimator: Estimator, observations: Iterable[Observation], clock: StageClock, logged: LoggedRun
 ) -> Iterator[tuple[Observation, Estimate]]:
-    """Yields each observation with the estimate after it. Raises UsageError where an estimator
-    cannot take what was logged: a log comes from elsewhere, and each of its values may be possible
-    but not all together."""
+    """Yields each observation with the estimate after it; the clock gets the CPU time of all
+    threads. Raises UsageError where an estimator cannot take what was logged: a log comes from
+    elsewhere, and each of its values may be possible but not all together."""
     source, last_s = iter(observations), 0.0
     with np.errstate(all="ignore"):
         while True:
             try:
                 if (obs := next(source, None)) is None:
                     return
-                clock.enter()
+                began = time.process_time()
                 estimate = estimator.update(obs)
-                clock.leave()
+                clock.seconds["estimator"] += time.process_time() - began
             except UsageError:
                 raise
             except (ValueError, TypeError, LookupError, ArithmeticError, cv2.error) as error:
@@ -369,10 +346,3 @@ def _estimates(
                 ) from error
             last_s = obs.time_s
             yield obs, estimate
-
-
-def logged_hz(logged: LoggedRun) -> float:
-    """Rate of the true poses in Hz."""
-    ticks = sorted(logged.truth)
-    span = ticks[-1] - ticks[0]
-    return logged.sensors.rig.tick_hz * (len(ticks) - 1) / span if span else 0.0

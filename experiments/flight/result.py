@@ -50,7 +50,7 @@ def make_result(
     """Returns the result of a finished flight."""
     origin = stack.scene.origin_m
     place: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
-    record = stack.record()
+    record, away = stack.record(), judgement.deviation
     measured = observer.conditions.measured(record, stack.world.rig, stack.nominal_rig)
     conditions = judge_conditions(config, measured, record.faults, judgement.sim_s)
     no_site = judgement.outcome == Outcome.NO_SITE
@@ -68,9 +68,9 @@ def make_result(
         **place,
         position_error_m=judgement.position_error,
         span_s=judgement.span_s,
-        trajectory_error_m=judgement.deviation.mean_m,
-        trajectory_error_max_m=judgement.deviation.max_m,
-        trajectory_variance_m2=judgement.deviation.variance_m2,
+        trajectory_error_m=away.mean if away.count else None,
+        trajectory_error_max_m=away.largest if away.count else None,
+        trajectory_variance_m2=away.variance if away.count else None,
         slowed_s=observer.slowed_s,
         nees=judgement.nees,
         landing=judgement.landing,
@@ -82,7 +82,7 @@ def make_result(
         git_revision=git_revision(),
         events=observer.events.kept,
         event_count=observer.events.count,
-        phases=observer.phases.kept,
+        phases=observer.phases,
         faults=record.faults,
         measured=measured,
         conditions=as_json(conditions),
@@ -174,24 +174,19 @@ def _site(rank: int, candidate: Candidate, position: NDArray[np.float64]) -> Can
     return CandidateSite(
         rank=rank,
         position_m=(x, y, z) if math.isfinite(z) else None,
-        accepted=candidate.accepted,
-        rule=candidate.rule,
-        reason=candidate.reason,
-        value=candidate.value,
         terms=[
             SiteTerm(name=term.name, value=term.value, quantity=term.quantity, unit=term.unit)
             for term in candidate.terms
         ],
-        cluster_bonus=candidate.cluster_bonus,
-        c_sum=candidate.c_sum,
-        slope_deg=candidate.slope_deg,
-        roughness_m=candidate.roughness_m,
-        step_m=candidate.step_m,
-        clearance_m=candidate.clearance_m,
-        safe_probability=candidate.safe_probability,
-        class_predicted=candidate.class_predicted,
-        class_probability=candidate.class_probability,
+        **{name: getattr(candidate, name) for name in _SITE_FIGURES},
     )
+
+
+_SITE_FIGURES = (
+    "accepted", "rule", "reason", "value", "cluster_bonus", "c_sum", "slope_deg", "roughness_m",
+    "step_m", "clearance_m", "safe_probability", "class_predicted", "class_probability",
+)  # fmt: skip
+"""Fields of a `Candidate` that stand in the result as they are."""
 
 
 def missed_ground(

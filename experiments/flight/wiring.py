@@ -275,17 +275,20 @@ def _estimator(config: Config, rig: SensorRig, truth: Callable[[], Truth]) -> Es
 
 
 def _baseline(config: Config, rig: SensorRig) -> Estimator:
-    from touchdown.estimator.baselines.gps import GpsEstimator
-    from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
-    from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
-    from touchdown.estimator.baselines.stereo import StereoEstimator
-
     if config.estimator == "gps":
+        from touchdown.estimator.baselines.gps import GpsEstimator
+
         return GpsEstimator(rig, config.gps_estimator)
     if config.estimator == "optical_flow":
+        from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
+
         return OpticalFlowEstimator(rig, config.optical_flow)
     if config.estimator == "hybrid_flow":
+        from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
+
         return HybridFlowEstimator(rig, config.hybrid_flow)
+    from touchdown.estimator.baselines.stereo import StereoEstimator
+
     return StereoEstimator(rig, config.stereo_vo)
 
 

@@ -150,7 +150,7 @@ def test_the_survey_is_judged_by_estimate_reference_and_covariance() -> None:
         )
     result = referee.result(Outcome.COMPLETED)
     assert (result.nees.samples, result.nees.mean) == (2, pytest.approx(9.0))
-    assert result.deviation.mean_m == pytest.approx(2.0)
+    assert result.deviation.mean == pytest.approx(2.0)
     assert result.position_error.mean == pytest.approx(3.0)
     assert result.span_s == (pytest.approx(0.05), pytest.approx(0.25))
 
