@@ -15,25 +15,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from touchdown.experiments.config.files import check_named_code
-from touchdown.experiments.config.keys import flatten, renewed
-from touchdown.experiments.config.loading import (
-    OPTION_KEYS,
-    config_of,
-    dump_config,
-    read_values,
-    under_base,
-)
+from touchdown.experiments.config import loading
+from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import params_of
-from touchdown.experiments.errors import UsageError, usage_errors
+from touchdown.experiments.errors import UsageError
 
 if TYPE_CHECKING:
-    from touchdown.estimator.api import Estimator
     from touchdown.experiments.external.conformance import Violation
     from touchdown.experiments.external.loading import Build
     from touchdown.experiments.io.results import RunResult
-    from touchdown.sim.api import SensorRig
 
 Overrides = Mapping[str, Any]
 """Values by dotted configuration key, such as ``{"survey.height_m": 20.0}``."""
@@ -42,7 +33,8 @@ _R = TypeVar("_R")
 _KEYWORDS = (
     ("--allow-code", "allow_code=True"),
     ("--log-sensors", "log.sensors=True among the overrides"),
-    ("--out", "out"), ("--estimator", "estimator"), ("--seed", "seed"), ("--set", "overrides"),
+    ("--out", "out"), ("--set", "overrides"), ("--scene-from", "the argument scene"),
+    *((f"--{name}", f"the argument {name}") for name in ("scene", "estimator", "seed")),
 )  # fmt: skip
 Progress = bool | Callable[[float, str, str], None]
 """True prints progress to stderr; a function is called with simulated seconds, phase and note."""
@@ -58,7 +50,7 @@ def _by_keyword(function: Callable[_P, _R]) -> Callable[_P, _R]:
         except UsageError as error:
             text = str(error)
             for option, keyword in _KEYWORDS:
-                text = re.sub(rf"(?<!\w){option}\b", keyword, text)
+                text = re.sub(rf"(?<!\w){option}(?![\w-])", keyword, text)
             raise UsageError(text) from error
 
     return wrapped
@@ -81,17 +73,10 @@ def load_config(
     names external parts, whose modules a flight imports, only with ``allow_code``. Raises
     UsageError.
     """
-    values: dict[str, Any] = {}
-    sources: dict[str, str] = {}
-    if file is not None:
-        path = Path(file)
-        for key, value in under_base(path, read_values(path), overrides or {}).items():
-            values[key], sources[key] = value, str(file)
-        named = {"scene": scene, "estimator": estimator}
-        here = {*(overrides or {}), *(key for key, value in named.items() if value is not None)}
-        if not allow_code:
-            check_named_code(path, ((key, v) for key, v in values.items() if key not in here))
-    return _changed(values, sources, overrides, scene=scene, estimator=estimator, seed=seed)
+    return loading.load_config(
+        _path(file), _plain(overrides or {}), allow_code=allow_code,
+        scene=_plain(scene), estimator=estimator, seed=_plain(seed),
+    )  # fmt: skip
 
 
 @_by_keyword
@@ -189,23 +174,15 @@ def check_estimator(
     Returns the first violation of each rule that is broken; an empty list is a pass.
     """
     from touchdown.experiments.external import conformance
-    from touchdown.experiments.external.loading import external_builder, is_external
     from touchdown.experiments.flight.platform import limit_threads
-    from touchdown.experiments.flight.wiring import check_estimator_name
+    from touchdown.experiments.flight.wiring import estimator_builder
 
     if not seconds > 0.0:
         raise UsageError(f"seconds = {seconds:g} must be positive")
     limit_threads()
     name = estimator if isinstance(estimator, str) else "given:function"
     config = load_config(estimator=name, overrides=overrides)
-    build: Build
-    if not isinstance(estimator, str):
-        build = estimator
-    elif is_external(name):
-        build = usage_errors(lambda: external_builder(name))
-    else:
-        check_estimator_name(name)
-        build = functools.partial(_built, config)
+    build = estimator_builder(config) if isinstance(estimator, str) else estimator
     return conformance.check_estimator(
         build, params=params_of(config, "estimator"), seconds=seconds
     )
@@ -214,27 +191,10 @@ def check_estimator(
 # ------------------------------------------------------------------------------------------- inside
 
 
-def _built(config: Config, _params: dict[str, Any], rig: SensorRig) -> Estimator:
-    from touchdown.experiments.flight.wiring import build_estimator
-
-    return build_estimator(config, rig)
-
-
-def _changed(
-    values: dict[str, Any], sources: dict[str, str], overrides: Overrides | None, **arguments: Any
-) -> Config:
-    """The configuration of ``values`` with overrides and then arguments put in."""
-    for key, value in renewed(overrides or {}, "overrides").items():
-        values[key], sources[key] = _plain(value), "overrides"
-    for name, value in arguments.items():
-        if value is not None:
-            key = OPTION_KEYS[name]
-            values[key], sources[key] = _plain(value), f"the argument {name}"
-    return config_of(values, sources)
-
-
 def _plain(value: Any) -> Any:
     """Paths as text, tuples as lists, NumPy scalars and arrays as Python numbers and lists."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, Path):
         return str(value)
     if hasattr(value, "tolist"):
@@ -252,12 +212,11 @@ def _flight_config(
 ) -> Config:
     values: dict[str, Any] = {}
     if isinstance(scene, Config):
-        values = dict(flatten(json.loads(dump_config(scene))))
-        scene = values["scene"]
-    sources = dict.fromkeys(values, "the configuration")
-    return _changed(
-        values, sources, overrides,
-        scene=scene, estimator=estimator, seed=seed, survey_only=survey_only,
+        values = dict(flatten(json.loads(loading.dump_config(scene))))
+    return loading.load_config(
+        None, {**values, **_plain(overrides or {})},
+        scene=None if values else _plain(scene), estimator=estimator, seed=_plain(seed),
+        survey_only=survey_only,
     )  # fmt: skip
 
 

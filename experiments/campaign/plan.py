@@ -24,10 +24,10 @@ from touchdown.experiments.config.loading import (
     is_key,
     known_keys,
     parse_override,
+    parse_seeds,
 )
 from touchdown.experiments.config.profiles import DEFAULT, PRESET_KEY
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 from touchdown.experiments.io.results import columns

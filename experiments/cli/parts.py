@@ -141,15 +141,15 @@ def _estimator(name: str, run: Path | None, seconds: float, overrides: tuple[str
     from touchdown.experiments.errors import ExternalPartError
     from touchdown.experiments.external.conformance import examine_estimator
     from touchdown.experiments.flight.replay import check_needs, open_run, replay_config, seen_by
-    from touchdown.experiments.flight.wiring import build_estimator
+    from touchdown.experiments.flight.wiring import build_estimator, estimator_builder
 
     if run is None:
         config = load_config(None, overrides, estimator=name)
-        build = usage_errors(lambda: _build_function(config))
+        build = estimator_builder(config)
         return examine_estimator(build, params=params_of(config, "estimator"), seconds=seconds)
     logged = open_run(run)
     config = replay_config(run, name, overrides)
-    build = usage_errors(lambda: _build_function(config))
+    build = estimator_builder(config)
     rig, observations = logged.sensors.rig, []
     params = params_of(config, "estimator")
     try:
@@ -166,17 +166,6 @@ def _estimator(name: str, run: Path | None, seconds: float, overrides: tuple[str
     return examine_estimator(
         build, rig=rig, params=params, observations=observations, true_position=truth.get
     )
-
-
-def _build_function(config: Any) -> Any:
-    """``build(params, rig)`` of the configured estimator. Raises UsageError where there is none."""
-    from touchdown.experiments.external.loading import external_builder, is_external
-    from touchdown.experiments.flight.wiring import build_estimator, check_estimator_name
-
-    check_estimator_name(config.estimator)
-    if is_external(config.estimator):
-        return external_builder(config.estimator)
-    return lambda _params, rig: build_estimator(config, rig)
 
 
 @click.group(cls=CommandGroup)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.experiments.config.files import read_tree
-from touchdown.experiments.config.slots import PREFIX
 from touchdown.experiments.errors import UsageError
 
 RENAMED: Mapping[str, str] = {
@@ -94,11 +93,6 @@ def _present_value(key: str, value: Any) -> Any:
     if isinstance(value, list):
         return [_present_value(key, item) for item in value]
     return RENAMED_VALUES.get((key, value), value) if isinstance(value, str) else value
-
-
-def is_external_key(key: str) -> bool:
-    """True for a key of the table ``external``, where any key is allowed."""
-    return key.startswith(PREFIX)
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -8,6 +8,7 @@ Every mistake is a ``UsageError`` with one line: what is wrong, where, what woul
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import functools
 import json
@@ -15,13 +16,13 @@ import math
 import re
 import tomllib
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
-from touchdown.experiments.config.checks import check_faults, check_map, check_rates, check_survey
 from touchdown.experiments.config.files import (
     LARGEST,
     came_with_results,
@@ -32,7 +33,6 @@ from touchdown.experiments.config.files import read_tree as read_tree
 from touchdown.experiments.config.keys import (
     REMOVED_GROUPS,
     flatten,
-    is_external_key,
     renewed,
 )
 from touchdown.experiments.config.profiles import (
@@ -53,8 +53,9 @@ from touchdown.experiments.config.ranges import (
     types_of_keys,
 )
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.config.slots import SLOTS, check_part_names, wrong_external_key
+from touchdown.experiments.config.slots import PREFIX, SLOTS, check_part_names, wrong_external_key
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
+from touchdown.landing.api import SurveyParams
 
 OPTION_KEYS: Mapping[str, str] = {
     "scene": "scene",
@@ -86,7 +87,7 @@ BY_DEFAULT = "the defaults"
 
 def load_config(
     file: Path | None = None,
-    overrides: list[str] | tuple[str, ...] = (),
+    overrides: Sequence[str] | Mapping[str, Any] = (),
     take: Callable[[str], bool] = lambda _key: True,
     *,
     allow_code: bool = False,
@@ -96,11 +97,11 @@ def load_config(
     """Builds the configuration of a flight.
 
     ``file`` is a TOML file or a ``config.json``; ``overrides`` are ``a.b=c`` strings whose values
-    are TOML (bare words count as text); ``options`` are the names in ``OPTION_KEYS``, where None
-    means not given. Keys of the file for which ``take`` is false are left out. Without
-    ``allow_code`` a file that came with results must not name external code for a slot, unless an
-    override or an option names what fills it. ``profile_default`` is the profile where no source
-    names one. Raises ``UsageError``.
+    are TOML (bare words count as text), or values by key; ``options`` are the names in
+    ``OPTION_KEYS``, where None means not given. Keys of the file for which ``take`` is false are
+    left out. Without ``allow_code`` a file that came with results must not name external code for a
+    slot, unless an override or an option names what fills it. ``profile_default`` is the profile
+    where no source names one. Raises ``UsageError``.
     """
     values: dict[str, Any] = {}
     sources: dict[str, str] = {}
@@ -109,9 +110,12 @@ def load_config(
             if take(key):
                 values[key], sources[key] = value, str(file)
     given: dict[str, Any] = {}
-    for text in overrides:
-        source = f"--set {text}"
-        for key, value in renewed(dict([parse_override(text)]), source).items():
+    if isinstance(overrides, Mapping):
+        by_source = {"overrides": overrides}
+    else:
+        by_source = {f"--set {text}": dict([parse_override(text)]) for text in overrides}
+    for source, pairs in by_source.items():
+        for key, value in renewed(pairs, source).items():
             given[key], sources[key] = value, source
     for name, value in options.items():
         if value is not None:
@@ -158,20 +162,17 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
         if reason := wrong_value([key, value]):
             raise UsageError(f"{key[:80]} in {sources[key]} {reason}")
         _check_key(key, sources[key])
-        _check_finite(key, value, sources[key])
+        _check_range(key, value, sources[key])
     if found := wrong_external_key(values):
         key, reason = found
         raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
     base = base_values(values)
     sources = {**base_sources(values), **sources}
     config = _validate({KEY: name_in(values), **base, **values}, sources)
-    for key, value in values.items():
-        if out_of_range(key, value):
-            raise UsageError(_outside(key, value, sources[key]))
     check_part_names(config, sources)
-    check_rates(config)
-    check_map(config)
-    check_faults(config, sources)
+    _check_rates(config)
+    _check_map(config)
+    _check_faults(config, sources)
     check_survey(config, sources)
     return config
 
@@ -200,7 +201,7 @@ def is_constant(key: str) -> bool:
 
 def is_key(key: str) -> bool:
     """True if a dotted key can be set."""
-    return key in known_keys() or is_external_key(key)
+    return key in known_keys() or key.startswith(PREFIX)
 
 
 def parse_override(text: str) -> tuple[str, Any]:
@@ -215,6 +216,35 @@ def parse_override(text: str) -> tuple[str, Any]:
         return key, raw.strip()
     except ValueError:  # of Python, about a number of thousands of digits
         return key, LARGEST + 1
+
+
+MAX_SEEDS = 100_000
+_MAX_DIGITS = 40
+
+
+def parse_seeds(text: Any, where: str, maximum: int = MAX_SEEDS) -> list[int]:
+    """``"0-2, 7"`` gives [0, 1, 2, 7]. ``where`` names the option or key in error messages.
+
+    Raises UsageError for other forms and for more than ``maximum`` seeds.
+    """
+    seeds: list[int] = []
+    for part in str(text).split(","):
+        found = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
+        if not found or not isinstance(text, str):
+            raise UsageError(f"{where} {text!r} is not of the form '0-9' or '0-4,7'")
+        digits = max(map(len, found.groups("")))
+        first, last = (0, 0) if digits > _MAX_DIGITS else (int(found[1]), int(found[2] or found[1]))
+        if digits > _MAX_DIGITS or last > LARGEST:
+            raise UsageError(
+                f"{where} {text[: 2 * _MAX_DIGITS]!r} holds a seed above {LARGEST}, the largest; "
+                "give smaller ones"
+            )
+        if last < first:
+            raise UsageError(f"{where} {text!r} counts down in '{part.strip()}'")
+        if len(seeds) + last + 1 - first > maximum:
+            raise UsageError(f"{where} {text!r} are more than {maximum}; give fewer")
+        seeds += range(first, last + 1)
+    return seeds
 
 
 def _check_key(key: str, source: str) -> None:
@@ -234,7 +264,8 @@ def _check_key(key: str, source: str) -> None:
     if rest and difflib.get_close_matches(group, ["external"], cutoff=0.7):
         keys = (*keys, f"external.{rest}")
     hint = nearest(key, keys) or _same_last_name(key, keys)
-    raise UsageError(f"unknown key '{key}' in {source}{hint or f'; groups: {_groups()}'}")
+    hint = hint or f"; groups: {', '.join(Config.model_fields)}"
+    raise UsageError(f"unknown key '{key}' in {source}{hint}")
 
 
 def _same_last_name(key: str, keys: tuple[str, ...]) -> str:
@@ -245,15 +276,17 @@ def _same_last_name(key: str, keys: tuple[str, ...]) -> str:
     return f" (did you mean '{full[0]}'?)" if full else ""
 
 
-def _groups() -> str:
-    return ", ".join(Config.model_fields)
-
-
-def _check_finite(key: str, value: Any, source: str) -> None:
+def _check_range(key: str, value: Any, source: str) -> None:
     numbers = value if isinstance(value, list) else [value]
     for number in numbers:
         if isinstance(number, float) and not math.isfinite(number):
             raise UsageError(f"{key} = {number} in {source} must be a finite number")
+    if out_of_range(key, value):
+        raise UsageError(f"{key} = {_given(value)} in {source} {rule_of(key)}")
+
+
+def _given(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else json.dumps(value, default=str)
 
 
 def _validate(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
@@ -274,29 +307,19 @@ def _validate(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
         raise UsageError(_message(error, values, sources)) from None
 
 
-_OUT_OF_RANGE = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
-"""Types of pydantic's errors about a number outside the range of its key."""
-
-
 def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping[str, str]) -> str:
     """One line about the first mistake that pydantic found."""
     first = error.errors(include_url=False)[0]
     message = plain_fault(first["msg"])
     location = [str(part) for part in first["loc"] if not str(part).isdigit()]
-    if not location:  # of the configuration as a whole
-        base = ("profile ", "preset ")
-        named = (s for s in sources.values() if s != BY_DEFAULT and not s.startswith(base))
-        files = ", ".join(dict.fromkeys(named))
-        return f"the configuration of {files or 'this flight'} is wrong: {message}"
+
     prefixes = [".".join(location[:n]) for n in range(len(location), 0, -1)]
     key = next((prefix for prefix in prefixes if prefix in values), prefixes[0])
     value = values.get(key)
     where = sources.get(key, "the configuration")
-    if first["type"] in _OUT_OF_RANGE:
-        return _outside(key, value, where)
     if (names := choices_of(types_of_keys().get(key))) and isinstance(value, list):
         value = next((name for name in value if name not in names), value)
-    given = f"{value:g}" if isinstance(value, float) else json.dumps(value, default=str)
+    given = _given(value)
     if names:
         hint = nearest(str(value), names)
         known = ", ".join(name or "''" for name in names)
@@ -304,6 +327,94 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     return f"{key} = {given} in {where} is wrong: {message}"
 
 
-def _outside(key: str, value: Any, source: str) -> str:
-    given = f"{value:g}" if isinstance(value, float) else json.dumps(value, default=str)
-    return f"{key} = {given} in {source} {rule_of(key)}"
+# ---------------------------------------------------------------------- checks across keys
+
+
+def _check_rates(config: Config) -> None:
+    """Raises UsageError unless every rate divides the clock: events fall on whole ticks."""
+    sim = config.sim
+    for name in ("control_ticks", "imu_ticks", "camera_ticks", "lidar_scan_ticks"):
+        ticks = getattr(sim, name)
+        if sim.tick_hz % ticks:
+            raise UsageError(f"sim.{name} = {ticks} must divide sim.tick_hz = {sim.tick_hz}")
+        if name in ("imu_ticks", "lidar_scan_ticks") and ticks % sim.control_ticks:
+            raise UsageError(
+                f"sim.{name} = {ticks} must be a multiple of "
+                f"sim.control_ticks = {sim.control_ticks}"
+            )
+    control_hz = sim.tick_hz // sim.control_ticks
+    if config.control.control_hz != control_hz:
+        raise UsageError(
+            f"control.control_hz = {config.control.control_hz} must be sim.tick_hz / "
+            f"sim.control_ticks = {control_hz}"
+        )
+    camera_clock_hz = sim.tick_hz // sim.camera_ticks
+    for group in ("livo", "zou2024", "optical_flow", "hybrid_flow", "stereo_vo"):
+        camera_hz = getattr(config, group).camera_hz
+        if camera_clock_hz % camera_hz:
+            raise UsageError(
+                f"{group}.camera_hz = {camera_hz} must divide the camera's clock of "
+                f"{camera_clock_hz} Hz"
+            )
+
+
+MAX_CELLS = 2048
+"""along a side of a map: its layers then take some hundred MB"""
+
+
+def _check_map(config: Config) -> None:
+    """Raises UsageError for a landing without a map, and for a map that memory has no room for."""
+    for extent, cell in (("extent_m", "cell_m"), ("fine_extent_m", "fine_cell_m")):
+        sides = (getattr(config.mapper, extent), getattr(config.mapper, cell))
+        if sides[0] > MAX_CELLS * sides[1]:
+            raise UsageError(
+                f"mapper.{extent} = {sides[0]:g} over mapper.{cell} = {sides[1]:g} gives a map of "
+                f"more than {MAX_CELLS} cells along a side; take larger cells"
+            )
+    if not config.mapper.enabled and not config.landing.survey_only:
+        raise UsageError(
+            "mapper.enabled = false leaves nothing to choose a landing site from: it is for "
+            "`touchdown fly`, or with landing.survey_only = true"
+        )
+
+
+def _check_faults(config: Config, sources: Mapping[str, str]) -> None:
+    """Raises UsageError for a schedule of faults that cannot happen."""
+    try:
+        config.faults.schedule()
+    except ValueError as error:
+        where = sources.get("faults.events", "the configuration")
+        raise UsageError(f"faults.events in {where}: {error}") from None
+    try:
+        config.faults.check(config.wind.mean_kmh)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    if config.light != "day" and any(f.kind == "low_sun" for f in config.faults.schedule()):
+        raise UsageError(
+            f"fault 'low_sun' needs light = 'day', not {config.light!r}: it is the sun that is low"
+        )
+
+
+def check_survey(config: Config, sources: Mapping[str, str]) -> None:
+    """Raises UsageError for a survey that does not fit into its duration."""
+    path = dataclasses.replace(config.survey, height_m=SurveyParams().height_m)
+    problem = "" if path == SurveyParams() else survey_problem(path)
+    if problem:
+        given = {
+            source: None
+            for key, source in sources.items()
+            if key.startswith("survey.") and not source.startswith("profile ")
+        }
+        raise UsageError(f"{problem} (survey as set in {', '.join(given)})")
+
+
+@functools.cache
+def survey_problem(params: SurveyParams) -> str:
+    """The reason why a survey cannot be flown in its duration; "" if it can."""
+    from touchdown.landing.mission.trajectory import survey_trajectory
+
+    try:
+        survey_trajectory(np.zeros(3), 0.0, params)
+    except ValueError as error:
+        return str(error)
+    return ""

@@ -47,21 +47,23 @@ def profile_values(name: str) -> Mapping[str, Any]:
     """The values by dotted key of the profile ``name``; none for a name that is no profile."""
     values: dict[str, Any] = {}
     for layer in _LAYERS.get(name, ()):
-        file = resources.files(__package__).joinpath("profiles", f"{layer}.toml")
-        values |= flatten(tomllib.loads(file.read_text(encoding="utf-8")))
+        values |= flatten(_table("profiles", layer))
     return values
+
+
+def _table(folder: str, name: str) -> dict[str, Any]:
+    file = resources.files(__package__).joinpath(folder, f"{name}.toml")
+    return tomllib.loads(file.read_text(encoding="utf-8"))
 
 
 @functools.cache
 def effects() -> Mapping[str, Mapping[str, Any]]:
     """The groups of keys of the world that `harsh` changes, by the name of the effect, with the
     values of `harsh`. Raises ValueError for a pattern without a key, and a key in no group."""
-    file = resources.files(__package__).joinpath("profiles", "effects.toml")
-    harsh = resources.files(__package__).joinpath("profiles", "harsh.toml")
-    values = flatten(tomllib.loads(harsh.read_text(encoding="utf-8")))
+    values = flatten(_table("profiles", "harsh"))
     groups: dict[str, dict[str, Any]] = {}
     left = {key: value for key, value in values if not key.startswith(_ASSUMED)}
-    for name, patterns in tomllib.loads(file.read_text(encoding="utf-8")).items():
+    for name, patterns in _table("profiles", "effects").items():
         groups[name] = {}
         for pattern in patterns:
             found = fnmatch.filter(left, pattern)
@@ -92,8 +94,7 @@ def preset_values(name: str) -> Mapping[str, Any]:
     """The values by dotted key of the preset ``name``; none for a name that is no preset."""
     if name == WHOLE or name not in PRESETS:
         return {}
-    file = resources.files(__package__).joinpath("presets", f"{name}.toml")
-    return dict(flatten(tomllib.loads(file.read_text(encoding="utf-8"))))
+    return dict(flatten(_table("presets", name)))
 
 
 def base_values(values: Mapping[str, Any]) -> dict[str, Any]:

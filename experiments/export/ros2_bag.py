@@ -8,8 +8,8 @@ sends all messages in the order of the flight.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ from touchdown.experiments.io import ros2_messages as ros
 from touchdown.experiments.io.ros2_messages import Link
 from touchdown.experiments.io.sensor_log_reader import PackedImage, SensorLogReader, unpack_image
 from touchdown.experiments.io.tum import Trajectory
-from touchdown.sim.api import Observation, SensorNeeds, SensorRig
+from touchdown.sim.api import GpsFix, Observation, RangefinderSample, SensorNeeds, SensorRig
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose
 
@@ -120,14 +120,13 @@ def write_bag(flown: FlownRun, folder: Path, options: ExportOptions) -> Exported
 def _fill(log: SensorLogReader, flown: FlownRun, folder: Path, options: ExportOptions) -> Bag:
     with Bag(folder) as bag:
         sensors = _Sensors(bag, log.rig, log.sensed, options)
-        path_rows = _trajectories(flown, options, bag)
-        waiting = next(path_rows, None)
+        rows = _trajectories(flown, options, bag)
+        waiting = next(rows, np.inf)
         for obs, images in log.packed():
             sensors.add(obs, images)
-            while waiting is not None and waiting <= obs.time_s + SAME_TIME_S:
-                waiting = next(path_rows, None)
-        while waiting is not None:
-            waiting = next(path_rows, None)
+            while waiting <= obs.time_s + SAME_TIME_S:
+                waiting = next(rows, np.inf)
+        deque(rows, maxlen=0)  # writes those that are left
     return bag
 
 
@@ -154,7 +153,18 @@ class _Sensors:
             *SITE_DEG, rig.nav.barometer.site_elevation_m
         )
         hz = rig.tick_hz / rig.imu_ticks
-        self._imu_variances = (rig.imu.gyro_density**2 * hz, rig.imu.accel_density**2 * hz)
+        variances = rig.imu.gyro_density**2 * hz, rig.imu.accel_density**2 * hz
+        self._channels: dict[str, tuple[str, Callable[[int, Any], Any]]] = {
+            "imu": ("/imu/data_raw", lambda ns, one: ros.imu_message(ns, IMU, one, *variances)),
+            "gps": ("/gps/fix", self._fix),
+            "barometer": (
+                "/imu/pressure", lambda ns, one: ros.pressure_message(ns, BODY, one.pressure_pa)
+            ),
+            "magnetometer": (
+                "/imu/mag", lambda ns, one: ros.magnetic_field_message(ns, BODY, one.field_body_ut)
+            ),
+            "rangefinder": ("/rangefinder/point", _echo_message),
+        }  # fmt: skip
         self._shifts = (0.0, ros.right_camera_shift(rig))
         bag.put(_STATIC, 0, ros.mounts_message(0, BODY, mounts(rig, sensed)))
 
@@ -167,10 +177,10 @@ class _Sensors:
             self._bag.put("/lidar/points", arrival_ns, message)
         for image in images if self._images != "none" else ():
             self._add_image(arrival_ns, image)
-        for sample in obs.imu:
-            message = ros.imu_message(self._ns(sample.tick), IMU, sample, *self._imu_variances)
-            self._bag.put("/imu/data_raw", arrival_ns, message)
-        self._add_navigation(arrival_ns, obs)
+        for name, (topic, message_of) in self._channels.items():
+            for one in getattr(obs, name):
+                if (message := message_of(self._ns(one.tick), one)) is not None:
+                    self._bag.put(topic, arrival_ns, message)
 
     def _add_image(self, arrival_ns: int, image: PackedImage) -> None:
         stamp = ros.stamp_ns(image.tick, image.time_s, self._rig.tick_hz)
@@ -187,26 +197,17 @@ class _Sensors:
                 message = ros.compressed_image_message(stamp, frame, png)
                 self._bag.put(f"{topic}/image_raw/compressed", arrival_ns, message)
 
-    def _add_navigation(self, arrival_ns: int, obs: Observation) -> None:
-        for fix in obs.gps:
-            antenna = geodetic(self._origin, fix.position_world)
-            message = ros.fix_message(self._ns(fix.tick), GPS, antenna, fix)
-            self._bag.put("/gps/fix", arrival_ns, message)
-        for air in obs.barometer:
-            message = ros.pressure_message(self._ns(air.tick), BODY, air.pressure_pa)
-            self._bag.put("/imu/pressure", arrival_ns, message)
-        for north in obs.magnetometer:
-            stamp = self._ns(north.tick)
-            message = ros.magnetic_field_message(stamp, BODY, north.field_body_ut)
-            self._bag.put("/imu/mag", arrival_ns, message)
-        for echo in obs.rangefinder:
-            if echo.range_m > 0.0:
-                at = np.array([echo.range_m, 0.0, 0.0])
-                message = ros.point_message(self._ns(echo.tick), RANGEFINDER, at)
-                self._bag.put("/rangefinder/point", arrival_ns, message)
+    def _fix(self, stamp: int, fix: GpsFix) -> Any:
+        return ros.fix_message(stamp, GPS, geodetic(self._origin, fix.position_world), fix)
 
     def _ns(self, tick: int) -> int:
         return ros.tick_ns(tick, self._rig.tick_hz)
+
+
+def _echo_message(stamp: int, echo: RangefinderSample) -> Any:
+    """The point that the beam meets; None without an echo."""
+    at = np.array([echo.range_m, 0.0, 0.0])
+    return ros.point_message(stamp, RANGEFINDER, at) if echo.range_m > 0.0 else None
 
 
 def geodetic(origin: GeodeticPoint, local: Array) -> Array:

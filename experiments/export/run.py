@@ -22,7 +22,7 @@ from touchdown.experiments.io.run_directory import (
     whole_file,
     whole_folder,
 )
-from touchdown.experiments.io.sensor_log_checks import damage_reported
+from touchdown.experiments.io.sensor_log_reader import damage_reported
 
 BAG_METADATA = "metadata.yaml"
 WRITERS = {

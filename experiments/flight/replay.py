@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, Estimator, ImageThinning, spare_sensors
 from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.files import check_named_code
-from touchdown.experiments.config.keys import is_external_key
 from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_values
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.config.slots import SLOTS
+from touchdown.experiments.config.slots import PREFIX, SLOTS
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.metrics import Consistency, PositioningError
@@ -32,7 +31,6 @@ from touchdown.experiments.flight.observers import EventLog, Progress, StageCloc
 from touchdown.experiments.io.provenance import git_revision, versions
 from touchdown.experiments.io.result_parts import StageTimes, Timing
 from touchdown.experiments.io.results import RunResult, load_result
-from touchdown.experiments.io.sensor_log_checks import check_images, damage_reported
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import TumWriter, read_tum
 from touchdown.sim.api import Observation, SensorNeeds
@@ -143,7 +141,7 @@ def replay_config(
             return True
         if not is_key(key):
             gone.append(key)
-        return not fresh and is_key(key) and (same or not is_external_key(key))
+        return not fresh and is_key(key) and (same or not key.startswith(PREFIX))
 
     config = load_config(file, overrides, take, allow_code=True, estimator=estimator)
     if not allow_code and estimator is None and "estimator" not in set_here:
@@ -188,8 +186,6 @@ def seen_by(needs: SensorNeeds, reader: SensorLogReader) -> Iterator[Observation
     }
     for obs in reader:
         images = obs.images if wanted.camera_hz else ()
-        with damage_reported(reader.path):
-            check_images(images, reader.rig)
         images = tuple(image for image in images if not thinned or thinning.keeps(image))
         if not wanted.stereo:
             images = tuple(dataclasses.replace(image, right_rgb=None) for image in images)

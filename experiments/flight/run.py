@@ -29,8 +29,7 @@ from touchdown.experiments.flight.wiring import (
 )
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import SENSORS_FILE, check_out_dir, run_directory
-from touchdown.experiments.recording.recorder import NullRecorder, Recorder
-from touchdown.experiments.recording.run_recorder import RunRecorder
+from touchdown.experiments.recording.run_recorder import NullRecorder, Recorder, RunRecorder
 from touchdown.landing.api import LandingParams
 from touchdown.scenes.api import SAFE_CLASSES, Scene
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.experiments.config.checks import survey_problem
+from touchdown.experiments.config.loading import survey_problem
 from touchdown.experiments.config.schema import Config
 from touchdown.landing.api import SurveyParams
 from touchdown.scenes.api import Scene

@@ -15,7 +15,7 @@ from touchdown.estimator.api import Estimate, Estimator, Mapper, spare_sensors
 from touchdown.experiments.api import BiasParams
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import PX4, SLOTS, names_code, params_of
-from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.errors import UsageError, nearest, usage_errors
 from touchdown.experiments.flight.estimator_calibration import nominal_rig
 from touchdown.experiments.flight.slots import (
     external_name,
@@ -240,6 +240,16 @@ def build_estimator(config: Config, rig: SensorRig) -> Estimator:
         raise RuntimeError("only the oracle may read the truth")
 
     return _biased(_estimator(config, rig, no_truth), config)
+
+
+def estimator_builder(config: Config) -> Callable[[dict[str, Any], SensorRig], Estimator]:
+    """``build(params, rig)`` of the configured estimator. Raises UsageError where there is none."""
+    check_estimator_name(config.estimator)
+    if config.estimator in ESTIMATORS:
+        return lambda _params, rig: build_estimator(config, rig)
+    from touchdown.experiments.external.loading import external_builder
+
+    return usage_errors(lambda: external_builder(config.estimator))  # type: ignore[no-any-return]
 
 
 def _biased(estimator: Estimator, config: Config) -> Estimator:

@@ -96,12 +96,8 @@ def _header(time_ns: int, frame: str) -> Any:
     return _make("std_msgs/msg/Header", stamp, frame)
 
 
-def _vector(values: Array) -> Any:
-    return _make("geometry_msgs/msg/Vector3", *map(float, values))
-
-
-def _point(values: Array) -> Any:
-    return _make("geometry_msgs/msg/Point", *map(float, values))
+def _vector(values: Array, kind: str = "Vector3") -> Any:
+    return _make(f"geometry_msgs/msg/{kind}", *map(float, values))
 
 
 def _quaternion(rotation: Array) -> Any:
@@ -141,12 +137,9 @@ def raw_image_message(time_ns: int, frame: str, rgb: Bytes) -> Any:
 
 
 def imu_message(
-    time_ns: int,
-    frame: str,
-    sample: ImuSample,
-    rate_variance: float = 0.0,
-    force_variance: float = 0.0,
-) -> Any:
+    time_ns: int, frame: str, sample: ImuSample,
+    rate_variance: float = 0.0, force_variance: float = 0.0,
+) -> Any:  # fmt: skip
     """``sensor_msgs/msg/Imu``; no orientation, which the standard marks by a covariance of -1."""
     no_orientation = _UNKNOWN.copy()
     no_orientation[0] = -1.0
@@ -204,17 +197,13 @@ def pressure_message(time_ns: int, frame: str, pascal: float) -> Any:
 
 def magnetic_field_message(time_ns: int, frame: str, microtesla: Array) -> Any:
     """``sensor_msgs/msg/MagneticField``, whose unit is the tesla."""
-    return _make(
-        "sensor_msgs/msg/MagneticField",
-        _header(time_ns, frame),
-        _vector(1e-6 * microtesla),
-        _UNKNOWN,
-    )
+    field = _vector(1e-6 * microtesla)
+    return _make("sensor_msgs/msg/MagneticField", _header(time_ns, frame), field, _UNKNOWN)
 
 
 def point_message(time_ns: int, frame: str, point: Array) -> Any:
     """``geometry_msgs/msg/PointStamped``"""
-    return _make("geometry_msgs/msg/PointStamped", _header(time_ns, frame), _point(point))
+    return _make("geometry_msgs/msg/PointStamped", _header(time_ns, frame), _vector(point, "Point"))
 
 
 def fix_message(time_ns: int, frame: str, geodetic_deg_m: Array, fix: GpsFix) -> Any:
@@ -288,7 +277,7 @@ def odometry_message(time_ns: int, link: Link, velocity: Array, rate: Array) -> 
     child's axes. Covariances are 0, which means unknown."""
     pose = _make(
         "geometry_msgs/msg/Pose",
-        _point(link.parent_from_child.translation),
+        _vector(link.parent_from_child.translation, "Point"),
         _quaternion(link.parent_from_child.rotation),
     )
     twist = _make("geometry_msgs/msg/Twist", _vector(velocity), _vector(rate))

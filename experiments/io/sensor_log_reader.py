@@ -1,15 +1,19 @@
-"""Reader of sensor logs: returns the observations of a flight, equal to the bit."""
+"""Reader of sensor logs: returns the observations of a flight, equal to the bit. A log may be
+damaged; what no flight has logged does not reach an estimator."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
+import math
 import struct
 import zlib
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +35,6 @@ from touchdown.experiments.io.sensor_log import (
     OBSERVATION_TOPIC,
     SCAN_TOPIC,
 )
-from touchdown.experiments.io.sensor_log_checks import (
-    MAX_PIXELS,
-    DamagedError,
-    check_order,
-    check_rig,
-    damage_reported,
-)
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.files.opening import no_file
 
@@ -48,6 +45,37 @@ MAX_OBSERVATION_BYTES = MAX_RECORD_BYTES
 """of all messages of one observation"""
 MAX_TEXT_BYTES = 1 << 24
 """of an observation without its scans and images"""
+MAX_PIXELS = 1 << 26
+"""of an image"""
+_MAX_TICK = 1 << 53
+
+
+class DamagedError(ValueError):
+    """Content that no log of a flight has."""
+
+
+@contextlib.contextmanager
+def damage_reported(path: Path) -> Iterator[None]:
+    """Turns errors of inconsistent content into a UsageError that says what is wrong with
+    ``path``."""
+    from rosbags.serde import SerdeError
+
+    faults = {
+        (struct.error, SerdeError): "a message is cut short",
+        (LookupError,): "a message or a value is missing",
+        (MemoryError,): "a part claims an absurd size",
+        (TypeError, ArithmeticError, RecursionError, AttributeError, ValueError): (
+            "a value is not of its kind"
+        ),
+    }
+    try:
+        yield
+    except UsageError:
+        raise
+    except tuple(kind for kinds in faults for kind in kinds) as error:
+        why = next(text for kinds, text in faults.items() if isinstance(error, kinds))
+        why = str(error) if isinstance(error, DamagedError) else why
+        raise UsageError(f"'{path}' is damaged: {why}; fly again with --log-sensors") from error
 
 
 Arrived = defaultdict[str, deque[bytes]]
@@ -89,34 +117,28 @@ class SensorLogReader:
                 "fly again with --log-sensors"
             )
         with damage_reported(path):
-            self.rig = from_plain(SensorRig, json.loads(facts["rig"]))
+            self.rig = from_plain(SensorRig, json.loads(facts["rig"], parse_constant=_not_nan))
             self.sensed = from_plain(SensorNeeds, json.loads(facts["sensed"]))
             self.shared = from_plain(SensorNeeds, json.loads(facts["shared"]))
-            check_rig(self.rig)
+            _check_rig(self.rig)
 
     def __iter__(self) -> Iterator[Observation]:
         return self.observations()
 
-    def packed(self) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
-        """Observations from the beginning; images separately, as the logged PNG files."""
-        return self._read(True, _packed_images)
-
     def observations(self, images: bool = True) -> Iterator[Observation]:
         """Observations from the beginning; half the time without images."""
-        return (obs for obs, _ in self._read(images, lambda _plain, _arrived: ()))
+        return (obs for obs, _ in self.packed(images))
 
-    def _read(
-        self, images: bool, take: Callable[[dict[str, Any], Arrived], tuple[PackedImage, ...]]
-    ) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
-        """Observations, and the images that ``take`` takes out of each before it is made."""
+    def packed(self, images: bool = True) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
+        """Observations from the beginning, each with its images as the logged PNG files too."""
         before = -1
         for plain, arrived in self._arrivals(images):
             with damage_reported(self.path):
-                taken = take(plain, arrived)
-                obs = _observation(plain, arrived)
-                check_order(obs, self.rig, before)
+                packed = tuple(_packed(head, arrived) for head in plain.pop("images", []))
+                obs = _observation(plain, arrived, packed)
+                _check(obs, self.rig, before)
                 before = obs.tick
-            yield obs, taken
+            yield obs, packed
 
     def _arrivals(self, images: bool) -> Iterator[tuple[dict[str, Any], Arrived]]:
         """Observations as plain values, each with the messages before it by topic, which its reader
@@ -207,23 +229,22 @@ def _reason(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or "a part is not what it claims"
 
 
-def _packed_images(plain: dict[str, Any], arrived: Arrived) -> tuple[PackedImage, ...]:
+def _packed(head: list[Any], arrived: Arrived) -> PackedImage:
+    tick, time_s, stereo = head
     left, right = (arrived[topic] for topic in IMAGE_TOPICS)
-    images = []
-    for tick, time_s, stereo in plain.pop("images", []):
-        eyes = [_png(left.popleft()), *([_png(right.popleft())] if stereo else [])]
-        for eye in eyes:
-            unpack_image(eye)
-        images.append(PackedImage(tick, time_s, eyes[0], eyes[1] if stereo else None))
-    return tuple(images)
+    return PackedImage(
+        tick, time_s, _png(left.popleft()), _png(right.popleft()) if stereo else None
+    )
 
 
-def _observation(plain: dict[str, Any], arrived: Arrived) -> Observation:
-    scans, images = plain.pop("scans", []), plain.pop("images", [])
+def _observation(
+    plain: dict[str, Any], arrived: Arrived, packed: tuple[PackedImage, ...]
+) -> Observation:
+    scans = plain.pop("scans", [])
     return dataclasses.replace(
         from_plain(Observation, plain),
         scans=tuple(_scan(head, arrived[SCAN_TOPIC].popleft()) for head in scans),
-        images=tuple(_image(head, arrived) for head in images),
+        images=tuple(_image(one) for one in packed),
     )
 
 
@@ -245,14 +266,13 @@ def _scan(head: list[Any], message: bytes) -> LidarScan:
     )
 
 
-def _image(head: list[Any], arrived: Arrived) -> CameraImage:
-    tick, time_s, stereo = head
-    left, right = (arrived[topic] for topic in IMAGE_TOPICS)
+def _image(packed: PackedImage) -> CameraImage:
+    right = packed.right_png
     return CameraImage(
-        tick=tick,
-        time_s=time_s,
-        rgb=unpack_image(_png(left.popleft())),
-        right_rgb=unpack_image(_png(right.popleft())) if stereo else None,
+        tick=packed.tick,
+        time_s=packed.time_s,
+        rgb=unpack_image(packed.png),
+        right_rgb=None if right is None else unpack_image(right),
     )
 
 
@@ -280,3 +300,51 @@ def unpack_image(png: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     array.setflags(write=False)
     return array
+
+
+# ------------------------------------------------------------------------------------------- checks
+
+_POSITIVE = (
+    "tick_hz", "imu_ticks", "camera_ticks", "lidar_scan_ticks", "camera.width", "camera.height",
+    "camera.fx", "camera.fy", "vehicle.mass_kg", "vehicle.thrust_coefficient",
+)  # fmt: skip
+
+
+def _not_nan(constant: str) -> float:
+    if constant == "NaN":
+        raise DamagedError("a number of the rig is none")
+    return float(constant)
+
+
+def _check_rig(rig: SensorRig) -> None:
+    """Raises DamagedError for a rig that no flight has."""
+    for name in _POSITIVE:
+        if not 0 < attrgetter(name)(rig) < math.inf:
+            raise DamagedError(f"{name} of the rig is not positive")
+    if rig.tick_hz > 10**6 or rig.camera.width * rig.camera.height > MAX_PIXELS:
+        raise DamagedError("rates or image size of the rig are absurd")
+    if rig.camera_ticks > rig.tick_hz:
+        raise DamagedError("the camera of the rig has no rate")
+
+
+def _check(obs: Observation, rig: SensorRig, before: int) -> None:
+    """Raises DamagedError unless the observation is one of ``rig`` and follows that of the tick
+    ``before``. Its messages may say anything: faults change them."""
+    if not before < obs.tick < _MAX_TICK:
+        raise DamagedError(f"the observation of tick {obs.tick} is out of order")
+    if abs(obs.time_s - obs.tick / rig.tick_hz) > 1e-6 * max(1.0, obs.time_s):
+        raise DamagedError(f"the time of tick {obs.tick} is another")
+    if obs.rotor_speed_radps.shape != (4,):
+        raise DamagedError("there are not four rotor speeds")
+    for name in ("imu", "gps", "barometer", "magnetometer", "rangefinder"):
+        for message in getattr(obs, name):
+            for field in dataclasses.fields(message):
+                value = getattr(message, field.name)
+                if isinstance(value, np.ndarray) and value.shape != (3,):
+                    raise DamagedError(f"{field.name} of {name} is no vector")
+    if any(len(scan.intensity) != len(scan.ranges) for scan in obs.scans):
+        raise DamagedError("a scan has not one intensity for each range")
+    size = (rig.camera.height, rig.camera.width, 3)
+    for image in obs.images:
+        if any(eye is not None and eye.shape != size for eye in (image.rgb, image.right_rgb)):
+            raise DamagedError("an image is not of the camera's size")

@@ -27,9 +27,8 @@ from touchdown.experiments.benchmarks.selection.maps import (
     read_map,
     write_map,
 )
-from touchdown.experiments.config.loading import load_config
+from touchdown.experiments.config.loading import load_config, parse_seeds
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.config.seeds import parse_seeds
 from touchdown.experiments.config.slots import SLOTS, names_code, params_of
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.wrapper import ExternalSelector

@@ -10,8 +10,7 @@ import pytest
 
 import touchdown
 from touchdown.experiments.campaign.plan import load_plan
-from touchdown.experiments.config.loading import load_config
-from touchdown.experiments.config.seeds import parse_seeds
+from touchdown.experiments.config.loading import load_config, parse_seeds
 from touchdown.experiments.errors import UsageError
 
 from support.command import Says

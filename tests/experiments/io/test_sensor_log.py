@@ -86,7 +86,7 @@ def test_faulty_messages_are_read_back_unchanged(tmp_path: Path) -> None:
         ranges=np.array([np.nan, np.inf], np.float32),
         time_offsets=np.array([0.0, -1.0], np.float32), intensity=np.array([0, 255], np.uint8),
     )  # fmt: skip
-    black = CameraImage(tick=60, time_s=0.1, rgb=np.zeros((4, 6, 3), np.uint8))
+    black = CameraImage(tick=60, time_s=0.1, rgb=np.zeros((240, 424, 3), np.uint8))
     beside = dataclasses.replace(black, tick=62, time_s=0.10312345678901234)
     stream = [
         Observation(
