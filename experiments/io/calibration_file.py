@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from touchdown.experiments.api import CalibrationResult
 from touchdown.experiments.errors import UsageError, reason_of
-from touchdown.experiments.io.run_directory import whole_file
+from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.io.untrusted import read_object
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.files.opening import no_file
@@ -56,29 +56,17 @@ class ExtrinsicPart(_Strict):
     translation_m: Vector3
 
 
-class CovariancePart(_Strict):
-    """Standard deviations and residuals that the calibration states."""
-
-    camera: list[list[float]]
-    """(9, 9) of fx, fy, cx, cy (pixels), k1, k2, p1, p2, k3"""
-    camera_from_lidar: list[list[float]]
-    """(6, 6) of a small rotation (rad) applied on the left, then of the translation (m)"""
-
-
-class ResidualPart(_Strict):
-    """Root mean squares."""
-
-    reprojection_rms_px: float
-    plane_rms_m: float
-
-
 class CalibrationFile(_Strict):
-    """The whole file. Of these, a flight needs ``camera`` and ``camera_from_lidar``."""
+    """The whole file. Of these, a flight needs ``camera`` and ``camera_from_lidar``; the others are
+    what the calibration states of itself."""
 
     camera: CameraPart
     camera_from_lidar: ExtrinsicPart
-    covariance: CovariancePart | None = None
-    residuals: ResidualPart | None = None
+    covariance: dict[Literal["camera", "camera_from_lidar"], list[list[float]]] | None = None
+    """(9, 9) of fx, fy, cx, cy (pixels), k1, k2, p1, p2, k3; (6, 6) of a small rotation (rad)
+    applied on the left, then of the translation (m)"""
+    residuals: dict[Literal["reprojection_rms_px", "plane_rms_m"], float] | None = None
+    """root mean squares"""
     views_used: int | None = None
 
     def intrinsics(self) -> CameraIntrinsics:
@@ -104,17 +92,17 @@ def write_calibration(path: Path, result: CalibrationResult) -> None:
             rotation_quat_wxyz=_numbers(quat_wxyz_from_matrix(pose.rotation)),
             translation_m=_numbers(pose.translation),
         ),
-        covariance=CovariancePart(
-            camera=result.camera_covariance.tolist(),
-            camera_from_lidar=result.extrinsic_covariance.tolist(),
-        ),
-        residuals=ResidualPart(
-            reprojection_rms_px=result.reprojection_rms_px, plane_rms_m=result.plane_rms_m
-        ),
+        covariance={
+            "camera": result.camera_covariance.tolist(),
+            "camera_from_lidar": result.extrinsic_covariance.tolist(),
+        },
+        residuals={
+            "reprojection_rms_px": result.reprojection_rms_px,
+            "plane_rms_m": result.plane_rms_m,
+        },
         views_used=len(result.used),
     )
-    with whole_file(path) as partial:
-        partial.write_text(content.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    write_text(path, content.model_dump_json(indent=2) + "\n")
 
 
 def read_calibration(path: Path) -> CalibrationFile:

@@ -20,7 +20,7 @@ from touchdown.experiments.flight.metrics import (
     levelness_error_deg,
 )
 from touchdown.experiments.flight.result import _map_figures
-from touchdown.sim.frames import Pose, rotation_from_yaw
+from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 
 from support.flight_fakes import LEG_ON_LAWN, make_truth
 from support.landing_support import grid_of_returns
@@ -63,11 +63,15 @@ def test_touchdown_window_keeps_only_the_last_half_second() -> None:
         )  # fmt: skip
         window.add_before(truth)
     window.first_contact(make_truth(2.0, [4.0, 5.0, 0.3], contacts=LEG_ON_LAWN))
-    for height in (0.30, 0.28, 0.31, 0.28):
-        window.add_after(make_truth(2.1, [4.0, 5.0, height], peak_contact_accel=10 * height))
+    for height, tilt_deg in ((0.30, 1.0), (0.28, 3.0), (0.31, 2.0), (0.28, 0.0)):
+        rotation = so3_exp(np.array([0.0, np.radians(tilt_deg), 0.0]))
+        pose = Pose(rotation, np.array([4.0, 5.0, height]))
+        window.add_after(make_truth(
+            2.1, pose.translation, world_from_body=pose, peak_contact_accel=10 * height
+        ))  # fmt: skip
     assert window.summary() == pytest.approx({
         "vertical_speed_mps": 0.2, "horizontal_speed_mps": 0.05, "vertical_accel_mps2": 0.1,
-        "bounce_m": 0.03, "impact_peak_mps2": 3.1, "tilt_deg": 0.0,
+        "bounce_m": 0.03, "impact_peak_mps2": 3.1, "tilt_deg": 3.0,
     })  # fmt: skip
     assert window.contact_xy is not None
     np.testing.assert_array_equal(window.contact_xy, [4.0, 5.0])

@@ -81,8 +81,9 @@ def test_the_error_of_the_estimate_is_kept_at_commit_and_at_contact() -> None:
 
 def test_a_safe_landing() -> None:
     ended = []
-    referee = make_referee(on_survey_end=lambda: ended.append(True))
+    referee = make_referee(on_survey_end=lambda: ended.append(True), commanded_xy_m=(14.0, -33.5))
     fly_to_descent(referee)
+    assert referee.result(Outcome.ABORTED).landing is None
     site = {"committed_site_world": np.array([5.0, 6.1, 0.0])}
     landed = [
         judge(referee, time_s, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN, view=site)
@@ -92,6 +93,9 @@ def test_a_safe_landing() -> None:
     result = referee.result(Outcome.LANDED)
     assert ended == [True] and result.survey_s == pytest.approx(36.0)
     assert result.landing.target_offset_m == pytest.approx(0.1) and result.landing.safe is True
+    landing = result.landing
+    assert landing.touchdown_xy_m == (5.0, 6.0) and landing.touchdown_time_s == pytest.approx(61.0)
+    assert landing.commanded_xy_m == (14.0, -33.5)
     # Two samples between lift-off and the survey's end: exact at 1 s, 0.1 m off at 10 s.
     assert result.position_error.mean == pytest.approx(0.05)
 
@@ -155,23 +159,6 @@ def test_the_survey_is_judged_by_estimate_reference_and_covariance() -> None:
     assert result.span_s == (pytest.approx(0.05), pytest.approx(0.25))
 
 
-def test_what_follows_the_first_contact_is_in_the_result() -> None:
-    """Down at 0.30 m, settling to 0.28, up by 2 cm, tilted by 3 degrees at the worst; 4.5 m/s^2."""
-    referee = make_referee()
-    fly_to_descent(referee)
-    story = ((0.30, 1.0, 4.5), (0.28, 3.0, 2.0), (0.30, 2.0, 0.5), (0.29, 0.0, 0.1))
-    for step, (height, tilt_deg, peak) in enumerate(story):
-        pose = Pose(so3_exp(np.array([0.0, np.radians(tilt_deg), 0.0])), np.array([5.0, 6, height]))
-        judge(
-            referee, 61.0 + 0.1 * step, pose.translation, Phase.TOUCHDOWN, world_from_body=pose,
-            contacts=LEG_ON_LAWN if step != 2 else (), peak_contact_accel=peak,
-        )  # fmt: skip
-    landing = referee.result(Outcome.LANDED).landing
-    assert landing.bounce_m == pytest.approx(0.02)
-    assert landing.impact_peak_mps2 == pytest.approx(4.5) and landing.tilt_deg == pytest.approx(3.0)
-    assert landing.touchdown_xy_m == (5.0, 6.0) and landing.touchdown_time_s == pytest.approx(61.0)
-
-
 @pytest.mark.parametrize(("gaps", "largest", "agrees", "reason"), [
     ((0.004, -0.006), -0.006, True, ""), ((0.049, 0.0), 0.049, True, ""),
     ((0.051, 0.0), 0.051, False, "it stands 0.05 m above the truth map: not safe"),
@@ -197,16 +184,6 @@ def test_a_landing_off_the_truth_map_is_never_safe(
     assert landing.ground_safe is safe
 
 
-@pytest.mark.parametrize("commanded", [None, (14.0, -33.5)])
-def test_the_commanded_site_is_in_the_result(commanded: tuple[float, float] | None) -> None:
-    referee = make_referee(commanded_xy_m=commanded)
-    fly_to_descent(referee)
-    assert referee.result(Outcome.ABORTED).landing is None
-    judge(referee, 61.0, [5, 6, 0.3], Phase.TOUCHDOWN, contacts=LEG_ON_LAWN)
-    landing = referee.result(Outcome.LANDED).landing
-    assert landing is not None and landing.commanded_xy_m == commanded
-
-
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [({"no_site": True}, Outcome.NO_SITE), ({"aborted": True}, Outcome.ABORTED)],
@@ -230,13 +207,6 @@ def test_rotors_and_moving_things_must_not_be_touched(contact: Contact) -> None:
     fly_to_descent(referee)
     outcome = judge(referee, 61.0, [5, 6, 1.0], Phase.DESCEND, contacts=(contact,))
     assert outcome is Outcome.COLLIDED and contact.other in referee.result(Outcome.COLLIDED).reason
-
-
-def test_touching_anything_during_the_survey_is_a_collision() -> None:
-    referee = make_referee()
-    judge(referee, 0.0, [0, 0, 0.3], Phase.INIT)
-    judge(referee, 1.0, [0, 0, 5.0], Phase.TAKEOFF)
-    assert judge(referee, 9.0, [0, 0, 30], Phase.SURVEY, contacts=LEG_ON_LAWN) is Outcome.COLLIDED
 
 
 def test_lost_tipped_and_late() -> None:
