@@ -25,7 +25,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.platform import limit_threads
 from touchdown.experiments.flight.run import fly_and_judge
 from touchdown.experiments.flight.wiring import build_flight_stack, build_scene
-from touchdown.experiments.recording.run_recorder import NullRecorder
+from touchdown.experiments.recording.recorder import NullRecorder
 
 _SIM = "touchdown.sim."
 STAGES: Mapping[str, str] = {

@@ -17,7 +17,7 @@ from touchdown.experiments.config.profiles import effects
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.estimator_calibration import calibration_errors
 from touchdown.experiments.io.result_parts import Measured
-from touchdown.experiments.recording.run_recorder import StepRecord
+from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.sim.api import FAULT_KINDS, Fault, Observation, SensorNeeds, SensorRig, WindParams
 from touchdown.sim.effects import Effect, WorldRecord
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from touchdown.controller.api import Controller
 from touchdown.estimator.api import Estimator, Mapper
 from touchdown.experiments.flight.referee import Judgement, Referee
-from touchdown.experiments.recording.run_recorder import Recorder, StepRecord
+from touchdown.experiments.recording.recorder import Recorder, StepRecord
 from touchdown.landing.api import Lander
 from touchdown.sim.api import World
 

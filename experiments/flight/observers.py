@@ -12,7 +12,7 @@ from touchdown.experiments.external.processes import release_pages
 from touchdown.experiments.flight.conditions import ConditionsObserver
 from touchdown.experiments.flight.metrics import GroundMap
 from touchdown.experiments.io.result_parts import Event, PhaseStart
-from touchdown.experiments.recording.run_recorder import Recorder, StepRecord
+from touchdown.experiments.recording.recorder import Recorder, StepRecord
 from touchdown.landing.api import Decision
 from touchdown.sim.api import WindParams
 

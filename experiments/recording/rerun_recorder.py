@@ -25,9 +25,9 @@ from touchdown.estimator.filtering.deskew import deskewed_points, track_of
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.costmap_image import costmap_image
 from touchdown.experiments.drawing.map_images import map_points
+from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.experiments.recording.rerun_blueprint import TIMELINE, flight_blueprint, log_styles
 from touchdown.experiments.recording.rerun_scene import log_moving, log_scene, log_vehicle
-from touchdown.experiments.recording.run_recorder import StepRecord
 from touchdown.landing.api import Candidate, LanderView
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorRig, Truth

@@ -1,57 +1,24 @@
-"""What the main loop hands to recorders, and the recorder of the files of a flight: trajectories,
-the Rerun recording, the map, the costmap."""
+"""Recorder of the files of a flight: trajectories, the Rerun recording, the map, the costmap."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.drawing.map_images import survey_marks
 from touchdown.experiments.io.tum import TumWriter
+from touchdown.experiments.recording.recorder import NullRecorder, Recorder, StepRecord
 from touchdown.landing.api import LanderView
 from touchdown.scenes.api import Scene
-from touchdown.sim.api import Command, Observation, SensorRig, Truth
+from touchdown.sim.api import SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
 if TYPE_CHECKING:
     from touchdown.experiments.io.sensor_log import SensorLog
-
-
-@dataclass(frozen=True, slots=True)
-class StepRecord:
-    """Inputs and outputs of all parts of the loop in one control step."""
-
-    truth: Truth
-    obs: Observation
-    estimate: Estimate
-    map_view: MapView
-    lander_view: LanderView
-    setpoint: Setpoint
-    command: Command
-
-
-class Recorder(Protocol):
-    """Observer of every control step, without effect on the flight."""
-
-    def tick(self, step: StepRecord) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class NullRecorder:
-    """Recorder that writes nothing."""
-
-    def tick(self, step: StepRecord) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
 
 
 class RunRecorder:

@@ -13,8 +13,9 @@ from touchdown.experiments.io.run_directory import SENSORS_FILE
 from touchdown.experiments.io.sensor_log import SensorLog
 from touchdown.experiments.io.tum import TumWriter, read_tum
 from touchdown.experiments.recording import rerun_scene
+from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.experiments.recording.rerun_recorder import MapTiles, scan_points_odom
-from touchdown.experiments.recording.run_recorder import RunRecorder, StepRecord
+from touchdown.experiments.recording.run_recorder import RunRecorder
 from touchdown.landing.api import Candidate, CostmapView, Phase, SemanticView
 from touchdown.scenes.api import MovingBody, Scene, Surface
 from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorNeeds, SensorRig
