@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from fuzz import cases, run_all, worker
+from fuzz import cases, run, worker
 from fuzz.kinds import KINDS
 
 FOLDER = os.environ.get("TOUCHDOWN_FUZZ", "")
@@ -25,20 +25,20 @@ FOLDER = os.environ.get("TOUCHDOWN_FUZZ", "")
 
 
 @pytest.fixture(scope="module")
-def asked() -> Iterator[run_all.Server]:
-    with run_all.Server() as found:
+def asked() -> Iterator[run.Server]:
+    with run.server() as found:
         yield found
 
 
-def _check(verdicts: run_all.Verdicts) -> None:
-    print(run_all.table(verdicts))
-    assert not (found := run_all.findings(verdicts)), "\n\n".join(found[:8])
+def _check(verdicts: run.Verdicts) -> None:
+    print(run.table(verdicts))
+    assert not (found := run.findings(verdicts)), "\n\n".join(found[:8])
     codes = Counter(verdict["code"] for verdict in verdicts)
     assert codes[2] and codes[2] < len(verdicts), f"all end in one way: {codes}"
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_inputs_are_accepted_or_refused_in_one_line(kind: str, asked: run_all.Server) -> None:
+def test_inputs_are_accepted_or_refused_in_one_line(kind: str, asked: run.Server) -> None:
     _check([asked.ask(kind, number) for number in range(KINDS[kind][0])])
 
 
@@ -46,8 +46,8 @@ def test_inputs_are_accepted_or_refused_in_one_line(kind: str, asked: run_all.Se
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_inputs(kind: str, tmp_path: Path) -> None:
     out = Path(FOLDER) if FOLDER else tmp_path
-    numbers = range(run_all.FIRST, run_all.FIRST + run_all.COUNT)
-    _check(run_all.run_kind(kind, numbers, out / f"{kind}.jsonl"))
+    numbers = range(run.FIRST, run.FIRST + run.COUNT)
+    _check(run.run_kind(kind, numbers, out / f"{kind}.jsonl"))
 
 
 def test_a_case_is_the_same_each_time(tmp_path: Path) -> None:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 import io
 import json
 import os
 import resource
 import select
+import shutil
 import signal
 import sys
 import tempfile
@@ -26,7 +28,7 @@ import psutil
 
 from touchdown.experiments.external.processes import adopt_orphans, descendants, end_descendants
 
-from fuzz import cases, kinds
+from fuzz import cases, grounding, kinds
 from fuzz.cases import REACHED, Case, Verdict
 from fuzz.grounding import Reached
 
@@ -48,6 +50,39 @@ class End(NamedTuple):
     memory_mb: int
     left: int
     """processes that it had started and that outlived it, now ended"""
+
+
+_PREPARED: set[str] = set()
+
+
+def answer(kind: str, number: int, home: Path, keep: bool) -> Verdict:
+    """In the warm process: runs a case in ``home``; its folder goes unless ``keep``."""
+    if kind not in _PREPARED:
+        _prepare(kind)
+        _PREPARED.add(kind)
+    folder, shared = home / f"{kind}-{number}", home / "shared"
+    shared.mkdir(exist_ok=True)
+    verdict = run(kind, number, folder, shared)
+    # what one case imports, the next ones need not
+    grounding.load(*text_of(folder / "log" / "modules").split())
+    gc.freeze()
+    if not keep:
+        shutil.rmtree(folder, ignore_errors=True)
+    return verdict
+
+
+def _prepare(kind: str) -> None:
+    """Imports what the cases of a kind need, once."""
+    if kind in kinds.LEARNING:
+        grounding.load(*grounding.LEARNING)
+        import torch
+
+        torch.set_num_threads(1)
+    grounding.load(*grounding.SLOW_TO_LOAD.get(kind, ()))
+    import cv2
+
+    cv2.setNumThreads(0)  # threads of a pool are not there after a fork
+    grounding.install()
 
 
 def run(kind: str, number: int, folder: Path, shared: Path) -> Verdict:

@@ -1,64 +1,69 @@
-"""Runs all kinds of fuzzed cases, in parts that may be interrupted, and prints a table.
+"""Runs fuzzed cases: ``python tests/fuzz/run.py KIND NUMBER`` repeats one and keeps its folder.
 
-``python tests/fuzz/run_all.py --out DIR`` goes on where an earlier call with that folder stopped.
+``python tests/fuzz/run.py --out DIR`` runs all kinds, in parts that may be interrupted, and prints a
+table; it goes on where an earlier call with that folder stopped.
 """
 
 import argparse
+import dataclasses
 import json
-import subprocess
+import os
+import shlex
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from fuzz import worker
 from fuzz.kinds import KINDS
 
 FIRST, COUNT = 10_000, 1_900
 """Number of the first case of each kind, and how many there are."""
 Verdicts = list[dict[str, Any]]
 """of `fuzz.cases.Verdict`"""
+_ENVIRONMENT = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"),
+    "MUJOCO_GL": os.environ.get("MUJOCO_GL", "egl"),
+    "PYTHONUTF8": "1",  # cases that are not UTF-8 text are seen by the command's own check
+}
 
 
 class Server:
     """A warm process that runs one case after the other in a folder of its own."""
 
-    def __init__(self) -> None:
-        self._home = tempfile.TemporaryDirectory(prefix="fuzz-", ignore_cleanup_errors=True)
-        script = str(Path(__file__).with_name("run_case.py"))
-        self._process = subprocess.Popen(
-            [sys.executable, script, "--serve", self._home.name],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
+    def __init__(self, home: Path) -> None:
+        self._home = home
+        os.environ.update(_ENVIRONMENT)
+        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self._process.communicate()
-        self._home.cleanup()
-
-    def ask(self, kind: str, number: int) -> dict[str, Any]:
+    def ask(self, kind: str, number: int, keep: bool = False) -> dict[str, Any]:
         """Runs a case and returns its verdict."""
-        assert self._process.stdin is not None and self._process.stdout is not None
-        print(kind, number, file=self._process.stdin, flush=True)
-        line = self._process.stdout.readline()
-        if not line:
-            raise RuntimeError(f"the process that runs the cases died at {kind} {number}")
-        verdict: dict[str, Any] = json.loads(line)
-        return verdict
+        found = self._pool.submit(worker.answer, kind, number, self._home, keep).result()
+        return dataclasses.asdict(found)
+
+
+@contextmanager
+def server() -> Iterator[Server]:
+    """A server in a folder that is removed."""
+    with tempfile.TemporaryDirectory(prefix="fuzz-", ignore_cleanup_errors=True) as home:
+        asked = Server(Path(home))
+        with asked._pool:
+            yield asked
 
 
 def run_kind(kind: str, numbers: Sequence[int], out: Path) -> Verdicts:
     """Runs the cases that ``out``, a file of one verdict a line, lacks; returns all of them."""
     done = {verdict["number"]: verdict for verdict in read(out)}
-    todo = [number for number in numbers if number not in done]
-    if todo:
+    if todo := [number for number in numbers if number not in done]:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with Server() as asked, out.open("a", encoding="utf-8") as file:
+        with server() as asked, out.open("a", encoding="utf-8") as file:
             for number in todo:
                 done[number] = asked.ask(kind, number)
                 print(json.dumps(done[number]), file=file, flush=True)
@@ -94,20 +99,40 @@ def findings(verdicts: Verdicts) -> list[str]:
     texts = []
     for verdict in verdicts:
         if verdict["faults"]:
-            again = f"python tests/fuzz/run_case.py {verdict['kind']} {verdict['number']}"
+            again = f"python tests/fuzz/run.py {verdict['kind']} {verdict['number']}"
             text = "\n  ".join([again, *(fault[:1000] for fault in verdict["faults"])])
             texts.append(text.encode("utf-8", "backslashreplace").decode("utf-8"))
     return texts
 
 
+def show(kind: str, number: int) -> int:
+    """Repeats one case and prints what it did; returns 1 for a finding."""
+    home = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    verdict = Server(home).ask(kind, number, keep=True)
+    folder = home / f"{kind}-{number}"
+    print(f"cd {folder}/watched/a/b/work && touchdown {shlex.join(verdict['arguments'])}")
+    print(f"ended: {verdict['code']} after {verdict['cpu_s']:g} s, {verdict['memory_mb']} MB")
+    for name in ("stdout", "stderr"):
+        text = (folder / "log" / name).read_text(errors="backslashreplace")
+        print(f"{name}:\n{text[-4000:]}")
+    print(*(f"FINDING {fault}" for fault in verdict["faults"]), sep="\n")
+    return 1 if verdict["faults"] else 0
+
+
 def main() -> int:
     """Returns 1 where there are findings."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="folder of verdicts")
+    parser.add_argument("kind", nargs="?", choices=list(KINDS))
+    parser.add_argument("number", nargs="?", type=int, default=0)
+    parser.add_argument("--out", type=Path, help="folder of verdicts")
     parser.add_argument("--kinds", default=",".join(KINDS), help="separated by commas")
     parser.add_argument("--count", type=int, default=COUNT, help="cases of each kind")
     parser.add_argument("--again", action="store_true", help="the findings that are there")
     given = parser.parse_args()
+    if given.kind is not None:
+        return show(given.kind, given.number)
+    if given.out is None:
+        parser.error("give KIND and NUMBER, or --out")
     found: Verdicts = []
     for kind in given.kinds.split(","):
         out = given.out / f"{kind}.jsonl"
