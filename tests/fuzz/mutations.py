@@ -123,13 +123,8 @@ def _somewhere(rng: Rng, tree: dict[str, Any]) -> tuple[str, Any]:
 
 
 def _mutate_list(rng: Rng, items: list[Any], at: int) -> None:
-    kind = int(rng.integers(4))
-    if kind == 0:
-        del items[at]
-    elif kind == 1:
-        items.insert(at, items[at])
-    else:
-        items[at] = neighbour(rng, items[at])
+    new = pick(rng, ([], [items[at]] * 2, *[[neighbour(rng, items[at])]] * 2))
+    items[at : at + 1] = new
 
 
 def mutate_rows(rng: Rng, rows: list[list[str]], odd: Iterable[Any]) -> None:
@@ -188,79 +183,40 @@ def json_text(rng: Rng, tree: Any) -> str:
     """JSON, now and then with what Python's own reader takes and others do not, nested too deeply
     or with too many digits."""
     text = json.dumps(tree, ensure_ascii=chance(rng, 0.7))
-    kind = int(rng.integers(60))
-    if kind == 0:
-        return "[" * 100_000 + "]" * 100_000
-    if kind == 1:
-        return '{"a":' * 20_000 + "1" + "}" * 20_000
-    if kind == 2:
-        return text.replace("1", "9" * 6000, 1)
-    if kind == 3:
-        return text[:-1] + ', "big": 1e999}' if text.endswith("}") else text
-    if kind == 4:
-        return f"[{text}]"
-    if kind == 5:
-        return text.replace(":", ': NaN, "x":', 1)
-    if kind == 6:
-        return text + text
-    return text
+    if not chance(rng, 0.12):
+        return text
+    return pick(rng, (
+        "[" * 100_000 + "]" * 100_000, '{"a":' * 20_000 + "1" + "}" * 20_000, f"[{text}]",
+        text + text, text.replace("1", "9" * 6000, 1), text.replace(":", ': NaN, "x":', 1),
+        text[:-1] + ', "big": 1e999}',
+    ))  # fmt: skip
 
 
 def toml_oddity(rng: Rng, text: str) -> str:
     """``text`` with something that a reader of TOML may stumble over."""
-    return pick(
-        rng,
-        (
-            text + f"a = {'1' * 5000}\n",
-            text + "a = " + "[" * 3000 + "]" * 3000 + "\n",
-            text + ".".join("a" * 1 for _ in range(3000)) + " = 1\n",
-            "\ufeff" + text,
-            text + text,
-            text + "[a]\n[a]\n",
-            text + "when = 2020-01-01T00:00:00Z\n",
-            text + "a = 07:32:00\n",
-            text + f"seed = {'9' * 400}\n",
-            text + 'a = """\n\\ud800"""\n',
-            text + "\0",
-            text.replace("\n", "\r"),
-            "[[sim]]\n" + text,
-            "sim = 3\n" + text,
-            text + "seed = 0x7fffffffffffffffffff\n",
-        ),
-    )
+    return pick(rng, (
+        *(text + line for line in (
+            f"a = {'1' * 5000}\n", "a = " + "[" * 3000 + "]" * 3000 + "\n", "[a]\n[a]\n",
+            "a." * 3000 + "a = 1\n", "when = 2020-01-01T00:00:00Z\n", "a = 07:32:00\n",
+            f"seed = {'9' * 400}\n", "seed = 0x7fffffffffffffffffff\n", "\0", text,
+        )),
+        "\ufeff" + text, text.replace("\n", "\r"), "[[sim]]\n" + text, "sim = 3\n" + text,
+    ))  # fmt: skip
 
 
 def damaged(rng: Rng, data: bytes) -> bytes:
     """``data`` as a bad disk, a wrong editor or a lost connection would leave it."""
     at, end = sorted(int(x) for x in rng.integers(0, len(data) + 1, 2))
-    kind = int(rng.integers(14))
-    if kind == 0:
-        return data[:at]
-    if kind == 1:
-        return data[:at] + data[min(end, at + 40) :]
-    if kind == 2:
-        return data[:at] + bytes(rng.integers(0, 256, 8, dtype=np.uint8)) + data[at + 8 :]
-    if kind == 3:
-        return data[:at] + data[at:end][:200] * 2 + data[end:]
-    if kind == 4:
-        return b""
-    if kind == 5:
-        return b"\xef\xbb\xbf" + data
-    if kind == 6:
-        return data.replace(b"\n", b"\r\n")
-    if kind == 7:
-        return data.decode("utf-8", "replace").encode("utf-16")
-    if kind == 8:
-        return data[:at] + "größe".encode("latin-1") + data[at:]
-    if kind == 9:
-        return data[:at] + b"\0" + data[at:]
-    if kind == 10:
-        lines = data.split(b"\n")
-        rng.shuffle(lines)  # type: ignore[arg-type]
-        return b"\n".join(lines)
-    if kind in (11, 12):
-        return flipped(rng, data)
-    return bytes(rng.integers(0, 256, int(rng.integers(1, 300)), dtype=np.uint8))
+    noise = bytes(rng.integers(0, 256, int(rng.integers(1, 300)), dtype=np.uint8))
+    lines = data.split(b"\n")
+    rng.shuffle(lines)  # type: ignore[arg-type]
+    return pick(rng, (
+        data[:at], data[:at] + data[end:], data[:at] + noise[:8] + data[at + 8 :], b"", noise,
+        data[:at] + data[at:end][:200] * 2 + data[end:], b"\xef\xbb\xbf" + data,
+        data.replace(b"\n", b"\r\n"), data.decode("utf-8", "replace").encode("utf-16"),
+        data[:at] + "größe".encode("latin-1") + data[at:], data[:at] + b"\0" + data[at:],
+        b"\n".join(lines), *[flipped(rng, data)] * 2,
+    ))  # fmt: skip
 
 
 def flipped(rng: Rng, data: bytes) -> bytes:
@@ -295,18 +251,6 @@ def put(rng: Rng, path: Path, data: str | bytes, fraction: float = 0.25) -> Path
 
 def put_special(rng: Rng, path: Path) -> None:
     """Puts something at ``path`` that is no ordinary file."""
-    kind = int(rng.integers(7))
-    if kind == 0:
-        os.mkfifo(path)
-    elif kind == 1:
-        path.mkdir()
-    elif kind == 2:
-        path.symlink_to(path.name)  # a circle
-    elif kind == 3:
-        path.symlink_to("/dev/zero")
-    elif kind == 4:
-        path.symlink_to("gone")
-    elif kind == 5:
-        path.symlink_to("/dev/null")
-    else:
-        path.touch()
+    targets = (path.name, "/dev/zero", "gone", "/dev/null")  # the first is a circle
+    links = [lambda target=target: path.symlink_to(target) for target in targets]
+    pick(rng, (lambda: os.mkfifo(path), path.mkdir, path.touch, *links))()

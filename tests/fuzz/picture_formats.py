@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzz.mutations import MARKED, Rng, chance, damaged, flipped, pick
+from fuzz.mutations import MARKED, Rng, chance, damaged, pick
 
 _SIDES = (0, 1, 2, 33, 20_000, 30_000, 65_535, 100_000, 2**31 - 1, 2**32 - 1)
 _ODD: dict[str, tuple[Any, ...]] = {
@@ -45,28 +45,27 @@ def png(rng: Rng, size: tuple[int, int] | None = None, changes: bool = True) -> 
     if not changes or chance(rng, 0.3):
         return data
     chunks = _chunks(data)
-    kind = int(rng.integers(6))
-    if kind == 0:  # another size, type or interlacing than the pixels have
+    kind = int(rng.integers(5))
+    if kind == 0:  # another size, type or interlacing than the pixels have, and a right checksum
         header = bytearray(chunks[0][1])
         at = int(rng.integers(7))
         _poke(rng, header, *((4 * at, ">I") if at < 2 else (6 + at, "B")))
         chunks[0] = (b"IHDR", bytes(header))
     elif kind == 1:  # a bomb: many pixels in few bytes, or more than the header says
         side = int(pick(rng, (5000, 12_000, 30_000)))
-        press = zlib.compressobj(9)
-        zeros = [press.compress(bytes(1 << 20)) for _ in range(side * side >> 23)]
         header = struct.pack(">2I5B", side, pick(rng, (side, side, 8)), 1, 0, 0, 0, 0)
-        chunks[:-1] = [(b"IHDR", header), (b"IDAT", b"".join([*zeros, press.flush()]))]
+        chunks[:-1] = [(b"IHDR", header), (b"IDAT", zlib.compress(bytes(side * side >> 3), 9))]
     elif kind == 2:  # missing pixels, bad filters
         body = zlib.decompress(b"".join(body for name, body in chunks if name == b"IDAT"))
         chunks[1:-1] = [(b"IDAT", zlib.compress(damaged(rng, body)))]
     elif kind == 3:  # words that a viewer may print, and chunks that are none
-        words = b"Title\0\x1b[31m[/x]<script>"
         name = pick(rng, (b"tEXt", b"PLTE", b"acTL", b"eXIf", b"QQQQ"))
-        chunks.insert(1, (name, pick(rng, (words, b"\x01" * 9))))
+        chunks.insert(1, (name, pick(rng, (b"Title\0\x1b[31m[/x]<script>", b"\x01" * 9))))
     else:
-        return flipped(rng, data) if kind == 4 else data[: int(rng.integers(len(data)))]
-    return data[:8] + b"".join(_chunk(*chunk) for chunk in chunks)
+        return damaged(rng, data)
+    parts = (struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+             for name, body in chunks)  # fmt: skip
+    return data[:8] + b"".join(parts)
 
 
 def _chunks(data: bytes) -> list[tuple[bytes, bytes]]:
@@ -78,12 +77,8 @@ def _chunks(data: bytes) -> list[tuple[bytes, bytes]]:
     return found
 
 
-def _chunk(name: bytes, body: bytes) -> bytes:
-    return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-
-
 def jpeg(rng: Rng) -> bytes:
-    """A JPEG file of ground, mostly cut, flipped or with another size in its header."""
+    """A JPEG file of ground, mostly damaged, with an EXIF record, or another size in its header."""
     image = _ground(rng, ((32, 32), (1, 1), (40, 24), (64, 48), (8, 200)))
     flags = [cv2.IMWRITE_JPEG_PROGRESSIVE, int(chance(rng, 0.3))]
     data = bytes(cv2.imencode(".jpg", image[..., 0] if chance(rng, 0.1) else image, flags)[1])
@@ -95,12 +90,8 @@ def jpeg(rng: Rng) -> bytes:
     for at in (5, 7):
         start = max(data.find(b"\xff\xc0"), data.find(b"\xff\xc2"))
         struct.pack_into(">H", other, start + at, min(65_535, pick(rng, _SIDES)))
-    ways = (
-        data, data, data[: int(rng.integers(2, len(data)))], bytes(other), data + data,
-        data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:],
-        flipped(rng, data),
-    )  # fmt: skip
-    return bytes(pick(rng, ways))
+    turned = data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:]
+    return bytes(pick(rng, (data, data, damaged(rng, data), other, data + data, turned)))
 
 
 _TIFF_CODES = {3: "H", 4: "I", 12: "d"}

@@ -1,7 +1,7 @@
 """Runs fuzzed cases: ``python tests/fuzz/run.py KIND NUMBER`` repeats one and keeps its folder.
 
-``python tests/fuzz/run.py --out DIR`` runs all kinds, in parts that may be interrupted, and prints a
-table; it goes on where an earlier call with that folder stopped.
+``python tests/fuzz/run.py --out DIR`` runs all kinds, in parts that may be interrupted, and prints
+a table; it goes on where an earlier call with that folder stopped.
 """
 
 import argparse
