@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -65,18 +65,19 @@ _LAYERS = (
 )  # fmt: skip
 
 
-class Defect(NamedTuple):
+class DefectError(Exception):
     """A rule that an external part broke, and how."""
 
-    rule: str
-    reason: str
+    def __init__(self, rule: str, reason: str) -> None:
+        super().__init__(rule, reason)
+        self.rule, self.reason = rule, reason
 
 
 # ----------------------------------------------------------------------------------------- a part
 
 
 def wrong_part(kind: str, part: Any, rig: Any) -> str:
-    """Defect of a built object that shows before its first call; "" without one."""
+    """DefectError of a built object that shows before its first call; "" without one."""
     methods = [method for of, method in _ANSWERS if of == kind]
     reason = "" if kind not in ("estimator", "mapper", "lander") else _wrong_needs(part, rig)
     if kind == "classifier":
@@ -123,180 +124,165 @@ def _wrong_limits(part: Any) -> str:
 # ---------------------------------------------------------------------------------------- answers
 
 
-def wrong_answer(
-    kind: str, method: str, answer: Any, rig: Any, arguments: tuple[Any, ...]
-) -> Defect | None:
-    """Defect of what a method of a part returned for these arguments."""
-    wanted, wrong = _ANSWERS[kind, method]
+def check_answer(kind: str, method: str, answer: Any, rig: Any, arguments: tuple[Any, ...]) -> None:
+    """Raises DefectError for what is wrong with the answer of a method of a part to these arguments."""
+    wanted, check = _ANSWERS[kind, method]
     if not isinstance(answer, wanted):
-        return Defect("answers", f"{type(answer).__name__}, not {wanted.__name__}")
+        raise DefectError("answers", f"{type(answer).__name__}, not {wanted.__name__}")
     who = f"{'an' if wanted is Estimate else 'a'} {wanted.__name__} whose "
     for path, shape in _SHAPES.get(wanted, {}).items():
         try:
             value = attrgetter(path)(answer)
         except AttributeError:
-            return Defect("shapes", f"{who}{path} is missing")
-        if (value is not None or path not in _OPTIONAL) and (
-            found := wrong_array(who + path, value, shape)
-        ):
-            return found
-    return wrong(answer, rig, arguments)
+            raise DefectError("shapes", f"{who}{path} is missing") from None
+        if value is not None or path not in _OPTIONAL:
+            _check_array(who + path, value, shape)
+    check(answer, rig, arguments)
 
 
-def wrong_array(name: str, value: Any, shape: tuple[int, ...]) -> Defect | None:
-    """Defect of an array of finite numbers of a shape, or with () of a single number."""
+def _check_array(name: str, value: Any, shape: tuple[int, ...]) -> None:
+    """An array of finite numbers of a shape, or with () a single number."""
     if not shape:
         value = np.asarray(value)
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
-        return Defect("shapes", f"{name} is a {type(value).__name__}, no NumPy array of numbers")
+        raise DefectError(
+            "shapes", f"{name} is a {type(value).__name__}, no NumPy array of numbers"
+        )
     if value.shape != shape:
-        return Defect("shapes", f"{name} has shape {value.shape}, not {shape}")
+        raise DefectError("shapes", f"{name} has shape {value.shape}, not {shape}")
     if not np.isfinite(value).all():
-        return Defect("finite", f"{name} is not finite")
-    return None
+        raise DefectError("finite", f"{name} is not finite")
 
 
-def _wrong_estimate(estimate: Estimate, _rig: Any, _arguments: Any) -> Defect | None:
+def _check_estimate(estimate: Estimate, _rig: Any, _arguments: Any) -> None:
     for name in ("odom_from_body", "world_from_odom"):
         rotation = getattr(estimate, name).rotation
         off = abs(rotation @ rotation.T - _IDENTITY).max()
         if off > _ROTATION_OFF or np.linalg.det(rotation) < 0.0:
-            return Defect("shapes", f"an Estimate whose {name}.rotation is no rotation matrix")
+            raise DefectError("shapes", f"an Estimate whose {name}.rotation is no rotation matrix")
     try:
         for value in estimate.diagnostics.values():
             float(value)
     except (TypeError, ValueError, AttributeError):
-        return Defect("shapes", "diagnostics that hold a value that is no number")
+        raise DefectError("shapes", "diagnostics that hold a value that is no number") from None
     if not isinstance(estimate.events, tuple | list):
         kind = type(estimate.events).__name__
-        return Defect("shapes", f"an Estimate whose events is {kind}, not a tuple of texts")
-    track = estimate.scan_track
-    if track is None:
-        return None
-    if not isinstance(track, PoseTrack):
-        return Defect("shapes", "an Estimate whose scan_track is no PoseTrack")
-    count = len(track.times_s)
-    return (
-        wrong_array("scan_track.times_s", track.times_s, (count,))
-        or wrong_array("scan_track.positions_odom", track.positions_odom, (count, 3))
-        or wrong_array("scan_track.quats_wxyz", track.quats_wxyz, (count, 4))
-    )
+        raise DefectError("shapes", f"an Estimate whose events is {kind}, not a tuple of texts")
+    if (track := estimate.scan_track) is not None:
+        if not isinstance(track, PoseTrack):
+            raise DefectError("shapes", "an Estimate whose scan_track is no PoseTrack")
+        count = len(track.times_s)
+        for name, shape in (("times_s", ()), ("positions_odom", (3,)), ("quats_wxyz", (4,))):
+            _check_array(f"scan_track.{name}", getattr(track, name), (count, *shape))
 
 
-def _wrong_sites(offered: RankedSites, _rig: Any, arguments: Any) -> Defect | None:
+def _check_sites(offered: RankedSites, _rig: Any, arguments: Any) -> None:
     for name, items, item in (
         ("sites", offered.sites, Site),
         ("layers", offered.layers, TermLayer),
     ):
         if not isinstance(items, tuple) or not all(isinstance(one, item) for one in items):
-            return Defect("answers", f"{name} that are no tuple of {item.__name__}")
+            raise DefectError("answers", f"{name} that are no tuple of {item.__name__}")
     names = [tuple(layer.name for layer in offered.layers)] if offered.layers else []
     for number, site in enumerate(offered.sites, start=1):
-        if found := _wrong_site(site, f"site {number}, whose "):
-            return found
+        _check_site(site, f"site {number}, whose ")
         names.append(tuple(term.name for term in site.terms))
         if names[-1] != names[0]:
             text = f"site {number} with the terms {names[-1]}, unlike {names[0]} before it"
-            return Defect("terms", text)
+            raise DefectError("terms", text)
     shape = arguments[0].map_view.coarse.height_m.shape
     for layer in offered.layers:
         for part in ("value", "quantity"):
             if np.shape(getattr(layer, part)) != shape:
-                text = (
-                    f"the layer '{layer.name}', whose {part} has not the shape {shape} of the map"
-                )
-                return Defect("shapes", text)
-    return None
+                text = f"the layer '{layer.name}', whose {part} has not the map's shape {shape}"
+                raise DefectError("shapes", text)
 
 
-def _wrong_site(site: Site, who: str) -> Defect | None:
+def _check_site(site: Site, who: str) -> None:
     place = site.position_odom
     if isinstance(place, np.ndarray) and place.shape == (3,):
         place = place[:2]  # the height is taken from the map
-    if found := wrong_array(f"{who}position_odom", place, (2,)):
-        return found
+    _check_array(f"{who}position_odom", place, (2,))
     if not site.terms or any(not isinstance(term, ScoreTerm) for term in site.terms):
-        return Defect("terms", f"{who}terms are no tuple of one or more ScoreTerm")
+        raise DefectError("terms", f"{who}terms are no tuple of one or more ScoreTerm")
     for term in site.terms:
         try:
             finite = math.isfinite(term.value)
             float(term.quantity)
         except TypeError:
-            return Defect("terms", f"{who}term '{term.name}' holds a value that is no number")
+            text = f"{who}term '{term.name}' holds a value that is no number"
+            raise DefectError("terms", text) from None
         if not finite:
-            return Defect("finite", f"{who}term '{term.name}' is not finite")
-    return None
+            raise DefectError("finite", f"{who}term '{term.name}' is not finite")
 
 
-def _wrong_command(command: Command, _rig: Any, _arguments: Any) -> Defect | None:
+def _check_command(command: Command, _rig: Any, _arguments: Any) -> None:
     if (command.rotor_speed_radps < 0.0).any():
-        return Defect("finite", "a Command whose rotor_speed_radps is negative")
-    return None
+        raise DefectError("finite", "a Command whose rotor_speed_radps is negative")
 
 
-def _wrong_prediction(found: GroundPrediction, rig: Any, arguments: Any) -> Defect | None:
+def _check_prediction(found: GroundPrediction, rig: Any, arguments: Any) -> None:
     count, table = len(arguments[0]), found.probabilities
-    if wrong := wrong_array("predictions whose probabilities", table, (count, len(rig.classes))):
-        return wrong
+    _check_array("predictions whose probabilities", table, (count, len(rig.classes)))
     if (table < 0.0).any() or (abs(table.sum(axis=1) - 1.0) > _SUM_OFF).any():
-        return Defect("probabilities", "predictions that are negative or do not add up to 1")
+        raise DefectError("probabilities", "predictions that are negative or do not add up to 1")
     known = found.in_distribution
     if not isinstance(known, np.ndarray) or known.dtype != np.bool_ or known.shape != (count,):
-        return Defect("shapes", f"predictions whose in_distribution is no bool array of ({count},)")
-    return None
+        text = f"predictions whose in_distribution is no bool array of ({count},)"
+        raise DefectError("shapes", text)
 
 
-def _wrong_map(view: MapView, _rig: Any, _arguments: Any) -> Defect | None:
+def _check_map(view: MapView, _rig: Any, _arguments: Any) -> None:
     if not isinstance(view.version, int | np.integer):
-        return Defect("shapes", f"a map whose version is a {type(view.version).__name__}, no int")
+        raise DefectError(
+            "shapes", f"a map whose version is a {type(view.version).__name__}, no int"
+        )
     for name, grid in (("coarse", view.coarse), ("fine", view.fine)):
         if grid is None and name == "fine":
             continue
         if not isinstance(grid, GridMap):
-            return Defect("answers", f"a map whose {name} is a {type(grid).__name__}, no GridMap")
-        if wrong := _wrong_grid(grid, f"a map whose {name}"):
-            return wrong
-    return None
+            raise DefectError(
+                "answers", f"a map whose {name} is a {type(grid).__name__}, no GridMap"
+            )
+        _check_grid(grid, f"a map whose {name}")
 
 
-def _wrong_grid(grid: GridMap, who: str) -> Defect | None:
-    if wrong := wrong_array(f"{who}.origin_xy_m", grid.origin_xy_m, (2,)):
-        return wrong
+def _check_grid(grid: GridMap, who: str) -> None:
+    _check_array(f"{who}.origin_xy_m", grid.origin_xy_m, (2,))
     if not (isinstance(grid.cell_m, int | float) and 0.0 < grid.cell_m < math.inf):
-        return Defect("shapes", f"{who}.cell_m is {grid.cell_m!r}, no length")
+        raise DefectError("shapes", f"{who}.cell_m is {grid.cell_m!r}, no length")
     shape = np.shape(grid.height_m)
     for name in _LAYERS:
         layer = getattr(grid, name)
         wanted = (*shape, 3) if name == "rgb" else shape
         if not isinstance(layer, np.ndarray) or layer.dtype != np.float32:
-            return Defect("shapes", f"{who}.{name} is no float32 array")
+            raise DefectError("shapes", f"{who}.{name} is no float32 array")
         if layer.shape != wanted or len(shape) != 2:
-            return Defect("shapes", f"{who}.{name} has shape {layer.shape}, not (rows, cols)")
+            raise DefectError("shapes", f"{who}.{name} has shape {layer.shape}, not (rows, cols)")
     seen = {"count": grid.count, "missing": grid.missing}
     seen["height_m where count is above 0"] = grid.height_m[grid.count > 0.0]
     for name, numbers in seen.items():
         if not np.isfinite(numbers).all():
-            return Defect("finite", f"{who}.{name} is not finite")
+            raise DefectError("finite", f"{who}.{name} is not finite")
     bins = grid.histogram
     if bins is not None and (bins.dtype != np.uint8 or bins.shape != (*shape, HEIGHT_BINS)):
-        return Defect("shapes", f"{who}.histogram is no uint8 array of (rows, cols, {HEIGHT_BINS})")
-    return None
+        text = f"{who}.histogram is no uint8 array of (rows, cols, {HEIGHT_BINS})"
+        raise DefectError("shapes", text)
 
 
-def _wrong_view(view: LanderView, _rig: Any, _arguments: Any) -> Defect | None:
+def _check_view(view: LanderView, _rig: Any, _arguments: Any) -> None:
     if not isinstance(view.phase, Phase):
-        return Defect("answers", f"a view whose phase is {view.phase!r}, no Phase")
-    return None
+        raise DefectError("answers", f"a view whose phase is {view.phase!r}, no Phase")
 
 
-_Check = Callable[[Any, Any, Any], Defect | None]
+_Check = Callable[[Any, Any, Any], None]
 _ANSWERS: Mapping[tuple[str, str], tuple[type, _Check]] = {
-    ("estimator", "update"): (Estimate, _wrong_estimate),
-    ("selector", "select"): (RankedSites, _wrong_sites),
+    ("estimator", "update"): (Estimate, _check_estimate),
+    ("selector", "select"): (RankedSites, _check_sites),
     ("lander", "update"): (Setpoint, lambda *_: None),
-    ("lander", "view"): (LanderView, _wrong_view),
-    ("controller", "update"): (Command, _wrong_command),
-    ("mapper", "update"): (MapView, _wrong_map),
-    ("classifier", "classify"): (GroundPrediction, _wrong_prediction),
+    ("lander", "view"): (LanderView, _check_view),
+    ("controller", "update"): (Command, _check_command),
+    ("mapper", "update"): (MapView, _check_map),
+    ("classifier", "classify"): (GroundPrediction, _check_prediction),
 }
-"""By kind of part and method: the type of the answer, and what else may be wrong with it."""
+"""By kind of part and method: the type of the answer, and what else is checked of it."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView, spare_sensors
 from touchdown.experiments.errors import ExternalPartError
-from touchdown.experiments.external.answers import Defect, wrong_answer, wrong_part
+from touchdown.experiments.external.answers import DefectError, check_answer, wrong_part
 from touchdown.experiments.external.loading import (
     Build,
     call,
@@ -52,8 +52,10 @@ vehicle hovers for."""
 class BrokenRuleError(ExternalPartError):
     """A rule that an external part broke, in one line with that of the part's code."""
 
-    def __init__(self, kind: str, name: str, defect: Defect, error: BaseException | None) -> None:
-        self.rule, self.reason = defect
+    def __init__(
+        self, kind: str, name: str, defect: DefectError, error: BaseException | None
+    ) -> None:
+        self.rule, self.reason = defect.rule, defect.reason
         where = "" if error is None else location(error, name.partition(":")[0])
         super().__init__(
             f"{kind} '{name}': {self.reason}{where} (rule '{self.rule}'); "
@@ -81,12 +83,12 @@ class ExternalPart:
         self._map: Any = None
         self.inner: Any = None
         if reason := wrong_signature(build):
-            raise self._error(Defect("builds", reason))
+            raise self._error(DefectError("builds", reason))
         self.inner, error = call(build, copy.deepcopy(dict(params)), read_only(rig))
         if error is not None:
             raise self._error(_raised("build", error, "builds"), error) from error
         if reason := wrong_part(kind, self.inner, rig):
-            raise self._error(Defect("builds", reason))
+            raise self._error(DefectError("builds", reason))
 
     def ask(self, method: str, *arguments: Any, when: str = "", rule: str = "answers") -> Any:
         """The answer of a method, checked. ``when``, for errors, is the time of the input by
@@ -106,8 +108,11 @@ class ExternalPart:
             raise self._error(_raised(what, error, rule), error) from error
         if answer is self._map is not None:
             return answer
-        if defect := wrong_answer(self.kind, method, answer, self.rig, arguments):
-            raise self._error(Defect(defect.rule, f"{what} returned {defect.reason}"))
+        try:
+            check_answer(self.kind, method, answer, self.rig, arguments)
+        except DefectError as defect:
+            text = f"{what} returned {defect.reason}"
+            raise self._error(DefectError(defect.rule, text)) from None
         self._map = answer if isinstance(answer, MapView) else None
         return answer
 
@@ -121,15 +126,15 @@ class ExternalPart:
             f"{1e3 * max_s:g} ms (rule 'latency'): simulated time waited, a vehicle could not"
         )
 
-    def _error(self, defect: Defect, error: BaseException | None = None) -> BrokenRuleError:
+    def _error(self, defect: DefectError, error: BaseException | None = None) -> BrokenRuleError:
         return BrokenRuleError(self.kind, self.name, defect, error)
 
 
-def _raised(what: str, error: BaseException, rule: str) -> Defect:
+def _raised(what: str, error: BaseException, rule: str) -> DefectError:
     """The defect of a call that raised ``error``; writing to what was given is one of its own."""
     if isinstance(error, ValueError) and "read-only" in str(error):
-        return Defect("inputs", f"{what} modified what it was given ({describe_error(error)})")
-    return Defect(rule, f"{what} raised {describe_error(error)}")
+        return DefectError("inputs", f"{what} modified what it was given ({describe_error(error)})")
+    return DefectError(rule, f"{what} raised {describe_error(error)}")
 
 
 def read_only(value: Any) -> Any:
