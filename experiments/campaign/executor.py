@@ -214,7 +214,6 @@ class LocalEngine:
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
-        self._slots = threading.Semaphore(jobs)
 
     def run(self, tasks: Sequence[Task], limits: Limits, notify: Callable[[Event], None]) -> None:
         stop = threading.Event()
@@ -226,14 +225,9 @@ class LocalEngine:
         def work() -> None:
             supervisor = Supervisor(limits, stop)
             try:
-                while not stop.is_set() and not waiting.empty():
-                    if self._slots.acquire(timeout=_POLL_S):
-                        try:
-                            supervisor.complete(waiting.get_nowait(), events.put)
-                        finally:
-                            self._slots.release()
-            except queue.Empty:
-                pass  # another thread has taken the last one
+                with contextlib.suppress(queue.Empty):
+                    while not stop.is_set():
+                        supervisor.complete(waiting.get_nowait(), events.put)
             finally:
                 # The worker must be gone before this thread is: Linux kills it then anyway.
                 supervisor.close()

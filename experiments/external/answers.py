@@ -125,7 +125,7 @@ def _wrong_limits(part: Any) -> str:
 
 
 def check_answer(kind: str, method: str, answer: Any, rig: Any, arguments: tuple[Any, ...]) -> None:
-    """Raises DefectError for what is wrong with the answer of a method of a part to these arguments."""
+    """Raises DefectError for what is wrong with the answer of a method to these arguments."""
     wanted, check = _ANSWERS[kind, method]
     if not isinstance(answer, wanted):
         raise DefectError("answers", f"{type(answer).__name__}, not {wanted.__name__}")

@@ -13,9 +13,8 @@ from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate
 from touchdown.experiments.api import Px4Params
 from touchdown.experiments.errors import visible
-from touchdown.experiments.px4.frames import ned
 from touchdown.experiments.px4.link import CommandLink
-from touchdown.experiments.px4.messages import Messages, Px4Error
+from touchdown.experiments.px4.messages import Messages, Px4Error, ned
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from touchdown.controller.mixer import allocation_matrix
 from touchdown.estimator.api import Estimate
 from touchdown.experiments.api import Px4Params
 from touchdown.experiments.external.synthetic_stream import synthetic_rig
-from touchdown.experiments.px4 import airframe, frames
+from touchdown.experiments.px4 import airframe, messages
 from touchdown.experiments.px4.commander import LocalFrame, mode_name, version_text
 from touchdown.experiments.px4.messages import Messages, Px4Error, dialect
 from touchdown.sim.api import BarometerSample, GpsFix, ImuSample, MagnetometerSample
@@ -56,11 +56,11 @@ def test_sensors_are_forward_right_down_in_gauss_and_hectopascals() -> None:
 def test_a_fix_is_where_px4_projects_it_to() -> None:
     """A kilometre north is that arc of PX4's sphere; east shrinks with the latitude's cosine."""
     arc = np.degrees(1000.0 / 6_371_000.0)
-    north = frames.geodetic(np.array([0.0, 1000.0, 0.0]))
-    assert north == pytest.approx((frames.HOME_LATITUDE_DEG + arc, frames.HOME_LONGITUDE_DEG))
-    east = frames.geodetic(np.array([1000.0, 0.0, 0.0]))
-    cosine = np.cos(np.radians(frames.HOME_LATITUDE_DEG))
-    assert east[1] - frames.HOME_LONGITUDE_DEG == pytest.approx(arc / cosine, rel=1e-4)
+    north = messages.geodetic(np.array([0.0, 1000.0, 0.0]))
+    assert north == pytest.approx((messages.HOME_LATITUDE_DEG + arc, messages.HOME_LONGITUDE_DEG))
+    east = messages.geodetic(np.array([1000.0, 0.0, 0.0]))
+    cosine = np.cos(np.radians(messages.HOME_LATITUDE_DEG))
+    assert east[1] - messages.HOME_LONGITUDE_DEG == pytest.approx(arc / cosine, rel=1e-4)
     fix = GpsFix(tick=600, time_s=1.0, position_world=np.array([0.0, 0.0, 7.0]),
                  velocity_world=np.array([3.0, 4.0, 1.0]), sigma_velocity_mps=0.05,
                  sigma_position_m=np.array([0.5, 0.5, 0.8]))  # fmt: skip
