@@ -6,6 +6,8 @@ time, since pytest loads it in every project.
 
 from __future__ import annotations
 
+import functools
+import itertools
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -39,37 +41,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def touchdown_flights(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., Rows]:
-    """Returns a function that flies and returns one row per flight; arguments as in `fly_all`."""
+    """Returns a function that flies and returns one row per flight: `fly_all` with the folder and
+    the number of processes of the options."""
     out = request.config.getoption("--touchdown-out") or tmp_path_factory.mktemp("touchdown")
     jobs = request.config.getoption("--touchdown-jobs")
 
-    def flights(
-        estimator: str,
-        *,
-        scenes: Iterable[str] = ("crossroad",),
-        seeds: Iterable[int] = (0,),
-        mode: str = "fly",
-        overrides: Sequence[str] = (),
-    ) -> Rows:
-        return fly_all(
-            estimator,
-            scenes=list(scenes),
-            seeds=list(seeds),
-            out=out,
-            mode=mode,
-            overrides=overrides,
-            jobs=jobs,
-        )
-
-    return flights
+    return functools.partial(fly_all, out=out, jobs=jobs)
 
 
 def fly_all(
     estimator: str,
     *,
-    scenes: Sequence[str],
-    seeds: Sequence[int],
     out: Path,
+    scenes: Iterable[str] = ("crossroad",),
+    seeds: Iterable[int] = (0,),
     mode: str = "fly",
     overrides: Sequence[str] = (),
     jobs: int = 1,
@@ -90,28 +75,23 @@ def fly_all(
     from touchdown.experiments.config.loading import load_config
     from touchdown.experiments.errors import UsageError
     from touchdown.experiments.flight.slots import check_parts_available
-    from touchdown.experiments.flight.wiring import check_estimator_available
+    from touchdown.experiments.flight.wiring import check_estimator_name
     from touchdown.scenes.api import short_name
 
     if mode not in ("fly", "land"):
         raise UsageError(f"mode = '{mode}' must be 'fly' or 'land'")
     if jobs < 1:
         raise UsageError(f"--touchdown-jobs {jobs} must be 1 or more")
-    check_estimator_available(estimator)
+    check_estimator_name(estimator)
     tasks = []
-    for scene in scenes:
-        for seed in seeds:
-            config = load_config(
-                None,
-                ["sim.threads=1", "record=false", *overrides],
-                scene=scene,
-                seed=seed,
-                estimator=estimator,
-                survey_only=mode == "fly",
-            )
-            check_parts_available(config)
-            name = f"{short_name(scene)}-{estimator.replace(':', '.')}-s{seed}"
-            tasks.append((config.model_dump_json(), str(out / name), mode))
+    for scene, seed in itertools.product(scenes, seeds):
+        config = load_config(
+            None, ["sim.threads=1", "record=false", *overrides],
+            scene=scene, seed=seed, estimator=estimator, survey_only=mode == "fly",
+        )  # fmt: skip
+        check_parts_available(config)
+        name = f"{short_name(scene)}-{estimator.replace(':', '.')}-s{seed}"
+        tasks.append((config.model_dump_json(), str(out / name), mode))
     if jobs == 1 or len(tasks) == 1:
         return [_fly_one(task) for task in tasks]
     # Spawned: a fork would inherit OpenGL contexts and threads of the test process.

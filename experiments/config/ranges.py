@@ -29,12 +29,7 @@ LARGEST_OF_KEY: Mapping[str, float] = {
     "camera.full_well_e": 1e7,
     "camera.electrons_per_lux_s": 1e7,
     "lamp.flux_lm": 1e7,
-    # Tables of maps: some hundred bytes for each voxel and each of its points.
-    "livo.map_voxels": 2_000_000,
-    "zou2024.map_voxels": 2_000_000,
-    "zou2024.loop_words": 200_000,
     "livo.scan_points": 100_000,
-    "log.scan_points": 1_000_000,
     "sim.battery_capacity_j": 1e9,
     "mapper.count_cap": 1e6,
     # Northings of projected maps: a site given in the file's coordinates is named with its remedy.
@@ -54,10 +49,8 @@ UNITS: Mapping[str, Unit] = {
     "_kmh": Unit("km/h", 450.0),  # the strongest gust measured on Earth had 408 km/h
     "_mmph": Unit("mm/h", 2000.0),
     "_radps": Unit("rad/s", 1e4),
-    "_deg_s": Unit("°/s", 3600.0),
     "_mps2": Unit("m/s²", 1000.0),
     "_mps": Unit("m/s", 125.0),
-    "_per_m2": Unit("1/m²", 1e6),
     "_hz": Unit("Hz", 1000.0),
     "_deg": Unit("°", 360.0),
     "_ut": Unit("µT", 1000.0),  # fields on the ground have 25 to 65

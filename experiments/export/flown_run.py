@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from touchdown.experiments.errors import UsageError, reason_of
+from touchdown.experiments.io.run_directory import SENSORS_FILE
 from touchdown.experiments.io.untrusted import read_object
 from touchdown.sim.files.opening import no_file
 
@@ -72,8 +73,6 @@ class FlownRun:
 
     def sensors(self) -> Path:
         """The sensor log of the run, or of the flight that it replayed. Raises UsageError."""
-        from touchdown.experiments.io.run_directory import SENSORS_FILE
-
         own, replayed = self.path / SENSORS_FILE, self.result.get("replay_of")
         if not own.is_file() and isinstance(replayed, str) and self._is_replay_of(Path(replayed)):
             return Path(replayed) / SENSORS_FILE
@@ -87,8 +86,6 @@ class FlownRun:
     def _is_replay_of(self, flight: Path) -> bool:
         """True if the run directory ``flight``, whose path is that of the result, is of the flight
         that the result describes and has a log."""
-        from touchdown.experiments.io.run_directory import SENSORS_FILE
-
         try:
             flown = read_object(flight / "result.json")
         except (OSError, ValueError):

@@ -29,20 +29,18 @@ from touchdown.experiments.flight.wiring import (
 )
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import SENSORS_FILE, check_out_dir, run_directory
-from touchdown.experiments.recording.run_recorder import NullRecorder, Recorder, RunRecorder
+from touchdown.experiments.recording.recorder import NullRecorder, Recorder
+from touchdown.experiments.recording.run_recorder import RunRecorder
 from touchdown.landing.api import LandingParams
 from touchdown.scenes.api import SAFE_CLASSES, Scene
 
 if TYPE_CHECKING:
     from touchdown.experiments.io.sensor_log import SensorLog
 
-_STAGES = (
-    ("world", "step", "world"),
-    ("estimator", "update", "estimator"),
-    ("mapper", "update", "mapper"),
-    ("lander", "update", "lander"),
-    ("controller", "update", "controller"),
+_TIMED = {"world": "step"} | dict.fromkeys(
+    ("estimator", "mapper", "lander", "controller"), "update"
 )
+"""Parts under the clock, and the method that is timed."""
 
 
 def fly(
@@ -141,8 +139,11 @@ def fly_and_judge(
     try:
         by_class = stack.network is not None and class_counts(config.landing)
         referee = make_referee(config, stack.scene, observer.end_survey, by_class=by_class)
+        timed: dict[str, Any] = {
+            name: Timed(getattr(stack, name), call, name, clock) for name, call in _TIMED.items()
+        }
         judgement = run_flight(
-            **timed_parts(stack, clock),
+            **timed,
             recorder=Timed(observer, "tick", "recorder", clock),  # type: ignore[arg-type]
             referee=Timed(referee, "judge", "referee", clock),  # type: ignore[arg-type]
         )
@@ -179,8 +180,3 @@ def make_referee(
         by_class=by_class,
         commanded_xy_m=config.landing.site_xy_m,
     )
-
-
-def timed_parts(stack: FlightStack, clock: StageClock) -> dict[str, Any]:
-    """The parts of a flight as ``run_flight`` takes them, each under the clock."""
-    return {name: Timed(getattr(stack, name), call, stage, clock) for name, call, stage in _STAGES}

@@ -26,25 +26,6 @@ if TYPE_CHECKING:
     from touchdown.experiments.external.wrapper import ExternalPart
 
 
-def _selector_rig(config: Config, sensors: SensorRig) -> SelectorRig:
-    return SelectorRig(vehicle=sensors.vehicle, landing=config.landing)
-
-
-def _controller_rig(config: Config, sensors: SensorRig) -> ControllerRig:
-    return ControllerRig(
-        vehicle=sensors.vehicle, control_hz=config.control.control_hz, control=config.control
-    )
-
-
-def _classifier_rig(config: Config, _sensors: SensorRig) -> ClassifierRig:
-    params = config.landing
-    return ClassifierRig(classes=LAND_CLASSES, patch_m=params.classifier_patch_m, landing=params)
-
-
-def _mapper_rig(config: Config, sensors: SensorRig) -> MapperRig:
-    return MapperRig(sensors=sensors, mapper=config.mapper)
-
-
 def lander_rig(
     config: Config,
     sensors: SensorRig,
@@ -52,7 +33,7 @@ def lander_rig(
     classifier: GroundClassifier | None,
 ) -> LanderRig:
     """The rig of a lander; without ``select`` with the shipped selector."""
-    shipped = partial(select_sites, rig=_selector_rig(config, sensors))
+    shipped = partial(select_sites, rig=RIGS["selector"](config, sensors))
     return LanderRig(
         sensors=sensors,
         landing=config.landing,
@@ -64,10 +45,16 @@ def lander_rig(
 
 RIGS: Mapping[str, Callable[[Config, SensorRig], Any]] = {
     "estimator": lambda _config, sensors: sensors,
-    "selector": _selector_rig,
-    "controller": _controller_rig,
-    "classifier": _classifier_rig,
-    "mapper": _mapper_rig,
+    "selector": lambda config, sensors: SelectorRig(
+        vehicle=sensors.vehicle, landing=config.landing
+    ),
+    "controller": lambda config, sensors: ControllerRig(
+        vehicle=sensors.vehicle, control_hz=config.control.control_hz, control=config.control
+    ),
+    "classifier": lambda config, _sensors: ClassifierRig(
+        classes=LAND_CLASSES, patch_m=config.landing.classifier_patch_m, landing=config.landing
+    ),
+    "mapper": lambda config, sensors: MapperRig(sensors=sensors, mapper=config.mapper),
     "lander": lambda config, sensors: lander_rig(config, sensors, None, None),
 }
 """What a part of each kind is built with, from the configuration and the rig as the estimator knows

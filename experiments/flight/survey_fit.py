@@ -63,22 +63,17 @@ def fitted(config: Config, scene: Scene) -> Config:
     return config.model_copy(update={"survey": fit.survey, "landing": landing})
 
 
-def _may_fit(config: Config, scene: Scene) -> bool:
-    """True for the standard survey over a scene from a file that is not taken as it is."""
-    standard = SurveyParams()
-    turned = dataclasses.replace(standard, climb_turn_deg=config.survey.climb_turn_deg)
-    return scene.options is not None and config.survey == turned
-
-
 def fit_survey(config: Config, scene: Scene) -> Fit | None:
     """The largest survey of no more than the configured size with ground below its legs and turns;
-    None where not even the shortest leg has, and where nothing is fitted. In a turn over an edge
+    None where not even the shortest leg has, for another than the standard survey, and over a scene
+    of no file or one that is taken as it is. In a turn over an edge
     half of the pictures and scans are empty, and an estimate moves by up to a metre."""
-    if not _may_fit(config, scene):
+    survey = config.survey
+    standard = dataclasses.replace(SurveyParams(), climb_turn_deg=survey.climb_turn_deg)
+    if scene.options is None or survey != standard:
         return None
     from touchdown.scenes.truth.survey_facts import survey_ground
 
-    survey = config.survey
     width = survey.legs * survey.leg_spacing_m
     ground = survey_ground(scene, survey.leg_length_m, width)
     for one in sorted(_surveys(survey), key=lambda one: (-_seen_m2(one), one.legs)):

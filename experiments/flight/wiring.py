@@ -66,25 +66,18 @@ def build_scene(config: Config) -> Scene:
     from touchdown.scenes.cache import cached_scene
 
     seed = config.seed if config.scene_seed is None else config.scene_seed
-    sun, light = low_sun(config), config.light
+    options = None if config.scene_as_is else ImportOptions(classes=config.scene_classes or "")
+    how = (seed, low_sun(config), config.light, options)
     if names_function(config.scene):
         from touchdown.experiments.external.places import place_file
 
         with place_file(config.scene, seed) as file:
-            scene = replace(
-                cached_scene(str(file), seed, sun, light, import_options(config)),
-                source=config.scene,
-            )
+            scene = replace(cached_scene(str(file), *how), source=config.scene)
     else:
-        scene = cached_scene(config.scene, seed, sun, light, import_options(config))
+        scene = cached_scene(config.scene, *how)
     if config.landing.site_xy_m is not None:
         _refuse_site_of_the_file(np.array(config.landing.site_xy_m), scene)
     return scene
-
-
-def import_options(config: Config) -> ImportOptions | None:
-    """How the scene of a file is made ready; None: it is taken as it is."""
-    return None if config.scene_as_is else ImportOptions(classes=config.scene_classes or "")
 
 
 def _refuse_site_of_the_file(site: Array, scene: Scene) -> None:
@@ -304,22 +297,13 @@ def _baseline(config: Config, rig: SensorRig) -> Estimator:
 
 def check_estimator_name(name: str) -> None:
     """Raises UsageError, naming the nearest estimator, unless ``name`` is a known estimator or has
-    the form MODULE:FUNCTION. Imports nothing; `check_estimator_available` does."""
+    the form MODULE:FUNCTION. Imports nothing; `slots.check_parts_available` does."""
     if name not in ESTIMATORS and not names_code(SLOTS["estimator"], name):
         known = ", ".join(ESTIMATORS)
         raise UsageError(
             f"unknown estimator '{name}'{nearest(name, ESTIMATORS)}; "
             f"known: {known}, or MODULE:FUNCTION of your own"
         )
-
-
-def check_estimator_available(name: str) -> None:
-    """Raises UsageError unless ``name`` is a known estimator or an external one that imports."""
-    check_estimator_name(name)
-    if name not in ESTIMATORS:
-        from touchdown.experiments.external.loading import check_external
-
-        check_external(name)
 
 
 def check_scene_name(name: str, where: str = "") -> None:

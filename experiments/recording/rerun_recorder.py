@@ -30,7 +30,7 @@ from touchdown.experiments.recording.rerun_blueprint import TIMELINE, flight_blu
 from touchdown.experiments.recording.rerun_scene import log_moving, log_scene, log_vehicle
 from touchdown.landing.api import Candidate, LanderView
 from touchdown.scenes.api import Scene
-from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorRig, Truth
+from touchdown.sim.api import Command, LidarScan, Observation, SensorRig, Truth
 from touchdown.sim.frames import Pose, PoseHistory, quat_wxyz_from_matrix, tilt_from_rotation
 
 Array = NDArray[np.float64]
@@ -250,20 +250,21 @@ class RerunLog:
     def _log_sensors(self, obs: Observation, estimate: Estimate) -> None:
         for image in obs.images:
             if self._camera_due.due(image.time_s):
-                self._log_image(image)
+                quality = (cv2.IMWRITE_JPEG_QUALITY, self._params.jpeg_quality)
+                path = "world/vehicle/camera/image"
+                self._log_picture(image.time_s, path, "jpeg", image.rgb, *quality)
         for scan in obs.scans:
             if self._scan_due.due(scan.end_time_s):
                 self._log_scan(scan, estimate)
 
-    def _log_image(self, image: CameraImage) -> None:
-        options = [cv2.IMWRITE_JPEG_QUALITY, self._params.jpeg_quality]
-        done, data = cv2.imencode(".jpg", cv2.cvtColor(image.rgb, cv2.COLOR_RGB2BGR), options)
+    def _log_picture(
+        self, time_s: float, path: str, kind: str, rgb: NDArray[np.uint8], *options: int
+    ) -> None:
+        """``kind``: ``jpeg`` or ``png``."""
+        done, data = cv2.imencode(f".{kind}", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
         if done:
-            self._log(
-                image.time_s,
-                "world/vehicle/camera/image",
-                rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg"),
-            )
+            image = rr.EncodedImage(contents=data.tobytes(), media_type=f"image/{kind}")
+            self._log(time_s, path, image)
 
     def _log_scan(self, scan: LidarScan, estimate: Estimate) -> None:
         track = estimate.scan_track
@@ -309,7 +310,9 @@ class RerunLog:
             self._log(time_s, "world/site", _site_lines(view.site_world))
         if view.costmap is not None and view.costmap is not self._seen_costmap:
             self._seen_costmap = view.costmap
-            self._log_costmap(time_s, estimate, view)
+            site = view.site_world
+            site_odom = None if site is None else estimate.world_from_odom.inverse().apply(site)
+            self._log_picture(time_s, "costmap/total", "png", costmap_image(view, site_odom))
         if view.candidates and view.candidates is not self._seen_candidates:
             self._seen_candidates = view.candidates
             self._log(time_s, "world/map/candidates", _candidate_points(view.candidates))
@@ -321,20 +324,6 @@ class RerunLog:
         while self._faults and time_s >= self._faults[0][0]:
             start_s, text = self._faults.popleft()
             self._log(start_s, "log/faults", rr.TextLog(text, level="ERROR"))
-
-    def _log_costmap(self, time_s: float, estimate: Estimate, view: LanderView) -> None:
-        if view.costmap is None:
-            return
-        site = view.site_world
-        site_odom = None if site is None else estimate.world_from_odom.inverse().apply(site)
-        image = costmap_image(view, site_odom)
-        done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-        if done:
-            self._log(
-                time_s,
-                "costmap/total",
-                rr.EncodedImage(contents=data.tobytes(), media_type="image/png"),
-            )
 
     def _flush(self) -> None:
         for batch in (self._poses, self._paths, self._scalars):
