@@ -85,16 +85,12 @@ def write_euroc(flown: FlownRun, folder: Path, _options: ExportOptions) -> Expor
                 done.counts["imu0"] += 1
             for image in images:
                 stamp = ros.stamp_ns(image.tick, image.time_s, rig.tick_hz)
-                for n, (listing, png) in enumerate(zip(lists, _pngs(image), strict=False)):
+                for n, (listing, png) in enumerate(zip(lists, image.pngs, strict=False)):
                     (root / f"cam{n}" / "data" / f"{stamp}.png").write_bytes(png.tobytes())
                     listing.write(f"{stamp},{stamp}.png\n")
                     done.counts[f"cam{n}"] += 1
     done.counts["state_groundtruth_estimate0"] = _write_truth(flown, root, rig)
     return done
-
-
-def _pngs(image: PackedImage) -> list[NDArray[np.uint8]]:
-    return [png for png in (image.png, image.right_png) if png is not None]
 
 
 def _write_truth(flown: FlownRun, root: Path, rig: SensorRig) -> int:

@@ -184,9 +184,7 @@ class _Sensors:
 
     def _add_image(self, arrival_ns: int, image: PackedImage) -> None:
         stamp = ros.stamp_ns(image.tick, image.time_s, self._rig.tick_hz)
-        for number, png in enumerate((image.png, image.right_png)):
-            if png is None:
-                continue
+        for number, png in enumerate(image.pngs):
             topic, frame = _CAMERA_TOPICS[number], CAMERAS[number]
             info = ros.camera_message(stamp, frame, self._rig.camera, self._shifts[number])
             self._bag.put(f"{topic}/camera_info", arrival_ns, info)

@@ -55,12 +55,9 @@ def export(run: Path, kind: str, out: Path | None, options: ExportOptions) -> Ex
     except OSError as error:
         raise UsageError(f"--out {out}: cannot be written: {error.strerror or error}") from error
     done.out = out
-    done.facts["bytes"] = sum(file.stat().st_size for file in _files(out))
+    files = [out] if out.is_file() else out.rglob("*")
+    done.facts["bytes"] = sum(file.stat().st_size for file in files if file.is_file())
     return done
-
-
-def _files(path: Path) -> list[Path]:
-    return [path] if path.is_file() else [one for one in path.rglob("*") if one.is_file()]
 
 
 def _source(flown: FlownRun, kind: str, options: ExportOptions) -> Path:

@@ -113,9 +113,7 @@ def remove_own(folder: Path, own: Collection[str]) -> None:
 def check_log_kept(out_dir: Path, *, logs: bool, force: bool) -> None:
     """Raises UsageError where a run with a sensor log would be replaced by one without: the log may
     be what other commands count on. ``logs``: the new run writes one."""
-    if force or logs:
-        return
-    if (out_dir / SENSORS_FILE).is_file():
+    if not (force or logs) and (out_dir / SENSORS_FILE).is_file():
         raise UsageError(
             f"'{out_dir}' holds {SENSORS_FILE}, and this run would replace it without one; name "
             "another directory with --out, or give --force"
@@ -129,12 +127,11 @@ def run_directory(out_dir: Path, own: Collection[str] = RUN_FILES) -> Iterator[P
 
     Raises UsageError where the machine does not let it: a full or read-only disk, no permission.
     """
-    with _named_in_errors(out_dir):
-        out = out_dir.resolve() if out_dir.is_symlink() else out_dir
-        with _staging(out) as partial:
-            partial.mkdir()
-            yield partial
-            put_in_place(partial, out, own)
+    out = out_dir.resolve() if out_dir.is_symlink() else out_dir
+    with _named_in_errors(out_dir), _staging(out) as partial:
+        partial.mkdir()
+        yield partial
+        put_in_place(partial, out, own)
 
 
 @contextmanager

@@ -91,6 +91,11 @@ class PackedImage:
     png: NDArray[np.uint8]
     right_png: NDArray[np.uint8] | None
 
+    @property
+    def pngs(self) -> tuple[NDArray[np.uint8], ...]:
+        """Of the left eye, and of the right one where there is one."""
+        return (self.png,) if self.right_png is None else (self.png, self.right_png)
+
 
 class SensorLogReader:
     """A log at ``path``. Iteration returns its observations in order, each time from the beginning;

@@ -53,13 +53,11 @@ def write_two_flights(runs: tuple[Path, Path], out: Path) -> None:
         rr.FileSink(out),
         default_blueprint=pair_blueprint(middle, _SPAN_M, dict(zip(NAMES, labels, strict=True))),
     )
-    for name, run in zip(NAMES, runs, strict=True):
-        stream.send_chunks(list(_moved(run / "flight.rrd", name)))
-    for name, colour, label in zip(NAMES, COLOURS, labels, strict=True):
-        _style(stream, name, colour, label)
-    for name, truth, estimate in zip(NAMES, paths, estimates, strict=True):
-        times, error = _distance(estimate, truth)
-        _plot(stream, f"plots/pair/error/{name}", times, error)
+    for number, name in enumerate(NAMES):
+        stream.send_chunks(list(_moved(runs[number] / "flight.rrd", name)))
+        _style(stream, name, COLOURS[number], labels[number])
+        error = _distance(estimates[number], paths[number])
+        _plot(stream, f"plots/pair/error/{name}", *error)
     times, apart = _distance(paths[1], paths[0])
     _plot(stream, "plots/pair/apart", times, apart)
     _mark(stream, times, apart, paths[0])

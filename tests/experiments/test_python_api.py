@@ -1,6 +1,5 @@
 """The Python interface: names, laziness, arguments, errors."""
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import pytest
 import touchdown
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.io.results import RunResult, result_files
+from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.reporting.sql import run_sql
 
 from support.command import lines_of
@@ -94,23 +93,6 @@ def test_flights_are_configured_by_their_arguments(monkeypatch: pytest.MonkeyPat
     assert (first.scene, first.seed, first.survey.height_m) == ("lake", 6, 20.0)
     assert first.landing.survey_only and out == Path("x") and second == base and none is None
     assert (third.scene, third.estimator, third.wind.mean_kmh) == ("forest", "zou2024", 0.0)
-
-
-def test_folders_that_vanish_or_are_closed_hold_no_results(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("a", "gone", "b"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "result.json").touch()
-    scan = os.scandir
-
-    def vanishing(path: str) -> Any:
-        if str(path).endswith("gone"):
-            raise FileNotFoundError(path)
-        return scan(path)
-
-    monkeypatch.setattr(os, "scandir", vanishing)
-    assert result_files(tmp_path) == [tmp_path / n / "result.json" for n in ("a", "b")]
 
 
 def test_fly_load_runs_and_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -88,13 +88,6 @@ def test_the_light_of_an_option_is_that_of_the_flight(
     assert lights == ["night", "dusk", "day"]
 
 
-def test_an_out_directory_with_other_files_is_unchanged(tmp_path: Path, run_cli: RunCli) -> None:
-    (tmp_path / "thesis.tex").write_text("precious")
-    code, _, err = run_cli("land", "crossroad", "--out", tmp_path)
-    assert code == 2 and str(tmp_path) in err
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
 def _result(outcome: str, **landing: Any) -> RunResult:
     tree = {
         "outcome": outcome, "reason": "", "scene": "crossroad", "seed": 0, "estimator": "oracle",
