@@ -92,7 +92,9 @@ class SemanticMap:
         return SemanticView(
             origin_xy_m=self._grid.origin_xy_m,
             spacing_m=self._grid.spacing_m,
-            probabilities=self._fused(self._grid.evidence, self._grid.weight).astype(np.float32),
+            probabilities=fused(
+                self._grid.evidence, self._grid.weight, self._params.max_views
+            ).astype(np.float32),
             weight=self._grid.weight.astype(np.float32),
         )
 
@@ -108,10 +110,7 @@ class SemanticMap:
                 counted = min(seen, self._params.max_views)
                 evidence = evidence + self._grid.evidence[row, col] * (counted / max(seen, 1e-9))
                 weight += counted
-        return self._fused(evidence[None], np.array([weight]))[0]
-
-    def _fused(self, evidence: Array, weight: Array) -> Array:
-        return fused(evidence, weight, self._params.max_views)
+        return fused(evidence[None], np.array([weight]), self._params.max_views)[0]
 
     def _around(self, view: PosedImage) -> _Grid:
         if self._grid is None:

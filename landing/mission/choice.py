@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from touchdown.landing.api import Candidate, CostmapView, Decision, Selection, S
 from touchdown.landing.classification.site_check import SiteClassCheck, least_bad
 from touchdown.landing.mission.energy import reach_m
 from touchdown.landing.mission.mission import Mission
+from touchdown.landing.mission.site_recheck import ground_under
 from touchdown.landing.selection.ranking import ranked, why_chosen
 from touchdown.landing.selection.selector import check_site
 
@@ -22,13 +24,6 @@ class Choice(NamedTuple):
     """Candidates, accepted ones first, best first, and the costmap that they are from."""
 
     candidates: tuple[Candidate, ...]
-    costmap: CostmapView | None
-
-
-class CheckedSite(NamedTuple):
-    """A commanded site, accepted or refused with the reason, and the costmap around it."""
-
-    site: Candidate
     costmap: CostmapView | None
 
 
@@ -63,13 +58,22 @@ def choose_sites(mission: Mission) -> Choice:
     return Choice((*(least_bad(refused) if emergency else refused), *others), selection.costmap)
 
 
-def choose_commanded(mission: Mission, wanted: Array) -> CheckedSite:
-    """Returns the commanded site ``wanted`` (2,)."""
+def choose_commanded(mission: Mission, wanted: Array) -> Choice:
+    """Returns the commanded site ``wanted`` (2,), accepted in any case without ``check_site``."""
     view = mission.view
     site, costmap = check_site(view.map_view, view.estimate, mission.params, wanted)
     if mission.class_check is not None and site.accepted:
         (site,) = mission.class_check.judge((site,), view.map_view, allow_risky=view.takes_risky)
-    return CheckedSite(site, costmap)
+    if not (site.accepted or mission.params.check_site):
+        height = ground_under(view.map_view, wanted)
+        site = dataclasses.replace(
+            site,
+            position_odom=np.array([*wanted, height if np.isfinite(height) else view.ground_odom]),
+            accepted=True,
+            rule="commanded_unchecked",
+            reason=f"accepted unchecked; by the map: {site.reason}",
+        )
+    return Choice((site,), costmap)
 
 
 def decided(mission: Mission, candidates: tuple[Candidate, ...]) -> Decision:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.landing.api import Candidate, Phase
-from touchdown.landing.mission.choice import Choice, choose_commanded, choose_sites, decided
+from touchdown.landing.api import Phase
+from touchdown.landing.mission.choice import choose_commanded, choose_sites, decided
 from touchdown.landing.mission.descent import descend_to, final_descent
 from touchdown.landing.mission.mission import LegBlockedError, Mission, RuledSteps, Steps
 from touchdown.landing.mission.rules import Action, Moment
@@ -144,7 +143,7 @@ def select(mission: Mission) -> RuledSteps:
 def _decide(mission: Mission) -> bool:
     """Returns whether a site was chosen."""
     wanted = mission.view.commanded_odom
-    choice = choose_sites(mission) if wanted is None else _commanded(mission, wanted)
+    choice = choose_sites(mission) if wanted is None else choose_commanded(mission, wanted)
     state, check, reason = mission.state, mission.class_check, "nothing is mapped"
     best = choice.candidates[0] if choice.candidates else None
     if best is not None:
@@ -157,31 +156,9 @@ def _decide(mission: Mission) -> bool:
     return True
 
 
-def _commanded(mission: Mission, wanted: Array) -> Choice:
-    """Returns the commanded site ``wanted`` (2,), accepted in any case without ``check_site``."""
-    site, costmap = choose_commanded(mission, wanted)
-    if not (site.accepted or mission.params.check_site):
-        site = _accepted_unchecked(mission, wanted, site)
-    return Choice((site,), costmap)
-
-
 def _classified_batches(mission: Mission) -> int:
     """Returns the number of batches that ground classification has classified so far."""
     return 0 if mission.class_check is None else mission.class_check.batches
-
-
-def _accepted_unchecked(mission: Mission, wanted: Array, refused: Candidate) -> Candidate:
-    """Returns the commanded site ``wanted`` (2,), accepted without the check of the map."""
-    height = ground_under(mission.view.map_view, wanted)
-    if not np.isfinite(height):
-        height = mission.view.ground_odom
-    return dataclasses.replace(
-        refused,
-        position_odom=np.array([*wanted, height]),
-        accepted=True,
-        rule="commanded_unchecked",
-        reason=f"accepted unchecked; by the map: {refused.reason}",
-    )
 
 
 def search_leg(mission: Mission) -> Steps:

@@ -24,6 +24,12 @@ Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 _Sums = tuple[float, float, float, float, float, float, float, float, float]
+_LAYERS = {
+    "count": "count", "height": "height_m", "std": "height_std_m", "low": "min_height_m",
+    "high": "max_height_m", "rgb": "rgb", "intensity": "intensity", "missing": "missing",
+    "last_seen": "last_seen_s",
+}  # fmt: skip
+"""layers of a raster, and of ``GridMap``"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -77,29 +83,6 @@ class ElevationRaster:
         y = self.origin_xy_m[1] + (np.arange(rows) + 0.5) * self.cell_m - xy[1]
         return x, y
 
-    def window(self, xy: Array, half_width_m: float) -> ElevationRaster:
-        """Returns the square of ``half_width_m`` around ``xy``, clipped to the raster; empty only
-        where ``xy`` lies farther outside than ``half_width_m``."""
-        row, col = self.cell_of(xy)
-        reach = int(np.ceil(half_width_m / self.cell_m))
-        rows = slice(max(row - reach, 0), max(row + reach + 1, 0))
-        cols = slice(max(col - reach, 0), max(col + reach + 1, 0))
-        corner = self.origin_xy_m + np.array([cols.start, rows.start]) * self.cell_m
-        return ElevationRaster(
-            origin_xy_m=corner,
-            cell_m=self.cell_m,
-            count=self.count[rows, cols],
-            height=self.height[rows, cols],
-            ground=partial(_ground_of_window, self, (rows, cols)),
-            std=self.std[rows, cols],
-            low=self.low[rows, cols],
-            high=self.high[rows, cols],
-            rgb=self.rgb[rows, cols],
-            intensity=self.intensity[rows, cols],
-            missing=self.missing[rows, cols],
-            last_seen=self.last_seen[rows, cols],
-        )
-
 
 def observed_raster(
     grid: GridMap, xy: Array | None = None, half_width_m: float = 0.0
@@ -122,23 +105,9 @@ def observed_raster(
     return ElevationRaster(
         origin_xy_m=grid.origin_xy_m + np.array([cols[0], rows[0]]) * grid.cell_m,
         cell_m=grid.cell_m,
-        count=grid.count[box],
-        height=grid.height_m[box],
         ground=partial(grid.ground, box),
-        std=grid.height_std_m[box],
-        low=grid.min_height_m[box],
-        high=grid.max_height_m[box],
-        rgb=grid.rgb[box],
-        intensity=grid.intensity[box],
-        missing=grid.missing[box],
-        last_seen=grid.last_seen_s[box],
+        **{name: getattr(grid, layer)[box] for name, layer in _LAYERS.items()},
     )
-
-
-def _ground_of_window(raster: ElevationRaster, box: tuple[slice, slice], where: Mask) -> Ground:
-    wanted = np.zeros(raster.shape, np.bool_)
-    wanted[box] = where
-    return Ground(*(layer[box] for layer in raster.ground(wanted)))
 
 
 def _pooled_ground(raster: ElevationRaster, factor: int, where: Mask) -> Ground:

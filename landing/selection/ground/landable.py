@@ -215,16 +215,19 @@ def inner_cells(shape: tuple[int, int], border_cells: float) -> Mask:
 def fit_footprint(raster: ElevationRaster, xy: Array, radius_m: float) -> Footprint | None:
     """Returns the plane through the known cells within ``radius_m`` of ``xy``; None if fewer than
     half of the cells are known."""
-    local = raster.window(xy, radius_m)
-    x, y = local.offsets_from(xy)
-    xx, yy = np.meshgrid(x, y)
-    inside = xx**2 + yy**2 <= radius_m**2
-    use = inside & local.known
-    if use.sum() < max(0.5 * np.pi * (radius_m / local.cell_m) ** 2, 6.0):
+    cell = raster.cell_m
+    (row, col), reach = raster.cell_of(xy), int(np.ceil(radius_m / cell))
+    rows, cols = (slice(max(at - reach, 0), max(at + reach + 1, 0)) for at in (row, col))
+    height = raster.height[rows, cols]
+    corner = raster.origin_xy_m + np.array([cols.start, rows.start]) * cell
+    yy, xx = (np.indices(height.shape) + 0.5) * cell + corner[::-1, None, None]
+    xx, yy = xx - xy[0], yy - xy[1]
+    use = (xx**2 + yy**2 <= radius_m**2) & np.isfinite(height)
+    if use.sum() < max(0.5 * np.pi * (radius_m / cell) ** 2, 6.0):
         return None
     design = np.column_stack([xx[use], yy[use], np.ones(int(use.sum()))])
-    solution = np.linalg.lstsq(design, local.height[use].astype(np.float64), rcond=None)[0]
-    residual = local.height[use] - design @ solution
+    solution = np.linalg.lstsq(design, height[use].astype(np.float64), rcond=None)[0]
+    residual = height[use] - design @ solution
     normal = np.array([-solution[0], -solution[1], 1.0])
     normal /= np.linalg.norm(normal)
     return Footprint(
