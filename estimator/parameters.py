@@ -354,7 +354,7 @@ class OpticalFlowParams(FlowParams):
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HybridFlowParams(FlowParams):
     """Dense optical flow and phase correlation with GPS
-    (``estimator/baselines/hybrid_flow.py``)."""
+    (``estimator/baselines/optical_flow.py``)."""
 
     side_pixels: ClassVar[int] = 256
     """side of the levelled image, a power of two"""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.estimator.api import Estimate, StereoParams
-from touchdown.estimator.baselines.image_motion import follow
+from touchdown.estimator.baselines.ground_flow import follow
 from touchdown.estimator.baselines.navigator import Navigator
 from touchdown.estimator.filtering.camera_model import STATIONARY, ShutterModel, ground_depths
 from touchdown.estimator.filtering.eskf import IteratedUpdate

@@ -16,16 +16,15 @@ from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.typing import Array, Float32, Indices
-from touchdown.estimator.zou2024.bundle import adjust_window
-from touchdown.estimator.zou2024.closures import Closures
+from touchdown.estimator.zou2024.bundle import CameraPose, adjust_window, solve_pnp
+from touchdown.estimator.zou2024.closures import Closures, LoopVerifier
 from touchdown.estimator.zou2024.depth_field import DepthField
-from touchdown.estimator.zou2024.landmarks import Features, LandmarkDetector
 from touchdown.estimator.zou2024.place_recognition import MemoryLimits
-from touchdown.estimator.zou2024.pnp import CameraPose, solve_pnp
 from touchdown.estimator.zou2024.registration import FeatureMaps
 from touchdown.estimator.zou2024.relative_pose import ImageModel, update_with_image
-from touchdown.estimator.zou2024.verification import LoopVerifier
 from touchdown.estimator.zou2024.visual_map import (
+    Features,
+    LandmarkDetector,
     LandmarkSet,
     MapKeyframe,
     Sightings,

@@ -37,8 +37,7 @@ from touchdown.estimator.filtering.reprojection import (
     calibrated_information,
 )
 from touchdown.estimator.typing import Array, Indices
-from touchdown.estimator.zou2024.registration import ScanPose
-from touchdown.estimator.zou2024.residuals import relative_equations
+from touchdown.estimator.zou2024.registration import ScanPose, relative_equations
 from touchdown.estimator.zou2024.visual_map import LandmarkSet, MapKeyframe, Sightings, by_host
 
 _GATES_PX = (12.0, 6.0, 6.0)

@@ -24,8 +24,8 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from touchdown.estimator.filtering.deskew import screen_scan
 from touchdown.estimator.zou2024.depth_field import half_size_energy
 from touchdown.estimator.zou2024.lidar_pose import scan_features
-from touchdown.estimator.zou2024.pnp import inside_image, project
 from touchdown.estimator.zou2024.structured_edges import edge_detector
+from touchdown.estimator.zou2024.visual_map import inside_image, project
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.edges.views import EdgeView, Notes, edge_views
 from touchdown.experiments.errors import UsageError, reason_of

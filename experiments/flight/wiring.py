@@ -287,7 +287,7 @@ def _baseline(config: Config, rig: SensorRig) -> Estimator:
 
         return OpticalFlowEstimator(rig, config.optical_flow)
     if config.estimator == "hybrid_flow":
-        from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
+        from touchdown.estimator.baselines.optical_flow import HybridFlowEstimator
 
         return HybridFlowEstimator(rig, config.hybrid_flow)
     from touchdown.estimator.baselines.stereo import StereoEstimator

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from touchdown.controller.api import ControlParams, Setpoint
 from touchdown.controller.cascade import (
     CascadeController,
+    DisturbanceObserver,
     _forces,
     _outer_errors,
     _rate_setpoint,
     _undelivered,
     _wrench,
 )
-from touchdown.controller.disturbance import DisturbanceObserver
 from touchdown.controller.mixer import Mixer, MotorLead, allocation_matrix, lead_coefficients
 from touchdown.controller.pid import PidGains, VectorPid
 from touchdown.landing.api import SurveyParams

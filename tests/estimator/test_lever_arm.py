@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.baselines.gps import GpsEstimator
-from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
-from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
+from touchdown.estimator.baselines.optical_flow import HybridFlowEstimator, OpticalFlowEstimator
 from touchdown.estimator.baselines.stereo import StereoEstimator
 from touchdown.estimator.filtering.inertial_filter import InertialFilter, bias_sigmas
 from touchdown.estimator.livo.estimator import Livo

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import FlownImuParams
-from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
+from touchdown.estimator.baselines.optical_flow import HybridFlowEstimator
 from touchdown.estimator.filtering.camera_model import (
     CameraTwist,
     ShutterModel,

@@ -8,7 +8,7 @@ import numpy as np
 
 from touchdown.estimator.api import Estimate, Zou2024Params
 from touchdown.estimator.zou2024.estimator import Zou2024Estimator
-from touchdown.estimator.zou2024.landmarks import Features
+from touchdown.estimator.zou2024.visual_map import Features
 from touchdown.sim.api import CameraImage, CameraIntrinsics, LidarScan, Observation, SensorRig
 from touchdown.sim.frames import Pose
 

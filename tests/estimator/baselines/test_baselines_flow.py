@@ -6,10 +6,10 @@ import pytest
 
 from touchdown.estimator.baselines.ground_flow import (
     level_directions,
+    phase_shift,
     pixels_of,
     solve_displacement,
 )
-from touchdown.estimator.baselines.image_motion import phase_shift
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, so3_exp
 

@@ -13,9 +13,8 @@ from touchdown.estimator.baselines import ground_flow
 from touchdown.estimator.baselines.aiding import BaroHeight, update_velocity
 from touchdown.estimator.baselines.gps import FollowingAnchor, SatelliteAiding
 from touchdown.estimator.baselines.ground_flow import Displacement, update_with_displacement
-from touchdown.estimator.baselines.hybrid_flow import HybridFlowEstimator
 from touchdown.estimator.baselines.navigator import Alignment
-from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
+from touchdown.estimator.baselines.optical_flow import HybridFlowEstimator, OpticalFlowEstimator
 from touchdown.estimator.baselines.stereo import StereoEstimator, _Keyframe
 from touchdown.estimator.filtering.error_state import STATE_DIM, VELOCITY
 from touchdown.estimator.filtering.eskf import Eskf

@@ -10,7 +10,7 @@ from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
-from touchdown.estimator.livo.anchored_map import AnchoredMap
+from touchdown.estimator.livo.estimator import AnchoredMap
 from touchdown.estimator.livo.intensity import (
     ImageView,
     IntensityImage,

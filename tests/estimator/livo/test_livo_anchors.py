@@ -38,7 +38,7 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
-from touchdown.estimator.livo.anchored_map import AnchoredMap
+from touchdown.estimator.livo.estimator import AnchoredMap
 from touchdown.estimator.livo.scan_update import (
     Returns,
     ScanErrors,

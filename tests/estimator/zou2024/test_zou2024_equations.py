@@ -20,18 +20,19 @@ from touchdown.estimator.zou2024.lidar_pose import (
     lidar_smoothness,
     sort_out_features,
 )
-from touchdown.estimator.zou2024.pnp import inside_image, project
-from touchdown.estimator.zou2024.registration import line_weights, neighbourhood_shapes
-from touchdown.estimator.zou2024.residuals import (
+from touchdown.estimator.zou2024.registration import (
     NO_ANCHORS,
     Matches,
     ScanEquations,
     edge_distance,
     line_and_plane_axes,
+    line_weights,
+    neighbourhood_shapes,
     plane_distance,
     relative_equations,
 )
 from touchdown.estimator.zou2024.structured_edges import GradientEdges
+from touchdown.estimator.zou2024.visual_map import inside_image, project
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.zou2024.closures import KINDS, Closures, hop_covariance
-from touchdown.estimator.zou2024.landmarks import BRISK, SIFT, Features
 from touchdown.estimator.zou2024.place_recognition import (
     LoopFilter,
     Memory,
@@ -12,6 +11,7 @@ from touchdown.estimator.zou2024.place_recognition import (
     Vocabulary,
     likelihood,
 )
+from touchdown.estimator.zou2024.visual_map import BRISK, SIFT, Features
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
 from support.zou2024_flight import features_of

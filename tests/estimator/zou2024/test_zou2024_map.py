@@ -11,11 +11,11 @@ from touchdown.estimator.filtering.error_state import Frames
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
+from touchdown.estimator.zou2024.bundle import reprojection_errors
 from touchdown.estimator.zou2024.camera_pose import CameraPositioning
 from touchdown.estimator.zou2024.closures import Closures
 from touchdown.estimator.zou2024.feature_map import FeatureMap, Seen
 from touchdown.estimator.zou2024.place_recognition import MemoryLimits
-from touchdown.estimator.zou2024.pnp import reprojection_errors
 from touchdown.estimator.zou2024.registration import FeatureMaps
 from touchdown.estimator.zou2024.visual_map import LandmarkSet, MapKeyframe, Sightings
 from touchdown.sim.frames import Pose, so3_exp

@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.filtering.error_state import Frames
+from touchdown.estimator.zou2024.bundle import reprojection_errors, solve_pnp
 from touchdown.estimator.zou2024.closures import Closures, Edge, PoseGraph, level_transform
 from touchdown.estimator.zou2024.feature_map import FeatureMap, Seen
-from touchdown.estimator.zou2024.landmarks import BRISK, SIFT, LandmarkDetector, spread
 from touchdown.estimator.zou2024.place_recognition import MemoryLimits
-from touchdown.estimator.zou2024.pnp import reprojection_errors, solve_pnp
 from touchdown.estimator.zou2024.registration import (
     FeatureMaps,
     ScanFeatures,
     register_scan,
 )
-from touchdown.estimator.zou2024.visual_map import match_near
+from touchdown.estimator.zou2024.visual_map import BRISK, SIFT, LandmarkDetector, match_near, spread
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log
 

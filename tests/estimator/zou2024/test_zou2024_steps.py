@@ -16,14 +16,19 @@ from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.zou2024 import lidar_pose, registration
-from touchdown.estimator.zou2024.bundle import Observations, _reduced_system
+from touchdown.estimator.zou2024.bundle import (
+    CameraPose,
+    Observations,
+    _reduced_system,
+    reprojection_errors,
+    solve_pnp,
+)
 from touchdown.estimator.zou2024.closures import Edge, PoseGraph, edge_residual
 from touchdown.estimator.zou2024.depth_field import DepthField, half_size_energy
 from touchdown.estimator.zou2024.estimator import Zou2024Estimator
 from touchdown.estimator.zou2024.lidar_pose import scan_features
-from touchdown.estimator.zou2024.pnp import CameraPose, reprojection_errors, solve_pnp
+from touchdown.estimator.zou2024.registration import Matches, relative_equations
 from touchdown.estimator.zou2024.relative_pose import update_with_scan
-from touchdown.estimator.zou2024.residuals import Matches, relative_equations
 from touchdown.estimator.zou2024.structured_edges import GradientEdges
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose, so3_exp, so3_log
