@@ -37,10 +37,9 @@ _GATES_PX = (24.0, 12.0, 6.0, 4.0, 3.0, 3.0)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CameraPose:
-    """``pose``: global_from_imu; ``information`` (6, 6) around it; ``inliers`` (N,)."""
+    """``pose``: global_from_imu; ``inliers`` (N,)."""
 
     pose: Pose
-    information: Array
     inliers: Mask
     rms_px: float
 
@@ -74,16 +73,15 @@ def solve_pnp(
     ``pixels`` (N, 2), ``landmarks`` (N, 3) global, ``sigmas_px`` (N,). The predicted pose is
     accurate enough that neither a closed form nor random sampling is needed: the gates of the
     Cauchy weights tighten step by step. ``guess_information`` (6, 6) keeps directions that the
-    pixels leave unobserved (over a plane tilt and lateral motion look alike) at the guess; the
-    returned information excludes it. None with fewer than ``min_inliers`` landmarks within 3 pixels
-    at the end.
+    pixels leave unobserved (over a plane tilt and lateral motion look alike) at the guess. None
+    with fewer than ``min_inliers`` landmarks within 3 pixels at the end.
     """
     mounted = MountedCamera(camera, imu_from_camera)
     # the landmarks are global: their frame takes the place of the keyframe's
     origin = Pose.identity()
     groups = [(s, np.flatnonzero(sigmas_px == s)) for s in np.unique(sigmas_px)]
-
-    def accumulate(pose: Pose, gate: float) -> tuple[Array, Array, int]:
+    pose = guess
+    for gate in _GATES_PX:
         information, vector, used = np.zeros((6, 6)), np.zeros(6), 0
         for sigma, members in groups:
             part = reprojection_information(
@@ -93,24 +91,18 @@ def solve_pnp(
             information += part.information[:6, :6]
             vector += part.vector[:6]
             used += part.used
-        return information, vector, used
-
-    pose = guess
-    for gate in _GATES_PX:
-        information, vector, used = accumulate(pose, gate)
         if used < min_inliers:
             return None
         gradient = vector - guess_information @ error_between(guess, pose)
         step: Array = np.linalg.solve(information + guess_information, gradient).astype(np.float64)
         pose = moved_by(pose, step)
-    information, _, used = accumulate(pose, _GATES_PX[-1])
     errors = reprojection_errors(pixels, landmarks, pose, imu_from_camera, camera)
     length = np.hypot(errors[:, 0], errors[:, 1])
     inliers = length < _GATES_PX[-1]
     if int(inliers.sum()) < min_inliers:
         return None
     rms = float(np.sqrt(np.mean(length[inliers] ** 2)))
-    return CameraPose(pose=pose, information=information, inliers=inliers, rms_px=rms)
+    return CameraPose(pose=pose, inliers=inliers, rms_px=rms)
 
 
 _PRIOR_SIGMAS = np.array([1e-3, 1e-3, 5e-3, 0.3, 0.3, 0.02])

@@ -97,11 +97,10 @@ def distances(points: Array, near: Array, is_edge: Mask) -> Array:
     last = near.shape[1] - 1
     middle = near.shape[1] // 2
     for i in range(points.shape[0]):
-        p, first, final = points[i], near[i, 0], near[i, last]
         if is_edge[i]:
-            out[i] = edge_distance(p, first, final)
+            out[i] = edge_distance(points[i], near[i, 0], near[i, last])
         else:
-            out[i] = abs(plane_distance(p, first, near[i, middle], final))
+            out[i] = abs(plane_distance(points[i], near[i, 0], near[i, middle], near[i, last]))
     return out
 
 
@@ -287,11 +286,9 @@ class FeatureMaps:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ScanPose:
-    """Result of Algorithm 1: ``pose`` is odom_from_imu; ``information`` (6, 6) is
-    that of the scan alone at this pose (rotation by right perturbation, position)."""
+    """Result of Algorithm 1: ``pose`` is odom_from_imu."""
 
     pose: Pose
-    information: Array
     weak: Array
     """(6, k) degenerate directions, orthonormal"""
     matches: Matches
@@ -448,7 +445,7 @@ def register_scan(
             break
     lengths, edges = distances(pose.apply(found.points), found.near, found.is_edge), found.is_edge
     return ScanPose(
-        pose=pose, information=equations(pose, found).information, weak=weak, matches=found,
-        edges=int(edges.sum()), planes=int((~edges).sum()), converged=converged,
+        pose=pose, weak=weak, matches=found, converged=converged,
+        edges=int(edges.sum()), planes=int((~edges).sum()),
         rms_m=float(np.sqrt(np.mean(lengths**2))),
     )  # fmt: skip

@@ -269,7 +269,6 @@ class VisualMap:
     """The keyframes, oldest first, and matching against their landmarks."""
 
     def __init__(self, camera: CameraIntrinsics, imu_from_camera: Pose) -> None:
-        self._camera = camera
         self._matrix = camera.matrix()
         self._camera_from_imu = imu_from_camera.inverse()
         self._size = (camera.width, camera.height)

@@ -9,7 +9,7 @@ import pytest
 
 from touchdown.estimator.api import Estimate
 from touchdown.estimator.filtering.synchronizer import stamp_of
-from touchdown.sim.api import FaultParams, LidarScan, Observation
+from touchdown.sim.api import FaultParams, Observation
 from touchdown.sim.faults.injector import FaultInjector
 
 from support import livo_flight, zou2024_flight
@@ -33,9 +33,16 @@ def test_same_input_same_output_to_the_bit(module: Any) -> None:
 
 
 @BOTH
-def test_corrections_reach_control_without_a_jump(module: Any) -> None:
-    """Between two estimates the position moves by the velocity and no more than millimetres."""
-    for a, b in itertools.pairwise(module.clean()):
+def test_a_clean_flight_is_followed_without_a_jump(module: Any) -> None:
+    """The moving start contradicts nothing: the rotors spin at lifting speed from the beginning.
+    Between two estimates the position moves by the velocity and no more than millimetres."""
+    estimates = module.clean()
+    last = estimates[-1]
+    assert [e.tick for e in estimates] == [o.tick for o in module.FLIGHT] and last.healthy
+    assert max(map(error, estimates)) < 0.03
+    np.testing.assert_allclose(last.velocity_odom, [last.time_s, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(last.acceleration_odom, [1.0, 0.0, 0.0], atol=0.05)
+    for a, b in itertools.pairwise(estimates):
         step = b.odom_from_body.translation - a.odom_from_body.translation
         expected = 0.5 * (a.velocity_odom + b.velocity_odom) * (b.time_s - a.time_s)
         assert np.linalg.norm(step - expected) < 2e-3
@@ -86,33 +93,19 @@ def test_estimators_survive_and_report(module: Any, kind: str) -> None:
     check(estimates)
 
 
-def half_a_scan(scan: LidarScan) -> LidarScan:
-    ranges = scan.ranges.copy()
-    ranges[::2] = np.nan
-    return dataclasses.replace(scan, ranges=ranges)
-
-
 @BOTH
-@pytest.mark.parametrize("kind", ["half a scan", "late", "IMU", "black from now on", "no sensors"])
+@pytest.mark.parametrize("kind", ["late", "IMU", "no sensors"])
 def test_broken_input_costs_centimetres_at_most(module: Any, kind: str) -> None:
     flight: list[Observation] = list(module.FLIGHT)
     k = max(i for i, obs in enumerate(flight) if obs.scans and obs.tick < 600)
     scan, image = flight[k].scans[0], flight[k].images[0]
-    skipped = 1.0
-    if kind == "half a scan":
-        flight[k], skipped = dataclasses.replace(flight[k], scans=(half_a_scan(scan),)), 0.0
-    elif kind == "late":
+    if kind == "late":
         flight[k + 30] = dataclasses.replace(flight[k + 30], scans=(scan,), images=(image,))
     elif kind == "IMU":
         sample = dataclasses.replace(flight[k].imu[0], angular_velocity=np.full(3, np.nan))
         flight[k] = dataclasses.replace(flight[k], imu=(sample,))
-    elif kind == "black from now on":
-        for i, obs in enumerate(flight[k:], k):
-            black = tuple(dataclasses.replace(im, rgb=0 * im.rgb) for im in obs.images)
-            flight[i] = dataclasses.replace(obs, images=black)
     else:
         flight = [dataclasses.replace(obs, scans=(), images=()) for obs in flight]
-        skipped = 0.0
     estimates = module.fly(flight)
     check(estimates)
-    assert estimates[-1].diagnostics["skipped"] >= skipped
+    assert estimates[-1].diagnostics["skipped"] >= (kind != "no sensors")

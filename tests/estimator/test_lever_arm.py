@@ -114,6 +114,11 @@ def test_pose_and_velocity_are_those_of_the_body_origin(name: str, log: Log) -> 
     np.testing.assert_allclose(pose.rotation, truth.world_from_body.rotation, atol=turned)
 
 
+def test_the_oracle_refuses_the_truth_of_another_tick(log: Log) -> None:
+    with pytest.raises(ValueError, match="the observation of tick 3"):
+        Oracle(lambda: log.truths[0]).update(log.observations[1])
+
+
 @pytest.mark.parametrize(
     "name", [name for name in ESTIMATORS if name in ("zou2024", "optical_flow", "stereo")]
 )

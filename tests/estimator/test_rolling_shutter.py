@@ -68,14 +68,6 @@ def test_pixels_of_rows_are_those_of_one_instant(late_s: float) -> None:
     np.testing.assert_allclose(model.to_rows(true, points[:, 2], twist), rolling, atol=0.03)
 
 
-def test_ground_is_as_deep_as_it_lies() -> None:
-    points = ground_points()
-    pixels = np.array([pixel_of(p) for p in points])
-    np.testing.assert_allclose(ground_depths(pixels, RIG.camera, CAMERA, 3.0), points[:, 2])
-    level = Pose(np.eye(3), np.array([0.0, 0.0, 4.0]))  # looks up
-    assert np.isfinite(ground_depths(pixels, RIG.camera, level, 0.0)).all()
-
-
 def test_a_global_shutter_on_time_changes_nothing() -> None:
     pixels = np.array([[10.0, 20.0]])
     model = ShutterModel(make_rig())
@@ -91,14 +83,6 @@ def test_the_stamp_moves_to_the_middle_row() -> None:
     moved = at_middle_row(image, RIG)
     assert moved.time_s == pytest.approx(0.0929)
     assert moved.tick == 56  # 55.74
-
-
-def test_a_camera_off_the_imu_swings_with_the_turn() -> None:
-    mount = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.1, 0.0, 0.0]))
-    twist = CameraTwist.of_imu(np.array([0.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]), mount, 0.0)
-    inverse = BODY_FROM_DOWNWARD_OPTICAL.T
-    np.testing.assert_allclose(twist.velocity, inverse @ [1.0, 0.2, 0.0])
-    np.testing.assert_allclose(twist.rate, inverse @ [0.0, 0.0, 2.0])
 
 
 def flown(rate: np.ndarray, ticks: int) -> InertialFilter:

@@ -4,12 +4,16 @@ from typing import Any
 
 import numpy as np
 
+from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.anchors import Anchors
+from touchdown.estimator.filtering.camera_model import Shutter
 from touchdown.estimator.filtering.deskew import PlacedScan
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState
+from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.plane_map import PlaneMatches
+from touchdown.estimator.filtering.reprojection import MountedCamera
 from touchdown.estimator.livo.scan_update import (
     PlaneEquations,
     Returns,
@@ -17,10 +21,12 @@ from touchdown.estimator.livo.scan_update import (
     plane_equations,
 )
 from touchdown.estimator.livo.visual import VisualFrontEnd
-from touchdown.sim.api import GRAVITY_MPS2, ImuParams, LidarScan
-from touchdown.sim.frames import so3_exp
+from touchdown.sim.api import GRAVITY_MPS2, CameraIntrinsics, ImuParams, LidarScan
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp
 
 STEP_S = 0.005
+CAMERA = CameraIntrinsics(width=424, height=240, fx=310.0, fy=315.0, cx=211.5, cy=119.5)
+IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.07, 0.02, -0.13]))
 
 
 def random_state(rng: np.random.Generator) -> NavState:
@@ -36,6 +42,24 @@ def filled_buffer(rng: np.random.Generator, count: int) -> ImuBuffer:
         force = np.array([0.0, 0.0, GRAVITY_MPS2]) + rng.normal(0.0, 1.0, 3)
         buffer.push(3 * (i + 1), rng.normal(0.0, 0.5, 3), force, False)
     return buffer
+
+
+def front_end(shutter: Shutter | None = None, **params: float) -> VisualFrontEnd:
+    """Of a few keyframes, whose depths are exact."""
+    few = {"keyframes": 4, "track_keyframes": 2, "features": 150, "pixel_sigma": 0.5}
+    exact = {"depth_sigma_m": 0.0, "anchor_height_m": 0.0}
+    return VisualFrontEnd(
+        MountedCamera(CAMERA, IMU_FROM_CAMERA), LivoParams(**{**few, **exact, **params}),
+        shutter or Shutter(), open_ticks=1200,
+    )  # fmt: skip
+
+
+def ground_returns(noise_m: float = 0.01) -> RecentReturns:
+    rng = np.random.default_rng(6)
+    recent = RecentReturns(scans=1, per_scan=60_000)
+    xy = rng.uniform(-15.0, 15.0, (60_000, 2))
+    recent.add(np.column_stack([xy, rng.normal(0.0, noise_m, 60_000)]))
+    return recent
 
 
 def add_keyframe(vision: VisualFrontEnd, eskf: Eskf, *view: Any, **more: Any) -> bool:

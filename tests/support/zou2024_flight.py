@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from support import livo_flight
 from support.livo_flight import HZ, SCAN_TICKS, START_Z, position_at
 
 LAST = 960
+NOTHING = np.zeros((0, 3))
 TEXEL_M = 0.05
 PLAIN = Zou2024Params(sift_features=150, brisk_features=150)
 
@@ -31,6 +33,12 @@ def make_rig(distortion: float = 0.0) -> SensorRig:
 
 
 RIG = make_rig()
+IMU_FROM_CAMERA = RIG.body_from_imu.inverse() @ RIG.body_from_camera
+
+
+def params(**changes: Any) -> Zou2024Params:
+    """Those of the flight with edges from gradients."""
+    return dataclasses.replace(PLAIN, edge_model="gradient", **changes)
 
 
 def scan_ending_at(tick: int) -> LidarScan:

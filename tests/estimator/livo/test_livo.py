@@ -9,36 +9,19 @@ import pytest
 from touchdown.estimator.api import LivoParams
 from touchdown.estimator.livo.estimator import Livo
 from touchdown.estimator.livo.visual import VisualFrontEnd
-from touchdown.estimator.oracle import Oracle
-from touchdown.sim.api import GRAVITY_MPS2, RangefinderSample, Truth
-from touchdown.sim.frames import Pose
+from touchdown.sim.api import GRAVITY_MPS2, RangefinderSample
 
 from support.livo_flight import (
     FLIGHT,
     HZ,
     IMU_TICKS,
     RIG,
-    clean,
     fly,
     inertial,
     observations,
     position_at,
     swaying,
 )
-
-
-def test_a_clean_second_is_followed_to_the_centimetre() -> None:
-    """The moving start contradicts nothing: the rotors spin at lifting speed from the beginning."""
-    estimates = clean()
-    last = estimates[-1]
-    assert [e.tick for e in estimates] == [o.tick for o in FLIGHT]
-    np.testing.assert_allclose(
-        last.world_from_body.translation, position_at(last.time_s), atol=0.012
-    )
-    np.testing.assert_allclose(last.velocity_odom, [last.time_s, 0.0, 0.0], atol=0.02)
-    np.testing.assert_allclose(last.acceleration_odom, [1.0, 0.0, 0.0], atol=0.05)
-    assert last.diagnostics["features_tracked"] > 30 and last.diagnostics["lidar_matched"] > 500
-    assert last.healthy
 
 
 @pytest.mark.parametrize("sigma_s", [0.005, 0.0])
@@ -129,19 +112,3 @@ def test_parts_can_be_left_out(change: dict[str, bool]) -> None:
     error = last.world_from_body.translation - position_at(last.time_s)
     # over a plane the LIDAR holds height only
     assert np.abs(error[2] if change == {"use_vision": False} else error).max() < 0.05
-
-
-def test_oracle_returns_the_truth_and_refuses_another_tick() -> None:
-    pose = Pose(np.eye(3), np.array([1.0, 2.0, 3.0]))
-    truth = Truth(
-        tick=3, time_s=0.005, world_from_body=pose, velocity_world=np.array([1.0, 0.0, 0.0]),
-        acceleration_world=np.array([0.0, 2.0, 0.0]), angular_velocity_body=np.zeros(3),
-        wind_world=np.zeros(3), rotor_speed_radps=np.zeros(4), contacts=(),
-        peak_contact_accel=0.0, energy_used_j=0.0,
-    )  # fmt: skip
-    oracle = Oracle(lambda: truth)
-    estimate = oracle.update(FLIGHT[1])
-    np.testing.assert_array_equal(estimate.world_from_body.translation, [1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(estimate.acceleration_odom, [0.0, 2.0, 0.0])
-    with pytest.raises(ValueError, match="tick 3"):
-        oracle.update(FLIGHT[2])

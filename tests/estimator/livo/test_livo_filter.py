@@ -71,30 +71,27 @@ def test_transition_matches_finite_differences() -> None:
         force - state.accel_bias, STEP_S, GRAVITY_MPS2,
     )  # fmt: skip
     total, _, _ = transition(
-        rotations,
-        gyro - state.gyro_bias,
-        force - state.accel_bias,
-        STEP_S,
+        rotations, gyro - state.gyro_bias, force - state.accel_bias, STEP_S,
         NoiseDensities(0.0, 0.0, 0.0, 0.0),
-    )
+    )  # fmt: skip
     eskf = Eskf(state, np.ones(STATE_DIM))
-    nominal = propagate_nominal(state, ticks, gyro, force, STEP_S).end
-    epsilon = 1e-5
     for k in range(STATE_DIM):
-        delta = np.zeros(STATE_DIM)
-        delta[k] = epsilon
-        moved, _ = eskf.boxplus(state, [], delta)
-        end = propagate_nominal(moved, ticks, gyro, force, STEP_S).end
-        difference = np.concatenate(
-            [
-                so3_log(nominal.rotation.T @ end.rotation),
-                end.position - nominal.position,
-                end.velocity - nominal.velocity,
-                end.gyro_bias - nominal.gyro_bias,
-                end.accel_bias - nominal.accel_bias,
-            ]
-        )
-        np.testing.assert_allclose(difference / epsilon, total[:, k], atol=4e-3)
+        np.testing.assert_allclose(slope(eskf, (ticks, gyro, force), k), total[:, k], atol=4e-3)
+
+
+def slope(eskf: Eskf, samples: tuple[np.ndarray, ...], k: int) -> np.ndarray:
+    """(15,) derivative of the state after some samples by the error coordinate ``k`` before."""
+    ends = []
+    for sign in (1.0, -1.0):
+        delta = np.zeros(eskf.base)
+        delta[k] = sign * 1e-5
+        moved, _ = eskf.boxplus(eskf.state, [], delta)
+        ends.append(propagate_nominal(moved, *samples, STEP_S).end)
+    plus, minus = ends
+    turned = so3_log(minus.rotation.T @ plus.rotation)
+    names = ("position", "velocity", "gyro_bias", "accel_bias")
+    moved_by = [getattr(plus, name) - getattr(minus, name) for name in names]
+    return np.concatenate([turned, *moved_by]) / 2e-5
 
 
 def calibrated_state(rng: np.random.Generator) -> NavState:
@@ -156,26 +153,11 @@ def test_derivative_by_the_imu_errors_matches_finite_differences() -> None:
         rotations, rate, specific, STEP_S, NoiseDensities(0.0, 0.0, 0.0, 0.0)
     )
     eskf = Eskf(state, np.ones(STATE_DIM + CALIBRATION_DIM))
-    epsilon = 1e-5
     for k in range(IMU_DIM):
-        ends = []
-        for sign in (1.0, -1.0):
-            delta = np.zeros(eskf.base)
-            delta[IMU_ERRORS.start + k] = sign * epsilon
-            moved, _ = eskf.boxplus(state, [], delta)
-            ends.append(propagate_nominal(moved, ticks, gyro, force, STEP_S).end)
-        plus, minus = ends
-        difference = np.concatenate(
-            [
-                so3_log(minus.rotation.T @ plus.rotation),
-                plus.position - minus.position,
-                plus.velocity - minus.velocity,
-                np.zeros(6),
-            ]
-        ) / (2.0 * epsilon)  # fmt: skip
-        assert np.abs(difference).max() > 0.01
+        expected = slope(eskf, (ticks, gyro, force), IMU_ERRORS.start + k)
+        assert np.abs(expected).max() > 0.01
         # the derivative is by the corrected sample, a scale error of 3 % from the raw one
-        np.testing.assert_allclose(by_errors[:, k], difference, rtol=0.12, atol=6e-3)
+        np.testing.assert_allclose(by_errors[:, k], expected, rtol=0.12, atol=6e-3)
 
 
 def test_covariance_with_scale_errors_follows_the_dense_formula() -> None:

@@ -4,26 +4,23 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.estimator.api import LivoParams
 from touchdown.estimator.filtering.camera_model import Shutter, rows_of_keyframe
 from touchdown.estimator.filtering.error_state import STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.filtering.keyframes import bearing_rays
-from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.online_calibration import exposed
-from touchdown.estimator.filtering.reprojection import (
-    MountedCamera,
-)
 from touchdown.estimator.livo.patch_tracker import grey_levels
-from touchdown.estimator.livo.visual import VisualFrontEnd
-from touchdown.sim.api import CameraIntrinsics
-from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
+from touchdown.sim.frames import Pose, so3_exp, so3_log
 
-from support.livo_support import add_keyframe
+from support.livo_support import (
+    CAMERA,
+    IMU_FROM_CAMERA,
+    add_keyframe,
+    front_end,
+    ground_returns,
+)
 
-CAMERA = CameraIntrinsics(width=424, height=240, fx=310.0, fy=315.0, cx=211.5, cy=119.5)
-IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.07, 0.02, -0.13]))
 SHUTTER = Shutter(0.015)
 ROWS = np.arange(CAMERA.height, dtype=float)
 
@@ -109,17 +106,7 @@ def test_the_pose_of_a_rolling_image_is_recovered(known: bool) -> None:
     )  # fmt: skip
     there = np.array([0.2, -0.3, 0.3, 8.0, 3.0, 0.0])
     zero = np.zeros(3)
-    vision = VisualFrontEnd(
-        MountedCamera(CAMERA, IMU_FROM_CAMERA),
-        LivoParams(
-            keyframes=4, track_keyframes=2, features=150, pixel_sigma=0.5,
-            depth_sigma_m=0.0, anchor_height_m=0.0,
-        ),
-        SHUTTER if known else Shutter(), open_ticks=1200,
-    )  # fmt: skip
-    rng = np.random.default_rng(6)
-    recent = RecentReturns(scans=1, per_scan=60_000)
-    recent.add(np.column_stack([rng.uniform(-15.0, 15.0, (60_000, 2)), np.zeros(60_000)]))
+    vision, recent = front_end(SHUTTER if known else None), ground_returns(0.0)
     eskf = Eskf(
         NavState(0, key.rotation, key.translation, there[3:], zero, zero), np.full(STATE_DIM, 1e-8)
     )

@@ -7,8 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.estimator.api import LivoParams
-from touchdown.estimator.filtering.camera_model import Shutter
 from touchdown.estimator.filtering.error_state import (
     CALIBRATION_DIM,
     CENTER,
@@ -30,15 +28,18 @@ from touchdown.estimator.filtering.reprojection import (
     reprojection_information,
 )
 from touchdown.estimator.livo.patch_tracker import grey_levels, track
-from touchdown.estimator.livo.visual import VisualFrontEnd, VisualReport
-from touchdown.sim.api import CameraIntrinsics
+from touchdown.estimator.livo.visual import VisualReport
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
-from support.livo_support import add_keyframe
+from support.livo_support import (
+    CAMERA,
+    IMU_FROM_CAMERA,
+    add_keyframe,
+    front_end,
+    ground_returns,
+)
 
-CAMERA = CameraIntrinsics(width=424, height=240, fx=310.0, fy=315.0, cx=211.5, cy=119.5)
 LENS = Pinhole.of(CAMERA)
-IMU_FROM_CAMERA = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.07, 0.02, -0.13]))
 
 
 def texture() -> np.ndarray:
@@ -171,25 +172,6 @@ def test_a_pixel_beyond_the_gate_does_not_count() -> None:
 
     np.testing.assert_array_equal(measured(2)[0], measured(1)[0])
     assert measured(2)[1] == 1
-
-
-def front_end(**params: float) -> VisualFrontEnd:
-    return VisualFrontEnd(
-        MountedCamera(CAMERA, IMU_FROM_CAMERA),
-        LivoParams(
-            **{"keyframes": 4, "track_keyframes": 2, "features": 150, "pixel_sigma": 0.5,
-               "depth_sigma_m": 0.0, "anchor_height_m": 0.0, **params},
-        ),
-        Shutter(), open_ticks=1200,
-    )  # fmt: skip
-
-
-def ground_returns() -> RecentReturns:
-    rng = np.random.default_rng(6)
-    recent = RecentReturns(scans=1, per_scan=60_000)
-    xy = rng.uniform(-15.0, 15.0, (60_000, 2))
-    recent.add(np.column_stack([xy, rng.normal(0.0, 0.01, 60_000)]))
-    return recent
 
 
 def filter_at(pose: Pose) -> Eskf:

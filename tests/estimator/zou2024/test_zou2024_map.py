@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.estimator.api import Zou2024Params
 from touchdown.estimator.filtering.error_state import Frames
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
@@ -21,15 +20,16 @@ from touchdown.estimator.zou2024.visual_map import LandmarkSet, MapKeyframe, Sig
 from touchdown.sim.frames import Pose, so3_exp
 
 from support.livo_flight import START_Z
-from support.zou2024_flight import PLAIN, RIG, features_of, image_from
+from support.zou2024_flight import (
+    IMU_FROM_CAMERA,
+    NOTHING,
+    RIG,
+    features_of,
+    image_from,
+    params,
+)
 
-IMU_FROM_CAMERA = RIG.body_from_imu.inverse() @ RIG.body_from_camera
-NOTHING = np.zeros((0, 3))
 NO_EDGES = np.zeros((120, 212), np.float32).copy
-
-
-def params(**changes: Any) -> Zou2024Params:
-    return dataclasses.replace(PLAIN, edge_model="gradient", **changes)
 
 
 def positioning(**changes: Any) -> CameraPositioning:

@@ -65,7 +65,6 @@ def test_algorithm_1_finds_the_pose_despite_outliers() -> None:
     assert result is not None and result.edges > 200 and result.planes > 400
     np.testing.assert_allclose(result.pose.translation, truth.translation, atol=0.012)
     assert np.linalg.norm(so3_log(result.pose.rotation.T @ truth.rotation)) < 4e-3
-    assert np.linalg.eigvalsh(result.information)[0] > 0.0
 
 
 def test_algorithm_1_needs_matches() -> None:
@@ -208,18 +207,6 @@ def chain(count: int, step: Pose, information: float) -> PoseGraph:
 
 
 UNIT = Pose(np.eye(3), np.array([1.0, 0.0, 0.0]))
-
-
-def test_a_closure_is_shared_out_along_the_path() -> None:
-    graph = chain(5, UNIT, 100.0)
-    # variance 0.01 a hop over four hops, against 0.01 of the closure: it wins 4 / 5 of 0.5 m
-    seen = Pose(np.eye(3), np.array([4.5, 0.0, 0.0]))
-    graph.add_edge(Edge(0, 4, seen, 100.0 * np.eye(6), False))
-    graph.optimise(3)
-    x = [graph.poses[k].translation[0] for k in range(5)]
-    np.testing.assert_allclose(x, [0.0, 1.1, 2.2, 3.3, 4.4], atol=1e-6)
-    covariance = graph.position_covariance(4)
-    assert covariance[0, 0] == pytest.approx(0.01 * 4 / 5, rel=1e-3)
 
 
 def test_a_turned_square_closes() -> None:
