@@ -1,22 +1,16 @@
 """Degenerate directions of scans, and their removal from the update."""
 
 import numpy as np
-import pytest
 
-from touchdown.estimator.filtering.anchors import Anchors
-from touchdown.estimator.filtering.error_state import STATE_DIM
-from touchdown.estimator.filtering.eskf import Eskf, weak_directions, without_directions
-from touchdown.estimator.filtering.plane_map import PlaneMap
+from touchdown.estimator.filtering.eskf import weak_directions, without_directions
 from touchdown.estimator.livo.depth_without_returns import common_plane
 from touchdown.estimator.livo.scan_update import (
     DegeneracyWatch,
     LidarReport,
-    ScanErrors,
-    update_with_scan,
 )
 from touchdown.sim.frames import so3_exp
 
-from support.livo_support import placed, plane_information, room_points, state_at
+from support.livo_support import plane_information
 
 NOTHING = np.zeros((6, 6))
 
@@ -82,37 +76,6 @@ def test_noisy_normals_add_the_predicted_noise_information() -> None:
     np.testing.assert_allclose(np.diag(noise_information)[3:5], 1000.0, rtol=0.01)
     np.testing.assert_allclose(np.diag(seeming)[3:5], np.diag(noise_information)[3:5], rtol=0.06)
     assert noise_information[5, 5] < 1.0
-
-
-@pytest.mark.parametrize("walls", [True, False])
-def test_level_ground_leaves_the_lateral_pose_alone(walls: bool) -> None:
-    rng = np.random.default_rng(7)
-    plane_map = PlaneMap(1.0, capacity=1 << 14)
-    surfaces = room_points(rng, walls)
-    plane_map.insert(surfaces + rng.normal(0.0, 0.02, surfaces.shape))
-    world = room_points(rng, walls)[::7]
-    position = np.array([0.4, 1.0, 12.0])
-    points = world - position + rng.normal(0.0, 0.02, world.shape)
-    start = position + np.array([0.05, -0.04, 0.03])
-    eskf = Eskf(state_at(np.eye(3), start), np.full(STATE_DIM, 1e-4))
-    report = update_with_scan(
-        eskf, plane_map, Anchors(), placed(points),
-        ScanErrors(
-            range_sigma_m=0.02, angle_sigma_rad=1e-3, floor_sigmas=np.full(6, 1e-4),
-            weak_sigmas=(0.005, 0.1),
-        ),
-    )  # fmt: skip
-    sigma = np.sqrt(np.diag(eskf.covariance))
-    assert abs(eskf.state.position[2] - 12.0) < 0.01 and sigma[5] < 1e-3
-    if walls:
-        assert report.weak_translation == report.weak_rotation == 0
-        np.testing.assert_allclose(eskf.state.position[:2], position[:2], atol=0.01)
-    else:
-        assert (report.weak_translation, report.weak_rotation) == (2, 1)
-        # x, y, yaw and their covariance stay; the ground as mapped leans by a hair
-        np.testing.assert_allclose(eskf.state.position[:2], start[:2], atol=1e-4)
-        np.testing.assert_allclose(sigma[[2, 3, 4]], 0.01, rtol=1e-3)
-        assert sigma[0] < 1e-3 and sigma[1] < 1e-3
 
 
 def test_the_watch_reports_lasting_changes_only() -> None:

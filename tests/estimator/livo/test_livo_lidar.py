@@ -192,8 +192,11 @@ def test_floor_adds_its_covariance() -> None:
     np.testing.assert_allclose(np.linalg.inv(limited), np.linalg.inv(information) + errors)
 
 
+@pytest.mark.parametrize("weak_sigmas", [None, (0.005, 0.1)])
 @pytest.mark.parametrize("walls", [True, False])
-def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
+def test_scan_update_recovers_a_known_offset(
+    walls: bool, weak_sigmas: tuple[float, float] | None
+) -> None:
     rng = np.random.default_rng(7)
     plane_map = PlaneMap(1.0, capacity=1 << 14)
     surfaces = room_points(rng, walls)
@@ -209,7 +212,7 @@ def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
     floor = 0.01 if walls else 0.5
     errors = ScanErrors(
         range_sigma_m=0.02, angle_sigma_rad=1e-3,
-        floor_sigmas=np.array([1e-4, 1e-4, 1e-3, floor, floor, 1e-3]),
+        floor_sigmas=np.array([1e-4, 1e-4, 1e-3, floor, floor, 1e-3]), weak_sigmas=weak_sigmas,
     )  # fmt: skip
     report = update_with_scan(eskf, plane_map, Anchors(), placed(points), errors)
     error = np.abs(eskf.state.position - true_position)
@@ -217,6 +220,9 @@ def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
     assert error[2] < 0.02  # the map's own noise is shared: its offset is the limit
     turn = eskf.state.rotation.T @ true_rotation
     assert abs(turn[2, 0]) < 5e-4 and abs(turn[2, 1]) < 5e-4
+    left_out = not walls and weak_sigmas is not None
+    weak = report.weak_translation, report.weak_rotation
+    assert weak == ((2, 1) if left_out else (0, 0))
     if walls:
         assert error[0] < 0.02 and error[1] < 0.02
     else:
@@ -224,14 +230,17 @@ def test_scan_update_recovers_a_known_offset(walls: bool) -> None:
         # spurious information: with the floor, prior and covariance stay
         np.testing.assert_allclose(error[:2], [0.05, 0.04], atol=5e-3)
         assert np.sqrt(eskf.covariance[3, 3]) > 0.09
-    # from there on the returns stay on their planes; where walls hold the pose, two steps suffice
+    if left_out:  # x, y, yaw and their covariance stay; the ground as mapped leans by a hair
+        np.testing.assert_allclose(error[:2], [0.05, 0.04], atol=1e-4)
+        np.testing.assert_allclose(np.diag(eskf.covariance)[2:5], variances[2:5], rtol=2e-3)
+    # from there on the returns stay on their planes; where nothing strays, two steps suffice
     equations = scan_update.plane_equations
     with (
         mock.patch.object(plane_map, "match", wraps=plane_map.match) as lookups,
         mock.patch.object(scan_update, "plane_equations", wraps=equations) as steps,
     ):
         update_with_scan(eskf, plane_map, Anchors(), placed(points), errors)
-    assert (lookups.call_count, steps.call_count) == (1, 2 if walls else 3)
+    assert (lookups.call_count, steps.call_count) == (1, 2 if walls or left_out else 3)
 
 
 def test_too_few_matches_change_nothing() -> None:
