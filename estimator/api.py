@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,17 +131,10 @@ class Estimator(Protocol):
     def update(self, obs: Observation) -> Estimate: ...
 
 
-@runtime_checkable
-class SparesSensors(Protocol):
-    """An estimator that a replay may run on a log without some of the sensors that it needs."""
-
-    spare_sensors: tuple[str, ...]
-    """their fields of `SensorNeeds`"""
-
-
 def spare_sensors(estimator: Estimator) -> tuple[str, ...]:
-    """The sensors that ``estimator`` can do without in a replay."""
-    return tuple(estimator.spare_sensors) if isinstance(estimator, SparesSensors) else ()
+    """The sensors, fields of `SensorNeeds`, that ``estimator`` names in its attribute
+    ``spare_sensors``, if it has one: a replay may run it on a log without them."""
+    return tuple(getattr(estimator, "spare_sensors", ()))
 
 
 class Ground(NamedTuple):
