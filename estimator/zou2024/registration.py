@@ -360,8 +360,7 @@ def _flat_triangles(near: Array) -> Mask:
 def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose, moves: Frames) -> Matches:
     """Steps 3 to 9: the points placed by Eq. 9, those with a line or plane nearby."""
     edges = maps.edges.nearest(pose.apply(features.edges), moves)
-    shape_of_edges = neighbourhood_shapes(edges.near, edges.found)
-    lines = shape_of_edges.lines
+    lines, _, values = neighbourhood_shapes(edges.near, edges.found)
     planes = maps.planes.nearest(pose.apply(features.planes), moves)
     shapes = neighbourhood_shapes(planes.near, planes.found)
     flats = shapes.planes & _flat_triangles(planes.near)
@@ -370,7 +369,7 @@ def _associate(features: ScanFeatures, maps: FeatureMaps, pose: Pose, moves: Fra
     count = int(lines.sum())
     is_edge = np.arange(len(near)) < count
     weights, scatter = np.ones(len(near)), np.zeros(len(near))
-    weights[:count] = line_weights(shape_of_edges.values[lines])
+    weights[:count] = line_weights(values[lines])
     scatter[count:] = _SCATTER_OF_FIVE * shapes.values[flats, 0]
     return Matches(
         np.concatenate([features.edges[lines], features.planes[flats]]), near,
