@@ -78,18 +78,6 @@ def test_limits_are_set_by_an_interval_of_the_share_of_unsafe_images() -> None:
     assert easy.min_probability == decision.MIN
 
 
-def test_file_carries_its_limits_and_an_older_one_gets_defaults() -> None:
-    limits = decision.Limits(min_probability=0.8125, min_energy=-0.7)
-    facts = weights.NetworkFacts(
-        network="resnet18", labels="d_land", image_size=96, classes=D_LAND, limits=limits
-    )
-    kept = facts.properties()
-    assert weights.facts_of(kept, Path("n.onnx")) == facts
-    for name in ("least_probability", "least_energy"):
-        del kept[name]
-    assert weights.facts_of(kept, Path("n.onnx")).limits == decision.Limits()
-
-
 def _sites(*xy: tuple[float, float]) -> list[Candidate]:
     return [site_at(x, y) for x, y in xy]
 

@@ -44,16 +44,6 @@ def test_statistics_of_the_norms_arrive_within_a_short_training(name: str) -> No
     assert all(norm.momentum == 0.1 for norm in norms) and bool(norms) == (name != "vgg19")
 
 
-@pytest.mark.parametrize(("name", "size", "message"), [
-    ("resnet51", 96, "unknown network 'resnet51': did you mean 'resnet"),
-    ("inception_v4", 64, "inception_v4 needs images of at least 75 pixels, not 64"),
-    ("resnet18", 16, "at least 32 pixels"),
-])  # fmt: skip
-def test_what_cannot_be_built(name: str, size: int, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        build_network(name, 7, size)
-
-
 def test_channel_attention_by_hand() -> None:
     """Means 2 and 0, maximum 4 and 0; the MLP doubles: sigmoid(2 (2 + 4)) and sigmoid(0)."""
     features = torch.tensor([[[[1.0, 1.0], [2.0, 4.0]], [[0.0, 0.0], [0.0, 0.0]]]])

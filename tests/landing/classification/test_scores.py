@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.classification import class_map
-from touchdown.landing.classification import scores, weights
+from touchdown.landing.classification import decision, scores, weights
 from touchdown.landing.classification.engine import apply_miss_costs
 from touchdown.landing.classification.labels import D_LAND
 
@@ -141,9 +141,15 @@ def test_class_with_a_higher_miss_cost_is_predicted_earlier() -> None:
             dataclasses.replace(plain, miss_costs=costs)
 
 
-def test_file_without_metadata_is_refused() -> None:
-    facts = weights.NetworkFacts(network="resnet18", labels="d_land", image_size=64, classes=D_LAND)
-    assert weights.facts_of(facts.properties(), Path("n")) == facts
+def test_file_without_metadata_is_refused_and_an_older_one_has_the_default_limits() -> None:
+    limits = decision.Limits(min_probability=0.8125, min_energy=-0.7)
+    facts = weights.NetworkFacts(
+        network="resnet18", labels="d_land", image_size=64, classes=D_LAND, limits=limits
+    )
+    kept = facts.properties()
+    assert weights.facts_of(kept, Path("n")) == facts
+    older = {key: kept[key] for key in kept if not key.startswith("least_")}
+    assert weights.facts_of(older, Path("n")).limits == decision.Limits()
     with pytest.raises(ValueError, match="has no usable metadata"):
         weights.facts_of(facts.properties() | {"miss_costs": "water"}, Path("n"))
     with pytest.raises(ValueError, match="has no usable metadata"):
