@@ -10,9 +10,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from touchdown.experiments.drawing.costmap_image import extent_of, photo_of, seen_box
-from touchdown.experiments.drawing.map_axes import draw_marks
 from touchdown.experiments.drawing.map_images import Marks
-from touchdown.experiments.drawing.style import STYLE, new_figure, write_figure
+from touchdown.experiments.drawing.style import STYLE, draw_marks, new_figure, write_figure
 from touchdown.landing.api import CostmapView
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.sim.frames import Pose

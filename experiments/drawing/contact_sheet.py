@@ -25,22 +25,18 @@ def thumbnails(images: Mapping[str, Image]) -> dict[str, Image]:
 def contact_sheet(scenes: Mapping[str, Mapping[str, Image]]) -> Image:
     """(H, W, 3) RGB of the `thumbnails` by scene name; columns line up, the top row names them."""
     widths = [max(views[view].shape[1] for views in scenes.values()) for view in SHEET_VIEWS]
-    width = sum(widths) + _GAP_PIXELS * (len(widths) + 1)
-    header = np.full((_TITLE_PIXELS, width, 3), _PAPER, np.uint8)
-    left = _GAP_PIXELS
-    for view, column in zip(SHEET_VIEWS, widths, strict=True):
+    lefts = np.cumsum([_GAP_PIXELS, *(width + _GAP_PIXELS for width in widths)])
+    header = np.full((_TITLE_PIXELS, lefts[-1], 3), _PAPER, np.uint8)
+    for view, left in zip(SHEET_VIEWS, lefts, strict=False):
         _write(header, view, left, 0.55)
-        left += column + _GAP_PIXELS
     bands = [header]
     for name, views in scenes.items():
-        band = np.full((_TITLE_PIXELS + _ROW_PIXELS + _GAP_PIXELS, width, 3), _PAPER, np.uint8)
+        band = np.full((_TITLE_PIXELS + _ROW_PIXELS + _GAP_PIXELS, lefts[-1], 3), _PAPER, np.uint8)
         _write(band, name, _GAP_PIXELS, 0.75)
-        left = _GAP_PIXELS
-        for view, column in zip(SHEET_VIEWS, widths, strict=True):
-            small = views[view]
-            top = _TITLE_PIXELS + (_ROW_PIXELS - small.shape[0]) // 2
-            band[top : top + small.shape[0], left : left + small.shape[1]] = small
-            left += column + _GAP_PIXELS
+        for view, left in zip(SHEET_VIEWS, lefts, strict=False):
+            height, width = views[view].shape[:2]
+            top = _TITLE_PIXELS + (_ROW_PIXELS - height) // 2
+            band[top : top + height, left : left + width] = views[view]
         bands.append(band)
     return np.vstack(bands)
 
@@ -54,4 +50,4 @@ def _fit(image: Image) -> Image:
 
 
 def _write(band: Image, text: str, left: int, scale: float) -> None:
-    cv2.putText(band, text, (left, 25), cv2.FONT_HERSHEY_SIMPLEX, scale, _INK, 1, cv2.LINE_AA)
+    cv2.putText(band, text, (int(left), 25), cv2.FONT_HERSHEY_SIMPLEX, scale, _INK, 1, cv2.LINE_AA)

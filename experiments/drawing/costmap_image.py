@@ -13,12 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from touchdown.experiments.drawing.map_axes import RIM, Extent, draw_marks
 from touchdown.experiments.drawing.map_images import Marks
 from touchdown.experiments.drawing.style import (
     FAINT,
     INK,
+    RIM,
     STYLE,
+    Extent,
+    draw_marks,
     new_figure,
     pixels_of,
     write_figure,

@@ -161,23 +161,12 @@ def _world(job: Job) -> Done:
     config = load_config(scene=PAPER_SCENES[0], seed=0, profile_default="ideal")
     with filled_folder(job.folder / PICTURES) as partial_folder:
         job.notes("drawing the vehicle")
-        picture, vehicle = vehicle_portrait(load_configured_scene(config))
+        picture, _ = vehicle_portrait(load_configured_scene(config))
         write_image(partial_folder / VEHICLE, picture)
         for scene in PAPER_SCENES:
             job.notes(f"drawing {scene}")
             render_view(scene, 0, "oblique", partial_folder / f"{scene}.jpg")
-    tick_hz = config.sim.tick_hz
-    facts = {
-        "mass_kg": vehicle.mass_kg,
-        "footprint_radius_m": vehicle.footprint_radius_m,
-        "lidar": config.lidar.preset,
-        "lidar_scan_hz": tick_hz / config.sim.lidar_scan_ticks,
-        "camera_px": [config.camera.width, config.camera.height],
-        "camera_deg": [config.camera.fov_x_deg, config.camera.fov_y_deg],
-        "imu_hz": tick_hz / config.sim.imu_ticks,
-        "scenes": list(PAPER_SCENES),
-    }
-    return facts, ""
+    return {"scenes": list(PAPER_SCENES)}, ""
 
 
 def _sites(job: Job) -> Done:

@@ -34,7 +34,6 @@ from touchdown.experiments.reproduce.tables import (
     calibration_table,
     claim_table,
     network_tables,
-    rig_table,
     site_table,
     speed_table,
 )
@@ -163,8 +162,7 @@ def _renamed(tables: list[Any], part: str) -> list[Any]:
     return [replace(table, key=f"{part}_{table.key}") for table in tables]
 
 
-def _fill_world(section: Section, result: PartResult, folder: Path) -> None:
-    section.tables.append(rig_table(result.figures))
+def _fill_world(section: Section, _result: PartResult, folder: Path) -> None:
     section.pictures += [
         raster(f"fig8_{scene}", f"Fig. 8: {scene}", "Seed 0, from the south-west.",
                folder / PICTURES / f"{scene}.jpg")

@@ -63,21 +63,6 @@ def calibration_table(report: Figures) -> Table:
     )
 
 
-def rig_table(facts: Figures) -> Table:
-    """The vehicle and its sensors."""
-    width, height = facts["camera_px"]
-    across, down = facts["camera_deg"]
-    rows = [
-        _line("mass", f"{facts['mass_kg']:.2f} kg"),
-        _line("radius that holds rotors and legs", f"{facts['footprint_radius_m']:.2f} m"),
-        _line("LIDAR", f"Livox {facts['lidar'].capitalize()}, {facts['lidar_scan_hz']:g} scans/s"),
-        _line("camera", f"{width} x {height} pixels, {across:g}° x {down:g}°, straight down"),
-        _line("IMU", f"{facts['imu_hz']:g} Hz"),
-    ]
-    notes = ["The paper flies a Livox Horizon and a RealSense camera as well."]
-    return Table("rig", "The vehicle and its sensors", ["what", "here"], rows, notes)
-
-
 def site_table(figures: Figures) -> Table:
     """Fig. 11: safety of the chosen site on the true map, by scene."""
     verdicts = {True: "safe", False: "unsafe", None: "none chosen"}

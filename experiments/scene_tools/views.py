@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.drawing.map_axes import framed_map
 from touchdown.experiments.drawing.map_images import survey_marks
+from touchdown.experiments.drawing.style import framed_map
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view

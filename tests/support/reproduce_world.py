@@ -116,8 +116,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
 
     @replaced("scene_tools.render.vehicle_portrait", "vehicle")
     def _(scene: Any) -> tuple[Any, Any]:
-        facts = SimpleNamespace(mass_kg=4.2, footprint_radius_m=0.53)
-        return np.zeros((40, 60, 3), np.uint8), facts
+        return np.zeros((40, 60, 3), np.uint8), None
 
     monkeypatch.setattr(
         "touchdown.experiments.scene_tools.render.load_configured_scene", lambda _: None
