@@ -191,24 +191,23 @@ def results(
     """
     from touchdown.experiments.campaign.progress import Display
     from touchdown.experiments.campaign.session import Watcher
-    from touchdown.experiments.results_tables.pages import write_pages
-    from touchdown.experiments.results_tables.sets import chosen, fly, forecasts
+    from touchdown.experiments.results_tables import pages
 
-    sets = chosen(profile, only)
-    todo = forecasts(sets, out, jobs)
+    sets = pages.chosen(profile, only)
+    todo = pages.forecasts(sets, out, jobs)
     if dry_run:
         return answer(_costs(todo), as_json, lambda _figures: _print_costs(todo, err=False))
     if not quiet:
         _print_costs(todo, err=True)
     with resumable("flights are kept, and the same command resumes the rest"):
-        summaries = fly(sets, out, jobs, Watcher if quiet else Display)
+        summaries = pages.fly(sets, out, jobs, Watcher if quiet else Display)
     incomplete = any(found["missing"] for found in summaries)
     if write and incomplete:
         say(
             "touchdown: flights are missing, so nothing is written; the same command flies them",
             err=True,
         )
-    files = [str(file) for file in write_pages(sets, out)] if write and not incomplete else []
+    files = [str(file) for file in pages.write_pages(sets, out)] if write and not incomplete else []
     answer({"sets": summaries, "written": files}, as_json, _print_sets)
     return EXIT_FAILED if any(f["crashed"] or f["missing"] for f in summaries) else EXIT_DONE
 

@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.text import Text
-from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from touchdown.experiments.drawing.style import FAINT, GRID, INK, STYLE, new_figure
@@ -25,7 +24,6 @@ from touchdown.experiments.reporting.flights import ORDER, ordered, values
 from touchdown.experiments.reporting.measures import AXES, SET_MARK, is_marked, setting_notes
 from touchdown.experiments.reporting.published import ANALYSED_SCENE
 from touchdown.experiments.reporting.statistics import Estimate, mean_interval
-from touchdown.experiments.reporting.tables import groups
 from touchdown.experiments.reporting.trajectories import Trajectory, read_trajectory
 
 Array = NDArray[np.float64]
@@ -89,28 +87,22 @@ def pictures_of(frame: pd.DataFrame) -> list[Picture]:
     """Returns the figures for which the flights have data."""
     by_mode = {mode: frame[frame["mode"] == mode] for mode in ("fly", "land")}
     surveys = by_mode["fly"] if len(by_mode["fly"]) else frame
+    deviation = Picture(
+        "fig10b",
+        "Fig. 10 b–e: deviation of the flown path from the reference",
+        "Mean absolute deviation between lift-off and the end of the survey",
+    )
+    error = Picture(
+        "fig10_estimate",
+        "The same for the estimate: its error against the truth",
+        "Mean absolute error of the estimate between lift-off and the end of the survey",
+    )
     found = [
         _paths_by_scene(by_mode["fly"], "fig9a", "Fig. 9 a: survey trajectories"),
         _paths_by_scene(by_mode["land"], "fig9b", "Fig. 9 b: landing trajectories"),
         _paths_by_method(surveys),
-        _error_bars(
-            frame,
-            "path_deviation",
-            Picture(
-                "fig10b",
-                "Fig. 10 b–e: deviation of the flown path from the reference",
-                "Mean absolute deviation between lift-off and the end of the survey",
-            ),
-        ),
-        _error_bars(
-            frame,
-            "position_error_m",
-            Picture(
-                "fig10_estimate",
-                "The same for the estimate: its error against the truth",
-                "Mean absolute error of the estimate between lift-off and the end of the survey",
-            ),
-        ),
+        _error_bars(frame, "path_deviation", deviation),
+        _error_bars(frame, "position_error_m", error),
         _touchdowns(by_mode["land"]),
     ]
     return [picture for picture in found if picture is not None]
@@ -118,25 +110,24 @@ def pictures_of(frame: pd.DataFrame) -> list[Picture]:
 
 # ------------------------------------------------------------------------------------------- paths
 
-_Paths = dict[str, Trajectory | None]
-"""trajectories of a flight by name: truth, estimate, reference"""
+_Paths = tuple[Trajectory, Trajectory | None, Trajectory | None]
+"""trajectories of a flight: truth, estimate, reference"""
 
 
-def _first_flight(own: pd.DataFrame) -> _Paths | None:
-    """The flight with the lowest seed that has trajectories and left the ground."""
-    for run_dir in own.sort_values("seed", kind="stable")["run_dir"]:
-        names = ("truth", "estimate", "reference")
-        paths = {name: read_trajectory(Path(run_dir) / f"{name}.tum") for name in names}
-        truth = paths["truth"]
-        if truth is not None and truth.lift_off < len(truth.time_s):
-            return paths
-    return None
-
-
-def _first_flights(own: pd.DataFrame, by: str) -> list[tuple[str, _Paths]]:
-    """The first flight of each scene or method."""
-    names = ordered(own, by)
-    return [(name, paths) for name in names if (paths := _first_flight(own[own[by] == name]))]
+def _first_flights(flights: pd.DataFrame, by: str) -> list[tuple[str, _Paths]]:
+    """Of each scene or method the flight with the lowest seed that has trajectories and left the
+    ground."""
+    found: dict[str, _Paths] = {}
+    for name in ordered(flights, by):
+        own = flights[flights[by] == name].sort_values("seed", kind="stable")
+        for folder in map(Path, own["run_dir"]):
+            truth, estimate, reference = (
+                read_trajectory(folder / f"{kind}.tum")
+                for kind in ("truth", "estimate", "reference")
+            )
+            if name not in found and truth is not None and truth.lift_off < len(truth.time_s):
+                found[name] = truth, estimate, reference
+    return list(found.items())
 
 
 def _points(path: Trajectory, start: int = 0) -> Array:
@@ -167,8 +158,7 @@ def _paths_by_scene(frame: pd.DataFrame, name: str, title: str) -> Picture | Non
 
 
 def _paint_path(axes: Any, paths: _Paths) -> None:
-    truth, reference = paths["truth"], paths["reference"]
-    assert truth is not None
+    truth, _, reference = paths
     points = _points(truth)
     axes.plot(*points[:, :2].T, float(points[:, 2].min()), color=GRID, linewidth=1.6)
     if reference is not None:
@@ -180,9 +170,6 @@ def _paint_path(axes: Any, paths: _Paths) -> None:
     axes.set_box_aspect((1.0, 1.0, 0.6))
     axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     axes.tick_params(labelsize=7)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.pane.fill = False
-        axis.pane.set_edgecolor(GRID)
 
 
 def _paths_by_method(frame: pd.DataFrame) -> Picture | None:
@@ -214,12 +201,11 @@ def _paths_by_method(frame: pd.DataFrame) -> Picture | None:
 
 
 def _paint_plan(axes: Axes, paths: _Paths, colour: str) -> None:
-    truth = paths["truth"]
-    assert truth is not None
+    truth, estimate, reference = paths
     for path, label, style in (
-        (paths["reference"], "reference", {"color": FAINT, "linewidth": 2.4, "alpha": 0.45}),
+        (reference, "reference", {"color": FAINT, "linewidth": 2.4, "alpha": 0.45}),
         (truth, "flown", {"color": colour, "linewidth": 1.4}),
-        (paths["estimate"], "estimated", {"color": INK, "linewidth": 0.8, "linestyle": ":"}),
+        (estimate, "estimated", {"color": INK, "linewidth": 0.8, "linestyle": ":"}),
     ):
         if path is not None:
             shown: Any = style
@@ -259,28 +245,25 @@ def _paint_bars(
     axes: Axes, frame: pd.DataFrame, column: str, scenes: Sequence[str], methods: Sequence[str]
 ) -> None:
     width = 0.84 / len(methods)
-    found: dict[str, dict[str, Estimate]] = {method: {} for method in methods}
-    for (method, scene), own in groups(frame, ("estimator", "scene")):
-        if scene in scenes and (figure := mean_interval(values(own, column))) is not None:
-            found[method][scene] = figure
-    for index, (method, by_scene) in enumerate(found.items()):
-        at = [
-            scenes.index(scene) + (index - 0.5 * (len(methods) - 1)) * width for scene in by_scene
-        ]
-        heights = [estimate.value for estimate in by_scene.values()]
-        whiskers = np.array([_whiskers(e) for e in by_scene.values()]).reshape(-1, 2).T
+    heights: list[float] = []
+    for index, method in enumerate(methods):
+        offset = (index - 0.5 * (len(methods) - 1)) * width
+        own = frame[frame["estimator"] == method]
+        found = {
+            at + offset: figure
+            for at, scene in enumerate(scenes)
+            if (figure := mean_interval(values(own[own["scene"] == scene], column))) is not None
+        }
+        whiskers = np.array([_whiskers(figure) for figure in found.values()]).reshape(-1, 2).T
         label = f"{method} {SET_MARK}" if is_marked(column, [method]) else method
-        colour = colour_of(method, methods)
-        axes.bar(at, heights, 0.9 * width, color=colour, label=label, yerr=whiskers, ecolor=INK,
-                 capsize=2.0)  # fmt: skip
-    all_found = [estimate.value for own in found.values() for estimate in own.values()]
-    positive = [height for height in all_found if height > 0.0]
-    if positive and max(positive) > 20.0 * min(positive):
+        bars = [figure.value for figure in found.values()]
+        axes.bar(list(found), bars, 0.9 * width, color=colour_of(method, methods), label=label,
+                 yerr=whiskers, ecolor=INK, capsize=2.0)  # fmt: skip
+        heights += [height for height in bars if height > 0.0]
+    if heights and max(heights) > 20.0 * min(heights):
         axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_locator(NullLocator())
-        axes.set_ylim(bottom=0.5 * min(positive))
+        axes.set_ylim(bottom=0.5 * min(heights))
     axes.set_xticks(range(len(scenes)), [visible(scene) for scene in scenes])
     axes.grid(axis="x", visible=False)
 

@@ -1,23 +1,143 @@
-"""``docs/results/results.json``, the rows behind the tables with the revision of their flights, and
-the tables in the pages, between markers that nobody else writes between."""
+"""The sets of flights behind README and the results pages, flown and written.
+
+``docs/results/results.json`` has the rows behind the tables with the revision of their flights; the
+tables stand in the pages between markers that nobody else writes between.
+"""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.campaign.results_table import CRASHED, is_campaign, load_rows
-from touchdown.experiments.errors import UsageError, reason_of
-from touchdown.experiments.io.provenance import DIRTY, UNRECORDED_REMEDY
+from touchdown.experiments.campaign.forecast import Forecast, forecast
+from touchdown.experiments.campaign.plan import Plan, load_plan
+from touchdown.experiments.campaign.results_table import (
+    CRASHED,
+    finished_ids,
+    is_campaign,
+    load_rows,
+)
+from touchdown.experiments.campaign.session import Watcher, default_jobs, fly_campaign, make_engine
+from touchdown.experiments.errors import UsageError, nearest, reason_of
+from touchdown.experiments.io.provenance import DIRTY, UNRECORDED_REMEDY, git_revision
 from touchdown.experiments.io.run_directory import write_text
 from touchdown.experiments.io.untrusted import read_object
-from touchdown.experiments.reporting.flights import frame_of
+from touchdown.experiments.reporting.flights import Row, frame_of
 from touchdown.experiments.results_tables import tables
-from touchdown.experiments.results_tables.sets import ROOT, SETS, FlightSet
+
+ROOT = Path(__file__).resolve().parents[2]
+"""the source tree with its plans and pages"""
+DEFAULT_PROFILE = "field"
+
+
+@dataclass(frozen=True, slots=True)
+class FlightSet:
+    """Flights of one profile; ``file``: their campaign, relative to the source tree."""
+
+    name: str
+    profile: str
+    file: str
+
+    @property
+    def key(self) -> str:
+        """``field/landings``: directory below ``--out``, and name in the file of results."""
+        return f"{self.profile}/{self.name}"
+
+    @property
+    def command(self) -> str:
+        """The command that flies the sets of its profile."""
+        profile = "" if self.profile == DEFAULT_PROFILE else f" PROFILE={self.profile}"
+        return f"make results{profile}"
+
+    def plan(self, root: Path = ROOT) -> Plan:
+        """The runs of the campaign in this profile. Raises UsageError without a source tree."""
+        file = root / self.file
+        if not file.is_file():
+            raise UsageError(
+                f"'{file}' does not exist: the flights of the results pages are planned in the "
+                "source tree of Touchdown; call the command of a git checkout"
+            )
+        plan = load_plan(file)
+        runs = [run for run in plan.runs if run.values.get("profile") == self.profile]
+        return replace(plan, runs=tuple(runs))
+
+
+SETS = (
+    FlightSet("landings", "field", "configs/results_landings.toml"),
+    FlightSet("positioning", "field", "configs/results_positioning.toml"),
+    FlightSet("blind", "field", "configs/field_blind.toml"),
+    FlightSet("short", "field", "configs/results_short.toml"),
+    FlightSet("landings", "ideal", "configs/results_landings.toml"),
+    FlightSet("positioning", "ideal", "configs/results_positioning.toml"),
+)
+
+
+def chosen(profile: str, only: Sequence[str] = ()) -> list[FlightSet]:
+    """The sets of a profile; those called ``only`` where any are named. Raises UsageError for an
+    unknown name."""
+    of_profile = [found for found in SETS if found.profile == profile]
+    names = [found.name for found in of_profile]
+    for name in only:
+        if name not in names:
+            raise UsageError(
+                f"--only {name}: no set of profile '{profile}'{nearest(name, names)}; "
+                f"known: {', '.join(names)}"
+            )
+    return [found for found in of_profile if not only or found.name in only]
+
+
+def forecasts(sets: Sequence[FlightSet], out: Path, jobs: int | None) -> list[Forecast]:
+    """The cost of each set, of the flights that ``out`` lacks."""
+    at_once = jobs or default_jobs()
+    return [forecast(plan := found.plan(), plan.runs, out / found.key, at_once) for found in sets]
+
+
+def fly(
+    sets: Sequence[FlightSet], out: Path, jobs: int | None, watcher: Callable[[], Watcher]
+) -> list[dict[str, Any]]:
+    """Flies what is left of the sets, each into ``out``/profile/name, and returns their summaries.
+    Raises UsageError before the first flight where the rows could not be printed in the end: the
+    revision is not known, not committed, or not that of the flights that exist."""
+    plans = {found: found.plan() for found in sets}
+    revision = git_revision()
+    for found, plan in plans.items():
+        directory = out / found.key
+        finished = finished_ids(directory)
+        if {run.run_id for run in plan.runs} - finished:
+            rows = load_rows(directory) if finished and is_campaign(directory) else []
+            _check_revision(
+                {revision or "", *(row["git_revision"] or "" for row in rows)}, directory
+            )
+    return [
+        fly_campaign(plan, out / found.key, make_engine("local", jobs), watcher=watcher())
+        for found, plan in plans.items()
+    ]
+
+
+def _check_revision(revisions: Collection[str], directory: Path) -> None:
+    """Raises UsageError where flights in ``directory`` are, or would be, of several revisions, of
+    none, or of a source tree with changes."""
+    if "" in revisions:
+        raise UsageError(f"'{directory}': a flight has no git revision: {UNRECORDED_REMEDY}")
+    if len(revisions) > 1:
+        names = ", ".join(sorted(name[:12] for name in revisions))
+        raise UsageError(
+            f"'{directory}' holds flights of {len(revisions)} revisions ({names}); a page is of "
+            "one: check it out, or fly all of them into a new --out"
+        )
+    (revision,) = revisions
+    if revision.endswith(DIRTY):
+        raise UsageError(
+            f"'{directory}': the flights are of revision {revision[:12]} with changes that were "
+            "not committed; commit them, and fly into a new --out"
+        )
+
+
+# ----------------------------------------------------------------------------------------- record
 
 FILE = "docs/results/results.json"
 FORMAT = "touchdown-results-1"
@@ -34,7 +154,6 @@ COLUMNS = (
     "map.levelness_error_deg.mean", "map.levelness_error_deg.max", "cpu_s",
 )  # fmt: skip
 
-Row = Mapping[str, Any]
 Record = dict[str, dict[str, Any]]
 """Sets by `FlightSet.key`: revision, date, plan, command, rows"""
 
@@ -67,35 +186,16 @@ def record_of(found: FlightSet, directory: Path) -> dict[str, Any]:
             f"'{missing[0]}'; give the command again to fly them"
         )
     own = [by_name[name] for name in planned]
+    revisions = {str(row["git_revision"] or "") for row in own}
+    _check_revision(revisions, directory)
     return {
-        "revision": _revision(own, directory),
+        "revision": revisions.pop(),
         "date": max(str(row["started_utc"] or "") for row in own)[:10],
         "plan": found.file,
         "command": found.command,
         "core_hours": _short(sum(row["cpu_s"] or 0.0 for row in own) / 3600.0),
         "rows": [_stored(row) for row in own],
     }
-
-
-def _revision(rows: Sequence[Row], directory: Path) -> str:
-    revisions = sorted({str(row["git_revision"] or "") for row in rows})
-    if "" in revisions:
-        lacking = next(row for row in rows if not row["git_revision"])
-        raise UsageError(
-            f"'{directory}': '{lacking['run_id']}' has no git revision: {UNRECORDED_REMEDY}"
-        )
-    if len(revisions) > 1:
-        names = ", ".join(name[:12] for name in revisions)
-        raise UsageError(
-            f"'{directory}' holds flights of {len(revisions)} revisions ({names}); a page is of "
-            "one: fly all of them into a new --out"
-        )
-    if revisions[0].endswith(DIRTY):
-        raise UsageError(
-            f"'{directory}': the flights are of revision {revisions[0][:12]} with changes "
-            "that were not committed; commit them, and fly into a new --out"
-        )
-    return revisions[0]
 
 
 def _stored(row: Row) -> dict[str, Any]:
