@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import control
 import numpy as np
 
 from touchdown.controller.api import ControlParams
@@ -23,7 +24,7 @@ from touchdown.controller.pid import CascadeGains, cascade_gains
 from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
 
 System = Any
-"""A discrete ``control.StateSpace``; python-control is slow to import, so only functions do."""
+"""a discrete ``control.StateSpace``"""
 
 MIN_GAIN_MARGIN_DB = 6.0
 MIN_PHASE_MARGIN_DEG = 45.0
@@ -106,8 +107,6 @@ def _tilt_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
 
 def _rate_stage(name: str, gains: CascadeGains, axis: int, outputs: int, step_s: float) -> _Stage:
     """The derivative, a backward difference, acts on the measured rate alone; output 0."""
-    import control
-
     forward = _pi(gains.rate.kp[axis], gains.rate.ki[axis], step_s)
     per_step = gains.rate.kd[axis] / step_s
     derivative = control.ss(0.0, 1.0, -per_step, per_step, step_s)
@@ -145,8 +144,6 @@ def _plant(
 ) -> System:
     """The motor's lag followed by one integrator per link, ``rows`` picking outputs from these
     states; sampled, behind the lead and a sample of delay."""
-    import control
-
     size, step_s = len(links) + 1, 1.0 / params.control_hz
     dynamics = np.diag(links, k=-1)
     dynamics[0, 0] = -1.0 / motor_s
@@ -163,14 +160,10 @@ def _plant(
 
 def _pi(proportional: float, integral: float, step_s: float) -> System:
     """As ``controller.pid`` computes it: the integral moves after the output."""
-    import control
-
     return control.ss(1.0, step_s * integral, 1.0, proportional, step_s)
 
 
 def _gain(matrix: list[list[float]], step_s: float) -> System:
-    import control
-
     return control.ss([], [], [], np.array(matrix), step_s)
 
 
@@ -184,8 +177,6 @@ def _pick(index: int, count: int, step_s: float) -> System:
 
 def _closed(plant: System, stage: _Stage) -> System:
     """From the stage's reference to the plant's outputs."""
-    import control
-
     if stage.damping is not None:
         plant = control.feedback(plant, stage.damping)
     return control.feedback(plant * stage.forward, stage.measured)
@@ -210,8 +201,6 @@ def _cut_at_actuator(plant: System, stages: list[_Stage]) -> System:
 def _margin(name: str, loop: System) -> LoopMargin:
     """Returns the margins from the frequency response on a fine grid, which avoids the rounding
     errors of polynomials with many poles near z = 1."""
-    import control
-
     grid = np.geomspace(0.01, 0.999 * np.pi / loop.dt, 1_500)
     response = control.frd(loop, grid)
     gain, phase, _, _, crossover, _ = control.stability_margins(response, returnall=True)

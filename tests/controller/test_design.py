@@ -1,6 +1,7 @@
 import json
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 
@@ -16,8 +17,6 @@ ROOT = Path(__file__).parents[2]
 
 def test_margins_of_an_integrator_behind_a_delay_are_those_of_theory() -> None:
     # L(z) = K dt / (z (z - 1)): phase -90 deg - 1.5 w dt, gain K dt / (2 sin(w dt / 2)).
-    import control
-
     step, gain = 0.01, 20.0
     loop = control.ss(1.0, step * gain, 1.0, 0.0, step) * control.ss(0.0, 1.0, 1.0, 0.0, step)
     margin = design._margin("integrator", loop)
