@@ -33,7 +33,8 @@ _R = TypeVar("_R")
 _KEYWORDS = (
     ("--allow-code", "allow_code=True"),
     ("--log-sensors", "log.sensors=True among the overrides"),
-    ("--out", "out"), ("--set", "overrides"), ("--scene-from", "the argument scene"),
+    ("--out, or give --force", "out, or remove it"), ("--out", "out"), ("--set", "overrides"),
+    ("--scene-from", "the argument scene"),
     *((f"--{name}", f"the argument {name}") for name in ("scene", "estimator", "seed")),
 )  # fmt: skip
 Progress = bool | Callable[[float, str, str], None]
@@ -225,15 +226,11 @@ def _flown(
 ) -> RunResult:
     _prepare()
     from touchdown.experiments.flight.run import fly_with_usage_errors
-    from touchdown.experiments.io.run_directory import SENSORS_FILE
+    from touchdown.experiments.io.run_directory import check_log_kept
     from touchdown.experiments.terminal import end_progress
 
-    folder = _path(out)
-    if folder is not None and (folder / SENSORS_FILE).is_file() and not config.log.sensors:
-        raise UsageError(
-            f"'{folder}' holds {SENSORS_FILE}, and this run would replace it without one; give "
-            "another `out`, or remove it"
-        )
+    if (folder := _path(out)) is not None:
+        check_log_kept(folder, logs=config.log.sensors, force=False)
     result = fly_with_usage_errors(config, folder, _progress(progress), live)
     end_progress(quiet=progress is not True)
     return result.found_at(folder)

@@ -42,13 +42,14 @@ _STAGE_ORDER = ("world", "estimator", "mapper", "lander", "controller", "recorde
 
 def print_result(result: RunResult, out_dir: Path | None) -> None:
     """Prints the table of a flight and the paths of its files."""
-    title = f"{result.scene}, {result.estimator}, seed {result.seed}"
-    title += f", {result.profile}" if result.profile else ""
-    title += f", {result.preset}" if result.preset not in (None, "whole") else ""
     parts = {} if result.parts is None else result.parts.model_dump(exclude_none=True)
-    title += "".join(f", {kind} {visible(name)}" for kind, name in parts.items())
-    title += "" if result.wind_kmh is None else f", wind {result.wind_kmh:g} km/h"
-    title += "".join(f", {visible(text)}" for text in fault_texts(result))
+    titles = [
+        result.scene, result.estimator, f"seed {result.seed}", result.profile,
+        result.preset if result.preset != "whole" else None,
+        *(f"{kind} {visible(name)}" for kind, name in parts.items()),
+        None if result.wind_kmh is None else f"wind {result.wind_kmh:g} km/h",
+        *map(visible, fault_texts(result)),
+    ]  # fmt: skip
     rows: list[tuple[str, str | Text]] = []
     for label, path, form in _ROWS:
         value = result.value(path)
@@ -60,7 +61,7 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
             rows.append((label, form.format(value)))
     if remark := _remark(result):
         rows.append(("remark", remark))
-    _print_facts(title, rows)
+    _print_facts(", ".join(filter(None, titles)), rows)
     lines = [*_print_choice(result), *condition_lines(result), *_last_events(result)]
     if out_dir is not None:
         lines.append(f"run directory: {out_dir}")
@@ -174,9 +175,7 @@ def print_stages(result: RunResult) -> None:
     total = 100.0 / timing["real_time_factor"]
     title = f"{result.scene}, {result.estimator}, per 0.1 s of flight"
     table = make_table(title, "stage", "ms", "fraction")
-    order = [name for name in _STAGE_ORDER if name in stages]
-    order += [name for name in stages if name not in order]
-    for name in order:
+    for name in sorted(stages, key=_STAGE_ORDER.index):
         table.add_row(name, f"{stages[name]:.1f}", f"{stages[name] / total:.0%}")
     rest = total - sum(stages.values())
     table.add_row("rest of the loop", f"{rest:.1f}", f"{rest / total:.0%}")

@@ -26,7 +26,6 @@ from touchdown.experiments.cli.common import (
     finite_numbers,
     many,
 )
-from touchdown.experiments.cli.console import print_result
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.terminal import end_progress, make_progress, say
 
@@ -230,7 +229,11 @@ def _run_replay(run: Path, options: dict[str, Any]) -> int:
 
 
 def _print(result: RunResult, out: Path, options: dict[str, Any]) -> int:
+    def show(_figures: dict[str, Any]) -> None:
+        from touchdown.experiments.cli.console import print_result
+
+        print_result(result, out)
+
     end_progress(options["quiet"])
-    figures = {**result.plain(), "run_dir": str(out)}
-    answer(figures, options["as_json"], lambda _figures: print_result(result, out))
+    answer({**result.plain(), "run_dir": str(out)}, options["as_json"], show)
     return EXIT_DONE if result.is_success else EXIT_FAILED

@@ -166,7 +166,8 @@ class _Sensors:
             "rangefinder": ("/rangefinder/point", _echo_message),
         }  # fmt: skip
         self._shifts = (0.0, ros.right_camera_shift(rig))
-        bag.put(_STATIC, 0, ros.mounts_message(0, BODY, mounts(rig, sensed)))
+        links = [Link(BODY, frame, pose) for frame, pose in mounts(rig, sensed).items()]
+        bag.put(_STATIC, 0, ros.transforms_message(0, links))
 
     def add(self, obs: Observation, images: tuple[PackedImage, ...]) -> None:
         """Writes one observation, with its images as they were logged."""

@@ -91,7 +91,6 @@ class ConditionsObserver:
         scans, total, squares = self._latency
         latency = total / max(scans, 1)
         rate = self._rate / steps
-        sensors = record.effects
         return Measured(
             wind_mps=self._wind / steps if self._steps else None,
             wind_at_6m_mps=self._wind / self._profile if self._steps else None,
@@ -105,32 +104,30 @@ class ConditionsObserver:
             readout_shear_px=true.camera.fx * true.camera_readout_s * rate if self._steps else None,
             **calibration_errors(true, nominal),
             **record.deviations,
-            **_of_sensors(sensors.get("scans", {}), sensors.get("images", {}), sensors["air"]),
+            **_of_effects(record.effects),
         )
 
 
-def _of_sensors(
-    scans: Mapping[str, Effect], images: Mapping[str, Effect], air: Mapping[str, Effect]
-) -> dict[str, float | None]:
-    def fraction(effects: Mapping[str, Effect], name: str) -> float | None:
-        return effects[name].mean_fraction if name in effects else None
+_AMOUNTS = {
+    **{name: ("images", name) for name in (
+        "light_lux", "exposure_ms", "gain", "exposure_error_stops", "stamp_error_ms",
+    )},
+    "range_error_m": ("scans", "ranging"), "wakes_mps": ("air", "wakes"),
+    "air_rotation_degps": ("air", "rotation"),
+}  # fmt: skip
+"""Figures that are the mean amount of an effect: its stream and its name."""
+_FRACTIONS = {"lamp_fraction": ("images", "lamp"), "plants_fraction": ("scans", "vegetation")}
 
-    def size(effects: Mapping[str, Effect], name: str) -> float | None:
-        return effects[name].mean_amount if name in effects else None
 
+def _of_effects(effects: Mapping[str, Mapping[str, Effect]]) -> dict[str, float | None]:
+    scans, images = effects.get("scans", {}), effects.get("images", {})
     dusty, swayed = scans.get("dust", _NOTHING), scans.get("sway", _NOTHING)
-    return {
-        "light_lux": size(images, "light_lux"),
-        "lamp_fraction": fraction(images, "lamp"),
-        "exposure_ms": size(images, "exposure_ms"),
-        "gain": size(images, "gain"),
-        "exposure_error_stops": size(images, "exposure_error_stops"),
-        "stamp_error_ms": size(images, "stamp_error_ms"),
-        "range_error_m": size(scans, "ranging"),
-        "plants_fraction": fraction(scans, "vegetation"),
+    found: dict[str, float | None] = {}
+    for table, figure in ((_AMOUNTS, "mean_amount"), (_FRACTIONS, "mean_fraction")):
+        for column, (stream, name) in table.items():
+            found[column] = getattr(effects.get(stream, {}).get(name), figure, None)
+    return found | {
         "sway_m": swayed.amount / swayed.messages if swayed.messages else None,
-        "wakes_mps": size(air, "wakes"),
-        "air_rotation_degps": size(air, "rotation"),
         "dust_scans": float(dusty.messages),
         "dust_images": float(images.get("dust", _NOTHING).messages),
         "dust_returns_fraction": dusty.mean_fraction,
@@ -320,18 +317,8 @@ class _Rule:
     minimum: Callable[[Config], float]
 
 
-def _lens(config: Config) -> float:
-    error = config.calibration_error
-    return DRAWN_FRACTION * max(error.center_sigma_px, error.distortion_sigma_px)
-
-
-def _mounting(config: Config) -> float:
-    error = config.calibration_error
-    return DRAWN_FRACTION * max(
-        error.rotation_sigma_deg,
-        error.imu_camera_rotation_sigma_deg,
-        error.imu_lidar_rotation_sigma_deg,
-    )
+def _largest_error(*names: str) -> Callable[[Config], float]:
+    return lambda c: DRAWN_FRACTION * max(getattr(c.calibration_error, name) for name in names)
 
 
 def _latency(config: Config) -> float:
@@ -365,8 +352,16 @@ EFFECT_RULES: Mapping[str, _Rule] = {
     "vibration": _Rule(
         "vibration_mps2", "m/s^2", lambda c: HALF * VIBRATION_MPS2 * c.imu.vibration_isolation
     ),
-    "lens": _Rule("lens_error_px", "px", _lens),
-    "mounting": _Rule("mount_error_deg", "degrees", _mounting),
+    "lens": _Rule("lens_error_px", "px", _largest_error("center_sigma_px", "distortion_sigma_px")),
+    "mounting": _Rule(
+        "mount_error_deg",
+        "degrees",
+        _largest_error(
+            "rotation_sigma_deg",
+            "imu_camera_rotation_sigma_deg",
+            "imu_lidar_rotation_sigma_deg",
+        ),
+    ),
     "shutter": _Rule("readout_shear_px", "px", lambda c: MIN_SHEAR_PX),
     "stamps": _Rule("stamp_error_ms", "ms", lambda c: HALF * 1e3 * c.camera.stamp_delay_s),
     "exposure": _Rule(

@@ -18,7 +18,6 @@ from touchdown.experiments.flight.platform import keep_bitcode, limit_threads, s
 from touchdown.experiments.flight.referee import Referee, TruthLookup
 from touchdown.experiments.flight.result import make_result
 from touchdown.experiments.flight.slots import check_parts_available
-from touchdown.experiments.flight.survey_fit import fitted
 from touchdown.experiments.flight.wiring import (
     FlightStack,
     build_classifier,
@@ -66,7 +65,10 @@ def fly(
     keep_bitcode()
     with set_up_memory():
         scene = build_scene(config)
-        config = fitted(config, scene)
+        if scene.options is not None:  # the scene of a file
+            from touchdown.experiments.flight.survey_fit import fitted
+
+            config = fitted(config, scene)
         stack = build_flight_stack(config, scene)
         stack.world.take_textures()
     _warn_of_inactive_faults(config, stack)

@@ -267,11 +267,6 @@ def transforms_message(time_ns: int, links: Sequence[Link]) -> Any:
     return _make("tf2_msgs/msg/TFMessage", stamped)
 
 
-def mounts_message(time_ns: int, body: str, mounts: dict[str, Pose]) -> Any:
-    """``tf2_msgs/msg/TFMessage`` of ``body_from_sensor`` by the sensor's frame."""
-    return transforms_message(time_ns, [Link(body, frame, pose) for frame, pose in mounts.items()])
-
-
 def odometry_message(time_ns: int, link: Link, velocity: Array, rate: Array) -> Any:
     """``nav_msgs/msg/Odometry``: ``velocity`` (m/s) and ``rate`` (rad/s), both (3,), are in the
     child's axes. Covariances are 0, which means unknown."""

@@ -58,7 +58,15 @@ def check_out_dir(out_dir: Path) -> None:
                 "replaced as a whole; name another directory"
             )
         if any(out_dir.iterdir()):
-            _check_result(out_dir)
+            from touchdown.experiments.io.results import load_result
+
+            try:
+                load_result(out_dir / "result.json")
+            except UsageError as error:
+                raise UsageError(
+                    f"--out {out_dir}: holds something that is no run ({error}); name another "
+                    "directory"
+                ) from error
 
 
 def _check_writable(out_dir: Path) -> None:
@@ -73,17 +81,6 @@ def _check_writable(out_dir: Path) -> None:
         raise UsageError(
             f"--out {out_dir}: '{folder}' cannot be written to ({error.strerror}); name another "
             "directory"
-        ) from error
-
-
-def _check_result(out_dir: Path) -> None:
-    from touchdown.experiments.io.results import load_result
-
-    try:
-        load_result(out_dir / "result.json")
-    except UsageError as error:
-        raise UsageError(
-            f"--out {out_dir}: holds something that is no run ({error}); name another directory"
         ) from error
 
 

@@ -119,10 +119,9 @@ class SensorLog:
                 self._put(topic, arrival, image.tick, message)
 
     def _write_rig(self, rig: SensorRig, sensed: SensorNeeds) -> None:
-        mounts = {IMU: rig.body_from_imu, LIDAR: rig.body_from_lidar, CAMERA: rig.body_from_camera}
-        if sensed.stereo:
-            mounts[CAMERA_RIGHT] = rig.body_from_camera_right
-        self._put("/tf_static", 0, 0, ros.mounts_message(0, BODY, mounts))
+        mounts = (IMU, LIDAR, CAMERA, *([CAMERA_RIGHT] if sensed.stereo else []))
+        links = [ros.Link(BODY, name, getattr(rig, f"body_from_{name}")) for name in mounts]
+        self._put("/tf_static", 0, 0, ros.transforms_message(0, links))
         if sensed.camera_hz:
             message = ros.camera_message(0, CAMERA, rig.camera)
             self._put("/camera/camera_info", 0, 0, message)
