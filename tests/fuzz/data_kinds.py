@@ -69,20 +69,8 @@ def _replace(rng: Rng, path: Path, data: str | bytes, fraction: float = 0.0) -> 
 
 def _other_tum(rng: Rng, text: str) -> str:
     rows = [line.split() for line in text.split("\n") if line]
-    odd = (
-        *NUMBERS,
-        "x",
-        "1,5",
-        "nan(1)",
-        "-nan",
-        "0x1p3",
-        "١",
-        "#",
-        "# a",
-        "\x1b[31m",
-        "t,x,y",
-        "\0",
-    )
+    words = "x 1,5 nan(1) -nan 0x1p3 ١ # #a \x1b[31m t,x,y \0"
+    odd = (*NUMBERS, *words.split(" "))
     for _ in range(int(pick(rng, (1, 1, 2, 4)))):
         mutate_rows(rng, rows, odd)
     if chance(rng, 0.1):

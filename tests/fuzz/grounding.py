@@ -4,13 +4,11 @@ All readers run: scenes are compiled, networks loaded, images decoded, queries e
 """
 
 import contextlib
+import functools
 import importlib
-import importlib.abc
 import sys
 from collections.abc import Callable, Sequence
-from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 LEARNING = (
@@ -87,61 +85,38 @@ _COARSE_TEXEL_M = 0.3
 """Of ground that is dressed: what is read does not depend on how finely it is painted"""
 _STOPS: dict[str, dict[str, Any]] = {
     "concurrent.futures.process": {"ProcessPoolExecutor.__init__": _reach},
-    "touchdown.experiments.benchmarks.all_measures": {"_run": _reach},
-    "touchdown.experiments.campaign.executor": {"LocalEngine.run": _fly_some},
-    "touchdown.experiments.classification.evaluate": {"measured_footprint": _reach},
-    "touchdown.experiments.cli.view": {"run_viewer": _reach},
-    "touchdown.experiments.external.conformance": {"check_estimator": _reach},
-    "touchdown.experiments.flight.replay": {"git_revision": _no_revision},
-    "touchdown.experiments.flight.run": {"fly_and_judge": _reach},
+    "touchdown.scenes.importers.ground_texturing": {"TEXEL_M": _COARSE_TEXEL_M},
+    "touchdown.scenes.compose": {"compose_spec": _compose_spec},
+    "touchdown.sim.posed_sensors": {"PosedSensors.__init__": _reach},
+    "touchdown.landing.classification.network_check": {"check_loads": _check_loads},
     "touchdown.experiments.io.provenance": {"git_revision": _no_revision},
+    "touchdown.experiments.flight.run": {"fly_and_judge": _reach},
+    "touchdown.experiments.flight.replay": {"git_revision": _no_revision},
+    "touchdown.experiments.campaign.executor": {"LocalEngine.run": _fly_some},
+    "touchdown.experiments.external.conformance": {"check_estimator": _reach},
+    "touchdown.experiments.cli.view": {"run_viewer": _reach},
+    "touchdown.experiments.classification.evaluate": {"measured_footprint": _reach},
+    "touchdown.experiments.benchmarks.all_measures": {"_run": _reach},
     "touchdown.experiments.reproduce.run": {"_do": _reach},
     "touchdown.landing.classification.learning.training": {"Trainer.run_epoch": _reach},
-    "touchdown.landing.classification.network_check": {"check_loads": _check_loads},
-    "touchdown.scenes.compose": {"compose_spec": _compose_spec},
-    "touchdown.scenes.importers.ground_texturing": {"TEXEL_M": _COARSE_TEXEL_M},
-    "touchdown.sim.posed_sensors": {"PosedSensors.__init__": _reach},
 }
-"""By module, what is replaced in it."""
+"""By module, what is replaced in it; a module stands before those that import from it."""
 _REAL: dict[tuple[str, str], Callable[..., Any]] = {}
 
 
-class _Stopping(importlib.abc.MetaPathFinder):
-    """Replaces parts of a module when it is imported."""
-
-    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
-        if name not in _STOPS:
-            return None
-        spec = PathFinder.find_spec(name, path, target)
-        if spec is None or spec.loader is None:
-            return spec
-        execute = spec.loader.exec_module
-
-        def exec_module(module: ModuleType) -> None:
-            execute(module)
-            _replace(name, module)
-
-        spec.loader.exec_module = exec_module  # type: ignore[method-assign]
-        return spec
-
-
-def _replace(name: str, module: ModuleType) -> None:
-    for path, new in _STOPS[name].items():
-        owner: Any = module
-        *parents, last = path.split(".")
-        for parent in parents:
-            owner = getattr(owner, parent)
-        _REAL[name, path] = getattr(owner, last)
-        setattr(owner, last, new)
-
-
-def install() -> None:
-    """Replaces the beginnings of long work, for the rest of the process."""
-    if not any(isinstance(finder, _Stopping) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _Stopping())
-        for name in _STOPS:
-            if name in sys.modules:
-                _replace(name, sys.modules[name])
+def install(learning: bool) -> None:
+    """Replaces the beginnings of long work, for the rest of the process; those of training, which
+    need torch, only where ``learning``."""
+    for name, parts in _STOPS.items():
+        if name in LEARNING and not learning:
+            continue
+        module = importlib.import_module(name)
+        for path, new in parts.items():
+            if (name, path) not in _REAL:
+                *parents, last = path.split(".")
+                owner = functools.reduce(getattr, parents, module)
+                _REAL[name, path] = getattr(owner, last)
+                setattr(owner, last, new)
 
 
 def load(*names: str) -> None:

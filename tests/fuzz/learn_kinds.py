@@ -262,14 +262,8 @@ def _put_checkpoint(rng: Rng, valid: Path, target: Path) -> None:
 
     kind = int(rng.integers(10))
     if kind == 0:
-        shutil.copy(valid, target)
-        with target.open("r+b") as file:
-            if chance(rng, 0.5):
-                file.truncate(int(rng.integers(valid.stat().st_size)))
-            else:
-                for at in rng.integers(0, valid.stat().st_size, 20):
-                    file.seek(int(at))
-                    file.write(bytes([int(rng.integers(256))]))
+        data = valid.read_bytes()
+        target.write_bytes(pick(rng, (flipped(rng, data), data[: int(rng.integers(len(data)))])))
     elif kind == 1:
         put_special(rng, target)
     elif kind == 2:
@@ -282,17 +276,11 @@ def _put_checkpoint(rng: Rng, valid: Path, target: Path) -> None:
         torch.save(pick(rng, odd), target)
     else:
         state = torch.load(valid, map_location="cpu", weights_only=True)
-        for _ in range(int(pick(rng, (1, 1, 2, 3)))):
+        for _ in range(int(pick(rng, (0, 1, 1, 2)))):
             _change_state(rng, state, torch)
-        torch.save(_slim(rng, state, torch), target)
-
-
-def _slim(rng: Rng, state: Any, torch: Any) -> Any:
-    """Mostly without the moments of the optimiser, which take the time of a case."""
-    optimizer = state.get("optimizer") if isinstance(state, dict) else None
-    if isinstance(optimizer, dict) and chance(rng, 0.8):
-        optimizer["state"] = {}
-    return state
+        if chance(rng, 0.8) and isinstance(state.get("optimizer"), dict):
+            state["optimizer"]["state"] = {}  # the moments take the time of a case
+        torch.save(state, target)
 
 
 def _change_state(rng: Rng, state: dict[Any, Any], torch: Any) -> None:
@@ -301,21 +289,17 @@ def _change_state(rng: Rng, state: dict[Any, Any], torch: Any) -> None:
     while isinstance(inner, dict) and inner and chance(rng, 0.75):
         state, key = inner, pick(rng, inner)
         inner = state[key]
-    odd: tuple[Any, ...] = (
+    odd: list[Any] = [
         None, 3, "x", [], {}, float("nan"), -1, 10**9, torch.zeros(3), torch.zeros(0),
         torch.full((2, 2), float("nan")), torch.zeros(1, dtype=torch.complex64), [{}],
         [{"epoch": 1}], torch.zeros(3, device="meta"), "\x1b[31m[/x]",
         torch.zeros(1).expand(100_000, 100_000),
-    )  # fmt: skip
-    kind = int(rng.integers(4))
-    if kind == 0:
-        state.pop(key, None)
-    elif kind == 1:
-        state[f"{key}x"] = state.pop(key, None)
-    elif kind == 2 and isinstance(inner, torch.Tensor) and inner.is_floating_point():
-        state[key] = pick(rng, (inner * float("nan"), inner.double(), inner.flatten(), inner[:1]))
-    else:
-        state[key] = pick(rng, odd)
+    ]  # fmt: skip
+    if isinstance(inner, torch.Tensor) and inner.is_floating_point():
+        odd += [inner * float("nan"), inner.double(), inner.flatten(), inner[:1]] * 3
+    state.pop(key, None)
+    if chance(rng, 0.7):
+        state[pick(rng, (key, key, f"{key}x"))] = pick(rng, odd)
 
 
 class _Call:

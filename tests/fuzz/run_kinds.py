@@ -240,33 +240,19 @@ def parquet_case(rng: Rng, folder: Path, _shared: Path) -> Case:
 def _other_table(rng: Rng, table: Any, pa: Any) -> Any:
     names = table.column_names
     at = int(rng.integers(len(names)))
-    kind = int(rng.integers(5))
-    if kind == 0:
-        return table.remove_column(at)
-    if kind == 1:
-        return table.append_column(
-            str(pick(rng, (names[at], *MARKED[:7], "x"))), [[1.0] * len(table)]
-        )
-    if kind == 2:
-        return table.rename_columns(
-            [misspelt(rng, n) if i == at else n for i, n in enumerate(names)]
-        )
-    if kind == 3:
-        return pa.concat_tables([table[: int(rng.integers(2))]] * int(pick(rng, (1, 2, 50))))
-    new = pick(
-        rng,
-        (
-            pa.array([float(pick(rng, (np.nan, np.inf, -1.0, 1e300)))] * len(table)),
-            pa.array([str(pick(rng, ("", "x", "[/x]", "\x1b[31m")))] * len(table)),
-            pa.array([[1.0]] * len(table)),
-            pa.array([b"\xff\xfe"] * len(table)),
-            pa.array([2**63 - 1] * len(table)),
-            pa.nulls(len(table)),
-            pa.array([{"a": 1}] * len(table)),
-            pa.array([True] * len(table)),
-        ),
-    )
-    return table.set_column(at, names[at], new)
+    count = len(table)
+    new = pick(rng, (
+        [float(pick(rng, (np.nan, np.inf, -1.0, 1e300)))], [pick(rng, ("", "[/x]", "\x1b[31m"))],
+        [[1.0]], [b"\xff\xfe"], [2**63 - 1], [None], [{"a": 1}], [True],
+    ))  # fmt: skip
+    column = pa.array(new * count)
+    title = str(pick(rng, (names[at], misspelt(rng, names[at]), *MARKED[:7], "x")))
+    return pick(rng, (
+        lambda: table.remove_column(at), lambda: table.append_column(title, column),
+        lambda: table.set_column(at, title, column),
+        lambda: table.set_column(at, names[at], column),
+        lambda: pa.concat_tables([table[: int(rng.integers(2))]] * int(pick(rng, (1, 2, 50)))),
+    ))()  # fmt: skip
 
 
 def _baseline() -> dict[str, Any]:

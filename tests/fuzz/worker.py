@@ -73,6 +73,7 @@ def answer(kind: str, number: int, home: Path, keep: bool) -> Verdict:
 
 def _prepare(kind: str) -> None:
     """Imports what the cases of a kind need, once."""
+    grounding.install(kind in kinds.LEARNING)
     if kind in kinds.LEARNING:
         grounding.load(*grounding.LEARNING)
         import torch
@@ -82,7 +83,6 @@ def _prepare(kind: str) -> None:
     import cv2
 
     cv2.setNumThreads(0)  # threads of a pool are not there after a fork
-    grounding.install()
 
 
 def run(kind: str, number: int, folder: Path, shared: Path) -> Verdict:
