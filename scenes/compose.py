@@ -10,15 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from touchdown.scenes.api import (
-    VEHICLE_BODY,
-    VEHICLE_GROUP,
-    Array,
-    ImportOptions,
-    Light,
-    LowSun,
-    Scene,
-)
+from touchdown.scenes import api
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.light import light_file, lit_by, set_sky
 from touchdown.scenes.registry import scene_generator
@@ -44,10 +36,10 @@ mujoco.set_mju_user_warning(_warn)
 def load_scene(
     name_or_path: str,
     seed: int,
-    sun: LowSun | None = None,
-    light: Light = "day",
-    options: ImportOptions | None = None,
-) -> Scene:
+    sun: api.LowSun | None = None,
+    light: api.Light = "day",
+    options: api.ImportOptions | None = None,
+) -> api.Scene:
     """Loads the scene ``name_or_path`` with the vehicle on its take-off spot.
 
     name_or_path: a name of `scenes.registry.scene_names` or the path of an MJCF file (a path has
@@ -64,7 +56,7 @@ def load_scene(
     return replace(scene, light=light, options=options if _is_file(name_or_path) else None)
 
 
-def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> Scene:
+def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> api.Scene:
     """Compiles a spec that holds the vehicle and puts the vehicle on the ground. Raises ValueError
     for a spec that does not compile or has no ground below the vehicle."""
     try:
@@ -73,7 +65,7 @@ def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: st
         raise ValueError(f"scene '{source}' does not compile: {_one_line(error)}") from error
     draft.fill_model(model)
     _stand_on_ground(model, draft)
-    return Scene(
+    return api.Scene(
         name=name,
         seed=seed,
         model=model,
@@ -91,7 +83,7 @@ def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: st
 
 
 def compose_spec(
-    name_or_path: str, seed: int, options: ImportOptions | None = None
+    name_or_path: str, seed: int, options: api.ImportOptions | None = None
 ) -> tuple[Any, SceneDraft]:
     """Returns the uncompiled MjSpec, with the vehicle at height 0 over the take-off spot, and its
     draft, which holds the large textures (`SceneDraft.pictures`).
@@ -117,7 +109,7 @@ def bare_spec(name_or_path: str, seed: int) -> Any:
     return spec
 
 
-def _draft(name_or_path: str, seed: int, options: ImportOptions | None = None) -> SceneDraft:
+def _draft(name_or_path: str, seed: int, options: api.ImportOptions | None = None) -> SceneDraft:
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
     if _is_file(name_or_path):
@@ -135,12 +127,12 @@ def _is_file(name_or_path: str) -> bool:
     return name_or_path.endswith(".xml") or "/" in name_or_path
 
 
-def spec_of_scene(scene: Scene) -> Any:
+def spec_of_scene(scene: api.Scene) -> Any:
     """Returns the MjSpec of a scene of `load_scene`, composed anew from its source and seed; the
     vehicle stands where the scene starts it."""
     spec, draft = compose_spec(scene.source or scene.name, scene.seed, scene.options)
     draft.fill()
-    spec.body(VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(VEHICLE_BODY).id]
+    spec.body(api.VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(api.VEHICLE_BODY).id]
     return spec
 
 
@@ -150,7 +142,7 @@ def prepare_spec(draft: SceneDraft) -> None:
     _set_options(spec)
     for geom in spec.geoms:
         # The vehicle's group, which sensors do not see.
-        geom.group = 0 if geom.group == VEHICLE_GROUP else geom.group
+        geom.group = 0 if geom.group == api.VEHICLE_GROUP else geom.group
         if geom.contype or geom.conaffinity:
             geom.contype, geom.conaffinity = 1, 0
     _attach_vehicle(spec, draft)
@@ -187,7 +179,7 @@ def _attach_vehicle(spec: Any, draft: SceneDraft) -> None:
         raise FileNotFoundError(f"the vehicle's MJCF is missing: {VEHICLE_XML}")
     vehicle = mujoco.MjSpec.from_file(str(VEHICLE_XML))
     spec.attach(vehicle, prefix="vehicle/", frame=spec.worldbody.add_frame())
-    body = spec.body(VEHICLE_BODY)
+    body = spec.body(api.VEHICLE_BODY)
     half_yaw = 0.5 * draft.takeoff_yaw
     body.pos = [*draft.takeoff_xy_m, 0.0]
     body.quat = [np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)]
@@ -202,7 +194,7 @@ def _stand_on_ground(model: Any, draft: SceneDraft) -> None:
     """Moves the vehicle's reference pose so that its lowest point is just above the ground."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    body = model.body(VEHICLE_BODY).id
+    body = model.body(api.VEHICLE_BODY).id
     lowest, radius = _underside(model, data, body)
     angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -232,7 +224,7 @@ def _underside(model: Any, data: Any, body: int) -> tuple[float, float]:
     return float(points[:, 2].min()), float(reach)
 
 
-def _height_below(model: Any, data: Any, xy_m: Array, vehicle_body: int) -> float:
+def _height_below(model: Any, data: Any, xy_m: api.Array, vehicle_body: int) -> float:
     """World height of the first static surface below (x, y)."""
     groups = np.ones(6, np.uint8)
     geom_id = np.array([-1], np.int32)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Scene
+from touchdown.sim import api
 from touchdown.sim.air import Airflow
 from touchdown.sim.airframe.battery import Battery
 from touchdown.sim.airframe.contacts import ContactSensor, GroundProbe
@@ -17,22 +18,6 @@ from touchdown.sim.airframe.deviations import SpeedTelemetry, draw_deviations, t
 from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
 from touchdown.sim.airframe.rotors import Rotors
 from touchdown.sim.airframe.vehicle import rotor_geometry, vehicle_body_id, vehicle_model
-from touchdown.sim.api import (
-    GRAVITY_MPS2,
-    BarometerSheet,
-    Command,
-    Contact,
-    GpsSheet,
-    ImuSample,
-    ImuSheet,
-    LidarSheet,
-    NavSheet,
-    Observation,
-    SensorNeeds,
-    SensorRig,
-    Truth,
-    WorldParams,
-)
 from touchdown.sim.camera.degradations import sun_elevation_deg
 from touchdown.sim.camera.sensor import Snapshot
 from touchdown.sim.delivery import check_rates
@@ -46,9 +31,9 @@ from touchdown.sim.moving import MovingBodies
 from touchdown.sim.navigation.channels import NavSensors
 from touchdown.sim.typing import Array
 
-_Sheet = TypeVar("_Sheet", LidarSheet, ImuSheet, GpsSheet, BarometerSheet)
+_Sheet = TypeVar("_Sheet", api.LidarSheet, api.ImuSheet, api.GpsSheet, api.BarometerSheet)
 
-_NOTHING = SensorNeeds()
+_NOTHING = api.SensorNeeds()
 _NEAR_GROUND_M = 4.0
 """Height above which the ground adds less than 0.02 % to the thrust, and is looked at less
 often."""
@@ -65,14 +50,14 @@ class MujocoWorld:
     the vehicle cannot stand. ``drawn``: ``model`` may be drawn, vehicle and all.
     """
 
-    rig: SensorRig
+    rig: api.SensorRig
 
     def __init__(
         self,
         scene: Scene,
-        params: WorldParams,
+        params: api.WorldParams,
         seed: int,
-        needs: SensorNeeds = _NOTHING,
+        needs: api.SensorNeeds = _NOTHING,
         drawn: bool = False,
     ) -> None:
         check_rates(params.sim, needs)
@@ -98,7 +83,7 @@ class MujocoWorld:
         self._moving = MovingBodies(self._scene)
         self._moving.write(self._data, 0.0)
         self._start_state = settle_on_ground(self._scene, self._data)
-        weight = self._vehicle.mass_kg * GRAVITY_MPS2
+        weight = self._vehicle.mass_kg * api.GRAVITY_MPS2
         self._hover_square = weight / self._vehicle.thrust_coefficient
         body_id = vehicle_body_id(self._model)
         position = int(self._model.jnt_qposadr[self._model.body_jntadr[body_id]])
@@ -136,26 +121,26 @@ class MujocoWorld:
             step_s=self._step_s,
         )
 
-    def _make_rig(self) -> SensorRig:
+    def _make_rig(self) -> api.SensorRig:
         mounts, params = self._imaging.mounts, self._params
-        return SensorRig(
+        return api.SensorRig(
             tick_hz=self._sim.tick_hz,
             body_from_imu=Pose(mounts.imu.rotation, mounts.imu.translation + params.imu.offset_m),
             body_from_lidar=mounts.lidar,
             body_from_camera=mounts.camera,
             body_from_camera_right=mounts.camera_right,
             camera=self._imaging.camera.intrinsics(),
-            lidar=_sheet(LidarSheet, params.lidar),
-            imu=_sheet(ImuSheet, params.imu),
+            lidar=_sheet(api.LidarSheet, params.lidar),
+            imu=_sheet(api.ImuSheet, params.imu),
             imu_ticks=self._sim.imu_ticks,
             camera_ticks=self._sim.camera_ticks,
             lidar_scan_ticks=self._sim.lidar_scan_ticks,
             compute_latency_ticks=self._sim.compute_latency_ticks,
             world_from_body_start=self._pose(),
             vehicle=self._vehicle,
-            nav=NavSheet(
-                gps=_sheet(GpsSheet, params.nav.gps),
-                barometer=_sheet(BarometerSheet, params.nav.barometer),
+            nav=api.NavSheet(
+                gps=_sheet(api.GpsSheet, params.nav.gps),
+                barometer=_sheet(api.BarometerSheet, params.nav.barometer),
                 magnetometer=params.nav.magnetometer,
                 rangefinder=params.nav.rangefinder,
             ),
@@ -174,7 +159,7 @@ class MujocoWorld:
         """MuJoCo's state, not a copy of it."""
         return self._data
 
-    def require(self, needs: SensorNeeds) -> None:
+    def require(self, needs: api.SensorNeeds) -> None:
         """Adds sensors before the flight begins; estimators state their needs only after they have
         got the rig. Raises ValueError for an incompatible rate, RuntimeError after tick 0."""
         if self._tick > 0:
@@ -185,7 +170,7 @@ class MujocoWorld:
         self._imaging.add(wanted)
         self._nav = self._make_nav()
 
-    def reset(self) -> Observation:
+    def reset(self) -> api.Observation:
         """Returns to tick 0: on the ground at the take-off spot, rotors stopped, battery full."""
         self._imaging.clear()
         state = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -198,7 +183,7 @@ class MujocoWorld:
         mujoco.mj_forward(self._model, self._data)
         self._tick = 0
         self._clearance = 0.0
-        self._truth: Truth | None = None
+        self._truth: api.Truth | None = None
         self._rotors = Rotors(
             self._vehicle,
             rotor_geometry(self._model),
@@ -214,7 +199,7 @@ class MujocoWorld:
         self._mark_start()
         self._acceleration = np.zeros(3)
         self._peak_acceleration = 0.0
-        self._contacts: tuple[Contact, ...] = self._contact_sensor.read(self._data)
+        self._contacts: tuple[api.Contact, ...] = self._contact_sensor.read(self._data)
         return self._observation(())
 
     def _mark_start(self) -> None:
@@ -222,7 +207,7 @@ class MujocoWorld:
         self._imu.start(self._quat, self._velocity, self._angular_velocity)
         self._imaging.start(self._position, self._quat, self._disturbances)
 
-    def step(self, command: Command) -> Observation:
+    def step(self, command: api.Command) -> api.Observation:
         """Advances ``control_ticks``. Raises RuntimeError if the command or the physics is not
         finite."""
         self._take_command(command)
@@ -233,7 +218,7 @@ class MujocoWorld:
         velocity_before = self._velocity.copy()
         self._peak_acceleration = 0.0
         self._contacts = ()
-        imu: list[ImuSample] = []
+        imu: list[api.ImuSample] = []
         for _ in range(self._sim.control_ticks):
             self._advance_tick(clearance)
             self._sense(imu)
@@ -243,7 +228,7 @@ class MujocoWorld:
         self._check_finite()
         return self._observation(tuple(imu))
 
-    def start_in_air(self, position_world: Array, yaw: float) -> Observation:
+    def start_in_air(self, position_world: Array, yaw: float) -> api.Observation:
         """Resets to a start in the air: level and at rest at (3,) ``position_world``, rotors at
         hover speed."""
         self.reset()
@@ -267,15 +252,15 @@ class MujocoWorld:
         mujoco.mj_camlight(self._model, self._data)
         return self._imaging.camera.snapshot(self._data)
 
-    def truth(self) -> Truth:
+    def truth(self) -> api.Truth:
         """The true state now. ``acceleration_world`` is dv/dt: 0 in hover and at rest.
         ``contacts`` are those of the last tick of the control step that had any."""
         if self._truth is None or self._truth.tick != self._tick:
             self._truth = self._read_truth()
         return self._truth
 
-    def _read_truth(self) -> Truth:
-        return Truth(
+    def _read_truth(self) -> api.Truth:
+        return api.Truth(
             tick=self._tick,
             time_s=self._tick / self._sim.tick_hz,
             world_from_body=self._pose(),
@@ -311,7 +296,7 @@ class MujocoWorld:
 
     # ------------------------------------------------------------------------ one step
 
-    def _take_command(self, command: Command) -> None:
+    def _take_command(self, command: api.Command) -> None:
         if not math.isfinite(sum(command.rotor_speed_radps.tolist())):
             raise RuntimeError(
                 f"tick {self._tick}: the command {command.rotor_speed_radps} is not finite"
@@ -339,7 +324,7 @@ class MujocoWorld:
         change = ((x - before[0]) ** 2 + (y - before[1]) ** 2 + (z - before[2]) ** 2) ** 0.5
         self._peak_acceleration = max(self._peak_acceleration, change * self._sim.tick_hz)
 
-    def _sense(self, imu: list[ImuSample]) -> None:
+    def _sense(self, imu: list[api.ImuSample]) -> None:
         """Takes the measurements of this tick."""
         motion = self._position, self._quat, self._velocity, self._angular_velocity
         if self._tick % self._sim.imu_ticks == 0:
@@ -350,8 +335,8 @@ class MujocoWorld:
 
     # ------------------------------------------------------------------------ messages
 
-    def _observation(self, imu: tuple[ImuSample, ...]) -> Observation:
-        obs = Observation(
+    def _observation(self, imu: tuple[api.ImuSample, ...]) -> api.Observation:
+        obs = api.Observation(
             tick=self._tick,
             time_s=self._tick / self._sim.tick_hz,
             imu=imu,

@@ -13,16 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import (
-    DETAILS,
-    LAND_CLASSES,
-    NO_DETAIL_ID,
-    Array,
-    Bytes,
-    Float32,
-    GroundRaster,
-    Surface,
-)
+from touchdown.scenes import api
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.relief import HALF_M
@@ -47,15 +38,15 @@ _GRASS, _CROP = 1.7, 3.6
 def _surface(
     land_class: str, reflectivity: float, spread: float, canopy_m: float = 0.0,
     leaf_area: float = 0.0, dust: float = 0.0,
-) -> Surface:  # fmt: skip
-    return Surface(land_class=land_class, reflectivity=reflectivity, spread=spread,
+) -> api.Surface:  # fmt: skip
+    return api.Surface(land_class=land_class, reflectivity=reflectivity, spread=spread,
                    canopy_m=canopy_m, leaf_area=leaf_area, dust=dust)  # fmt: skip
 
 
 class _Look(NamedTuple):
     """A material as sensors see it."""
 
-    surface: Surface
+    surface: api.Surface
     detail: str
     """the photograph of its grain, one of DETAILS; empty for water, which has none"""
     rgb: tuple[int, int, int]
@@ -167,7 +158,7 @@ def mown_askew(rng: np.random.Generator, angle: float) -> dict[Ground, float]:
 class Variation(NamedTuple):
     """Other materials and other water than a scene is planned with."""
 
-    materials: Bytes
+    materials: api.Bytes
     """(len(`Ground`),) the material in place of each"""
     body: tuple[float, float, float]
     """as `scenes.authoring.water.WaterLook`, like the following"""
@@ -189,7 +180,7 @@ def varied_materials(rng: np.random.Generator) -> Iterator[None]:
     random one of its class, brick where gravel lay, clay for soil, and water may be clear, blue or
     full of silt."""
     table = np.arange(len(Ground), dtype=np.uint8)
-    for name in LAND_CLASSES:
+    for name in api.LAND_CLASSES:
         same = np.array([int(m) for m in Ground if m.look.surface.land_class == name], np.uint8)
         if len(same):
             table[same] = rng.choice(same, len(same))
@@ -215,9 +206,9 @@ class Canvas:
     stains (0..255 coverage)."""
 
     half_m: float = HALF_M
-    material: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
-    paint: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
-    stain: Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
+    material: api.Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
+    paint: api.Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
+    stain: api.Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
 
     @staticmethod
     def of_size(half_m: float, texels: int) -> Canvas:
@@ -231,45 +222,47 @@ class Canvas:
         """Side of a texel in metres."""
         return 2.0 * self.half_m / len(self.material)
 
-    def texels(self, xy_m: Array) -> NDArray[np.int32]:
+    def texels(self, xy_m: api.Array) -> NDArray[np.int32]:
         """Converts (N, 2) world metres to cv2's fixed-point column and row."""
         grid = (np.asarray(xy_m) + self.half_m) / self.texel_m - 0.5
         return np.round(grid * 2**_BITS).astype(np.int32)
 
-    def fill(self, outline_m: Array, material: Ground) -> None:
+    def fill(self, outline_m: api.Array, material: Ground) -> None:
         """Sets the material of a polygon, (N, 2) world metres."""
         cv2.fillPoly(self.material, [self.texels(outline_m)], int(material), cv2.LINE_8, _BITS)
 
-    def mark(self, outline_m: Array, cover: int = 255) -> None:
+    def mark(self, outline_m: api.Array, cover: int = 255) -> None:
         """Paints a polygon white."""
         cv2.fillPoly(self.paint, [self.texels(outline_m)], cover, cv2.LINE_AA, _BITS)
 
-    def soil(self, outline_m: Array, cover: int) -> None:
+    def soil(self, outline_m: api.Array, cover: int) -> None:
         """Darkens a polygon."""
         cv2.fillPoly(self.stain, [self.texels(outline_m)], cover, cv2.LINE_AA, _BITS)
 
-    def trace(self, line_m: Array, width_m: float, cover: int) -> None:
+    def trace(self, line_m: api.Array, width_m: float, cover: int) -> None:
         """Draws a dark line (a crack, a tar seam, a joint)."""
         width = max(1, round(width_m / self.texel_m))
         points = [self.texels(line_m)]
         cv2.polylines(self.stain, points, False, cover, width, cv2.LINE_AA, _BITS)
 
-    def track(self, line_m: Array, width_m: float, material: Ground) -> None:
+    def track(self, line_m: api.Array, width_m: float, material: Ground) -> None:
         """Fills a band along a polyline with a material."""
         width = max(1, round(width_m / self.texel_m))
         cv2.polylines(self.material, [self.texels(line_m)], False, int(material), width, 8, _BITS)
 
-    def raster(self, geom_name: str) -> GroundRaster:
+    def raster(self, geom_name: str) -> api.GroundRaster:
         """Returns classes and reflectivities, sampled at cell centres."""
-        ids = [LAND_CLASSES.index(material.look.surface.land_class) for material in Ground]
+        ids = [api.LAND_CLASSES.index(material.look.surface.land_class) for material in Ground]
         shine = np.array([material.look.surface.reflectivity for material in Ground], np.float32)
-        grain = [DETAILS.index(m.look.detail) if m.look.detail else NO_DETAIL_ID for m in Ground]
+        grain = [
+            api.DETAILS.index(m.look.detail) if m.look.detail else api.NO_DETAIL_ID for m in Ground
+        ]
         middle = slice(RASTER_STRIDE // 2, None, RASTER_STRIDE)
         material = self.material[middle, middle]
         cover = self.paint[middle, middle].astype(np.float32) / 255.0
         plain = shine[material]
         kinds = np.where(cover > 0.5, len(Ground), material).astype(np.uint8)
-        return GroundRaster(
+        return api.GroundRaster(
             geom_name=geom_name,
             origin_xy_m=np.array([-self.half_m, -self.half_m]),
             cell_m=self.texel_m * RASTER_STRIDE,
@@ -284,10 +277,10 @@ class Canvas:
 def shade_ground(
     rng: np.random.Generator,
     canvas: Canvas,
-    light: Float32,
+    light: api.Float32,
     pattern_angles: dict[Ground, float],
-    slopes: Bytes | None = None,
-) -> Bytes:
+    slopes: api.Bytes | None = None,
+) -> api.Bytes:
     """Returns the texture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
 
     light: (n, n) fraction of full light, row 0 at y_min (see `light.bake_light`). pattern_angles:
@@ -301,10 +294,10 @@ def shade_ground(
 def ground_shader(
     rng: np.random.Generator,
     canvas: Canvas,
-    light: Float32,
+    light: api.Float32,
     pattern_angles: dict[Ground, float],
-    slopes: Bytes | None = None,
-) -> Callable[[Bytes], None]:
+    slopes: api.Bytes | None = None,
+) -> Callable[[api.Bytes], None]:
     """Returns what fills an image with the texture of `shade_ground`. All random numbers are drawn
     here, and the canvas is given the materials of `varied_materials`."""
     variation = present_variation()
@@ -330,7 +323,7 @@ def ground_shader(
     side, salt = ragged_texels(fine, coarse), int(rng.integers(1, 2**31))
     mixed = mixed_blocks(canvas.material, side)
 
-    def fill(image: Bytes) -> None:
+    def fill(image: api.Bytes) -> None:
         shade(image, canvas.material, canvas.paint, canvas.stain, bright, level, fine,
               coarse.ravel(), patches, hue, base, gains, hues, ragged, frames, canvas.texel_m,
               mixed, side, salt)  # fmt: skip

@@ -15,14 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import (
-    CLASS_RGB,
-    LAND_CLASSES,
-    OTHER_CLASS_ID,
-    Array,
-    GroundRaster,
-    Surface,
-)
+from touchdown.scenes import api
 from touchdown.scenes.importers.pictures import read_rgb
 from touchdown.scenes.importers.top_view import Place, grounds, largest
 from touchdown.sim.files.opening import check_file, printable
@@ -56,7 +49,7 @@ _EVEN = 3.0
 class Look(NamedTuple):
     """Appearance of a geom."""
 
-    rgb: Array
+    rgb: api.Array
     """(3,) mean, 0 to 255"""
     plain: bool
     """one colour, a gradient or a regular pattern: nothing that a place could be told by"""
@@ -166,7 +159,7 @@ def _raised(place: Place, geom: int, look: Look, wide: bool) -> Inferred:
 
 Names = Mapping[str, str]
 _MAX_BYTES = 1 << 20
-_KNOWN = (*LAND_CLASSES, "other")
+_KNOWN = (*api.LAND_CLASSES, "other")
 _RASTER_CELLS = 640
 """along the longer side of a picture of classes: a quarter of a metre"""
 _NEAR = 40.0
@@ -206,7 +199,7 @@ def read_class_picture(path: Path) -> NDArray[np.uint8]:
     cols), row 0 in the south: the class whose colour in `scenes.api.CLASS_RGB` is nearest. Raises
     FileNotFoundError, and ValueError for no picture or a colour of no class."""
     image = read_rgb(path, what="a picture of classes")[::-1].astype(np.float32)
-    colours = np.array([CLASS_RGB[name] for name in _KNOWN], np.float32)
+    colours = np.array([api.CLASS_RGB[name] for name in _KNOWN], np.float32)
     away = np.stack([np.linalg.norm(image - colour, axis=2) for colour in colours])
     worst = np.unravel_index(int(away.min(axis=0).argmax()), image.shape[:2])
     if float(away[:, worst[0], worst[1]].min()) > _NEAR:
@@ -228,9 +221,9 @@ class GivenClasses:
     """the widest geom, which a picture of classes lies on"""
     picture: NDArray[np.uint8] | None = None
     """(rows, cols) of indices into LAND_CLASSES, or their number"""
-    bounds_xy_m: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    bounds_xy_m: api.Array = field(default_factory=lambda: np.zeros((2, 2)))
 
-    def raster(self, surface: Callable[[str], Surface]) -> GroundRaster | None:
+    def raster(self, surface: Callable[[str], api.Surface]) -> api.GroundRaster | None:
         """The picture as the classes of the widest geom."""
         if self.picture is None:
             return None
@@ -241,9 +234,9 @@ class GivenClasses:
         row = np.minimum((np.arange(rows) + 0.5) * cell / size[1] * own[0], own[0] - 1).astype(int)
         col = np.minimum((np.arange(cols) + 0.5) * cell / size[0] * own[1], own[1] - 1).astype(int)
         index = self.picture[np.ix_(row, col)]
-        ids = np.array([*range(len(LAND_CLASSES)), OTHER_CLASS_ID], np.uint8)
+        ids = np.array([*range(len(api.LAND_CLASSES)), api.OTHER_CLASS_ID], np.uint8)
         shine = np.array([surface(name).reflectivity for name in _KNOWN], np.float32)
-        return GroundRaster(
+        return api.GroundRaster(
             geom_name=self.ground, origin_xy_m=self.bounds_xy_m[0].copy(), cell_m=cell,
             class_id=ids[index], reflectivity=shine[index],
         )  # fmt: skip

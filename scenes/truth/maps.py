@@ -20,12 +20,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, SAFE_CLASSES, Array, Scene, TruthMaps
-from touchdown.scenes.truth.static_surface import (
-    bare_ground,
-    cast_down,
-    class_ids,
-    raise_thin_things,
-)
+from touchdown.scenes.truth import static_surface
 
 SLOPE_RADIUS_M = 0.5
 PAD_RADIUS_M = 1.0
@@ -77,9 +72,9 @@ def truth_maps(scene: Scene, cell_m: float = 0.1, region: Array | None = None) -
     margin = int(np.ceil(CLEAR_RADIUS_M / cell_m)) + 1
     origin = bounds[0] - margin * cell_m
     shape = (int(count[1]) + 2 * margin, int(count[0]) + 2 * margin)
-    heights, geoms = cast_down(scene, origin, cell_m, shape)
-    classes = class_ids(scene, origin, cell_m, geoms)
-    raise_thin_things(scene, heights, origin, cell_m)
+    heights, geoms = static_surface.cast_down(scene, origin, cell_m, shape)
+    classes = static_surface.class_ids(scene, origin, cell_m, geoms)
+    static_surface.raise_thin_things(scene, heights, origin, cell_m)
     slope = fitted_slope_deg(heights, cell_m)
     rule = geometric_rule(heights, slope, classes == _WATER, cell_m)
     inside = (slice(margin, -margin), slice(margin, -margin))
@@ -112,7 +107,7 @@ def judge_touchdown(scene: Scene, xy: Array) -> TouchdownJudgement:
     cells = int(np.ceil(CLEAR_RADIUS_M / PATCH_CELL_M)) + 1
     heights, geoms = _patch(scene, point, cells)
     origin = point - (cells + 0.5) * PATCH_CELL_M
-    classes = class_ids(scene, origin, PATCH_CELL_M, geoms)
+    classes = static_surface.class_ids(scene, origin, PATCH_CELL_M, geoms)
     slope = fitted_slope_deg(heights, PATCH_CELL_M)
     only_here = np.zeros(heights.shape, bool)
     only_here[cells, cells] = True
@@ -165,7 +160,7 @@ def geometric_rule(
 def _patch(scene: Scene, point: Array, cells: int) -> tuple[Array, NDArray[np.int32]]:
     """Heights and geoms on (2 cells + 1)^2 rays, the middle one at ``point``."""
     origin = point - (cells + 0.5) * PATCH_CELL_M
-    return cast_down(scene, origin, PATCH_CELL_M, (2 * cells + 1, 2 * cells + 1))
+    return static_surface.cast_down(scene, origin, PATCH_CELL_M, (2 * cells + 1, 2 * cells + 1))
 
 
 def _dilate(mask: NDArray[np.bool_], radius_m: float, cell_m: float) -> NDArray[np.bool_]:
@@ -256,16 +251,16 @@ def _clear_cells(
 def _obstacle_distance(scene: Scene, point: Array, height_m: float) -> float:
     """Distance to the nearest cell of 5 cm above the bare ground, or above
     the point where that lies on a deck. Searches squares of growing size."""
-    on_deck = height_m - float(bare_ground(scene, point, height_m)) > MAX_TALL_M
+    on_deck = height_m - float(static_surface.bare_ground(scene, point, height_m)) > MAX_TALL_M
     for reach in (2.0, 5.0, SEARCH_M):
         cells = round(reach / SEARCH_CELL_M)
         origin = point - (cells + 0.5) * SEARCH_CELL_M
         shape = (2 * cells + 1, 2 * cells + 1)
-        heights, _ = cast_down(scene, origin, SEARCH_CELL_M, shape)
+        heights, _ = static_surface.cast_down(scene, origin, SEARCH_CELL_M, shape)
         offsets = (
             np.stack(np.meshgrid(*2 * [np.arange(-cells, cells + 1)]), axis=-1) * SEARCH_CELL_M
         )
-        ground = bare_ground(scene, point + offsets, height_m)
+        ground = static_surface.bare_ground(scene, point + offsets, height_m)
         if on_deck:
             ground = np.maximum(ground, height_m)
         tall = heights - ground > MAX_TALL_M

@@ -14,14 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import (
-    LAND_CLASSES,
-    OTHER_CLASS_ID,
-    VEHICLE_BODY,
-    VEHICLE_GROUP,
-    Array,
-    Scene,
-)
+from touchdown.scenes import api
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.quadrics import ShapeTable
 from touchdown.sim.geometry.ray_target import RayTarget, geom_pose
@@ -34,14 +27,14 @@ _STRIP_REACH_M = 5000.0
 _BLOCK = 1 << 18
 """Rays that are cast at once, which bounds the memory."""
 _KEPT = 2
-_recent: list[tuple[weakref.ref[Scene], StaticSurface]] = []
+_recent: list[tuple[weakref.ref[api.Scene], StaticSurface]] = []
 
 
 @dataclass(frozen=True, slots=True)
 class TopHits:
     """The top surface at points."""
 
-    height_m: Array
+    height_m: api.Array
     """(N,) world, NaN where nothing lies below"""
     geom: Indices
     """(N,) the geom that is seen there, -1 for none"""
@@ -50,12 +43,12 @@ class TopHits:
 @dataclass(frozen=True, slots=True)
 class _Plane:
     geom: int
-    point: Array
-    normal: Array
+    point: api.Array
+    normal: api.Array
 
-    def height(self, xy_m: Array) -> Array:
+    def height(self, xy_m: api.Array) -> api.Array:
         """(N,) world heights at (N, 2) world points."""
-        slope: Array = (xy_m - self.point[:2]) @ self.normal[:2]
+        slope: api.Array = (xy_m - self.point[:2]) @ self.normal[:2]
         return self.point[2] - slope / self.normal[2]
 
 
@@ -66,7 +59,7 @@ class StaticSurface:
     height and no class: what is seen below it has.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: api.Scene) -> None:
         self._model = scene.model
         self._data = mujoco.MjData(scene.model)
         mujoco.mj_kinematics(scene.model, self._data)
@@ -77,7 +70,7 @@ class StaticSurface:
         self._origin = np.round(scene.takeoff_xy_m).astype(np.float64)
         self._all = self._caster(self.geoms)
 
-    def cast(self, xy_m: Array) -> TopHits:
+    def cast(self, xy_m: api.Array) -> TopHits:
         """The top surface at (N, 2) world points."""
         hits = self._all.cast(xy_m)
         if self._unseen.any():
@@ -85,12 +78,12 @@ class StaticSurface:
             hits.geom[below] = self._seen.cast(xy_m[below]).geom
         return hits
 
-    def bare_ground(self, xy_m: Array) -> Array:
+    def bare_ground(self, xy_m: api.Array) -> api.Array:
         """(N,) heights of the height fields, or of the planes of a scene without such; NaN where
         there is neither."""
         return self._terrain.cast(xy_m).height_m
 
-    def box(self, geom: int) -> tuple[Array, Array]:
+    def box(self, geom: int) -> tuple[api.Array, api.Array]:
         """Centre (3,) of a geom's bounding box and its half axes (3, 3) as columns, world."""
         rotation = self._data.geom_xmat[geom].reshape(3, 3)
         aabb = self._model.geom_aabb[geom]
@@ -115,7 +108,7 @@ class _Caster:
     """Vertical rays at some geoms."""
 
     def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, geoms: Indices, origin_xy_m: Array
+        self, model: mujoco.MjModel, data: mujoco.MjData, geoms: Indices, origin_xy_m: api.Array
     ) -> None:
         self._origin = origin_xy_m
         self._planes: list[_Plane] = []
@@ -144,7 +137,7 @@ class _Caster:
         self._start_z = float(np.ceil(top) + 1.0)
         self._target = RayTarget(vertices, triangles, owners, shapes) if vertices else None
 
-    def cast(self, xy_m: Array) -> TopHits:
+    def cast(self, xy_m: api.Array) -> TopHits:
         """The top surface at (N, 2) world points."""
         heights = np.full(len(xy_m), np.nan)
         geoms = np.full(len(xy_m), -1, np.int32)
@@ -161,7 +154,7 @@ class _Caster:
             heights[above], geoms[above] = level[above], plane.geom
         return TopHits(heights, geoms)
 
-    def _rays(self, xy_m: Array) -> NDArray[np.float32]:
+    def _rays(self, xy_m: api.Array) -> NDArray[np.float32]:
         """(N, 6) downward rays that start above everything, in the caster's frame."""
         rays = np.zeros((len(xy_m), 6), np.float32)
         rays[:, :2] = xy_m - self._origin
@@ -169,7 +162,7 @@ class _Caster:
         return rays
 
 
-def static_surface(scene: Scene) -> StaticSurface:
+def static_surface(scene: api.Scene) -> StaticSurface:
     """The surface of ``scene``; those of the last scenes are kept as long as the scenes are, since
     they take a while to build. The model's geometry must not change any more."""
     for reference, surface in _recent:
@@ -181,17 +174,17 @@ def static_surface(scene: Scene) -> StaticSurface:
     return surface
 
 
-def _forget(scene: weakref.ref[Scene]) -> None:
+def _forget(scene: weakref.ref[api.Scene]) -> None:
     """Model, textures and rays of a scene take a hundred megabytes."""
     _recent[:] = [known for known in _recent if known[0] is not scene]
 
 
-def _static_geoms(scene: Scene) -> Indices:
+def _static_geoms(scene: api.Scene) -> Indices:
     """Ids of the geoms that hang neither on the vehicle nor on a moving body, however deep, and
     that can be seen or touched."""
     model = scene.model
     roots = {model.body(moving.body_name).rootid[0] for moving in scene.moving}
-    vehicle = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, VEHICLE_BODY)
+    vehicle = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, api.VEHICLE_BODY)
     if vehicle >= 0:
         roots.add(model.body_rootid[vehicle])
     return np.array(
@@ -199,7 +192,7 @@ def _static_geoms(scene: Scene) -> Indices:
             geom
             for geom in range(model.ngeom)
             if model.body_rootid[model.geom_bodyid[geom]] not in roots
-            and model.geom_group[geom] != VEHICLE_GROUP
+            and model.geom_group[geom] != api.VEHICLE_GROUP
             and (_visible(model, geom) or model.geom_contype[geom] or model.geom_conaffinity[geom])
         ],
         np.int32,
@@ -216,8 +209,8 @@ _OFF_EDGE_M = np.array([1.37e-4, 2.11e-4])
 
 
 def cast_down(
-    scene: Scene, origin_xy_m: Array, cell_m: float, shape: tuple[int, int]
-) -> tuple[Array, NDArray[np.int32]]:
+    scene: api.Scene, origin_xy_m: api.Array, cell_m: float, shape: tuple[int, int]
+) -> tuple[api.Array, NDArray[np.int32]]:
     """Returns heights of the top surface at cell centres and the geoms that were hit.
 
     origin_xy_m: (2,) corner of cell (0, 0); shape: (rows, cols), row = y. Returns (rows, cols)
@@ -230,14 +223,16 @@ def cast_down(
     return heights.reshape(shape), geoms.reshape(shape)
 
 
-def cast_points(scene: Scene, xy_m: Array) -> tuple[Array, NDArray[np.int32]]:
+def cast_points(scene: api.Scene, xy_m: api.Array) -> tuple[api.Array, NDArray[np.int32]]:
     """Returns heights (N,) of the top surface at (N, 2) world points and the geoms (N,) that were
     hit; NaN and -1 where nothing lies below."""
     hits = static_surface(scene).cast(np.asarray(xy_m, np.float64) + _OFF_EDGE_M)
     return hits.height_m, hits.geom
 
 
-def raise_thin_things(scene: Scene, heights: Array, origin_xy_m: Array, cell_m: float) -> None:
+def raise_thin_things(
+    scene: api.Scene, heights: api.Array, origin_xy_m: api.Array, cell_m: float
+) -> None:
     """Lifts the cells (in place) that hold geoms too narrow for the grid of `cast_down`, by rays
     along each such geom's horizontal middle line."""
     surface = static_surface(scene)
@@ -259,15 +254,15 @@ def raise_thin_things(scene: Scene, heights: Array, origin_xy_m: Array, cell_m: 
 
 
 def class_ids(
-    scene: Scene, origin_xy_m: Array, cell_m: float, geoms: NDArray[np.int32]
+    scene: api.Scene, origin_xy_m: api.Array, cell_m: float, geoms: NDArray[np.int32]
 ) -> NDArray[np.uint8]:
     """Returns the land-class ids of the geoms that `cast_down` hit, (rows, cols); `OTHER_CLASS_ID`
     for the rest."""
-    table = np.full(scene.model.ngeom + 1, OTHER_CLASS_ID, np.uint8)
+    table = np.full(scene.model.ngeom + 1, api.OTHER_CLASS_ID, np.uint8)
     for geom in range(scene.model.ngeom):
         surface = scene.surfaces.get(scene.model.geom(geom).name)
-        if surface is not None and surface.land_class in LAND_CLASSES:
-            table[geom] = LAND_CLASSES.index(surface.land_class)
+        if surface is not None and surface.land_class in api.LAND_CLASSES:
+            table[geom] = api.LAND_CLASSES.index(surface.land_class)
     ids = table[geoms]
     ground = scene.ground
     if ground is not None:
@@ -281,7 +276,7 @@ def class_ids(
     return ids
 
 
-def bare_ground(scene: Scene, xy_m: Array, otherwise_m: float) -> Array:
+def bare_ground(scene: api.Scene, xy_m: api.Array, otherwise_m: float) -> api.Array:
     """Height (...) of the height fields, or the planes of a scene without such, at (..., 2) world
     points; ``otherwise_m`` where there is neither."""
     heights = static_surface(scene).bare_ground(np.reshape(xy_m, (-1, 2)))

@@ -11,14 +11,8 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import LIGHT_LUX
 from touchdown.sim.api import CameraParams, LampParams
+from touchdown.sim.camera import image_sensor
 from touchdown.sim.camera.gl import InverseDepth
-from touchdown.sim.camera.image_sensor import (
-    Exposed,
-    ImageSensor,
-    NoisePlace,
-    mean_light,
-    sensor_noise,
-)
 from touchdown.sim.camera.lamp import LampField, lamp_field, shines
 from touchdown.sim.camera.optics import Lens
 from touchdown.sim.camera.shutter import CameraMotion, identity_shifts, longest_shift, row_shifts
@@ -50,7 +44,7 @@ class RowExposures:
         self, lens: Lens, params: CameraParams, lamp: LampParams, light: str, key: list[int]
     ) -> None:
         self._params, self._lamp, self._lens = params, lamp, lens
-        self._image_sensor = ImageSensor(lens)
+        self._image_sensor = image_sensor.ImageSensor(lens)
         self._lux = LIGHT_LUX[light]
         self.takes_time = takes_time(params, light)
         height = params.height
@@ -58,7 +52,7 @@ class RowExposures:
         self._identity = identity_shifts(height)
         self._control = AutoExposure(params)
         if self.takes_time:
-            self._noise = sensor_noise(height, params.width, key)
+            self._noise = image_sensor.sensor_noise(height, params.width, key)
         self.effects: Effects | None = None
         """where light, exposure and lamp of every image are noted"""
         self._field = lamp_field(lamp, lens.raster) if lamp.below_m > 0.0 else None
@@ -71,7 +65,7 @@ class RowExposures:
         end_s: float,
         time_s: float,
         grey_noise: NDArray[np.int8],
-        place: NoisePlace,
+        place: image_sensor.NoisePlace,
     ) -> tuple[Bytes, float]:
         """(H, W, 3) image of a raster, bottom row first, and the fraction of saturation that white
         gets. ``motion`` about the drawing; ``end_s``: time from it to the last row. None: at rest,
@@ -80,7 +74,7 @@ class RowExposures:
             shifts = self._identity if motion is None else self._at(motion, end_s, 0.0, 1)
             return self._image_sensor.shown(drawn, depth, shifts, grey_noise, place), 1.0
         lamp = self._field if shines(self._lamp, depth, self._lux) else None
-        lux = mean_light(drawn, depth, lamp, self._lux)
+        lux = image_sensor.mean_light(drawn, depth, lamp, self._lux)
         shifts = self._identity
         if motion is None:
             exposure = self._control.settled(lux)
@@ -103,10 +97,10 @@ class RowExposures:
         self.effects.note(("gain",), 1.0, exposure.gain)
         self.effects.note(("exposure_error_stops",), 1.0, abs(self._control.error_stops))
 
-    def _exposed(self, exposure: Exposure, lamp: LampField | None) -> Exposed:
+    def _exposed(self, exposure: Exposure, lamp: LampField | None) -> image_sensor.Exposed:
         p = self._params
         per_lux = p.electrons_per_lux_s * exposure.time_s
-        return Exposed(
+        return image_sensor.Exposed(
             electrons=per_lux * self._lux,
             full_well=p.full_well_e,
             read_noise=p.read_noise_e,

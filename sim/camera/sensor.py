@@ -18,20 +18,11 @@ import numpy as np
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraIntrinsics, CameraParams, FaultParams, LampParams
+from touchdown.sim.camera import optics
 from touchdown.sim.camera.degradations import CameraDegradations, ImageDefects
 from touchdown.sim.camera.detail_texture import DetailTexture
 from touchdown.sim.camera.gl import InverseDepth, Snapshot, Stage
 from touchdown.sim.camera.image_sensor import NoisePlace
-from touchdown.sim.camera.optics import (
-    NOISE_MARGIN,
-    develop,
-    exposure_table,
-    make_lens,
-    noise_tile,
-    raster_rows,
-    through_lens,
-    with_margin,
-)
 from touchdown.sim.camera.row_exposures import RowExposures, exposes_rows, takes_time
 from touchdown.sim.camera.shutter import CameraMotion, camera_motion, margin_px
 from touchdown.sim.camera.vegetation import Vegetation
@@ -93,14 +84,14 @@ class CameraSensor:
     ) -> None:
         self._model = scene.model
         self._params = params
-        self._lens = make_lens(params)
+        self._lens = optics.make_lens(params)
         self.effects = Effects()
         """of air, optics, exposure and lamp on images"""
         self._rows: RowExposures | None = None
         if exposes_rows(params, scene.light):
             exposure_s = params.exposure_max_s if takes_time(params, scene.light) else 0.0
             margin = margin_px(self._lens.raster, params.readout_s, exposure_s)
-            self._lens = with_margin(self._lens, margin)
+            self._lens = optics.with_margin(self._lens, margin)
             key = [seed, crc32(b"electrons of " + camera_name.encode())]
             self._rows = RowExposures(self._lens, params, lamp or LampParams(), scene.light, key)
             self._rows.effects = self.effects
@@ -112,7 +103,7 @@ class CameraSensor:
                 f"{', '.join(names) or 'none'}"
             )
         self._noise_key = [seed, crc32(camera_name.encode())]
-        self._noise = noise_tile(params, self._noise_key)
+        self._noise = optics.noise_tile(params, self._noise_key)
         degradations = CameraDegradations(
             faults or FaultParams(), tick_hz, params, self._lens.raster, self._model, seed,
             camera_name, dust=ground.dust,
@@ -147,12 +138,12 @@ class CameraSensor:
             raw = self._through_air_and_lens(snapshot, defects)
         if self._degradations is not None and defects is not None:
             raw = self._degradations.through_lens(defects, raw, snapshot)
-        table = exposure_table(self._params, raw)
+        table = optics.exposure_table(self._params, raw)
         if table is not None:
             raw = cv2.LUT(raw, table).astype(np.uint8, copy=False)
         image = np.empty_like(raw)
         row, col, sign = self._noise_place(tick)
-        develop(raw, self._noise, row, col, sign, plain, image)
+        optics.develop(raw, self._noise, row, col, sign, plain, image)
         image.setflags(write=False)
         return image
 
@@ -198,7 +189,7 @@ class CameraSensor:
         if self._degradations is not None and defects is not None:
             image = self._degradations.through_lens(defects, image, snapshot, white)
         if not self._rows.takes_time:
-            table = exposure_table(self._params, image)
+            table = optics.exposure_table(self._params, image)
             image = image if table is None else cv2.LUT(image, table).astype(np.uint8, copy=False)
         return _frozen(image)
 
@@ -230,19 +221,21 @@ class CameraSensor:
     def _through_air_and_lens(self, instant: Snapshot, defects: ImageDefects | None) -> Bytes:
         """(H, W, 3) image, top row first."""
         rows = slice(0, self._params.height)
-        first, last = raster_rows(self._lens, rows)
+        first, last = optics.raster_rows(self._lens, rows)
         stage = self._own_stage()
         drawn = self._drawn(stage, instant, first, last).image
         if self._degradations is not None and defects is not None and defects.extinction > 0.0:
             depth = stage.inverse_depth_of_last(last - first).metres()
             drawn = self._degradations.through_air(defects, drawn, depth, first)
         upright = np.ascontiguousarray(drawn[::-1])
-        return through_lens(self._lens, upright, first, rows, smooth=True)
+        return optics.through_lens(self._lens, upright, first, rows, smooth=True)
 
     def _bent(self, drawn: Float32) -> Float32:
         """A drawn raster, bottom row first, through the lens without blending neighbours."""
         upright = np.ascontiguousarray(drawn[::-1])
-        return through_lens(self._lens, upright, 0, slice(0, self._params.height), smooth=False)
+        return optics.through_lens(
+            self._lens, upright, 0, slice(0, self._params.height), smooth=False
+        )
 
     def _own_stage(self) -> Stage:
         thread = threading.get_ident()
@@ -259,7 +252,7 @@ class CameraSensor:
 
     def _noise_place(self, tick: int) -> NoisePlace:
         rng = np.random.default_rng([*self._noise_key, tick])
-        row, col = rng.integers(0, NOISE_MARGIN + 1, size=2)
+        row, col = rng.integers(0, optics.NOISE_MARGIN + 1, size=2)
         return NoisePlace(int(row), int(col), int(2 * rng.integers(0, 2) - 1))
 
 

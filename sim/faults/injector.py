@@ -15,15 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.sim.api import (
-    FAULT_KINDS,
-    CameraImage,
-    Fault,
-    FaultParams,
-    GpsFix,
-    LidarScan,
-    Observation,
-)
+from touchdown.sim import api
 from touchdown.sim.faults.disturbances import span
 from touchdown.sim.faults.types import WORLD_KINDS
 
@@ -31,9 +23,9 @@ _STREAMS = ("scans", "images", "gps")
 _OF_THE_LAST = frozenset(("lidar_frozen", "camera_frozen", "gps_frozen", "timestamp_repeat"))
 """Kinds that deliver what was delivered last, or its stamps."""
 _STAMPS: dict[type, tuple[str, ...]] = {
-    LidarScan: ("start_tick", "end_tick", "start_time_s", "end_time_s"),
-    CameraImage: ("tick", "time_s"),
-    GpsFix: ("tick", "time_s"),
+    api.LidarScan: ("start_tick", "end_tick", "start_time_s", "end_time_s"),
+    api.CameraImage: ("tick", "time_s"),
+    api.GpsFix: ("tick", "time_s"),
 }
 
 
@@ -42,13 +34,13 @@ class FaultInjector:
     order; without a schedule it returns them unchanged. Raises ValueError for an invalid schedule.
     """
 
-    def __init__(self, params: FaultParams, tick_hz: int) -> None:
+    def __init__(self, params: api.FaultParams, tick_hz: int) -> None:
         self._streams = {
             name: _FaultyStream(
                 [
                     _Pending(fault, tick_hz)
                     for fault in params.schedule()
-                    if name in FAULT_KINDS[fault.kind] and fault.kind not in WORLD_KINDS
+                    if name in api.FAULT_KINDS[fault.kind] and fault.kind not in WORLD_KINDS
                 ],
                 params,
                 tick_hz,
@@ -57,7 +49,7 @@ class FaultInjector:
         }
         self._idle = not params.events
 
-    def apply(self, obs: Observation) -> Observation:
+    def apply(self, obs: api.Observation) -> api.Observation:
         """The observation with faults; the given messages are not written to."""
         if self._idle:
             return obs
@@ -84,7 +76,7 @@ class FaultInjector:
 class _Pending:
     """A fault on one stream."""
 
-    def __init__(self, fault: Fault, tick_hz: int) -> None:
+    def __init__(self, fault: api.Fault, tick_hz: int) -> None:
         self.fault = fault
         self.start_tick, end_tick = span(fault, tick_hz)
         self._end_tick = math.inf if end_tick is None else end_tick
@@ -101,7 +93,7 @@ class _Pending:
 class _FaultyStream:
     """The messages of one sensor on their way."""
 
-    def __init__(self, faults: list[_Pending], params: FaultParams, tick_hz: int) -> None:
+    def __init__(self, faults: list[_Pending], params: api.FaultParams, tick_hz: int) -> None:
         self.faults = faults
         self._params, self._tick_hz = params, tick_hz
         self._late_ticks = round(params.late_s * tick_hz)
@@ -182,7 +174,7 @@ class _FaultyStream:
         }
         return dataclasses.replace(message, **ticks, **times)
 
-    def _spoofed(self, fix: GpsFix, start_tick: int) -> GpsFix:
+    def _spoofed(self, fix: api.GpsFix, start_tick: int) -> api.GpsFix:
         """The fix, displaced at a constant velocity since the spoofing began."""
         velocity = np.array(self._params.gps_spoof_mps)
         since_s = max(0, fix.tick - start_tick) / self._tick_hz
@@ -196,7 +188,7 @@ class _FaultyStream:
 
 def _measured(message: Any) -> int:
     """Tick at the end of the measurement, as it is stamped."""
-    return int(message.end_tick if isinstance(message, LidarScan) else message.tick)
+    return int(message.end_tick if isinstance(message, api.LidarScan) else message.tick)
 
 
 def _stamped(message: Any, like: Any) -> Any:
@@ -205,7 +197,7 @@ def _stamped(message: Any, like: Any) -> Any:
     return dataclasses.replace(message, **stamps)
 
 
-def _not_a_number(scan: LidarScan) -> LidarScan:
+def _not_a_number(scan: api.LidarScan) -> api.LidarScan:
     return dataclasses.replace(
         scan,
         directions=np.full_like(scan.directions, np.nan),
@@ -213,13 +205,13 @@ def _not_a_number(scan: LidarScan) -> LidarScan:
     )
 
 
-def _without_returns(scan: LidarScan) -> LidarScan:
+def _without_returns(scan: api.LidarScan) -> api.LidarScan:
     return dataclasses.replace(
         scan, ranges=np.zeros_like(scan.ranges), intensity=np.zeros_like(scan.intensity)
     )
 
 
-def _pulses(scan: LidarScan, take: slice) -> LidarScan:
+def _pulses(scan: api.LidarScan, take: slice) -> api.LidarScan:
     return dataclasses.replace(
         scan,
         directions=scan.directions[take],
@@ -229,10 +221,10 @@ def _pulses(scan: LidarScan, take: slice) -> LidarScan:
     )
 
 
-def _black(image: CameraImage) -> CameraImage:
+def _black(image: api.CameraImage) -> api.CameraImage:
     right = None if image.right_rgb is None else np.zeros_like(image.right_rgb)
     return dataclasses.replace(image, rgb=np.zeros_like(image.rgb), right_rgb=right)
 
 
-def _moved(fix: GpsFix, offset: Any) -> GpsFix:
+def _moved(fix: api.GpsFix, offset: Any) -> api.GpsFix:
     return dataclasses.replace(fix, position_world=fix.position_world + offset)

@@ -7,15 +7,7 @@ from typing import Generic, Protocol, TypeVar
 import mujoco
 
 from touchdown.scenes.api import Scene
-from touchdown.sim.api import (
-    BarometerSample,
-    GpsFix,
-    MagnetometerSample,
-    NavParams,
-    RangefinderSample,
-    SensorNeeds,
-    SimParams,
-)
+from touchdown.sim import api
 from touchdown.sim.delivery import DeliveryQueue, InlineExecutor
 from touchdown.sim.frames import matrix_from_quat_wxyz
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
@@ -70,9 +62,9 @@ class NavSensors:
     def __init__(
         self,
         scene: Scene,
-        params: NavParams,
-        sim: SimParams,
-        needs: SensorNeeds,
+        params: api.NavParams,
+        sim: api.SimParams,
+        needs: api.SensorNeeds,
         seed: int,
         plants: SurfaceDetail | None = None,
     ) -> None:
@@ -82,14 +74,14 @@ class NavSensors:
         self._magnetometer = MagnetometerSensor(params.magnetometer, hz, seed)
         self._rangefinder = RangefinderSensor(scene, params.rangefinder, hz, seed, plants)
         heard = needs.gps and self._gps.receives
-        self.gps: Channel[GpsFix] = Channel("gps", params.gps, hz, heard)
-        self.barometer: Channel[BarometerSample] = Channel(
+        self.gps: Channel[api.GpsFix] = Channel("gps", params.gps, hz, heard)
+        self.barometer: Channel[api.BarometerSample] = Channel(
             "barometer", params.barometer, hz, needs.barometer
         )
-        self.magnetometer: Channel[MagnetometerSample] = Channel(
+        self.magnetometer: Channel[api.MagnetometerSample] = Channel(
             "magnetometer", params.magnetometer, hz, needs.magnetometer
         )
-        self.rangefinder: Channel[RangefinderSample] = Channel(
+        self.rangefinder: Channel[api.RangefinderSample] = Channel(
             "rangefinder", params.rangefinder, hz, needs.rangefinder
         )
         self.listening = heard or needs.barometer or needs.magnetometer or needs.rangefinder

@@ -8,15 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from touchdown.sim.api import (
-    BarometerParams,
-    BarometerSample,
-    GpsFix,
-    GpsParams,
-    GpsPreset,
-    MagnetometerParams,
-    MagnetometerSample,
-)
+from touchdown.sim import api
 from touchdown.sim.frames import cross
 from touchdown.sim.noise import GaussMarkov, random_stream
 from touchdown.sim.typing import Array
@@ -40,7 +32,7 @@ class GpsModel:
     receives: bool = True
 
 
-PRESETS: Mapping[GpsPreset, GpsModel] = {
+PRESETS: Mapping[api.GpsPreset, GpsModel] = {
     # The mean 3-D error of a flight is 1.01 m, the GPS row of Table 2 of Zou, Sun, Kong (2024).
     "zou2024": GpsModel(
         sigma_xy_m=0.536, sigma_z_m=1.5 * 0.536, white_m=0.0, velocity_sigma_mps=0.05
@@ -65,7 +57,7 @@ PRESETS: Mapping[GpsPreset, GpsModel] = {
 }
 
 
-def gps_model(params: GpsParams) -> GpsModel:
+def gps_model(params: api.GpsParams) -> GpsModel:
     """The preset with the fields that ``params`` overrides."""
     names = ("sigma_xy_m", "sigma_z_m", "white_m", "velocity_sigma_mps", "tau_s")
     given = {n: value for n in names if (value := getattr(params, n)) is not None}
@@ -75,7 +67,7 @@ def gps_model(params: GpsParams) -> GpsModel:
 class GpsSensor:
     """Fixes of the antenna, not of the body origin, every ``params.period_ticks``."""
 
-    def __init__(self, params: GpsParams, tick_hz: int, seed: int) -> None:
+    def __init__(self, params: api.GpsParams, tick_hz: int, seed: int) -> None:
         self._model = model = gps_model(params)
         self._tick_hz = tick_hz
         self._antenna = np.array(params.antenna_body_m)
@@ -93,7 +85,7 @@ class GpsSensor:
 
     def sample(
         self, tick: int, rotation: Array, position: Array, velocity: Array, rates: Array
-    ) -> GpsFix:
+    ) -> api.GpsFix:
         """A fix from the true world_from_body rotation (3, 3), world position (3,) m and velocity
         (3,) m/s of the body origin and body rates (3,) rad/s."""
         lever = rotation @ self._antenna
@@ -103,7 +95,7 @@ class GpsSensor:
         speed = speed + self._model.velocity_sigma_mps * white[1]
         for array in (measured, speed):
             array.setflags(write=False)
-        return GpsFix(
+        return api.GpsFix(
             tick=tick,
             time_s=tick / self._tick_hz,
             position_world=measured,
@@ -132,7 +124,7 @@ def height_at(pressure_pa: float) -> float:
 class BarometerSensor:
     """Offset (turn-on), Gauss-Markov drift and white noise, all in pressure."""
 
-    def __init__(self, params: BarometerParams, tick_hz: int, seed: int) -> None:
+    def __init__(self, params: api.BarometerParams, tick_hz: int, seed: int) -> None:
         self._tick_hz = tick_hz
         self._site_m = params.site_elevation_m
         self._white_pa = params.white_sigma_pa
@@ -142,12 +134,12 @@ class BarometerSensor:
         drift = np.array([params.drift_sigma_pa])
         self._drift = GaussMarkov(drift, params.drift_tau_s, period_s, self._rng)
 
-    def sample(self, tick: int, height_world_m: float) -> BarometerSample:
+    def sample(self, tick: int, height_world_m: float) -> api.BarometerSample:
         """The reading at a true height above world z = 0."""
         error = self._offset_pa + float(self._drift.step()[0])
         error += self._white_pa * self._rng.standard_normal()
         pressure = pressure_at(self._site_m + height_world_m) + error
-        return BarometerSample(
+        return api.BarometerSample(
             tick=tick,
             time_s=tick / self._tick_hz,
             pressure_pa=pressure,
@@ -155,7 +147,7 @@ class BarometerSensor:
         )
 
 
-def earth_field_world(params: MagnetometerParams) -> Array:
+def earth_field_world(params: api.MagnetometerParams) -> Array:
     """(3,) microtesla, ENU: declination turns the horizontal part from north to east, inclination
     dips it below the horizon."""
     declination = math.radians(params.declination_deg)
@@ -173,16 +165,16 @@ def earth_field_world(params: MagnetometerParams) -> Array:
 class MagnetometerSensor:
     """Hard-iron offset, constant in the body frame for one device (seed), and white noise."""
 
-    def __init__(self, params: MagnetometerParams, tick_hz: int, seed: int) -> None:
+    def __init__(self, params: api.MagnetometerParams, tick_hz: int, seed: int) -> None:
         self._tick_hz = tick_hz
         self._field = earth_field_world(params)
         self._sigma_ut = params.noise_sigma_ut
         self._rng = random_stream(seed, "magnetometer")
         self._hard_iron = params.hard_iron_sigma_ut * self._rng.standard_normal(3)
 
-    def sample(self, tick: int, rotation: Array) -> MagnetometerSample:
+    def sample(self, tick: int, rotation: Array) -> api.MagnetometerSample:
         """The reading under a true world_from_body rotation (3, 3)."""
         field = rotation.T @ self._field + self._hard_iron
         field = field + self._sigma_ut * self._rng.standard_normal(3)
         field.setflags(write=False)
-        return MagnetometerSample(tick=tick, time_s=tick / self._tick_hz, field_body_ut=field)
+        return api.MagnetometerSample(tick=tick, time_s=tick / self._tick_hz, field_body_ut=field)

@@ -8,24 +8,14 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import LAND_CLASSES, Scene
+from touchdown.scenes.authoring import micro_relief
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.micro_relief import (
-    NEUTRAL,
-    SKIS,
-    MicroRelief,
-    Ripples,
-    footprints,
-    parallel,
-    runners,
-    wander,
-)
 from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.authoring.water import WaterLook, lay_water, upsample
 from touchdown.scenes.places import dunes
 from touchdown.scenes.places.forest import layout
 from touchdown.scenes.places.forest.layout import draw_plan
 from touchdown.scenes.places.snow import layout as snow
-from touchdown.scenes.places.turf import level_pools
 from touchdown.scenes.places.turf.airfield import fuselage_mesh
 from touchdown.scenes.props.woods import canopy_mesh, conifer_mesh, lathe
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
@@ -90,16 +80,6 @@ def test_ice_is_slippery_and_covers_the_pond() -> None:
     assert 0.001 < slab.pos[2] + slab.size[2] - seen < 0.008
 
 
-def test_dune_profile_has_the_angle_of_repose_and_a_flat() -> None:
-    phase = np.linspace(0.0, 1.0, 4001)
-    height, slip = dunes.dune_profile(phase, np.full(4001, 2.5), 30.0)
-    slope = np.gradient(height, 30.0 * phase)
-    assert height.max() == pytest.approx(2.5, rel=1e-3)
-    assert (height[phase < 0.29] == 0.0).all()
-    np.testing.assert_allclose(slope[slip > 0.0][2:-2], -np.tan(np.deg2rad(32.0)), rtol=1e-6)
-    assert slope.max() < np.tan(np.deg2rad(18.0))
-
-
 def test_sand_is_nowhere_steeper_than_it_can_lie() -> None:
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -119,19 +99,21 @@ def test_light_on_slopes_follows_lambert() -> None:
     rng = np.random.default_rng(0)
     bright, dark = 1.0 + 0.5 * (1.15 / np.sqrt(1.04) - 1.0), 0.85 / np.sqrt(1.04)
     for slope, facing in ((0.2, bright), (-0.2, dark)):
-        fine = MicroRelief(half_m=64.0)
+        fine = micro_relief.MicroRelief(half_m=64.0)
         size = len(fine.drifts_m)
         fine.drifts_m[:] = slope * 128.0 / size * np.arange(size, dtype=np.float32)
         tone = fine.shading(rng, SUN)
-        assert tone[2000, 2000] == pytest.approx(NEUTRAL * (0.5 + 0.5 * facing), abs=1.0)
-    level = MicroRelief(half_m=64.0).shading(rng, SUN)
-    assert (level == NEUTRAL).all()
+        assert tone[2000, 2000] == pytest.approx(
+            micro_relief.NEUTRAL * (0.5 + 0.5 * facing), abs=1.0
+        )
+    level = micro_relief.MicroRelief(half_m=64.0).shading(rng, SUN)
+    assert (level == micro_relief.NEUTRAL).all()
 
 
 def test_ripples_have_their_wave_length_across_the_wind() -> None:
     cover = np.ones((8, 8), np.float32)
-    ripples = Ripples(wave_m=0.12, height_m=0.008, wind_angle=0.0, cover=cover)
-    tone = MicroRelief(half_m=64.0).shading(np.random.default_rng(0), SUN, ripples)
+    ripples = micro_relief.Ripples(wave_m=0.12, height_m=0.008, wind_angle=0.0, cover=cover)
+    tone = micro_relief.MicroRelief(half_m=64.0).shading(np.random.default_rng(0), SUN, ripples)
     window = tone[1000:1400, 1000:2024].astype(float) - tone.mean()
     power = (np.abs(np.fft.rfft(window, axis=1)) ** 2).mean(axis=0)
     texel = 128.0 / len(tone)
@@ -144,18 +126,18 @@ def test_ripples_have_their_wave_length_across_the_wind() -> None:
 
 def test_tracks_press_hollows_with_rims() -> None:
     rng = np.random.default_rng(0)
-    fine, canvas = MicroRelief(half_m=64.0), Canvas(half_m=64.0)
-    line = wander(rng, np.array([[-10.0, 0.0], [10.0, 0.0]]), 0.0)
-    runners(canvas, fine, line, SKIS, Ground.PACKED_SNOW)
+    fine, canvas = micro_relief.MicroRelief(half_m=64.0), Canvas(half_m=64.0)
+    line = micro_relief.wander(rng, np.array([[-10.0, 0.0], [10.0, 0.0]]), 0.0)
+    micro_relief.runners(canvas, fine, line, micro_relief.SKIS, Ground.PACKED_SNOW)
     column = fine.prints[:, 2560].astype(int) - 128
     assert column.min() == pytest.approx(-30, abs=3) and column.max() > 2
     deep = np.flatnonzero(column < -20)
     gauge = (deep[deep > 2560].mean() - deep[deep < 2560].mean()) * canvas.texel_m
-    assert gauge == pytest.approx(SKIS.apart_m, abs=0.03)
-    footprints(rng, canvas, fine, line + [0.0, 5.0], Ground.PACKED_SNOW)
+    assert gauge == pytest.approx(micro_relief.SKIS.apart_m, abs=0.03)
+    micro_relief.footprints(rng, canvas, fine, line + [0.0, 5.0], Ground.PACKED_SNOW)
     strip = fine.prints[2700:2820].astype(int) - 128
     assert strip.min() < -55 and strip.max() > 8
-    np.testing.assert_allclose(parallel(line, 0.5)[:, 1], 0.5, atol=1e-9)
+    np.testing.assert_allclose(micro_relief.parallel(line, 0.5)[:, 1], 0.5, atol=1e-9)
 
 
 def test_forest_is_rugged_and_wooded() -> None:
@@ -197,16 +179,6 @@ def test_clearings_have_the_slope_of_their_kind() -> None:
                 assert degrees < 4.0
             elif clearing.kind == "slope":
                 assert degrees > 8.0
-
-
-def test_pools_are_level_and_touch_nothing_far_away() -> None:
-    axis = np.linspace(-64.0, 64.0, 193)
-    x, y = np.meshgrid(axis, axis)
-    slope = 0.03 * x
-    depth = 4.0 - np.hypot(x - 10.0, y)
-    heights = level_pools(slope, depth)
-    assert np.ptp(heights[depth > 0.0]) < 1e-12
-    np.testing.assert_allclose(heights[depth < -3.1], slope[depth < -3.1], atol=1e-12)
 
 
 def test_meshes_are_wound_outwards() -> None:

@@ -51,16 +51,6 @@ def test_several_due_at_once_come_oldest_first(executor: Executor) -> None:
     assert queue.collect(100) == ("d",)
 
 
-def test_collect_waits_for_unfinished_work() -> None:
-    executor = make_executor(2)
-    gate = threading.Event()
-    queue: DeliveryQueue[bool] = DeliveryQueue(executor)
-    queue.submit(1, gate.wait, 5.0)
-    threading.Timer(0.05, gate.set).start()
-    assert queue.collect(1) == (True,)
-    executor.shutdown()
-
-
 def test_two_threads_mean_one_worker_that_is_not_the_caller() -> None:
     executor = make_executor(2)
     queue: DeliveryQueue[int] = DeliveryQueue(executor)
@@ -117,13 +107,6 @@ SIM = SimParams()
 
 def clock(seed: int = 0, takes_time: bool = False, **changes: float) -> ShutterClock:
     return ShutterClock(CameraParams(**changes), SIM, seed, takes_time)  # type: ignore[arg-type]
-
-
-def test_stamps_are_exact_and_pulses_shared_by_default() -> None:
-    plain = clock()
-    assert (plain.phase_ticks, plain.before_ticks, plain.after_ticks) == (0, 0, 0)
-    for pulse in (60, 61, 777):
-        assert plain.stamp(pulse) == (pulse, pulse / 600)
 
 
 def test_stamps_are_late_by_the_delay_and_scatter_by_the_jitter() -> None:

@@ -28,12 +28,6 @@ def test_exp_log_round_trip_including_half_turns(rng: np.random.Generator) -> No
         np.testing.assert_allclose(frames.so3_log(frames.so3_exp(vector)), vector, atol=1e-8)
 
 
-def test_exp_of_a_quarter_turn_about_z() -> None:
-    quarter = frames.so3_exp(np.array([0.0, 0.0, np.pi / 2]))
-    np.testing.assert_allclose(quarter @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-15)
-    np.testing.assert_allclose(quarter, frames.rotation_from_yaw(np.pi / 2), atol=1e-15)
-
-
 def test_quaternion_round_trip_up_to_sign(rng: np.random.Generator) -> None:
     for _ in range(200):
         quat = rng.normal(size=4)

@@ -9,98 +9,79 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import GroundRaster, Scene, Surface
-from touchdown.sim.api import (
-    BarometerParams,
-    CameraParams,
-    Command,
-    GpsFix,
-    GpsParams,
-    MagnetometerParams,
-    NavParams,
-    Observation,
-    RangefinderParams,
-    SensorNeeds,
-    SimParams,
-    WorldParams,
-)
+from touchdown.sim import api as sim
 from touchdown.sim.frames import rotation_from_yaw, so3_exp
+from touchdown.sim.navigation import sensors
 from touchdown.sim.navigation.rangefinder import RangefinderSensor
-from touchdown.sim.navigation.sensors import (
-    SEA_LEVEL_PA,
-    BarometerSensor,
-    GpsSensor,
-    MagnetometerSensor,
-    earth_field_world,
-    height_at,
-    pressure_at,
-)
 from touchdown.sim.world import MujocoWorld
 
 from support.places import scene_of
 
 Array = NDArray[np.float64]
 
-ALL_NAV = SensorNeeds(gps=True, barometer=True, magnetometer=True, rangefinder=True)
+ALL_NAV = sim.SensorNeeds(gps=True, barometer=True, magnetometer=True, rangefinder=True)
 
 
 def test_standard_atmosphere() -> None:
     """ISO 2533: 101325 Pa at sea level, 89 874.6 Pa at 1000 m, about 12 Pa a metre near it."""
-    assert pressure_at(0.0) == SEA_LEVEL_PA
-    assert pressure_at(1000.0) == pytest.approx(89_874.6, abs=1.0)
-    assert pressure_at(0.0) - pressure_at(1.0) == pytest.approx(12.01, abs=0.01)
+    assert sensors.pressure_at(0.0) == sensors.SEA_LEVEL_PA
+    assert sensors.pressure_at(1000.0) == pytest.approx(89_874.6, abs=1.0)
+    assert sensors.pressure_at(0.0) - sensors.pressure_at(1.0) == pytest.approx(12.01, abs=0.01)
     for height in (-200.0, 0.0, 123.4, 4000.0):
-        assert height_at(pressure_at(height)) == pytest.approx(height, abs=1e-6)
+        assert sensors.height_at(sensors.pressure_at(height)) == pytest.approx(height, abs=1e-6)
 
 
 def test_barometer_without_errors_reads_the_height() -> None:
-    params = BarometerParams(white_sigma_pa=0.0, drift_sigma_pa=0.0, offset_sigma_pa=0.0)
-    sample = BarometerSensor(params, 600, 0).sample(24, 31.5)
+    params = sim.BarometerParams(white_sigma_pa=0.0, drift_sigma_pa=0.0, offset_sigma_pa=0.0)
+    sample = sensors.BarometerSensor(params, 600, 0).sample(24, 31.5)
     assert (sample.tick, sample.time_s) == (24, 0.04)
     assert sample.altitude_m == pytest.approx(31.5, abs=1e-6)
-    assert sample.pressure_pa == pytest.approx(pressure_at(31.5 + params.site_elevation_m))
+    assert sample.pressure_pa == pytest.approx(sensors.pressure_at(31.5 + params.site_elevation_m))
 
 
 def test_barometer_noise_drift_and_offset() -> None:
     """Differences of neighbours show the white noise; its removal leaves the drift's increments
     over a minute, sigma sqrt(2 (1 - exp(-60 / 300)))."""
-    params = BarometerParams()
-    sensor = BarometerSensor(params, 600, 3)
+    params = sim.BarometerParams()
+    sensor = sensors.BarometerSensor(params, 600, 3)
     series = np.array([sensor.sample(24 * k, 0.0).pressure_pa for k in range(150_000)])
     assert np.std(np.diff(series)) / math.sqrt(2.0) == pytest.approx(1.2, rel=0.02)
     smooth = series.reshape(-1, 100).mean(axis=1)  # 4 s
     steps = np.std(smooth[15:] - smooth[:-15])
     expected = params.drift_sigma_pa * math.sqrt(2.0 * -math.expm1(-60.0 / 300.0))
     assert steps == pytest.approx(expected, rel=0.2)
-    first = [BarometerSensor(params, 600, s).sample(0, 0.0).pressure_pa for s in range(500)]
+    first = [sensors.BarometerSensor(params, 600, s).sample(0, 0.0).pressure_pa for s in range(500)]
     spread = math.sqrt(25.0**2 + 4.0**2 + 1.2**2)
     assert np.std(first) == pytest.approx(spread, rel=0.1)
 
 
 def test_earth_field_points_down_and_along_its_declination() -> None:
-    params = MagnetometerParams(strength_ut=50.0, declination_deg=90.0, inclination_deg=60.0)
+    params = sim.MagnetometerParams(strength_ut=50.0, declination_deg=90.0, inclination_deg=60.0)
     np.testing.assert_allclose(
-        earth_field_world(params), [25.0, 0.0, -50.0 * math.sqrt(0.75)], atol=1e-12
+        sensors.earth_field_world(params), [25.0, 0.0, -50.0 * math.sqrt(0.75)], atol=1e-12
     )
 
 
 def test_heading_from_the_field() -> None:
     """A level vehicle that heads north-west (yaw 135 degrees) recovers its yaw from the field."""
-    params = MagnetometerParams(noise_sigma_ut=0.0, hard_iron_sigma_ut=0.0)
+    params = sim.MagnetometerParams(noise_sigma_ut=0.0, hard_iron_sigma_ut=0.0)
     rotation = rotation_from_yaw(math.radians(135.0))
-    field = MagnetometerSensor(params, 600, 0).sample(12, rotation).field_body_ut
-    east, north, _ = earth_field_world(params)
+    field = sensors.MagnetometerSensor(params, 600, 0).sample(12, rotation).field_body_ut
+    east, north, _ = sensors.earth_field_world(params)
     yaw = math.atan2(north, east) - math.atan2(field[1], field[0])
     assert math.degrees(yaw) == pytest.approx(135.0, abs=1e-9)
 
 
 def test_hard_iron_is_constant_in_the_body_and_noise_is_white() -> None:
-    sensor = MagnetometerSensor(MagnetometerParams(), 600, 4)
-    truth = earth_field_world(MagnetometerParams())
+    sensor = sensors.MagnetometerSensor(sim.MagnetometerParams(), 600, 4)
+    truth = sensors.earth_field_world(sim.MagnetometerParams())
     turns = [so3_exp(np.array([0.0, 0.3, 0.001 * k])) for k in range(20_000)]
     errors = np.array([sensor.sample(0, r).field_body_ut - r.T @ truth for r in turns])
     np.testing.assert_allclose(errors.mean(axis=0), sensor._hard_iron, atol=0.006)
     np.testing.assert_allclose(np.std(errors, axis=0), 0.2, rtol=0.03)
-    devices = [MagnetometerSensor(MagnetometerParams(), 600, s)._hard_iron for s in range(400)]
+    devices = [
+        sensors.MagnetometerSensor(sim.MagnetometerParams(), 600, s)._hard_iron for s in range(400)
+    ]
     assert np.std(devices) == pytest.approx(0.7, rel=0.07)
 
 
@@ -114,7 +95,7 @@ SCENE_XML = """<mujoco><worldbody>
   <body name="vehicle/quadrotor" pos="0 0 10"><freejoint/>
     <geom name="vehicle/body" type="box" size="0.3 0.3 0.3" mass="1" group="4"/></body>
 </worldbody></mujoco>"""
-CLEAN = RangefinderParams(sigma_m=0.0, position_body_m=(0.0, 0.0, 0.0), resolution_m=1e-9)
+CLEAN = sim.RangefinderParams(sigma_m=0.0, position_body_m=(0.0, 0.0, 0.0), resolution_m=1e-9)
 
 
 def make_scene(ground: GroundRaster | None = None) -> tuple[Scene, mujoco.MjData]:
@@ -137,7 +118,7 @@ def make_scene(ground: GroundRaster | None = None) -> tuple[Scene, mujoco.MjData
 
 
 def ranges(
-    x: float, y: float, z: float, *, params: RangefinderParams = CLEAN, tilt: float = 0.0,
+    x: float, y: float, z: float, *, params: sim.RangefinderParams = CLEAN, tilt: float = 0.0,
     count: int = 1, ground: GroundRaster | None = None,
 ) -> Array:  # fmt: skip
     """(count,) readings of a vehicle at (x, y, z), pitched by ``tilt`` radians."""
@@ -153,12 +134,14 @@ def test_known_distances() -> None:
     assert ranges(20, 0, 10.0)[0] == pytest.approx(7.0, abs=1e-6)
     assert ranges(40, 0, 10.0)[0] == pytest.approx(10.0, abs=1e-6)  # sensors do not see group 3
     assert ranges(0, 0, 10.0, tilt=0.5)[0] == pytest.approx(10.0 / math.cos(0.5), abs=1e-6)
-    lowered = RangefinderParams(sigma_m=0.0, position_body_m=(0.0, 0.0, -0.13), resolution_m=0.01)
+    lowered = sim.RangefinderParams(
+        sigma_m=0.0, position_body_m=(0.0, 0.0, -0.13), resolution_m=0.01
+    )
     assert ranges(0, 0, 10.0, params=lowered)[0] == pytest.approx(9.87, abs=1e-9)
 
 
 def test_noise_and_resolution() -> None:
-    params = RangefinderParams(position_body_m=(0.0, 0.0, 0.0))
+    params = sim.RangefinderParams(position_body_m=(0.0, 0.0, 0.0))
     readings = ranges(0, 0, 10.0, params=params, count=4000)
     assert np.std(readings) == pytest.approx(0.03, rel=0.05)
     assert np.mean(readings) == pytest.approx(10.0, abs=0.002)
@@ -214,13 +197,13 @@ def field() -> Scene:
 def make_world(field: Scene) -> Iterator[MakeWorld]:
     made: list[MujocoWorld] = []
 
-    def make(needs: SensorNeeds = ALL_NAV, nav: NavParams | None = None) -> MujocoWorld:
+    def make(needs: sim.SensorNeeds = ALL_NAV, nav: sim.NavParams | None = None) -> MujocoWorld:
         world = MujocoWorld(
             field,
-            WorldParams(
-                sim=SimParams(threads=1),
-                camera=CameraParams(width=32, height=24),
-                nav=nav or NavParams(),
+            sim.WorldParams(
+                sim=sim.SimParams(threads=1),
+                camera=sim.CameraParams(width=32, height=24),
+                nav=nav or sim.NavParams(),
             ),
             3,
             needs,
@@ -233,10 +216,10 @@ def make_world(field: Scene) -> Iterator[MakeWorld]:
         world.close()
 
 
-def rest(world: MujocoWorld, steps: int) -> Iterator[Observation]:
+def rest(world: MujocoWorld, steps: int) -> Iterator[sim.Observation]:
     yield world.reset()
     for _ in range(steps):
-        yield world.step(Command(rotor_speed_radps=np.zeros(4)))
+        yield world.step(sim.Command(rotor_speed_radps=np.zeros(4)))
 
 
 def test_each_sensor_has_its_own_schedule(make_world: MakeWorld) -> None:
@@ -270,7 +253,9 @@ def test_readings_at_rest_match_the_scene(make_world: MakeWorld) -> None:
 
 def test_sensors_do_not_disturb_one_another_and_reset_repeats(make_world: MakeWorld) -> None:
     alone = [
-        s.altitude_m for o in rest(make_world(SensorNeeds(barometer=True)), 60) for s in o.barometer
+        s.altitude_m
+        for o in rest(make_world(sim.SensorNeeds(barometer=True)), 60)
+        for s in o.barometer
     ]
     world = make_world()
     together = [s.altitude_m for o in rest(world, 60) for s in o.barometer]
@@ -278,17 +263,17 @@ def test_sensors_do_not_disturb_one_another_and_reset_repeats(make_world: MakeWo
     assert alone == together == again
 
 
-CENTRED = GpsParams(antenna_body_m=(0.0, 0.0, 0.0))
+CENTRED = sim.GpsParams(antenna_body_m=(0.0, 0.0, 0.0))
 
 
-def fix(sensor: GpsSensor, tick: int = 120, position: Array | None = None) -> GpsFix:
+def fix(sensor: sensors.GpsSensor, tick: int = 120, position: Array | None = None) -> sim.GpsFix:
     where = np.zeros(3) if position is None else position
     return sensor.sample(tick, np.eye(3), where, np.zeros(3), np.zeros(3))
 
 
-def errors(params: GpsParams, seed: int, count: int) -> Array:
+def errors(params: sim.GpsParams, seed: int, count: int) -> Array:
     """(count, 3) position errors of one receiver at 5 Hz."""
-    sensor = GpsSensor(params, 600, seed)
+    sensor = sensors.GpsSensor(params, 600, seed)
     return np.array([fix(sensor).position_world for _ in range(count)])
 
 
@@ -314,7 +299,7 @@ def test_zou2024_preset_gives_the_published_mean_error() -> None:
 
 
 def test_velocity_is_white() -> None:
-    sensor = GpsSensor(CENTRED, 600, 2)
+    sensor = sensors.GpsSensor(CENTRED, 600, 2)
     speeds = np.array([fix(sensor).velocity_world for _ in range(20_000)])
     np.testing.assert_allclose(np.std(speeds, axis=0), 0.05, rtol=0.03)
     lagged = np.mean(speeds[1:] * speeds[:-1], axis=0) / 0.05**2
@@ -324,10 +309,10 @@ def test_velocity_is_white() -> None:
 def test_the_antenna_is_measured_not_the_body() -> None:
     """Antenna 1 m ahead, heading north, turning left at 2 rad/s: 1 m north of the body and moving
     west at 2 m/s beside the body's own 3 m/s upwards."""
-    params = GpsParams(
+    params = sim.GpsParams(
         antenna_body_m=(1.0, 0.0, 0.0), sigma_xy_m=0.0, sigma_z_m=0.0, velocity_sigma_mps=0.0
     )
-    message = GpsSensor(params, 600, 0).sample(
+    message = sensors.GpsSensor(params, 600, 0).sample(
         240, rotation_from_yaw(np.pi / 2), np.array([5.0, 6.0, 7.0]), np.array([0.0, 0.0, 3.0]),
         np.array([0.0, 0.0, 2.0]),
     )  # fmt: skip

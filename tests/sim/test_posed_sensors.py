@@ -43,14 +43,6 @@ def sensors(scene: Scene) -> Iterator[PosedSensors]:
     made.close()
 
 
-def test_depth_is_the_height_of_the_camera(scene: Scene, sensors: PosedSensors) -> None:
-    view = sensors.view(ABOVE, 0.0, 0)
-    height = view.world_from_camera.translation[2]
-    assert height == pytest.approx(20.0 + sensors.mounts.camera.translation[2])
-    np.testing.assert_allclose(view.depth_m, height, atol=0.01)
-    assert (view.geom_id == scene.model.geom("lawn").id).all()
-
-
 def test_returns_lie_on_the_ground(sensors: PosedSensors) -> None:
     scan = sensors.scan(BodyTrack.at_rest(ABOVE, sensors.scan_times(120)), 120)
     assert (scan.start_tick, scan.end_tick) == (120, 180)

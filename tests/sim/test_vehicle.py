@@ -107,13 +107,6 @@ def test_a_missing_part_is_named() -> None:
         vehicle_model(bare)
 
 
-def test_hover_wrench_is_the_weight(alone: mujoco.MjModel, vehicle: VehicleModel) -> None:
-    rotors = _spinning(alone, vehicle, _hover_speed(vehicle))
-    wrench = rotors.step(LEVEL, STILL, STILL, STILL, HIGH)
-    weight = vehicle.mass_kg * GRAVITY_MPS2
-    np.testing.assert_allclose(wrench, [0, 0, weight, 0, 0, 0], atol=1e-9)
-
-
 @pytest.mark.parametrize("rotor", range(4))
 def test_one_rotors_wrench_matches_the_vehicle_model(
     alone: mujoco.MjModel, vehicle: VehicleModel, rotor: int

@@ -44,20 +44,6 @@ def one_line(harmonic: int, params: ImuParams = LINES, period_s: float = PERIOD_
     return samples(model, np.full((4000, 4), HOVER))[1:]
 
 
-@pytest.mark.parametrize("harmonic", [0, 1])
-def test_a_line_is_the_mean_of_a_sinusoid_at_its_alias(harmonic: int) -> None:
-    found = one_line(harmonic)
-    hz = (harmonic + 1) * HOVER / (2.0 * np.pi)
-    alias = min(hz % 200.0, 200.0 - hz % 200.0)
-    spectrum = np.abs(np.fft.rfft(found * np.hanning(len(found))[:, None], axis=0))
-    peak = np.fft.rfftfreq(len(found), PERIOD_S)[spectrum.argmax(axis=0)]
-    np.testing.assert_allclose(peak, alias, atol=0.1)
-    # Four rotors of random phase: compare powers, summed over axes, with a wide band.
-    fine = one_line(harmonic, period_s=PERIOD_S / 50.0)
-    left = np.sqrt((found**2).mean(axis=0) / (fine**2).mean(axis=0))
-    np.testing.assert_allclose(left, abs(np.sinc(hz * PERIOD_S)), rtol=0.02)
-
-
 def test_a_line_equals_the_numerical_mean_while_the_rotors_run_up() -> None:
     """Speeds rise linearly within a sample; the phase is that of the mean speed."""
     levels = NO_LINES.copy()

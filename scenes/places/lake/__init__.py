@@ -15,13 +15,7 @@ from touchdown.scenes.authoring.plane import draw_heading, unit
 from touchdown.scenes.authoring.plots import claim_free
 from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.authoring.water import WaterLook, upsample
-from touchdown.scenes.places.lake.layout import (
-    Basin,
-    Plan,
-    Shore,
-    draw_plan,
-    shape_basin,
-)
+from touchdown.scenes.places.lake import layout
 from touchdown.scenes.props import waterside
 from touchdown.scenes.props.houses import House, add_house
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, add_tree, plant_nursery
@@ -33,7 +27,7 @@ TIMBER = (150.0, 134.0, 112.0)
 class Surroundings:
     """Distances from the waterline and depths of the ground."""
 
-    def __init__(self, plan: Plan, basin: Basin) -> None:
+    def __init__(self, plan: layout.Plan, basin: layout.Basin) -> None:
         self.plan, self.basin = plan, basin
         self._shore = HeightField(heights_m=basin.shore_m)
 
@@ -58,7 +52,7 @@ class Surroundings:
         return claim_free(builder, near, count, gap_m)
 
 
-def footpath(plan: Plan, rng: np.random.Generator) -> Array:
+def footpath(plan: layout.Plan, rng: np.random.Generator) -> Array:
     """(N, 2) a path around the lake, some metres from its shore."""
     turn = np.linspace(0.0, 2.0 * np.pi, 240)
     phase, sway = rng.uniform(0.0, 6.0), rng.uniform(0.8, 1.6)
@@ -69,7 +63,7 @@ def footpath(plan: Plan, rng: np.random.Generator) -> Array:
 
 
 def place_objects(
-    builder: SceneBuilder, plan: Plan, basin: Basin, nursery: Nursery, path: Array
+    builder: SceneBuilder, plan: layout.Plan, basin: layout.Basin, nursery: Nursery, path: Array
 ) -> None:
     """Adds jetty, boats, reeds, beach, trees, benches, rocks, fence and molehills."""
     around = Surroundings(plan, basin)
@@ -143,7 +137,7 @@ def _place_jetty(builder: SceneBuilder, around: Surroundings) -> None:
 def _place_beach(builder: SceneBuilder, around: Surroundings) -> None:
     """Adds a net on the sand, a line of floats around the bathing water, an upright sign."""
     rng = builder.rng
-    middle = around.plan.middle_of(Shore.BEACH)
+    middle = around.plan.middle_of(layout.Shore.BEACH)
     side = rng.choice([-0.13, 0.13])
     waterside.add_net(builder, around.on_shore(middle + side, 5.0), middle)
     bearings = np.linspace(middle - 0.36, middle + 0.36, 11)
@@ -157,7 +151,7 @@ def _place_beach(builder: SceneBuilder, around: Surroundings) -> None:
     add_bin(builder, around.on_shore(middle - 1.4 * side, 9.4), [0.16, 0.30, 0.20, 1])
 
 
-def _place_islet(builder: SceneBuilder, plan: Plan, nursery: Nursery) -> None:
+def _place_islet(builder: SceneBuilder, plan: layout.Plan, nursery: Nursery) -> None:
     if plan.islet_radius_m < 0.0:
         return
     add_tree(builder, nursery, plan.islet_xy_m, float(builder.rng.uniform(0.7, 0.95)))
@@ -173,7 +167,7 @@ def _place_reeds(builder: SceneBuilder, around: Surroundings, limit: int = 74) -
     """Adds tufts close together in the shallows and on the mud of the reedy stretches."""
     rng, plan = builder.rng, around.plan
     bed = waterside.grow_reeds(builder)
-    reedy = np.flatnonzero(plan.kinds == int(Shore.REEDS))
+    reedy = np.flatnonzero(plan.kinds == int(layout.Shore.REEDS))
     grown = 0
     for _ in range(8 * limit):
         bearing = float((rng.choice(reedy) + rng.uniform()) / len(plan.kinds) * 2.0 * np.pi)
@@ -186,7 +180,7 @@ def _place_reeds(builder: SceneBuilder, around: Surroundings, limit: int = 74) -
             grown += 1
 
 
-def _place_benches(builder: SceneBuilder, plan: Plan, path: Array) -> None:
+def _place_benches(builder: SceneBuilder, plan: layout.Plan, path: Array) -> None:
     """Adds benches beside the path that look over the lake."""
     for index in range(10, len(path), 34):
         bearing = float(plan.bearing(path[index]))
@@ -199,7 +193,7 @@ def _place_benches(builder: SceneBuilder, plan: Plan, path: Array) -> None:
 def _place_rocks(builder: SceneBuilder, around: Surroundings) -> None:
     """Adds boulders along the shingle, some of them in the water."""
     rng, plan = builder.rng, around.plan
-    stony = np.flatnonzero(plan.kinds == int(Shore.SHINGLE))
+    stony = np.flatnonzero(plan.kinds == int(layout.Shore.SHINGLE))
     for _ in range(18):
         bearing = float(rng.choice(stony) / len(plan.kinds) * 2.0 * np.pi)
         spot = around.on_shore(bearing, float(rng.uniform(-2.6, 5.0)))
@@ -226,8 +220,8 @@ def _place_pasture(builder: SceneBuilder, around: Surroundings) -> None:
 def generate(seed: int) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = generation.scene_rng("lake", seed)
-    plan = draw_plan(rng)
-    basin = shape_basin(rng, plan)
+    plan = layout.draw_plan(rng)
+    basin = layout.shape_basin(rng, plan)
     builder = generation.start_scene("lake", rng, basin.terrain)
     nursery = plant_nursery(builder)
     path = footpath(plan, rng)
@@ -266,7 +260,9 @@ _CORNERS = (
 """Outlines of the fields (x, y), metres; they end at the edge of the scene."""
 
 
-def paint_shore(rng: np.random.Generator, canvas: Canvas, plan: Plan, basin: Basin) -> None:
+def paint_shore(
+    rng: np.random.Generator, canvas: Canvas, plan: layout.Plan, basin: layout.Basin
+) -> None:
     """Paints meadow, mown grass about the take-off spot, and the shore by its kind, edges
     frayed."""
     axis = (np.arange(_SIZE) + 0.5) / _SIZE * 2.0 * HALF_M - HALF_M
@@ -281,10 +277,10 @@ def paint_shore(rng: np.random.Generator, canvas: Canvas, plan: Plan, basin: Bas
     mown = (home < 12.0 + 0.6 * fray) | (np.abs(shore - 11.5) < 4.5 + 0.8 * fray)
     layer[mown] = int(Ground.LAWN)
     limits = {
-        Shore.BEACH: ((9.5, 1.3, Ground.BEACH),),
-        Shore.REEDS: ((3.6, 1.0, Ground.MUD),),
-        Shore.SHINGLE: ((6.0, 1.2, Ground.GRAVEL), (2.6, 0.5, Ground.BEACH)),
-        Shore.BANK: ((1.5, 0.7, Ground.WORN), (-0.4, 0.4, Ground.MUD)),
+        layout.Shore.BEACH: ((9.5, 1.3, Ground.BEACH),),
+        layout.Shore.REEDS: ((3.6, 1.0, Ground.MUD),),
+        layout.Shore.SHINGLE: ((6.0, 1.2, Ground.GRAVEL), (2.6, 0.5, Ground.BEACH)),
+        layout.Shore.BANK: ((1.5, 0.7, Ground.WORN), (-0.4, 0.4, Ground.MUD)),
     }
     for which, bands in limits.items():
         for edge, spread, material in bands:
@@ -304,11 +300,11 @@ def paint_fields(rng: np.random.Generator, canvas: Canvas) -> None:
         canvas.fill(outline, Ground(int(kind)))
 
 
-def paint_strand(rng: np.random.Generator, canvas: Canvas, plan: Plan) -> None:
+def paint_strand(rng: np.random.Generator, canvas: Canvas, plan: layout.Plan) -> None:
     """Paints drift lines on the beach."""
     for index in range(2):
         out = 0.7 + 1.5 * index + rng.uniform(-0.2, 0.2)
-        beach = plan.middle_of(Shore.BEACH)
+        beach = plan.middle_of(layout.Shore.BEACH)
         for start in np.arange(beach - 0.6, beach + 0.6, 0.05):
             if rng.random() < 0.6:
                 turn = start + np.linspace(0.0, 0.05, 8)

@@ -15,7 +15,6 @@ from touchdown.sim.api import CameraParams, SimParams
 from touchdown.sim.camera.optics import distort, intrinsics_of, undistort
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.delivery import readout_ticks
-from touchdown.sim.frames import so3_exp
 
 from support.camera_support import CLEAN, HEIGHT_M, box, centroid, make_scene, posed, take_image
 
@@ -49,20 +48,6 @@ def test_depth_is_along_the_axis_not_along_the_ray() -> None:
     assert np.ptp(cols) + 1 == pytest.approx(k.fx * 2.0 / 17.0, abs=1.5)
     assert np.ptp(rows) + 1 == pytest.approx(k.fy * 4.0 / 17.0, abs=1.5)
     assert not depth.flags.writeable
-
-
-def test_depth_of_a_tilted_view_follows_the_plane() -> None:
-    """Pitched by 0.3 rad over a plane at distance h: depth(u, v) = h / (n . ray)."""
-    half = 0.15
-    scene = make_scene(quat_wxyz=f"{np.cos(half)} 0 {np.sin(half)} 0")
-    depth, _ = seen(scene)
-    k = intrinsics_of(CLEAN)
-    u, v = np.meshgrid(np.arange(848), np.arange(480))
-    rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones_like(u, dtype=float)], axis=-1)
-    body = np.stack([-rays[..., 1], -rays[..., 0], -rays[..., 2]], axis=-1)
-    world = body @ so3_exp(np.array([0.0, 0.3, 0.0])).T
-    expected = HEIGHT_M / -world[..., 2]
-    np.testing.assert_allclose(depth, expected, rtol=3e-4)
 
 
 def test_the_sky_has_no_depth_and_no_geom() -> None:

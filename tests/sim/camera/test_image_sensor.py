@@ -8,14 +8,8 @@ import pytest
 
 from touchdown.scenes.api import LIGHT_LUX
 from touchdown.sim.api import CameraIntrinsics, CameraParams, LampParams
+from touchdown.sim.camera import image_sensor
 from touchdown.sim.camera.gl import InverseDepth
-from touchdown.sim.camera.image_sensor import (
-    _BENDS,
-    Exposed,
-    ImageSensor,
-    NoisePlace,
-    quiet_tone,
-)
 from touchdown.sim.camera.lamp import LampField, lamp_field, lamp_row, peak_candela, shines
 from touchdown.sim.camera.optics import GAMMA, NOISE_MARGIN, intrinsics_of, make_lens
 from touchdown.sim.camera.shutter import _RIGID_PX, identity_shifts, sample_row
@@ -24,8 +18,8 @@ from touchdown.sim.camera.shutter import _RIGID_PX, identity_shifts, sample_row
 @pytest.mark.parametrize("gain", [1.0, 2.0])
 def test_noise_of_grey_levels_is_that_of_their_electrons(gain: float) -> None:
     """Shot and read noise, carried to grey levels by the display's power law, to 8 %."""
-    light = Exposed(electrons=12e3, full_well=25e3, read_noise=6.0, gain=gain)
-    tone = quiet_tone(light)
+    light = image_sensor.Exposed(electrons=12e3, full_well=25e3, read_noise=6.0, gain=gain)
+    tone = image_sensor.quiet_tone(light)
     level = np.arange(20.0, 256.0)
     electrons = 12e3 * (level / 255.0) ** GAMMA
     grey = 255.0 * (electrons * gain / 25e3) ** (1.0 / GAMMA)
@@ -35,7 +29,7 @@ def test_noise_of_grey_levels_is_that_of_their_electrons(gain: float) -> None:
         a * np.minimum(level, b) for a, b in zip(tone.slopes, tone.bends, strict=True)
     )
     np.testing.assert_allclose(spread, slope * np.sqrt(electrons + 36.0), rtol=0.08)
-    assert len(tone.slopes) == len(tone.bends) == len(_BENDS) + 1
+    assert len(tone.slopes) == len(tone.bends) == len(image_sensor._BENDS) + 1
 
 
 def test_rows_show_the_drawing_between_its_pixels() -> None:
@@ -62,15 +56,15 @@ def test_the_lamp_adds_to_the_ambient_light(fraction: float) -> None:
     """On a grey floor 2 m below, in the middle of the image: ``fraction`` of the ambient light."""
     lens = make_lens(CameraParams(width=64, height=48))
     lamp = LampParams(below_m=12.0)
-    light = Exposed(
+    light = image_sensor.Exposed(
         electrons=2e3, full_well=25e3, read_noise=6.0, gain=1.0, lamp=lamp_field(lamp, lens.raster),
         electrons_per_lux=2e3 * fraction / (peak_candela(lamp) / 4.0),
     )  # fmt: skip
     depth = InverseDepth(np.full((48, 64), 0.49, np.float32), 0.01, 1.0)
     noise = np.zeros((48 + NOISE_MARGIN, 3 * (64 + NOISE_MARGIN)), np.int8)
     drawn = np.full((48, 64, 3), 150, np.uint8)
-    image = ImageSensor(lens).exposed(
-        drawn, depth, identity_shifts(48), noise, NoisePlace(0, 0, 1), light
+    image = image_sensor.ImageSensor(lens).exposed(
+        drawn, depth, identity_shifts(48), noise, image_sensor.NoisePlace(0, 0, 1), light
     )  # fmt: skip
     lit = 2e3 * (1.0 + fraction) * (150.0 / 255.0) ** GAMMA / 25e3
     assert image[24, 32] == pytest.approx(255.0 * lit ** (1.0 / GAMMA), abs=1.0)

@@ -9,17 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.experiments.errors import UsageError
 from touchdown.scenes.api import Scene
-from touchdown.sim.airframe.rotors import Rotors
-from touchdown.sim.airframe.vehicle import RotorGeometry
 from touchdown.sim.api import (
     CameraParams,
     Command,
     FaultParams,
     SensorNeeds,
     SimParams,
-    VehicleModel,
     WorldParams,
 )
 from touchdown.sim.faults.disturbances import Disturbances, gust_speed
@@ -96,38 +92,6 @@ def test_the_shape_of_a_gust() -> None:
     assert endless.sum() / HZ == pytest.approx(6 * 7.5, rel=1e-6)
     across = blown("gust@2*1", gust_direction_deg=90.0)
     assert across[:, 1].max() == pytest.approx(5.0) and not across[:, [0, 2]].round(12).any()
-
-
-def test_a_weak_motor_loses_the_stated_share_of_its_thrust() -> None:
-    corners = 0.2 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    vehicle = VehicleModel(
-        mass_kg=2.0, inertia_kgm2=np.ones(3), rotor_xy_m=corners,
-        rotor_spin=np.array([1.0, -1.0, 1.0, -1.0]), thrust_coefficient=1e-5,
-        torque_coefficient=2e-7, rotor_speed_min=50.0, rotor_speed_max=1000.0,
-        motor_time_constant_s=0.05, linear_drag=0.0, leg_height_m=0.1, footprint_radius_m=0.4,
-    )  # fmt: skip
-    hubs = np.column_stack([vehicle.rotor_xy_m, np.zeros(4)])
-    geometry = RotorGeometry(positions_body=hubs, radius_m=0.1, drag=0.0, inflow=0.0)
-    disturbances = Disturbances(
-        FaultParams(events=("motor_loss@1+1",), motor=2, motor_loss_fraction=0.3), HZ, 12.0, 0
-    )
-    wrenches = {}
-    for tick in (599, 600, 1199, 1200):
-        rotors = Rotors(vehicle, geometry, 1.0 / HZ)
-        rotors.demand(np.full(4, 700.0), disturbances.rotor_speed_fraction(tick))
-        still = (np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3), np.zeros(3), math.inf)
-        for _ in range(600):
-            rotors.step(*still)
-        wrenches[tick] = rotors.wrench.copy()
-    thrust = 1e-5 * 700.0**2
-    assert wrenches[599][2] == pytest.approx(4.0 * thrust, rel=1e-6)
-    assert wrenches[600][2] == pytest.approx(3.7 * thrust, rel=1e-6)
-    # of rotor 2 at (-0.2, -0.2): its torque of 0.3 thrusts is missing, and its drag on the air
-    np.testing.assert_allclose(
-        wrenches[1199][3:], [0.06 * thrust, -0.06 * thrust, -0.3 * 2e-7 * 700.0**2], rtol=1e-5
-    )
-    np.testing.assert_allclose(wrenches[1200], wrenches[599])
-    assert disturbances.summary(0.005) == [{"fault": "motor_loss@1+1", "acted_s": 0.01}]
 
 
 def test_a_miscalibrated_mount_is_off_by_the_stated_amounts() -> None:
@@ -222,19 +186,3 @@ def test_effects_of_faults_in_the_world_are_counted(scene: Scene) -> None:
     gust = found[0]["gust@0.1+3"]
     assert gust["acted_s"] == pytest.approx(179 * STEP / HZ)  # 0.105 to 0.995 s
     assert gust["gust_mps"] == pytest.approx(gust_speed(0.895 / 1.5, 5.0), rel=1e-3)
-
-
-@pytest.mark.parametrize(("overrides", "events", "fragment"), [
-    (["faults.motor_loss_fraction=0.6"], (), "motor_loss_fraction = 0.6 .* within 0 to 0.5"),
-    (["faults.motor=4"], (), "must be within 0 to 3"),
-    (["faults.fog_visibility_m=1.0"], (), "must be within 5 to 100000"),
-    (["faults.low_sun_deg=0.0"], (), "low_sun_deg"), ([], ("low_sun@5",), "give low_sun@0"),
-    ([], ("low_sun@0+5",), "give low_sun@0"),
-    (["wind.mean_kmh=40.0"], ("gust@5",), "gust_kmh = 30 is below wind.mean_kmh = 40"),
-])  # fmt: skip
-def test_invalid_schedules_are_reported_in_one_line(
-    overrides: list[str], events: tuple[str, ...], fragment: str
-) -> None:
-    with pytest.raises(UsageError, match=fragment) as caught:
-        load_config(None, overrides, fault=events)
-    assert "\n" not in str(caught.value)

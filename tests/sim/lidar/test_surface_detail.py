@@ -9,14 +9,8 @@ import pytest
 from touchdown.scenes.api import GroundRaster, Scene, Surface
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.frames import Pose, so3_exp
+from touchdown.sim.lidar import surface_detail
 from touchdown.sim.lidar.sensor import LidarSensor
-from touchdown.sim.lidar.surface_detail import (
-    FINEST_M,
-    FRACTIONS,
-    SurfaceDetail,
-    add_plane_noise,
-    add_space_noise,
-)
 from touchdown.sim.moving import BodyTrack
 
 from support.lidar_support import DOWN, PERFECT, PLANE, TICK_HZ, make_scene, track
@@ -43,7 +37,7 @@ def _field(places: np.ndarray, salt: int) -> np.ndarray:
     """Noise (N,) over unit cells at (N, 2 or 3) places."""
     noise, ones = np.zeros(len(places), np.float32), np.ones(len(places), np.float32)
     axes = [np.ascontiguousarray(axis, dtype=np.float32) for axis in places.T]
-    add = add_plane_noise if len(axes) == 2 else add_space_noise
+    add = surface_detail.add_plane_noise if len(axes) == 2 else surface_detail.add_space_noise
     add(*axes, 1.0, np.uint32(salt), ones, noise)
     return noise
 
@@ -79,14 +73,14 @@ def _log_gain(params: LidarParams, scene: Scene, height: float) -> np.ndarray:
 def test_spread_is_that_of_the_surface_less_what_the_footprint_averages(spread: float) -> None:
     def left(height: float) -> float:
         widths = 0.01 + height * np.deg2rad([0.03, 0.28])
-        cells = FINEST_M * 4.0 ** np.arange(len(FRACTIONS))
+        cells = surface_detail.FINEST_M * 4.0 ** np.arange(len(surface_detail.FRACTIONS))
         fade = np.prod(cells[:, None] / (cells[:, None] + widths), axis=1)
-        return float(math.sqrt(np.array(FRACTIONS) @ fade))
+        return float(math.sqrt(np.array(surface_detail.FRACTIONS) @ fade))
 
     for height in (3.0, 20.0):
         found = _log_gain(TEXTURED, _plane(spread=spread), height).std()
         assert found == pytest.approx(spread * left(height), rel=0.15 if height < 5 else 0.07)
-    assert sum(FRACTIONS) == pytest.approx(1.0)
+    assert sum(surface_detail.FRACTIONS) == pytest.approx(1.0)
 
 
 def test_texture_keeps_ranges_and_the_mean_and_costs_nothing_where_off() -> None:
@@ -192,7 +186,9 @@ def _depths(scene: Scene, params: LidarParams, height: float = 15.0) -> tuple[np
     return (bare.ranges - scan.ranges)[back], scan.directions[back, 2].astype(float)
 
 
-def _heights(detail: SurfaceDetail, x: np.ndarray, y: np.ndarray, mean: float) -> np.ndarray:
+def _heights(
+    detail: surface_detail.SurfaceDetail, x: np.ndarray, y: np.ndarray, mean: float
+) -> np.ndarray:
     places = [np.ascontiguousarray(axis, dtype=np.float32) for axis in (x, y)]
     return detail.plant_height_m(*places, np.full(len(x), mean, np.float32))
 
