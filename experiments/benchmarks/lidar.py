@@ -20,8 +20,8 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.api import LidarParams
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, rotation_from_yaw
+from touchdown.sim.geometry.tessellation import FIRST_HIDDEN_GROUP
 from touchdown.sim.lidar.patterns import PATTERNS
-from touchdown.sim.lidar.raycast_scene import FIRST_HIDDEN_GROUP
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.moving import BodyTrack, MovingBodies
 

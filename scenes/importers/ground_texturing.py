@@ -23,6 +23,7 @@ from touchdown.scenes.authoring.ground import Canvas, Ground, shade_ground
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.importers.classes import look_of
 from touchdown.scenes.importers.top_view import Place, grounds, largest, top_view
+from touchdown.sim.geometry.tessellation import FIRST_HIDDEN_GROUP
 
 MIN_AREA_M2 = 25.0
 """Smaller surfaces stay as they are."""
@@ -37,7 +38,6 @@ _ENDLESS_M = 1000.0
 """half width of a plane along an axis on which it has no end"""
 _BEHIND_M = 0.05
 """below a plane, of what is seen there"""
-_HIDDEN_GROUP = 3
 
 
 class Sampled(NamedTuple):
@@ -62,7 +62,7 @@ def touch_meshes(spec: Any, place: Place, others: Container[int]) -> None:
         if (terrain := sampled(place, geom)) is not None:
             own = spec.geom(place.name(geom))
             own.contype = own.conaffinity = 0
-            add_field(spec, f"{own.name}_touched", terrain, group=_HIDDEN_GROUP)
+            add_field(spec, f"{own.name}_touched", terrain, group=FIRST_HIDDEN_GROUP)
 
 
 def end_planes(spec: Any, place: Place, others: Container[str]) -> list[str]:
@@ -79,7 +79,7 @@ def end_planes(spec: Any, place: Place, others: Container[str]) -> list[str]:
             own, size = spec.geom(name), place.model.geom_size[geom, :2]
             own.contype = own.conaffinity = 0
             spec.worldbody.add_geom(
-                name=f"{name}_touched", type=mujoco.mjtGeom.mjGEOM_BOX, group=_HIDDEN_GROUP,
+                name=f"{name}_touched", type=mujoco.mjtGeom.mjGEOM_BOX, group=FIRST_HIDDEN_GROUP,
                 size=[*np.where(size > 0.0, size, _ENDLESS_M), _HALF_THICK_M],
                 pos=middle - _HALF_THICK_M * normal, quat=quat_of(place.rotation(geom)),
             )  # fmt: skip

@@ -18,9 +18,8 @@ from scipy.sparse.csgraph import connected_components
 
 from touchdown.scenes.api import Array
 from touchdown.sim.files.opening import quiet_libraries
-from touchdown.sim.geometry.quadrics import ShapeTable
-from touchdown.sim.geometry.ray_target import RayTarget, geom_pose
-from touchdown.sim.geometry.tessellation import geom_mesh
+from touchdown.sim.geometry.ray_target import RayTarget, TargetParts, geom_pose
+from touchdown.sim.geometry.tessellation import geom_mesh, is_seen
 
 Ids = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -28,7 +27,6 @@ Mask = NDArray[np.bool_]
 CELL_M = 0.5
 STEP_M = 0.35
 """Between neighbouring cells of one ground: a kerb, a slab, a slope of 35 degrees."""
-_HIDDEN_GROUP = 3
 _SMALL_M = 4.0
 """Bounding radius of things that cells may miss"""
 _TOP_M = 1000.0
@@ -121,13 +119,6 @@ class Place(NamedTuple):
         return np.dstack([self.seen.centres(), high])[np.isfinite(high)]
 
 
-def is_seen(model: Any, geom: int) -> bool:
-    """True for a geom that sensors see."""
-    material = int(model.geom_matid[geom])
-    alpha = model.mat_rgba[material, 3] if material >= 0 else model.geom_rgba[geom, 3]
-    return bool(model.geom_group[geom] < _HIDDEN_GROUP and alpha > 0.0)
-
-
 def top_view(
     model: Any, data: Any, bounds_xy_m: Array, cell_m: float = CELL_M, only: int | None = None
 ) -> TopView:
@@ -136,27 +127,22 @@ def top_view(
     low, high = bounds_xy_m
     cols, rows = np.maximum(np.ceil((high - low) / cell_m - 1e-9).astype(int), 1)
     middle = np.array([*(0.5 * (low + high)), 0.0])
-    shapes = ShapeTable.empty(model.ngeom)
-    blocks: list[tuple[Any, Any, int]] = []
+    parts = TargetParts.none(model)
     for geom in range(model.ngeom):
         if not is_seen(model, geom) or only not in (None, geom):
             continue
         pose = geom_pose(data, geom)
         around = pose.inverse().apply(middle)
         mesh = geom_mesh(model, geom, _REACH_M, None, (around[0], around[1]))
-        if mesh is None or not len(mesh[1]):
-            continue
-        blocks.append((pose.apply(mesh[0]), mesh[1], geom))
-        shapes.add(model, geom, pose)
+        parts.add(model, geom, pose, mesh)
     found = TopView(
         low.copy(), cell_m, np.full((rows, cols), np.nan), np.full((rows, cols), -1, np.int32)
     )
-    if blocks:
-        vertices, triangles, geoms = (list(part) for part in zip(*blocks, strict=True))
+    if parts.geoms:
         rays = np.zeros((rows * cols, 6), np.float32)
         rays[:, :2] = found.centres().reshape(-1, 2)
         rays[:, 2], rays[:, 5] = _TOP_M, -1.0
-        hits = RayTarget(vertices, triangles, geoms, shapes).cast(rays)
+        hits = RayTarget(parts).cast(rays)
         met = hits.geom >= 0
         found.height_m.ravel()[met] = _TOP_M - hits.distance[met].astype(np.float64)
         found.geom.ravel()[:] = hits.geom

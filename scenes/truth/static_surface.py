@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes import api
 from touchdown.sim.frames import Pose
-from touchdown.sim.geometry.quadrics import ShapeTable
-from touchdown.sim.geometry.ray_target import RayTarget, geom_pose
+from touchdown.sim.geometry.ray_target import RayTarget, TargetParts, geom_pose
 from touchdown.sim.geometry.tessellation import geom_mesh
 
 Indices = NDArray[np.int32]
@@ -113,9 +112,7 @@ class _Caster:
         self._origin = origin_xy_m
         self._planes: list[_Plane] = []
         shift = Pose(np.eye(3), -np.array([*origin_xy_m, 0.0]))
-        vertices, triangles, owners = [], [], []
-        shapes = ShapeTable.empty(model.ngeom)
-        top = 0.0
+        parts = TargetParts.none(model)
         for geom in geoms.tolist():
             pose = geom_pose(data, geom)
             if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
@@ -126,16 +123,10 @@ class _Caster:
                     continue
             around = pose.inverse().apply(np.array([*origin_xy_m, 0.0]))
             mesh = geom_mesh(model, geom, _STRIP_REACH_M, around=(around[0], around[1]))
-            if mesh is None or not len(mesh[1]):
-                continue
-            local = shift @ pose
-            vertices.append(local.apply(mesh[0]))
-            triangles.append(mesh[1])
-            owners.append(geom)
-            shapes.add(model, geom, local)
-            top = max(top, float(vertices[-1][:, 2].max()))
+            parts.add(model, geom, shift @ pose, mesh)
+        top = max([0.0, *(float(points[:, 2].max()) for points in parts.vertices)])
         self._start_z = float(np.ceil(top) + 1.0)
-        self._target = RayTarget(vertices, triangles, owners, shapes) if vertices else None
+        self._target = RayTarget(parts) if parts.geoms else None
 
     def cast(self, xy_m: api.Array) -> TopHits:
         """The top surface at (N, 2) world points."""

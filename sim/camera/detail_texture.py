@@ -39,6 +39,7 @@ from touchdown.sim.camera.detail_kernels import (
 )
 from touchdown.sim.camera.gl import InverseDepth, Snapshot
 from touchdown.sim.camera.vegetation import Vegetation
+from touchdown.sim.geometry.tessellation import FIRST_HIDDEN_GROUP, geom_mesh, may_move
 from touchdown.sim.typing import Array, Bytes, Float32
 
 PHOTOGRAPHS = Path(__file__).parent / "photographs"
@@ -47,7 +48,6 @@ _KIND_CELL_M = 0.1
 _MAX_CELLS = 2048
 _MARGIN_M = 8.0
 _HIGH_M = 1e3
-_FIRST_HIDDEN_GROUP = 3
 _NOISE_PX = 256
 _OF_CLASS = {"lawn": "grass", "field": "soil", "path": "concrete", "road": "asphalt"}
 """Photographs of geoms of a class."""
@@ -206,11 +206,10 @@ def _ground_geoms(scene: Scene) -> list[int]:
     found = []
     for geom in range(model.ngeom):
         surface = scene.surfaces.get(model.geom(geom).name)
-        body = int(model.geom_bodyid[geom])
         ground = int(model.geom_type[geom]) in _GROUND_TYPES
         ground = ground or (surface is not None and surface.land_class in (*_OF_CLASS, "water"))
-        seen = model.geom_group[geom] < _FIRST_HIDDEN_GROUP
-        if ground and seen and model.body_weldid[body] == 0 and model.body_mocapid[body] < 0:
+        seen = model.geom_group[geom] < FIRST_HIDDEN_GROUP
+        if ground and seen and not may_move(model, geom):
             found.append(geom)
     return found
 
@@ -218,23 +217,14 @@ def _ground_geoms(scene: Scene) -> list[int]:
 def _target(model: Any, geoms: list[int]) -> Any:
     """A `RayTarget` of static geoms."""
     # Open3D loads slowly, and nobody else in this folder needs it.
-    from touchdown.sim.geometry.quadrics import ShapeTable
-    from touchdown.sim.geometry.ray_target import RayTarget, geom_pose
-    from touchdown.sim.geometry.tessellation import geom_mesh
+    from touchdown.sim.geometry.ray_target import RayTarget, TargetParts, geom_pose
 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    shapes, vertices, triangles, owners = ShapeTable.empty(model.ngeom), [], [], []
+    parts = TargetParts.none(model)
     for geom in geoms:
-        mesh = geom_mesh(model, geom, 2.0 * _HIGH_M)
-        if mesh is None:
-            continue
-        pose = geom_pose(data, geom)
-        vertices.append(pose.apply(mesh[0]))
-        triangles.append(mesh[1])
-        owners.append(geom)
-        shapes.add(model, geom, pose)
-    return RayTarget(vertices, triangles, owners, shapes)
+        parts.add(model, geom, geom_pose(data, geom), geom_mesh(model, geom, 2.0 * _HIGH_M))
+    return RayTarget(parts)
 
 
 def _kinds(

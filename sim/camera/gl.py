@@ -14,9 +14,9 @@ from touchdown.sim.camera.gl_contexts import gl_context, put_back
 from touchdown.sim.camera.ground_picture import GroundPicture
 from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.camera.visible import Frustum, Terrain, TerrainTiles, VisibleGeoms
+from touchdown.sim.geometry.tessellation import FIRST_HIDDEN_GROUP
 from touchdown.sim.typing import Array, Bytes, Float32, Int32
 
-_FIRST_HIDDEN_GROUP = 3
 _SEGMENT_FLAGS = (int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR))
 _SKY = int(mujoco.mjtRndFlag.mjRND_SKYBOX)
 _GEOM_TYPE = int(mujoco.mjtObj.mjOBJ_GEOM)
@@ -90,7 +90,7 @@ class Stage:
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self._scene.flags[flag] = 0
         self._option = mujoco.MjvOption()
-        self._option.geomgroup[_FIRST_HIDDEN_GROUP:] = 0
+        self._option.geomgroup[FIRST_HIDDEN_GROUP:] = 0
         self._option.sitegroup[:] = 0
         self._perturb = mujoco.MjvPerturb()
         self._camera = mujoco.MjvCamera()

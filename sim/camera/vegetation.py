@@ -14,12 +14,12 @@ import numpy as np
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.camera.visible import Terrain, heights_of
+from touchdown.sim.geometry.tessellation import FIRST_HIDDEN_GROUP, may_move
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.typing import Array
 
 _CLEARANCE_M = 0.1
 """A camera lower than this above the plants' surface stands in them, and is shown the ground."""
-_FIRST_HIDDEN_GROUP = 3
 _ENDLESS_M = 1e6
 
 
@@ -111,9 +111,8 @@ def _keep_clear_of_objects(
     at the vertices (rows of ``y``, columns of ``x``) in and next to its box."""
     step = max(x[1] - x[0], y[1] - y[0])
     for geom in range(model.ngeom):
-        body = int(model.geom_bodyid[geom])
-        moves = model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0
-        if geom == ground_geom or moves or model.geom_group[geom] >= _FIRST_HIDDEN_GROUP:
+        hidden = model.geom_group[geom] >= FIRST_HIDDEN_GROUP
+        if geom == ground_geom or hidden or may_move(model, geom):
             continue
         middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE):

@@ -14,6 +14,7 @@ import numpy as np
 
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.ground_picture import GroundPicture
+from touchdown.sim.geometry.tessellation import may_move
 from touchdown.sim.typing import Array, Bools, Float32, Indices
 
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
@@ -112,10 +113,8 @@ class Terrain:
         mujoco.mj_kinematics(model, rest)
         found = {}
         for geom, field in zip(geoms.tolist(), shown, strict=True):
-            body = int(model.geom_bodyid[geom])
-            moves = model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0
             level = np.allclose(rest.geom_xmat[geom].reshape(3, 3), np.eye(3), atol=1e-9)
-            if shown.count(field) > 1 or moves or not level:
+            if shown.count(field) > 1 or may_move(model, geom) or not level:
                 continue
             origin, size = rest.geom_xpos[geom].copy(), model.hfield_size[field]
             low = float(origin[2] + size[2] * heights_of(model, field).min())

@@ -13,6 +13,7 @@ import numpy as np
 
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.quadrics import ShapeTable, rays_behind, settle
+from touchdown.sim.geometry.tessellation import Mesh
 from touchdown.sim.typing import Array, Float32, Indices, Int32
 
 _MAX_LAYERS = 9
@@ -62,12 +63,35 @@ class Hits(NamedTuple):
         return Hits(self.distance[rows], self.geom[rows], self.cosine[rows])
 
 
+class TargetParts(NamedTuple):
+    """What a `RayTarget` is made of, in its frame."""
+
+    vertices: list[Array]
+    triangles: list[Int32]
+    geoms: list[int]
+    shapes: ShapeTable
+
+    @staticmethod
+    def none(model: mujoco.MjModel) -> TargetParts:
+        return TargetParts([], [], [], ShapeTable.empty(model.ngeom))
+
+    def add(
+        self, model: mujoco.MjModel, geom: int, frame_from_geom: Pose, mesh: Mesh | None
+    ) -> None:
+        """Adds a geom with its ``mesh``, if that has triangles."""
+        if mesh is None or not len(mesh[1]):
+            return
+        self.vertices.append(frame_from_geom.apply(mesh[0]))
+        self.triangles.append(mesh[1])
+        self.geoms.append(geom)
+        self.shapes.add(model, geom, frame_from_geom)
+
+
 class RayTarget:
     """Some geoms, rigid in one frame, under one Embree acceleration structure."""
 
-    def __init__(
-        self, vertices: list[Array], triangles: list[Int32], geoms: list[int], shapes: ShapeTable
-    ) -> None:
+    def __init__(self, parts: TargetParts) -> None:
+        vertices, triangles, geoms, shapes = parts
         offsets = np.cumsum([0] + [len(block) for block in vertices])[:-1]
         points = np.concatenate(vertices).astype(np.float32)
         indices = [block + start for block, start in zip(triangles, offsets, strict=True)]

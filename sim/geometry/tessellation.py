@@ -28,6 +28,8 @@ POROUS_CHORD_RELATIVE = 1e-2
 _MARGIN = 1.0 + 1e-5
 """Keeps a wrapping outside after its corners are rounded to single precision."""
 
+FIRST_HIDDEN_GROUP = 3
+"""Neither sensors nor MuJoCo's viewer show groups of geoms from here on."""
 _PLANE_CELL_M = 25.0
 _MAX_PLANE_CELLS = 400
 """along one side: planes are settled exactly, so that large cells of vast ones do no harm"""
@@ -37,6 +39,19 @@ _BOX_CORNERS = np.array(
     [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)], dtype=np.float64
 )
 _BOX_QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+
+
+def is_seen(model: mujoco.MjModel, geom: int) -> bool:
+    """True for a geom that sensors see."""
+    material = int(model.geom_matid[geom])
+    alpha = model.mat_rgba[material, 3] if material >= 0 else model.geom_rgba[geom, 3]
+    return bool(model.geom_group[geom] < FIRST_HIDDEN_GROUP and alpha > 0.0)
+
+
+def may_move(model: mujoco.MjModel, geom: int) -> bool:
+    """True for a geom of a body with joints, or of one that is moved."""
+    body = int(model.geom_bodyid[geom])
+    return bool(model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0)
 
 
 def geom_mesh(

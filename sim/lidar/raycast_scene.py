@@ -16,15 +16,13 @@ import numpy as np
 
 from touchdown.scenes.api import LAND_CLASSES, GroundRaster, Scene, Surface
 from touchdown.sim.frames import Pose
-from touchdown.sim.geometry.quadrics import ShapeTable
-from touchdown.sim.geometry.ray_target import Hits, RayTarget, body_pose, geom_pose
-from touchdown.sim.geometry.tessellation import POROUS_CHORD_RELATIVE, geom_mesh
+from touchdown.sim.geometry.ray_target import Hits, RayTarget, TargetParts, body_pose, geom_pose
+from touchdown.sim.geometry.tessellation import POROUS_CHORD_RELATIVE, geom_mesh, is_seen
 from touchdown.sim.lidar.heightfield import GroundGrid
 from touchdown.sim.lidar.rays import ground_cells
 from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32
 
 VEHICLE_PREFIX = "vehicle/"
-FIRST_HIDDEN_GROUP = 3
 DEFAULT_SURFACE = Surface(land_class="other", reflectivity=0.3)
 """Surface of geoms that the scene does not describe."""
 
@@ -38,16 +36,9 @@ _NO_GEOM = -1
 class GroundTarget(RayTarget):
     """Geoms of which one may be terrain, where most rays meet nothing else."""
 
-    def __init__(
-        self,
-        vertices: list[Array],
-        triangles: list[Int32],
-        geoms: list[int],
-        shapes: ShapeTable,
-        ground: GroundGrid | None = None,
-    ) -> None:
+    def __init__(self, parts: TargetParts, ground: GroundGrid | None = None) -> None:
         self._ground = ground
-        super().__init__(vertices, triangles, geoms, shapes)
+        super().__init__(parts)
 
     def cast_apart(self, rays: Float32, hits: Hits) -> Indices:
         """As `RayTarget.cast_apart`."""
@@ -115,8 +106,10 @@ class LidarScene:
         mujoco.mj_kinematics(model, rest)
         middle = np.array([*scene.bounds_xy_m.mean(axis=0), 0.0])
         reach = float(np.abs(scene.bounds_xy_m - middle[:2]).max()) + _PLANE_MARGIN_M
-        blocks: dict[int, tuple[list[Array], list[Int32], list[int], ShapeTable]] = {}
-        for geom_id in _visible_geoms(model):
+        blocks: dict[int, TargetParts] = {}
+        for geom_id in range(model.ngeom):
+            if not is_seen(model, geom_id) or _is_vehicle(model, geom_id):
+                continue
             around = geom_pose(rest, geom_id).inverse().apply(middle)
             porous = bool(self.optics.porosity[geom_id] > 0.0)
             chord = POROUS_CHORD_RELATIVE if porous else None
@@ -126,20 +119,16 @@ class LidarScene:
             root = moving_root(model, int(model.geom_bodyid[geom_id]))
             frame = Pose.identity() if root == 0 else body_pose(rest, root)
             local = frame.inverse() @ geom_pose(rest, geom_id)
-            block = blocks.setdefault(root, ([], [], [], ShapeTable.empty(model.ngeom)))
-            block[0].append(local.apply(mesh[0]))
-            block[1].append(mesh[1])
-            block[2].append(geom_id)
-            block[3].add(model, geom_id, local)
+            blocks.setdefault(root, TargetParts.none(model)).add(model, geom_id, local, mesh)
         self.static: GroundTarget | None = None
-        static_points = list(zip(blocks[0][2], blocks[0][0], strict=True)) if 0 in blocks else []
-        if 0 in blocks:
-            ground = _ground_grid(model, rest, *blocks[0][:3])
-            self.static = GroundTarget(*blocks.pop(0), ground)
+        static = blocks.pop(0, TargetParts.none(model))
+        if static.geoms:
+            self.static = GroundTarget(static, _ground_grid(model, rest, *static[:3]))
         self._boxes = {
-            geom: (points.min(axis=0), points.max(axis=0)) for geom, points in static_points
+            geom: (points.min(axis=0), points.max(axis=0))
+            for geom, points in zip(static.geoms, static.vertices, strict=True)
         }
-        self.moving = {_body_name(model, root): RayTarget(*block) for root, block in blocks.items()}
+        self.moving = {_body_name(model, root): RayTarget(parts) for root, parts in blocks.items()}
         on_mover = np.zeros(model.ngeom, dtype=np.bool_)
         for target in self.moving.values():
             on_mover[target.geoms] = True
@@ -258,24 +247,9 @@ def _column(surfaces: Sequence[Surface], name: str) -> Float32:
     return np.array([getattr(surface, name) for surface in surfaces], dtype=np.float32)
 
 
-def _visible_geoms(model: mujoco.MjModel) -> list[int]:
-    return [
-        geom_id
-        for geom_id in range(model.ngeom)
-        if model.geom_group[geom_id] < FIRST_HIDDEN_GROUP
-        and _alpha(model, geom_id) > 0.0
-        and not _is_vehicle(model, geom_id)
-    ]
-
-
 def _is_vehicle(model: mujoco.MjModel, geom_id: int) -> bool:
     names = (model.geom(geom_id).name, _body_name(model, int(model.geom_bodyid[geom_id])))
     return any(name.startswith(VEHICLE_PREFIX) for name in names)
-
-
-def _alpha(model: mujoco.MjModel, geom_id: int) -> float:
-    material = int(model.geom_matid[geom_id])
-    return float(model.mat_rgba[material, 3] if material >= 0 else model.geom_rgba[geom_id, 3])
 
 
 def _body_name(model: mujoco.MjModel, body_id: int) -> str:

@@ -37,9 +37,10 @@ from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.airframe.vehicle import sensor_mounts
 from touchdown.sim.api import LidarScan
 from touchdown.sim.geometry.ray_target import Hits, RayTarget
+from touchdown.sim.geometry.tessellation import FIRST_HIDDEN_GROUP
 from touchdown.sim.lidar.patterns import PATTERNS
 from touchdown.sim.lidar.range_errors import RangeErrors
-from touchdown.sim.lidar.raycast_scene import FIRST_HIDDEN_GROUP, LidarScene
+from touchdown.sim.lidar.raycast_scene import LidarScene
 from touchdown.sim.lidar.rays import Rays
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 

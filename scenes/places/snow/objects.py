@@ -23,6 +23,7 @@ from touchdown.scenes.props.houses import House, HouseLooks, add_house
 from touchdown.scenes.props.plants import ROCK
 from touchdown.scenes.props.stonework import add_log_pile
 from touchdown.scenes.props.street import add_bench, add_fence
+from touchdown.sim.geometry.tessellation import FIRST_HIDDEN_GROUP
 
 CAP = Surface(land_class="other", reflectivity=0.87)
 POLE = Surface(land_class="other", reflectivity=0.35)
@@ -116,7 +117,6 @@ SNOW = Surface(land_class="field", reflectivity=0.87)
 ICE = Surface(land_class="water", reflectivity=0.06, water=True)
 ICE_FRICTION = 0.08
 _ICE_RISE_M = 0.004
-_HIDDEN_GROUP = 3
 _GREY_WOOD = [0.40, 0.34, 0.29, 1.0]
 
 
@@ -241,7 +241,7 @@ def lay_ice(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
         half = np.array([0.5 * (last - first) + 0.1 * cell, 0.5 * step * cell, 0.1])
         centre = [0.5 * (first + last), axis[row] + half[1], relief_top(relief) - half[2]]
         builder.geom("water_ice", ICE, box=half, pos=centre,
-                     group=_HIDDEN_GROUP, friction=[ICE_FRICTION, 0.005, 0.0001], priority=2,
+                     group=FIRST_HIDDEN_GROUP, friction=[ICE_FRICTION, 0.005, 0.0001], priority=2,
                      rgba=[0.6, 0.7, 0.75, 1])  # fmt: skip
 
 
