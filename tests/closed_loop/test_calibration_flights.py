@@ -103,19 +103,9 @@ def test_stated_errors_are_drawn_from_the_seed(rig: SensorRig) -> None:
     np.testing.assert_array_equal(again.body_from_lidar.rotation, nominal.body_from_lidar.rotation)
 
 
-def _broken(file: Path, folder: Path, change: Any) -> Path:
-    tree = json.loads(file.read_text())
-    change(tree)
-    broken = folder / "broken.json"
-    broken.write_text(json.dumps(tree))
-    return broken
-
-
 @pytest.mark.parametrize(("change", "fragments"), [
     (lambda t: t["camera"].pop("fx"), ["camera.fx: Field required"]),
     (lambda t: t["camera"].update(fxx=3.0), ["camera.fxx", "not permitted"]),
-    (lambda t: t.pop("camera_from_lidar"), ["camera_from_lidar: Field required"]),
-    (lambda t: t["camera"].update(fx="wide"), ["camera.fx", "number"]),
     (lambda t: t["camera"].update(fy=-1.0), ["camera.fy", "greater than 0"]),
     (lambda t: t["camera"].update(distortion=[0.0]), ["camera.distortion"]),
     (
@@ -126,7 +116,9 @@ def _broken(file: Path, folder: Path, change: Any) -> Path:
 def test_invalid_calibration_files_are_one_line(
     calibrated: tuple[Path, dict[str, Any]], tmp_path: Path, change: Any, fragments: list[str]
 ) -> None:
-    broken = _broken(calibrated[0], tmp_path, change)
+    tree, broken = json.loads(calibrated[0].read_text()), tmp_path / "broken.json"
+    change(tree)
+    broken.write_text(json.dumps(tree))
     with pytest.raises(UsageError) as caught:
         read_calibration(broken)
     message = str(caught.value)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Scene
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.geometry.ray_target import Hits
-from touchdown.sim.lidar.raycast_scene import FIRST_HIDDEN_GROUP, LidarScene
+from touchdown.sim.geometry.tessellation import FIRST_HIDDEN_GROUP
+from touchdown.sim.lidar.raycast_scene import LidarScene
 
 from support.places import cached_scene
 

@@ -101,15 +101,6 @@ def test_ranges_to_a_crown_are_those_of_the_moved_ellipsoid() -> None:
         assert np.abs(change).max() > 0.02
 
 
-def test_moved_returns_are_noted() -> None:
-    sensor = LidarSensor(_scene(), SWAYING, 5, None, EAST)
-    sensor.scan(0, 60, TICK_HZ, track((0, 60), 30.0), DOWN, {})
-    sensor.effects.end_message()
-    sensor.effects.deliver(1)
-    noted = sensor.effects.delivered["sway"]
-    assert 0.02 < noted.mean_fraction < 0.9 and 0.001 < noted.mean_amount < 0.3
-
-
 def test_ground_and_calm_air_do_not_sway() -> None:
     swayed, still = _scan(1.0), _scan(0.0)
     ground = np.abs(still.ranges * still.directions[:, 2] - 30.0) < 1e-3
