@@ -10,24 +10,8 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import MovingBody, Scene, Surface
+from touchdown.sim import api
 from touchdown.sim.airframe.contacts import ContactSensor, GroundProbe
-from touchdown.sim.api import (
-    GRAVITY_MPS2,
-    CameraImage,
-    CameraParams,
-    Command,
-    DustParams,
-    ImuParams,
-    LidarParams,
-    Observation,
-    SensorNeeds,
-    SimParams,
-    Truth,
-    VehicleErrorParams,
-    VehicleModel,
-    WindParams,
-    WorldParams,
-)
 from touchdown.sim.delivery import Latency
 from touchdown.sim.frames import so3_exp, yaw_from_rotation
 from touchdown.sim.moving import MovingBodies
@@ -46,7 +30,7 @@ SCENE_XML = """<mujoco><worldbody>
   </body>
 </worldbody></mujoco>"""
 SQUARE = np.array([[0.0, -9.0, 0.5], [4.0, -9.0, 0.5], [4.0, -5.0, 0.5], [0.0, -5.0, 0.5]])
-SMALL_IMAGE = CameraParams(width=64, height=36)
+SMALL_IMAGE = api.CameraParams(width=64, height=36)
 
 MakeWorld = Callable[..., MujocoWorld]
 
@@ -63,17 +47,17 @@ def make_world(scene: Scene) -> Iterator[MakeWorld]:
     made: list[MujocoWorld] = []
 
     def make(
-        sim: SimParams | None = None, needs: SensorNeeds | None = None,
-        imu: ImuParams | None = None, wind: WindParams | None = None, seed: int = 3,
+        sim: api.SimParams | None = None, needs: api.SensorNeeds | None = None,
+        imu: api.ImuParams | None = None, wind: api.WindParams | None = None, seed: int = 3,
     ) -> MujocoWorld:  # fmt: skip
         world = MujocoWorld(
             scene,
-            WorldParams(
-                sim=sim or SimParams(threads=1), wind=wind or WindParams(), camera=SMALL_IMAGE,
-                imu=imu or ImuParams(),
+            api.WorldParams(
+                sim=sim or api.SimParams(threads=1), wind=wind or api.WindParams(),
+                camera=SMALL_IMAGE, imu=imu or api.ImuParams(),
             ),
             seed,
-            needs or SensorNeeds(),
+            needs or api.SensorNeeds(),
         )  # fmt: skip
         made.append(world)
         return world
@@ -83,10 +67,10 @@ def make_world(scene: Scene) -> Iterator[MakeWorld]:
         world.close()
 
 
-def _climb(vehicle: VehicleModel, truth: Truth, *, rate_mps: float = 1.0) -> Command:
+def _climb(vehicle: api.VehicleModel, truth: api.Truth, *, rate_mps: float = 1.0) -> api.Command:
     """Upright and climbing, by the true state: a controller that suffices here."""
     rotation, rates = truth.world_from_body.rotation, truth.angular_velocity_body
-    wanted = np.array([0.0, 0.0, GRAVITY_MPS2 + 2.0 * rate_mps]) - 2.0 * truth.velocity_world
+    wanted = np.array([0.0, 0.0, api.GRAVITY_MPS2 + 2.0 * rate_mps]) - 2.0 * truth.velocity_world
     wanted[:2] = np.clip(wanted[:2], -2.0, 2.0)
     axis = rotation.T @ np.cross(rotation[:, 2], wanted / np.linalg.norm(wanted))
     torque = vehicle.inertia_kgm2 * (60.0 * axis - 14.0 * rates)
@@ -95,10 +79,10 @@ def _climb(vehicle: VehicleModel, truth: Truth, *, rate_mps: float = 1.0) -> Com
     force = vehicle.mass_kg * wanted @ rotation[:, 2]
     thrusts = np.linalg.solve(np.stack([np.ones(4), y, -x, yaw]), [force, *torque])
     thrusts = np.maximum(thrusts, 0.1)
-    return Command(rotor_speed_radps=np.sqrt(thrusts / vehicle.thrust_coefficient))
+    return api.Command(rotor_speed_radps=np.sqrt(thrusts / vehicle.thrust_coefficient))
 
 
-def _fly(world: MujocoWorld, steps: int) -> Iterator[tuple[Observation, Truth]]:
+def _fly(world: MujocoWorld, steps: int) -> Iterator[tuple[api.Observation, api.Truth]]:
     obs = world.reset()
     yield obs, world.truth()
     for _ in range(steps):
@@ -108,7 +92,7 @@ def _fly(world: MujocoWorld, steps: int) -> Iterator[tuple[Observation, Truth]]:
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_measurements_arrive_on_schedule(make_world: MakeWorld, threads: int) -> None:
-    world = make_world(SimParams(threads=threads), SensorNeeds(camera_hz=10, lidar=True))
+    world = make_world(api.SimParams(threads=threads), api.SensorNeeds(camera_hz=10, lidar=True))
     scans, images, imu = [], [], []
     for obs, _ in _fly(world, 100):
         scans += [(obs.tick, s.start_tick, s.end_tick) for s in obs.scans]
@@ -123,8 +107,8 @@ def test_measurements_arrive_on_schedule(make_world: MakeWorld, threads: int) ->
 def test_scans_and_images_arrive_after_latencies_of_their_own(
     make_world: MakeWorld, threads: int
 ) -> None:
-    sim = SimParams(threads=threads, latency_sigma=0.3)
-    world = make_world(sim, SensorNeeds(camera_hz=10, lidar=True))
+    sim = api.SimParams(threads=threads, latency_sigma=0.3)
+    world = make_world(sim, api.SensorNeeds(camera_hz=10, lidar=True))
     for _ in range(2):  # a reset starts the latencies anew
         scans, images = [], []
         for obs, _ in _fly(world, 140):
@@ -140,7 +124,7 @@ def test_scans_and_images_arrive_after_latencies_of_their_own(
 
 def test_pulses_between_control_steps_come_at_the_next_one(make_world: MakeWorld) -> None:
     """30 Hz is every 20 ticks; a result due at tick 56 is first seen at tick 57."""
-    world = make_world(needs=SensorNeeds(camera_hz=30))
+    world = make_world(needs=api.SensorNeeds(camera_hz=30))
     images = [(obs.tick, i.tick) for obs, _ in _fly(world, 40) for i in obs.images]
     assert images == [(57, 20), (78, 40), (96, 60), (117, 80)]
 
@@ -151,19 +135,19 @@ def test_stereo_sees_two_images_and_sensors_can_be_added_before_a_flight(
     world = make_world()
     assert not any(obs.scans or obs.images for obs, _ in _fly(world, 40))
     world.reset()
-    world.require(SensorNeeds(camera_hz=10, stereo=True))
+    world.require(api.SensorNeeds(camera_hz=10, stereo=True))
     images = [i for obs, _ in _fly(world, 40) for i in obs.images]
     assert images[0].right_rgb.shape == images[0].rgb.shape == (36, 64, 3)
     with pytest.raises(RuntimeError, match=r"before a flight, not at tick 120"):
-        world.require(SensorNeeds(lidar=True))
+        world.require(api.SensorNeeds(lidar=True))
 
 
 def _images_of(
-    scene: Scene, camera: CameraParams, threads: int = 1
-) -> list[tuple[int, CameraImage]]:
+    scene: Scene, camera: api.CameraParams, threads: int = 1
+) -> list[tuple[int, api.CameraImage]]:
     """Images of a second of a wild flight, with the ticks of their arrival."""
-    params = WorldParams(sim=SimParams(threads=threads), camera=camera)
-    world = MujocoWorld(scene, params, 3, SensorNeeds(camera_hz=10, lidar=True))
+    params = api.WorldParams(sim=api.SimParams(threads=threads), camera=camera)
+    world = MujocoWorld(scene, params, 3, api.SensorNeeds(camera_hz=10, lidar=True))
     arrived = [(obs.tick, image) for obs, _ in _fly(world, 200) for image in obs.images]
     world.close()
     return arrived
@@ -194,7 +178,7 @@ def test_images_have_a_clock_and_stamps_of_their_own(scene: Scene) -> None:
 def test_a_scan_is_cast_from_the_poses_of_its_own_ticks(make_world: MakeWorld) -> None:
     """In a climb at 1 m/s the first pulses of a scan put the floor at height 0 by the true pose of
     its start, the last ones by that of its end, 0.1 m higher."""
-    world = make_world(needs=SensorNeeds(lidar=True), wind=WindParams(mean_kmh=0.0))
+    world = make_world(needs=api.SensorNeeds(lidar=True), wind=api.WindParams(mean_kmh=0.0))
     poses, heights = {}, []
     for obs, truth in _fly(world, 420):
         poses[truth.tick] = truth.world_from_body
@@ -228,8 +212,8 @@ def _digest(world: MujocoWorld, steps: int = 60) -> str:
 
 
 def test_same_seed_same_flight_whatever_the_threads(make_world: MakeWorld) -> None:
-    needs = SensorNeeds(camera_hz=10, lidar=True)
-    one, two = (make_world(SimParams(threads=t), needs) for t in (1, 2))
+    needs = api.SensorNeeds(camera_hz=10, lidar=True)
+    one, two = (make_world(api.SimParams(threads=t), needs) for t in (1, 2))
     expected = _digest(one)
     assert _digest(two) == expected
     assert _digest(one) == expected, "reset starts the same flight again"
@@ -239,7 +223,7 @@ def test_same_seed_same_flight_whatever_the_threads(make_world: MakeWorld) -> No
 def test_an_unkind_world_is_the_same_whatever_the_threads(scene: Scene) -> None:
     """Latency, range errors, texture, plants, sway and dust are all functions of seed and tick; so
     is what the world notes of them."""
-    unkind = LidarParams(
+    unkind = api.LidarParams(
         range_bias_m=0.02, range_noise_growth=0.2, texture=1.0, vegetation=1.0, sway=1.0
     )
     grassy = Surface(land_class="lawn", reflectivity=0.4, canopy_m=0.05, leaf_area=1.7, dust=1.0)
@@ -247,18 +231,18 @@ def test_an_unkind_world_is_the_same_whatever_the_threads(scene: Scene) -> None:
 
     records = []
 
-    def digest(threads: int, lidar: LidarParams, seed: int = 3) -> str:
-        params = WorldParams(
-            sim=SimParams(threads=threads, latency_sigma=0.3),
+    def digest(threads: int, lidar: api.LidarParams, seed: int = 3) -> str:
+        params = api.WorldParams(
+            sim=api.SimParams(threads=threads, latency_sigma=0.3),
             camera=replace(
                 SMALL_IMAGE, readout_s=0.015, phase_s=0.02, exposure=True, exposure_lag_s=0.3,
                 stamp_delay_s=0.004,
             ),
-            lidar=lidar, dust=DustParams(density=1.0), wind=WindParams(rotational=True),
-            vehicle_error=VehicleErrorParams(center_of_mass_m=0.01),
-            imu=ImuParams(scale_sigma=0.003),
+            lidar=lidar, dust=api.DustParams(density=1.0), wind=api.WindParams(rotational=True),
+            vehicle_error=api.VehicleErrorParams(center_of_mass_m=0.01),
+            imu=api.ImuParams(scale_sigma=0.003),
         )  # fmt: skip
-        world = MujocoWorld(planted, params, seed, SensorNeeds(camera_hz=10, lidar=True))
+        world = MujocoWorld(planted, params, seed, api.SensorNeeds(camera_hz=10, lidar=True))
         world.start_in_air(np.array([1.0, 2.0, 1.5]), 0.0)
         vehicle, found = world.rig.vehicle, hashlib.sha256()
         for _ in range(60):
@@ -286,7 +270,7 @@ def test_an_unkind_world_is_the_same_whatever_the_threads(scene: Scene) -> None:
     assert air["rotation"].came == 60 and air["rotation"].mean_amount > 0.0
     assert 0.0 < one.deviations["center_of_mass_m"] < 0.02
     assert 0.0 < one.deviations["imu_scale"] < 0.01
-    assert digest(1, LidarParams()) != expected
+    assert digest(1, api.LidarParams()) != expected
     assert digest(1, unkind, seed=4) != expected
 
 
@@ -302,7 +286,7 @@ def test_starts_at_rest_at_the_take_off_pose(make_world: MakeWorld, scene: Scene
     assert np.linalg.norm(truth.velocity_world) < 1e-3
     assert {(c.part, c.other) for c in truth.contacts} == {("leg", "lawn_floor")}
     weight = sum(c.normal_force_n for c in truth.contacts)
-    assert weight == pytest.approx(world.rig.vehicle.mass_kg * GRAVITY_MPS2, rel=1e-3)
+    assert weight == pytest.approx(world.rig.vehicle.mass_kg * api.GRAVITY_MPS2, rel=1e-3)
 
 
 def test_truth_is_consistent_with_itself(make_world: MakeWorld) -> None:
@@ -319,7 +303,7 @@ def test_truth_is_consistent_with_itself(make_world: MakeWorld) -> None:
 
 
 def test_perfect_imu_integrates_to_the_truth(make_world: MakeWorld) -> None:
-    world = make_world(imu=NO_NOISE, wind=WindParams(mean_kmh=25.0))
+    world = make_world(imu=NO_NOISE, wind=api.WindParams(mean_kmh=25.0))
     rotation, velocity = np.eye(3), np.zeros(3)
     for obs, truth in _fly(world, 600):
         if obs.tick == 0:
@@ -327,7 +311,7 @@ def test_perfect_imu_integrates_to_the_truth(make_world: MakeWorld) -> None:
         for sample in obs.imu:
             half = so3_exp(0.5 * sample.angular_velocity / 200.0)
             force = rotation @ half @ sample.specific_force
-            velocity = velocity + (force - [0.0, 0.0, GRAVITY_MPS2]) / 200.0
+            velocity = velocity + (force - [0.0, 0.0, api.GRAVITY_MPS2]) / 200.0
             rotation = rotation @ half @ half
     np.testing.assert_allclose(velocity, truth.velocity_world, atol=1e-6)
     np.testing.assert_allclose(rotation, truth.world_from_body.rotation, atol=1e-6)
@@ -342,7 +326,7 @@ def test_messages_are_read_only(make_world: MakeWorld) -> None:
 
 
 def test_empty_battery_stops_the_rotors(make_world: MakeWorld) -> None:
-    world = make_world(SimParams(threads=1, battery_capacity_j=300.0))
+    world = make_world(api.SimParams(threads=1, battery_capacity_j=300.0))
     *_, (obs, truth) = _fly(world, 600)
     assert obs.battery_fraction == 0.0
     assert truth.rotor_speed_radps.max() < 1.0
@@ -400,13 +384,13 @@ def test_a_moving_body_must_be_mocap(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(("sim", "needs", "message"), [
-    (SimParams(control_ticks=7), SensorNeeds(), "sim.control_ticks is 7.*one of 1, 2, 3"),
-    (SimParams(lidar_scan_ticks=0), SensorNeeds(), "sim.lidar_scan_ticks is 0"),
-    (SimParams(tick_hz=100), SensorNeeds(), "sim.tick_hz must be 500 or more"),
-    (SimParams(), SensorNeeds(camera_hz=7), "camera_hz is 7.*30 Hz.*0 or one of 1, 2, 3, 5, 6"),
+    (api.SimParams(control_ticks=7), api.SensorNeeds(), "sim.control_ticks is 7.*one of 1, 2, 3"),
+    (api.SimParams(lidar_scan_ticks=0), api.SensorNeeds(), "sim.lidar_scan_ticks is 0"),
+    (api.SimParams(tick_hz=100), api.SensorNeeds(), "sim.tick_hz must be 500 or more"),
+    (api.SimParams(), api.SensorNeeds(camera_hz=7), "camera_hz is 7.*30 Hz.*0 or one of"),
 ])  # fmt: skip
 def test_invalid_parameters_are_named(
-    make_world: MakeWorld, sim: SimParams, needs: SensorNeeds, message: str
+    make_world: MakeWorld, sim: api.SimParams, needs: api.SensorNeeds, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
         make_world(sim, needs)
@@ -415,8 +399,8 @@ def test_invalid_parameters_are_named(
 def test_diverged_physics_is_an_error(make_world: MakeWorld) -> None:
     world = make_world()
     with pytest.raises(RuntimeError, match=r"tick 0: the command .* is not finite"):
-        world.step(Command(rotor_speed_radps=np.array([1.0, np.nan, 1.0, 1.0])))
+        world.step(api.Command(rotor_speed_radps=np.array([1.0, np.nan, 1.0, 1.0])))
     world.reset()
     world._data.qvel[0] = np.nan
     with pytest.raises(RuntimeError, match=r"tick 3: the physics diverged"):
-        world.step(Command(rotor_speed_radps=np.zeros(4)))
+        world.step(api.Command(rotor_speed_radps=np.zeros(4)))

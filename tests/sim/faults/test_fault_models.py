@@ -10,14 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
-from touchdown.sim.api import (
-    CameraParams,
-    Command,
-    FaultParams,
-    SensorNeeds,
-    SimParams,
-    WorldParams,
-)
+from touchdown.sim import api
 from touchdown.sim.faults.disturbances import Disturbances, gust_speed
 from touchdown.sim.frames import Pose, so3_log
 from touchdown.sim.world import MujocoWorld
@@ -68,7 +61,7 @@ ALONG = np.array([0.6, 0.8, 0.0])
 
 def blown(*events: str, seconds: float = 20.0, **faults: Any) -> Array:
     """(N, 3) m/s that gusts add at every tick."""
-    params = FaultParams(events=events, gust_kmh=30.0, gust_rise_s=1.5, **faults)
+    params = api.FaultParams(events=events, gust_kmh=30.0, gust_rise_s=1.5, **faults)
     disturbances, found = Disturbances(params, HZ, 12.0, 0), []
     for tick in range(round(seconds * HZ)):
         found.append(np.zeros(3))
@@ -98,9 +91,9 @@ def test_a_miscalibrated_mount_is_off_by_the_stated_amounts() -> None:
     nominal = Pose(DOWN.rotation, np.array([0.1, 0.0, -0.05]))
 
     def off(seed: int, tick: int) -> tuple[float, float]:
-        true = Disturbances(FaultParams(events=("miscalibration@1",)), HZ, 0.0, seed).lidar_mount(
-            tick, nominal
-        )
+        true = Disturbances(
+            api.FaultParams(events=("miscalibration@1",)), HZ, 0.0, seed
+        ).lidar_mount(tick, nominal)
         turn = so3_log(nominal.rotation.T @ true.rotation)
         shift = true.translation - nominal.translation
         return math.degrees(float(np.linalg.norm(turn))), float(np.linalg.norm(shift))
@@ -118,17 +111,17 @@ def scene() -> Scene:
     )
 
 
-def params_with(faults: FaultParams) -> WorldParams:
-    return WorldParams(
-        sim=SimParams(threads=1), camera=CameraParams(width=64, height=36), imu=load_config().imu,
-        faults=faults,
+def params_with(faults: api.FaultParams) -> api.WorldParams:
+    return api.WorldParams(
+        sim=api.SimParams(threads=1), camera=api.CameraParams(width=64, height=36),
+        imu=load_config().imu, faults=faults,
     )  # fmt: skip
 
 
 def half_seconds_in_flight(scene: Scene, *events: str) -> Iterator[bytes]:
     """All that is sensed and true of each half second in the air, as bytes."""
-    needs = SensorNeeds(camera_hz=15, lidar=True, gps=True)
-    world = MujocoWorld(scene, params_with(FaultParams(events=events)), 3, needs)
+    needs = api.SensorNeeds(camera_hz=15, lidar=True, gps=True)
+    world = MujocoWorld(scene, params_with(api.FaultParams(events=events)), 3, needs)
     try:
         world.start_in_air(np.array([0.0, 0.0, 12.0]), 0.3)
         model = world.rig.vehicle
@@ -136,7 +129,7 @@ def half_seconds_in_flight(scene: Scene, *events: str) -> Iterator[bytes]:
         for _ in range(3):
             seen = []
             for _ in range(HZ // STEP // 2):
-                obs = world.step(Command(rotor_speed_radps=np.full(4, hover)))
+                obs = world.step(api.Command(rotor_speed_radps=np.full(4, hover)))
                 seen += [m.ranges.tobytes() + m.intensity.tobytes() for m in obs.scans]
                 seen += [m.rgb.tobytes() for m in obs.images]
                 seen += [m.position_world.tobytes() for m in obs.gps]
@@ -166,14 +159,16 @@ def test_faults_change_nothing_before_they_begin(scene: Scene) -> None:
 def test_effects_of_faults_in_the_world_are_counted(scene: Scene) -> None:
     """Of delivered messages: scans end at 0.1, 0.2 ... s and arrive 0.06 s later."""
     events = ("fog@0.5", "rain@5", "lens_dirt@0.3+0.2", "miscalibration@0.6", "gust@0.1+3")
-    needs = SensorNeeds(camera_hz=10, lidar=True)
+    needs = api.SensorNeeds(camera_hz=10, lidar=True)
     found = []
     for threads in (1, 2):
-        params = replace(params_with(FaultParams(events=events)), sim=SimParams(threads=threads))
+        params = replace(
+            params_with(api.FaultParams(events=events)), sim=api.SimParams(threads=threads)
+        )
         world = MujocoWorld(scene, params, 3, needs)
         world.start_in_air(np.array([0.0, 0.0, 12.0]), 0.3)
         for _ in range(HZ // STEP):
-            world.step(Command(rotor_speed_radps=np.full(4, 300.0)))
+            world.step(api.Command(rotor_speed_radps=np.full(4, 300.0)))
         world.close()
         found.append({entry["fault"]: entry for entry in world.record().faults})
     assert found[0] == found[1]  # whatever is still being made when the flight ends
