@@ -105,8 +105,7 @@ SETTINGS: tuple[Setting, ...] = (
     ),
     Setting(
         "the error of `gps`",
-        ("trajectory_error_m", "trajectory_variance_m2", "position_error_m.", "path_deviation.",
-         "error_by_distance."),
+        ("trajectory_error_m", "trajectory_variance_m2", "position_error_m.", "path_deviation."),
         "gps.preset",
         "the error is the receiver's, whose preset was fitted to the paper's Table 2",
         ("gps",),

@@ -146,9 +146,8 @@ def exponential(log: Estimate) -> Estimate:
 
 def student_interval(values: Sequence[float]) -> Estimate:
     """Mean of at least two values with Student's interval."""
-    mean, error = float(np.mean(values)), float(stats.sem(values))
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, len(values) - 1)) * error
-    return Estimate(mean, mean - half, mean + half, len(values))
+    low, high = stats.ttest_1samp(values, 0.0).confidence_interval(CONFIDENCE)
+    return Estimate(float(np.mean(values)), float(low), float(high), len(values))
 
 
 def rank_correlation(a: Array, b: Array) -> Estimate | None:
