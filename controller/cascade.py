@@ -285,8 +285,8 @@ def _forces(
     maximum: float,
 ) -> tuple[Array, Array]:
     """(3,) N, odom frame: the demanded force, and the same within the limits: the vertical share
-    first, then as much of the horizontal as the tilt limit, and the force ``most`` of all rotors,
-    allow."""
+    first, then as much of the horizontal as the tilt limit and ``maximum``, the force of all
+    rotors, allow."""
     force = mass * (feedback + feed_forward - drag - unexpected)
     force[2] += weight
     limited = force.copy()

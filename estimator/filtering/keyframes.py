@@ -190,8 +190,8 @@ def _in_view(
 def choose(
     candidates: list[Overlap], variances: Array, maximum: int, min_fraction: float
 ) -> list[int]:
-    """Returns up to ``most`` keyframes to track: the one of smallest position variance among those
-    with enough overlap, the one with the largest overlap, then the next by variance."""
+    """Returns up to ``maximum`` keyframes to track: the one of smallest position variance among
+    those with enough overlap, the one with the largest overlap, then the next by variance."""
     if not candidates:
         return []
     fair = [c for c in candidates if c.fraction >= min_fraction]

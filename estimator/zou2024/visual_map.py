@@ -39,7 +39,7 @@ class Features:
 def spread(
     pixels: Array, responses: Array, size: tuple[int, int], cell_px: int, maximum: int
 ) -> Indices:
-    """Returns indices of up to ``most`` of (N, 2) keypoints, the strongest of every cell first,
+    """Returns indices of up to ``maximum`` of (N, 2) keypoints, the strongest of every cell first,
     then the second of every cell, and so on: evenly spread over the image, and deterministic."""
     if len(pixels) == 0:
         return np.zeros(0, dtype=np.int64)

@@ -144,7 +144,7 @@ def class_colours(classes: Sequence[str]) -> dict[str, tuple[int, int, int]]:
 
 def sure_classes(chance: Float32, minimum: float) -> NDArray[np.int64]:
     """Returns the number of the class (H, W) of each pixel; one more than the last where the best
-    of the probabilities (H, W, C) is below ``least``."""
+    of the probabilities (H, W, C) is below ``minimum``."""
     return np.where(chance.max(axis=2) >= minimum, chance.argmax(axis=2), chance.shape[2])
 
 

@@ -230,7 +230,7 @@ def _majority(sums: NDArray[np.int32], top: int, left: int, side: int) -> tuple[
 
 
 def _rarest(squares: list[_Square], taken: Counts, maximum: int) -> list[_Square]:
-    """Returns up to ``most`` squares that overlap little, of the rarest classes so far."""
+    """Returns up to ``maximum`` squares that overlap little, of the rarest classes so far."""
     counts = taken.copy()
     of_view = np.zeros_like(counts)
     chosen: list[_Square] = []

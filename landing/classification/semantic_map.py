@@ -178,7 +178,7 @@ def log_odds(chance: Array) -> Array:
 
 def fused(evidence: Array, weight: Array, maximum: float) -> Array:
     """Returns the probabilities (..., 7) of sums of weighted log-odds (..., 7); ``weight`` (...) is
-    the sum of their weights, of which at most ``most`` counts. Uniform without any."""
+    the sum of their weights, of which at most ``maximum`` counts. Uniform without any."""
     scale = np.minimum(1.0, maximum / np.maximum(weight, 1e-9))
     odds = evidence * scale[..., None]
     grown = np.exp(odds - odds.max(axis=-1, keepdims=True))

@@ -160,7 +160,7 @@ class GroundPicture:
             self._undo = 0
 
     def _forget(self, used: int, maximum: int) -> None:
-        """Drops parts, the longest unused first, but for the ``used`` last ones, until ``most``
+        """Drops parts, the longest unused first, but for the ``used`` last ones, until ``maximum``
         texels are left."""
         from OpenGL import GL
 
