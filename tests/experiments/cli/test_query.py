@@ -112,7 +112,7 @@ def test_a_connection_for_python_is_closed_too(runs: Path) -> None:
     ("from range(2000000)", "more than 1000000 rows; add `limit`"),
     ("select list(a.range) from range(100000) a, range(100000) b", "of memory"),
     ("select repeat('x', 3000000000)", "more than 1 GiB of memory; select, join"),
-    ("select repeat('x', 1000) from range(2000000)", "more than 1 GiB of memory"),
+    ("select repeat('x', 5000) from range(2000000)", "more than 1 GiB of memory"),
     ("copy runs to 'x.csv'", "the kind COPY does not read runs; give one that does: SELECT"),
     ("from 'x.csv'", "a query reads `runs` alone: redirect the output of --csv or --json"),
     ("select error('one\n\nLINE 1: two\nlines') from runs", ": one"),
