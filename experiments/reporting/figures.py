@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from touchdown.experiments.drawing.style import FAINT, GRID, INK, STYLE, new_figure
 from touchdown.experiments.errors import visible
-from touchdown.experiments.reporting.flights import ORDER, ordered, values
+from touchdown.experiments.reporting.flights import ORDER, ordered, values, values_and_units
 from touchdown.experiments.reporting.measures import AXES, SET_MARK, is_marked, setting_notes
 from touchdown.experiments.reporting.published import ANALYSED_SCENE
 from touchdown.experiments.reporting.statistics import Estimate, mean_interval
@@ -252,7 +252,7 @@ def _paint_bars(
         found = {
             at + offset: figure
             for at, scene in enumerate(scenes)
-            if (figure := mean_interval(values(own[own["scene"] == scene], column))) is not None
+            if (figure := mean_interval(*values_and_units(own[own["scene"] == scene], column)))
         }
         whiskers = np.array([_whiskers(figure) for figure in found.values()]).reshape(-1, 2).T
         label = f"{method} {SET_MARK}" if is_marked(column, [method]) else method

@@ -47,12 +47,16 @@ def load_flights(directory: Path) -> list[dict[str, Any]]:
 
 
 def frame_of(rows: Sequence[Row]) -> pd.DataFrame:
-    """A frame of rows, with the column ``condition``, empty where they have none."""
+    """A frame of rows, with the columns ``condition``, empty where they have none, and ``unit``:
+    flights of one unit share random draws, and count as one independent flight."""
     import pandas as pd
 
     frame = pd.DataFrame([dict(row) for row in rows])
     if "condition" not in frame:
         frame["condition"] = ""
+    # Random streams are keyed by the seed alone: IMU, mounts and wind of a seed are those of every
+    # scene.
+    frame["unit"] = frame["seed"].astype(str) if "seed" in frame else frame.index.astype(str)
     return frame
 
 
@@ -89,12 +93,18 @@ def number(row: Row, key: str) -> float | None:
 
 def values(frame: pd.DataFrame, column: str) -> NDArray[np.float64]:
     """The numbers of a column in the order of the flights, without missing ones."""
+    return values_and_units(frame, column)[0]
+
+
+def values_and_units(frame: pd.DataFrame, column: str) -> tuple[NDArray[np.float64], list[str]]:
+    """`values`, and the units of their flights."""
     import pandas as pd
 
     if column not in frame:
-        return np.empty(0)
+        return np.empty(0), []
     found = pd.to_numeric(frame[column], errors="coerce").to_numpy(np.float64, na_value=np.nan)
-    return found[np.isfinite(found)]
+    known = np.isfinite(found)
+    return found[known], list(frame["unit"][known])
 
 
 def ordered(frame: pd.DataFrame, column: str) -> list[str]:

@@ -17,6 +17,7 @@ from touchdown.experiments.reporting.flights import values
 from touchdown.experiments.reporting.measures import AXES
 from touchdown.experiments.reporting.statistics import Estimate, ratio_interval
 from touchdown.experiments.reporting.tables import (
+    INDEPENDENT,
     Cell,
     Column,
     Table,
@@ -61,6 +62,7 @@ def flight_table(frame: pd.DataFrame, first: str = "") -> Table:
     compared with by the ratio of mean errors on equal scenes and seeds, where there are several."""
     columns = [
         FLIGHTS,
+        INDEPENDENT,
         count("successful", lambda own: _is(own, "success", True)),
         OUTCOMES,
         mean(_ERROR, "mean error (m)"),
@@ -93,8 +95,8 @@ def _error_ratio(own: pd.DataFrame, base: pd.DataFrame) -> Estimate | None:
     if _ERROR not in own:
         return None
     keys = ["estimator", "scene", "seed"]
-    pairs = own[[*keys, _ERROR]].merge(base[[*keys, _ERROR]], on=keys).dropna()
-    return ratio_interval(pairs.iloc[:, -2:].to_numpy(np.float64))
+    pairs = own[[*keys, "unit", _ERROR]].merge(base[[*keys, _ERROR]], on=keys).dropna()
+    return ratio_interval(pairs.iloc[:, -2:].to_numpy(np.float64), pairs["unit"])
 
 
 def accuracy_table(frame: pd.DataFrame) -> Table:
@@ -182,6 +184,7 @@ def _when_landed(column: Column) -> Column:
 def _table_5(landings: pd.DataFrame) -> Table:
     columns = [
         count("landings"),
+        INDEPENDENT,
         fraction("landed", lambda own: own["outcome"] == "LANDED"),
         fraction("safe", lambda own: (own["outcome"] == "LANDED") & _is(own, "ground_safe", True)),
         *(
@@ -215,6 +218,7 @@ def _by_method(column: str) -> Callable[[str, str], float | None]:
 def _table_6(landings: pd.DataFrame) -> Table:
     columns = [
         count("landings"),
+        INDEPENDENT,
         LANDED,
         _when_landed(mean("landing.obstacle_distance_m", printed=_of_site("obstacle_distance_m"))),
         _when_landed(mean("landing.slope_deg", "level (°)", printed=_of_site("level_deg"))),

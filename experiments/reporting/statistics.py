@@ -1,6 +1,8 @@
-"""Intervals, tests and power over flights. One flight is one observation; everything is seeded.
+"""Intervals, tests and power over flights; everything is seeded.
 
-Wilson's interval, Welch's and Fisher's tests are of scipy, the power of t tests is of statsmodels.
+Flights that share random draws are not independent: with ``units``, the number or name of what each
+flight shares its draws with, intervals are over units (clusters) and not over flights. Wilson's
+interval, Welch's and Fisher's tests are of scipy, the power of t tests is of statsmodels.
 Resampling is one matrix product over all cells of equally many flights: on ten flights
 `scipy.stats.bootstrap` takes 9 times as long, `permutation_test` 1000 times (40 cells, exact).
 """
@@ -27,7 +29,8 @@ EXACT_PAIRS = 12
 POWER = 0.8
 
 INTERVAL = (
-    "95 % bootstrap interval over flights, percentiles widened for small samples (Hesterberg 2015)"
+    "95 % bootstrap interval over independent units (flights of one seed share random draws over "
+    "all scenes, and count as one), percentiles widened for small samples (Hesterberg 2015)"
 )
 
 
@@ -59,13 +62,14 @@ def _tail(flights: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure over ``flights`` flights; ``low`` and ``high`` are None for fewer than three: of
-    two, resampling draws nothing but the two and their mean."""
+    """A figure over ``flights`` flights of ``units`` independent units; ``low`` and ``high`` are
+    None for fewer than three units: of two, resampling draws nothing but the two and their mean."""
 
     value: float
     low: float | None
     high: float | None
     flights: int
+    units: int
 
     def excludes(self, other: float) -> bool:
         """True if ``other`` lies outside of the interval; False without an interval."""
@@ -77,87 +81,135 @@ class Estimate:
         return asdict(self)
 
 
-def mean_interval(values: Sequence[float] | Array) -> Estimate | None:
+def mean_interval(
+    values: Sequence[float] | Array, units: Sequence[Any] | None = None
+) -> Estimate | None:
     """Mean over flights with its interval; None without a value."""
-    return _resampled(np.asarray(values, dtype=np.float64), lambda mean: mean)
+    return _resampled(np.asarray(values, dtype=np.float64), lambda mean: mean, units)
 
 
-def ratio_interval(pairs: Sequence[tuple[float, float]]) -> Estimate | None:
+def ratio_interval(
+    pairs: Sequence[tuple[float, float]] | Array, units: Sequence[Any] | None = None
+) -> Estimate | None:
     """Ratio of the means of paired values, the first over the second, pairs resampled together;
     None without a pair or with a second value that is not positive."""
     sample = np.asarray(pairs, dtype=np.float64).reshape(-1, 2)
     if not (sample[:, 1] > 0.0).all():
         return None
-    return _resampled(sample, lambda mean: mean[..., 0] / mean[..., 1])
+    return _resampled(sample, lambda mean: mean[..., 0] / mean[..., 1], units)
 
 
 def variance_interval(
-    means: Sequence[float] | Array, variances: Sequence[float] | Array
+    means: Sequence[float] | Array,
+    variances: Sequence[float] | Array,
+    units: Sequence[Any] | None = None,
 ) -> Estimate | None:
     """Pooled variance with equal weights of flights: mean of their variances plus variance of their
     means."""
     mean, within = np.asarray(means, dtype=np.float64), np.asarray(variances, dtype=np.float64)
     moments = np.column_stack([within + mean**2, mean])
-    return _resampled(moments, lambda m: np.maximum(m[..., 0] - m[..., 1] ** 2, 0.0))
+    return _resampled(moments, lambda m: np.maximum(m[..., 0] - m[..., 1] ** 2, 0.0), units)
 
 
 def difference_interval(new: Array, old: Array) -> Estimate:
     """Difference of the means of two independent samples, each resampled on its own."""
     drawn = bootstrap_weights(len(new), "new") @ new - bootstrap_weights(len(old), "old") @ old
-    return _interval(float(new.mean() - old.mean()), drawn, min(len(new), len(old)))
+    flights = min(len(new), len(old))
+    return _interval(float(new.mean() - old.mean()), drawn, flights, flights)
 
 
-def _resampled(sample: Array, figure: Callable[[Array], Any]) -> Estimate | None:
+def _resampled(
+    sample: Array, figure: Callable[[Array], Any], units: Sequence[Any] | None = None
+) -> Estimate | None:
     """``figure`` of the means over flights of a sample (flights,) or (flights, columns), of arrays
-    of which it takes the last axis; None without a flight."""
+    of which it takes the last axis; None without a flight. Units are drawn with all their
+    flights."""
     if not len(sample):
         return None
-    drawn = figure(bootstrap_weights(len(sample)) @ sample)
-    return _interval(float(figure(sample.mean(axis=0))), drawn, len(sample))
+    value = float(figure(sample.mean(axis=0)))
+    sums, sizes = _by_unit(sample, units)
+    drawn = bootstrap_weights(len(sizes)) @ sums
+    if len(sizes) < len(sample):
+        drawn = (drawn.T / (bootstrap_weights(len(sizes)) @ sizes)).T
+    return _interval(value, figure(drawn), len(sample), len(sizes))
 
 
-def _interval(value: float, drawn: Array, flights: int) -> Estimate:
-    if flights < 3:
-        return Estimate(value, None, None, flights)
-    tail = _tail(flights)
+def _by_unit(sample: Array, units: Sequence[Any] | None) -> tuple[Array, Array]:
+    """The sums (units,) or (units, columns) of a sample, and the number of flights (units,)."""
+    if units is None:
+        return sample, np.ones(len(sample))
+    _, codes = np.unique(np.asarray(units, dtype=str), return_inverse=True)
+    sums = np.zeros((codes.max() + 1, *sample.shape[1:]))
+    np.add.at(sums, codes, sample)
+    return sums, np.bincount(codes).astype(np.float64)
+
+
+def _interval(value: float, drawn: Array, flights: int, units: int) -> Estimate:
+    if units < 3:
+        return Estimate(value, None, None, flights, units)
+    tail = _tail(units)
     low, high = np.quantile(drawn, (tail, 1.0 - tail))
-    return Estimate(value, float(low), float(high), flights)
+    return Estimate(value, float(low), float(high), flights, units)
 
 
 def fraction_interval(hits: int, flights: int) -> Estimate:
     """A fraction with Wilson's score interval (JASA 22, 1927)."""
     interval = stats.binomtest(hits, flights).proportion_ci(CONFIDENCE, method="wilson")
-    return Estimate(hits / flights, float(interval.low), float(interval.high), flights)
+    return Estimate(hits / flights, float(interval.low), float(interval.high), flights, flights)
 
 
-def geometric_ratio(over: Array, under: Array) -> Estimate | None:
+def clustered_fraction(hits: Sequence[bool] | Array, units: Sequence[Any]) -> Estimate:
+    """The fraction of the flights that ``hits`` names, with Wilson's interval of the effective
+    number of flights: that whose binomial variance is the variance between units (Kish, Survey
+    Sampling, 1965, section 8.2), from the number of units to that of flights. Where no two units
+    differ it is that of units."""
+    sample = np.asarray(hits, dtype=np.float64)
+    sums, sizes = _by_unit(sample, units)
+    flights, k, value = len(sample), len(sizes), float(sample.mean())
+    if k == flights:
+        return fraction_interval(int(sample.sum()), flights)
+    between = k / max(k - 1, 1) * float(np.sum((sums - value * sizes) ** 2)) / flights**2
+    effective = value * (1.0 - value) / between if between > 0.0 else 0.0
+    from statsmodels.stats.proportion import proportion_confint
+
+    number = min(max(effective, k), flights)
+    low, high = proportion_confint(value * number, number, 1.0 - CONFIDENCE, method="wilson")
+    return Estimate(value, float(low), float(high), flights, k)
+
+
+def geometric_ratio(
+    over: Array, under: Array, units: Sequence[Any] | None = None
+) -> Estimate | None:
     """Ratio of the geometric means of pairs (n,); None where a value is not positive."""
     if not (np.all(over > 0.0) and np.all(under > 0.0)):
         return None
-    found = mean_interval(np.log(over / under))
+    found = mean_interval(np.log(over / under), units)
     return None if found is None else exponential(found)
 
 
 def exponential(log: Estimate) -> Estimate:
     """The estimate of a figure of that of its logarithm."""
     low, high = (None if end is None else math.exp(end) for end in (log.low, log.high))
-    return Estimate(math.exp(log.value), low, high, log.flights)
+    return Estimate(math.exp(log.value), low, high, log.flights, log.units)
 
 
 def student_interval(values: Sequence[float]) -> Estimate:
     """Mean of at least two values with Student's interval."""
     low, high = stats.ttest_1samp(values, 0.0).confidence_interval(CONFIDENCE)
-    return Estimate(float(np.mean(values)), float(low), float(high), len(values))
+    return Estimate(float(np.mean(values)), float(low), float(high), len(values), len(values))
 
 
-def rank_correlation(a: Array, b: Array) -> Estimate | None:
-    """Spearman's correlation of pairs (n,) with its interval by Fisher's z; None where one side
-    does not vary or pairs are fewer than five."""
-    if len(a) < 5 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
+def rank_correlation(a: Array, b: Array, units: Sequence[Any] | None = None) -> Estimate | None:
+    """Spearman's correlation of pairs (n,) with the interval by Fisher's z of as many pairs as
+    there are units; None where one side does not vary or units are fewer than five."""
+    independent = len(a) if units is None else len(set(units))
+    if independent < 5 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return None
-    found = stats.pearsonr(stats.rankdata(a), stats.rankdata(b))
-    interval = found.confidence_interval(CONFIDENCE)
-    return Estimate(float(found.statistic), float(interval.low), float(interval.high), len(a))
+    value = float(stats.spearmanr(a, b).statistic)
+    half = float(stats.norm.ppf(0.5 + CONFIDENCE / 2.0)) / math.sqrt(independent - 3)
+    with np.errstate(divide="ignore"):  # perfect correlation has no width
+        low, high = np.tanh(np.arctanh(value) + np.array([-half, half]))
+    return Estimate(value, float(low), float(high), len(a), independent)
 
 
 # ------------------------------------------------------------------------------------------ tests

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from touchdown.experiments.errors import visible
-from touchdown.experiments.reporting.flights import ordered, values
+from touchdown.experiments.reporting.flights import ordered, values, values_and_units
 from touchdown.experiments.reporting.measures import (
     SET_MARK,
     is_marked,
@@ -23,7 +23,7 @@ from touchdown.experiments.reporting.measures import (
 )
 from touchdown.experiments.reporting.statistics import (
     Estimate,
-    fraction_interval,
+    clustered_fraction,
     mean_interval,
     variance_interval,
 )
@@ -102,7 +102,11 @@ def _of_measure(column: str, kind: str, title: str, of: Callable[..., Any], **mo
 
 def mean(column: str, title: str = "", **more: Any) -> Column:
     """Mean of a column of the rows with its interval."""
-    return _of_measure(column, "", title, lambda own: mean_interval(values(own, column)), **more)
+
+    def of(own: pd.DataFrame) -> Estimate | None:
+        return mean_interval(*values_and_units(own, column))
+
+    return _of_measure(column, "", title, of, **more)
 
 
 def largest(column: str, title: str = "", **more: Any) -> Column:
@@ -130,7 +134,7 @@ def pooled_variance(column: str, means: str, **more: Any) -> Column:
         if not set(both) <= set(own.columns):
             return None
         known = own.dropna(subset=both)
-        return variance_interval(values(known, means), values(known, column))
+        return variance_interval(known[means], known[column], known["unit"])
 
     return _of_measure(column, "", "", of, **more)
 
@@ -140,11 +144,15 @@ def count(title: str, hits: Callable[[pd.DataFrame], Any] = len) -> Column:
     return Column(key=title, title=title, of=lambda own: int(np.sum(hits(own))))
 
 
+INDEPENDENT = Column(key="independent", title="independent", of=lambda own: own["unit"].nunique())
+"""Number of independent units among the flights of a line; left out where all of them are."""
+
+
 def fraction(title: str, hits: Callable[[pd.DataFrame], Any]) -> Column:
     """Percentage of the flights for which ``hits`` gives True, with Wilson's interval."""
 
     def of(own: pd.DataFrame) -> Estimate | None:
-        return fraction_interval(int(np.sum(hits(own))), len(own)) if len(own) else None
+        return clustered_fraction(hits(own), own["unit"]) if len(own) else None
 
     return Column(key=title, title=f"{title} (%)", of=of, scale=100.0)
 
@@ -200,7 +208,9 @@ def make_table(
     shown = [name for name in by if name != "condition" or frame["condition"].nunique() > 1]
     lines = list(groups(frame, shown))
     every = {column.key: [column.of(own) for _, own in lines] for column in columns}
-    kept = [column for column in columns if any(map(_is_known, every[column.key]))]
+    if every.get(INDEPENDENT.key) == [len(own) for _, own in lines]:
+        del every[INDEPENDENT.key]
+    kept = [column for column in columns if any(map(_is_known, every.get(column.key, ())))]
     cells = [[_name(name, kind) for name, kind in zip(n, shown, strict=True)] for n, _ in lines]
     header = list(names) or [_NAMES.get(name, name) for name in shown]
     for column in kept:

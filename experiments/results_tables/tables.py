@@ -10,11 +10,12 @@ from touchdown.experiments.reporting.flights import condition_of, ordered
 from touchdown.experiments.reporting.measures import is_marked, setting_notes, titled
 from touchdown.experiments.reporting.report_tables import FLIGHTS, LANDED, OUTCOMES, UNSAFE
 from touchdown.experiments.reporting.statistics import (
-    fraction_interval,
+    clustered_fraction,
     geometric_ratio,
     rank_correlation,
 )
 from touchdown.experiments.reporting.tables import (
+    INDEPENDENT,
     MISSING,
     Column,
     cell,
@@ -32,7 +33,10 @@ _LEVEL, _LEVEL_MAX = "map.levelness_error_deg.mean", "map.levelness_error_deg.ma
 _D_L, _V_Z = "landing.target_offset_m", "landing.vertical_speed_mps"
 _A_Z, _SLOPE = "landing.vertical_accel_mps2", "landing.slope_deg"
 _COMMIT = "landing.estimate_error_at_commit_m"
-_INTERVALS = "Brackets: 95 % intervals of the mean over flights (bootstrap), of shares Wilson's."
+_INTERVALS = (
+    "Brackets: 95 % intervals of the mean (bootstrap), of fractions Wilson's, over independent "
+    "units: flights of one seed share IMU, mounts and wind over all scenes, and count as one."
+)
 _LEVELNESS = (
     mean(_LEVEL, "levelness, mean (°)"),
     largest(_LEVEL_MAX, "largest at any place (°)"),
@@ -43,6 +47,7 @@ def landings(frame: pd.DataFrame) -> list[str]:
     """A line for each scene and one for all of them."""
     columns = [
         FLIGHTS,
+        INDEPENDENT,
         LANDED,
         UNSAFE,
         mean(_ERROR),
@@ -70,6 +75,7 @@ def positioning(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
     """A line for each method and scene, and one for each method over all scenes."""
     columns = [
         FLIGHTS,
+        INDEPENDENT,
         OUTCOMES,
         mean(_ERROR, "mean error (m)"),
         largest(_ERROR, "worst flight (m)"),
@@ -107,7 +113,7 @@ def levelness(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
         f"The paper's Table 1 prints {printed}° for its scenes 1 to 4, which it does not name, and "
         f"the bound {published.LEVELNESS_BOUND_DEG:g}° over all of them.",
     ]
-    columns = [FLIGHTS, *_LEVELNESS]
+    columns = [FLIGHTS, INDEPENDENT, *_LEVELNESS]
     return with_notes(make_table(frame, "levelness", "", columns, ("scene", "flight"), notes=notes))
 
 
@@ -116,6 +122,7 @@ def blind(frame: pd.DataFrame) -> list[str]:
     frame = frame.assign(condition=[condition_of(row) for row in _plain(frame)])
     columns = [
         FLIGHTS,
+        INDEPENDENT,
         OUTCOMES,
         UNSAFE,
         mean(_ERROR, "mean error (m)"),
@@ -162,7 +169,8 @@ def summary(landed: pd.DataFrame, surveys: pd.DataFrame) -> list[str]:
 
 
 def _completed(own: pd.DataFrame) -> str:
-    return f"{own['outcome'].isin(['COMPLETED', 'LANDED']).sum()} of {len(own)}"
+    done = own["outcome"].isin(["COMPLETED", "LANDED"]).sum()
+    return f"{done} of {len(own)} ({own['unit'].nunique()} independent)"
 
 
 def _printed_path(own: pd.DataFrame) -> str | None:
@@ -172,8 +180,8 @@ def _printed_path(own: pd.DataFrame) -> str | None:
 
 
 def _landing_summary(frame: pd.DataFrame) -> list[str]:
-    safe = int((frame["outcome"].eq("LANDED") & frame["ground_safe"].eq(True)).sum())
-    fraction = fraction_interval(safe, len(frame))
+    is_safe = frame["outcome"].eq("LANDED") & frame["ground_safe"].eq(True)
+    safe, fraction = int(is_safe.sum()), clustered_fraction(is_safe, frame["unit"])
     low, high = 100.0 * (fraction.low or 0.0), 100.0 * (fraction.high or 0.0)
     counts = (
         f"{LANDED.of(frame)}; {safe} ({100.0 * fraction.value:.0f} % [{low:.0f}, {high:.0f}]); "
@@ -187,8 +195,9 @@ def _landing_summary(frame: pd.DataFrame) -> list[str]:
         figures = mean(column).of(frame), largest(worst).of(frame)
         name = f"{titled(title, column)} ({unit})"
         rows.append([name, str(theirs), *(cell(figure).markdown for figure in figures)])
-    scenes = frame["scene"].nunique()
-    header = [f"{len(frame)} landings with `livo`, {scenes} scenes", "paper", "mean", "largest"]
+    scenes, units = frame["scene"].nunique(), frame["unit"].nunique()
+    flights = f"{len(frame)} landings with `livo`, {scenes} scenes ({units} independent)"
+    header = [flights, "paper", "mean", "largest"]
     return markdown_lines(header, rows)
 
 
@@ -218,20 +227,20 @@ def pairs(short: pd.DataFrame, whole: pd.DataFrame) -> list[str]:
         *markdown_lines(header, [_pair_line(title, column, both) for title, column in _COMPARED]),
         "",
         f"- Landed: {landed[0]} of {len(both)} short flights, {landed[1]} of {len(both)} whole "
-        "ones. Ratio of the geometric means, with its 95 % interval over pairs (bootstrap); "
-        "Spearman's correlation, with its 95 % interval (Fisher's z).",
+        "ones. Ratio of the geometric means, with its 95 % interval (bootstrap); Spearman's "
+        "correlation, with its 95 % interval (Fisher's z); both over independent units, the seeds.",
     ]
 
 
 def _pair_line(title: str, column: str, both: pd.DataFrame) -> list[str]:
-    columns = [column, f"{column} whole"]
-    sides = both.reindex(columns=columns).dropna().to_numpy(np.float64)
+    columns = [column, f"{column} whole", "unit"]
+    sides = both.reindex(columns=columns).dropna()
     if len(sides) < 2:
         return [title, str(len(sides)), *[MISSING] * 4]
-    short, whole = sides.T
-    rank = rank_correlation(short, whole)
+    short, whole = (sides[name].to_numpy(np.float64) for name in columns[:2])
+    rank = rank_correlation(short, whole, sides["unit"])
     text = f"{rank.value:.2f} [{rank.low:.2f}, {rank.high:.2f}]" if rank else MISSING
-    ratio = geometric_ratio(short, whole)
+    ratio = geometric_ratio(short, whole, sides["unit"])
     return [
         title,
         str(len(sides)),

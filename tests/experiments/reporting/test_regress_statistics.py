@@ -62,6 +62,65 @@ def test_pooled_variance_is_that_of_all_samples_together() -> None:
     assert found.low is not None and found.high is not None and found.low < found.value < found.high
 
 
+def _planted(
+    units: int, of_unit: int, repeats: int, between: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal values (repeats, flights) of mean zero that share a part by unit; units (flights,)."""
+    rng = np.random.default_rng([11, units, of_unit])
+    shared = rng.normal(scale=between, size=(repeats, units, 1))
+    values = shared + rng.normal(size=(repeats, units, of_unit))
+    return values.reshape(repeats, -1), np.repeat(np.arange(units), of_unit)
+
+
+@pytest.mark.parametrize("of_unit", [1, 4])
+def test_intervals_of_flights_that_share_draws_cover_as_often_as_they_say(of_unit: int) -> None:
+    """25 units. Intervals over 100 flights instead of 25 units cover 0.72 of the means."""
+    samples, units = _planted(25, of_unit, 500)
+    means = [statistics.mean_interval(sample, units) for sample in samples]
+    covered = [not found.excludes(0.0) for found in means if found is not None]
+    assert 0.93 <= np.mean(covered) <= 0.97
+    assert {(found.flights, found.units) for found in means if found} == {(25 * of_unit, 25)}
+    if of_unit > 1:
+        naive = [statistics.mean_interval(sample) for sample in samples]
+        assert np.mean([not found.excludes(0.0) for found in naive if found]) < 0.85
+
+
+@pytest.mark.parametrize("of_unit", [1, 4])
+def test_fractions_of_flights_that_share_draws_cover_as_often_as_they_say(of_unit: int) -> None:
+    """A value above the limit that 0.7 of all exceed is a hit."""
+    samples, units = _planted(60, of_unit, 500)
+    hits = samples > math.sqrt(2.0) * norm.ppf(0.3)
+    found = [statistics.clustered_fraction(sample, units) for sample in hits]
+    assert 0.93 <= np.mean([not fraction.excludes(0.7) for fraction in found]) <= 0.97
+
+
+def test_units_that_all_hit_are_counted_and_not_their_flights() -> None:
+    """20 of 20 flights of five seeds are five of five: the lower end is 5 / (5 + z^2)."""
+    found = statistics.clustered_fraction([True] * 20, list("abcde") * 4)
+    assert found.value == 1.0 and found.high == pytest.approx(1.0)
+    assert found.low == pytest.approx(5 / (5 + 1.959964**2), abs=1e-6)
+    assert (found.flights, found.units) == (20, 5)
+
+
+def test_units_of_unequal_size_weigh_by_their_flights() -> None:
+    found = statistics.mean_interval([1.0, 1.0, 1.0, 5.0, 3.0], ["a", "a", "a", "b", "c"])
+    assert found is not None and found.value == pytest.approx(2.2) and found.units == 3
+    assert found.low == pytest.approx(1.0) and found.high == pytest.approx(5.0)
+
+
+def test_the_interval_of_a_correlation_is_of_units() -> None:
+    """r = 0.5 by ranks; Fisher's z of six units: tanh(atanh 0.5 +- 1.96 / sqrt 3)."""
+    a = np.arange(6.0)
+    b = np.array([1.0, 3.0, 0.0, 5.0, 2.0, 4.0])
+    found = statistics.rank_correlation(a, b)
+    twice = statistics.rank_correlation(np.tile(a, 2), np.tile(b, 2), [*range(6)] * 2)
+    assert found is not None and twice is not None and found.low is not None
+    ends = np.tanh(np.arctanh(found.value) + np.array([-1.0, 1.0]) * 1.959964 / math.sqrt(3.0))
+    assert [found.low, found.high] == pytest.approx(ends, abs=1e-6)
+    assert twice.low == pytest.approx(found.low) and twice.units == 6
+    assert statistics.rank_correlation(a, b, [0, 0, 0, 1, 1, 2]) is None
+
+
 @pytest.mark.parametrize(("flights", "minimum"), [(5, 0.89), (10, 0.93), (20, 0.94)])
 def test_intervals_cover_as_often_as_they_say(flights: int, minimum: float) -> None:
     """1000 normal samples. Plain percentiles cover 0.82 and 0.90 for five and ten flights; five

@@ -106,9 +106,10 @@ def test_table_6_beside_the_papers(sites: list[dict[str, Any]]) -> None:
     by_scene = {scene: list(line.values())[1:] for (_, scene), line in lines(found).items()}
     turf, bridge = by_scene["`turf`"], by_scene["`footbridge`"]
     assert turf == [
-        "`turf`", "2", "2", "5.00", "4.52", "2.00", "3.52", "0.120", "lawn (safe) 2", "Lawn (safe)",
+        "`turf`", "2", "2", "2", "5.00", "4.52", "2.00", "3.52", "0.120", "lawn (safe) 2",
+        "Lawn (safe)",
     ]  # fmt: skip
-    assert bridge[:3] == ["`footbridge`", "2", "1"]
+    assert bridge[:4] == ["`footbridge`", "2", "2", "1"]
     assert bridge[-2:] == ["building (risky) 1", "Road (risky)"]
     assert list(published.SITES) == [
         "turf", "rooftop_parking", "cottage", "footbridge", "pools"

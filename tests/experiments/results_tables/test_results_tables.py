@@ -91,7 +91,8 @@ def test_landings_by_scene() -> None:
     assert lake["levelness, mean (°)"] == "0.750"
     assert lake["largest at any place (°)"] == "4.00"
     assert (every["flights"], every["landed"], every["unsafe touchdowns"]) == ("4", "3", "1")
-    assert every["d_L (m)"].startswith("0.300 [")
+    # Two seeds are two independent flights, over whatever scenes, and have no interval.
+    assert every["independent"] == lake["independent"] == "2" and every["d_L (m)"] == "0.300"
     text = "\n".join(lines)
     assert "- `forest`, seed 2: COLLIDED (a tree)." in text
     assert "- `forest`, seed 1: LANDED, on unsafe ground." in text
@@ -120,7 +121,7 @@ def test_positioning_by_method_and_scene() -> None:
     assert found["mean error (m)"] == "0.200" and "(set)" not in found["E_tra (m)"]
     assert found["NEES below 14.2 (%)"] == "90.0"
     gps = cells(lines, "`gps`", "all scenes")
-    assert gps["flights"] == "4" and gps["E_tra (m)"].endswith("] (set)")
+    assert (gps["flights"], gps["independent"], gps["E_tra (m)"]) == ("4", "2", "4.00 (set)")
     assert any("set by `gps.preset`" in line for line in lines)
 
 
@@ -150,14 +151,14 @@ def test_the_summary_compares_no_figure_that_is_set() -> None:
     speed = next(line for line in lines if line.startswith("| v_z"))
     assert speed.split("|")[1].strip().endswith("(set) (m/s)") and speed.split("|")[2] == " – "
     assert next(line for line in lines if line.startswith("| d_L")).split("|")[2] == " 0.41 "
-    assert "| landed; on safe ground; touched unsafe ground | – | 3; 2 (50 % [15, 85]); 1 |" in (
+    assert "| landed; on safe ground; touched unsafe ground | – | 3; 2 (50 % [9, 91]); 1 |" in (
         "\n".join(lines)
     )
     start = next(n for n, line in enumerate(lines) if line.startswith("| surveys"))
     assert cells(lines[start:], "`gps`")["E_tra, paper (m)"] == "–"
     assert cells(lines[start:], "`zou2024`")["E_tra, paper (m)"] == "0.3671"
-    assert cells(lines[start:], "`livo`")["completed"] == "3 of 4"
-    assert cells(lines[start:], "`gps`")["completed"] == "4 of 4"
+    assert cells(lines[start:], "`livo`")["completed"] == "3 of 4 (2 independent)"
+    assert cells(lines[start:], "`gps`")["completed"] == "4 of 4 (2 independent)"
 
 
 def fly(found: FlightSet, out: Path, revision: str = REVISION, left_out: int = 0) -> Path:
@@ -202,11 +203,11 @@ def test_the_file_and_the_pages_state_revision_and_plan(tmp_path: Path) -> None:
         "*Flown at revision `0123456789ab` in profile `field`, 2031-02-03: "
         "`configs/results_landings.toml`, by `make results`, 0.50 core-hours.*" in text
     )
-    assert "| all scenes | 20 | 20 | 0 |" in text
+    assert "| all scenes | 20 | 5 | 20 | 0 |" in text
     page = (root / "docs/results/ideal.md").read_text()
     assert "Not flown at a stated revision yet: `make results PROFILE=ideal` flies it" in page
     assert written(text, "docs/results/field.md", read_record(root)) == text
-    edited = text.replace("| all scenes | 20 | 20 | 0 |", "| all scenes | 20 | 19 | 0 |")
+    edited = text.replace("| all scenes | 20 | 5 | 20 | 0 |", "| all scenes | 20 | 5 | 19 | 0 |")
     assert written(edited, "docs/results/field.md", read_record(root)) == text != edited
 
 
@@ -291,7 +292,7 @@ def test_short_flights_are_paired_with_whole_ones_of_equal_scene_and_seed() -> N
                 "position_error_m.mean": scale * error, "landing.target_offset_m": 0.1,
             })
             for (scene, seed), error in zip(
-                ((s, n) for s in ("lake", "forest") for n in range(3)),
+                ((("lake", "forest")[n // 3], n) for n in range(6)),
                 (0.1, 0.2, 0.4, 0.8, 0.3, 0.6), strict=True,
             )
         ]
