@@ -74,7 +74,7 @@ def _planted(
 
 @pytest.mark.parametrize("of_unit", [1, 4])
 def test_intervals_of_flights_that_share_draws_cover_as_often_as_they_say(of_unit: int) -> None:
-    """25 units. Intervals over 100 flights instead of 25 units cover 0.72 of the means."""
+    """25 units. Intervals over 100 flights instead of 25 units cover 0.71 of the means."""
     samples, units = _planted(25, of_unit, 500)
     means = [statistics.mean_interval(sample, units) for sample in samples]
     covered = [not found.excludes(0.0) for found in means if found is not None]
