@@ -83,6 +83,10 @@ def _latencies(count: int, seed: int = 1, name: bytes = b"scans", **params: floa
     return [latency.due(6000 * k) - 6000 * k for k in range(count)]
 
 
+def test_latencies_without_spread_are_the_median() -> None:
+    assert _latencies(5, latency_sigma=0.0) == [SimParams().compute_latency_ticks] * 5 == [36] * 5
+
+
 def test_latencies_are_log_normal_and_end_at_control_ticks() -> None:
     drawn = np.array(_latencies(20_000, latency_sigma=0.3))
     assert set(drawn % 3) == {0}
