@@ -77,7 +77,7 @@ class DefectError(Exception):
 
 
 def wrong_part(kind: str, part: Any, rig: Any) -> str:
-    """DefectError of a built object that shows before its first call; "" without one."""
+    """What is wrong with a built object before its first call; "" where nothing is."""
     methods = [method for of, method in _ANSWERS if of == kind]
     reason = "" if kind not in ("estimator", "mapper", "lander") else _wrong_needs(part, rig)
     if kind == "classifier":

@@ -95,7 +95,7 @@ def examine_estimator(
             nothing: dict[str, Any] = {field: ()} if first <= number < last else {}
             part.ask("update", dataclasses.replace(obs, **nothing), rule="missing data",
                      when=f"without {field}, {_when(obs)},")  # fmt: skip
-        yield from ()
+        return iter(())
 
     findings = examine_as(follow, start)
     if "latency" in findings.figures:

@@ -94,17 +94,18 @@ def end_descendants(pid: int, keep: frozenset[int] = frozenset()) -> None:
     """Kills the descendants of ``pid`` except ``keep``, however they defend themselves, and returns
     when none is left, or the kernel does not let go of them. Only those of this very process are
     collected."""
-    deadline = time.monotonic() + _END_TIMEOUT_S
+    deadline, seen = time.monotonic() + _END_TIMEOUT_S, set[int]()
     while left := [child for child in descendants(pid) if child not in keep]:
+        seen.update(left)
         for child in left:
             with contextlib.suppress(OSError):
                 os.kill(child, signal.SIGKILL)
         if time.monotonic() > deadline:
-            return
+            break
         time.sleep(_PAUSE_S)
-        for child in left:
-            with contextlib.suppress(OSError):
-                os.waitpid(child, os.WNOHANG)
+    for child in seen:
+        with contextlib.suppress(OSError):
+            os.waitpid(child, os.WNOHANG)
 
 
 @contextlib.contextmanager

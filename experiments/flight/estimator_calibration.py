@@ -146,11 +146,9 @@ def _camera_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: in
 
 def _lidar_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
     sigmas = params.imu_lidar_rotation_sigma_deg, params.imu_lidar_translation_sigma_m
-    return (
-        replace(rig, body_from_lidar=_erring_mount(rig, "lidar", seed, *sigmas))
-        if any(sigmas)
-        else rig
-    )
+    if not any(sigmas):
+        return rig
+    return replace(rig, body_from_lidar=_erring_mount(rig, "lidar", seed, *sigmas))
 
 
 def _apart(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:

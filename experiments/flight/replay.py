@@ -257,9 +257,14 @@ def replay(
 
 
 def _replay(
-    logged: LoggedRun, estimator: Estimator, config: Config, writer: TumWriter | None,
-    progress: Progress | None, injector: FaultInjector, until_s: float,
-) -> RunResult:  # fmt: skip
+    logged: LoggedRun,
+    estimator: Estimator,
+    config: Config,
+    writer: TumWriter | None,
+    progress: Progress | None,
+    injector: FaultInjector,
+    until_s: float,
+) -> RunResult:
     error, consistency = PositioningError(), Consistency()
     clock, events = StageClock(), EventLog()
     outcome, reason, last_s = Outcome.COMPLETED, "", 0.0

@@ -50,7 +50,7 @@ def make_result(
     """Returns the result of a finished flight."""
     origin = stack.scene.origin_m
     place: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
-    record, away = stack.record(), judgement.deviation
+    record, deviation = stack.record(), judgement.deviation
     measured = observer.conditions.measured(record, stack.world.rig, stack.nominal_rig)
     conditions = judge_conditions(config, measured, record.faults, judgement.sim_s)
     no_site = judgement.outcome == Outcome.NO_SITE
@@ -68,9 +68,9 @@ def make_result(
         **place,
         position_error_m=judgement.position_error,
         span_s=judgement.span_s,
-        trajectory_error_m=away.mean if away.count else None,
-        trajectory_error_max_m=away.largest if away.count else None,
-        trajectory_variance_m2=away.variance if away.count else None,
+        trajectory_error_m=deviation.mean if deviation.count else None,
+        trajectory_error_max_m=deviation.largest if deviation.count else None,
+        trajectory_variance_m2=deviation.variance if deviation.count else None,
         slowed_s=observer.slowed_s,
         nees=judgement.nees,
         landing=judgement.landing,

@@ -64,10 +64,11 @@ def fitted(config: Config, scene: Scene) -> Config:
 
 
 def fit_survey(config: Config, scene: Scene) -> Fit | None:
-    """The largest survey of no more than the configured size with ground below its legs and turns;
-    None where not even the shortest leg has, for another than the standard survey, and over a scene
-    of no file or one that is taken as it is. In a turn over an edge
-    half of the pictures and scans are empty, and an estimate moves by up to a metre."""
+    """The largest survey of no more than the configured size with ground below its legs and turns.
+
+    None where not even the shortest leg has ground below it, where the survey is not the standard
+    one, and over a scene that is not of a file or is taken as it is. In a turn over an edge half of
+    the pictures and scans are empty, and an estimate moves by up to a metre."""
     survey = config.survey
     standard = dataclasses.replace(SurveyParams(), climb_turn_deg=survey.climb_turn_deg)
     if scene.options is None or survey != standard:

@@ -137,9 +137,12 @@ def raw_image_message(time_ns: int, frame: str, rgb: Bytes) -> Any:
 
 
 def imu_message(
-    time_ns: int, frame: str, sample: ImuSample,
-    rate_variance: float = 0.0, force_variance: float = 0.0,
-) -> Any:  # fmt: skip
+    time_ns: int,
+    frame: str,
+    sample: ImuSample,
+    rate_variance: float = 0.0,
+    force_variance: float = 0.0,
+) -> Any:
     """``sensor_msgs/msg/Imu``; no orientation, which the standard marks by a covariance of -1."""
     no_orientation = _UNKNOWN.copy()
     no_orientation[0] = -1.0

@@ -317,7 +317,7 @@ _POSITIVE = (
 
 def _not_nan(constant: str) -> float:
     if constant == "NaN":
-        raise DamagedError("a number of the rig is none")
+        raise DamagedError("a value of the rig is not a number")
     return float(constant)
 
 

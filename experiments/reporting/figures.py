@@ -125,8 +125,9 @@ def _first_flights(flights: pd.DataFrame, by: str) -> list[tuple[str, _Paths]]:
                 read_trajectory(folder / f"{kind}.tum")
                 for kind in ("truth", "estimate", "reference")
             )
-            if name not in found and truth is not None and truth.lift_off < len(truth.time_s):
+            if truth is not None and truth.lift_off < len(truth.time_s):
                 found[name] = truth, estimate, reference
+                break
     return list(found.items())
 
 

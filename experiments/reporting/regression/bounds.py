@@ -113,7 +113,7 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
                         flights=len(both),
                         now=math.exp(now),
                         before=math.exp(before),
-                        minimum=math.exp(low) or None,
+                        minimum=math.exp(low) if figure.both_sides else None,
                         maximum=math.exp(before + margin),
                         spread=spread,
                         worse=not low - _ROUNDING <= now <= before + margin + _ROUNDING,
