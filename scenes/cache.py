@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from touchdown.scenes.api import ImportOptions, Light, LowSun, Scene
-from touchdown.scenes.authoring.ground import present_variation
+from touchdown.scenes.authoring.variation import present_variation
 from touchdown.scenes.registry import scene_names
 
 DIRECTORY_VARIABLE = "TOUCHDOWN_SCENE_CACHE"

@@ -68,6 +68,8 @@ def _read(file: Path) -> Array:
         table = pd.read_csv(file, usecols=columns)[columns].to_numpy(float)
     except ValueError as error:
         raise UsageError(f"'{file}' is no recording: {error}") from error
+    if not np.isfinite(table).all():
+        raise UsageError(f"'{file}' is no recording: a number is missing in it")
     if len(table) < _SEGMENT:
         raise UsageError(f"'{file}' has {len(table)} samples; a spectrum needs {_SEGMENT}")
     table[:, 1:4] = np.radians(table[:, 1:4])

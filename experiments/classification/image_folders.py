@@ -31,7 +31,7 @@ from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import Picture, read_picture, squared
 from touchdown.experiments.io.untrusted import inside
 from touchdown.landing.api import LabelledImages
-from touchdown.landing.classification.labels import NO_LABEL, SCHEMES
+from touchdown.landing.classification.labels import SCHEMES
 
 SQUARES = Path(__file__).with_name("caliterra.csv")
 RENDERED = "rendered"
@@ -171,8 +171,8 @@ def _rendered(folder: Path, scheme: str) -> Entries:
             file = inside(folder, row["file"])
         except ValueError as error:
             raise UsageError(f"--data: '{manifest}', line {number}: {error}") from None
-        label = classes.index(name) if name else NO_LABEL
-        yield Entry(file, label, row["split"], RENDERED, scene=row["scene"]) if name else None
+        split, scene = row["split"], row["scene"]
+        yield Entry(file, classes.index(name), split, RENDERED, scene=scene) if name else None
 
 
 def _class_folders(folder: Path, kind: str, scheme: str) -> Entries:

@@ -10,7 +10,8 @@ from it by little.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +30,7 @@ from touchdown.estimator.zou2024.visual_map import inside_image, project
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.edges.views import EdgeView, Notes, edge_views
 from touchdown.experiments.errors import UsageError, reason_of
-from touchdown.experiments.flight.wiring import make_world
+from touchdown.experiments.flight.wiring import build_scene, make_world
 from touchdown.experiments.scene_tools.posed_views import posed_sensors
 
 if TYPE_CHECKING:
@@ -120,9 +121,10 @@ def ridges(energy: Float32) -> Float32:
     # the eigenvector of the most negative curvature of the Hessian
     angle = 0.5 * np.arctan2(-2.0 * dxy, dyy - dxx)
     rows, cols = np.indices(energy.shape, np.float32)
+    across_x, across_y = np.cos(angle), np.sin(angle)
     greatest = np.ones(energy.shape, bool)
     for distance in (*range(-_NMS_RADIUS, 0), *range(1, _NMS_RADIUS + 1)):
-        x, y = cols + distance * np.cos(angle), rows + distance * np.sin(angle)
+        x, y = cols + distance * across_x, rows + distance * across_y
         beside = cv2.remap(energy, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         greatest &= energy >= beside
     return np.where(greatest, energy, np.float32(0.0)).astype(np.float32)
@@ -139,7 +141,8 @@ def matched_pairs(detected: Mask, true: Mask) -> int:
         return 0
     reach = int(radius)
     sources, targets = [], []
-    for dy, dx in np.argwhere(np.ones((2 * reach + 1, 2 * reach + 1))) - reach:
+    offsets = range(-reach, reach + 1)
+    for dy, dx in itertools.product(offsets, offsets):
         if dx * dx + dy * dy > radius * radius:
             continue
         y, x = rows + dy, cols + dx
@@ -214,11 +217,11 @@ def evaluate(model: str, seeds: int, notes: Notes) -> dict[str, Any]:
     scores = {}
     for name, detect in detectors.items():
         notes(f"scoring {DETECTOR_LABELS.get(name, name)}")
-        scores[name] = _score(views, [_cut(detect(view.rgb)) for view in views])
+        scores[name] = _score(views, (_cut(detect(view.rgb)) for view in views))
     by_sigma = {}
     for sigma in CANNY_SIGMAS:
         notes(f"scoring Canny, blur {sigma:.1f} px")
-        by_sigma[sigma] = _score(views, [canny_masks(view.rgb, sigma) for view in views])
+        by_sigma[sigma] = _score(views, (canny_masks(view.rgb, sigma) for view in views))
     blur = max(by_sigma, key=lambda sigma: by_sigma[sigma].ods)
     scores["canny"] = by_sigma[blur]
     return {
@@ -239,7 +242,7 @@ def evaluate(model: str, seeds: int, notes: Notes) -> dict[str, Any]:
     }
 
 
-def _score(views: Sequence[EdgeView], masks: Sequence[list[Mask]]) -> Score:
+def _score(views: Sequence[EdgeView], masks: Iterable[list[Mask]]) -> Score:
     return score(
         [counts_of_masks(of, view.boundaries) for of, view in zip(masks, views, strict=True)]
     )
@@ -297,18 +300,18 @@ def draw_figure(folder: Path, seed: int, model: str, notes: Notes) -> Path:
     path = folder / "smoothness.jpg"
     *_, shown = edge_views([_SHOWN_SCENE], [seed], _SHOWN_NUMBER + 1, notes)
     notes("scan and image of one moment")
-    _write(path, _smoothness(shown, model), "--out")
+    _write(path, _smoothness(shown, seed, model), "--out")
     return path
 
 
-def _smoothness(shown: EdgeView, model: str) -> Figure:
+def _smoothness(shown: EdgeView, seed: int, model: str) -> Figure:
     """The figure of `draw_figure`, by a camera without distortion at the pose of a view."""
     from matplotlib.figure import Figure
 
     from touchdown.sim.moving import BodyTrack
 
-    scene = shown.scene
-    config = load_config(scene=scene.name, seed=scene.seed, profile_default="ideal")
+    config = load_config(scene=_SHOWN_SCENE, seed=seed, profile_default="ideal")
+    scene = build_scene(config)
     world = make_world(config, scene)
     rig = world.rig
     world.close()

@@ -53,7 +53,6 @@ class EdgeView:
     """(H, W, 3)"""
     boundaries: Mask
     """(H, W) pixels whose right or lower neighbour belongs to another segment"""
-    scene: Scene
     world_from_body: Pose
     time_s: float
 
@@ -83,8 +82,7 @@ def _scene_views(config: Config, scene: Scene, views: int) -> Iterator[EdgeView]
             half = cv2.resize(view.rgb, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             segments = _segments_of(view, scene, kinds, sensors.intrinsics.matrix())
             yield EdgeView(
-                np.asarray(half, np.uint8), boundaries(segments), scene, view.world_from_body,
-                view.time_s,
+                np.asarray(half, np.uint8), boundaries(segments), view.world_from_body, view.time_s
             )  # fmt: skip
     finally:
         sensors.close()
@@ -146,7 +144,7 @@ def without_specks(segments: Int32, smallest: int) -> Int32:
 
 
 def boundaries(segments: Int32) -> Mask:
-    """As `EdgeView.boundaries`, of segments (H, W)."""
+    """(H, W) pixels of segments (H, W) whose right or lower neighbour belongs to another one."""
     edge = np.zeros(segments.shape, bool)
     edge[:, :-1] |= segments[:, :-1] != segments[:, 1:]
     edge[:-1] |= segments[:-1] != segments[1:]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.relief import HALF_M
 from touchdown.scenes.authoring.shading import mixed_blocks, ragged_texels, shade
+from touchdown.scenes.authoring.variation import Variation, present_variation, varied
 
 TEXELS = 5120
 RASTER_STRIDE = 4
@@ -155,25 +155,6 @@ def mown_askew(rng: np.random.Generator, angle: float) -> dict[Ground, float]:
     return dict.fromkeys(Ground, angle) | {Ground.LAWN: angle + float(rng.uniform(0.2, 1.3))}
 
 
-class Variation(NamedTuple):
-    """Other materials and other water than a scene is planned with."""
-
-    materials: api.Bytes
-    """(len(`Ground`),) the material in place of each"""
-    body: tuple[float, float, float]
-    """as `scenes.authoring.water.WaterLook`, like the following"""
-    clarity_m: tuple[float, float, float]
-    ripple: float
-
-
-_variation: ContextVar[Variation | None] = ContextVar("variation", default=None)
-
-
-def present_variation() -> Variation | None:
-    """That of the context; None where scenes are made as planned."""
-    return _variation.get()
-
-
 @contextlib.contextmanager
 def varied_materials(rng: np.random.Generator) -> Iterator[None]:
     """Gives all scenes made inside the context other ground and water: each material becomes a
@@ -188,11 +169,8 @@ def varied_materials(rng: np.random.Generator) -> Iterator[None]:
     clear = float(np.exp(rng.uniform(*_CLARITY)))
     clarity = (0.6 * clear, clear, clear * rng.uniform(0.7, 1.3))
     water = (red, green, blue), clarity, rng.uniform(0.1, 0.7)
-    token = _variation.set(Variation(table, *water))
-    try:
+    with varied(Variation(table, *water)):
         yield
-    finally:
-        _variation.reset(token)
 
 
 PAINT_REFLECTIVITY = 0.60

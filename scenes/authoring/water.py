@@ -15,9 +15,9 @@ import numpy as np
 from numba import njit
 
 from touchdown.scenes.api import LAND_CLASSES, NO_DETAIL_ID, Array, Bytes, Float32, GroundRaster
-from touchdown.scenes.authoring.ground import present_variation
 from touchdown.scenes.authoring.light import sun_shines
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.variation import present_variation
 
 WATER_REFLECTIVITY = 0.03
 _TILE = 1024

@@ -282,6 +282,7 @@ def run(
 ) -> dict[str, Any]:
     """Checks the selectors on every place of ``source``: surveys to be made, or a folder of maps.
 
+    A survey's map is judged as it is kept: in whole millimetres and steps of colour.
     Returns ``{"selector", "places": [...], "summary", "beside", "fit"}``: the first four of the
     first selector, `summary` of the others by name, and with ``fit_model`` the fit. ``pictures``:
     folder for figures of the choices of the first one, of all places or of the ``worst`` by regret.
@@ -298,15 +299,21 @@ def run(
                 f"--pictures: '{pictures}' cannot be created: {error.strerror}"
             ) from error
     with contextlib.ExitStack() as stack:
+        tasks: list[_Task]
         if isinstance(source, Path):
-            files = map_files(source)
+            tasks = [*map_files(source)]
         else:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            files = make_maps(source, folder, jobs, given, lambda _file: None)
+            home = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            tasks = [
+                (_config(source.profile, None, given, *place), home / str(number))
+                for number, place in enumerate(source.places())
+            ]
         check = partial(_checked, selectors=names, overrides=given)
+        files: list[Path] = []
         found: list[list[dict[str, Any]]] = []
-        for results in _mapped(check, files, jobs):
+        for file, results in _mapped(check, tasks, jobs):
             report(results[0])
+            files.append(file)
             found.append(results)
         mine = [results[0] for results in found]
         if pictures is not None:
@@ -330,12 +337,22 @@ def run(
     return figures
 
 
+_Task = Path | tuple[Config, Path]
+"""The file of a map; or the configuration of a survey and a new folder for its map."""
+
+
 def _checked(
-    file: Path, selectors: tuple[str | None, ...], overrides: tuple[str, ...]
-) -> list[dict[str, Any]]:
-    """`check_map` of one map by each selector."""
+    task: _Task, selectors: tuple[str | None, ...], overrides: tuple[str, ...]
+) -> tuple[Path, list[dict[str, Any]]]:
+    """The file of a map, made first where there is none, and `check_map` of it by each selector."""
+    if isinstance(task, Path):
+        file = task
+    else:
+        config, folder = task
+        folder.mkdir()
+        file = write_map(make_map(config), folder)
     kept = read_map(file)
-    return [
+    return file, [
         check_map(kept, _config(kept.profile, name, overrides, kept.scene, kept.seed))
         for name in selectors
     ]

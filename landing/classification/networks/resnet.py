@@ -98,8 +98,8 @@ def _basic(inside: int, width: int, stride: int) -> list[ConvNorm]:
 
 
 def _bottleneck(inside: int, width: int, stride: int, groups: int = 1) -> list[ConvNorm]:
-    """1x1, 3x3, 1x1 to 4 ``width``; with ``groups``, which are of width / 16 channels, the middle
-    is twice as wide."""
+    """1x1, 3x3, 1x1 to 4 ``width``; with ``groups`` the middle has as many, of width / 16 channels
+    each."""
     middle = width if groups == 1 else width * groups // 16
     return [
         ConvNorm(inside, middle, 1),

@@ -216,7 +216,8 @@ def fit_footprint(raster: ElevationRaster, xy: Array, radius_m: float) -> Footpr
     """Returns the plane through the known cells within ``radius_m`` of ``xy``; None if fewer than
     half of the cells are known."""
     cell = raster.cell_m
-    (row, col), reach = raster.cell_of(xy), int(np.ceil(radius_m / cell))
+    reach = int(np.ceil(radius_m / cell))
+    row, col = raster.cell_of(xy)
     rows, cols = (slice(max(at - reach, 0), max(at + reach + 1, 0)) for at in (row, col))
     height = raster.height[rows, cols]
     corner = raster.origin_xy_m + np.array([cols.start, rows.start]) * cell

@@ -54,6 +54,14 @@ def test_unusable_recordings_are_named(tmp_path: Path, count: int, header: str, 
         read_recordings(tmp_path)
 
 
+def test_a_recording_that_was_cut_short_is_named(tmp_path: Path) -> None:
+    write(tmp_path, np.zeros((300, 6)))
+    (file,) = tmp_path.glob("*/*/IMU_1.csv")
+    file.write_bytes(file.read_bytes()[:-60])
+    with pytest.raises(UsageError, match="a number is missing"):
+        read_recordings(tmp_path)
+
+
 def test_recorded_and_simulated_levels_stand_side_by_side(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

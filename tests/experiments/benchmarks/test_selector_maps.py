@@ -10,6 +10,7 @@ import pytest
 
 from touchdown.estimator.api import GridMap, MapView
 from touchdown.experiments.benchmarks.posed_survey import true_estimate
+from touchdown.experiments.benchmarks.selection import sites
 from touchdown.experiments.benchmarks.selection.maps import (
     KeptMap,
     SafeGround,
@@ -130,6 +131,24 @@ def test_wrong_maps_are_one_line(kept: KeptMap, tmp_path: Path, says: Says) -> N
     with pytest.raises(UsageError, match="no map"):
         read_map(file)
     assert "exclude each other" in says(2, "bench", "selector", "flat", "--maps", tmp_path).err
+
+
+def test_each_survey_is_judged_as_soon_as_it_is_made(
+    kept: KeptMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two places of one name: all of the first is safe, nothing of the second."""
+    grounds, events = iter((True, False)), []
+
+    def make(_config: Any) -> KeptMap:
+        events.append("made")
+        safe = np.full_like(kept.truth.safe, next(grounds))
+        return dataclasses.replace(kept, truth=dataclasses.replace(kept.truth, safe=safe))
+
+    monkeypatch.setattr(sites, "make_map", make)
+    found = sites.run(sites.Posed(("crossroad", "crossroad"), "4"), ["risk"],
+                      report=lambda _place: events.append("judged"))  # fmt: skip
+    assert [place["cells"]["safe"] > 0 for place in found["places"]] == [True, False]
+    assert events == ["made", "judged"] * 2
 
 
 def test_a_survey_is_kept_with_its_true_ground(tmp_path: Path, says: Says) -> None:

@@ -23,7 +23,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, squared
 from touchdown.landing.classification.labels import D_LAND, NO_LABEL
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID
-from touchdown.scenes.authoring.ground import present_variation
+from touchdown.scenes.authoring.variation import present_variation
 
 from support.command import Says
 
