@@ -39,7 +39,9 @@ def test_a_clean_flight_is_followed_without_a_jump(module: Any) -> None:
     estimates = module.clean()
     last = estimates[-1]
     assert [e.tick for e in estimates] == [o.tick for o in module.FLIGHT] and last.healthy
-    assert max(map(error, estimates)) < 0.03
+    assert max(map(error, estimates)) < 0.012
+    used = {"lidar_matched", "lidar_planes"} & last.diagnostics.keys()
+    assert used and all(last.diagnostics[name] > 400.0 for name in used)
     np.testing.assert_allclose(last.velocity_odom, [last.time_s, 0.0, 0.0], atol=0.02)
     np.testing.assert_allclose(last.acceleration_odom, [1.0, 0.0, 0.0], atol=0.05)
     for a, b in itertools.pairwise(estimates):

@@ -120,9 +120,10 @@ def test_pulses_without_return_are_missing_where_they_should_have_hit() -> None:
 
 
 def painted(tick: int, left: int, right: int) -> CameraImage:
-    """Red of these levels in the left and the right half."""
+    """Red of these levels in the left and the right half, half of it in green, and blue of 7."""
     rgb = np.zeros((480, 848, 3), np.uint8)
     rgb[:, :424, 0], rgb[:, 424:, 0] = left, right
+    rgb[..., 1], rgb[..., 2] = rgb[..., 0] // 2, 7
     return CameraImage(tick=tick, time_s=tick / 600.0, rgb=rgb)
 
 
@@ -130,7 +131,9 @@ def red_by_place(view: MapView) -> tuple[Array, Array]:
     """y and red of the coloured cells."""
     grid = view.coarse
     rows, cols = np.nonzero(np.isfinite(grid.rgb[..., 0]))
-    return grid.origin_xy_m[1] + (rows + 0.5) * grid.cell_m, grid.rgb[rows, cols, 0]
+    red, green, blue = grid.rgb[rows, cols].T
+    np.testing.assert_allclose([2.0 * green, blue], [red, np.full_like(blue, 7.0)], rtol=1e-5)
+    return grid.origin_xy_m[1] + (rows + 0.5) * grid.cell_m, red
 
 
 def test_an_image_is_placed_where_it_was_taken_not_where_it_arrived() -> None:

@@ -148,3 +148,9 @@ def test_the_noise_of_flight_is_never_below_the_data_sheet() -> None:
     imu = with_flown_noise(rig, FlownImuParams(gyro_density=1e-6, accel_density=0.5)).imu
     assert imu.gyro_density == rig.imu.gyro_density and imu.accel_density == 0.5
     assert with_flown_noise(rig, FlownImuParams()) == rig
+
+
+def test_ground_is_nowhere_endlessly_deep() -> None:
+    level = Pose(np.eye(3), np.array([0.0, 0.0, 4.0]))  # looks up
+    depths = ground_depths(np.array([[100.0, 50.0]]), RIG.camera, level, 0.0)
+    np.testing.assert_allclose(depths, 20.0)

@@ -6,13 +6,15 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.scenes.authoring import micro_relief
 from touchdown.scenes.authoring.ground import Canvas, Ground
+from touchdown.scenes.authoring.plots import draw_frame
 from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.authoring.water import WaterLook, lay_water, upsample
-from touchdown.scenes.places import dunes
+from touchdown.scenes.places import dunes, turf
 from touchdown.scenes.places.forest import layout
 from touchdown.scenes.places.forest.layout import draw_plan
 from touchdown.scenes.places.snow import layout as snow
@@ -279,3 +281,20 @@ def test_upsample_is_the_terrain_s_linear_interpolation() -> None:
     axis = (np.arange(64) + 0.5) / 8.0 - 4.0
     col, row = np.meshgrid(axis, axis)
     np.testing.assert_allclose(raster, 2.0 * col - 0.5 * row, atol=0.03)
+
+
+@pytest.mark.parametrize("seed", [0, 2])  # a pitch and an airfield
+def test_puddles_on_turf_are_level(seed: int) -> None:
+    rng = np.random.default_rng(0)
+    frame = draw_frame(rng)
+    terrain, depth = turf.shape_ground(rng, frame, turf.draw_turf(seed, rng, frame))
+    labels, count = ndimage.label(depth > 0.0)
+    spans = [np.ptp(terrain.heights_m[labels == n]) for n in range(1, count + 1)]
+    assert spans and max(spans) < 1e-6
+
+
+def test_dunes_rise_gently_from_a_flat() -> None:
+    phase = np.linspace(0.0, 1.0, 4001)
+    height, _ = dunes.dune_profile(phase, np.full(4001, 2.5), 30.0)
+    assert height.max() == pytest.approx(2.5, rel=1e-3) and not height[phase < 0.29].any()
+    assert np.gradient(height, 30.0 * phase).max() < np.tan(np.deg2rad(18.0))

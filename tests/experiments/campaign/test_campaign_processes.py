@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.campaign.results_table import load_rows
+from touchdown.experiments.external import processes
 from touchdown.experiments.external.processes import memory_bytes
 
 from support.campaign_fakes import PAGE, SIZE, mapped_file, started
@@ -107,3 +108,9 @@ def test_shared_pages_count_once_and_those_of_files_do_not() -> None:
         child.communicate(b"\n")
     os.close(file)
     assert together - before == pytest.approx(size, rel=0.2)
+
+
+def test_memory_is_known_where_kinds_of_pages_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "Path", lambda _: Path("/gone"))
+    expected = processes.resident_bytes([os.getpid()])
+    assert memory_bytes([os.getpid()]) == pytest.approx(expected, rel=0.1)

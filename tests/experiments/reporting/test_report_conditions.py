@@ -14,7 +14,7 @@ from touchdown.experiments.reporting.flights import (
     load_flights,
 )
 from touchdown.experiments.reporting.report import as_json, make_report, markdown, page
-from touchdown.experiments.reporting.report_tables import flight_table
+from touchdown.experiments.reporting.report_tables import flight_table, summary
 from touchdown.experiments.reporting.statistics import ratio_interval
 
 from support.report_support import write_run
@@ -121,3 +121,14 @@ def test_conditions_outside_of_a_campaign_are_of_the_configurations(tmp_path: Pa
     assert [row["condition"] for row in sorted(rows, key=lambda row: row["seed"])] == [
         "day, wind.mean_kmh=12.0", "night, wind.mean_kmh=12.0", "day, wind.mean_kmh=30.0",
     ]  # fmt: skip
+
+
+def test_means_are_by_method_and_condition(tmp_path: Path) -> None:
+    flown(tmp_path / "a", "ideal", 0, 0.06)
+    flown(tmp_path / "b", "field", 0, 0.24)
+    rows = load_flights(tmp_path)
+    label_conditions(rows)
+    means = summary(frame_of(rows))["means"]
+    assert {name: own["trajectory_error_m"] for name, own in means.items()} == {
+        "zou2024, ideal": 0.06, "zou2024, field": 0.24,
+    }  # fmt: skip

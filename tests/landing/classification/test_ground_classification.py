@@ -399,3 +399,12 @@ def test_landings_judged_by_class() -> None:
     for judged_on, success in (("geometry", True), ("geometry and class", False)):
         landing = Landing(judged_on=judged_on, **wet)
         assert is_success("LANDED", landing.ground_safe) is success
+
+
+def test_traffic_is_read_at_the_site() -> None:
+    view = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
+    chosen = select(view, make_estimate(0, ABOVE), LandingParams())
+    chosen.traffic_zone[:, chosen.traffic_zone.shape[1] // 2 :] = True
+    check = _check(ByColour(sure=0.93), plain("lawn"))
+    west, east = check.judge(_sites((-9, 0), (9, 0)), view, selection=chosen)
+    assert west.accepted and not east.accepted

@@ -91,3 +91,8 @@ def test_mean_grid_is_adaptive_pooling(side: int) -> None:
     features = torch.rand(2, 3, side, side, generator=torch.Generator().manual_seed(1))
     expected = torch.nn.functional.adaptive_avg_pool2d(features, 7)
     np.testing.assert_allclose(blocks.MeanGrid(side, 7)(features), expected, atol=1e-6)
+
+
+def test_small_images_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least 32 pixels"):
+        build_network("resnet18", 7, 16)

@@ -12,6 +12,7 @@ from touchdown.landing.selection.ground.landable import (
     Defect,
     LandableMap,
     assess,
+    explain,
     fit_footprint,
     ground_planes,
 )
@@ -98,3 +99,10 @@ def test_ground_height_prefers_the_fine_map() -> None:
     expected = np.tan(np.deg2rad(5.0)) * (8.03 - 0.1)
     assert ground_under(view_of(slope), np.array([8.03, 8.0])) == pytest.approx(expected, abs=1e-4)
     assert np.isnan(ground_under(view_of(coarse), np.array([99.0, 8.0])))
+
+
+def test_something_tall_beyond_the_footprint_is_told() -> None:
+    grid = make_grid(ground())
+    grid.max_height_m[:, 48] = 1.0  # a wire fence 1.6 m from the middle cell's centre
+    found = explain(*judged(grid), *MIDDLE, PARAMS, 0.35)
+    assert found.rule == "tall_neighbour" and "m high within 1.9 m (limit 0.25 m)" in found.text

@@ -116,3 +116,11 @@ def test_stages_agree_with_open3d_scipy_and_scikit_image() -> None:
     assert np.corrcoef(ours.total[both], theirs.total[both])[0, 1] > 0.97
     best = [s.modes[np.argmax(s.total[tuple(s.modes.T)])] for s in (ours, theirs)]
     assert np.hypot(*(best[0] - best[1])) * 0.2 < 1.0
+
+
+def test_calibration_error_by_hand() -> None:
+    error, rows = calibration(
+        np.array([0.15, 0.15, 0.95, 0.95], np.float32), np.array([True, False, True, True])
+    )
+    assert error == pytest.approx(0.5 * 0.35 + 0.5 * 0.05, abs=1e-6)
+    assert [(fraction, number) for _, fraction, number in rows] == [(0.5, 2), (1.0, 2)]

@@ -249,3 +249,9 @@ def test_the_model_of_physics_and_lidar_keeps_its_ground() -> None:
     found = vegetation()
     assert found.field == int(model.geom_dataid[model.geom("ground").id]) != 0
     assert found.model.hfield_data.max() > 0.0
+
+
+def test_asphalt_is_drawn_as_it_is(grown: PosedSensors, bare: PosedSensors) -> None:
+    seen, plain = (made.view(above(ROAD, 6.0), 0.0, 0) for made in (grown, bare))
+    np.testing.assert_allclose(seen.depth_m, plain.depth_m, atol=1e-4)
+    assert np.abs(seen.rgb.astype(int) - plain.rgb).max() <= 2

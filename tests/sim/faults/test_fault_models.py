@@ -181,3 +181,11 @@ def test_effects_of_faults_in_the_world_are_counted(scene: Scene) -> None:
     gust = found[0]["gust@0.1+3"]
     assert gust["acted_s"] == pytest.approx(179 * STEP / HZ)  # 0.105 to 0.995 s
     assert gust["gust_mps"] == pytest.approx(gust_speed(0.895 / 1.5, 5.0), rel=1e-3)
+
+
+def test_the_time_of_a_weak_motor_is_counted() -> None:
+    disturbances = Disturbances(api.FaultParams(events=("motor_loss@1+1",)), HZ, 12.0, 0)
+    weak = [t for t in range(0, 3 * HZ, 3) if disturbances.rotor_speed_fraction(t) is not None]
+    assert (weak[0], weak[-1]) == (600, 1197)
+    (found,) = disturbances.summary(0.005)
+    assert found == {"fault": "motor_loss@1+1", "acted_s": pytest.approx(1.0)}
