@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,10 @@ def wait_for(condition: Any, what: str) -> None:
 
 def flying(out: Path) -> list[int]:
     """Process ids of the workers that fly."""
-    pids = (path.read_text() for path in out.glob(".partial/*/pid"))
+    pids = []
+    for path in out.glob(".partial/*/pid"):
+        with suppress(FileNotFoundError):  # the flight has ended since
+            pids.append(path.read_text())
     return [int(pid) for pid in pids if pid and is_alive(int(pid))]
 
 
@@ -94,8 +98,10 @@ def flying_after(out: Path, count: int) -> list[int]:
     found: list[int] = []
 
     def in_the_air() -> bool:
+        if len(finished_ids(out)) < count:
+            return False
         found[:] = flying(out)
-        return len(finished_ids(out)) >= count and bool(found)
+        return bool(found)
 
     wait_for(in_the_air, f"{count} runs")
     return found
