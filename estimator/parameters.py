@@ -75,6 +75,8 @@ class CalibratedParams:
     """height above ground from which mount and lens are estimated; lower, the range noise is a
     large fraction of a depth, and its effect on a keyframe would be attributed to the
     calibration"""
+    prior_scale: Positive = 1.0
+    """factor of all priors of calibration errors below"""
     scan_calibration_gain: Fraction = 1.0
     """fraction of its correction that a scan applies to mounts and lens (partial-update
     Schmidt-Kalman filter, Brink 2017); 0: they only widen the covariance"""

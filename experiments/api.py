@@ -98,6 +98,8 @@ class CalibrationErrorParams:
     camera's mount instead"""
     imu_lidar_translation_sigma_m: NotNegative = 0.0
     """of the LIDAR's mount against the IMU, along each axis, likewise"""
+    imu_sheet_of_profile: bool = False
+    """estimators are given the IMU's data sheet of the profile, whatever else ``imu.*`` says"""
     readout_fraction: NotNegative = 0.0
     """relative, of the camera's readout time"""
     lever_sigma_m: NotNegative = 0.0

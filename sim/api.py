@@ -75,6 +75,9 @@ class SimParams:
     latency_sigma: NotNegative = 0.0
     """Spread of that time from message to message: standard deviation of its natural logarithm,
     about the median ``compute_latency_ticks``. 0: always the same."""
+    latency_by_load: bool = False
+    """that time is what one computer works on a message, and scans and images wait for one another;
+    what would wait for more than 0.2 s is lost"""
     battery_capacity_j: Positive = 700e3
     """Usable energy at take-off (about 195 Wh)."""
     battery_sag: bool = False

@@ -12,6 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 from zlib import crc32
 
@@ -43,6 +44,27 @@ def make_executor(threads: int) -> Executor:
     return ThreadPoolExecutor(max_workers=1, thread_name_prefix="sensor")
 
 
+LONGEST_WAIT_S = 0.2
+"""for a busy computer, beyond which a message is dropped: two scans; assumed"""
+
+
+@dataclass(slots=True)
+class Computer:
+    """A computer that takes the messages of all sensors one by one, in the order of their coming.
+    ``free``: tick from which it is idle."""
+
+    free: float = 0.0
+
+    def finish(self, tick: int, work_ticks: float, longest_wait_ticks: float) -> float | None:
+        """Tick at which the work on a message of ``tick`` is done; None where it would wait too
+        long."""
+        start = max(float(tick), self.free)
+        if start - tick > longest_wait_ticks:
+            return None
+        self.free = start + work_ticks
+        return self.free
+
+
 class Latency:
     """Ticks at which the messages of one sensor arrive.
 
@@ -50,13 +72,17 @@ class Latency:
     ``sim.compute_latency_ticks`` and the standard deviation ``sim.latency_sigma`` of its logarithm;
     it ends at a control tick, and no message arrives before an older one of the same sensor. It is
     a function of the seed, the sensor's ``name`` and the messages before. With a spread of 0 it is
-    the median, to the tick.
+    the median, to the tick. With a ``computer`` this is the time of its work, before which a
+    message waits for those of all sensors that came earlier.
     """
 
-    def __init__(self, sim: SimParams, seed: int, name: bytes) -> None:
+    def __init__(
+        self, sim: SimParams, seed: int, name: bytes, computer: Computer | None = None
+    ) -> None:
         self._median, self._sigma = sim.compute_latency_ticks, sim.latency_sigma
         self._step = sim.control_ticks
         self._key = [seed, crc32(b"latency of " + name)]
+        self._computer, self._longest_wait = computer, LONGEST_WAIT_S * sim.tick_hz
         self.restart()
 
     def restart(self) -> None:
@@ -64,12 +90,18 @@ class Latency:
         self._draw = np.random.default_rng(self._key).standard_normal
         self._last = 0
 
-    def due(self, tick: int) -> int:
-        """Tick of arrival of what was measured at ``tick``: call it once a message, in order."""
-        if self._sigma <= 0.0:
+    def due(self, tick: int) -> int | None:
+        """Tick of arrival of what was measured at ``tick``: call it once a message, in order. None:
+        the computer is too busy, and the message is lost."""
+        if self._sigma <= 0.0 and self._computer is None:
             return tick + self._median
-        latency = self._median * float(np.exp(self._sigma * self._draw()))
-        arrival = self._step * int(np.ceil((tick + latency) / self._step))
+        work = self._median * float(np.exp(self._sigma * self._draw()))
+        done: float | None = tick + work
+        if self._computer is not None:
+            done = self._computer.finish(tick, work, self._longest_wait)
+        if done is None:
+            return None
+        arrival = self._step * int(np.ceil(done / self._step))
         self._last = max(self._last, arrival)
         return self._last
 

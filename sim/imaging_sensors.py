@@ -19,6 +19,7 @@ from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.camera.sensor import CAMERA_NAME, CameraSensor, GroundEffects
 from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.delivery import (
+    Computer,
     DeliveryQueue,
     Latency,
     ShutterClock,
@@ -68,8 +69,9 @@ class ImagingSensors:
         self._poses: deque[tuple[int, Array, Array]] = deque(maxlen=self._shutter.span_ticks + 1)
         self.scans: DeliveryQueue[LidarScan] = DeliveryQueue(self._caster)
         self.images: DeliveryQueue[CameraImage] = DeliveryQueue(self._renderer)
-        self._scan_latency = Latency(self._sim, seed, b"scans")
-        self._image_latency = Latency(self._sim, seed, b"images")
+        self._computer = Computer() if self._sim.latency_by_load else None
+        self._scan_latency = Latency(self._sim, seed, b"scans", self._computer)
+        self._image_latency = Latency(self._sim, seed, b"images", self._computer)
 
     def _make_camera(self, name: str) -> CameraSensor:
         params = self._params
@@ -113,6 +115,8 @@ class ImagingSensors:
             self._dust.clear()
         self._scan_latency.restart()
         self._image_latency.restart()
+        if self._computer is not None:
+            self._computer.free = 0.0
         self._drawn = None
         self._poses.clear()
 
@@ -170,7 +174,9 @@ class ImagingSensors:
                 positions=self._positions.copy(),
                 quats_wxyz=self._quats.copy(),
             )
-            self.scans.submit(self._scan_latency.due(tick), self._scan, tick, track)
+            due = self._scan_latency.due(tick)
+            if due is not None:
+                self.scans.submit(due, self._scan, tick, track)
             self._positions[0], self._quats[0] = position, quat_wxyz
 
     def _expose(self, tick: int, data: mujoco.MjData) -> None:
@@ -191,8 +197,10 @@ class ImagingSensors:
         drawn_tick, snapshot = self._drawn
         track = self._body_track() if self.camera.exposes_rows else None
         stamp = shutter.stamp(pulse)
-        due = max(self._image_latency.due(pulse), stamp.tick, tick)
-        self.images.submit(due, self._render, snapshot, drawn_tick, track, pulse, stamp)
+        due = self._image_latency.due(pulse)
+        if due is not None:
+            due = max(due, stamp.tick, tick)
+            self.images.submit(due, self._render, snapshot, drawn_tick, track, pulse, stamp)
 
     def _body_track(self) -> BodyTrack:
         ticks, positions, quats = zip(*self._poses, strict=True)

@@ -14,6 +14,11 @@ from touchdown.sim.frames import Pose, cross, matrix_from_quat_wxyz
 from touchdown.sim.typing import Array
 from touchdown.sim.vibration import PropellerVibration
 
+TEMPERATURE_COEFFICIENTS = (math.radians(0.015), 0.2e-3 * GRAVITY_MPS2)
+"""rad/s and m/s^2 a kelvin: typical drift of the offsets of gyroscope and accelerometer (Bosch
+BMI088, data sheet), taken for a standard deviation"""
+WARM_UP_S = 60.0
+"""time constant of the temperature after switching on; assumed"""
 _DRAWN = 64
 _STOPPED = np.zeros(4)
 
@@ -65,10 +70,10 @@ class ImuSensor:
     """Samples every ``imu_ticks`` ticks of ``tick_hz``.
 
     White noise of density d averages to d / sqrt(T) over a sample of T seconds. The bias starts at
-    a random turn-on value and walks by w sqrt(T) a sample. The vibration of
-    ``vibration_*_density`` is white as well: the lines of four propellers at different speeds,
-    folded by the sampling, fill the whole band. That of ``vibration_harmonics`` and
-    ``vibration_broadband`` is `vibration.PropellerVibration`.
+    a random turn-on value, walks by w sqrt(T) a sample and drifts as the sensor warms up. The
+    vibration of ``vibration_*_density`` is white as well: the lines of four propellers at
+    different speeds, folded by the sampling, fill the whole band. That of ``vibration_harmonics``
+    and ``vibration_broadband`` is `vibration.PropellerVibration`.
 
     A sample is made in the order of a real one: motion and vibration of the sensor, then scale,
     misalignment and g-sensitivity, then bias and noise, then saturation.
@@ -93,6 +98,10 @@ class ImuSensor:
         self._randomness = self._draw()
         turn_on = _stack(params.gyro_bias_sigma, params.accel_bias_sigma)
         self._bias = turn_on * self._rng.standard_normal(6)
+        self._drift: Array | None = None
+        if params.warm_up_k > 0.0:
+            coefficients = _stack(*TEMPERATURE_COEFFICIENTS) * _normal(seed, b"temperature", 6)
+            self._drift = params.warm_up_k * coefficients
         self.errors = ImuErrors(params, seed)
         self._propellers: PropellerVibration | None = None
         if params.vibration_harmonics or params.vibration_broadband:
@@ -121,6 +130,8 @@ class ImuSensor:
         if self.errors.distorts:
             measured = self.errors.matrix @ measured
         measured += self._bias + noise + shake * shaking
+        if self._drift is not None:
+            measured -= self._drift * math.expm1(-tick / (self._tick_hz * WARM_UP_S))
         if self.errors.saturates:
             measured = self.errors.saturated(measured)
         self._bias = self._bias + step

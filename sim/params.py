@@ -40,6 +40,8 @@ class VehicleErrorParams:
     """of the thrust coefficient of all rotors; relative"""
     torque_fraction: Fraction = 0.0
     """of the torque coefficient of all rotors; relative"""
+    drag_fraction: Fraction = 0.0
+    """of the drag of the rotors in their plane; relative"""
     rotor_fraction: Fraction = 0.0
     """of thrust and torque of each rotor by itself; relative"""
     telemetry_sigma_radps: NotNegative = 0.0
@@ -173,6 +175,9 @@ class ImuParams(ImuSheet):
     """resonances of the airframe that the propellers excite, likewise"""
     vibration_isolation: Fraction = 1.0
     """fraction of harmonics and resonances that a damped mount passes above its corner of 40 Hz"""
+    warm_up_k: NotNegative = 0.0
+    """temperature that the sensor gains after it is switched on, with a time constant of a minute;
+    its biases drift by the data sheet's temperature coefficients"""
 
 
 LidarPreset = Literal["horizon", "avia", "mid360"]
@@ -215,6 +220,9 @@ class LidarParams(LidarSheet):
     range_noise_growth: Fraction = 0.0
     """fraction of the range noise's variance, at 20 m on 80 %, that grows as an echo gets weaker
     (with the range squared, over reflectivity times cosine). 0: ``range_sigma_m`` everywhere"""
+    prism_error_deg: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.0
+    """systematic pointing error of every beam, which turns with the first prism; estimators do not
+    know it. Of patterns with prisms alone"""
     texture: NotNegative = 0.0
     """how much the reflectivity varies within a surface, over the measured spreads of materials: 1
     as measured, 0 not at all"""

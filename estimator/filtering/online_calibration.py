@@ -67,7 +67,7 @@ def prior_sigmas(params: CalibratedParams) -> Array:
     imu[GYRO_SCALE] = imu[ACCEL_SCALE] = params.imu_scale_sigma
     imu[GYRO_CROSS] = np.radians(params.gyro_misalignment_sigma_deg)
     imu[GYRO_BY_FORCE] = params.gyro_g_sigma
-    return sigmas
+    return params.prior_scale * sigmas
 
 
 def calibration_diagnostics(calibration: Array) -> dict[str, float]:

@@ -54,6 +54,7 @@ UNITS: Mapping[str, Unit] = {
     "_hz": Unit("Hz", 1000.0),
     "_deg": Unit("°", 360.0),
     "_ut": Unit("µT", 1000.0),  # fields on the ground have 25 to 65
+    "_k": Unit("K", 200.0),
     "_pa": Unit("Pa", 110e3),  # of the whole atmosphere
     "_px": Unit("px", 4000.0),
     "_pixels": Unit("px", 16384.0),  # side of a texture

@@ -91,6 +91,9 @@ class Config(BaseModel):
     preset: Literal["whole", "short"] = "whole"
     """how much is flown: ``short`` is one leg of 12 m at 15 m and a quick descent, by keys that
     override the profile and that all other sources override; ``whole`` sets none"""
+    variant: str = ""
+    """a name for what else is set, such as an axis of a campaign whose overrides follow it; it
+    changes nothing itself"""
     scene: str = "crossroad"
     """name of a scene, path of an MJCF file, or MODULE:FUNCTION that makes one"""
     seed: CountOrZero = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 from zlib import crc32
@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.experiments.api import CalibrationErrorParams, StartParams
+from touchdown.experiments.config.profiles import profile_values
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
-from touchdown.sim.api import CameraIntrinsics, SensorRig
+from touchdown.sim.api import CameraIntrinsics, ImuSheet, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log, yaw_from_rotation
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def nominal_rig(rig: SensorRig, config: Config) -> SensorRig:
     """
     errors, start = config.calibration_error, config.start
     content = check_calibration(config)
-    rig = _apart(rig, errors, config.seed)
+    rig = _apart(_with_known_imu(rig, config), errors, config.seed)
     if content is None:
         return known_start(erring_rig(rig, errors, config.seed), start)
     camera = content.intrinsics()
@@ -61,6 +62,14 @@ def check_calibration(config: Config) -> CalibrationFile | None:
     from touchdown.experiments.io.calibration_file import read_calibration
 
     return read_calibration(Path(config.calibration))
+
+
+def _with_known_imu(rig: SensorRig, config: Config) -> SensorRig:
+    if not config.calibration_error.imu_sheet_of_profile:
+        return rig
+    known = {f"imu.{field.name}": field for field in fields(ImuSheet)}
+    told = {key: value for key, value in profile_values(config.profile).items() if key in known}
+    return replace(rig, imu=ImuSheet(**{known[key].name: told[key] for key in told}))
 
 
 def known_start(rig: SensorRig, start: StartParams) -> SensorRig:

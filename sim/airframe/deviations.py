@@ -33,6 +33,8 @@ class Deviations:
     """(4,) true over nominal coefficient of each rotor"""
     torque: Array
     """(4,)"""
+    drag: float = 1.0
+    """of the rotors in their plane, true over nominal"""
 
     @property
     def of_the_body(self) -> bool:
@@ -59,11 +61,13 @@ def draw_deviations(params: VehicleErrorParams, seed: int) -> Deviations:
     """The deviations of one flight. Each quantity has a stream of its own, so that a bound of 0
     leaves the draws of the others alone."""
     single = params.rotor_fraction * _uniform(seed, b"rotors", ROTOR_COUNT)
+    drag = 1.0 + params.drag_fraction * _uniform(seed, b"drag", 1).item()
     return Deviations(
         mass=1.0 + params.mass_fraction * _uniform(seed, b"mass", 1).item(),
         center_of_mass_m=params.center_of_mass_m * _uniform(seed, b"center of mass", 3),
         thrust=(1.0 + params.thrust_fraction * _uniform(seed, b"thrust", 1)) * (1.0 + single),
         torque=(1.0 + params.torque_fraction * _uniform(seed, b"torque", 1)) * (1.0 + single),
+        drag=drag,
     )
 
 

@@ -49,7 +49,7 @@ class Rotors:
                 vehicle.thrust_coefficient,
                 vehicle.torque_coefficient,
                 geometry.inflow,
-                geometry.drag,
+                geometry.drag * deviations.drag,
                 geometry.radius_m,
             ]
         )

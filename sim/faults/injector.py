@@ -164,15 +164,13 @@ class _FaultyStream:
         """The message with the time stamps of a clock that has an offset and a drift."""
         hz, params = self._tick_hz, self._params
         since_s = max(0, _measured(message) - start_tick) / hz
-        offset = round((params.skew_s + 1e-6 * params.skew_ppm * since_s) * hz)
-        ticks = {n: getattr(message, n) + offset for n in _STAMPS[type(message)] if "tick" in n}
-        times = {
-            # what a stamp has beside its tick stays
-            (time := n.replace("tick", "time_s")): tick / hz
-            + (getattr(message, time) - getattr(message, n) / hz)
-            for n, tick in ticks.items()
+        offset_s = params.skew_s + 1e-6 * params.skew_ppm * since_s
+        stamps = {
+            # the tick is the one nearest to the time
+            n: getattr(message, n) + (round(offset_s * hz) if "tick" in n else offset_s)
+            for n in _STAMPS[type(message)]
         }
-        return dataclasses.replace(message, **ticks, **times)
+        return dataclasses.replace(message, **stamps)
 
     def _spoofed(self, fix: api.GpsFix, start_tick: int) -> api.GpsFix:
         """The fix, displaced at a constant velocity since the spoofing began."""

@@ -92,8 +92,7 @@ class FaultParams:
     """velocity at which ``gps_spoof`` draws positions away, world frame; it is in the reported
     velocity as well"""
     skew_s: Annotated[float, Interval(ge=-1.0, le=1.0)] = 0.02
-    """offset that ``lidar_skew``, ``camera_skew`` and ``gps_skew`` add to stamps, to the nearest
-    tick"""
+    """offset that ``lidar_skew``, ``camera_skew`` and ``gps_skew`` add to stamps"""
     skew_ppm: Annotated[float, Interval(ge=-1e4, le=1e4)] = 0.0
     """rate at which such a clock runs fast, parts per million"""
     miscalibration_deg: Annotated[float, Interval(ge=0.0, le=20.0)] = 1.0

@@ -19,6 +19,7 @@ degrees (root mean square).
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -77,6 +78,23 @@ class RisleyPattern:
         beams = np.empty((count, 3), dtype=np.float32)
         _trace(start_index, beams, self._rows, self._index, self._rate, self._entry, self._turns)
         return beams
+
+    def erring(self, error_rad: float, azimuth_rad: float) -> RisleyPattern:
+        """The pattern of a sensor whose first prism is tilted or badly ground: it deflects by
+        ``error_rad`` more, towards ``azimuth_rad`` from its wedge, and this direction turns with
+        it. The error is a thin wedge before the prism, which deflects by (n - 1) times its angle.
+
+        Errors of single prisms: Zhou et al., "Pointing error analysis of Risley-prism-based beam
+        steering system", Applied Optics 53, 2014; of a Livox Mid-40: Brazeal, Wilkinson and
+        Hochmair, Sensors 21, 4722, 2021.
+        """
+        wedge = self._rows[0].copy()
+        wedge[1] += azimuth_rad
+        wedge[2] = error_rad / (self._index - 1.0)
+        erring = copy.copy(self)
+        erring._rows = np.vstack([wedge, self._rows])
+        erring._turns = np.concatenate([self._turns[:, :1], self._turns], axis=1)
+        return erring
 
 
 def check_pulses(start_index: int, count: int) -> None:

@@ -21,7 +21,7 @@ from touchdown.sim.faults.disturbances import Weather
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar import beam_edges, beams, returns
-from touchdown.sim.lidar.patterns import PATTERNS, ScanPattern
+from touchdown.sim.lidar.patterns import PATTERNS, RisleyPattern, ScanPattern
 from touchdown.sim.lidar.range_errors import RangeErrors
 from touchdown.sim.lidar.raycast_scene import LidarScene, OpticalTable
 from touchdown.sim.lidar.rays import Movers, Rays, Track
@@ -50,7 +50,7 @@ class LidarSensor:
     ``scan`` is a pure function of its arguments, the scene and the seed: it may run in any thread
     beside the physics, one scan at a time. Without ``weather`` the air is clear; ``wind_mps``, (2,)
     the mean wind at 20 ft, moves crowns. ``dust`` is noted up to a scan's end before the scan.
-    ``optics``: of ``scene``, where they are known.
+    ``optics``: of ``scene``, where they are known. Raises ValueError for impossible parameters.
     """
 
     def __init__(
@@ -64,6 +64,7 @@ class LidarSensor:
         optics: OpticalTable | None = None,
     ) -> None:
         self._pattern = PATTERNS[params.preset]
+        self._fired = fired_directions(params, seed)
         self._params = params
         self._scene = LidarScene(scene, optics)
         key = np.random.default_rng([seed, crc32(b"lidar")]).integers(2**64, dtype=np.uint64)
@@ -115,13 +116,14 @@ class LidarSensor:
         start_s = start_tick / tick_hz
         self._check_track(body.times_s, start_s, end_tick / tick_hz)
         nominal = self._pattern.directions(first, count)
+        fired = nominal if self._fired is None else self._fired(first, count)
         track = Track.of(body).mounted(body_from_lidar)
         self._reserve(count)
         pulses = self._rays.part(0, count)
-        self._aim(first, nominal, np.arange(count), _ON_AXIS, track, pulses)
+        self._aim(first, fired, np.arange(count), _ON_AXIS, track, pulses)
         movers = self._in_view(track, self._movers(body.times_s, moving))
         air = self._air(end_tick)
-        ranges, intensity = self._measure(first, nominal, track, movers, air)
+        ranges, intensity = self._measure(first, fired, track, movers, air)
         return LidarScan(
             start_tick=start_tick,
             end_tick=end_tick,
@@ -329,6 +331,18 @@ class LidarSensor:
                 f"the body track must cover the scan from {start_s:.4f} s to {end_s:.4f} s: "
                 "give a pose at every tick, both ends included"
             )
+
+
+def fired_directions(params: LidarParams, seed: int) -> RisleyPattern | None:
+    """The pattern that the pulses of a flight follow where it is not the nominal one. Raises
+    ValueError for an error of the prisms of a sensor without prisms."""
+    if params.prism_error_deg <= 0.0:
+        return None
+    nominal = PATTERNS[params.preset].directions
+    if not isinstance(nominal, RisleyPattern):
+        raise ValueError(f"lidar.prism_error_deg must be 0: '{params.preset}' has no prisms")
+    azimuth = np.random.default_rng([seed, crc32(b"lidar prism")]).uniform(0.0, 2.0 * np.pi)
+    return nominal.erring(np.deg2rad(params.prism_error_deg), azimuth)
 
 
 def _cast_at_movers(

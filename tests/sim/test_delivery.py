@@ -10,7 +10,7 @@ import pytest
 
 from touchdown.estimator.api import ImageThinning
 from touchdown.sim.api import CameraImage, CameraParams, SimParams
-from touchdown.sim.delivery import DeliveryQueue, Latency, ShutterClock, make_executor
+from touchdown.sim.delivery import Computer, DeliveryQueue, Latency, ShutterClock, make_executor
 
 from support.landing_support import make_rig
 
@@ -104,6 +104,18 @@ def test_messages_of_one_sensor_do_not_overtake_one_another() -> None:
     due = np.array([latency.due(60 * k) for k in range(1, 500)])
     assert (np.diff(due) >= 0).all()
     assert (np.diff(due) == 0).any()  # some had to wait for the one before
+
+
+def test_a_busy_computer_delivers_later_and_drops_what_would_wait_too_long() -> None:
+    """Works of 30 ticks that come every 20: each waits 10 ticks longer than the one before, until
+    120 ticks are too long. A second sensor waits for the first."""
+    sim = SimParams(compute_latency_ticks=30)
+    computer = Computer()
+    scans, images = (Latency(sim, 1, name, computer) for name in (b"scans", b"images"))
+    assert [scans.due(20 * k) for k in range(13)] == [30 * (k + 1) for k in range(13)]
+    assert scans.due(20 * 13) is None  # it would wait for 130 ticks
+    assert images.due(20 * 14) == 30 * 14
+    assert images.due(1002) == 1032
 
 
 SIM = SimParams()

@@ -70,6 +70,20 @@ def test_draws_are_uniform_within_their_bounds() -> None:
     assert np.abs(single).max() < 0.036 and single.std() > 0.008
 
 
+def test_rotors_have_the_true_drag(scene: Scene) -> None:
+    params = sim.VehicleErrorParams(drag_fraction=0.2)
+    drawn = np.array([draw_deviations(params, seed).drag for seed in range(300)])
+    assert 0.8 <= drawn.min() < 0.82 and 1.18 < drawn.max() <= 1.2
+    model, level, zero = scene.model, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    forces = []
+    for deviations in (NOMINAL, replace(NOMINAL, drag=1.2)):
+        rotors = Rotors(vehicle_model(model), rotor_geometry(model), 1.0 / 600.0, deviations)
+        rotors.speeds[:] = 400.0
+        forces.append(rotors.step(level, np.array([5.0, 0.0, 0.0]), zero, zero, np.inf).copy())
+    assert forces[1][0] == pytest.approx(1.2 * forces[0][0]) != 0.0
+    assert forces[1][2] == forces[0][2]
+
+
 def test_one_bound_leaves_the_draws_of_the_others_alone() -> None:
     both, alone = (
         draw_deviations(ALL, 4),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import so3_exp
-from touchdown.sim.imu import ImuErrors, ImuSensor
+from touchdown.sim.imu import WARM_UP_S, ImuErrors, ImuSensor
 
 from support.worlds import NO_NOISE
 
@@ -161,3 +161,19 @@ def test_samples_saturate(sign: float) -> None:
     assert sample.angular_velocity[2] == sign * 3.0
     assert sample.specific_force[0] == sign * 20.0
     assert sample.specific_force[2] == pytest.approx(GRAVITY_MPS2)
+
+
+def test_biases_drift_as_the_sensor_warms_up() -> None:
+    """By ten kelvins: the whole of the drift after many time constants, 1 - 1/e of it after one."""
+    params = replace(NO_NOISE, warm_up_k=10.0)
+    still = (np.eye(3), np.eye(3), np.zeros(3), np.zeros(3))
+
+    def drift(seed: int, after_s: float) -> Array:
+        sample = ImuSensor(params, 600, 3, seed).sample(round(600 * after_s), *still)
+        force = sample.specific_force - [0.0, 0.0, GRAVITY_MPS2]
+        return np.concatenate([sample.angular_velocity, force])
+
+    whole = np.array([drift(seed, 50 * WARM_UP_S) for seed in range(300)])
+    expected = np.repeat([10 * np.radians(0.015), 10 * 0.2e-3 * GRAVITY_MPS2], 3)
+    np.testing.assert_allclose(whole.std(axis=0), expected, rtol=0.15)
+    np.testing.assert_allclose(drift(7, WARM_UP_S), (1.0 - np.exp(-1.0)) * whole[7], rtol=1e-6)

@@ -122,6 +122,21 @@ def test_scans_and_images_arrive_after_latencies_of_their_own(
         assert [due for due, _ in scans] != [due for due, _ in images]
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_scans_and_images_wait_for_one_another_in_a_busy_computer(
+    make_world: MakeWorld, threads: int
+) -> None:
+    """Each takes 60 ms of every 100: of a scan and an image that come at once one waits, and more
+    and more until they wait too long."""
+    sim = api.SimParams(threads=threads, latency_by_load=True)
+    world = make_world(sim, api.SensorNeeds(camera_hz=10, lidar=True))
+    for _ in range(2):  # a reset frees the computer
+        taken = [(obs.tick, s.end_tick) for obs, _ in _fly(world, 400) for s in obs.scans]
+        assert taken[:3] == [(96, 60), (168, 120), (240, 180)]
+    images = [i.tick for obs, _ in _fly(world, 400) for i in obs.images]
+    assert images[:3] == [60, 120, 180] and len(images) < 18 and len(taken) < 18
+
+
 def test_pulses_between_control_steps_come_at_the_next_one(make_world: MakeWorld) -> None:
     """30 Hz is every 20 ticks; a result due at tick 56 is first seen at tick 57."""
     world = make_world(needs=api.SensorNeeds(camera_hz=30))

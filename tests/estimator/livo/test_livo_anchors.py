@@ -205,6 +205,7 @@ def test_priors_and_errors_of_a_scan_are_in_the_units_of_the_state() -> None:
     np.testing.assert_allclose(sigmas[MOUNT_TRANSLATION], 2.0)
     np.testing.assert_allclose(sigmas[CAMERA_ROTATION], 0.5 * np.pi)
     np.testing.assert_allclose(sigmas[-15:-9], 0.1 * np.pi)
+    np.testing.assert_array_equal(prior_sigmas(replace(params, prior_scale=4.0)), 4.0 * sigmas)
     rig = make_rig()
     rig = replace(rig, lidar=replace(rig.lidar, angle_sigma_deg=1.8, range_sigma_m=0.03))
     errors = scan_errors(rig, params)

@@ -16,6 +16,7 @@ from touchdown.experiments.flight.estimator_calibration import (
     known_start,
     nominal_rig,
 )
+from touchdown.sim.api import ImuSheet
 from touchdown.sim.frames import (
     Pose,
     quat_wxyz_from_matrix,
@@ -168,3 +169,13 @@ def test_the_start_may_be_known_by_heading_only() -> None:
     np.testing.assert_array_equal(found.translation, start.translation)
     assert tilt_from_rotation(found.rotation) == pytest.approx(0.0, abs=1e-9)
     assert yaw_from_rotation(found.rotation) == pytest.approx(yaw_from_rotation(tilted))
+
+
+def test_an_imu_worse_than_its_sheet_is_known_by_the_sheet() -> None:
+    worse = replace(make_rig().imu, gyro_density=9.0, gyro_range=1.0, scale_sigma=0.5)
+    rig = replace(make_rig(), imu=worse)
+    assert nominal_rig(rig, load_config()).imu == worse
+    told = ["calibration_error.imu_sheet_of_profile=true"]
+    assert nominal_rig(rig, load_config(None, told)).imu == ImuSheet()
+    field = nominal_rig(rig, load_config(None, told, profile="field")).imu
+    assert (field.gyro_density, field.scale_sigma) == (ImuSheet().gyro_density, 0.003)

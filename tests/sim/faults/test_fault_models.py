@@ -30,8 +30,11 @@ def test_a_skewed_clock_shifts_stamps_by_exactly_so_many_seconds() -> None:
         shift = 12 if tick >= 636 else 0  # 0.02 s at 600 Hz
         assert scan.start_tick == clean[tick].start_tick + shift
         assert scan.end_tick == clean[tick].end_tick + shift
-        assert scan.end_time_s == scan.end_tick / HZ and scan.start_time_s == scan.start_tick / HZ
+        assert scan.end_time_s == pytest.approx(scan.end_tick / HZ, abs=1e-12)
+        assert scan.start_time_s == pytest.approx(scan.start_tick / HZ, abs=1e-12)
         np.testing.assert_array_equal(scan.ranges, clean[tick].ranges)
+    (scan, *_) = dict(delivered("lidar_skew@0", skew_s=0.002)).values()
+    assert scan.end_tick - (scan.end_time_s * HZ) == pytest.approx(-0.2)  # beside its tick
     late = dict(delivered("camera_skew@1.06+0.2", stream="images", skew_s=-0.05))
     assert [late[t].tick - t + 36 for t in (576, 636, 696, 756)] == [0, -30, -30, 0]
     assert dict(delivered("gps_skew@0", stream="gps", skew_s=0.1))[636].tick == 660

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchdown.sim.lidar.patterns import AVIA, HORIZON, MID360, PATTERNS, ScanPattern
+from touchdown.sim.lidar.patterns import (
+    AVIA,
+    HORIZON,
+    MID360,
+    PATTERNS,
+    RisleyPattern,
+    ScanPattern,
+)
 
 Array = NDArray[np.float64]
 
@@ -82,3 +89,18 @@ def test_pattern_does_not_repeat(name: str) -> None:
         other = scan_pattern.directions(tenth * count, count)
         apart = np.rad2deg(np.linalg.norm(first - other, axis=1))
         assert np.median(apart) > 0.05
+
+
+@pytest.mark.parametrize(("pattern", "prism_hz"), [(HORIZON, -9.9351), (AVIA, 131.55003)])
+def test_the_error_of_a_prism_turns_with_it(pattern: ScanPattern, prism_hz: float) -> None:
+    """Beams near the boresight are off by the error, in the direction of the first prism."""
+    assert isinstance(pattern.directions, RisleyPattern)
+    nominal = pattern.directions(0, 240_000).astype(np.float64)
+    fired = pattern.directions.erring(np.radians(0.1), 0.7)(0, 240_000).astype(np.float64)
+    np.testing.assert_allclose(np.linalg.norm(fired, axis=1), 1.0, atol=1e-6)
+    off = (fired - nominal)[:, :2]
+    size = np.degrees(np.linalg.norm(off, axis=1))
+    assert np.median(size) == pytest.approx(0.1, rel=0.25) and size.max() < 0.2
+    times = np.arange(240_000) / 240_000
+    apart = np.unwrap(np.arctan2(off[:, 1], off[:, 0])) - 2.0 * np.pi * prism_hz * times
+    assert np.ptp(apart) < np.pi / 2

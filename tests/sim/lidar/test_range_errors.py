@@ -10,7 +10,7 @@ from touchdown.scenes.api import Surface
 from touchdown.sim.api import LidarParams, LidarScan
 from touchdown.sim.lidar.patterns import HORIZON
 from touchdown.sim.lidar.range_errors import FRACTIONS, SMEAR_M, RangeErrors
-from touchdown.sim.lidar.sensor import LidarSensor
+from touchdown.sim.lidar.sensor import LidarSensor, fired_directions
 
 from support.lidar_support import DOWN, PERFECT, PLANE, TICK_HZ, make_scene, track
 
@@ -113,3 +113,17 @@ def test_errors_apply_to_split_beams_and_keep_the_minimum_range() -> None:
     assert (biased.ranges != plain.ranges)[both].mean() > 0.99
     close = _scan(dataclasses.replace(params, range_bias_m=0.6), 0.55, 0.5, seed=3)
     assert close.ranges[close.ranges > 0].min() >= params.min_range_m
+
+
+def test_pulses_go_elsewhere_than_the_nominal_directions_say() -> None:
+    """A beam at the angle a from the vertical over level ground has the range h / cos(a)."""
+    params = dataclasses.replace(PERFECT, prism_error_deg=0.1)
+    scan, exact = _scan(params, 30.0, 0.5), _scan(PERFECT, 30.0, 0.5)
+    np.testing.assert_array_equal(scan.directions, exact.directions)
+    pattern = fired_directions(params, 5)
+    assert pattern is not None and fired_directions(PERFECT, 5) is None
+    fired = pattern(1, len(scan.ranges))
+    np.testing.assert_allclose(scan.ranges, 30.0 / fired[:, 2], rtol=1e-5)
+    assert np.abs(scan.ranges - exact.ranges).max() > 0.02
+    with pytest.raises(ValueError, match=r"prism_error_deg must be 0: 'mid360' has no prisms"):
+        fired_directions(dataclasses.replace(params, preset="mid360"), 5)
