@@ -71,7 +71,7 @@ def judge(
         error = row.get("position_error_m.max")
         if error is not None:
             verdict.largest_error_m = max(error, verdict.largest_error_m or 0.0)
-        found.append(row)
+        found.append({**row, "variant": run["values"].get("variant")})
         if reason := unexpected(expectation, row):
             verdict.failures[run["run_id"]] = reason
     if verdict.finished == verdict.runs:
@@ -80,11 +80,12 @@ def judge(
 
 
 def _unexpected_means(expectation: Expect, rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Means beyond their bounds, by scene and method. A column without a number in a group is one:
-    what was not measured was not shown."""
+    """Means beyond their bounds, by scene, method and variant. A column without a number in a group
+    is one: what was not measured was not shown."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        groups.setdefault(f"{row.get('scene')}, {row.get('estimator')}", []).append(row)
+        names = filter(None, (row.get(name) for name in ("scene", "estimator", "variant")))
+        groups.setdefault(", ".join(names), []).append(row)
     found: dict[str, str] = {}
     minimum = expectation.success_at_least
     successful = sum(row.get("success") is True for row in rows)

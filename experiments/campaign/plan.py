@@ -116,7 +116,7 @@ class Expect(_Strict):
     at_most: Bounds = {}
     """for each run"""
     mean_at_most: Bounds = {}
-    """for the mean over the runs of each scene with each method"""
+    """for the mean over the runs of each scene with each method and variant"""
     mean_at_least: Bounds = {}
     """the same from below"""
     success_at_least: float | None = Field(default=None, ge=0, le=1)

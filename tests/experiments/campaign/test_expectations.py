@@ -127,6 +127,10 @@ def test_means_are_judged_by_scene_once_all_runs_are_there() -> None:
     unmeasured = expectations.judge(Expect(mean_at_most={"slowed_s": 1.0}), runs, rows)
     assert set(unmeasured.failures) == {"lake, livo", "forest, livo"}
     assert not expectations.judge(Expect(success_at_least=0.75), runs, rows).failures
+    kinds = [run | {"values": {"variant": name}} for run, name in zip(runs, "xyxx", strict=True)]
+    assert expectations.judge(Expect(mean_at_most=bound), kinds, rows).failures == {
+        "lake, livo, y": "mean of position_error_m.max 0.3, at most 0.18 expected"
+    }
     few = expectations.judge(Expect(success_at_least=0.76), runs, rows)
     assert few.failures == {"all": "3 of 4 successful, at least 76% expected"}
 

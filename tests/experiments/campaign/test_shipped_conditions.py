@@ -53,6 +53,21 @@ def undemanded(plan: Plan) -> tuple[str, ...]:
     return forecast(plan, plan.runs, None, 1).undemanded
 
 
+def test_every_variant_of_wrong_beliefs_is_another_flight_of_each_method() -> None:
+    """By its own name, with an override of keys that this method's flight depends on."""
+    plan = plan_of(CONFIGS / "wrong_beliefs.toml")
+    flown: dict[str, list[str]] = {}
+    for run in plan.runs:
+        values = {k: v for k, v in run.values.items() if k not in ("variant", "scene", "seed")}
+        assert run.run_id.endswith(f"-{run.values['variant']}")
+        if (run.values["scene"], run.values["seed"]) == ("lake", 20200):
+            flown.setdefault(run.values["estimator"], []).append(str(sorted(values.items())))
+    assert {name: len(found) for name, found in flown.items()} == {
+        "livo": 20, "zou2024": 20, "stereo": 12, "hybrid_flow": 12, "optical_flow": 12, "gps": 7,
+    }  # fmt: skip
+    assert all(len(set(found)) == len(found) for found in flown.values())
+
+
 @pytest.mark.parametrize("file", CAMPAIGNS, ids=lambda path: path.stem)
 def test_every_named_condition_is_demanded(file: Path) -> None:
     assert undemanded(plan_of(file)) == ()
