@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.parameters import HEIGHT_BIN_M as HEIGHT_BIN_M
 from touchdown.estimator.parameters import HEIGHT_BINS as HEIGHT_BINS
 from touchdown.estimator.parameters import CalibratedParams as CalibratedParams
+from touchdown.estimator.parameters import CalibrationPriors as CalibrationPriors
 from touchdown.estimator.parameters import FlownImuParams as FlownImuParams
 from touchdown.estimator.parameters import GpsEstimatorParams as GpsEstimatorParams
 from touchdown.estimator.parameters import HybridFlowParams as HybridFlowParams

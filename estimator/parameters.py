@@ -64,13 +64,33 @@ class FlownImuParams:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class CalibratedParams:
-    """Errors of scans and of the given calibration, which are part of the filter's state."""
+class CalibrationPriors:
+    """Errors of the given calibration that are estimated online, as the baselines assume them;
+    ``livo`` and ``zou2024`` have their own. The lens is not among them: the scale of flow and of
+    disparities is less exact, and a shift of the principal point looks as a rotation."""
 
     __pydantic_config__ = FORBID_EXTRA
 
     use_calibration: bool = True
-    """the LIDAR's mount, the lens and the camera's clock are estimated online"""
+    """they are part of the filter's state"""
+    camera_clock_sigma_s: NotNegative = 0.005
+    """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
+    camera_rotation_sigma_deg: NotNegative = 0.0
+    """prior of the rotation of the camera relative to the IMU"""
+    camera_translation_sigma_m: NotNegative = 0.0
+    """prior of the camera's translation relative to the IMU"""
+    imu_scale_sigma: NotNegative = 0.0
+    """prior of the relative scale errors of gyroscope and accelerometer"""
+    gyro_misalignment_sigma_deg: NotNegative = 0.0
+    """prior of the misalignment of each axis of the gyroscope towards each of the two others"""
+    gyro_g_sigma: NotNegative = 0.0
+    """prior of the gyroscope's response to specific force, rad/s per m/s^2"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibratedParams(CalibrationPriors):
+    """Errors of scans and of the given calibration, which are part of the filter's state."""
+
     calibrate_above_m: NotNegative = 15.0
     """height above ground from which mount and lens are estimated; lower, the range noise is a
     large fraction of a depth, and its effect on a keyframe would be attributed to the
@@ -96,18 +116,6 @@ class CalibratedParams:
     """prior of the relative error of the focal length"""
     center_sigma_px: NotNegative = 0.1
     """prior of the error of the principal point"""
-    camera_clock_sigma_s: NotNegative = 0.005
-    """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
-    camera_rotation_sigma_deg: NotNegative = 0.0
-    """prior of the calibration errors: camera relative to the IMU"""
-    camera_translation_sigma_m: NotNegative = 0.0
-    """prior of the camera's translation relative to the IMU"""
-    imu_scale_sigma: NotNegative = 0.0
-    """prior of the relative scale errors of gyroscope and accelerometer"""
-    gyro_misalignment_sigma_deg: NotNegative = 0.0
-    """prior of the misalignment of each axis of the gyroscope towards each of the two others"""
-    gyro_g_sigma: NotNegative = 0.0
-    """prior of the gyroscope's response to specific force, rad/s per m/s^2"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -306,7 +314,7 @@ class NavigationParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    heading_sigma_deg: ClassVar[float] = 5.0
+    heading_sigma_deg: Positive = 5.0
     """standard deviation of one reading of the magnetometer, ten a second"""
     baro_sigma_m: NotNegative = 0.5
     """standard deviation of one reading of the barometer, its drift included"""
@@ -316,7 +324,7 @@ class NavigationParams:
 class GpsEstimatorParams(NavigationParams):
     """GPS, IMU, magnetometer and barometer (``estimator/baselines/gps.py``)."""
 
-    follow_period_s: ClassVar[float] = 0.3
+    follow_period_s: Positive = 0.3
     """time constant with which the position follows the fixes"""
 
 
@@ -328,9 +336,9 @@ class FlowParams(NavigationParams):
     """image rate; a divisor of the camera's clock"""
     pixel_sigma: NotNegative = 0.3
     """standard deviation of the flow of one corner, or of one vector of the levelled image"""
-    floor_sigma_m: ClassVar[float] = 0.01
+    floor_sigma_m: Positive = 0.01
     """error floor of a displacement, however many of them it is made of"""
-    scale_sigma: ClassVar[float] = 0.05
+    scale_sigma: Positive = 0.05
     """error of a displacement as a fraction of it, for ground that is not level"""
     ground_memory_s: ClassVar[float] = 0.5
     """time constant of the ground's height below the rangefinder"""
@@ -347,7 +355,7 @@ class OpticalFlowParams(FlowParams):
     """side of the central part of the image that they are taken from"""
     ground_memory_s: ClassVar[float] = 0.2
     """time constant of the ground's height below the rangefinder"""
-    heading_sigma_deg: ClassVar[float] = 2.0
+    heading_sigma_deg: Positive = 2.0
     """standard deviation of one reading of the magnetometer, ten a second"""
     drift_fraction: ClassVar[float] = 0.005
     """standard deviation that each metre flown adds to the filter's own"""
@@ -360,9 +368,9 @@ class HybridFlowParams(FlowParams):
 
     side_pixels: ClassVar[int] = 256
     """side of the levelled image, a power of two"""
-    wander_period_s: ClassVar[float] = 60.0
+    wander_period_s: Positive = 60.0
     """correlation time of the receiver's error"""
-    drift_density: ClassVar[float] = 0.03
+    drift_density: Positive = 0.03
     """m/sqrt(s): random walk of the odometry, from which the receiver's error is separated"""
 
 

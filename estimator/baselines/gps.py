@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from touchdown.estimator.api import Estimate, GpsEstimatorParams
+from touchdown.estimator.api import CalibrationPriors, Estimate, GpsEstimatorParams
 from touchdown.estimator.baselines.aiding import update_velocity
 from touchdown.estimator.baselines.navigator import Navigator
 from touchdown.estimator.typing import Array
@@ -155,10 +155,15 @@ class GpsEstimator:
 
     needs = SensorNeeds(gps=True, magnetometer=True, barometer=True)
 
-    def __init__(self, rig: SensorRig, params: GpsEstimatorParams | None = None) -> None:
+    def __init__(
+        self,
+        rig: SensorRig,
+        params: GpsEstimatorParams | None = None,
+        priors: CalibrationPriors | None = None,
+    ) -> None:
         params = params or GpsEstimatorParams()
         self._nav = Navigator(
-            rig, self.needs, known_start=False,
+            rig, self.needs, known_start=False, priors=priors,
             heading_sigma_deg=params.heading_sigma_deg, baro_sigma_m=params.baro_sigma_m,
         )  # fmt: skip
         self._satellites = SatelliteAiding(self._nav, FollowingAnchor(params.follow_period_s))

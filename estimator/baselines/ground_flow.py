@@ -18,7 +18,17 @@ import cv2
 import numpy as np
 
 from touchdown.estimator.baselines.aiding import update
-from touchdown.estimator.filtering.error_state import CLONE_DIM, POSE_DIM, POSITION, ROTATION, after
+from touchdown.estimator.filtering.error_state import (
+    CAMERA_ROTATION,
+    CAMERA_TRANSLATION,
+    CLOCK,
+    CLONE_DIM,
+    POSE,
+    POSE_DIM,
+    POSITION,
+    ROTATION,
+    after,
+)
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.typing import Array, Float32, Grey, Indices
@@ -206,6 +216,7 @@ def update_with_displacement(
     eskf: Eskf,
     measured: Displacement,
     lever_imu: Array,
+    twist_before: Array,
     *,
     floor_m: float,
     scale_sigma: float,
@@ -213,16 +224,19 @@ def update_with_displacement(
 ) -> float:
     """Updates the filter by a displacement since its only clone, the pose of the previous image.
 
-    ``lever_imu`` (3,): position of the camera in the IMU frame. ``floor_m`` and ``scale_sigma``:
-    errors that do not average out over directions, in metres and as a fraction of the displacement
-    (the ground is not level, the height is that of one spot). Returns the normalised innovation in
-    standard deviations.
+    ``lever_imu`` (3,): position of the camera in the IMU frame; ``twist_before`` (6,): of the
+    filter then. ``floor_m`` and ``scale_sigma``: errors that do not average out over directions, in
+    metres and as a fraction of the displacement (the ground is not level, the height is that of one
+    spot). The camera's mount and clock, if estimated, are corrected: the mount turns both images
+    alike, the clock moves both along their twists. Returns the normalised innovation in standard
+    deviations.
     """
     state, clone = eskf.state, eskf.clones[0]
     arm, arm_before = state.rotation @ lever_imu, clone.rotation @ lever_imu
     expected = clone.translation + arm_before - state.position - arm
-    jacobian = np.zeros((3, POSE_DIM + CLONE_DIM))
-    then_rotation, then_position = after(POSE_DIM, ROTATION), after(POSE_DIM, POSITION)
+    before = POSE_DIM + eskf.shared
+    jacobian = np.zeros((3, before + CLONE_DIM))
+    then_rotation, then_position = after(before, ROTATION), after(before, POSITION)
     lever = skew(lever_imu)
     jacobian[:, ROTATION] = state.rotation @ lever - measured.by_rotation_now @ state.rotation
     jacobian[:, POSITION] = -np.eye(3)
@@ -230,6 +244,13 @@ def update_with_displacement(
         -clone.rotation @ lever - measured.by_rotation_before @ clone.rotation
     )
     jacobian[:, then_position] = np.eye(3)
+    if eskf.shared:
+        turned = measured.by_rotation_now @ state.rotation
+        turned = turned + measured.by_rotation_before @ clone.rotation
+        jacobian[:, after(POSE_DIM, CAMERA_ROTATION)] = -turned
+        jacobian[:, after(POSE_DIM, CAMERA_TRANSLATION)] = clone.rotation - state.rotation
+        moved = jacobian[:, POSE] @ eskf.twist + jacobian[:, after(before, POSE)] @ twist_before
+        jacobian[:, POSE_DIM + CLOCK] = -moved
     translation = measured.translation
     covariance = measured.covariance + floor_m**2 * np.eye(3)
     covariance = covariance + scale_sigma**2 * np.outer(translation, translation)

@@ -10,12 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.estimator.api import Estimate, ImageThinning
+from touchdown.estimator.api import CalibrationPriors, Estimate, ImageThinning
 from touchdown.estimator.baselines.aiding import BaroHeight, heading_of, update_heading
-from touchdown.estimator.filtering.camera_model import Undistorter, at_middle_row
-from touchdown.estimator.filtering.error_state import ROTATION
+from touchdown.estimator.filtering.camera_model import CameraTwist, Undistorter, at_middle_row
+from touchdown.estimator.filtering.error_state import CLOCK, ROTATION, SHARED_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.online_calibration import (
+    calibration_diagnostics,
+    corrected_camera,
+    prior_sigmas,
+)
 from touchdown.estimator.filtering.synchronizer import ArrivingStream, max_delay_ticks
 from touchdown.estimator.filtering.zero_velocity import align_with_gravity
 from touchdown.estimator.guard import InputGuard
@@ -189,7 +194,8 @@ class Navigator:
 
     ``known_start``: the take-off attitude is known. If so, the magnetometer is compared with its
     own reading at the start, which cancels its offsets in the heading. If not, the attitude is
-    initialised from gravity and the earth's field.
+    initialised from gravity and the earth's field. ``priors``: errors of the calibration that are
+    estimated online; without images those of the IMU alone, which nothing else shows.
     """
 
     def __init__(
@@ -198,6 +204,7 @@ class Navigator:
         needs: SensorNeeds,
         *,
         known_start: bool,
+        priors: CalibrationPriors | None = None,
         heading_sigma_deg: float = math.inf,
         baro_sigma_m: float = math.inf,
     ) -> None:
@@ -210,7 +217,12 @@ class Navigator:
         self._thinning = ImageThinning(rig, clock_hz // needs.camera_hz if needs.camera_hz else 0)
         self._baro = BaroHeight(rig.tick_hz, baro_sigma_m)
         self._alignment = Alignment(rig)
-        self._filter: InertialFilter | None = InertialFilter(rig) if known_start else None
+        self._sigmas = np.zeros(0) if priors is None else prior_sigmas(priors)
+        if not needs.camera_hz:
+            self._sigmas[:SHARED_DIM] = 0.0
+        self._filter: InertialFilter | None = None
+        if known_start:
+            self._filter = InertialFilter(rig, calibration_sigmas=self._sigmas)
         self._imu_from_body = rig.body_from_imu.inverse()
         self._azimuth: float | None = None if known_start else field_azimuth(rig.nav.magnetometer)
         self._readings = np.zeros(2)
@@ -219,6 +231,8 @@ class Navigator:
         self.skipped = 0
         self.rate_imu: Array = np.zeros(3)
         """(3,) rad/s at the epoch, bias removed"""
+        self.twist_of_clone: Array = np.zeros(6)
+        """of the filter where the clone was made, see ``Eskf.twist``"""
 
     @property
     def filter(self) -> InertialFilter:
@@ -242,6 +256,23 @@ class Navigator:
         if self.eskf.clones:
             self.eskf.remove_clone(0)
         self.eskf.add_clone()
+        self.twist_of_clone = self.eskf.twist
+
+    @property
+    def imu_from_camera(self) -> Pose:
+        """The camera's mount as estimated."""
+        return corrected_camera(self.filter.imu_from_camera, self.eskf.state.calibration)
+
+    @property
+    def clock_s(self) -> float:
+        """By how much the camera's clock is ahead of the IMU's, as estimated."""
+        calibration = self.eskf.state.calibration
+        return float(calibration[CLOCK]) if len(calibration) else 0.0
+
+    def camera_twist(self, image: CameraImage) -> CameraTwist:
+        """As that of the filter, the delay of ``image`` by the corrected clock."""
+        twist = self.filter.camera_twist(image)
+        return dataclasses.replace(twist, late_s=twist.late_s - self.clock_s)
 
     def epochs(self, obs: Observation) -> Iterator[Epoch]:
         """Yields the complete epochs. To be exhausted once per observation: afterwards corrections
@@ -282,7 +313,7 @@ class Navigator:
 
     def _aligned(self, world_from_body: Pose) -> InertialFilter:
         rig = dataclasses.replace(self.rig, world_from_body_start=world_from_body)
-        inertial = InertialFilter(rig, attitude_known=False)
+        inertial = InertialFilter(rig, attitude_known=False, calibration_sigmas=self._sigmas)
         to_imu = self._imu_from_body.rotation
         spread = np.diag([_LOOSE_TILT, _LOOSE_TILT, self._alignment.heading_sigma()]) ** 2
         inertial.eskf.covariance[ROTATION, ROTATION] = to_imu @ spread @ to_imu.T
@@ -331,6 +362,8 @@ class Navigator:
         world_from_odom = world_from_odom or Pose.identity()
         if self._filter is None:
             return self._stationary_estimate(obs, world_from_odom, found)
+        if self.needs.camera_hz:
+            found |= calibration_diagnostics(self.eskf.state.calibration)
         extra = np.zeros((3, 3)) if extra_covariance is None else extra_covariance
         estimate = self._filter.estimate(
             obs, world_from_odom, extra, None, found, self._guard.events

@@ -16,7 +16,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from touchdown.estimator.api import Estimate, HybridFlowParams, OpticalFlowParams
+from touchdown.estimator.api import (
+    CalibrationPriors,
+    Estimate,
+    HybridFlowParams,
+    OpticalFlowParams,
+)
 from touchdown.estimator.baselines.gps import SatelliteAiding, WanderingAnchor
 from touchdown.estimator.baselines.ground_flow import (
     Displacement,
@@ -50,17 +55,21 @@ _BORDER_PX = 6
 class OpticalFlowEstimator:
     """The optical flow estimator. Deterministic; nothing is drawn at random."""
 
-    def __init__(self, rig: SensorRig, params: OpticalFlowParams | None = None) -> None:
+    def __init__(
+        self,
+        rig: SensorRig,
+        params: OpticalFlowParams | None = None,
+        priors: CalibrationPriors | None = None,
+    ) -> None:
         self._rig = rig
         self._params = params = params or OpticalFlowParams()
         self.needs = SensorNeeds(
             camera_hz=params.camera_hz, rangefinder=True, magnetometer=True, barometer=True
         )
         self._nav = Navigator(
-            rig, self.needs, known_start=True,
+            rig, self.needs, known_start=True, priors=priors,
             heading_sigma_deg=params.heading_sigma_deg, baro_sigma_m=params.baro_sigma_m,
         )  # fmt: skip
-        self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
         self._ground = GroundBelow(rig, params.ground_memory_s)
         self._shutter = ShutterModel(rig)
         self._before: Grey | None = None
@@ -87,20 +96,20 @@ class OpticalFlowEstimator:
 
     def _take_image(self, image: CameraImage) -> None:
         grey, eskf = self._nav.grey(image.rgb), self._nav.eskf
-        twist = self._nav.filter.camera_twist(image)
+        twist = self._nav.camera_twist(image)
         if self._nav.stationary:
             self._seen_s = image.time_s
         elif self._before is not None:
             self._measure(self._before, grey, image.time_s, twist)
         self._nav.renew_clone()
-        camera = eskf.state.pose @ self._imu_from_camera
+        camera = eskf.state.pose @ self._nav.imu_from_camera
         self._before, self._twist_before = grey, twist
         self._height_before = float(camera.translation[2]) - self._ground.height_m
 
     def _measure(self, before: Grey, now: Grey, time_s: float, twist: CameraTwist) -> None:
         params, eskf, camera = self._params, self._nav.eskf, self._rig.camera
-        pose = eskf.state.pose @ self._imu_from_camera
-        pose_before = eskf.clones[0] @ self._imu_from_camera
+        pose = eskf.state.pose @ self._nav.imu_from_camera
+        pose_before = eskf.clones[0] @ self._nav.imu_from_camera
         pixels = self._corners(before)
         if len(pixels) < 8:
             return
@@ -120,8 +129,8 @@ class OpticalFlowEstimator:
         if measured is None:
             return
         innovation = update_with_displacement(
-            eskf, measured, self._imu_from_camera.translation, floor_m=params.floor_sigma_m,
-            scale_sigma=params.scale_sigma, gate=_GATE,
+            eskf, measured, self._nav.imu_from_camera.translation, self._nav.twist_of_clone,
+            floor_m=params.floor_sigma_m, scale_sigma=params.scale_sigma, gate=_GATE,
         )  # fmt: skip
         self._distance += float(np.linalg.norm(measured.translation))
         self._seen_s = time_s
@@ -205,21 +214,25 @@ class LevelView:
 class HybridFlowEstimator:
     """The hybrid flow estimator. Deterministic; nothing is drawn at random."""
 
-    def __init__(self, rig: SensorRig, params: HybridFlowParams | None = None) -> None:
+    def __init__(
+        self,
+        rig: SensorRig,
+        params: HybridFlowParams | None = None,
+        priors: CalibrationPriors | None = None,
+    ) -> None:
         self._params = params = params or HybridFlowParams()
         self.needs = SensorNeeds(
             camera_hz=params.camera_hz, gps=True, rangefinder=True, magnetometer=True,
             barometer=True,
         )  # fmt: skip
         self._nav = Navigator(
-            rig, self.needs, known_start=False,
+            rig, self.needs, known_start=False, priors=priors,
             heading_sigma_deg=params.heading_sigma_deg, baro_sigma_m=params.baro_sigma_m,
         )  # fmt: skip
         anchor = WanderingAnchor(
             params.wander_period_s, params.drift_density, white_m=0.02, correction_time_s=1.0
         )
         self._satellites = SatelliteAiding(self._nav, anchor)
-        self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
         self._ground = GroundBelow(rig, params.ground_memory_s)
         self._view = LevelView(rig.camera, params.side_pixels)
         self._shutter = ShutterModel(rig)
@@ -242,23 +255,23 @@ class HybridFlowEstimator:
 
     def _take_image(self, image: CameraImage) -> None:
         eskf = self._nav.eskf
-        attitude = (eskf.state.pose @ self._imu_from_camera).rotation
+        attitude = (eskf.state.pose @ self._nav.imu_from_camera).rotation
         level = self._view.draw(self._nav.grey(image.rgb), attitude)
-        self._twist = self._nav.filter.camera_twist(image)
+        self._twist = self._nav.camera_twist(image)
         if self._before is not None and not self._nav.stationary:
             self._measure(self._before, level, attitude)
         self._nav.renew_clone()
         self._before, self._attitude_before = level, attitude
         self._twist_before = self._twist
-        camera = eskf.state.pose @ self._imu_from_camera
+        camera = eskf.state.pose @ self._nav.imu_from_camera
         self._height_before = float(camera.translation[2]) - self._ground.height_m
 
     def _measure(self, before: Grey, now: Grey, attitude: Array) -> None:
         params, eskf = self._params, self._nav.eskf
         if self._height_before <= _MIN_HEIGHT_M:
             return
-        clone = eskf.clones[0] @ self._imu_from_camera
-        expected = clone.translation - (eskf.state.pose @ self._imu_from_camera).translation
+        clone = eskf.clones[0] @ self._nav.imu_from_camera
+        expected = clone.translation - (eskf.state.pose @ self._nav.imu_from_camera).translation
         # the attitude estimate of the previous image has changed since its rectification
         rotation = clone.rotation @ self._attitude_before.T
         shift = phase_shift(before, now)
@@ -268,8 +281,8 @@ class HybridFlowEstimator:
         if measured is None:
             return
         update_with_displacement(
-            eskf, measured, self._imu_from_camera.translation, floor_m=params.floor_sigma_m,
-            scale_sigma=params.scale_sigma, gate=_GATE,
+            eskf, measured, self._nav.imu_from_camera.translation, self._nav.twist_of_clone,
+            floor_m=params.floor_sigma_m, scale_sigma=params.scale_sigma, gate=_GATE,
         )  # fmt: skip
         self._diagnostics = {
             "flow_used": float(measured.used),
@@ -313,7 +326,7 @@ class HybridFlowEstimator:
         )
 
     def _directions_now(self, pixels: Array, attitude: Array) -> Array:
-        camera = self._nav.eskf.state.pose @ self._imu_from_camera
+        camera = self._nav.eskf.state.pose @ self._nav.imu_from_camera
         height = float(camera.translation[2]) - self._ground.height_m
         return self._directions(pixels, attitude, self._twist, height)
 

@@ -5,6 +5,10 @@ The baseline is 50 mm: from 30 m all disparities are about one pixel, and a tent
 tenth of the depth. Therefore the height of the ground, which all corners share, is filtered over
 many pairs, and each corner adds the information of its own disparity. Disparity is inverse depth
 times ``scale`` = focal length times baseline, pixels times metres.
+
+The mount of the pair and the clock of its cameras are estimated. How the right camera stands to the
+left one is not: by 0.05 degrees it moves all disparities by a third of a pixel, which only the
+height of the ground shows, and that is what the pair measures.
 """
 
 from __future__ import annotations
@@ -14,16 +18,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from touchdown.estimator.api import Estimate, StereoParams
+from touchdown.estimator.api import CalibrationPriors, Estimate, StereoParams
 from touchdown.estimator.baselines.ground_flow import follow
 from touchdown.estimator.baselines.navigator import Navigator
 from touchdown.estimator.filtering.camera_model import STATIONARY, ShutterModel, ground_depths
+from touchdown.estimator.filtering.error_state import (
+    CAMERA_ROTATION,
+    CAMERA_TRANSLATION,
+    Frame,
+    Pinhole,
+)
 from touchdown.estimator.filtering.eskf import IteratedUpdate
 from touchdown.estimator.filtering.keyframes import bearing_rays, detect_features
-from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
+from touchdown.estimator.filtering.online_calibration import exposed
+from touchdown.estimator.filtering.reprojection import (
+    LandmarkViews,
+    PixelNoise,
+    calibrated_information,
+)
 from touchdown.estimator.typing import Array, Bytes, Grey, Indices
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
-from touchdown.sim.frames import Pose
+from touchdown.sim.frames import Pose, skew
 
 _MIN_DEPTH_M = 0.03
 _ROWS_PX = 1.0
@@ -127,6 +142,8 @@ class _Keyframe:
     """(N,) inverse depths along the optical axis, 1/m"""
     variance: Array
     """(N,) of these"""
+    clock_s: float = 0.0
+    """clock of the cameras as estimated then, by which the rays were moved to one instant"""
 
     def landmarks(self, imu_from_camera: Pose) -> Array:
         """(N, 3) in the keyframe's IMU frame."""
@@ -136,13 +153,16 @@ class _Keyframe:
 class StereoEstimator:
     """The stereo estimator. Deterministic; nothing is drawn at random."""
 
-    def __init__(self, rig: SensorRig, params: StereoParams | None = None) -> None:
+    def __init__(
+        self,
+        rig: SensorRig,
+        params: StereoParams | None = None,
+        priors: CalibrationPriors | None = None,
+    ) -> None:
         self._rig = rig
         self._params = params = params or StereoParams()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, stereo=True)
-        self._nav = Navigator(rig, self.needs, known_start=True)
-        self._imu_from_camera = rig.body_from_imu.inverse() @ rig.body_from_camera
-        self._camera_from_imu = self._imu_from_camera.inverse()
+        self._nav = Navigator(rig, self.needs, known_start=True, priors=priors)
         right_from_left = rig.body_from_camera_right.inverse() @ rig.body_from_camera
         self._baseline = -float(right_from_left.translation[0])
         start = rig.world_from_body_start.translation
@@ -171,7 +191,7 @@ class StereoEstimator:
     def _take_pair(self, image: CameraImage, right_rgb: Bytes) -> None:
         eskf = self._nav.eskf
         left, right = self._nav.grey(image.rgb), self._nav.grey(right_rgb)
-        self._twist = self._nav.filter.camera_twist(image)
+        self._twist = self._nav.camera_twist(image)
         fraction = 0.0
         if self._nav.stationary:
             self._seen_s = image.time_s
@@ -186,13 +206,12 @@ class StereoEstimator:
 
     def _track(self, keyframe: _Keyframe, left: Grey, time_s: float) -> float:
         """Updates the filter; returns the fraction of the keyframe's corners that were used."""
-        landmarks = keyframe.landmarks(self._imu_from_camera)
-        expected = self._project(landmarks)
+        expected = self._project(keyframe.landmarks(self._nav.imu_from_camera))
         appear = self._shutter.to_rows(expected, self._depths(expected), self._twist)
         guess = np.where(np.isfinite(appear), appear, keyframe.pixels)
         found, reached = follow(keyframe.grey, left, keyframe.pixels, guess)
         reached = self._at_one_instant(reached)
-        used, rms = self._iterate(reached, landmarks[found])
+        used, rms = self._iterate(keyframe, found, reached)
         self._diagnostics = {"features_tracked": float(used), "visual_rms_px": rms}
         if used:
             self._seen_s = time_s
@@ -203,7 +222,7 @@ class StereoEstimator:
         """Updates the corners' depths from the motion since the keyframe, by a scalar Kalman filter
         each: relief shows as parallax, while the scale stays that of the pair."""
         eskf, camera = self._nav.eskf, self._rig.camera
-        key = eskf.clones[0] @ self._imu_from_camera
+        key = eskf.clones[0] @ self._nav.imu_from_camera
         now_from_key = self._pose.inverse() @ key
         inverse, variance = keyframe.inverse[found], keyframe.variance[found]
         shift = now_from_key.translation
@@ -227,7 +246,7 @@ class StereoEstimator:
     @property
     def _pose(self) -> Pose:
         """odom_from_camera at the filter's time."""
-        return self._nav.eskf.state.pose @ self._imu_from_camera
+        return self._nav.eskf.state.pose @ self._nav.imu_from_camera
 
     def _at_one_instant(self, pixels: Array) -> Array:
         return self._shutter.at_instant(pixels, self._pose, self._ground.height_m, self._twist)
@@ -235,23 +254,32 @@ class StereoEstimator:
     def _project(self, landmarks: Array) -> Array:
         """(N, 2) pixels of landmarks (N, 3) of the clone's IMU frame, NaN where behind."""
         eskf, camera = self._nav.eskf, self._rig.camera
-        now_from_key = self._camera_from_imu @ (eskf.state.pose.inverse() @ eskf.clones[0])
+        now_from_key = self._pose.inverse() @ eskf.clones[0]
         points = now_from_key.apply(landmarks)
         depth = np.where(points[:, 2] > 0.02, points[:, 2], np.nan)
         focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
         pixels: Array = points[:, :2] / depth[:, None] * focal + centre
         return pixels
 
-    def _iterate(self, pixels: Array, landmarks: Array) -> tuple[int, float]:
-        """Iterated update by reprojections (frame to keyframe); nothing changes if fewer than
-        ``_MIN_USED`` are inliers. Returns their number and their rms in pixels."""
-        eskf = self._nav.eskf
-        camera = MountedCamera(self._rig.camera, self._imu_from_camera)
+    def _iterate(self, keyframe: _Keyframe, found: Indices, pixels: Array) -> tuple[int, float]:
+        """Iterated update by reprojections (frame to keyframe) of the corners ``found`` (N,) at
+        ``pixels`` (N, 2); nothing changes if fewer than ``_MIN_USED`` are inliers. Returns their
+        number and their rms in pixels."""
+        nav, eskf = self._nav, self._nav.eskf
+        clocks = np.array([nav.clock_s, keyframe.clock_s])
         update, used, rms = IteratedUpdate(eskf), 0, 0.0
         for gate in _GATES_PX:
-            information, vector, used, rms = reprojection_information(
-                pixels, landmarks, eskf.state.pose, eskf.clones[0], camera,
-                sigma_px=self._params.pixel_sigma, gate_px=gate,
+            mount, twists = nav.imu_from_camera, np.array([eskf.twist, nav.twist_of_clone])
+            landmarks = keyframe.landmarks(mount)[found]
+            # pixels are at the instants of the poses by the clock as it was estimated then
+            now, then = exposed(
+                [eskf.state.pose, eskf.clones[0]], twists, clocks, eskf.state.calibration
+            )
+            views = LandmarkViews.fixed(pixels, landmarks, np.zeros((len(pixels), 3)))
+            views = views._replace(jacobians=_by_mount(landmarks, mount.translation, eskf.shared))
+            information, vector, used, rms = calibrated_information(
+                views, Frame.of(now), Frame.of(then), twists, Frame.of(mount.inverse()),
+                Pinhole.of(self._rig.camera), PixelNoise(self._params.pixel_sigma, gate),
             )  # fmt: skip
             if used < _MIN_USED:
                 update.abandon()
@@ -278,4 +306,16 @@ class StereoEstimator:
             return
         self._nav.renew_clone()
         seen = bearing_rays(self._at_one_instant(pixels[good]), camera)
-        self._keyframe = _Keyframe(left, pixels[good], seen, inverse[good], variance[good])
+        self._keyframe = _Keyframe(
+            left, pixels[good], seen, inverse[good], variance[good], self._nav.clock_s
+        )
+
+
+def _by_mount(landmarks: Array, camera: Array, shared: int) -> Array:
+    """(N, 3, S) derivatives of landmarks (N, 3), IMU frame, by the shared calibration: they move
+    with the camera at ``camera`` (3,)."""
+    jacobians = np.zeros((len(landmarks), 3, shared))
+    if shared:
+        jacobians[:, :, CAMERA_ROTATION] = [-skew(arm) for arm in landmarks - camera]
+        jacobians[:, :, CAMERA_TRANSLATION] = np.eye(3)
+    return jacobians

@@ -21,7 +21,7 @@ import math
 import numpy as np
 from numba import njit
 
-from touchdown.estimator.api import CalibratedParams
+from touchdown.estimator.api import CalibratedParams, CalibrationPriors
 from touchdown.estimator.filtering.error_state import (
     ACCEL_SCALE,
     CALIBRATION_DIM,
@@ -50,16 +50,17 @@ from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
 
 
-def prior_sigmas(params: CalibratedParams) -> Array:
+def prior_sigmas(params: CalibrationPriors) -> Array:
     """Standard deviations (38,), or (0,) without online calibration; rad, m, 1, pixels, s, 1,
-    rad, rad/s per m/s^2."""
+    rad, rad/s per m/s^2. LIDAR and lens are exact, unless they are `CalibratedParams`."""
     if not params.use_calibration:
         return np.zeros(0)
     sigmas = np.zeros(CALIBRATION_DIM)
-    sigmas[MOUNT_ROTATION] = np.radians(params.mount_rotation_sigma_deg)
-    sigmas[MOUNT_TRANSLATION] = params.mount_translation_sigma_m
-    sigmas[FOCAL] = params.focal_sigma
-    sigmas[CENTER] = params.center_sigma_px
+    if isinstance(params, CalibratedParams):
+        sigmas[MOUNT_ROTATION] = np.radians(params.mount_rotation_sigma_deg)
+        sigmas[MOUNT_TRANSLATION] = params.mount_translation_sigma_m
+        sigmas[FOCAL] = params.focal_sigma
+        sigmas[CENTER] = params.center_sigma_px
     sigmas[CLOCK] = params.camera_clock_sigma_s
     sigmas[CAMERA_ROTATION] = np.radians(params.camera_rotation_sigma_deg)
     sigmas[CAMERA_TRANSLATION] = params.camera_translation_sigma_m

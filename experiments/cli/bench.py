@@ -48,7 +48,7 @@ def _seeds(default: str) -> Any:
                         help="Such as 0-24 or 100,101.")  # fmt: skip
 
 
-@click.group(cls=CommandGroup)
+@click.group(cls=CommandGroup, modules={"tune": "tune:bench_tune"})
 def bench() -> int:
     """Measure speed.
 

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from touchdown.controller.api import ControlParams
 from touchdown.estimator.api import (
+    CalibrationPriors,
     FlownImuParams,
     GpsEstimatorParams,
     HybridFlowParams,
@@ -134,6 +135,7 @@ class Config(BaseModel):
     mapper: MapperParams = Field(default_factory=MapperParams)
     livo: LivoParams = Field(default_factory=LivoParams)
     flown_imu: FlownImuParams = Field(default_factory=FlownImuParams)
+    calibration_prior: CalibrationPriors = Field(default_factory=CalibrationPriors)
     zou2024: Zou2024Params = Field(default_factory=Zou2024Params)
     gps_estimator: GpsEstimatorParams = Field(default_factory=GpsEstimatorParams)
     optical_flow: OpticalFlowParams = Field(default_factory=OpticalFlowParams)

@@ -6,6 +6,7 @@ A replay is open loop: the trajectory is that of the logged flight, whatever the
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import shutil
 import time
 import warnings
@@ -184,12 +185,24 @@ def seen_by(needs: SensorNeeds, reader: SensorLogReader) -> Iterator[Observation
         for field in dataclasses.fields(wanted)
         if field.name not in ("camera_hz", "stereo") and not getattr(wanted, field.name)
     }
-    for obs in reader:
-        images = obs.images if wanted.camera_hz else ()
-        images = tuple(image for image in images if not thinned or thinning.keeps(image))
-        if not wanted.stereo:
-            images = tuple(dataclasses.replace(image, right_rgb=None) for image in images)
-        yield dataclasses.replace(obs, images=images, **dropped)
+    keep = thinning.keeps if thinned else None
+    for obs in reader.observations(bool(wanted.camera_hz), keep, wanted.stereo):
+        yield dataclasses.replace(obs, **dropped)
+
+
+class RememberedLog(SensorLogReader):
+    """What an estimator with ``needs`` sees of a log before ``until_s``, in memory: for many
+    replays of it. A minute of stereo pairs takes a gigabyte."""
+
+    def __init__(self, reader: SensorLogReader, needs: SensorNeeds, until_s: float) -> None:
+        self.path, self.rig = reader.path, reader.rig
+        self.sensed, self.shared = reader.sensed, reader.shared
+        seen = seen_by(needs, reader)
+        self._seen = tuple(itertools.takewhile(lambda obs: obs.time_s < until_s, seen))
+
+    def observations(self, *_chosen: Any) -> Iterator[Observation]:
+        """The observations; what is not wanted has been left out."""
+        return iter(self._seen)
 
 
 def replay_faults(config: Config, events: tuple[str, ...], tick_hz: int) -> FaultInjector:
@@ -210,16 +223,17 @@ def replay_faults(config: Config, events: tuple[str, ...], tick_hz: int) -> Faul
 
 
 def replay(
-    run: Path,
+    run: Path | LoggedRun,
     config: Config,
     out_dir: Path | None = None,
     progress: Progress | None = None,
     faults: tuple[str, ...] = (),
     until_s: float = np.inf,
 ) -> RunResult:
-    """Replays ``run`` into the estimator of ``config`` (see `replay_config`); returns the result
-    and, with ``out_dir``, writes a run directory. ``faults``: of the logged messages, such as
-    ``lidar_dropout@20``. ``until_s``: end of the replay, if that is before the log's.
+    """Replays ``run``, a directory or one opened, into the estimator of ``config`` (see
+    `replay_config`); returns the result and, with ``out_dir``, writes a run directory. ``faults``:
+    of the logged messages, such as ``lidar_dropout@20``. ``until_s``: end of the replay, if that is
+    before the log's.
 
     Errors are judged at the rows of the run's ``truth.tum`` (``judged_hz``) between lift-off and
     the end of the survey. ``estimate.tum`` is the same to the byte in every replay; only
@@ -229,7 +243,8 @@ def replay(
     from touchdown.experiments.flight.wiring import build_estimator
     from touchdown.experiments.io.run_directory import check_out_dir, run_directory
 
-    logged = open_run(run)
+    logged = run if isinstance(run, LoggedRun) else open_run(run)
+    run = logged.path
     if out_dir is not None:
         check_out_dir(out_dir)
         if out_dir.resolve() == run.resolve():

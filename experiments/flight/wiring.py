@@ -281,18 +281,18 @@ def _baseline(config: Config, rig: SensorRig) -> Estimator:
     if config.estimator == "gps":
         from touchdown.estimator.baselines.gps import GpsEstimator
 
-        return GpsEstimator(rig, config.gps_estimator)
+        return GpsEstimator(rig, config.gps_estimator, config.calibration_prior)
     if config.estimator == "optical_flow":
         from touchdown.estimator.baselines.optical_flow import OpticalFlowEstimator
 
-        return OpticalFlowEstimator(rig, config.optical_flow)
+        return OpticalFlowEstimator(rig, config.optical_flow, config.calibration_prior)
     if config.estimator == "hybrid_flow":
         from touchdown.estimator.baselines.optical_flow import HybridFlowEstimator
 
-        return HybridFlowEstimator(rig, config.hybrid_flow)
+        return HybridFlowEstimator(rig, config.hybrid_flow, config.calibration_prior)
     from touchdown.estimator.baselines.stereo import StereoEstimator
 
-    return StereoEstimator(rig, config.stereo_vo)
+    return StereoEstimator(rig, config.stereo_vo, config.calibration_prior)
 
 
 def check_estimator_name(name: str) -> None:

@@ -11,7 +11,7 @@ import math
 import struct
 import zlib
 from collections import defaultdict, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -130,16 +130,25 @@ class SensorLogReader:
     def __iter__(self) -> Iterator[Observation]:
         return self.observations()
 
-    def observations(self, images: bool = True) -> Iterator[Observation]:
-        """Observations from the beginning; half the time without images."""
-        return (obs for obs, _ in self.packed(images))
+    def observations(
+        self, images: bool = True, keep: Callable[[Any], bool] | None = None, right: bool = True
+    ) -> Iterator[Observation]:
+        """Observations from the beginning; half the time without images. ``keep``: true for an
+        image, by its stamp, to decode; ``right``: with that of the right eye, if there is one."""
+        return (obs for obs, _ in self.packed(images, keep, right))
 
-    def packed(self, images: bool = True) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
-        """Observations from the beginning, each with its images as the logged PNG files too."""
+    def packed(
+        self, images: bool = True, keep: Callable[[Any], bool] | None = None, right: bool = True
+    ) -> Iterator[tuple[Observation, tuple[PackedImage, ...]]]:
+        """As ``observations``, each with its images as the logged PNG files too."""
         before = -1
         for plain, arrived in self._arrivals(images):
             with damage_reported(self.path):
                 packed = tuple(_packed(head, arrived) for head in plain.pop("images", []))
+                if keep is not None:
+                    packed = tuple(image for image in packed if keep(image))
+                if not right:
+                    packed = tuple(dataclasses.replace(image, right_png=None) for image in packed)
                 obs = _observation(plain, arrived, packed)
                 _check(obs, self.rig, before)
                 before = obs.tick

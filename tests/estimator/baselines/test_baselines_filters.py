@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.estimator.api import GpsEstimatorParams, StereoParams
+from touchdown.estimator.api import CalibrationPriors, GpsEstimatorParams, StereoParams
 from touchdown.estimator.baselines.aiding import BaroHeight, update, update_heading
 from touchdown.estimator.baselines.gps import FollowingAnchor, GpsEstimator, WanderingAnchor
 from touchdown.estimator.baselines.ground_flow import (
@@ -27,6 +27,7 @@ from touchdown.estimator.baselines.navigator import (
     field_azimuth,
 )
 from touchdown.estimator.baselines.stereo import GroundHeight, disparities, inverse_depths
+from touchdown.estimator.filtering.error_state import GYRO_SCALE, SHARED_DIM, STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.ground_below import GroundBelow
@@ -296,9 +297,11 @@ def _observations(seconds: float, seed: int) -> tuple[SensorRig, list[Observatio
 
 def test_gps_position_comes_from_the_fixes_and_not_from_the_pad() -> None:
     """The receiver reports 5 m east, 3 m south and 1 m above the pad; the estimate follows,
-    whatever start the vehicle was given."""
+    whatever start the vehicle was given. Of the calibration the IMU's errors alone are estimated,
+    no camera's."""
     rig, observations, errors = _observations(6.0, seed=4)
-    estimator = GpsEstimator(rig, GpsEstimatorParams())
+    priors = CalibrationPriors(camera_rotation_sigma_deg=1.0, imu_scale_sigma=0.003)
+    estimator = GpsEstimator(rig, GpsEstimatorParams(), priors)
     estimates = [estimator.update(obs) for obs in observations]
     first = next(e for e in estimates if e.healthy)
     assert first.time_s == pytest.approx(0.32)
@@ -306,6 +309,9 @@ def test_gps_position_comes_from_the_fixes_and_not_from_the_pad() -> None:
     np.testing.assert_allclose(offset, errors[0], atol=0.03)
     last = estimates[-1].world_from_body.translation - [5.0, -3.0, 1.3]
     np.testing.assert_allclose(last, errors[-1], atol=0.15)
+    variances = np.diag(estimator._nav.eskf.covariance)[STATE_DIM:]
+    assert not variances[:SHARED_DIM].any()
+    assert (variances[SHARED_DIM:][GYRO_SCALE] > 0.9 * 0.003**2).all()
 
 
 CAMERA = CameraIntrinsics(width=320, height=240, fx=250.0, fy=250.0, cx=159.5, cy=119.5)

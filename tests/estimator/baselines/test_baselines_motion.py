@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from touchdown.estimator.api import CalibrationPriors
 from touchdown.estimator.baselines import ground_flow
 from touchdown.estimator.baselines.aiding import BaroHeight, update_velocity
 from touchdown.estimator.baselines.gps import FollowingAnchor, SatelliteAiding
@@ -16,7 +17,15 @@ from touchdown.estimator.baselines.ground_flow import Displacement, update_with_
 from touchdown.estimator.baselines.navigator import Alignment
 from touchdown.estimator.baselines.optical_flow import HybridFlowEstimator, OpticalFlowEstimator
 from touchdown.estimator.baselines.stereo import StereoEstimator, _Keyframe
-from touchdown.estimator.filtering.error_state import STATE_DIM, VELOCITY
+from touchdown.estimator.filtering.error_state import (
+    CALIBRATION_DIM,
+    CAMERA_ROTATION,
+    CAMERA_TRANSLATION,
+    CLOCK,
+    SHARED_DIM,
+    STATE_DIM,
+    VELOCITY,
+)
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.ground_below import GroundBelow
@@ -149,13 +158,61 @@ def test_the_magnetometer_corrects_a_wrong_heading() -> None:
     assert abs(turned[2]) < 0.03
 
 
+@pytest.mark.parametrize(
+    ("late_s", "turn"),
+    [(0.02, (0.0, 0.0, 0.0)), (0.0, (0.02, -0.02, 0.03))],
+    ids=["clock", "mount"],
+)
+@pytest.mark.parametrize(
+    ("make", "leg_m"),
+    [(OpticalFlowEstimator, 0.3), (HybridFlowEstimator, 0.3), (StereoEstimator, START_Z)],
+    ids=["flow", "hybrid", "stereo"],
+)
+def test_the_clock_and_the_mount_of_the_camera_are_found(
+    make: Any, leg_m: float, late_s: float, turn: Any
+) -> None:
+    """Stamps that are late, or a camera that is turned on the IMU: found to a third of a prior as
+    large, and what is found is used."""
+    rig = rig_of(leg_m)
+    given = {
+        name: Pose(so3_exp(-np.array(turn)) @ pose.rotation, pose.translation)
+        for name in ("body_from_camera", "body_from_camera_right")
+        for pose in (getattr(rig, name),)
+    }
+    priors = CalibrationPriors(
+        camera_clock_sigma_s=late_s, camera_rotation_sigma_deg=0.0 if late_s else 2.0
+    )
+    estimator = make(dataclasses.replace(rig, **given), priors=priors)
+    seen, truth = observations(rig)
+    late = round(late_s * HZ)
+    for obs in seen:
+        images = tuple(
+            dataclasses.replace(image, tick=image.tick + late, time_s=image.time_s + late_s)
+            for image in obs.images
+        )
+        estimate = estimator.update(dataclasses.replace(obs, images=images))
+    nav, found = estimator._nav, estimator._nav.eskf.state.calibration
+    assert nav.clock_s == pytest.approx(late_s, abs=0.4 * 0.02)
+    np.testing.assert_allclose(found[CAMERA_ROTATION], turn, atol=0.3 * 0.03)
+    spread = np.sqrt(np.diag(nav.eskf.covariance))[STATE_DIM:]
+    assert spread[CLOCK] < 0.2 * 0.02 and spread[CAMERA_ROTATION].max() < 0.5 * np.radians(2.0)
+    np.testing.assert_allclose(
+        nav.imu_from_camera.rotation, rig.body_from_camera.rotation, atol=0.3 * 0.03
+    )
+    assert estimate.diagnostics["calibration_clock_ms"] == 1e3 * nav.clock_s
+    error = nav.filter.present.position - truth[LAST][0].translation
+    assert np.abs(error).max() < 0.02
+
+
 # ------------------------------------------------------------------------------- known answers
 
 
-def filter_at(pose: Pose, velocity: Any = (0.0, 0.0, 0.0), sigma: Any = 0.1) -> Eskf:
-    zero = np.zeros(3)
-    state = NavState(60, pose.rotation, pose.translation, np.asarray(velocity, float), zero, zero)
-    return Eskf(state, np.full(15, sigma) ** 2)
+def filter_at(
+    pose: Pose, velocity: Any = (0.0, 0.0, 0.0), sigma: Any = 0.1, calibration: int = 0
+) -> Eskf:
+    zero, going = np.zeros(3), np.asarray(velocity, float)
+    state = NavState(60, pose.rotation, pose.translation, going, zero, zero, np.zeros(calibration))
+    return Eskf(state, np.full(15 + calibration, sigma) ** 2)
 
 
 def fix_of(position: np.ndarray, velocity: np.ndarray, sigma: float = 1e-3) -> GpsFix:
@@ -210,39 +267,49 @@ def test_the_frame_of_a_fix_is_that_of_its_antenna() -> None:
 def test_a_displacement_is_compared_with_that_of_the_camera(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Residual and Jacobian, by finite differences over the present pose and its clone."""
+    """Residual and Jacobian, by finite differences over the present pose, the camera's mount and
+    clock, and the clone."""
     found: list[Any] = []
     monkeypatch.setattr(ground_flow, "update", lambda *given: found.append(given) or 0.0)
     before = Pose(so3_exp(np.array([-0.1, 0.2, 0.5])), np.array([2.0, -1.5, 8.5]))
     by_before, by_now = np.random.default_rng(0).normal(0.0, 1.0, (2, 3, 3))
+    twist_before = np.array([0.1, -0.3, 0.2, 1.0, 2.0, 3.0])
+    true = before.apply(LEVER) - POSE.apply(LEVER)
+    measured = Displacement(
+        translation=true, covariance=0.04 * np.eye(3), by_rotation_before=by_before,
+        by_rotation_now=by_now, used=9, rms=0.0,
+    )  # fmt: skip
+    dim = STATE_DIM + CALIBRATION_DIM
+    columns = [*range(6), *range(STATE_DIM, STATE_DIM + SHARED_DIM), *range(dim, dim + 6)]
 
     def asked(error: np.ndarray) -> Any:
-        eskf = filter_at(before)
+        eskf = filter_at(before, GOING, calibration=CALIBRATION_DIM)
         eskf.add_clone()
+        eskf.rate = RATE
         eskf.state = dataclasses.replace(
             eskf.state, rotation=POSE.rotation, position=POSE.translation
         )
+        now, then, shared = error[:6], error[-6:], error[6:-6]
+        lever = LEVER + shared[CAMERA_TRANSLATION]
         full = np.zeros(len(eskf.covariance))
-        full[:6], full[STATE_DIM : STATE_DIM + 6] = error[:6], error[6:]
+        full[:6] = now - shared[CLOCK] * eskf.twist
+        full[dim:] = then - shared[CLOCK] * twist_before
         eskf.state, eskf.clones = eskf.boxplus(eskf.state, eskf.clones, full)
-        true = before.apply(LEVER) - POSE.apply(LEVER)
-        measured = Displacement(
-            translation=true, covariance=0.04 * np.eye(3), by_rotation_before=by_before,
-            by_rotation_now=by_now, used=9, rms=0.0,
-        )  # fmt: skip
-        update_with_displacement(eskf, measured, LEVER, floor_m=0.3, scale_sigma=0.1, gate=4.0)
-        return true, found[-1]
+        update_with_displacement(
+            eskf, measured, lever, twist_before, floor_m=0.3, scale_sigma=0.1, gate=4.0
+        )
+        # the measured translation changes with the attitudes that its directions were taken under
+        turns = full[:3] + shared[CAMERA_ROTATION], full[dim : dim + 3] + shared[CAMERA_ROTATION]
+        seen = by_now @ POSE.rotation @ turns[0] + by_before @ before.rotation @ turns[1]
+        return found[-1], found[-1][3] + seen
 
-    true, (_, touched, jacobian, residual, covariance, gate) = asked(np.zeros(12))
+    (_, touched, jacobian, residual, covariance, gate), _ = asked(np.zeros(len(columns)))
     np.testing.assert_allclose(residual, 0.0, atol=1e-12)
     np.testing.assert_allclose(covariance, 0.13 * np.eye(3) + 0.01 * np.outer(true, true))
-    assert touched.tolist() == [*range(6), *range(STATE_DIM, STATE_DIM + 6)] and gate == 4.0
-    slopes = [(asked(-1e-6 * e)[1][3] - asked(1e-6 * e)[1][3]) / 2e-6 for e in np.eye(12)]
-    expected = np.array(slopes).T
-    # the measured translation changes with the attitudes that its directions were taken under
-    expected[:, :3] -= by_now @ POSE.rotation
-    expected[:, 6:9] -= by_before @ before.rotation
-    np.testing.assert_allclose(jacobian, expected, atol=1e-7)
+    assert touched.tolist() == columns and gate == 4.0
+    steps = 1e-6 * np.eye(len(columns))
+    slopes = [(asked(-step)[1] - asked(step)[1]) / 2e-6 for step in steps]
+    np.testing.assert_allclose(jacobian, np.array(slopes).T, atol=1e-7)
 
 
 def test_the_attitude_at_rest_is_that_of_the_body_whatever_the_mount_of_the_imu() -> None:
@@ -294,7 +361,7 @@ def test_parallax_corrects_the_depth_of_a_corner() -> None:
     estimator = StereoEstimator(rig)
     eskf, camera = estimator._nav.eskf, rig.camera
     eskf.add_clone()
-    turned = estimator._imu_from_camera.rotation
+    turned = estimator._nav.imu_from_camera.rotation
     step = turned @ np.array([1.0, 0.0, 0.0])
     eskf.state = dataclasses.replace(
         eskf.state, position=eskf.state.position + START.rotation @ step
@@ -310,6 +377,6 @@ def test_parallax_corrects_the_depth_of_a_corner() -> None:
     half = 0.5 * (1.0 / 12.0 + 0.1)
     np.testing.assert_allclose(keyframe.inverse, [1.0 / 12.0, half, 0.1], rtol=1e-4)
     np.testing.assert_allclose(keyframe.variance[1:], [0.5 * variance[1], 1.0])
-    landmarks = keyframe.landmarks(estimator._imu_from_camera)
-    expected = estimator._imu_from_camera.apply(12.0 * rays[:1])
+    landmarks = keyframe.landmarks(estimator._nav.imu_from_camera)
+    expected = estimator._nav.imu_from_camera.apply(12.0 * rays[:1])
     np.testing.assert_allclose(landmarks[:1], expected, rtol=1e-4)
