@@ -73,6 +73,8 @@ class CalibrationPriors:
 
     use_calibration: bool = True
     """they are part of the filter's state"""
+    prior_scale: Positive = 1.0
+    """factor of all priors of calibration errors"""
     camera_clock_sigma_s: NotNegative = 0.005
     """prior of the offset of the camera's clock from the IMU's; 0: no offset"""
     camera_rotation_sigma_deg: NotNegative = 0.0
@@ -95,8 +97,6 @@ class CalibratedParams(CalibrationPriors):
     """height above ground from which mount and lens are estimated; lower, the range noise is a
     large fraction of a depth, and its effect on a keyframe would be attributed to the
     calibration"""
-    prior_scale: Positive = 1.0
-    """factor of all priors of calibration errors below"""
     scan_calibration_gain: Fraction = 1.0
     """fraction of its correction that a scan applies to mounts and lens (partial-update
     Schmidt-Kalman filter, Brink 2017); 0: they only widen the covariance"""

@@ -26,6 +26,10 @@ def test_the_odometry_keeps_the_contract(monkeypatch: pytest.MonkeyPatch) -> Non
     assert touchdown.check_estimator(example("gicp_odometry", monkeypatch).build) == []
 
 
+def test_the_estimator_of_all_sensors_keeps_the_contract(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert touchdown.check_estimator(example("all_sensors", monkeypatch).build) == []
+
+
 def test_a_policy_is_trained_and_judged_before_and_after(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,15 +1,17 @@
 """Profiles and presets: their place in the order of sources, in config.json, in campaigns."""
 
+import dataclasses
 import json
 from pathlib import Path
 
 import pytest
 
+from touchdown.estimator.api import CalibrationPriors
 from touchdown.experiments import python_api
 from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.config import profiles
 from touchdown.experiments.config.loading import dump_config, load_config
-from touchdown.experiments.config.profiles import effects, profile_values
+from touchdown.experiments.config.profiles import PROFILES, effects, profile_values
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import replay_config
@@ -89,9 +91,18 @@ def test_effects_together_are_the_world_of_harsh_and_the_estimators_of_field() -
     assert len(grouped) == len(set(grouped))
     field, harsh = load_config(), load_config(profile="harsh")
     everything = load_config(None, [f"harsh_effects={json.dumps(list(effects()))}"])
-    assumed = {name: getattr(field, name) for name in ("livo", "zou2024", "flown_imu")}
+    names = ("livo", "zou2024", "flown_imu", "calibration_prior")
+    assumed = {name: getattr(field, name) for name in names}
     update = {"profile": "harsh", "harsh_effects": ()}
     assert everything.model_copy(update=update) == harsh.model_copy(update=assumed) != harsh
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_all_estimators_have_the_priors_of_livo(profile: str) -> None:
+    config = load_config(profile=profile)
+    for field in dataclasses.fields(CalibrationPriors):
+        priors = (config.livo, config.zou2024, config.calibration_prior)
+        assert len({getattr(params, field.name) for params in priors}) == 1, field.name
 
 
 def test_one_effect_is_added_to_a_profile() -> None:
