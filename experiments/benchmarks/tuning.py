@@ -18,7 +18,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.errors import ExternalPartError, UsageError
@@ -164,7 +163,7 @@ class Tuning:
             warnings.warn(f"counted as lost: {error}", stacklevel=2)
             return LOST_M
         found = result.position_error_m
-        if result.outcome == Outcome.DIVERGED or found is None or found.mean is None:
+        if result.outcome != "COMPLETED" or found is None or found.mean is None:
             return LOST_M
         return round(max(found.mean, 1e-4), 5)
 
@@ -174,18 +173,15 @@ def tune(
     logs: Sequence[Path],
     *,
     trials: int,
-    space_file: Path | None,
+    space: Space,
     until_s: float,
     seed: int,
-    check: Sequence[Path],
     out: Path | None,
     report: Report,
 ) -> dict[str, Any]:
-    """Tries ``trials`` settings of ``estimator`` on ``logs``, those in the file ``out`` among them,
-    and what is shipped and the best on ``check``, logs that have not taken part. Returns what is
-    written to ``out`` after each trial. Raises UsageError."""
+    """Tries ``trials`` settings of ``estimator`` on ``logs``, those in the file ``out`` among them.
+    Returns what is written to ``out`` after each trial. Raises UsageError."""
     require_optuna()
-    space = read_space(estimator, space_file)
     tuning = Tuning(estimator, logs, until_s)
     facts = {
         "estimator": estimator, "logs": tuning.names(), "seed": seed, "keys": space,
@@ -198,18 +194,19 @@ def tune(
         settings = proposed(space, done, seed) if done else defaults
         done.append(tuning.tried(settings))
         figures = summary(facts, done)
-        _write(out, figures)
+        write(out, figures)
         report(f"trial {len(done)}: {done[-1].error_m:.4f} m, best {figures['best_error_m']:.4f} m")
-    if check:
-        best = figures["best_settings"]
-        further = Tuning(estimator, check, until_s)
-        before, after = further.tried(defaults), further.tried(best)
-        figures["check"] = [
-            name | {"default_error_m": a, "best_error_m": b}
-            for name, a, b in zip(further.names(), before.errors_m, after.errors_m, strict=True)
-        ]
-        _write(out, figures)
     return figures
+
+
+def checked(figures: Mapping[str, Any], logs: Sequence[Path]) -> dict[str, Any]:
+    """``figures`` of a tuning with the errors, as shipped and with the best settings, over whole
+    ``logs`` that have not taken part in it."""
+    tuning = Tuning(figures["estimator"], logs, math.inf)
+    before, after = (tuning.tried(figures[f"{which}_settings"]) for which in ("default", "best"))
+    errors = zip(tuning.names(), before.errors_m, after.errors_m, strict=True)
+    check = [name | {"default_error_m": a, "best_error_m": b} for name, a, b in errors]
+    return {**figures, "check": check}
 
 
 def summary(facts: Mapping[str, Any], done: Sequence[Trial]) -> dict[str, Any]:
@@ -228,7 +225,8 @@ def summary(facts: Mapping[str, Any], done: Sequence[Trial]) -> dict[str, Any]:
     }
 
 
-def _write(out: Path | None, figures: Mapping[str, Any]) -> None:
+def write(out: Path | None, figures: Mapping[str, Any]) -> None:
+    """Writes the file of a tuning, if there is to be one: a line for each trial."""
     if out is None:
         return
     lines = [json.dumps(trial) for trial in figures["tried"]]

@@ -43,7 +43,13 @@ def _print(figures: dict[str, Any]) -> None:
 @answered(_print)
 @QUIET
 def bench_tune(
-    estimator: str, logs: tuple[Path, ...], until_s: float | None, quiet: bool, **options: Any
+    estimator: str,
+    logs: tuple[Path, ...],
+    space_file: Path | None,
+    until_s: float | None,
+    check: tuple[Path, ...],
+    quiet: bool,
+    **options: Any,
 ) -> dict[str, Any]:
     """Find settings of an estimator by replays of LOGS, run directories flown with --log-sensors:
     those of the smallest geometric mean of the position errors. A replay that diverges counts as
@@ -51,9 +57,14 @@ def bench_tune(
 
     Example: touchdown bench tune optical_flow runs/log --check runs/other --out tune.json
     """
-    from touchdown.experiments.benchmarks.tuning import tune
+    from touchdown.experiments.benchmarks import tuning
 
-    return tune(
-        estimator, logs, until_s=math.inf if until_s is None else until_s,
+    figures = tuning.tune(
+        estimator, logs, space=tuning.read_space(estimator, space_file),
+        until_s=math.inf if until_s is None else until_s,
         report=lambda text: None if quiet else say(text, err=True), **options,
     )  # fmt: skip
+    if check:
+        figures = tuning.checked(figures, check)
+        tuning.write(options["out"], figures)
+    return figures
