@@ -10,6 +10,14 @@ import numpy as np
 from touchdown.sim.typing import Array
 
 
+def world_seed(seed: int, scene: str) -> int:
+    """The seed of all random draws of a flight over ``scene``: flights of one seed over two scenes
+    share none of them, those of several methods over one scene share all."""
+    return int(
+        np.random.SeedSequence([seed, crc32(scene.encode())]).generate_state(1, np.uint64)[0]
+    )
+
+
 def random_stream(seed: int, component: str) -> np.random.Generator:
     """The random numbers of one component, independent of other components and of their order."""
     return np.random.default_rng([seed, crc32(component.encode())])

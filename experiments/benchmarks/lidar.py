@@ -55,7 +55,7 @@ def bench_lidar(
         scene=scene, estimator="oracle", seed=seed, record=False,
     )  # fmt: skip
     built = build_scene(config)
-    references = ReferenceCasters(built, config.lidar, config.seed)
+    references = ReferenceCasters(built, config.lidar, config.world_seed)
     middle = np.append(built.takeoff_xy_m, _HEIGHT_M)
     seconds: dict[str, list[float]] = {}
     rays = 0

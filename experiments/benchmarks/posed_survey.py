@@ -52,7 +52,7 @@ def build_posed_survey(config: Config, scene: Scene) -> PosedSurvey:
     above[2] -= rig.vehicle.leg_height_m
     return PosedSurvey(
         rig=rig,
-        sensors=PosedSensors(scene, world_params(config), config.seed),
+        sensors=PosedSensors(scene, world_params(config), config.world_seed),
         mapper=GridMapper(rig, config.mapper),
         path=survey_trajectory(above, yaw, config.survey),
         yaw=yaw,

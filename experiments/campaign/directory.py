@@ -361,6 +361,7 @@ def write_failure(directory: Path, task: Task, failure: Failure, attempts: int) 
         "scene": config.scene,
         "estimator": config.estimator,
         "seed": config.seed,
+        "unit": config.unit,
         "profile": config.profile,
         "preset": config.preset,
         "wind_kmh": config.wind.mean_kmh,

@@ -14,6 +14,7 @@ from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for
 from touchdown.experiments.campaign.results_table import RUNS, finished_ids, read_row
 from touchdown.experiments.config.profiles import WHOLE
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.seeds import owners
 from touchdown.experiments.flight.conditions import named_conditions
 from touchdown.landing.api import SurveyParams
 
@@ -59,6 +60,8 @@ class Forecast:
     """Flights and cost of a campaign; ``core_hours`` and ``wall_s`` are of what is left to fly."""
 
     name: str
+    seeds: str
+    """how many, and their owners"""
     flights: int
     finished: int
     jobs: int
@@ -104,6 +107,7 @@ def forecast(plan: Plan, runs: Sequence[PlannedRun], directory: Path | None, job
     at_once = max(1, min(jobs, left, len(os.sched_getaffinity(0))))
     return Forecast(
         name=plan.name,
+        seeds=owners(run.values["seed"] for run in runs),
         flights=len(runs),
         finished=len(runs) - left,
         jobs=jobs,
@@ -152,7 +156,9 @@ def stated_core_s(mode: str, config: Config) -> float:
 def lines(found: Forecast) -> list[str]:
     """Returns the forecast as lines of text."""
     width = max(len(group.label) for group in found.groups)
-    text = [f"{found.name}: {found.flights} flights, {found.finished} of them finished"]
+    text = [
+        f"{found.name}: {found.flights} flights, {found.finished} of them finished; {found.seeds}"
+    ]
     for group in found.groups:
         source = "as measured" if group.measured else "as stated"
         text.append(

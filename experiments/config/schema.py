@@ -33,7 +33,7 @@ from touchdown.experiments.api import (
     StartParams,
 )
 from touchdown.landing.api import LandingParams, SurveyParams
-from touchdown.scenes.api import Light
+from touchdown.scenes.api import Light, short_name
 from touchdown.sim.api import (
     FORBID_EXTRA,
     BarometerParams,
@@ -53,6 +53,7 @@ from touchdown.sim.api import (
     VehicleErrorParams,
     WindParams,
 )
+from touchdown.sim.noise import world_seed
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -98,7 +99,7 @@ class Config(BaseModel):
     scene: str = "crossroad"
     """name of a scene, path of an MJCF file, or MODULE:FUNCTION that makes one"""
     seed: CountOrZero = 0
-    """seed of the scene, the wind and all noise"""
+    """seed of the scene; with the scene's name, of the wind and all noise"""
     scene_seed: CountOrZero | None = None
     """seed of the scene alone, for flights over one scene in different wind and noise; none:
     ``seed``"""
@@ -149,6 +150,18 @@ class Config(BaseModel):
     bias: BiasParams = Field(default_factory=BiasParams)
     calibration_error: CalibrationErrorParams = Field(default_factory=CalibrationErrorParams)
     log: LogParams = Field(default_factory=LogParams)
+
+    @property
+    def world_seed(self) -> int:
+        """Seed of all random draws but those of the scene: flights over two scenes share none."""
+        return world_seed(self.seed, short_name(self.scene))
+
+    @property
+    def unit(self) -> str:
+        """Flights of one unit share random draws; they count as one independent flight."""
+        fixed = self.scene_seed is not None
+        number = f"layout {self.scene_seed}" if fixed else f"seed {self.seed}"
+        return f"{short_name(self.scene)}, {number}"
 
     @property
     def nav(self) -> NavParams:

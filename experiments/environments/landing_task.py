@@ -186,7 +186,7 @@ class LandingTask:
         self._world.require(sensor_needs(self.options.sensors))
         width, height = self.options.view_pixels
         lens = CameraParams(noise_sigma=0.0, samples=4, width=width, height=height)
-        self._view = CameraSensor(layout.scene, lens, config.seed)
+        self._view = CameraSensor(layout.scene, lens, config.world_seed)
         self._autopilot = Autopilot(
             Oracle(self._world.truth),
             CascadeController(self._world.rig.vehicle, config.control),

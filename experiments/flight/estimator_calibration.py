@@ -32,18 +32,18 @@ errors are independent, and there is a corner at which they add"""
 
 def nominal_rig(rig: SensorRig, config: Config) -> SensorRig:
     """Returns the nominal calibration: ``rig`` with the calibration file
-    ``config.calibration``, or else with the errors of ``config.calibration_error``, drawn from the
-    seed; with the errors against the IMU, of readout and lever arms; and with the part of the
-    take-off pose that ``config.start`` makes known.
+    ``config.calibration``, or else with the errors of ``config.calibration_error``, drawn from
+    ``config.world_seed``; with the errors against the IMU, of readout and lever arms; and with the
+    part of the take-off pose that ``config.start`` makes known.
 
     Without an error against the IMU the mount of the camera on the body is exact, and that of the
     LIDAR follows from it. Raises UsageError for a file that cannot be used.
     """
     errors, start = config.calibration_error, config.start
     content = check_calibration(config)
-    rig = _apart(_with_known_imu(rig, config), errors, config.seed)
+    rig = _apart(_with_known_imu(rig, config), errors, config.world_seed)
     if content is None:
-        return known_start(erring_rig(rig, errors, config.seed), start)
+        return known_start(erring_rig(rig, errors, config.world_seed), start)
     camera = content.intrinsics()
     if (camera.width, camera.height) != (rig.camera.width, rig.camera.height):
         raise UsageError(
@@ -51,7 +51,7 @@ def nominal_rig(rig: SensorRig, config: Config) -> SensorRig:
             f"pixels, the flight's has {rig.camera.width} x {rig.camera.height}"
         )
     # The file says how camera and LIDAR stand to one another; both are wrong against the IMU alike.
-    rotated = _camera_against_imu(rig, errors, config.seed)
+    rotated = _camera_against_imu(rig, errors, config.world_seed)
     return known_start(_with(rotated, camera, content.lidar_pose()), start)
 
 

@@ -313,6 +313,7 @@ def _replay(
         reason=reason,
         scene=config.scene,
         seed=config.seed,
+        unit=logged.result.unit,
         estimator=config.estimator,
         **code,
         profile=config.profile,

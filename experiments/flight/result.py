@@ -60,6 +60,7 @@ def make_result(
         reason=judgement.reason,
         scene=config.scene,
         seed=config.seed,
+        unit=config.unit,
         estimator=config.estimator,
         **_parts(config),
         profile=config.profile,

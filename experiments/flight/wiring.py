@@ -221,7 +221,7 @@ def make_world(config: Config, scene: Scene, drawn: bool = False) -> Any:
     """The world of a configuration; ``drawn`` as in `sim.world.MujocoWorld`."""
     from touchdown.sim.world import MujocoWorld
 
-    return MujocoWorld(scene, world_params(config), config.seed, drawn=drawn)
+    return MujocoWorld(scene, world_params(config), config.world_seed, drawn=drawn)
 
 
 def build_estimator(config: Config, rig: SensorRig) -> Estimator:

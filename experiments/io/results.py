@@ -51,6 +51,9 @@ class RunResult(Part):
     scene_sha: str | None = None
     """hash of the code of a scene MODULE:FUNCTION"""
     seed: int = Field(ge=-_LARGEST_SEED, le=_LARGEST_SEED)
+    unit: str | None = None
+    """flights of one unit share random draws; None in results of before flights of one seed over
+    two scenes were independent"""
     estimator: str
     estimator_sha: str | None = None
     """hash of the code of an external estimator"""

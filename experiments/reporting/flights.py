@@ -54,9 +54,11 @@ def frame_of(rows: Sequence[Row]) -> pd.DataFrame:
     frame = pd.DataFrame([dict(row) for row in rows])
     if "condition" not in frame:
         frame["condition"] = ""
-    # Random streams are keyed by the seed alone: IMU, mounts and wind of a seed are those of every
-    # scene.
-    frame["unit"] = frame["seed"].astype(str) if "seed" in frame else frame.index.astype(str)
+    if "unit" not in frame:
+        frame["unit"] = None
+    # Rows without one are of flights whose draws were those of their seed over every scene.
+    seeds = frame.get("seed", frame.index)
+    frame["unit"] = frame["unit"].where(frame["unit"].notna(), [f"seed {seed}" for seed in seeds])
     return frame
 
 

@@ -199,7 +199,7 @@ def _speed(job: Job) -> Done:
 
 # ----------------------------------------------------------------------------------------- flights
 
-_QUICK_SCENES = {"zou2024_sites": "rooftop_parking", "real_sites": "footbridge"}
+_QUICK_SCENES = {"zou2024_sites": "rooftop_parking"}
 """Scenes of the quick edition by campaign, where it is not the one that the paper analyses."""
 
 
@@ -334,14 +334,11 @@ PARTS: tuple[Part, ...] = (
     _campaign("commanded_site", "Landings on one spot", "Table 5", "Fig. 12"),
     _campaign("zou2024_sites", "Landings on five kinds of sites", "Table 6"),
     _campaign("zou2024", "Landings over four scenes", "Fig. 9 b"),
-    _campaign("real_sites", "Five kinds of sites: `livo` and `risk`"),
-    _campaign("landing", "Four scenes: `livo` and `risk`"),
     _fixed("speed", "Time of a choice of site", _speed, 20.0, "Table 7"),
     _networks("recognition", "Ground classification", "Fig. 5", "Table 3", "Table 4"),
     _networks("photographs", "Ground classification of photographs", photographs=True),
 )
-"""In the order of work: drawings, flights, parts that are timed, networks. Of the flights the
-paper's own system comes first, then, without an item of the paper, ours."""
+"""In the order of work: drawings, flights, parts that are timed, networks."""
 
 
 def part_named(name: str) -> Part:

@@ -46,8 +46,6 @@ _SECTIONS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "commanded_site": (("summary", "landings"), ("fig12",)),
     "zou2024_sites": (("summary", "landings"), ()),
     "zou2024": (("summary", "accuracy", "paths", "landings"), ("fig9b",)),
-    "real_sites": (("summary", "landings"), ()),
-    "landing": (("summary", "landings"), ()),
 }
 """Sections and figures that are copied from the report of each campaign."""
 

@@ -67,12 +67,12 @@ class FlightSet:
 
 
 SETS = (
-    FlightSet("landings", "field", "configs/results_landings.toml"),
-    FlightSet("positioning", "field", "configs/results_positioning.toml"),
-    FlightSet("blind", "field", "configs/field_blind.toml"),
-    FlightSet("short", "field", "configs/results_short.toml"),
-    FlightSet("landings", "ideal", "configs/results_landings.toml"),
-    FlightSet("positioning", "ideal", "configs/results_positioning.toml"),
+    FlightSet("landings", "field", "configs/landing.toml"),
+    FlightSet("positioning", "field", "configs/positioning.toml"),
+    FlightSet("blind", "field", "configs/one_sensor.toml"),
+    FlightSet("short", "field", "configs/short.toml"),
+    FlightSet("landings", "ideal", "configs/landing.toml"),
+    FlightSet("positioning", "ideal", "configs/positioning.toml"),
 )
 
 

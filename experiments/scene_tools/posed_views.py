@@ -33,7 +33,7 @@ def posed_sensors(config: Config, scene: Scene) -> PosedSensors:
     """The configured camera and LIDAR, at any pose over a scene."""
     from touchdown.sim.posed_sensors import PosedSensors
 
-    return PosedSensors(scene, world_params(config), config.seed)
+    return PosedSensors(scene, world_params(config), config.world_seed)
 
 
 def random_view(

@@ -101,7 +101,9 @@ class SurfaceDetail:
         """None where ``params`` ask for neither. The detail is a function of the scene's seed."""
         if params.texture <= 0.0 and params.vegetation <= 0.0:
             return None
-        salt = np.random.default_rng([scene.seed, crc32(b"lidar texture")]).integers(2**32)
+        salt = np.random.default_rng(
+            [scene.seed, crc32(b"lidar texture of " + scene.name.encode())]
+        ).integers(2**32)
         width_x, width_y = np.deg2rad(scanner.divergence_deg).tolist()
         return SurfaceDetail(
             optics, params.texture, params.vegetation, np.uint32(salt), (width_x, width_y), moving

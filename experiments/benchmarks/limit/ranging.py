@@ -95,7 +95,7 @@ class TrueSurface:
         self._detail = SurfaceDetail.of(
             config.lidar, pattern, scene, self.optics, everything.on_mover
         )
-        self._errors = RangeErrors.of(config.lidar, pattern, config.seed)
+        self._errors = RangeErrors.of(config.lidar, pattern, config.world_seed)
 
     def strike(self, target: RayTarget, origins: Array, directions: Array) -> Struck:
         """Casts rays (N, 3) and (N, 3) at `seen` or `solid`."""

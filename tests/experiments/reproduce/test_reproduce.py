@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from support.reproduce_world import World
 
 pytest_plugins = ("support.reproduce_world",)
-CAMPAIGNS = ("positioning", "commanded_site", "zou2024_sites", "zou2024", "real_sites", "landing")
+CAMPAIGNS = ("positioning", "commanded_site", "zou2024_sites", "zou2024")
 USUAL = tuple(part.name for part in PARTS if not part.needs_photographs)
 
 
@@ -85,7 +85,7 @@ def test_an_interrupted_reproduction_resumes(world: World, tmp_path: Path) -> No
 @pytest.mark.usefixtures("no_report")
 def test_quick_becomes_whole_and_keeps_its_flights(world: World, tmp_path: Path) -> None:
     run_quick(tmp_path)
-    kept = ("landing", "positioning", "commanded_site")
+    kept = ("zou2024", "positioning", "commanded_site")
     whole = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=kept)
     assert whole.successful
     assert {name: state.edition for name, state in whole.results.items()} == {
@@ -133,7 +133,7 @@ def test_a_part_that_breaks_leaves_the_others(world: World, tmp_path: Path) -> N
 def test_a_campaign_without_some_outcomes_fails(
     world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    part = part_named("real_sites")
+    part = part_named("zou2024_sites")
     figures = {"runs": 5, "crashed": 2, "remaining": 0, "as_expected": True}
     figures |= dict.fromkeys(("name", "mode", "finished", "outcomes", "errors"), 0)
     monkeypatch.setattr(
@@ -141,7 +141,7 @@ def test_a_campaign_without_some_outcomes_fails(
     )
     skip = [other.name for other in PARTS if other is not part]
     done = run_quick(tmp_path, skip=skip)
-    assert done.results["real_sites"].why == "2 of 5 flights have no outcome"
+    assert done.results["zou2024_sites"].why == "2 of 5 flights have no outcome"
     assert not reproduce.is_done(part, tmp_path, parts.Extent(quick=True)), "it is gone on with"
 
 
