@@ -31,6 +31,7 @@ def fly(config: Config, out: Path) -> RunResult:
     changes: dict[str, Any] = {
         "outcome": "COMPLETED" if landing is None else "LANDED",
         "landing": landing,
+        "trajectory_error_m": 0.1,
         "position_error_m": {"mean": 0.05, "x": 0.03, "y": 0.04, "z": 0.01, "yaw_deg": 0.2},
     }
     run = write_run(out.parent, config.scene, config.estimator, config.seed, **changes)
