@@ -12,7 +12,15 @@ from touchdown.experiments.results_tables.pages import SETS
 ROOT = Path(__file__).parents[2]
 EDITION = {found.file for found in SETS} | {
     f"configs/{name}.toml"
-    for name in ("zou2024", "zou2024_sites", "commanded_site", "field_light", "field_harsh", "wind")
+    for name in (
+        "zou2024",
+        "zou2024_sites",
+        "commanded_site",
+        "field_light",
+        "field_harsh",
+        "wind",
+        "wrong_beliefs",
+    )
 }
 REGRESSION = {"configs/regress.toml", "configs/regress_baseline.toml"}
 _SPAN = r"\d+(?:\s*(?:-|to)\s*\d+)?"

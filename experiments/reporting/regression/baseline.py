@@ -24,16 +24,22 @@ from touchdown.experiments.reporting.tables import ALL_SCENES
 from touchdown.sim.files.opening import no_file
 
 
+_Figures = dict[str, Annotated[NonNegativeFloat, AllowInfNan(False)]]
+REPEATED = "again"
+"""begins the variants of a campaign that repeat a flight with a change that means nothing"""
+
+
 class Trial(BaseModel):
-    """One flight. ``bad``: not successful; ``figures``: those of `FIGURES` that it has, by
-    column."""
+    """One flight. ``bad``: not successful; ``figures``: those of `FIGURES` that it has, by column;
+    ``repeats``: those of its repetitions."""
 
     model_config = ConfigDict(strict=True, frozen=True)
 
     seed: int
     outcome: str
     bad: bool
-    figures: dict[str, Annotated[NonNegativeFloat, AllowInfNan(False)]]
+    figures: _Figures
+    repeats: list[_Figures] = []
 
 
 class Figure(NamedTuple):
@@ -45,9 +51,9 @@ class Figure(NamedTuple):
     floor: float
     both_sides: bool = False
 
-    def log_of(self, trial: Trial) -> float | None:
+    def log_of(self, figures: Mapping[str, float]) -> float | None:
         """Logarithm of the figure; None for a flight without it."""
-        value = trial.figures.get(self.column)
+        value = figures.get(self.column)
         return None if value is None else math.log(max(value, self.floor))
 
 
@@ -142,18 +148,22 @@ def read_baseline(path: Path) -> Baseline:
 
 
 def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
-    """Flights by cell and seed. Raises UsageError when a cell has a seed twice."""
+    """Flights by cell and seed. Raises UsageError when a cell has a seed twice, or a repetition of
+    none of its flights."""
     cells: dict[Key, dict[int, Trial]] = {}
-    for row in rows:
+    for row in sorted(rows, key=_is_repeated):
         key = (row["scene"], row["estimator"], _variant(row))
         trials, seed = cells.setdefault(key, {}), int(row["seed"])
-        if seed in trials:
-            raise UsageError(
-                f"{cell_name(key)} was flown twice with seed {seed} ('{row['run_id']}' is one of "
-                "the runs); keep one of them"
-            )
         found = {figure.column: number(row, figure.column) for figure in FIGURES}
         figures = {column: value for column, value in found.items() if value is not None}
+        if _is_repeated(row) and seed in trials:
+            trials[seed].repeats.append(figures)
+            continue
+        if seed in trials or _is_repeated(row):
+            raise UsageError(
+                f"{cell_name(key)} was flown twice with seed {seed}, or its repetitions alone "
+                f"('{row['run_id']}' is one of the runs); keep one of them"
+            )
         bad = not is_successful(row)
         trials[seed] = Trial(seed=seed, outcome=str(row["outcome"]), bad=bad, figures=figures)
     return cells
@@ -163,11 +173,17 @@ def _variant(row: Row) -> str:
     """The variant of a run: "land" for landings, the preset of a flight that is not whole, then the
     further axes at the end of its name, or the parts that are not those by default."""
     preset = row.get("preset") or WHOLE
-    axes = "-".join(part for part in condition_of(row).split("-") if part not in PRESETS)
+    named = (*PRESETS, "as_is")
+    parts = [part for part in condition_of(row).split("-") if part not in named]
+    axes = "-".join(part for part in parts if not part.startswith(REPEATED))
     parts = [str(row[f"parts.{kind}"]) for kind in PartNames.model_fields
              if row.get(f"parts.{kind}")]  # fmt: skip
     found = ["land" * (row["mode"] == "land"), preset if preset != WHOLE else ""]
     return " ".join(filter(None, [*found, *([axes] if axes else parts)]))
+
+
+def _is_repeated(row: Row) -> bool:
+    return any(part.startswith(REPEATED) for part in condition_of(row).split("-"))
 
 
 def cell_name(key: Key) -> str:

@@ -1,8 +1,8 @@
-"""Several figures of few flights, each against a bound from the spread between seeds.
+"""Several figures of few flights, each against a bound from the spread between repetitions.
 
 The tests of `compare` find no change in four flights. Here the spread is that of the baseline,
-which holds more seeds than are flown again: flights of equal seeds, on another machine above all,
-may differ as much as flights of two seeds do, and no more.
+which holds repetitions of its flights in a wind that differs by a thousandth: rounding, on another
+machine too, and a change that means nothing make flights of equal seeds differ as much.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.flights import Row
 from touchdown.experiments.reporting.regression.baseline import (
     FIGURES,
+    REPEATED,
     Baseline,
     Figure,
     Key,
@@ -32,7 +33,9 @@ from touchdown.experiments.reporting.regression.baseline import (
 from touchdown.experiments.reporting.tables import markdown_lines
 
 ALPHA = 0.01
-"""Fraction of false alarms of a whole comparison, where equal seeds differ as much as two seeds."""
+"""Fraction of false alarms of a whole comparison, where equal seeds differ as repetitions do."""
+POWER = 0.8
+"""of a comparison against the change that it is said to see"""
 _ROUNDING = 1e-9
 
 
@@ -40,7 +43,8 @@ _ROUNDING = 1e-9
 class BoundedFigure:
     """A figure over the flights of a cell, or of all cells of a method. ``now``, ``before``,
     ``minimum`` (None: no bound) and ``maximum`` are geometric means; ``spread`` is the standard
-    deviation of the logarithm between seeds."""
+    deviation of the logarithm between repetitions; ``sees``: the ratio that is found with the
+    probability `POWER`."""
 
     name: str
     figure: str
@@ -50,6 +54,7 @@ class BoundedFigure:
     minimum: float | None
     maximum: float
     spread: float
+    sees: float
     worse: bool
 
     @property
@@ -80,9 +85,9 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
 
     A figure is worse where the mean of its logarithm exceeds that of the baseline, or departs from
     it to either side, by more than t * s * sqrt(2 / n): s the standard deviation between the
-    baseline's seeds, pooled over its cells of the method, n the flights, t the quantile of
-    Student's distribution for `ALPHA` over all figures and cells (Bonferroni). Raises UsageError
-    where nothing can be compared.
+    repetitions of a flight, pooled over the baseline's flights with the method, n the flights, t the
+    quantile of Student's distribution for `ALPHA` over all figures and cells (Bonferroni). Raises
+    UsageError where nothing can be compared.
     """
     pairs = _equal_seeds(cells_of(rows), baseline)
     groups = {key: [key] for key in pairs} | over_scenes(pairs)
@@ -92,7 +97,7 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
         for total, keys in groups.items():
             name = cell_name(total)
             values = [
-                (figure.log_of(new[seed]), figure.log_of(old[seed]))
+                (figure.log_of(new[seed].figures), figure.log_of(old[seed].figures))
                 for new, old in (pairs[key] for key in keys)
                 for seed in old
             ]
@@ -103,7 +108,8 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
             if both:
                 spread, freedom = _spread(figure, baseline.trials, total)
                 t = float(stats.t.ppf(1.0 - alpha / (1 + figure.both_sides), freedom))
-                margin = t * spread * math.sqrt(2.0 / len(both))
+                error = spread * math.sqrt(2.0 / len(both))
+                margin, power = t * error, float(stats.t.ppf(POWER, freedom)) * error
                 now, before = np.mean(both, axis=0).tolist()
                 low = before - margin if figure.both_sides else -math.inf
                 figures.append(
@@ -116,6 +122,7 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
                         minimum=math.exp(low) if figure.both_sides else None,
                         maximum=math.exp(before + margin),
                         spread=spread,
+                        sees=math.exp(margin + power),
                         worse=not low - _ROUNDING <= now <= before + margin + _ROUNDING,
                     )
                 )
@@ -139,29 +146,30 @@ def _equal_seeds(new: Mapping[Key, Trials], baseline: Baseline) -> Pairs:
 
 
 def _spread(figure: Figure, cells: Mapping[Key, Trials], total: Key) -> tuple[float, int]:
-    """The standard deviation between seeds, pooled over the cells of the method and variant of
-    ``total``, and its degrees of freedom."""
+    """The standard deviation between repetitions, pooled over the flights of the method and variant
+    of ``total``, and its degrees of freedom."""
     freedom, squares = 0, 0.0
-    for key, trials in cells.items():
-        logs = [x for trial in trials.values() if (x := figure.log_of(trial)) is not None]
-        if key[1:] == total[1:] and len(logs) > 1:
+    trials = (one for key, own in cells.items() if key[1:] == total[1:] for one in own.values())
+    for trial in trials:
+        found = map(figure.log_of, (trial.figures, *trial.repeats))
+        logs = [x for x in found if x is not None]
+        if len(logs) > 1:
             freedom += len(logs) - 1
             squares += float(np.var(logs)) * len(logs)
     if not freedom:
         raise UsageError(
-            f"the baseline has no spread of the {figure.title}: write it from flights of several "
-            "seeds of each scene"
+            f"the baseline has no spread of the {figure.title}: write it from a campaign with "
+            f'variants of each flight that are called "{REPEATED}..."'
         )
     return math.sqrt(squares / freedom), freedom
 
 
 def bounds_lines(found: BoundsVerdict) -> list[str]:
     """A Markdown table of each figure against its bound, and a line for everything worse."""
-    header = ["figure", "scene, method", "now", "was", "bound", "spread between seeds", "flights",
-              ""]  # fmt: skip
+    header = ["figure", "scene, method", "now", "was", "bound", "sees", "flights", ""]  # fmt: skip
     rows = [
         [one.figure, one.name, f"{one.now:.4g}", f"{one.before:.4g}", one.bounds,
-         f"{100.0 * math.expm1(one.spread):.0f} %", str(one.flights), "WORSE" * one.worse]
+         f"{one.sees:.2f} times", str(one.flights), "WORSE" * one.worse]
         for one in found.figures
     ]  # fmt: skip
     lines = [*markdown_lines(header, rows), "", *(f"LOST   {line}" for line in found.lost)]

@@ -169,7 +169,11 @@ class _Sample(NamedTuple):
 def _sample(new: Trials, old: Trials) -> _Sample | None:
     """None with too few flights. Seeds pair up when at least half of the smaller side has them."""
     a, b = (
-        {seed: log for seed, t in sorted(ts.items()) if (log := ERROR.log_of(t)) is not None}
+        {
+            seed: log
+            for seed, t in sorted(ts.items())
+            if (log := ERROR.log_of(t.figures)) is not None
+        }
         for ts in (new, old)
     )
     seeds = sorted(a.keys() & b.keys())
