@@ -23,7 +23,6 @@ from touchdown.experiments.reporting.flights import Row, condition_of, number
 from touchdown.experiments.reporting.tables import ALL_SCENES
 from touchdown.sim.files.opening import no_file
 
-
 _Figures = dict[str, Annotated[NonNegativeFloat, AllowInfNan(False)]]
 REPEATED = "again"
 """begins the variants of a campaign that repeat a flight with a change that means nothing"""

@@ -34,6 +34,8 @@ from touchdown.experiments.reporting.tables import markdown_lines
 
 ALPHA = 0.01
 """Fraction of false alarms of a whole comparison, where equal seeds differ as repetitions do."""
+_LEAST = math.log(1.03)
+"""Least margin: a figure that repeats to a thousandth may move by more."""
 POWER = 0.8
 """of a comparison against the change that it is said to see"""
 _ROUNDING = 1e-9
@@ -84,10 +86,10 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
     """Compares the flights of ``rows`` with those of equal seeds of the baseline.
 
     A figure is worse where the mean of its logarithm exceeds that of the baseline, or departs from
-    it to either side, by more than t * s * sqrt(2 / n): s the standard deviation between the
-    repetitions of a flight, pooled over the baseline's flights with the method, n the flights, t the
-    quantile of Student's distribution for `ALPHA` over all figures and cells (Bonferroni). Raises
-    UsageError where nothing can be compared.
+    it to either side, by more than t * s * sqrt(2 / n) and 3 %: s the standard deviation between the
+    repetitions of a flight, pooled over the baseline's flights with the method, n the flights, t
+    the quantile of Student's distribution for `ALPHA` over all figures and cells (Bonferroni).
+    Raises UsageError where nothing can be compared.
     """
     pairs = _equal_seeds(cells_of(rows), baseline)
     groups = {key: [key] for key in pairs} | over_scenes(pairs)
@@ -110,6 +112,7 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
                 t = float(stats.t.ppf(1.0 - alpha / (1 + figure.both_sides), freedom))
                 error = spread * math.sqrt(2.0 / len(both))
                 margin, power = t * error, float(stats.t.ppf(POWER, freedom)) * error
+                margin = max(margin, _LEAST)
                 now, before = np.mean(both, axis=0).tolist()
                 low = before - margin if figure.both_sides else -math.inf
                 figures.append(
