@@ -86,7 +86,7 @@ def check_bounds(rows: Sequence[Row], baseline: Baseline) -> BoundsVerdict:
     """Compares the flights of ``rows`` with those of equal seeds of the baseline.
 
     A figure is worse where the mean of its logarithm exceeds that of the baseline, or departs from
-    it to either side, by more than t * s * sqrt(2 / n) and 3 %: s the standard deviation between the
+    it to either side, by more than 3 % and t s sqrt(2 / n): s the standard deviation between the
     repetitions of a flight, pooled over the baseline's flights with the method, n the flights, t
     the quantile of Student's distribution for `ALPHA` over all figures and cells (Bonferroni).
     Raises UsageError where nothing can be compared.
