@@ -19,8 +19,6 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 
 export MUJOCO_GL ?= egl
 
-PROFILE ?= field
-
 .DEFAULT_GOAL := help
 .PHONY: help land test check mutation regress bench results network docs format clean
 
@@ -61,9 +59,9 @@ regress: $(READY)
 bench: $(READY)
 	$(BIN)/touchdown bench loop
 
-# PROFILE=ideal flies and writes the second set.
+# Goes on where an earlier call stopped; `touchdown results --part NAME` flies one page.
 results: $(READY)
-	$(BIN)/touchdown results --profile $(PROFILE) --out runs/results --write
+	$(BIN)/touchdown results --out runs/results --write
 
 # Goes on where an earlier call stopped; docs/ground-classification.md names the folders of DATA.
 NETWORK := runs/network

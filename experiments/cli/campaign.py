@@ -161,27 +161,24 @@ def status(directory: Path, as_json: bool) -> int:
 @click.command()
 @click.option("--out", type=PATH, metavar="DIR", required=True,
               help="Directory of the flights; an earlier one is continued.")  # fmt: skip
-@click.option("--profile", type=click.Choice(["field", "ideal"]), default="field",
-              show_default=True, help="The sets of which world.")  # fmt: skip
-@click.option("--only", multiple=True, metavar="NAME",
-              help="One set: landings, positioning, blind or short. May be repeated.")  # fmt: skip
+@click.option("--part", "parts", multiple=True, metavar="NAME",
+              help="One part: paper, or a campaign such as landing. May be repeated.")  # fmt: skip
 @click.option("--write", is_flag=True,
-              help="Write docs/results/results.json and the tables of the pages.")  # fmt: skip
+              help="Write docs/results/rows.parquet and the tables of the pages.")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Print what it would cost, and fly nothing.")
 @JOBS
 @JSON
 @QUIET
 def results(
     out: Path,
-    profile: str,
-    only: tuple[str, ...],
+    parts: tuple[str, ...],
     write: bool,
     dry_run: bool,
     jobs: int | None,
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Fly what README and the results pages print, and write their tables.
+    """Fly an edition of what README and the results pages print, and write their tables.
 
     Of a git checkout of Touchdown, without changes that are not committed. It may be interrupted at
     any time; the same command resumes it. --write takes rows of one revision only, which the pages
@@ -191,16 +188,16 @@ def results(
     """
     from touchdown.experiments.campaign.progress import Display
     from touchdown.experiments.campaign.session import Watcher
-    from touchdown.experiments.results_tables import pages
+    from touchdown.experiments.results_tables import edition, pages
 
-    sets = pages.chosen(profile, only)
-    todo = pages.forecasts(sets, out, jobs)
+    sets = edition.chosen(parts)
+    todo = edition.forecasts(sets, out, jobs)
     if dry_run:
         return answer(_costs(todo), as_json, lambda _figures: _print_costs(todo, err=False))
     if not quiet:
         _print_costs(todo, err=True)
     with resumable("flights are kept, and the same command resumes the rest"):
-        summaries = pages.fly(sets, out, jobs, Watcher if quiet else Display)
+        summaries = edition.fly(sets, out, jobs, Watcher if quiet else Display)
     incomplete = any(found["missing"] for found in summaries)
     if write and incomplete:
         say(

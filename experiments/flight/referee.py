@@ -260,6 +260,7 @@ class Referee:
             estimate_error_at_commit_m=self._error_at_commit,
             estimate_error_at_contact_m=self._error_at_contact,
             slope_deg=verdict.slope_deg,
+            roughness_m=verdict.roughness_m,
             **figures,
             obstacle_distance_m=verdict.obstacle_distance_m,
             class_predicted=view.site_class,

@@ -98,6 +98,7 @@ class Landing(Part):
     estimate_error_at_contact_m: Figure = None
     """the same at the first contact"""
     slope_deg: Figure = None
+    roughness_m: Figure = None
     vertical_speed_mps: Figure = None
     horizontal_speed_mps: Figure = None
     vertical_accel_mps2: Figure = None

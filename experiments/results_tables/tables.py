@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
+from touchdown.experiments.drawing.style import INK
 from touchdown.experiments.reporting import published
+from touchdown.experiments.reporting.figures import Picture, drawn
 from touchdown.experiments.reporting.flights import condition_of, ordered
 from touchdown.experiments.reporting.measures import is_marked, setting_notes, titled
 from touchdown.experiments.reporting.report_tables import FLIGHTS, LANDED, OUTCOMES, UNSAFE
@@ -13,6 +17,7 @@ from touchdown.experiments.reporting.statistics import (
     clustered_fraction,
     geometric_ratio,
     rank_correlation,
+    ratio_interval,
 )
 from touchdown.experiments.reporting.tables import (
     INDEPENDENT,
@@ -27,15 +32,16 @@ from touchdown.experiments.reporting.tables import (
     mean,
     with_notes,
 )
+from touchdown.scenes.truth.maps import MAX_SLOPE_DEG
 
 _ERROR, _PATH, _NEES = "position_error_m.mean", "trajectory_error_m", "nees.below_14_2"
 _LEVEL, _LEVEL_MAX = "map.levelness_error_deg.mean", "map.levelness_error_deg.max"
 _D_L, _V_Z = "landing.target_offset_m", "landing.vertical_speed_mps"
 _A_Z, _SLOPE = "landing.vertical_accel_mps2", "landing.slope_deg"
-_COMMIT = "landing.estimate_error_at_commit_m"
+_COMMIT, _CONTACT = (f"landing.estimate_error_at_{when}_m" for when in ("commit", "contact"))
 _INTERVALS = (
     "Brackets: 95 % intervals of the mean (bootstrap), of fractions Wilson's, over independent "
-    "units: flights of one seed share IMU, mounts and wind over all scenes, and count as one."
+    "flights."
 )
 _LEVELNESS = (
     mean(_LEVEL, "levelness, mean (°)"),
@@ -43,8 +49,9 @@ _LEVELNESS = (
 )
 
 
-def landings(frame: pd.DataFrame) -> list[str]:
+def landings(frame: pd.DataFrame, profile: str = "field") -> list[str]:
     """A line for each scene and one for all of them."""
+    frame = frame[frame["profile"] == profile]
     columns = [
         FLIGHTS,
         INDEPENDENT,
@@ -60,34 +67,44 @@ def landings(frame: pd.DataFrame) -> list[str]:
         f"values over the last 0.5 s; α_L: slope of the true ground. {_INTERVALS}"
     ]
     table = make_table(frame, "landings", "", columns, ("scene",), notes=notes)
-    unsafe = frame["ground_safe"].eq(False)
-    lost = frame[(frame["outcome"] != "LANDED") | unsafe]
-    for row, on_unsafe in zip(lost.to_dict("records"), unsafe[lost.index], strict=True):
-        reason = f" ({row['reason']})" if isinstance(row.get("reason"), str) else ""
-        place = ", on unsafe ground" * on_unsafe
-        table.notes.append(
-            f"`{row['scene']}`, seed {row['seed']}: {row['outcome']}{place}{reason}."
-        )
+    table.notes += _failures(frame)
     return with_notes(table)
+
+
+def ideal_landings(frame: pd.DataFrame) -> list[str]:
+    """`landings` in profile `ideal`."""
+    return landings(frame, "ideal")
+
+
+def _failures(frame: pd.DataFrame) -> list[str]:
+    """A sentence for each flight that did not land on safe ground."""
+    told = []
+    for row in frame.to_dict("records"):
+        place = ", on unsafe ground" * (row.get("ground_safe") is False)
+        reason = f" ({row['reason']})" if isinstance(row.get("reason"), str) else ""
+        if place or row["outcome"] not in ("LANDED", "COMPLETED"):
+            told.append(f"`{row['scene']}`, seed {row['seed']}: {row['outcome']}{place}{reason}.")
+    return told
 
 
 def positioning(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
     """A line for each method and scene, and one for each method over all scenes."""
+    frame = _positioned(surveys, landed)
     columns = [
         FLIGHTS,
         INDEPENDENT,
         OUTCOMES,
         mean(_ERROR, "mean error (m)"),
         largest(_ERROR, "worst flight (m)"),
+        _over(frame, "estimator", "livo"),
         mean(_PATH),
         mean(_NEES),
     ]
     notes = [
         "mean error: distance of the estimate from the truth, not aligned; E_tra: deviation of the "
         "flown path from the reference; both from lift-off to the end of the survey. The surveys "
-        f"of `livo` are those of the landings. {_INTERVALS}"
+        f"of `livo` are those of the landings. {_PAIRED} {_INTERVALS}"
     ]
-    frame = _positioned(surveys, landed)
     return with_notes(
         make_table(frame, "positioning", "", columns, ("estimator", "scene"), notes=notes)
     )
@@ -96,7 +113,29 @@ def positioning(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
 def _positioned(surveys: pd.DataFrame, landed: pd.DataFrame) -> pd.DataFrame:
     """The flights that show a method's positioning: a landing begins with the same survey, over
     which position error and deviation from the reference are taken."""
-    return pd.concat([landed, surveys[surveys["estimator"] != "oracle"]])
+    field = landed[landed["profile"] == "field"]
+    return pd.concat([field, surveys[surveys["estimator"] != "oracle"]])
+
+
+_PAIRED = (
+    "times that of `livo`: ratio of the mean errors over flights of equal scene and seed, which "
+    "share place, sensors and wind."
+)
+
+
+def _over(frame: pd.DataFrame, by: str, base: str) -> Column:
+    """Ratio of the mean errors of a line and of the flights with ``base`` in the column ``by``, on
+    equal scenes, seeds and all else."""
+    keys = [key for key in ("scene", "seed", "estimator", "condition") if key != by]
+    others = frame.loc[frame[by] == base, [*keys, _ERROR]]
+
+    def of(own: pd.DataFrame) -> Any:
+        if (own[by] == base).all():
+            return None
+        both = own[[*keys, "unit", _ERROR]].merge(others, on=keys, suffixes=("", " base")).dropna()
+        return ratio_interval(both[[_ERROR, f"{_ERROR} base"]].to_numpy(np.float64), both["unit"])
+
+    return Column(key=f"over {base}", title=f"times that of `{base}`", of=of)
 
 
 def levelness(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
@@ -105,7 +144,8 @@ def levelness(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
         surveys[surveys["estimator"] == method].assign(flight=f"survey, `{method}`")
         for method in ("oracle", "zou2024")
     ]
-    frame = pd.concat([*kinds, landed.assign(flight="landing, `livo`")])
+    field = landed[landed["profile"] == "field"]
+    frame = pd.concat([*kinds, field.assign(flight="landing, `livo`")])
     printed = ", ".join(f"±{value:g}" for value in published.LEVELNESS_DEG)
     notes = [
         "Angle between the normals of map and true ground at 10 places of a flight, at the end of "
@@ -117,9 +157,9 @@ def levelness(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
     return with_notes(make_table(frame, "levelness", "", columns, ("scene", "flight"), notes=notes))
 
 
-def blind(frame: pd.DataFrame) -> list[str]:
+def conditions(frame: pd.DataFrame) -> list[str]:
     """A line for each condition and scene."""
-    frame = frame.assign(condition=[condition_of(row) for row in _plain(frame)])
+    frame = _with_conditions(frame)
     columns = [
         FLIGHTS,
         INDEPENDENT,
@@ -127,17 +167,42 @@ def blind(frame: pd.DataFrame) -> list[str]:
         UNSAFE,
         mean(_ERROR, "mean error (m)"),
         largest("position_error_m.max", "largest error (m)"),
+        mean(_PATH),
         mean(_COMMIT),
+        largest(_CONTACT, "error at contact, worst (m)"),
+        mean(_D_L),
         mean(_NEES),
     ]
-    table = make_table(frame, "blind", "", columns, ("condition", "scene"), notes=[_INTERVALS])
-    return with_notes(table)
+    notes = [_INTERVALS, *_failures(frame)]
+    return with_notes(
+        make_table(frame, "conditions", "", columns, ("condition", "scene"), notes=notes)
+    )
 
 
-def _plain(frame: pd.DataFrame) -> list[dict[str, str]]:
-    """The rows without a condition."""
-    found: list[dict[str, str]] = frame.drop(columns="condition").to_dict("records")
-    return found
+def _with_conditions(frame: pd.DataFrame) -> pd.DataFrame:
+    rows = frame.drop(columns="condition").to_dict("records")
+    return frame.assign(condition=[condition_of(row) for row in rows])
+
+
+_AS_IS = "as_is"
+"""The variant in which the world is what the estimator believes."""
+
+
+def beliefs(frame: pd.DataFrame) -> list[str]:
+    """A line for each method and thing that is wrong."""
+    frame = _with_conditions(frame)
+    columns = [
+        FLIGHTS,
+        INDEPENDENT,
+        OUTCOMES,
+        mean(_ERROR, "mean error (m)"),
+        largest(_ERROR, "worst flight (m)"),
+        _over(frame, "condition", _AS_IS),
+        mean(_NEES),
+    ]
+    return with_notes(
+        make_table(frame, "beliefs", "", columns, ("estimator", "condition"), notes=[_INTERVALS])
+    )
 
 
 # ------------------------------------------------------------------------------------------ README
@@ -148,6 +213,7 @@ _MEASURES = (
     ("a_z before it", "m/s²", _A_Z, _A_Z),
     ("α_L, slope of the ground there", "°", _SLOPE, _SLOPE),
     ("levelness of the map", "°", _LEVEL, _LEVEL_MAX),
+    ("processor time of a landing", "s", "cpu_s", "cpu_s"),
 )
 """Title, unit, and the columns of mean and largest value."""
 
@@ -159,13 +225,15 @@ def summary(landed: pd.DataFrame, surveys: pd.DataFrame) -> list[str]:
     columns = [
         Column(key="completed", title="completed", of=_completed),
         mean(_ERROR),
+        _over(positioned, "estimator", "livo"),
         mean(_PATH),
         Column(key="paper", title="E_tra, paper (m)", of=_printed_path),
         mean(_NEES),
     ]
     heads = [f"surveys, {positioned['scene'].nunique()} scenes"]
     table = make_table(positioned, "surveys", "", columns, ("estimator",), names=heads)
-    return [*_landing_summary(landed), "", *table.lines, "", " ".join([*notes, _INTERVALS])]
+    words = " ".join([*_failures(positioned), *notes, _INTERVALS])
+    return [*_landing_summary(landed), "", *table.lines, "", words]
 
 
 def _completed(own: pd.DataFrame) -> str:
@@ -180,6 +248,7 @@ def _printed_path(own: pd.DataFrame) -> str | None:
 
 
 def _landing_summary(frame: pd.DataFrame) -> list[str]:
+    frame = frame[frame["profile"] == "field"]
     is_safe = frame["outcome"].eq("LANDED") & frame["ground_safe"].eq(True)
     safe, fraction = int(is_safe.sum()), clustered_fraction(is_safe, frame["unit"])
     low, high = 100.0 * (fraction.low or 0.0), 100.0 * (fraction.high or 0.0)
@@ -219,6 +288,7 @@ _COMPARED = (
 def pairs(short: pd.DataFrame, whole: pd.DataFrame) -> list[str]:
     """Short flights beside whole ones of equal scene, method and seed, a line for each figure:
     means, ratio and rank correlation over the pairs."""
+    whole = whole[whole["profile"] == "field"]
     both = short.merge(whole, on=["scene", "estimator", "seed"], suffixes=("", " whole"))
     landed = [int((both[name] == "LANDED").sum()) for name in ("outcome", "outcome whole")]
     header = ["figure", "pairs", "whole, mean", "short, mean", "short over whole",
@@ -228,7 +298,7 @@ def pairs(short: pd.DataFrame, whole: pd.DataFrame) -> list[str]:
         "",
         f"- Landed: {landed[0]} of {len(both)} short flights, {landed[1]} of {len(both)} whole "
         "ones. Ratio of the geometric means, with its 95 % interval (bootstrap); Spearman's "
-        "correlation, with its 95 % interval (Fisher's z); both over independent units, the seeds.",
+        "correlation, with its 95 % interval (Fisher's z).",
     ]
 
 
@@ -249,3 +319,24 @@ def _pair_line(title: str, column: str, both: pd.DataFrame) -> list[str]:
         f"{digits(ratio.value)} {interval_text(ratio)}".strip() if ratio else MISSING,
         text,
     ]
+
+
+# ------------------------------------------------------------------------------------------ picture
+
+
+def chosen_ground(frame: pd.DataFrame) -> Picture:
+    """Slope and roughness of the ground at every touchdown, by scene, beside the limit of safe
+    slopes."""
+    frame = frame[frame["profile"] == "field"]
+    picture = Picture("chosen_ground", "Ground at the touchdowns", "")
+    with drawn(picture, 6.4, 3.2) as figure:
+        axes = figure.subplots()
+        for number, scene in enumerate(ordered(frame, "scene")):
+            own = frame[frame["scene"] == scene]
+            rough = 1000.0 * own["landing.roughness_m"]
+            axes.plot(own[_SLOPE], rough, "o^sD"[number % 4], markersize=4, label=scene, alpha=0.8)
+        axes.axvline(MAX_SLOPE_DEG, color=INK, linewidth=0.8, linestyle="--")
+        axes.set(xlabel="slope of the true ground (°)", ylabel="deviation from the plane (mm)")
+        axes.set(xlim=(0.0, MAX_SLOPE_DEG + 0.5), ylim=(0.0, None))
+        axes.legend(title=f"{len(frame)} landings", frameon=False)
+    return picture

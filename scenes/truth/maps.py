@@ -41,6 +41,8 @@ class TouchdownJudgement:
 
     slope_deg: float
     """of the plane fitted within 0.5 m"""
+    roughness_m: float
+    """standard deviation of the ground from this plane"""
     safe_geometry: bool
     """as in `scenes.api.TruthMaps`"""
     land_class: str
@@ -117,11 +119,20 @@ def judge_touchdown(scene: Scene, xy: Array) -> TouchdownJudgement:
     safe_geometry = bool(rule[cells, cells])
     return TouchdownJudgement(
         slope_deg=float(slope[cells, cells]),
+        roughness_m=_roughness_m(heights, cells),
         safe_geometry=safe_geometry,
         land_class=land_class,
         safe=safe_geometry and land_class in SAFE_CLASSES,
         obstacle_distance_m=_obstacle_distance(scene, point, float(heights[cells, cells])),
     )
+
+
+def _roughness_m(heights: Array, cells: int) -> float:
+    """Of a patch of (2 cells + 1)^2 heights, at its middle."""
+    disc = _disc(SLOPE_RADIUS_M, PATCH_CELL_M)
+    gradient = np.array(_gradient(heights, cells, cells, disc, PATCH_CELL_M))
+    plane = PATCH_CELL_M * disc[:, ::-1] @ gradient
+    return float(np.std(heights[cells + disc[:, 0], cells + disc[:, 1]] - plane))
 
 
 def fitted_slope_deg(heights: Array, cell_m: float) -> Array:

@@ -106,7 +106,7 @@ def test_the_reference_has_every_api() -> None:
     ("README.md", "docs/images/costmap.webp", "images/costmap.webp"),
     ("README.md", "ARCHITECTURE.md", "architecture.md"),
     ("docs/reference/index.md", "../../README.md#results", "../index.md#results"),
-    ("docs/results/ideal.md", "../images/pools.jpg", "../images/pools.jpg"),
+    ("docs/results/field.md", "../images/pools.jpg", "../images/pools.jpg"),
     ("docs/scenes.md", "#truth-maps", "#truth-maps"),
     ("docs/scenes.md", "https://example.org/README.md", "https://example.org/README.md"),
     ("docs/scenes.md", "../Makefile", "../Makefile"),

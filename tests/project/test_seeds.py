@@ -7,21 +7,10 @@ import pytest
 
 from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.config.seeds import owner_of, owners
-from touchdown.experiments.results_tables.pages import SETS
+from touchdown.experiments.results_tables.edition import SETS
 
 ROOT = Path(__file__).parents[2]
-EDITION = {found.file for found in SETS} | {
-    f"configs/{name}.toml"
-    for name in (
-        "zou2024",
-        "zou2024_sites",
-        "commanded_site",
-        "field_light",
-        "field_harsh",
-        "wind",
-        "wrong_beliefs",
-    )
-}
+EDITION = {found.file for found in SETS}
 REGRESSION = {"configs/regress.toml", "configs/regress_baseline.toml"}
 _SPAN = r"\d+(?:\s*(?:-|to)\s*\d+)?"
 NAMED = re.compile(rf"seeds?\W{{1,6}}({_SPAN}(?:\s*(?:,|and)\s*{_SPAN})*)")

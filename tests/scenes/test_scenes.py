@@ -163,6 +163,11 @@ def test_step_is_unsafe_within_one_metre_only(tmp_path: Path) -> None:
     scene = ramp(tmp_path, 0.0, step_m=0.15)
     for x, safe in ((3.3, True), (4.2, False), (4.95, False), (6.6, True)):
         assert judge_touchdown(scene, np.array([x, 0.0])).safe_geometry is safe
+    # through the middle of the disc: sqrt(1/4 - 16 / (9 pi^2)) of its height
+    rough = max(
+        judge_touchdown(scene, np.array([x, 0.0])).roughness_m for x in np.arange(4.5, 6.0, 0.1)
+    )
+    assert rough == pytest.approx(0.15 * np.sqrt(0.25 - 16.0 / (9.0 * np.pi**2)), rel=0.03)
 
 
 def test_boxes_water_and_wire_are_judged_by_the_rule(tmp_path: Path) -> None:

@@ -25,7 +25,12 @@ from touchdown.sim.frames import Pose, so3_exp
 from support.flight_fakes import LEG_ON_LAWN, make_estimate, make_truth, make_view
 
 SAFE_LAWN = SimpleNamespace(
-    slope_deg=1.0, safe_geometry=True, land_class="lawn", safe=True, obstacle_distance_m=4.0
+    slope_deg=1.0,
+    roughness_m=0.01,
+    safe_geometry=True,
+    land_class="lawn",
+    safe=True,
+    obstacle_distance_m=4.0,
 )
 
 

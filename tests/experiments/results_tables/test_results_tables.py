@@ -12,19 +12,19 @@ from touchdown.experiments.campaign.results_table import ROW_FILE, RUNS, write_t
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.flights import frame_of
-from touchdown.experiments.results_tables import pages, tables
-from touchdown.experiments.results_tables.pages import (
-    BLOCKS,
+from touchdown.experiments.results_tables import edition, tables
+from touchdown.experiments.results_tables.edition import (
     FILE,
     ROOT,
     SETS,
     FlightSet,
+    chosen,
     merged,
     read_record,
     record_of,
-    write_pages,
-    written,
+    write_record,
 )
+from touchdown.experiments.results_tables.pages import BLOCKS, write_pages, written
 
 from support.command import Says
 
@@ -42,7 +42,8 @@ def test_tables_of_the_pages_are_those_of_the_file_of_results(page: str) -> None
 
 def row(scene: str, seed: int, method: str = "livo", **more: Any) -> dict[str, Any]:
     return {"run_id": f"{scene}-{method}-s{seed}", "scene": scene, "seed": seed,
-            "estimator": method, "outcome": "LANDED"} | more  # fmt: skip
+            "estimator": method, "outcome": "LANDED", "profile": "field",
+            "unit": f"{scene}, seed {seed}"} | more  # fmt: skip
 
 
 def landed() -> list[dict[str, Any]]:
@@ -79,8 +80,11 @@ def test_landings_by_scene() -> None:
     assert lake["levelness, mean (°)"] == "0.750"
     assert lake["largest at any place (°)"] == "4.00"
     assert (every["flights"], every["landed"], every["unsafe touchdowns"]) == ("4", "3", "1")
-    # Two seeds are two independent flights, over whatever scenes, and have no interval.
-    assert every["independent"] == lake["independent"] == "2" and every["d_L (m)"] == "0.300"
+    assert "independent" not in every and every["d_L (m)"].startswith("0.300 [")
+    of_one_seed = tables.landings(frame_of([one | {"unit": "a"} for one in landed()]))
+    assert cells(of_one_seed, "all scenes")["independent"] == "1"
+    other = [one | {"profile": "ideal"} for one in landed()[:1]]
+    assert cells(tables.ideal_landings(frame_of([*landed(), *other])), "`lake`")["flights"] == "1"
     text = "\n".join(lines)
     assert "- `forest`, seed 2: COLLIDED (a tree)." in text
     assert "- `forest`, seed 1: LANDED, on unsafe ground." in text
@@ -109,7 +113,10 @@ def test_positioning_by_method_and_scene() -> None:
     assert found["mean error (m)"] == "0.200" and "(set)" not in found["E_tra (m)"]
     assert found["NEES below 14.2 (%)"] == "90.0"
     gps = cells(lines, "`gps`", "all scenes")
-    assert (gps["flights"], gps["independent"], gps["E_tra (m)"]) == ("4", "2", "4.00 (set)")
+    assert gps["flights"] == "4" and gps["E_tra (m)"].endswith("(set)")
+    # of the pairs with seed 1 alone: 1.0 and 0.1 over 0.2, the first over the mean of both scenes
+    assert gps["times that of `livo`"] == "5.00" and found["times that of `livo`"] == "0.500"
+    assert begun["times that of `livo`"] == "–"
     assert any("set by `gps.preset`" in line for line in lines)
 
 
@@ -121,7 +128,7 @@ def test_levelness_of_surveys_and_landings() -> None:
     assert every["flights"] == "4" and every["largest at any place (°)"] == "4.00"
 
 
-def test_blind_flights_by_condition() -> None:
+def test_flights_by_condition() -> None:
     rows = [
         row("lake", 1, outcome=outcome, **{"position_error_m.mean": error}) | {"run_id": name}
         for outcome, error, name in (
@@ -129,7 +136,7 @@ def test_blind_flights_by_condition() -> None:
             ("DIVERGED", 0.9, "lake-livo-s1-lidar_dropout.20"),
         )
     ]
-    lines = tables.blind(frame_of(rows))
+    lines = tables.conditions(frame_of(rows))
     assert cells(lines, "`camera_black.0`", "`lake`")["mean error (m)"] == "0.100"
     assert cells(lines, "`lidar_dropout.20`", "`lake`")["outcomes"] == "DIVERGED 1"
 
@@ -139,29 +146,30 @@ def test_the_summary_compares_no_figure_that_is_set() -> None:
     speed = next(line for line in lines if line.startswith("| v_z"))
     assert speed.split("|")[1].strip().endswith("(set) (m/s)") and speed.split("|")[2] == " – "
     assert next(line for line in lines if line.startswith("| d_L")).split("|")[2] == " 0.41 "
-    assert "| landed; on safe ground; touched unsafe ground | – | 3; 2 (50 % [9, 91]); 1 |" in (
+    assert "| landed; on safe ground; touched unsafe ground | – | 3; 2 (50 % [15, 85]); 1 |" in (
         "\n".join(lines)
     )
     start = next(n for n, line in enumerate(lines) if line.startswith("| surveys"))
     assert cells(lines[start:], "`gps`")["E_tra, paper (m)"] == "–"
     assert cells(lines[start:], "`zou2024`")["E_tra, paper (m)"] == "0.3671"
-    assert cells(lines[start:], "`livo`")["completed"] == "3 of 4 (2 independent)"
-    assert cells(lines[start:], "`gps`")["completed"] == "4 of 4 (2 independent)"
+    assert cells(lines[start:], "`livo`")["completed"] == "3 of 4 (4 independent)"
+    assert cells(lines[start:], "`gps`")["completed"] == "4 of 4 (4 independent)"
 
 
 def fly(found: FlightSet, out: Path, revision: str = REVISION, left_out: int = 0) -> Path:
     """A campaign below ``out`` as if it were flown at ``revision``."""
-    directory = out / found.key
+    directory = found.directory(out)
     (directory / RUNS).mkdir(parents=True)
     plan = settle_plan(found.plan(), directory, revision)
     for run in plan.runs[left_out:]:
         values = {key: run.values[key] for key in ("scene", "estimator", "seed", "profile")}
         (directory / RUNS / run.run_id).mkdir()
         flown = {
-            **values, "run_id": run.run_id, "mode": plan.mode, "outcome": "LANDED",
+            **values, "unit": run.run_id, "run_id": run.run_id, "mode": plan.mode, "outcome": "LANDED",
             "git_revision": revision, "started_utc": "2031-02-03T04:05:06Z", "cpu_s": 90.0,
             "position_error_m.mean": 0.123456789, "landing.target_offset_m": 0.1,
             "landing.judged_on": "geometry", "landing.safe_geometry": True,
+            "landing.slope_deg": 2.0, "landing.roughness_m": 0.01,
         }  # fmt: skip
         write_table([flown], directory / RUNS / run.run_id / ROW_FILE)
         (directory / RUNS / run.run_id / "result.json").write_text("{}")
@@ -179,25 +187,23 @@ def test_the_file_and_the_pages_state_revision_and_plan(tmp_path: Path) -> None:
     root = pages_in(tmp_path / "tree")
     fly(LANDINGS, tmp_path / "out")
     files = write_pages([LANDINGS], tmp_path / "out", root)
-    assert sorted(str(file.relative_to(root)) for file in files) == sorted([FILE, *PAGES])
-    entry = read_record(root)["field/landings"]
+    picture = "docs/images/chosen_ground.svg"
+    assert sorted(str(file.relative_to(root)) for file in files) == sorted([FILE, picture, *PAGES])
+    entry = read_record(root)["landing"]
     assert (entry["revision"], entry["date"]) == (REVISION, "2031-02-03")
-    assert (entry["command"], entry["plan"]) == ("make results", "configs/landing.toml")
-    assert entry["core_hours"] == 2.5 and len(entry["rows"]) == 100
+    assert entry["core_hours"] == 3.5 and len(entry["rows"]) == 140
     assert entry["rows"][0]["position_error_m.mean"] == 0.123457
     assert entry["rows"][0]["ground_safe"] is True
     text = (root / "docs/results/field.md").read_text()
     assert (
-        "*Flown at revision `0123456789ab` in profile `field`, 2031-02-03: "
-        "`configs/landing.toml`, by `make results`, 2.50 core-hours.*" in text
+        "*Flown at revision `0123456789ab`, 2031-02-03, by `make results`: "
+        "`configs/landing.toml`, 3.5 core-hours.*" in text
     )
-    assert "| all scenes | 100 | 25 | 100 | 0 |" in text
-    page = (root / "docs/results/ideal.md").read_text()
-    assert "Not flown at a stated revision yet: `make results PROFILE=ideal` flies it" in page
+    assert "| all scenes | 100 | 100 | 0 |" in text and "| all scenes | 40 | 40 | 0 |" in text
+    assert "](../images/chosen_ground.svg)" in text
+    assert "Not flown yet: `make results` flies `configs/wind.toml`" in text
     assert written(text, "docs/results/field.md", read_record(root)) == text
-    edited = text.replace(
-        "| all scenes | 100 | 25 | 100 | 0 |", "| all scenes | 100 | 25 | 99 | 0 |"
-    )
+    edited = text.replace("| all scenes | 100 | 100 | 0 |", "| all scenes | 100 | 99 | 0 |")
     assert written(edited, "docs/results/field.md", read_record(root)) == text != edited
 
 
@@ -206,21 +212,23 @@ def test_rows_of_no_or_several_revisions_are_refused(tmp_path: Path) -> None:
         ("none", "", "has no git revision"),
         ("dirty", f"{REVISION}-dirty", "changes that were not committed"),
     ):
+        fly(LANDINGS, tmp_path / name, revision)
         with pytest.raises(UsageError, match=message):
-            record_of(LANDINGS, fly(LANDINGS, tmp_path / name, revision))
+            record_of(LANDINGS, tmp_path / name)
     directory = fly(LANDINGS, tmp_path)
     run = sorted((directory / RUNS).iterdir())[3]
-    (changed,) = [r for r in pages.load_rows(directory) if r["run_id"] == run.name]
+    (changed,) = [r for r in edition.load_rows(directory) if r["run_id"] == run.name]
     write_table([changed | {"git_revision": "fedcba"}], run / ROW_FILE)
     (directory / "results.parquet").unlink()
     with pytest.raises(UsageError, match=r"2 revisions \(0123456789ab, fedcba\); a page is of one"):
-        record_of(LANDINGS, directory)
+        record_of(LANDINGS, tmp_path)
 
 
 def test_missing_flights_are_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="2 of 100 flights are missing, such as 'crossroad-livo-s"):
-        record_of(LANDINGS, fly(LANDINGS, tmp_path, left_out=2))
-    with pytest.raises(UsageError, match="100 of 100 flights are missing"):
+    fly(LANDINGS, tmp_path, left_out=2)
+    with pytest.raises(UsageError, match="2 of 140 flights are missing, such as 'crossroad-livo-s"):
+        record_of(LANDINGS, tmp_path)
+    with pytest.raises(UsageError, match="140 of 140 flights are missing"):
         record_of(LANDINGS, tmp_path / "nothing")
 
 
@@ -228,20 +236,54 @@ def test_nothing_is_written_of_missing_flights(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = {"directory": "d", "runs": 2, "finished": 1, "missing": 1, "crashed": 0, "outcomes": {}}
-    monkeypatch.setattr("touchdown.experiments.results_tables.pages.fly", lambda *_: [found])
+    monkeypatch.setattr("touchdown.experiments.results_tables.edition.fly", lambda *_: [found])
     code = cli.main(["results", "--out", str(tmp_path), "--write", "--quiet"])
     assert code == 1 and "nothing is written" in capsys.readouterr().err
 
 
-def test_sets_of_a_profile_are_of_one_revision() -> None:
-    before = {"field/landings": {"revision": "a"}, "ideal/landings": {"revision": "b"}}
-    assert merged(before, {"ideal/landings": {"revision": "c"}})["ideal/landings"] == {
-        "revision": "c"
-    }
-    with pytest.raises(UsageError, match=r"field/blind c, field/landings a\); fly all"):
-        merged(before, {"field/blind": {"revision": "c"}})
-    short = {"field/short": {"revision": "c"}}
-    assert merged(before, short).keys() == {*before, *short}, "it states its own"
+def test_an_edition_is_of_one_revision_and_kept_to_the_digit(tmp_path: Path) -> None:
+    (tmp_path / FILE).parent.mkdir(parents=True)
+    head = {"revision": "a", "date": "2031-02-03", "core_hours": 1.5}
+    before = {"landing": head | {"rows": landed()}, "short": head | {"rows": landed()[:1]}}
+    write_record(before, tmp_path)
+    assert read_record(tmp_path) == before
+    assert merged(before, {"wind": head | {"rows": []}}).keys() == {*before, "wind"}
+    with pytest.raises(UsageError, match=r"\(landing a, wind c, short a\); fly all"):
+        merged(before, {"wind": head | {"revision": "c"}})
+
+
+def test_parts_are_sets_or_the_paper() -> None:
+    assert chosen() == list(SETS)
+    assert [found.name for found in chosen(["wind", "landing"])] == ["landing", "wind"]
+    assert {found.name for found in chosen(["paper"])} == {
+        "positioning", "commanded_site", "zou2024_sites", "zou2024",
+    }  # fmt: skip
+    with pytest.raises(UsageError, match="--part zou2024: no part of an edition"):
+        chosen(["zou2024"])
+
+
+def test_the_reproduction_flies_its_sets_where_their_rows_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flown = []
+    monkeypatch.setattr(edition, "git_revision", lambda: REVISION)
+    monkeypatch.setattr(edition, "reproduce", lambda out, **_: flown.append(out))
+    monkeypatch.setattr(edition, "fly_campaign", lambda plan, out, *_, **__: flown.append(out))
+    edition.fly(chosen(["wind"]), tmp_path, 1, edition.Watcher)
+    assert flown == [tmp_path / "wind"]
+    edition.fly(chosen(["paper"]), tmp_path, 1, edition.Watcher)
+    assert flown[1:3] == [tmp_path / "paper", tmp_path / "paper" / "positioning" / "flights"]
+
+
+def test_beliefs_are_compared_with_the_world_as_it_is() -> None:
+    rows = [
+        row("lake", seed, **{"position_error_m.mean": error * seed})
+        | {"run_id": f"lake-livo-s{seed}-{name}"}
+        for name, error in (("as_is", 0.1), ("mounts", 0.15)) for seed in (1, 2, 3)
+    ]  # fmt: skip
+    lines = tables.beliefs(frame_of(rows))
+    assert cells(lines, "`livo`", "`mounts`")["times that of `as_is`"] == "1.50 [1.50, 1.50]"
+    assert cells(lines, "`livo`", "`as_is`")["times that of `as_is`"] == "–"
 
 
 @pytest.mark.parametrize(("revision", "message"), [
@@ -252,21 +294,23 @@ def test_nothing_is_flown_that_could_not_be_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, revision: str | None, message: str
 ) -> None:
     fly(LANDINGS, tmp_path, left_out=1)
-    monkeypatch.setattr(pages, "git_revision", lambda: revision)
-    monkeypatch.setattr(pages, "fly_campaign", lambda *_, **__: pytest.fail("flown"))
+    monkeypatch.setattr(edition, "git_revision", lambda: revision)
+    monkeypatch.setattr(edition, "fly_campaign", lambda *_, **__: pytest.fail("flown"))
     with pytest.raises(UsageError, match=message):
-        pages.fly([LANDINGS], tmp_path, 1, pages.Watcher)
+        edition.fly([LANDINGS], tmp_path, 1, edition.Watcher)
 
 
 def test_the_cost_is_stated_first(tmp_path: Path, says: Says) -> None:
     fly(LANDINGS, tmp_path, left_out=3)
-    asked = ["results", "--out", str(tmp_path), "--dry-run", "--only", "landings"]
+    asked = ["results", "--out", str(tmp_path), "--dry-run", "--part", "landing"]
     printed = says(0, *asked).out.splitlines()
-    assert printed[0] == "landing: 100 flights, 97 of them finished; 25 seeds: verdict of edition 1"
+    assert (
+        printed[0] == "landing: 140 flights, 137 of them finished; 25 seeds: verdict of edition 1"
+    )
     assert printed[-1].startswith("together: 3 flights, 0.07 core-hours"), "90 s each, as measured"
     tree = json.loads(says(0, *asked, "--json").out)
     assert tree["left"] == 3 and tree["core_hours"] == pytest.approx(3 * 90.0 / 3600.0)
-    assert "did you mean 'landings'" in says(2, *asked[:-1], "landing").err
+    assert "did you mean 'landing'" in says(2, *asked[:-1], "landings").err
 
 
 def test_a_page_without_its_markers_is_named() -> None:
