@@ -165,8 +165,9 @@ def fly(found: FlightSet, out: Path, revision: str = REVISION, left_out: int = 0
         values = {key: run.values[key] for key in ("scene", "estimator", "seed", "profile")}
         (directory / RUNS / run.run_id).mkdir()
         flown = {
-            **values, "unit": run.run_id, "run_id": run.run_id, "mode": plan.mode, "outcome": "LANDED",
-            "git_revision": revision, "started_utc": "2031-02-03T04:05:06Z", "cpu_s": 90.0,
+            **values, "unit": run.run_id, "run_id": run.run_id, "mode": plan.mode,
+            "outcome": "LANDED", "git_revision": revision,
+            "started_utc": "2031-02-03T04:05:06Z", "cpu_s": 90.0,
             "position_error_m.mean": 0.123456789, "landing.target_offset_m": 0.1,
             "landing.judged_on": "geometry", "landing.safe_geometry": True,
             "landing.slope_deg": 2.0, "landing.roughness_m": 0.01,
