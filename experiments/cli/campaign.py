@@ -198,13 +198,18 @@ def results(
         _print_costs(todo, err=True)
     with resumable("flights are kept, and the same command resumes the rest"):
         summaries = edition.fly(sets, out, jobs, Watcher if quiet else Display)
+        measured = edition.measure(parts, out)
     incomplete = any(found["missing"] for found in summaries)
     if write and incomplete:
         say(
             "touchdown: flights are missing, so nothing is written; the same command flies them",
             err=True,
         )
-    files = [str(file) for file in pages.write_pages(sets, out)] if write and not incomplete else []
+    files = (
+        [str(file) for file in pages.write_pages(sets, out, measured)]
+        if write and not incomplete
+        else []
+    )
     answer({"sets": summaries, "written": files}, as_json, _print_sets)
     return EXIT_FAILED if any(f["crashed"] or f["missing"] for f in summaries) else EXIT_DONE
 

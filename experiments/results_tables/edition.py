@@ -7,7 +7,7 @@ of one revision, which its metadata states beside date and cost of each set.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from touchdown.experiments.campaign.forecast import Forecast, forecast
 from touchdown.experiments.campaign.plan import Plan, load_plan
 from touchdown.experiments.campaign.results_table import (
     CRASHED,
+    RUNS,
     finished_ids,
     is_campaign,
     load_rows,
@@ -26,6 +27,8 @@ from touchdown.experiments.campaign.results_table import (
 from touchdown.experiments.campaign.session import Watcher, default_jobs, fly_campaign, make_engine
 from touchdown.experiments.errors import UsageError, nearest, reason_of
 from touchdown.experiments.io.provenance import DIRTY, UNRECORDED_REMEDY, git_revision
+from touchdown.experiments.io.run_directory import utc_now, write_text
+from touchdown.experiments.io.untrusted import read_object
 from touchdown.experiments.reporting.flights import Row
 from touchdown.experiments.reproduce.parts import FLIGHTS
 from touchdown.experiments.reproduce.run import reproduce
@@ -76,13 +79,14 @@ SETS = (
     FlightSet("wind"),
     FlightSet("wrong_beliefs"),
     FlightSet("short"),
+    FlightSet("limit"),
 )
 
 
 def chosen(parts: Sequence[str] = ()) -> list[FlightSet]:
     """The sets of some parts, of all where none is named: a set, or `PAPER` for all sets of the
     reproduction. Raises UsageError for an unknown name."""
-    names = [PAPER, *(found.name for found in SETS if not found.of_paper)]
+    names = [PAPER, *(found.name for found in SETS if not found.of_paper), *MEASURED]
     for name in parts:
         if name not in names:
             raise UsageError(
@@ -146,6 +150,45 @@ def _check_revision(revisions: Collection[str], directory: Path) -> None:
             f"'{directory}': the flights are of revision {revision[:12]} with changes that were "
             "not committed; commit them, and fly into a new --out"
         )
+
+
+# --------------------------------------------------------------------------------------- measured
+
+
+def _limit(out: Path) -> dict[str, Any]:
+    from touchdown.experiments.benchmarks.limit.survey import measure
+
+    runs = sorted((FlightSet("limit").directory(out) / RUNS).iterdir())
+    return {"runs": [measure(run, True, lambda _note: None) for run in runs]}
+
+
+def _cost(_out: Path) -> dict[str, Any]:
+    from touchdown.experiments.benchmarks.all_measures import measure_all
+
+    return {
+        one.measure.title: {"unit": one.measure.unit, "value": one.values[0]}
+        for _, figures in measure_all([ROOT])
+        for one in figures
+    }
+
+
+MEASURED: Mapping[str, Callable[[Path], dict[str, Any]]] = {"limit": _limit, "cost": _cost}
+"""Parts that measure something beside flights, or of the flights of the set of their name."""
+
+
+def measure(parts: Sequence[str], out: Path) -> list[Path]:
+    """Measures what of `MEASURED` is among the parts, of all where none is named, and is not
+    measured yet at this revision. Returns the files ``NAME.json``."""
+    files = []
+    for name, run in MEASURED.items():
+        if parts and name not in parts:
+            continue
+        file, revision = out / f"{name}.json", git_revision()
+        if not file.is_file() or read_object(file)["revision"] != revision:
+            head = {"revision": revision, "date": utc_now()[:10]}
+            write_text(file, json.dumps(head | {"figures": run(out)}, indent=1) + "\n")
+        files.append(file)
+    return files
 
 
 # ----------------------------------------------------------------------------------------- record

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import write_text
+from touchdown.experiments.io.untrusted import read_object
 from touchdown.experiments.reporting.flights import frame_of
 from touchdown.experiments.reproduce.parts import REPORT
 from touchdown.experiments.results_tables import tables
@@ -29,23 +30,33 @@ from touchdown.experiments.results_tables.edition import (
 @dataclass(frozen=True, slots=True)
 class Block:
     """A part of a page: ``<!-- results NAME -->`` to ``<!-- end of results -->``. ``lines`` makes
-    it of the frames of ``sets``; ``pictures``: the way from the page to the folder of the picture
-    below it, empty without one."""
+    it of the frames of ``sets``, or of the figures in ``file``; ``pictures``: the way from the page
+    to the folder of the picture below it, empty without one."""
 
     page: str
     name: str
     sets: tuple[str, ...]
     lines: Callable[..., Sequence[str]]
     pictures: str = ""
+    file: str = ""
 
-    def text(self, record: Record) -> str:
+    def text(self, record: Record, root: Path) -> str:
         """The lines between the markers."""
+        if self.file:
+            return self._measured(root)
         if missing := [name for name in self.sets if name not in record]:
             return f"Not flown yet: `make results` flies `configs/{missing[0]}.toml`."
         lines = self.lines(*(frame_of(record[name]["rows"]) for name in self.sets))
         if self.pictures and "landing.roughness_m" in record["landing"]["rows"][0]:
             lines = [*lines, "", f"![{_GROUND_TITLE}]({self.pictures}/{_GROUND})"]
         return "\n".join([*lines, "", _origin(self.sets, record)])
+
+    def _measured(self, root: Path) -> str:
+        if not (root / self.file).is_file():
+            return f"Not measured yet: `touchdown results --part {self.name}` does."
+        tree = read_object(root / self.file)
+        origin = f"*Measured at revision `{tree['revision'][:12]}`, {tree['date']}.*"
+        return "\n".join([*self.lines(tree["figures"]), "", origin])
 
 
 def _origin(names: Sequence[str], record: Record) -> str:
@@ -73,6 +84,8 @@ BLOCKS = (
     Block(_FIELD, "harsh", ("field_harsh",), tables.conditions),
     Block(_FIELD, "wind", ("wind",), tables.conditions),
     Block(_FIELD, "pairs", ("short", "landing"), tables.pairs),
+    Block(_FIELD, "cost", (), tables.cost, file="docs/results/cost.json"),
+    Block("docs/results/estimators.md", "limit", (), tables.limit, file="docs/results/limit.json"),
     Block("docs/results/beliefs.md", "beliefs", ("wrong_beliefs",), tables.beliefs),
 )
 _PART = r"(<!-- results {name} -->\n).*?(\n<!-- end of results -->)"
@@ -81,7 +94,7 @@ _GROUND_TITLE = "True ground at the touchdowns: slope of the plane within 0.5 m,
 _REPORT = "docs/results/reproduction"
 
 
-def written(text: str, page: str, record: Record) -> str:
+def written(text: str, page: str, record: Record, root: Path = ROOT) -> str:
     """``text`` of a page with its blocks as ``record`` has them. Raises UsageError where a marker
     is missing."""
     for block in (found for found in BLOCKS if found.page == page):
@@ -92,20 +105,24 @@ def written(text: str, page: str, record: Record) -> str:
                 "'<!-- end of results -->'; restore the markers"
             )
         before, start, end, after = parts
-        text = f"{before}{start}{block.text(record)}{end}{after}"
+        text = f"{before}{start}{block.text(record, root)}{end}{after}"
     return text
 
 
-def write_pages(sets: Sequence[FlightSet], out: Path, root: Path = ROOT) -> list[Path]:
-    """Writes the rows of sets that are flown below ``out``, the blocks of all pages, and the report
-    of the reproduction where it is among them. Returns the files; raises UsageError, before any is
-    written, where rows or markers are missing, or where the rows would be of several revisions."""
+def write_pages(
+    sets: Sequence[FlightSet], out: Path, measured: Sequence[Path] = (), root: Path = ROOT
+) -> list[Path]:
+    """Writes the rows of sets that are flown below ``out``, the files ``measured``, the blocks of
+    all pages, and the report of the reproduction where it is among the sets. Returns the files;
+    raises UsageError, before any page is written, where rows or markers are missing, or where the
+    rows would be of several revisions."""
+    copies = [_replaced(file, root / "docs" / "results" / file.name) for file in measured]
     record = merged(read_record(root), {found.name: record_of(found, out) for found in sets})
     texts = {
-        root / page: written((root / page).read_text(encoding="utf-8"), page, record)
+        root / page: written((root / page).read_text(encoding="utf-8"), page, record, root)
         for page in dict.fromkeys(block.page for block in BLOCKS)
     }
-    files = [write_record(record, root)]
+    files = [write_record(record, root), *copies]
     if any(found.name == "landing" for found in sets):
         picture = tables.chosen_ground(frame_of(record["landing"]["rows"]))
         texts[root / "docs" / "images" / _GROUND] = picture.svg

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -319,6 +320,26 @@ def _pair_line(title: str, column: str, both: pd.DataFrame) -> list[str]:
         f"{digits(ratio.value)} {interval_text(ratio)}".strip() if ratio else MISSING,
         text,
     ]
+
+
+# --------------------------------------------------------------------------------------- measured
+
+
+def limit(figures: Mapping[str, Any]) -> list[str]:
+    """Of ``limit.json``."""
+    from touchdown.experiments.benchmarks.limit.survey import table
+
+    return table(figures["runs"]).splitlines()[:-2]
+
+
+def cost(figures: Mapping[str, Any]) -> list[str]:
+    """Of ``cost.json``."""
+    rows = [
+        [f"{title} ({one['unit']})" if one["unit"] else title,
+         MISSING if one["value"] is None else digits(one["value"])]
+        for title, one in figures.items()
+    ]  # fmt: skip
+    return markdown_lines(["measure", "value"], rows)
 
 
 # ------------------------------------------------------------------------------------------ picture

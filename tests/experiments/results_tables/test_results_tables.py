@@ -187,7 +187,7 @@ def pages_in(root: Path) -> Path:
 def test_the_file_and_the_pages_state_revision_and_plan(tmp_path: Path) -> None:
     root = pages_in(tmp_path / "tree")
     fly(LANDINGS, tmp_path / "out")
-    files = write_pages([LANDINGS], tmp_path / "out", root)
+    files = write_pages([LANDINGS], tmp_path / "out", root=root)
     picture = "docs/images/chosen_ground.svg"
     assert sorted(str(file.relative_to(root)) for file in files) == sorted([FILE, picture, *PAGES])
     entry = read_record(root)["landing"]
@@ -238,6 +238,7 @@ def test_nothing_is_written_of_missing_flights(
 ) -> None:
     found = {"directory": "d", "runs": 2, "finished": 1, "missing": 1, "crashed": 0, "outcomes": {}}
     monkeypatch.setattr("touchdown.experiments.results_tables.edition.fly", lambda *_: [found])
+    monkeypatch.setattr("touchdown.experiments.results_tables.edition.measure", lambda *_: [])
     code = cli.main(["results", "--out", str(tmp_path), "--write", "--quiet"])
     assert code == 1 and "nothing is written" in capsys.readouterr().err
 
@@ -274,6 +275,24 @@ def test_the_reproduction_flies_its_sets_where_their_rows_are_read(
     assert flown == [tmp_path / "wind"]
     edition.fly(chosen(["paper"]), tmp_path, 1, edition.Watcher)
     assert flown[1:3] == [tmp_path / "paper", tmp_path / "paper" / "positioning" / "flights"]
+
+
+def test_what_is_measured_is_kept_with_its_revision(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root, calls = pages_in(tmp_path / "tree"), []
+    figures = {"a landing": {"unit": "s", "value": 12.345}, "memory": {"unit": "", "value": None}}
+    monkeypatch.setattr(edition, "MEASURED", {"cost": lambda out: calls.append(out) or figures})
+    for revision, times in ((REVISION, 1), (REVISION, 1), ("fedcba", 2)):
+        monkeypatch.setattr(edition, "git_revision", lambda now=revision: now)
+        (file,) = edition.measure((), tmp_path)
+        assert len(calls) == times
+    assert edition.measure(["landing"], tmp_path) == []
+    assert write_pages([], tmp_path, [file], root)[1] == root / "docs/results/cost.json"
+    text = (root / "docs/results/field.md").read_text()
+    assert "| a landing (s) | 12.3 |\n| memory | – |\n\n*Measured at revision `fedcba`" in text
+    other = (root / "docs/results/estimators.md").read_text()
+    assert "Not measured yet: `touchdown results --part limit` does." in other
 
 
 def test_beliefs_are_compared_with_the_world_as_it_is() -> None:
