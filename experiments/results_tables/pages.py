@@ -116,7 +116,9 @@ def write_pages(
     all pages, and the report of the reproduction where it is among the sets. Returns the files;
     raises UsageError, before any page is written, where rows or markers are missing, or where the
     rows would be of several revisions."""
-    copies = [_replaced(file, root / "docs" / "results" / file.name) for file in measured]
+    copies = [root / "docs" / "results" / file.name for file in measured]
+    for file, copy in zip(measured, copies, strict=True):
+        write_text(copy, file.read_text(encoding="utf-8"))
     record = merged(read_record(root), {found.name: record_of(found, out) for found in sets})
     texts = {
         root / page: written((root / page).read_text(encoding="utf-8"), page, record, root)
@@ -129,17 +131,23 @@ def write_pages(
     for file, text in texts.items():
         write_text(file, text)
     if any(found.of_paper for found in sets):
-        for part in ("report.md", "figures"):
-            files.append(_replaced(out / PAPER / REPORT / part, root / _REPORT / part))
+        files += _copied_report(out / PAPER / REPORT, root / _REPORT)
     return [*files, *texts]
 
 
-def _replaced(source: Path, target: Path) -> Path:
-    """Copies a file or folder in place of an older one."""
-    if source.is_dir():
-        shutil.rmtree(target, ignore_errors=True)
-        shutil.copytree(source, target)
-    else:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(source, target)
-    return target
+def _copied_report(source: Path, target: Path) -> list[Path]:
+    """The report on the paper with its drawn figures; other pages have the renderings. Older
+    figures go."""
+    shutil.rmtree(target, ignore_errors=True)
+    (target / "figures").mkdir(parents=True)
+    text, files = (source / "report.md").read_text(encoding="utf-8"), [target / "report.md"]
+    for figure in sorted((source / "figures").glob("*.svg")):
+        svg = figure.read_text(encoding="utf-8")
+        if "data:image" in svg:
+            shown = rf"!\[[^\n]*\]\(figures/{re.escape(figure.name)}\)\n\n[^\n]*\n\n"
+            text = re.sub(shown, "", text)
+        else:
+            files.append(target / "figures" / figure.name)
+            write_text(files[-1], svg)
+    write_text(files[0], text)
+    return files

@@ -253,11 +253,12 @@ def _landing_summary(frame: pd.DataFrame) -> list[str]:
     is_safe = frame["outcome"].eq("LANDED") & frame["ground_safe"].eq(True)
     safe, fraction = int(is_safe.sum()), clustered_fraction(is_safe, frame["unit"])
     low, high = 100.0 * (fraction.low or 0.0), 100.0 * (fraction.high or 0.0)
-    counts = (
-        f"{LANDED.of(frame)}; {safe} ({100.0 * fraction.value:.0f} % [{low:.0f}, {high:.0f}]); "
-        f"{UNSAFE.of(frame)}"
+    said = (
+        f"**{safe} of {len(frame)} flights with `livo` land on safe ground: "
+        f"{100.0 * fraction.value:.0f} % [{low:.0f}, {high:.0f}]; {UNSAFE.of(frame)} touch unsafe "
+        "ground.**"
     )
-    rows = [["landed; on safe ground; touched unsafe ground", MISSING, counts, MISSING]]
+    rows = []
     for title, unit, column, worst in _MEASURES:
         theirs = published.LANDINGS.get(column, {}).get("zou2024", MISSING)
         if column == _LEVEL:
@@ -268,7 +269,7 @@ def _landing_summary(frame: pd.DataFrame) -> list[str]:
     scenes, units = frame["scene"].nunique(), frame["unit"].nunique()
     flights = f"{len(frame)} landings with `livo`, {scenes} scenes ({units} independent)"
     header = [flights, "paper", "mean", "largest"]
-    return markdown_lines(header, rows)
+    return [said, "", *markdown_lines(header, rows)]
 
 
 # ------------------------------------------------------------------------------------ short flights
