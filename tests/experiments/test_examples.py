@@ -1,13 +1,16 @@
 """The examples that are files of their own run as their page says."""
 
+import importlib
 import importlib.util
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 import touchdown
+from touchdown.experiments.external.conformance import check_estimator
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,6 +27,21 @@ def example(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def test_the_odometry_keeps_the_contract(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("small_gicp")
     assert touchdown.check_estimator(example("gicp_odometry", monkeypatch).build) == []
+
+
+@pytest.mark.parametrize("name", ["rko_lio_odometry", "evalio_odometry"])
+def test_the_odometries_of_others_keep_the_contract(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip(name.partition("_odometry")[0])
+    monkeypatch.syspath_prepend(str(ROOT))
+    build = importlib.import_module(f"examples.{name}").build
+    spaces = tomllib.loads((ROOT / "examples" / "tuning_spaces.toml").read_text())
+    space = spaces[f"examples.{name}:build"]
+    shipped = {key.removeprefix("external."): value["default"] for key, value in space.items()}
+    low = shipped | {"start_m": 0.5}  # it begins while the check still climbs
+    defects = check_estimator(build, params=low)
+    assert all(defect.rule == "deterministic" and "evalio" in name for defect in defects)
 
 
 def test_the_estimator_of_all_sensors_keeps_the_contract(monkeypatch: pytest.MonkeyPatch) -> None:
