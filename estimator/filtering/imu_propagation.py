@@ -11,6 +11,7 @@ is that of ``error_state``.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -255,6 +256,13 @@ class ImuBuffer:
         self._gyro = np.zeros((capacity, 3))
         self._force = np.zeros((capacity, 3))
         self._stationary = np.zeros(capacity, dtype=np.bool_)
+
+    def expect(self, gyro_density: float, accel_density: float) -> None:
+        """Adds white noise to that of the densities."""
+        known = self.densities
+        self.densities = known._replace(
+            gyro=math.hypot(known.gyro, gyro_density), accel=math.hypot(known.accel, accel_density)
+        )
 
     def push(self, tick: int, gyro: Array, force: Array, stationary: bool) -> None:
         """Appends one sample; ``stationary``: the rotors cannot lift the vehicle now."""

@@ -29,6 +29,8 @@ from touchdown.estimator.filtering.deskew import (
     screen_scan,
 )
 from touchdown.estimator.filtering.error_state import (
+    ACCEL_BIAS,
+    GYRO_BIAS,
     NAVIGATION,
     POSE,
     POSE_DIM,
@@ -46,7 +48,11 @@ from touchdown.estimator.filtering.imu_propagation import (
     propagate_nominal,
 )
 from touchdown.estimator.filtering.vectors import cross, turned_back, xyz
-from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate, align_with_gravity
+from touchdown.estimator.filtering.zero_velocity import (
+    ZeroVelocityUpdate,
+    align_with_gravity,
+    judge_rest,
+)
 from touchdown.estimator.typing import Array
 from touchdown.sim.api import (
     GRAVITY_MPS2,
@@ -69,6 +75,8 @@ _LIFTING_THRUST = 0.85
 ground"""
 CORRECTION_TIME_S = 0.15
 """time constant with which a correction of the filter reaches control"""
+_REST_SAMPLES = 20
+"""at rest, from which on their noise is known to a tenth"""
 _IDLE_MARGIN = 1.2
 """multiple of the idle speed: below it the rotors give no lift"""
 
@@ -141,6 +149,8 @@ class InertialFilter:
         """what is reported less the present state: rotation, position, velocity"""
         self._newest = ImuSample(tick=0, time_s=0.0, angular_velocity=zero, specific_force=zero)
         self._lifted = False
+        self._stopped, self._judged = True, False
+        """the rotors have not turned yet; samples at rest were looked at"""
 
     @property
     def tick(self) -> int:
@@ -157,6 +167,7 @@ class InertialFilter:
     def take_imu(self, obs: Observation) -> None:
         """Buffers the samples and propagates the present state over them."""
         stationary = self.is_stationary(obs.rotor_speed_radps)
+        self._stopped = self._stopped and not obs.rotor_speed_radps.any()
         for sample in obs.imu:
             rate, force = sample.angular_velocity, sample.specific_force
             self._newest = sample
@@ -184,6 +195,8 @@ class InertialFilter:
         count = self._buffer.until(tick)
         if count == 0:
             return
+        if not self._judged:
+            self._judge_sheet()
         if self._unlevelled:
             self._level()
         _, gyro, force, stationary = self._buffer.samples(count)
@@ -193,6 +206,19 @@ class InertialFilter:
         self._buffer.drop(count)
         if self.stationary:
             self.trail.follow(self.eskf.state)
+
+    def _judge_sheet(self) -> None:
+        """Widens biases and noise where the samples before the rotors turned are against the data
+        sheet."""
+        self._judged = True
+        _, gyro, force, _ = self._buffer.samples(self._buffer.count)
+        if not self._stopped or len(gyro) < _REST_SAMPLES:
+            return
+        judged = judge_rest(gyro, force, bias_sigmas(self.rig.imu), self.rig.imu, self.step_s)
+        biases = np.r_[GYRO_BIAS, ACCEL_BIAS]
+        self.eskf.covariance[biases, biases] *= judged.bias_factor**2
+        self._buffer.expect(judged.gyro_density, judged.accel_density)
+        self._zero_velocity.expect(judged)
 
     def _level(self) -> None:
         """Finds roll and pitch from the samples so far, if all were taken at rest; the given

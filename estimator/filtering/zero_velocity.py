@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from touchdown.estimator.filtering.error_state import (
@@ -19,7 +22,7 @@ from touchdown.estimator.filtering.error_state import (
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.typing import Array, Indices, Mask
-from touchdown.sim.api import GRAVITY_MPS2
+from touchdown.sim.api import GRAVITY_MPS2, ImuSheet
 from touchdown.sim.frames import skew, so3_log
 
 _RATE_LIMIT = 2e-3
@@ -29,6 +32,13 @@ _FORCE_LIMIT = 0.03
 _SHAKE_LIMIT = 0.1
 """m/s^2, standard deviation of the specific force: a settling or bumped vehicle is not
 stationary"""
+_SHAKES = 1.5
+"""standard deviations of a noisy accelerometer at rest, beyond which it is shaken"""
+_CHANCE = 23.5
+"""sum of the squares of four normal deviates that one flight in ten thousand exceeds"""
+_NOISIER, _SHAKEN = 1.5, 6.0
+"""factors of noise that chance no longer makes, 33 samples of three axes show it to 7 %, and that
+no sensor has: something shakes it"""
 _VELOCITY_SIGMA = 5e-3
 _POSITION_SIGMA = 2e-3
 _ROTATION_SIGMA = 1e-3
@@ -37,6 +47,45 @@ _RATE_SIGMA = 1e-3
 light vehicle creeps on its feet in the wind, and this error repeats from update to update."""
 _UP = np.array([0.0, 0.0, GRAVITY_MPS2])
 _ITERATIONS = 4
+
+
+class RestJudgement(NamedTuple):
+    """What samples at rest say against the data sheet of an IMU."""
+
+    bias_factor: float
+    """of the standard deviations of the biases; 1: nothing"""
+    gyro_density: float
+    """rad/s/sqrt(Hz) where it is beyond the sheet's, else 0"""
+    accel_density: float
+    """m/s^2/sqrt(Hz), likewise"""
+
+
+def judge_rest(
+    gyro: Array, force: Array, bias_sigmas: Array, imu: ImuSheet, step_s: float
+) -> RestJudgement:
+    """Judges (N, 3) samples, N >= 2, that were taken while the rotors stood still; ``bias_sigmas``
+    (6,): rad/s and m/s^2, that of the last one along gravity.
+
+    A vehicle at rest does not turn and feels gravity: mean rate and the excess of the mean force
+    are biases. Where their squares over their variances are beyond chance, biases are larger than
+    stated by the root of the mean square (the variance factor of an adjustment). Noise is that of
+    the differences between samples, in which slow motion does not show.
+    """
+    sigmas = np.hypot(bias_sigmas[[0, 1, 2, 5]], [*3 * [_RATE_LIMIT], _FORCE_LIMIT])
+    excess = np.linalg.norm(force.mean(axis=0)) - GRAVITY_MPS2
+    square = float(np.sum((np.append(gyro.mean(axis=0), excess) / sigmas) ** 2))
+    noise = [
+        math.sqrt(0.5 * step_s * float(np.mean(np.diff(part, axis=0) ** 2)))
+        for part in (gyro, force)
+    ]
+    stated = imu.gyro_density, imu.accel_density
+    return RestJudgement(
+        math.sqrt(square / len(sigmas)) if square > _CHANCE else 1.0,
+        *(
+            d if _NOISIER * known < d < _SHAKEN * known else 0.0
+            for d, known in zip(noise, stated, strict=True)
+        ),
+    )
 
 
 class ZeroVelocityUpdate:
@@ -49,7 +98,14 @@ class ZeroVelocityUpdate:
         self._attitude_known = attitude_known
         self._gyro_density = gyro_density
         self._step_s = step_s
+        self._shake_limit = _SHAKE_LIMIT
         self._anchor: NavState | None = None
+
+    def expect(self, judged: RestJudgement) -> None:
+        """Takes the noise of samples at rest for what it is there."""
+        self._gyro_density = max(self._gyro_density, judged.gyro_density)
+        noise = judged.accel_density / math.sqrt(self._step_s)
+        self._shake_limit = math.hypot(_SHAKE_LIMIT, _SHAKES * noise)
 
     def holds(self, eskf: Eskf, gyro: Array, force: Array, stationary: Mask) -> bool:
         """True if (N, 3) samples, all taken with the rotors too slow to lift, show no motion: mean
@@ -65,7 +121,7 @@ class ZeroVelocityUpdate:
         return bool(
             np.abs(rate).max() < rate_limit
             and np.abs(specific_force).max() < force_limit
-            and force.std(axis=0).max() < _SHAKE_LIMIT
+            and force.std(axis=0).max() < self._shake_limit
         )
 
     def update(self, eskf: Eskf, gyro: Array, force: Array, stationary: Mask) -> bool:

@@ -144,6 +144,8 @@ _RETURNS = 4000
 _HEIGHT = POSITION.stop - 1
 _PLANE_TILT = float(np.radians(0.05))
 """rad, information floor of roll and pitch by planes where intensities measure"""
+_PLANE_ASIDE_M = 0.02
+"""of horizontal position, likewise: chosen with the other floors on surveys without images"""
 _ITERATIONS = 4
 _MIN_USED = 300
 _MIN_OVERLAP, _MAX_IMAGES = 0.12, 5
@@ -291,12 +293,14 @@ class PhotometricUpdate:
 
     def errors_of_planes(self, errors: ScanErrors, dark_ticks: int) -> ScanErrors:
         """Error model of the planes after ``dark_ticks`` without an image: intensities see the
-        ground, at which tilt and translation look the same, so that planes must separate them.
+        ground, at which tilt and translation look the same, so that planes must separate them,
+        and nothing else measures walls better.
         A scan measures the height with ``plane_height_m`` at best."""
         if not self.measures(dark_ticks):
             return errors
         floor = errors.floor_sigmas.copy()
         floor[:2] = np.minimum(floor[:2], _PLANE_TILT)
+        floor[_ASIDE] = np.minimum(floor[_ASIDE], _PLANE_ASIDE_M)
         floor[_HEIGHT] = max(floor[_HEIGHT], self._plane_height_m)
         return replace(errors, floor_sigmas=floor)
 

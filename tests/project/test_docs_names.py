@@ -2,16 +2,19 @@
 
 import contextlib
 import importlib
+import json
 import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import known_keys, load_config
+from touchdown.experiments.config.profiles import profile_values
 from touchdown.experiments.io.results import columns
 
-from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of
+from support.docs_support import FOLDERS, PAGES, ROOT, inline_of, name_of, rows_of
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -48,3 +51,26 @@ def _importable(dotted: str) -> bool:
                 found = getattr(found, part, None)
             return True
     return False
+
+
+def _told(names: str) -> list[str]:
+    """Keys of a cell, where a key that begins with a dot is of the group of the one before."""
+    keys: list[str] = []
+    for name in re.findall(r"`([^`]+)`", names):
+        keys.append(f"{keys[-1].partition('.')[0]}{name}" if name.startswith(".") else name)
+    return keys
+
+
+@pytest.mark.parametrize(("profile", "place"), [("field", 0), ("harsh", 2)])
+def test_every_value_of_a_profile_stands_on_its_page_with_a_source(
+    profile: str, place: int
+) -> None:
+    """Rows are `keys | values of field; of harsh where they differ | source`."""
+    flown = dict(flatten(json.loads(load_config(profile=profile).model_dump_json())))
+    told: dict[str, Any] = {}
+    for names, values, source in rows_of("docs/sensors.md", "profile key"):
+        keys, (field, _, harsh) = _told(names), values.partition("; ")
+        found = json.loads(f"[{(field, _, harsh or field)[place]}]")
+        assert source and not set(keys) & told.keys(), names
+        told |= zip(keys, found * len(keys) if len(found) == 1 else found, strict=True)
+    assert told == {key: flown[key] for key in {*profile_values("field"), *profile_values("harsh")}}

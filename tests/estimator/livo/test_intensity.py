@@ -176,7 +176,7 @@ def test_scans_measure_in_the_dark_only():
     errors = ScanErrors(range_sigma_m=0.02, angle_sigma_rad=1e-3, floor_sigmas=np.full(6, 0.1))
     assert update.errors_of_planes(errors, 300) is errors
     assert update.errors_of_planes(errors, 301).floor_sigmas[:2].max() < 1e-3
-    assert update.errors_of_planes(errors, 301).floor_sigmas[2:].tolist() == [0.1] * 4
+    assert update.errors_of_planes(errors, 301).floor_sigmas[2:].tolist() == [0.1, 0.02, 0.02, 0.1]
     sure = replace(errors, floor_sigmas=np.full(6, 0.02))
     assert update.errors_of_planes(sure, 301).floor_sigmas[2:].tolist() == [0.02, 0.02, 0.02, 0.05]
     given = AnchoredMap(LivoParams(dark_height_sigma_m=0.3), LEVER, 300, 600).photometric

@@ -19,10 +19,17 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState
-from touchdown.estimator.filtering.zero_velocity import ZeroVelocityUpdate, align_with_gravity
-from touchdown.sim.api import GRAVITY_MPS2, ImuParams
+from touchdown.estimator.filtering.inertial_filter import InertialFilter
+from touchdown.estimator.filtering.zero_velocity import (
+    RestJudgement,
+    ZeroVelocityUpdate,
+    align_with_gravity,
+    judge_rest,
+)
+from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample, Observation
 from touchdown.sim.frames import so3_exp, so3_log
 
+from support.livo_flight import make_rig
 from support.livo_support import STEP_S, state_at
 
 UP = np.array([0.0, 0.0, GRAVITY_MPS2])
@@ -197,3 +204,69 @@ def test_a_half_turn_separates_bias_from_tilt() -> None:
     end = so3_exp(rate * STEP_S * 1600) @ true
     np.testing.assert_allclose(eskf.state.rotation[2], end[2], atol=3e-4)
     assert np.abs(eskf.state.accel_bias - bias)[:2].max() < 0.05 * hidden.max()
+
+
+def _judged(rate: float, pull: float, noise: float, seed: int = 1) -> RestJudgement:
+    """Of 33 samples with biases of ``rate`` and ``pull``, and ``noise`` times that of the sheet."""
+    imu, rng = ImuParams(gyro_bias_sigma=3e-3, accel_bias_sigma=0.03), np.random.default_rng(seed)
+    spread = noise / np.sqrt(STEP_S)
+    gyro = [rate, 0.0, 0.0] + spread * imu.gyro_density * rng.standard_normal((33, 3))
+    force = UP + [0.0, 0.0, pull] + spread * imu.accel_density * rng.standard_normal((33, 3))
+    return judge_rest(gyro, force, np.repeat([3e-3, 0.03], 3), imu, STEP_S)
+
+
+def test_samples_at_rest_widen_the_sheet_where_they_are_beyond_chance() -> None:
+    imu = ImuParams()
+    assert {_judged(0.005, 0.05, 1.0, seed) for seed in range(100)} == {
+        RestJudgement(1.0, 0.0, 0.0)
+    }
+    noisy = _judged(0.0, 0.0, 4.0)
+    assert noisy.bias_factor == 1.0
+    assert noisy.gyro_density == pytest.approx(4.0 * imu.gyro_density, rel=0.2)
+    assert noisy.accel_density == pytest.approx(4.0 * imu.accel_density, rel=0.2)
+    assert _judged(0.0, 0.0, 9.0).gyro_density == 0.0  # shaken
+    # one of four, and five times as large as 3.6e-3, that of bias and creeping: 2.4 in the mean
+    assert _judged(5.0 * 3.6e-3, 0.0, 1.0).bias_factor == pytest.approx(2.5, rel=0.05)
+    assert _judged(0.0, 0.3, 1.0).bias_factor == pytest.approx(3.5, rel=0.05)
+
+
+def _started(rate: float, noise: float, rotors: float = 0.0) -> InertialFilter:
+    """A filter after a quarter of a second at rest."""
+    rng, sheet = np.random.default_rng(3), make_rig().imu
+    inertial = InertialFilter(make_rig())
+    for k in range(1, 51):
+        gyro = [rate, 0.0, 0.0] + noise * sheet.gyro_density / np.sqrt(
+            STEP_S
+        ) * rng.standard_normal(3)
+        force = UP + noise * sheet.accel_density / np.sqrt(STEP_S) * rng.standard_normal(3)
+        sample = ImuSample(
+            tick=3 * k, time_s=k * STEP_S, angular_velocity=gyro, specific_force=force
+        )
+        inertial.take_imu(
+            Observation(
+                tick=3 * k,
+                time_s=k * STEP_S,
+                imu=(sample,),
+                battery_fraction=1.0,
+                rotor_speed_radps=np.full(4, rotors),
+            )
+        )
+    inertial.carry_to(150)
+    return inertial
+
+
+def test_a_gyroscope_far_off_its_sheet_is_known_before_take_off() -> None:
+    inertial = _started(rate=0.02, noise=1.0)
+    assert inertial.stationary
+    assert inertial.eskf.state.gyro_bias[0] == pytest.approx(0.02, rel=0.15)
+    # what turns with its rotors on may turn indeed
+    assert not _started(rate=0.02, noise=1.0, rotors=50.0).stationary
+
+
+def test_a_noisy_imu_is_believed_to_be_and_still_stands() -> None:
+    sheet, usual, noisy = make_rig().imu, _started(0.0, 1.0), _started(0.0, 5.0)
+    assert usual.stationary and noisy.stationary
+    assert usual._buffer.densities.gyro == sheet.gyro_density
+    known = noisy._buffer.densities
+    assert known.gyro == pytest.approx(np.hypot(1.0, 5.0) * sheet.gyro_density, rel=0.2)
+    assert known.accel == pytest.approx(np.hypot(1.0, 5.0) * sheet.accel_density, rel=0.2)
