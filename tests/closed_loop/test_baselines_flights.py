@@ -14,7 +14,7 @@ from support.worlds import load_ideal_config as load_config
     [
         ("gps", 3.2, 1.4, 0.23),
         ("hybrid_flow", 3.2, 1.4, 0.22),
-        ("optical_flow", 0.012, 0.15, 0.04),
+        ("optical_flow", 0.051, 0.15, 0.04),
         ("stereo", 0.013, 0.13, 0.04),
     ],
 )

@@ -127,7 +127,7 @@ def test_calibration_file_says_the_pair_and_both_err_against_the_imu(tmp_path: P
     nominal = nominal_rig(rig, config)
     pair = nominal.body_from_camera.inverse() @ nominal.body_from_lidar
     np.testing.assert_allclose(pair.matrix(), lidar.matrix(), atol=1e-9)
-    alone = erring_rig(rig, config.calibration_error, 4)
+    alone = erring_rig(rig, config.calibration_error, config.world_seed)
     np.testing.assert_allclose(
         nominal.body_from_camera.matrix(), alone.body_from_camera.matrix(), atol=1e-12
     )
