@@ -59,6 +59,17 @@ class Block:
         return "\n".join([*self.lines(tree["figures"]), "", origin])
 
 
+@dataclass(frozen=True, slots=True)
+class Tunings(Block):
+    """The block of the files of `touchdown bench tune` in the folder ``file``."""
+
+    def text(self, _record: Record, root: Path) -> str:
+        found = [read_object(file) for file in sorted((root / self.file).glob("*.json"))]
+        revisions = dict.fromkeys(f"`{tree['revision'][:12]}`" for tree in found)
+        origin = f"*By `touchdown bench tune`, at {', '.join(revisions)}.*"
+        return "\n".join([*self.lines(found), "", origin])
+
+
 def _origin(names: Sequence[str], record: Record) -> str:
     """The revision and the plans of the flights of a table."""
     entries = [record[name] for name in names]
@@ -85,6 +96,7 @@ BLOCKS = (
     Block(_FIELD, "wind", ("wind",), tables.conditions),
     Block(_FIELD, "pairs", ("short", "landing"), tables.pairs),
     Block(_FIELD, "cost", (), tables.cost, file="docs/results/cost.json"),
+    Tunings("docs/results/estimators.md", "tuning", (), tables.tunings, file="docs/results/tuning"),
     Block("docs/results/estimators.md", "limit", (), tables.limit, file="docs/results/limit.json"),
     Block("docs/results/beliefs.md", "beliefs", ("wrong_beliefs",), tables.beliefs),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -331,6 +331,26 @@ def limit(figures: Mapping[str, Any]) -> list[str]:
     from touchdown.experiments.benchmarks.limit.survey import table
 
     return table(figures["runs"]).splitlines()[:-2]
+
+
+def tunings(found: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Of files of `touchdown bench tune`, a line for each method: errors are geometric means over
+    logs."""
+    header = ["method", "trials", "keys", "logs", "as shipped (m)", "best (m)",
+              "other logs: as shipped (m)", "best (m)"]  # fmt: skip
+    rows = []
+    for one in sorted(found, key=lambda one: one["best_error_m"]):
+        errors = [one["default_error_m"], one["best_error_m"]]
+        for which in ("default", "best"):
+            others = [log[f"{which}_error_m"] for log in one.get("check", [])]
+            errors.append(float(np.exp(np.mean(np.log(others)))) if others else None)
+        counts = one["trials"], len(one["best_settings"]), len(one["logs"])
+        rows.append([
+            f"`{one['estimator']}`",
+            *map(str, counts),
+            *(MISSING if error is None else digits(error) for error in errors),
+        ])  # fmt: skip
+    return markdown_lines(header, rows)
 
 
 def cost(figures: Mapping[str, Any]) -> list[str]:

@@ -310,6 +310,20 @@ def test_the_report_on_the_paper_is_copied_without_its_renderings(tmp_path: Path
     assert [file.name for file in (copied / "figures").iterdir()] == ["fig9.svg"]
 
 
+def test_tunings_are_compared_on_logs_of_their_own() -> None:
+    one = {
+        "estimator": "gps", "trials": 40, "best_settings": {"a": 1, "b": 2}, "logs": [{}, {}, {}],
+        "default_error_m": 1.0, "best_error_m": 0.5,
+        "check": [{"default_error_m": 1.0, "best_error_m": 0.9},
+                  {"default_error_m": 4.0, "best_error_m": 0.4}],
+    }  # fmt: skip
+    lost = one | {"estimator": "livo", "best_error_m": 0.2, "check": []}
+    assert tables.tunings([one, lost])[2:] == [
+        "| `livo` | 40 | 2 | 3 | 1.00 | 0.200 | – | – |",
+        "| `gps` | 40 | 2 | 3 | 1.00 | 0.500 | 2.00 | 0.600 |",
+    ]
+
+
 def test_beliefs_are_compared_with_the_world_as_it_is() -> None:
     rows = [
         row("lake", seed, **{"position_error_m.mean": error * seed})
