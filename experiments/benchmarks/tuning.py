@@ -8,6 +8,7 @@ shipped.
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import tomllib
@@ -54,9 +55,9 @@ class Trial:
     def error_m(self) -> float:
         return math.exp(sum(map(math.log, self.errors_m)) / len(self.errors_m))
 
-    def plain(self) -> dict[str, Any]:
-        """As it stands in the file."""
-        return {"settings": self.settings, "errors_m": self.errors_m}
+    def plain(self) -> list[Any]:
+        """As it stands in the file: the settings in the order of the keys, and the errors."""
+        return [[*self.settings.values()], self.errors_m]
 
 
 def require_optuna() -> None:
@@ -117,30 +118,37 @@ def proposed(space: Space, trials: Sequence[Trial], seed: int) -> Settings:
             )
         )
     found = study.ask(drawn).params
-    return {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in found.items()}
+    rounded = {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in found.items()}
+    return {key: rounded[key] for key in space}
 
 
 class Tuning:
-    """Replays of ``logs`` with one estimator, up to ``until_s``; the logs stay in memory."""
+    """Replays of ``runs`` with one estimator, up to ``until_s``; from the first trial on the logs
+    are in memory."""
 
-    def __init__(self, estimator: str, logs: Sequence[Path], until_s: float) -> None:
+    def __init__(self, estimator: str, runs: Sequence[Path], until_s: float) -> None:
         self.estimator, self.until_s = estimator, until_s
-        self.logs = [self._remembered(log) for log in logs]
+        self.runs = [open_run(run) for run in runs]
 
-    def _remembered(self, log: Path) -> LoggedRun:
-        logged = open_run(log)
-        config = replay_config(log, self.estimator, fresh=True)
-        built = build_estimator(config, logged.sensors.rig)
-        check_needs(self.estimator, built, logged.sensors)
-        return replace(logged, sensors=RememberedLog(logged.sensors, built.needs, self.until_s))
+    @functools.cached_property
+    def logs(self) -> list[LoggedRun]:
+        """The runs with what the estimator sees of their logs. Raises UsageError where it lacks a
+        sensor."""
+        return [self._remembered(run) for run in self.runs]
+
+    def _remembered(self, run: LoggedRun) -> LoggedRun:
+        config = replay_config(run.path, self.estimator, fresh=True)
+        built = build_estimator(config, run.sensors.rig)
+        check_needs(self.estimator, built, run.sensors)
+        return replace(run, sensors=RememberedLog(run.sensors, built.needs, self.until_s))
 
     def names(self) -> list[dict[str, Any]]:
         """Scene and seed of each log."""
-        return [{"scene": log.result.scene, "seed": log.result.seed} for log in self.logs]
+        return [{"scene": run.result.scene, "seed": run.result.seed} for run in self.runs]
 
     def defaults(self, space: Space) -> Settings:
         """What is shipped for the profile of the logs. Raises UsageError for an unknown key."""
-        config = replay_config(self.logs[0].path, self.estimator, fresh=True)
+        config = replay_config(self.runs[0].path, self.estimator, fresh=True)
         shipped = dict(flatten(json.loads(dump_config(config))))
         try:
             return {k: shipped[k] if k in shipped else v["default"] for k, v in space.items()}
@@ -187,9 +195,8 @@ def tune(
         "estimator": estimator, "logs": tuning.names(), "seed": seed, "keys": space,
         "until_s": until_s if math.isfinite(until_s) else None,
     }  # fmt: skip
-    done = _resumed(out, facts)
+    figures, done = _resumed(out, facts)
     defaults = tuning.defaults(space)
-    figures = summary(facts, done)
     while len(done) < trials:
         settings = proposed(space, done, seed) if done else defaults
         done.append(tuning.tried(settings))
@@ -212,15 +219,15 @@ def checked(figures: Mapping[str, Any], logs: Sequence[Path]) -> dict[str, Any]:
 def summary(facts: Mapping[str, Any], done: Sequence[Trial]) -> dict[str, Any]:
     """What the file holds: the facts of the tuning, its result and all trials; the first one is
     what is shipped."""
-    best = min(done, key=lambda trial: trial.error_m) if done else None
+    best = min(done, key=lambda trial: trial.error_m)
     return {
         **facts,
         "revision": git_revision(),
         "trials": len(done),
-        "default_error_m": round(done[0].error_m, 5) if done else None,
-        "best_error_m": round(best.error_m, 5) if best else None,
-        "default_settings": done[0].settings if done else None,
-        "best_settings": best.settings if best else None,
+        "default_error_m": round(done[0].error_m, 5),
+        "best_error_m": round(best.error_m, 5),
+        "default_settings": done[0].settings,
+        "best_settings": best.settings,
         "tried": [trial.plain() for trial in done],
     }
 
@@ -237,16 +244,18 @@ def write(out: Path | None, figures: Mapping[str, Any]) -> None:
     partial.replace(out)
 
 
-def _resumed(out: Path | None, facts: Mapping[str, Any]) -> list[Trial]:
-    """The trials of an earlier file. Raises UsageError for one of another tuning."""
+def _resumed(out: Path | None, facts: Mapping[str, Any]) -> tuple[dict[str, Any], list[Trial]]:
+    """An earlier file and its trials, if there is one. Raises UsageError for one of another
+    tuning."""
     if out is None or not out.exists():
-        return []
+        return {}, []
     try:
         earlier = json.loads(out.read_text(encoding="utf-8"))
         other = [name for name, value in facts.items() if earlier[name] != value]
-        done = [Trial(one["settings"], one["errors_m"]) for one in earlier["tried"]]
+        keys, tried = list(facts["keys"]), earlier["tried"]
+        done = [] if other else [Trial(dict(zip(keys, one, strict=True)), m) for one, m in tried]
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise UsageError(f"--out '{out}' is no file of a tuning; name another") from error
     if other:
         raise UsageError(f"--out '{out}' is of a tuning with other {', '.join(other)}")
-    return done
+    return earlier, done

@@ -78,15 +78,11 @@ def test_the_best_is_found_and_a_tuning_that_was_stopped_ends_alike(
         return float(0.1 * np.exp(np.log(sigma) ** 2 + ((features - 250.0) / 100.0) ** 2))
 
     whole = _found(error, tmp_path / "whole.json", 25, run)
-    first = whole["tried"][0]["settings"]
-    assert first == whole["default_settings"]
-    assert first == {
-        "livo.pixel_sigma": 0.3, "livo.features": 220, "livo.use_closures": True
-    }  # fmt: skip
+    assert whole["tried"][0][0] == list(whole["default_settings"].values()) == [0.3, 220, True]
     assert whole["trials"] == 25 and whole["logs"] == [{"scene": "crossroad", "seed": 3}]
     assert whole["default_error_m"] == pytest.approx(error(0.3, 220.0), abs=1e-5)
     assert whole["best_error_m"] < 0.13 and whole["best_error_m"] < 0.4 * whole["default_error_m"]
-    errors = [trial["errors_m"][0] for trial in whole["tried"]]
+    errors = [found for _, (found,) in whole["tried"]]
     assert np.median(errors[-10:]) < 0.5 * np.median(errors[1:10])  # later trials know more
     best = whole["best_settings"]
     assert error(best["livo.pixel_sigma"], best["livo.features"]) == pytest.approx(
@@ -97,10 +93,10 @@ def test_the_best_is_found_and_a_tuning_that_was_stopped_ends_alike(
     assert (tmp_path / "parts.json").read_text() == (tmp_path / "whole.json").read_text()
     assert json.loads((tmp_path / "whole.json").read_text()) == whole
     with pytest.raises(UsageError, match="with other seed"):
-        tuning._resumed(tmp_path / "whole.json", {"estimator": "livo", "seed": 3})
+        tuning._resumed(tmp_path / "whole.json", {"seed": 3, "keys": SPACE})
     (tmp_path / "bad.json").write_text("{}")
     with pytest.raises(UsageError, match="is no file of a tuning"):
-        tuning._resumed(tmp_path / "bad.json", {"seed": 3})
+        tuning._resumed(tmp_path / "bad.json", {"seed": 3, "keys": {}})
 
 
 def test_a_replay_that_diverges_or_breaks_a_rule_is_lost(
