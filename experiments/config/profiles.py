@@ -32,7 +32,7 @@ _LAYERS: Mapping[str, tuple[str, ...]] = {
     "harsh": ("field", "harsh"),
 }
 """Files of each profile, later ones over earlier ones."""
-_ASSUMED = ("livo.", "zou2024.", "flown_imu.", "calibration_prior.")
+_ASSUMED = ("livo.", "zou2024.", "flown_imu.", "calibration_prior.", "stereo_vo.")
 """Keys of a profile that say what estimators assume."""
 PROFILES = tuple(_LAYERS)
 PRESET_KEY = "preset"

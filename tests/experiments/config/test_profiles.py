@@ -91,7 +91,7 @@ def test_effects_together_are_the_world_of_harsh_and_the_estimators_of_field() -
     assert len(grouped) == len(set(grouped))
     field, harsh = load_config(), load_config(profile="harsh")
     everything = load_config(None, [f"harsh_effects={json.dumps(list(effects()))}"])
-    names = ("livo", "zou2024", "flown_imu", "calibration_prior")
+    names = ("livo", "zou2024", "flown_imu", "calibration_prior", "stereo_vo")
     assumed = {name: getattr(field, name) for name in names}
     update = {"profile": "harsh", "harsh_effects": ()}
     assert everything.model_copy(update=update) == harsh.model_copy(update=assumed) != harsh
