@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,6 @@ from touchdown.experiments.cli.common import (
     PROFILE,
     QUIET,
     SEED,
-    SEEDS,
     CommandGroup,
     Number,
     answer,
@@ -308,36 +305,10 @@ def bench_profile(out: Path | None, **chosen: Any) -> dict[str, Any]:
     return figures
 
 
-def _print_estimators(figures: dict[str, Any]) -> None:
-    """One row a method: methods are many, scenes are few."""
-    from touchdown.experiments.benchmarks.odometry import ablation_table
+def _print_ablation(figures: dict[str, Any]) -> None:
+    from touchdown.experiments.benchmarks.ablation import ablation_table
 
-    if "ablation" in figures:
-        return say(ablation_table(figures["ablation"]))
-    scenes, details = list(figures["error_m"]), figures["scenes"]
-    say("| method | " + " | ".join(scenes) + " | CPU for 0.1 s of data (ms) |")
-    say("|---|" + "---|" * (len(scenes) + 1))
-    for name, cost in figures["ms_per_0.1s"].items():
-        cells = [_error(details[s]["error_m"][name], details[s]["lost_s"][name]) for s in scenes]
-        say(f"| {name} | " + " | ".join(cells) + f" | {cost:.1f} |")
-    ratios = figures["ratio"]
-    if ratios:
-        cells = [f"{ratios[log]:.1f}" if log in ratios else "" for log in scenes]
-        say("| best reference / livo_no_camera | " + " | ".join(cells) + " | |")
-    say("\nmean error in metres, not aligned")
-    if ratios:
-        say(f"geometric mean of the ratio: {ratios['geometric_mean']:.2f}")
-    for scene in scenes:
-        for method, setting in details[scene]["best"].items():
-            text = ", ".join(f"{name} {value}" for name, value in setting.items())
-            say(f"{scene}: best of {method}: {text}")
-
-
-def _error(error_m: float, lost_s: float | None) -> str:
-    if lost_s is None:
-        return f"{error_m:.3f}"
-    until = "" if math.isnan(error_m) else f"{error_m:.2f} until "
-    return f"{until}lost at {lost_s:.0f} s"
+    say(ablation_table(figures))
 
 
 def _report(quiet: bool, text: str) -> None:
@@ -345,48 +316,28 @@ def _report(quiet: bool, text: str) -> None:
         print(f"\r\x1b[K{text}"[:160], end="", file=sys.stderr, flush=True)
 
 
-@bench.command("estimator")
-@click.argument("scenes", nargs=-1)
-@click.option("--ablate", is_flag=True,
-              help="Leave out one part of the estimators after the other instead.")  # fmt: skip
-@click.option("--seed", type=SEEDS, multiple=True, default=(0,), show_default="0",
-              help="Seed of the surveys; once for all scenes, or once for each.")  # fmt: skip
+@bench.command("ablate")
+@click.argument("runs", nargs=-1, required=True, type=PATH)
 @click.option("--method", multiple=True, metavar="NAME",
-              help="Only this row of the table, or with --ablate the rows of this estimator; may "
-              "be given more than once.  [all]")  # fmt: skip
+              help="livo or zou2024, or one row of the table; may be given more than once.  "
+              "[all]")  # fmt: skip
 @click.option("--seconds", type=Number(min=0.0, max=86400.0, min_open=True),
               help="Duration of each log after lift-off.  [all]")  # fmt: skip
-@click.option("--runs", type=PATH,
-              help="Keep the logged surveys here, and use those that are there.")  # fmt: skip
-@answered(_print_estimators)
+@answered(_print_ablation)
 @QUIET
-def bench_estimator(
-    scenes: tuple[str, ...],
-    ablate: bool,
-    seed: tuple[int, ...],
-    method: tuple[str, ...],
-    seconds: float | None,
-    runs: Path | None,
-    quiet: bool,
+def bench_ablate(
+    runs: tuple[Path, ...], method: tuple[str, ...], seconds: float | None, quiet: bool
 ) -> dict[str, Any]:
-    """Compare positioning error and cost with odometry of others on equal logs.
+    """Replay logged surveys through livo and zou2024 with one part after the other left out.
 
-    One survey per scene (crossroad, lake, houses and forest unless named) is flown with livo, in
-    the default profile. A scene may be named more than once, with a seed each. The log is replayed
-    through livo, zou2024 and the reference implementations KISS-ICP and small_gicp, these on the
-    scans alone and with the best of a grid of settings. With --ablate it is replayed through livo
-    and zou2024 with one part after the other left out; of three logs and more the table has an
-    interval of what each part is worth. All of it is open loop.
+    RUNS: run directories flown with --log-sensors. Of three and more the table has an interval of
+    what each part is worth. All of it is open loop.
 
-    Example: touchdown bench estimator crossroad --seconds 20 --runs runs/logged
+    Example: touchdown bench ablate runs/survey --method livo
     """
-    from touchdown.experiments.benchmarks import odometry
+    from touchdown.experiments.benchmarks.ablation import ablate
 
-    with tempfile.TemporaryDirectory(prefix="touchdown-bench-") as folder:
-        return odometry.bench_estimator(
-            scenes or odometry.SCENES, seeds=seed, runs=runs or Path(folder), ablate=ablate,
-            seconds=seconds, report=lambda text: _report(quiet, text), methods=method,
-        )  # fmt: skip
+    return ablate(runs, method, seconds, lambda text: _report(quiet, text))
 
 
 def _print_spectra(figures: dict[str, Any]) -> None:

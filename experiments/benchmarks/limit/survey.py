@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.experiments.benchmarks.ablation import replayed
 from touchdown.experiments.benchmarks.limit import imaging, ranging
 from touchdown.experiments.benchmarks.limit.information import (
     CONSTANTS,
@@ -28,7 +29,6 @@ from touchdown.experiments.benchmarks.limit.information import (
     landmark_informations,
     motion_information,
 )
-from touchdown.experiments.benchmarks.odometry import replayed
 from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.replay import LoggedRun, open_run, replay_config
@@ -57,7 +57,7 @@ SETS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 REPLAYED: Mapping[str, str] = MappingProxyType(
     {"camera, LIDAR, IMU": "livo: tight, all on", "LIDAR, IMU": "livo: LIDAR only"}
 )
-"""variants of `odometry` by set of sensors"""
+"""variants of `ablation` by set of sensors"""
 AS_IT_IS, QUIET = "as it is", "noise of the IMU a tenth"
 _QUIETER = 10.0
 _FEW, _COARSE_PX, _COMMON_M = 1000 / 24000, 3.0, 0.02
