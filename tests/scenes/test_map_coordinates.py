@@ -44,7 +44,8 @@ def place(
     )
     spot = TAKEOFF.format(x=x, y=y) if takeoff else ""
     body = FLOORS[floor].format(x=x, y=y) + things + spot
-    path = folder / f"place_{x:.0f}_{floor}.xml"
+    path = folder / f"at_{x:.0f}" / f"place_{floor}.xml"  # draws are by the scene's name
+    path.parent.mkdir(exist_ok=True)
     path.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>", encoding="utf-8")
     return str(path)
 
