@@ -38,7 +38,7 @@ from touchdown.estimator.filtering.reprojection import (
 )
 from touchdown.estimator.typing import Array, Bytes, Grey, Indices
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
-from touchdown.sim.frames import Pose, skew
+from touchdown.sim.frames import Pose
 
 _MIN_DEPTH_M = 0.03
 _ROWS_PX = 1.0
@@ -316,6 +316,8 @@ def _by_mount(landmarks: Array, camera: Array, shared: int) -> Array:
     with the camera at ``camera`` (3,)."""
     jacobians = np.zeros((len(landmarks), 3, shared))
     if shared:
-        jacobians[:, :, CAMERA_ROTATION] = [-skew(arm) for arm in landmarks - camera]
+        # the columns of minus the cross product with each arm
+        crossed = np.cross(np.eye(3), (landmarks - camera)[:, None])
+        jacobians[:, :, CAMERA_ROTATION] = crossed.transpose(0, 2, 1)
         jacobians[:, :, CAMERA_TRANSLATION] = np.eye(3)
     return jacobians

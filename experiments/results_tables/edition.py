@@ -18,7 +18,6 @@ import pyarrow.parquet as pq
 from touchdown.experiments.campaign.forecast import Forecast, forecast
 from touchdown.experiments.campaign.plan import Plan, load_plan
 from touchdown.experiments.campaign.results_table import (
-    CRASHED,
     RUNS,
     finished_ids,
     is_campaign,
@@ -178,13 +177,16 @@ MEASURED: Mapping[str, Callable[[Path], dict[str, Any]]] = {"limit": _limit, "co
 
 def measure(parts: Sequence[str], out: Path) -> list[Path]:
     """Measures what of `MEASURED` is among the parts, of all where none is named, and is not
-    measured yet at this revision. Returns the files ``NAME.json``."""
+    measured yet at this revision. Returns the files ``NAME.json``. Raises UsageError for a source
+    tree without a revision, or with changes."""
     files = []
     for name, run in MEASURED.items():
         if parts and name not in parts:
             continue
         file, revision = out / f"{name}.json", git_revision()
         if not file.is_file() or read_object(file)["revision"] != revision:
+            _check_revision({revision or ""}, file)
+            out.mkdir(parents=True, exist_ok=True)
             head = {"revision": revision, "date": utc_now()[:10]}
             write_text(file, json.dumps(head | {"figures": run(out)}, indent=1) + "\n")
         files.append(file)
@@ -265,8 +267,7 @@ def record_of(found: FlightSet, out: Path) -> dict[str, Any]:
 
 
 def _stored(row: Row) -> dict[str, Any]:
-    kept = {key: _short(row[key]) for key in COLUMNS if row.get(key) is not None}
-    return kept | ({"reason": "crashed"} if row["outcome"] == CRASHED else {})
+    return {key: _short(row[key]) for key in COLUMNS if row.get(key) not in (None, "")}
 
 
 def _short(value: Any) -> Any:

@@ -73,12 +73,13 @@ class Tunings(Block):
 def _origin(names: Sequence[str], record: Record) -> str:
     """The revision and the plans of the flights of a table."""
     entries = [record[name] for name in names]
-    plans = ", ".join(f"`configs/{name}.toml`" for name in names)
+    plans = "`make results`: " + ", ".join(f"`configs/{name}.toml`" for name in names)
+    if any("unit" not in row for entry in entries for row in entry["rows"]):
+        plans = "the plans of that revision, with draws keyed by the seed alone"
     hours = sum(entry["core_hours"] for entry in entries)
     return (
         f"*Flown at revision `{entries[0]['revision'][:12]}`, "
-        f"{max(entry['date'] for entry in entries)}, by `make results`: {plans}, "
-        f"{hours:.1f} core-hours.*"
+        f"{max(entry['date'] for entry in entries)}, by {plans}, {hours:.1f} core-hours.*"
     )
 
 
@@ -128,10 +129,10 @@ def write_pages(
     all pages, and the report of the reproduction where it is among the sets. Returns the files;
     raises UsageError, before any page is written, where rows or markers are missing, or where the
     rows would be of several revisions."""
+    record = merged(read_record(root), {found.name: record_of(found, out) for found in sets})
     copies = [root / "docs" / "results" / file.name for file in measured]
     for file, copy in zip(measured, copies, strict=True):
         write_text(copy, file.read_text(encoding="utf-8"))
-    record = merged(read_record(root), {found.name: record_of(found, out) for found in sets})
     texts = {
         root / page: written((root / page).read_text(encoding="utf-8"), page, record, root)
         for page in dict.fromkeys(block.page for block in BLOCKS)

@@ -53,6 +53,8 @@ _LEVELNESS = (
 def landings(frame: pd.DataFrame, profile: str = "field") -> list[str]:
     """A line for each scene and one for all of them."""
     frame = frame[frame["profile"] == profile]
+    if frame.empty:
+        return [f"Not flown in `{profile}` yet."]
     columns = [
         FLIGHTS,
         INDEPENDENT,
@@ -84,7 +86,9 @@ def _failures(frame: pd.DataFrame) -> list[str]:
         place = ", on unsafe ground" * (row.get("ground_safe") is False)
         reason = f" ({row['reason']})" if isinstance(row.get("reason"), str) else ""
         if place or row["outcome"] not in ("LANDED", "COMPLETED"):
-            told.append(f"`{row['scene']}`, seed {row['seed']}: {row['outcome']}{place}{reason}.")
+            names = filter(None, (row["scene"], row["estimator"], row["condition"]))
+            flight = ", ".join(f"`{name}`" for name in names)
+            told.append(f"{flight}, seed {row['seed']}: {row['outcome']}{place}{reason}.")
     return told
 
 

@@ -1,7 +1,6 @@
 """Every seed that is named somewhere has the owner that the place stands for."""
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -9,7 +8,8 @@ from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.config.seeds import owner_of, owners
 from touchdown.experiments.results_tables.edition import SETS
 
-ROOT = Path(__file__).parents[2]
+from support.docs_support import FOLDERS, ROOT
+
 EDITION = {found.file for found in SETS}
 REGRESSION = {"configs/regress.toml", "configs/regress_baseline.toml"}
 _SPAN = r"\d+(?:\s*(?:-|to)\s*\d+)?"
@@ -33,16 +33,7 @@ def test_a_campaign_uses_seeds_of_its_own_kind(file: str) -> None:
 
 
 def test_nothing_else_names_a_verdict() -> None:
-    folders = (
-        "sim",
-        "scenes",
-        "estimator",
-        "landing",
-        "controller",
-        "experiments",
-        "examples",
-        "docs",
-    )
+    folders = (*FOLDERS, "examples", "docs")
     files = [ROOT / "README.md", ROOT / "Makefile", ROOT / "CONTRIBUTING.md"]
     for folder in folders:
         files += [

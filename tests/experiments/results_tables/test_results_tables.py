@@ -83,11 +83,12 @@ def test_landings_by_scene() -> None:
     assert "independent" not in every and every["d_L (m)"].startswith("0.300 [")
     of_one_seed = tables.landings(frame_of([one | {"unit": "a"} for one in landed()]))
     assert cells(of_one_seed, "all scenes")["independent"] == "1"
+    assert tables.ideal_landings(frame_of(landed())) == ["Not flown in `ideal` yet."]
     other = [one | {"profile": "ideal"} for one in landed()[:1]]
     assert cells(tables.ideal_landings(frame_of([*landed(), *other])), "`lake`")["flights"] == "1"
     text = "\n".join(lines)
-    assert "- `forest`, seed 2: COLLIDED (a tree)." in text
-    assert "- `forest`, seed 1: LANDED, on unsafe ground." in text
+    assert "- `forest`, `livo`, seed 2: COLLIDED (a tree)." in text
+    assert "- `forest`, `livo`, seed 1: LANDED, on unsafe ground." in text
     assert "v_z is set by `landing.touchdown_speed_mps`, not measured" in text
 
 
@@ -170,7 +171,7 @@ def fly(found: FlightSet, out: Path, revision: str = REVISION, left_out: int = 0
             "started_utc": "2031-02-03T04:05:06Z", "cpu_s": 90.0,
             "position_error_m.mean": 0.123456789, "landing.target_offset_m": 0.1,
             "landing.judged_on": "geometry", "landing.safe_geometry": True,
-            "landing.slope_deg": 2.0, "landing.roughness_m": 0.01,
+            "landing.slope_deg": 2.0, "landing.roughness_m": 0.01, "reason": "",
         }  # fmt: skip
         write_table([flown], directory / RUNS / run.run_id / ROW_FILE)
         (directory / RUNS / run.run_id / "result.json").write_text("{}")
@@ -201,7 +202,12 @@ def test_the_file_and_the_pages_state_revision_and_plan(tmp_path: Path) -> None:
         "`configs/landing.toml`, 3.5 core-hours.*" in text
     )
     assert "| all scenes | 100 | 100 | 0 |" in text and "| all scenes | 40 | 40 | 0 |" in text
-    assert "](../images/chosen_ground.svg)" in text
+    assert "](../images/chosen_ground.svg)" in text and "LANDED ()" not in text
+    assert "reason" not in entry["rows"][0]
+    old = {"landing": entry | {"rows": [{k: v for k, v in one.items() if k != "unit"}
+                                        for one in entry["rows"]]}}  # fmt: skip
+    told = written(text, "docs/results/field.md", old)
+    assert "2031-02-03, by the plans of that revision, with draws keyed by the seed alone" in told
     assert "Not flown yet: `make results` flies `configs/wind.toml`" in text
     assert written(text, "docs/results/field.md", read_record(root)) == text
     edited = text.replace("| all scenes | 100 | 100 | 0 |", "| all scenes | 100 | 99 | 0 |")
@@ -288,6 +294,9 @@ def test_what_is_measured_is_kept_with_its_revision(
         (file,) = edition.measure((), tmp_path)
         assert len(calls) == times
     assert edition.measure(["landing"], tmp_path) == []
+    monkeypatch.setattr(edition, "git_revision", lambda: f"{REVISION}-dirty")
+    with pytest.raises(UsageError, match="changes that were not committed"):
+        edition.measure((), tmp_path / "new")
     assert write_pages([], tmp_path, [file], root)[1] == root / "docs/results/cost.json"
     text = (root / "docs/results/field.md").read_text()
     assert "| a landing (s) | 12.3 |\n| memory | – |\n\n*Measured at revision `fedcba`" in text
