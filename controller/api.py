@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Protocol
 
-import numpy as np
 from annotated_types import Interval
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate
 from touchdown.sim.api import FORBID_EXTRA, Command, Count, NotNegative, Positive, VehicleModel
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -16,15 +16,13 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit, types
-from numpy.typing import NDArray
 
 from touchdown.controller.api import ControlParams, Setpoint
 from touchdown.controller.mixer import Mixer, MotorLead
 from touchdown.controller.pid import VectorPid, cascade_gains
 from touchdown.estimator.api import Estimate
 from touchdown.sim.api import GRAVITY_MPS2, Command, VehicleModel
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _SUPPORTED = 0.35 * GRAVITY_MPS2
 """An unexplained upward acceleration above this means ground contact. In the air a fast descent

@@ -72,9 +72,6 @@ def loop_margins(vehicle: VehicleModel, params: ControlParams) -> list[LoopMargi
     return rows
 
 
-# --------------------------------------------------------------------------------- the cascades
-
-
 def _chains(motor_s: float, params: ControlParams) -> list[tuple[str, System, list[_Stage]]]:
     """Roll and pitch with the horizontal motion that they steer (both alike), yaw, and height."""
     gains, g = cascade_gains(params), GRAVITY_MPS2
@@ -136,9 +133,6 @@ def _height_stages(gains: CascadeGains, params: ControlParams) -> list[_Stage]:
     ]
 
 
-# ----------------------------------------------------------------------------------- the plants
-
-
 def _plant(
     motor_s: float, params: ControlParams, links: Sequence[float], rows: Sequence[Sequence[float]]
 ) -> System:
@@ -170,9 +164,6 @@ def _gain(matrix: list[list[float]], step_s: float) -> System:
 def _pick(index: int, count: int, step_s: float) -> System:
     """The row that selects one output."""
     return _gain([[float(i == index) for i in range(count)]], step_s)
-
-
-# ------------------------------------------------------------------------------- cuts and margins
 
 
 def _closed(plant: System, stage: _Stage) -> System:

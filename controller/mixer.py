@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.api import VehicleModel
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 def allocation_matrix(vehicle: VehicleModel) -> Array:

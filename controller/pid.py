@@ -14,11 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.controller.api import ControlParams
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

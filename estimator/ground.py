@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from touchdown.estimator.parameters import HEIGHT_BIN_M
-from touchdown.estimator.typing import Array, Bytes, Float32, Mask
+from touchdown.sim.typing import Array, Bytes, Float32, Mask
 
 ONE_SURFACE_STD_M = 0.04
 """spread of the returns of one surface: range noise of 2 to 3 cm and the slope within a cell"""

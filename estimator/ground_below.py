@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from touchdown.estimator.filtering.imu_propagation import NavState
-from touchdown.estimator.typing import Array
 from touchdown.sim.api import RangefinderSample, SensorRig
+from touchdown.sim.typing import Array
 
 _REMEMBERED = 32
 """echoes that ``spot`` looks among: more than half a second"""

@@ -17,8 +17,8 @@ from typing import TypeVar
 import numpy as np
 
 from touchdown.estimator.api import image_defect, some_pixels
-from touchdown.estimator.typing import Bytes, Float32, Mask
 from touchdown.sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
+from touchdown.sim.typing import Bytes, Float32, Mask
 
 _CLUTTER_M = 10.0
 """range within which echoes may come from rain or fog"""

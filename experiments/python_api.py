@@ -189,9 +189,6 @@ def check_estimator(
     )
 
 
-# ------------------------------------------------------------------------------------------- inside
-
-
 def _plain(value: Any) -> Any:
     """Paths as text, tuples as lists, NumPy scalars and arrays as Python numbers and lists."""
     if isinstance(value, Mapping):

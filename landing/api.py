@@ -21,8 +21,7 @@ from touchdown.landing.parameters import SurveyParams as SurveyParams
 from touchdown.landing.parameters import TermName as TermName
 from touchdown.landing.parameters import Zou2024SelectorParams as Zou2024SelectorParams
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig, VehicleModel
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 class Phase(StrEnum):

@@ -1,5 +1,5 @@
 """Simulation of the world: clock, physics, wind, sensors, faults.
 
-`api` and `frames` are open to all folders; `world` is the flight, `posed_sensors` views without a
-flight. Nothing here estimates, decides or controls.
+`api`, `frames` and `typing` are open to all folders; `world` is the flight, `posed_sensors` views
+without a flight. Nothing here estimates, decides or controls.
 """

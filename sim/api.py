@@ -51,9 +51,6 @@ GRAVITY_MPS2 = 9.81
 AIR_DENSITY_KGPM3 = 1.225
 
 
-# ------------------------------------------------------------------------------- parameters
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SimParams:
     """Clock and delivery. All ``*_ticks`` divide or multiply one tick of 1 / ``tick_hz`` s."""
@@ -134,9 +131,6 @@ class WorldParams:
     faults: FaultParams = field(default_factory=FaultParams)
     vehicle_error: VehicleErrorParams = field(default_factory=VehicleErrorParams)
     dust: DustParams = field(default_factory=DustParams)
-
-
-# -------------------------------------------------------------- the vehicle's model and calibration
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -253,9 +247,6 @@ class SensorNeeds:
                 f"camera_hz is {rate}, but images come on pulses of a {clock_hz} Hz clock: 0 or "
                 f"one of {divisors(clock_hz)}"
             )
-
-
-# ------------------------------------------------------------------------------------- messages
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

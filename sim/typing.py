@@ -1,4 +1,4 @@
-"""Array types of the simulation; shapes, units and frames stand where they are used."""
+"""Array types; shapes, units and frames stand where they are used."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
+Grey = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 Int32 = NDArray[np.int32]
 Uint32 = NDArray[np.uint32]
 Indices = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+Mask = NDArray[np.bool_]

@@ -13,9 +13,9 @@ import numpy as np
 
 from touchdown.estimator.filtering.error_state import POSITION, ROTATION, VELOCITY
 from touchdown.estimator.filtering.eskf import Eskf
-from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.api import BarometerSample, GpsFix
 from touchdown.sim.frames import cross, skew, wrap_angle
+from touchdown.sim.typing import Array, Indices
 
 
 def update(

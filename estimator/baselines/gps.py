@@ -15,9 +15,9 @@ import numpy as np
 from touchdown.estimator.api import CalibrationPriors, Estimate, GpsEstimatorParams
 from touchdown.estimator.baselines.aiding import update_velocity
 from touchdown.estimator.baselines.navigator import Navigator
-from touchdown.estimator.typing import Array
 from touchdown.sim.api import GpsFix, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 _UNKNOWN_M2 = 1e6
 _FIX_TIMEOUT_S = 2.0

@@ -31,9 +31,9 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.keyframes import bearing_rays
-from touchdown.estimator.typing import Array, Float32, Grey, Indices
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import skew
+from touchdown.sim.typing import Array, Float32, Grey, Indices
 
 _WINDOW = (15, 15)
 _LEVELS = 2

@@ -24,7 +24,6 @@ from touchdown.estimator.filtering.online_calibration import (
 from touchdown.estimator.filtering.synchronizer import ArrivingStream, max_delay_ticks
 from touchdown.estimator.filtering.zero_velocity import align_with_gravity
 from touchdown.estimator.guard import InputGuard
-from touchdown.estimator.typing import Array
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     BarometerSample,
@@ -38,6 +37,7 @@ from touchdown.sim.api import (
     SensorRig,
 )
 from touchdown.sim.frames import Pose, rotation_from_yaw, yaw_from_rotation
+from touchdown.sim.typing import Array
 
 _EVENTS, _SAMPLES = ("images", "gps"), ("magnetometer", "barometer", "rangefinder")
 """fields of `Observation`: messages that are epochs, and what is used at the next one"""

@@ -42,9 +42,9 @@ from touchdown.estimator.filtering.camera_model import (
 )
 from touchdown.estimator.filtering.keyframes import detect_features
 from touchdown.estimator.ground_below import GroundBelow
-from touchdown.estimator.typing import Array, Grey, Mask
 from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
+from touchdown.sim.typing import Array, Grey, Mask
 
 _GATE = 4.0
 _TRACKING_TIMEOUT_S = 1.5

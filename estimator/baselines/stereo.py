@@ -36,9 +36,9 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
-from touchdown.estimator.typing import Array, Bytes, Grey, Indices
 from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Bytes, Grey, Indices
 
 _MIN_DEPTH_M = 0.03
 _ROWS_PX = 1.0

@@ -22,8 +22,8 @@ from touchdown.estimator.filtering.error_state import (
     Frames,
 )
 from touchdown.estimator.filtering.vectors import Vector, cross
-from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Indices
 
 # derivatives of a residual: pose, mount of the LIDAR, and the clone that its part of the map is
 # anchored to

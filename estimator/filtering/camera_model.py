@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from touchdown.estimator.filtering.error_state import POSITION, ROTATION
 from touchdown.estimator.filtering.imu_propagation import exp_so3_each
 from touchdown.estimator.filtering.keyframes import bearing_rays
-from touchdown.estimator.typing import Array, Bytes
 from touchdown.sim.api import CameraImage, CameraIntrinsics, SensorRig
 from touchdown.sim.frames import Pose, cross
+from touchdown.sim.typing import Array, Bytes
 
 
 class Undistorter:

@@ -13,7 +13,6 @@ from touchdown.estimator.api import PoseTrack
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.imu_propagation import NavState
 from touchdown.estimator.filtering.vectors import along, turned, turned_back, xyz
-from touchdown.estimator.typing import Array, Float32, Indices
 from touchdown.sim.api import LidarScan, LidarSheet
 from touchdown.sim.frames import (
     Pose,
@@ -22,6 +21,7 @@ from touchdown.sim.frames import (
     matrix_from_quat_wxyz,
     quat_wxyz_from_matrix,
 )
+from touchdown.sim.typing import Array, Float32, Indices
 
 _STEPS = 128
 

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp, so3_log
+from touchdown.sim.typing import Array
 
 # the navigation state; a pose, of the state, a clone or a measurement, has the first two
 ROTATION = slice(0, 3)

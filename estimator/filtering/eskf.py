@@ -39,8 +39,8 @@ from touchdown.estimator.filtering.imu_propagation import (
     propagate_nominal,
     transition,
 )
-from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.frames import Pose, so3_exp
+from touchdown.sim.typing import Array, Indices
 
 
 class NormalEquations(NamedTuple):

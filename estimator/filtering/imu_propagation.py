@@ -34,9 +34,9 @@ from touchdown.estimator.filtering.error_state import (
     VELOCITY,
 )
 from touchdown.estimator.filtering.vectors import Vector
-from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.api import GRAVITY_MPS2, ImuSheet
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Indices, Mask
 
 _NO_ERRORS = np.zeros(IMU_DIM)
 

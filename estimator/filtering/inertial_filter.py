@@ -53,7 +53,6 @@ from touchdown.estimator.filtering.zero_velocity import (
     align_with_gravity,
     judge_rest,
 )
-from touchdown.estimator.typing import Array
 from touchdown.sim.api import (
     GRAVITY_MPS2,
     CameraImage,
@@ -64,6 +63,7 @@ from touchdown.sim.api import (
     SensorRig,
 )
 from touchdown.sim.frames import Pose, so3_exp, so3_log
+from touchdown.sim.typing import Array
 
 _GRAVITY: Array = np.array([0.0, 0.0, GRAVITY_MPS2])
 _START_SIGMAS = np.repeat([2e-4, 2e-3, 5e-3], 3)

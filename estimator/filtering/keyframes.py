@@ -12,9 +12,9 @@ from numba import njit
 from touchdown.estimator.filtering.error_state import Frame, Pinhole
 from touchdown.estimator.filtering.landmark_depth import RecentReturns, feature_planes
 from touchdown.estimator.filtering.vectors import along, dot, turned, xyz
-from touchdown.estimator.typing import Array, Grey, Mask
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Grey, Mask
 
 
 @dataclass(slots=True)

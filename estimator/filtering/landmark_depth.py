@@ -13,8 +13,8 @@ from numba import njit
 
 from touchdown.estimator.filtering.deskew import moved
 from touchdown.estimator.filtering.error_state import Frame
-from touchdown.estimator.typing import Array, Float32, Indices, Int32, Mask
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Float32, Indices, Int32, Mask
 
 _CLOSE = 0.4
 """fraction of the neighbourhood whose returns give the depth of a feature on no plane"""

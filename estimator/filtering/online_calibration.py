@@ -45,9 +45,9 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.imu_propagation import exp_so3_each
 from touchdown.estimator.filtering.vectors import UNIT, ZERO, Vector, along, cross, dot, turned, xyz
-from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
+from touchdown.sim.typing import Array
 
 
 def prior_sigmas(params: CalibrationPriors) -> Array:

@@ -16,8 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.estimator.filtering.error_state import Frame
-from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Indices, Mask
 
 
 class PlaneMatches(NamedTuple):

@@ -32,9 +32,9 @@ from touchdown.estimator.filtering.vectors import (
     turned_back,
     xyz,
 )
-from touchdown.estimator.typing import Array
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 
 @dataclass(frozen=True, slots=True)

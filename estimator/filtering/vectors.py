@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from touchdown.estimator.typing import Array
+from touchdown.sim.typing import Array
 
 Vector = tuple[float, float, float]
 UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -21,9 +21,9 @@ from touchdown.estimator.filtering.error_state import (
 )
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import NavState
-from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.api import GRAVITY_MPS2, ImuSheet
 from touchdown.sim.frames import skew, so3_log
+from touchdown.sim.typing import Array, Indices, Mask
 
 _RATE_LIMIT = 2e-3
 """rad/s, of the mean rate once the gyroscope bias is known"""

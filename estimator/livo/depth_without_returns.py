@@ -31,9 +31,9 @@ from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.keyframes import Keyframe, bearing_rays
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import LandmarkViews, PixelNoise, depth_corrections
-from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Indices
 
 _MIN_RETURNS = 150
 _CELL = 0.02

@@ -44,9 +44,9 @@ from touchdown.estimator.livo.scan_update import (
     update_with_scan,
 )
 from touchdown.estimator.livo.visual import VisualFrontEnd
-from touchdown.estimator.typing import Array, Bytes
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, so3_log
+from touchdown.sim.typing import Array, Bytes
 
 _SPREAD = 0.12
 """fraction of a voxel between two points of a scan that are stored: close to the ground a scan

@@ -44,8 +44,8 @@ from touchdown.estimator.filtering.error_state import (
 from touchdown.estimator.filtering.eskf import Eskf, IteratedUpdate, limit_information
 from touchdown.estimator.filtering.vectors import ZERO, along, cross, dot, turned, turned_back, xyz
 from touchdown.estimator.livo.scan_update import Returns, ScanErrors
-from touchdown.estimator.typing import Array, Bytes, Float32
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Bytes, Float32
 
 SIDE = 384
 """cells of a row"""

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from touchdown.estimator.filtering.error_state import Frame, Pinhole
-from touchdown.estimator.typing import Array, Bytes, Float32, Grey, Mask
+from touchdown.sim.typing import Array, Bytes, Float32, Grey, Mask
 
 HALF = 6
 """patches are 13 x 13"""

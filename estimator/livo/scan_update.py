@@ -42,8 +42,8 @@ from touchdown.estimator.filtering.eskf import (
 )
 from touchdown.estimator.filtering.plane_map import PlaneMap, PlaneMatches
 from touchdown.estimator.filtering.vectors import along, cross, dot, turned, turned_back, xyz
-from touchdown.estimator.typing import Array, Indices
 from touchdown.sim.api import SensorRig
+from touchdown.sim.typing import Array, Indices
 
 
 class Returns(NamedTuple):

@@ -51,8 +51,8 @@ from touchdown.estimator.livo.depth_without_returns import (
     update_with_range,
 )
 from touchdown.estimator.livo.patch_tracker import track
-from touchdown.estimator.typing import Array, Grey, Indices
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Grey, Indices
 
 _GATES_PX = (12.0, 6.0, 3.0, 3.0)
 """largest residuals of the four iterations"""

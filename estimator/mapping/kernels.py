@@ -9,7 +9,7 @@ import numba
 import numpy as np
 
 from touchdown.estimator.filtering.error_state import Frame
-from touchdown.estimator.typing import Bytes, Float32
+from touchdown.sim.typing import Bytes, Float32
 
 
 class Pulses(NamedTuple):

@@ -33,9 +33,9 @@ from touchdown.estimator.filtering.synchronizer import max_delay_ticks
 from touchdown.estimator.guard import InputGuard
 from touchdown.estimator.mapping import kernels
 from touchdown.estimator.mapping.kernels import Grid, Layers, Lens, Pulses
-from touchdown.estimator.typing import Array, Float32
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, PoseHistory
+from touchdown.sim.typing import Array, Float32
 
 _TRACK_LENGTH = 256
 """buffered poses: 1.28 s of control steps, more than a scan plus its delivery"""

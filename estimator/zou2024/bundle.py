@@ -27,10 +27,10 @@ from touchdown.estimator.filtering.error_state import (
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.estimator.filtering.reprojection import MountedCamera, reprojection_information
 from touchdown.estimator.filtering.vectors import along, cross, dot, turned, turned_back, xyz
-from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.estimator.zou2024.visual_map import MapKeyframe, Sightings, by_host, joined, project
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Indices, Mask
 
 _GATES_PX = (24.0, 12.0, 6.0, 4.0, 3.0, 3.0)
 

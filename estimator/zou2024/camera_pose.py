@@ -15,7 +15,6 @@ from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.keyframes import bearing_rays, most_redundant
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.reprojection import MountedCamera
-from touchdown.estimator.typing import Array, Float32, Indices
 from touchdown.estimator.zou2024.bundle import CameraPose, adjust_window, solve_pnp
 from touchdown.estimator.zou2024.closures import Closures, LoopVerifier
 from touchdown.estimator.zou2024.depth_field import DepthField
@@ -33,6 +32,7 @@ from touchdown.estimator.zou2024.visual_map import (
 )
 from touchdown.sim.api import CameraImage, SensorRig
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Float32, Indices
 
 _MIN_LANDMARKS = 30
 _QUERY_PERIOD_S = 1.0

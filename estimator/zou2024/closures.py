@@ -28,7 +28,6 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
-from touchdown.estimator.typing import Array
 from touchdown.estimator.zou2024.bundle import solve_pnp
 from touchdown.estimator.zou2024.place_recognition import LoopFilter, Memory, MemoryLimits
 from touchdown.estimator.zou2024.relative_pose import ImageModel
@@ -43,6 +42,7 @@ from touchdown.estimator.zou2024.visual_map import (
     by_host,
 )
 from touchdown.sim.frames import Pose, rotation_from_yaw, skew, so3_log
+from touchdown.sim.typing import Array
 
 
 @dataclass(slots=True)

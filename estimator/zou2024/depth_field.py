@@ -16,11 +16,11 @@ from numba import njit
 from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.vectors import along, turned, xyz
-from touchdown.estimator.typing import Array, Bytes, Float32, Indices, Int32
 from touchdown.estimator.zou2024.structured_edges import EdgeDetector
 from touchdown.estimator.zou2024.visual_map import NEAREST_DEPTH_M
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Bytes, Float32, Indices, Int32
 
 Real = float | np.float32
 

@@ -14,12 +14,12 @@ from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.online_calibration import prior_sigmas
 from touchdown.estimator.filtering.synchronizer import MessageSynchronizer
-from touchdown.estimator.typing import Float32
 from touchdown.estimator.zou2024.camera_pose import CameraPositioning
 from touchdown.estimator.zou2024.depth_field import half_size_energy
 from touchdown.estimator.zou2024.lidar_pose import LidarPositioning
 from touchdown.estimator.zou2024.structured_edges import edge_detector
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds, SensorRig
+from touchdown.sim.typing import Float32
 
 
 def nearest_image(

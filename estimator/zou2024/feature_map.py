@@ -10,8 +10,8 @@ from numba import njit
 from touchdown.estimator.filtering.error_state import Frame, Frames
 from touchdown.estimator.filtering.plane_map import _EMPTY, _pack, _slot
 from touchdown.estimator.filtering.vectors import along, turned, xyz
-from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Indices, Mask
 
 NEIGHBOURS = 5
 """k of Algorithm 1"""

@@ -15,7 +15,6 @@ from touchdown.estimator.filtering.error_state import Frame
 from touchdown.estimator.filtering.inertial_filter import InertialFilter
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.online_calibration import corrected_mount
-from touchdown.estimator.typing import Array, Float32, Indices, Mask
 from touchdown.estimator.zou2024.depth_field import scan_colour_smoothness
 from touchdown.estimator.zou2024.feature_map import FeatureMap
 from touchdown.estimator.zou2024.registration import (
@@ -27,6 +26,7 @@ from touchdown.estimator.zou2024.registration import (
 from touchdown.estimator.zou2024.relative_pose import update_with_scan
 from touchdown.sim.api import CameraIntrinsics, LidarScan, SensorRig
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Float32, Indices, Mask
 
 _REACH = 5
 """neighbours on each side along the track of one laser"""

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from touchdown.estimator.typing import Array, Bytes, Float32, Indices
+from touchdown.sim.typing import Array, Bytes, Float32, Indices
 
 _NEW_WORD_RATIO = 0.8
 """ratio of the distances to the nearest word and to the next (``Kp/NndrRatio`` of RTAB-Map)"""

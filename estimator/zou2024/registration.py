@@ -40,9 +40,9 @@ from touchdown.estimator.filtering.vectors import (
     turned_back,
     xyz,
 )
-from touchdown.estimator.typing import Array, Indices, Mask
 from touchdown.estimator.zou2024.feature_map import FeatureMap, Seen
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Indices, Mask
 
 
 class Matches(NamedTuple):

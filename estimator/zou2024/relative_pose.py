@@ -36,9 +36,9 @@ from touchdown.estimator.filtering.reprojection import (
     PixelNoise,
     calibrated_information,
 )
-from touchdown.estimator.typing import Array, Indices
 from touchdown.estimator.zou2024.registration import ScanPose, relative_equations
 from touchdown.estimator.zou2024.visual_map import LandmarkSet, MapKeyframe, Sightings, by_host
+from touchdown.sim.typing import Array, Indices
 
 _GATES_PX = (12.0, 6.0, 6.0)
 _UNSEEN_SIGMAS = np.repeat([0.01, 0.1], 3)

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.estimator.typing import Bytes, Float32
 from touchdown.sim.files.opening import no_file
+from touchdown.sim.typing import Bytes, Float32
 
 SHIPPED_MODEL = Path(__file__).with_name("structured_edges.yml.gz")
 """a structured forest trained on images of this project's scenes"""

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from touchdown.estimator.typing import Array, Bytes, Grey, Indices, Mask
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Bytes, Grey, Indices, Mask
 
 SIFT, BRISK = 0, 1
 SIFT_BYTES, BRISK_BYTES = 128, 64

@@ -14,13 +14,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from touchdown.experiments.errors import UsageError
 from touchdown.sim.api import ImuParams
+from touchdown.sim.typing import Array
 from touchdown.sim.vibration import PropellerVibration
-
-Array = NDArray[np.float64]
 
 AXES = ("gyro x", "gyro y", "gyro z", "accel x", "accel y", "accel z")
 BANDS_HZ = ((10, 20), (20, 30), (30, 40), (40, 50), (50, 60))

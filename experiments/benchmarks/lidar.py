@@ -24,8 +24,7 @@ from touchdown.sim.geometry.tessellation import FIRST_HIDDEN_GROUP
 from touchdown.sim.lidar.patterns import PATTERNS
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.moving import BodyTrack, MovingBodies
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 HOVERS = 6
 """Number of positions over the scene's middle from which scans are taken."""

@@ -12,12 +12,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import open3d as o3d
-from numpy.typing import NDArray
 
 from touchdown.experiments.api import Chessboard
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array, Mask
 
 _VOXEL_M = 0.04
 _SMALL_RADIUS_M, _LARGE_RADIUS_M = 0.11, 0.28

@@ -9,7 +9,6 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.api import CalibrationResult, CalibrationView, Chessboard
 from touchdown.experiments.calibration.board_plane import BoardPlane, find_board
@@ -31,8 +30,7 @@ from touchdown.experiments.flight.platform import limit_threads
 from touchdown.experiments.io.calibration_file import write_calibration
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_log
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _MAX_APART_M = 0.5
 """between camera and LIDAR"""

@@ -10,14 +10,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.api import Chessboard
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import skew, so3_exp, so3_right_jacobian
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
+from touchdown.sim.typing import Array, Bytes
 
 LENS_PARAMETERS = 9
 """fx, fy, cx, cy, k1, k2, p1, p2, k3"""

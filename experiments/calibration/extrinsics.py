@@ -7,17 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from touchdown.experiments.calibration.board_plane import BoardPlane
 from touchdown.experiments.calibration.chessboard import CameraPlanes
 from touchdown.sim.frames import Pose, so3_exp
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array, Indices, Mask
 
 MIN_VIEWS = 3
 _TRIALS = 300

@@ -14,8 +14,7 @@ from touchdown.experiments.api import CalibrationResult, CalibrationView, Chessb
 from touchdown.experiments.scene_tools.views import write_image
 from touchdown.scenes.api import Image
 from touchdown.sim.frames import Pose, so3_exp
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _COLUMNS, _GAP = 4, 6
 _SMALL = (424, 240)

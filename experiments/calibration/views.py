@@ -9,19 +9,16 @@ from zlib import crc32
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.api import CalibrationView, Chessboard
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.scene_tools.posed_views import posed_sensors
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
+from touchdown.sim.typing import Array, Image
 
 if TYPE_CHECKING:
     from touchdown.sim.posed_sensors import PosedSensors
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 SECONDS_PER_VIEW = 1.0
 """LIDAR time per view, in which the pattern fills up"""

@@ -47,8 +47,6 @@ _OWN = (
 )  # fmt: skip
 """Beginnings of the names of all that a campaign writes into its directory."""
 
-# ------------------------------------------------------------------------------------------- lock
-
 
 @contextlib.contextmanager
 def locked(directory: Path, shard: Shard | None) -> Iterator[None]:
@@ -119,9 +117,6 @@ def check_plain(directory: Path) -> None:
             refuse_links(folder.iterdir(), "a campaign")
         elif folder.exists():
             raise UsageError(f"'{folder}' is a file where a campaign has a folder; remove it")
-
-
-# ------------------------------------------------------------------------------------------- plan
 
 
 def read_plan_file(directory: Path) -> dict[str, Any]:
@@ -300,9 +295,6 @@ def check_external_code(plan: Plan, directory: Path) -> None:
                 f"({len(changed)}), such as {changed[0]}; name another --out, or remove those runs "
                 f"({directory / RUNS / changed[0]} and so on) to fly them anew"
             )
-
-
-# ---------------------------------------------------------------------------------------- leavings
 
 
 def sweep(directory: Path, run_ids: Iterable[str], *, whole: bool) -> None:

@@ -266,9 +266,6 @@ def runs_of_shard(plan: Plan, shard: tuple[int, int] | None) -> list[PlannedRun]
     return [run for run in plan.runs if shard is None or in_shard(run.run_id, shard)]
 
 
-# ---------------------------------------------------------------------------------------- parsing
-
-
 def _parse(tree: Mapping[str, Any], source: str) -> CampaignFile:
     try:
         return CampaignFile.model_validate(tree)
@@ -381,9 +378,6 @@ def _check_names(axes: Mapping[str, list[Any]], source: str) -> None:
         check_scene_name(name, f" in {source}")
 
 
-# -------------------------------------------------------------------------------------- unrolling
-
-
 def _runs(
     spec: CampaignFile,
     axes: Mapping[str, list[Any]],
@@ -424,8 +418,6 @@ def _runs(
             )
     return runs
 
-
-# ------------------------------------------------------------------------------------------ names
 
 _LABELS = {
     "wind_kmh": "w", "faults.events": "", "profile": "", "harsh_effects": "", "preset": "",

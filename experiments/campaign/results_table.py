@@ -107,9 +107,6 @@ def crashed_row(record: Mapping[str, Any]) -> dict[str, Any]:
     return dict.fromkeys(SCHEMA) | known | outcome
 
 
-# ----------------------------------------------------------------------------------------- tables
-
-
 def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
     """Returns a ``pyarrow.Table``: the columns of ``SCHEMA``, then all others by name.
 
@@ -181,9 +178,6 @@ def _read_table(path: Path) -> list[dict[str, Any]]:
 
     rows: list[dict[str, Any]] = pq.ParquetFile(path).read().to_pylist()
     return rows
-
-
-# ------------------------------------------------------------------------------------ directories
 
 
 def is_campaign(directory: Path) -> bool:

@@ -163,9 +163,6 @@ def _without_row(runs: Sequence[PlannedRun], directory: Path) -> list[str]:
     return [run.run_id for run in runs if run.run_id not in known]
 
 
-# ---------------------------------------------------------------------------------------- arrival
-
-
 class Arrivals:
     """Takes the events of an engine. A run directory appears under ``runs/`` whole, with its row,
     or not at all; a run that is not the planned one, or failed, is recorded in ``failed/``.
@@ -270,9 +267,6 @@ def lacks_recording(run_dir: Path) -> bool:
     return (
         not (run_dir / RECORDING).exists() and not load_result(run_dir / "result.json").is_success
     )
-
-
-# ---------------------------------------------------------------------------------------- summary
 
 
 def summary(directory: Path) -> dict[str, Any]:

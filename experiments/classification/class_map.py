@@ -16,9 +16,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.images import read_picture, write_png
 from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.scores import probabilities
-
-Float32 = NDArray[np.float32]
-Image = NDArray[np.uint8]
+from touchdown.sim.typing import Float32, Image
 
 UNSURE = "unsure"
 _BATCH = 32

@@ -27,13 +27,11 @@ from touchdown.experiments.scene_tools.posed_views import (
 )
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
 from touchdown.scenes.authoring.ground import varied_materials
+from touchdown.sim.typing import Array, Image, Int32
 
 if TYPE_CHECKING:
     from touchdown.sim.posed_sensors import PosedView
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-Int32 = NDArray[np.int32]
 Counts = NDArray[np.int64]
 
 HEIGHTS_M = (5.0, 60.0)

@@ -58,9 +58,6 @@ def cli(context: click.Context) -> int:
     return EXIT_DONE
 
 
-# ------------------------------------------------------------------------------------------ entry
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit code; bad input is one line on stderr. As the program,
     without ``arguments``, a command that runs code of others gets a process of its own."""

@@ -72,8 +72,6 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-# ------------------------------------------------------------------------------------------- values
-
 _TOO_DEEP = f"is nested too deeply: a configuration has at most {DEEPEST} levels"
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 _MANY_PARTS = re.compile(rf"(?<![\w.-]){_PART}(?:\.[ \t]*+{_PART}){{{DEEPEST}}}")
@@ -98,9 +96,6 @@ def wrong_value(value: Any) -> str:
         elif isinstance(item, str) and not is_text(item):
             return f"is no text: {ascii(item)[:60]} has half a character or a zero byte; correct it"
     return ""
-
-
-# --------------------------------------------------------------------------------------------- code
 
 
 def came_with_results(file: Path) -> bool:

@@ -327,9 +327,6 @@ def _message(error: ValidationError, values: Mapping[str, Any], sources: Mapping
     return f"{key} = {given} in {where} is wrong: {message}"
 
 
-# ---------------------------------------------------------------------- checks across keys
-
-
 def _check_rates(config: Config) -> None:
     """Raises UsageError unless every rate divides the clock: events fall on whole ticks."""
     sim = config.sim

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from touchdown.sim.typing import Image
 
 SHEET_VIEWS = ("above", "oblique", "camera", "depth", "lidar", "height", "class", "safe")
 _ROW_PIXELS = 230

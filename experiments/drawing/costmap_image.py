@@ -27,8 +27,8 @@ from touchdown.experiments.drawing.style import (
 )
 from touchdown.landing.api import Candidate, CostmapView, Decision, LanderView
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Colours = NDArray[np.uint8]
 
 UNKNOWN_RGB = (30, 32, 38)
@@ -162,9 +162,6 @@ def _draw_candidates(
                       markeredgecolor=colour, markeredgewidth=2.0, path_effects=RIM)  # fmt: skip
         axes.annotate(str(number), tuple(at), xytext=(6, 6), textcoords="offset points",
                       color="white", fontsize=10, path_effects=RIM)  # fmt: skip
-
-
-# ------------------------------------------------------------------------------------------- terms
 
 
 def _table(decision: Decision) -> list[str]:

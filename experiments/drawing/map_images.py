@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import SurveyParams
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Points = NDArray[np.float32]
 Colours = NDArray[np.uint8]
 

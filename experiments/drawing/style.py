@@ -57,8 +57,6 @@ def write_figure(path: Path, figure: Figure) -> None:
         figure.savefig(path)
 
 
-# -------------------------------------------------------------------------------------------- maps
-
 Extent = tuple[float, float, float, float]
 """west, east, south and north edge of a map, m"""
 

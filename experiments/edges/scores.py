@@ -32,15 +32,11 @@ from touchdown.experiments.edges.views import EdgeView, Notes, edge_views
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.flight.wiring import build_scene, make_world
 from touchdown.experiments.scene_tools.posed_views import posed_sensors
+from touchdown.sim.typing import Array, Float32, Image, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Image = NDArray[np.uint8]
-Float32 = NDArray[np.float32]
 
 TEST_SCENES = ("houses", "pools")
 """held-out scenes, which no training image shows"""
@@ -262,9 +258,6 @@ def _row(found: Score) -> dict[str, float]:
         "precision": float(found.total.precision[found.best]),
         "recall": float(found.total.recall[found.best]),
     }
-
-
-# ----------------------------------------------------------------------------------------- figures
 
 
 def plot_curves(path: Path, report: Mapping[str, Any]) -> None:

@@ -26,13 +26,11 @@ from touchdown.experiments.scene_tools.posed_views import (
 )
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Int32, Mask
 
 if TYPE_CHECKING:
     from touchdown.sim.posed_sensors import PosedView
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Int32 = NDArray[np.int32]
 Notes = Callable[[str], None]
 
 _STEP_M = 0.4

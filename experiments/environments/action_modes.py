@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.controller.api import Controller, Setpoint
 from touchdown.estimator.api import Estimator
 from touchdown.sim.api import Command, Observation, VehicleModel
 from touchdown.sim.frames import rotation_from_yaw, yaw_from_rotation
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 ACTIONS = ("rotors", "velocity")
 MAX_VELOCITY_MPS = np.array([4.0, 4.0, 2.5])

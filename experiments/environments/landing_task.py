@@ -56,8 +56,7 @@ from touchdown.experiments.flight.referee import TruthLookup, stands_on_truth
 from touchdown.experiments.flight.wiring import build_scene, make_world
 from touchdown.sim.api import CameraParams, Command, Truth
 from touchdown.sim.frames import tilt_from_rotation
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 WARM_UP_S = 0.4
 MAX_TILT_DEG = 75.0

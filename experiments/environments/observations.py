@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig, Truth
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 CAMERA_HZ = 10
 _FAR_M = 1000.0

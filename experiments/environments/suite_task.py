@@ -17,8 +17,6 @@ from touchdown.experiments.environments.landing_task import LandingTask, Step, T
 from touchdown.experiments.environments.task_scene import MAX_DISTANCE_M
 from touchdown.scenes.api import VEHICLE_BODY
 
-Array = NDArray[np.float64]
-
 ACTION_NAMES = {
     "rotors": ("rotor 0", "rotor 1", "rotor 2", "rotor 3"),
     "velocity": ("forward", "left", "up", "yaw rate"),

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from touchdown.scenes.api import Scene, TruthMaps
 from touchdown.scenes.truth.maps import truth_maps
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 MAX_DISTANCE_M = 20.0
 _MAP_CELL_M = 0.25

@@ -15,7 +15,6 @@ from typing import TextIO
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.export.flown_run import Exported, ExportOptions, FlownRun
@@ -30,8 +29,7 @@ from touchdown.experiments.io.sensor_log_reader import (
 from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import LidarScan, SensorRig
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 SEQUENCE = "00"
 _KEPT_IMAGES = 4
@@ -46,8 +44,6 @@ _TRUTH_HEAD = (
     "b_a_RS_S_z [m s^-2]\n"
 )
 _NO_BIAS = ",0" * 6
-
-# ------------------------------------------------------------------------------------------- EuRoC
 
 
 def write_euroc(flown: FlownRun, folder: Path, _options: ExportOptions) -> Exported:
@@ -139,9 +135,6 @@ def _opened(stack: ExitStack, path: Path, head: str) -> TextIO:
     file = stack.enter_context(path.open("w", encoding="ascii"))
     file.write(head)
     return file
-
-
-# ------------------------------------------------------------------------------------------- KITTI
 
 
 def write_kitti(flown: FlownRun, folder: Path, options: ExportOptions) -> Exported:

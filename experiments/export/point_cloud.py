@@ -17,8 +17,8 @@ from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import CameraImage, CameraIntrinsics, LidarScan
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Colours = NDArray[np.uint8]
 
 _KEPT_IMAGES = 4
@@ -45,9 +45,6 @@ def _write_map(flown: FlownRun, path: Path) -> Exported:
     cloud.comments = [f"{LIBRARY}: map, world frame, metres"]
     cloud.write(path)
     return Exported(path, {"points": count})
-
-
-# -------------------------------------------------------------------------------------------- scans
 
 
 def _write_scans(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:

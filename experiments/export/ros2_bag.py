@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pymap3d
-from numpy.typing import NDArray
 from rosbags.interfaces import (
     Connection,
     Qos,
@@ -44,8 +43,7 @@ from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import GpsFix, Observation, RangefinderSample, SensorNeeds, SensorRig
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 MAP, ODOM, BODY, TRUE_BODY = "map", "odom", "base_link", "base_link_gt"
 IMU, LIDAR, GPS, RANGEFINDER = "imu_link", "lidar_link", "gps_link", "rangefinder_link"
@@ -135,9 +133,6 @@ def _plain(pose: Pose) -> dict[str, list[float]]:
         "translation_m": pose.translation.tolist(),
         "rotation_row_major": pose.rotation.ravel().tolist(),
     }
-
-
-# ------------------------------------------------------------------------------------------ sensors
 
 
 class _Sensors:
@@ -232,9 +227,6 @@ def mounts(rig: SensorRig, sensed: SensorNeeds) -> dict[str, Pose]:
         ),
     )
     return {frame: pose for wanted, frame, pose in table if wanted}
-
-
-# ------------------------------------------------------------------------------------- trajectories
 
 
 def _trajectories(flown: FlownRun, options: ExportOptions, bag: Bag) -> Iterator[float]:

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from touchdown.experiments.export.flown_run import SAME_TIME_S, Exported, ExportOptions, FlownRun
 from touchdown.experiments.io.tum import read_tum
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose, matrices_from_quats_wxyz, so3_log
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 TIME = "time_s"
 

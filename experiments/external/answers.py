@@ -73,9 +73,6 @@ class DefectError(Exception):
         self.rule, self.reason = rule, reason
 
 
-# ----------------------------------------------------------------------------------------- a part
-
-
 def wrong_part(kind: str, part: Any, rig: Any) -> str:
     """What is wrong with a built object before its first call; "" where nothing is."""
     methods = [method for of, method in _ANSWERS if of == kind]
@@ -119,9 +116,6 @@ def _wrong_limits(part: Any) -> str:
     if not isinstance(minimum, int | float) or not 0.0 <= minimum <= 1.0:
         return f"min_probability is {minimum!r}, not a probability from 0 to 1"
     return ""
-
-
-# ---------------------------------------------------------------------------------------- answers
 
 
 def check_answer(kind: str, method: str, answer: Any, rig: Any, arguments: tuple[Any, ...]) -> None:

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate
 from touchdown.experiments.external.examination import Examined, Findings, attempt, examine_as
@@ -23,8 +22,7 @@ from touchdown.experiments.external.loading import Build
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, so3_log
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 START_DISTANCE_M, START_ANGLE_DEG = 5.0, 20.0
 """Limits of the first estimate to the take-off pose: above the error of a first GPS fix, below that
@@ -102,9 +100,6 @@ def examine_estimator(
         for field in ("scans", "images"):
             attempt(findings, start, functools.partial(without, field))
     return findings
-
-
-# ------------------------------------------------------------------------------------------ checks
 
 
 class Step(NamedTuple):

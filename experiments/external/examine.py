@@ -36,11 +36,9 @@ from touchdown.experiments.external.synthetic_world import (
 from touchdown.landing.api import Phase, RankedSites, SelectorInput
 from touchdown.landing.selection.offered import selection_of
 from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorNeeds
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Checked = Iterator[tuple[str, str]]
-
-# --------------------------------------------------------------------------------------- selector
 
 
 def selector(part: Examined) -> Checked:
@@ -84,8 +82,6 @@ def selector(part: Examined) -> Checked:
         yield "missing data", "a site is accepted where nothing is mapped"
 
 
-# ----------------------------------------------------------------------------------------- mapper
-
 _OFF_M, _MIN_M2, _SCANS_S = 0.1, 3.0, 3.0
 """largest median error of the heights, and least area mapped, after so many seconds"""
 
@@ -127,8 +123,6 @@ def mapper(part: Examined) -> Checked:
         yield "heights", f"heights are {off_m:.2f} m off (median)"
 
 
-# ------------------------------------------------------------------------------------- classifier
-
 _COLOURS = ((100, 130, 70), (170, 130, 95), (95, 95, 100), (60, 85, 110), (40, 60, 30))
 _SAME, _ROUNDING = 1e-6, 1e-3
 
@@ -157,8 +151,6 @@ def classifier(part: Examined) -> Checked:
     black = np.zeros_like(shown[:1])
     part.ask("classify", black, when="of a black image", rule="missing data")
 
-
-# ------------------------------------------------------------------------------------- controller
 
 _START, _WAY = np.array([0.0, 0.0, 10.0]), np.array([2.0, -1.0, 1.0])
 _HOVER_S, _WAY_S, _WAY_END_S = 0.5, 3.0, 5.0
@@ -214,8 +206,6 @@ def controller(part: Examined) -> Checked:
     if np.any([stopped, again]):
         yield "stop", "motors_on = False left rotors turning"
 
-
-# ----------------------------------------------------------------------------------------- lander
 
 _JUMP_M, _CONTACT_MPS, _MISSION_S = 0.5, 0.5, 300.0
 _FLOWN_M = 2.0

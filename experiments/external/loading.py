@@ -96,9 +96,6 @@ def wrong_signature(build: Callable[..., Any]) -> str:
     return ""
 
 
-# ------------------------------------------------------------------------------------- the module
-
-
 def external_module(name: str, kind: str = "estimator") -> ModuleType:
     """Imported module of MODULE:FUNCTION. Raises UsageError."""
     if not _NAME.fullmatch(name):
@@ -150,9 +147,6 @@ def _missing(module_name: str, error: ModuleNotFoundError) -> str:
         f"there is no module '{missing}' here or among what is installed{hint}; run from the "
         "folder that holds it, or install its project with pip install -e"
     )
-
-
-# --------------------------------------------------------------------------------------- the code
 
 
 def location(error: BaseException, module_name: str) -> str:

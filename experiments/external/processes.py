@@ -119,9 +119,6 @@ def none_left() -> Iterator[None]:
         end_descendants(os.getpid(), keep=before)
 
 
-# ------------------------------------------------------------------------------- a guarded program
-
-
 def guarded(program: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     """Command and environment of a program under a guard that ends with this process."""
     command = [sys.executable, "-P", "-m", __name__, *program]
@@ -155,9 +152,6 @@ def guard(program: Sequence[str]) -> None:
 def _end(_signal: int, _frame: Any) -> None:
     end_descendants(os.getpid())
     os._exit(128 + signal.SIGTERM)
-
-
-# ------------------------------------------------------------------------------- a guarded command
 
 
 def runs_external_code(arguments: Sequence[str]) -> bool:

@@ -35,8 +35,8 @@ from touchdown.sim.api import (
 )
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, rotation_from_yaw
 from touchdown.sim.navigation.sensors import earth_field_world, pressure_at
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Reals = NDArray[np.floating[Any]]
 
 CONTROL_TICKS = 3

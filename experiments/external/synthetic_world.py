@@ -12,8 +12,7 @@ from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, GridMap, MapView
 from touchdown.sim.api import GRAVITY_MPS2, ImuSample, Observation, SensorRig, VehicleModel
 from touchdown.sim.frames import Pose, cross, rotation_from_yaw, so3_exp, yaw_from_rotation
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 TICK_HZ = 600
 _SUBSTEPS = 4

@@ -182,9 +182,6 @@ def _field_names(kind: Hashable) -> tuple[str, ...]:
     return tuple(field.name for field in dataclasses.fields(kind))
 
 
-# ---------------------------------------------------------------------------------- the six slots
-
-
 class _Slot:
     """What fills a slot of a flight with a part; ``needs`` are those of the part."""
 

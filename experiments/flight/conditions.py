@@ -213,9 +213,6 @@ def as_json(conditions: Sequence[Condition]) -> list[dict[str, Any]]:
     ]
 
 
-# -------------------------------------------------------------------------------------- faults
-
-
 def judge_fault(fault: Fault, record: Mapping[str, Any], sim_s: float, config: Config) -> Condition:
     """The verdict on a fault by its record; in a flight of ``sim_s`` seconds."""
     span = f"{fault.kind} {_span(fault)}"
@@ -278,9 +275,6 @@ def _change(record: Mapping[str, Any]) -> str:
     return f" ({', '.join(parts)})" if parts else ""
 
 
-# ------------------------------------------------------------------------------ light and wind
-
-
 def _light(config: Config, measured: Measured) -> Condition:
     name, maximum, lux = config.light, MAX_LUX[config.light], measured.light_lux
     lamp = measured.lamp_fraction or 0.0
@@ -303,9 +297,6 @@ def _wind(config: Config, measured: Measured) -> Condition:
         f"the vehicle, gusts to {3.6 * (measured.gust_mps or 0.0):.1f}"
     )
     return Condition("wind", low <= kmh <= high, text, kmh, low, high)
-
-
-# ------------------------------------------------------------------------------- harsh effects
 
 
 @dataclass(frozen=True, slots=True)

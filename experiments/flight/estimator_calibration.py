@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.api import CalibrationErrorParams, StartParams
 from touchdown.experiments.config.profiles import profile_values
@@ -17,11 +16,10 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.errors import UsageError
 from touchdown.sim.api import CameraIntrinsics, ImuSheet, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log, yaw_from_rotation
+from touchdown.sim.typing import Array
 
 if TYPE_CHECKING:
     from touchdown.experiments.io.calibration_file import CalibrationFile
-
-Array = NDArray[np.float64]
 
 _DISTORTION_TERMS = 4
 """k1, k2, p1 and p2"""
@@ -140,9 +138,6 @@ def calibration_errors(true: SensorRig, nominal: SensorRig) -> dict[str, float]:
     }
 
 
-# -------------------------------------------------------------------------- against the IMU
-
-
 def _camera_against_imu(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:
     """With the error of the cameras' mount, which carries both of a stereo pair."""
     sigmas = params.imu_camera_rotation_sigma_deg, params.imu_camera_translation_sigma_m
@@ -195,9 +190,6 @@ def _erring_mount(
     true = rig.body_from_imu.inverse() @ getattr(rig, f"body_from_{sensor}")
     moved = true.translation + translation_sigma_m * draws[3:]
     return rig.body_from_imu @ Pose(rotation @ true.rotation, moved)
-
-
-# -------------------------------------------------------------------------- distortion
 
 
 def _distorted(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> SensorRig:

@@ -18,8 +18,7 @@ from touchdown.estimator.api import GridMap
 from touchdown.experiments.io.result_parts import Nees, PositionError
 from touchdown.sim.api import Contact, Truth
 from touchdown.sim.frames import Pose, tilt_from_rotation, wrap_angle, yaw_from_rotation
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 TOUCHDOWN_WINDOW_S = 0.5
 """Speeds and accelerations at touchdown are means over this span before the first contact."""

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate
 from touchdown.experiments.api import Outcome, RefereeParams
@@ -30,8 +29,7 @@ from touchdown.landing.api import LanderView, Phase
 from touchdown.scenes.api import SAFE_CLASSES, Scene
 from touchdown.sim.api import Contact, Truth
 from touchdown.sim.frames import tilt_from_rotation
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _DESCENDING = frozenset({Phase.DESCEND, Phase.TOUCHDOWN, Phase.RETURN, Phase.DONE})
 _LIFT_OFF_HEIGHT_M = 0.1

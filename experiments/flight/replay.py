@@ -17,7 +17,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, Estimator, ImageThinning, spare_sensors
 from touchdown.experiments.api import Outcome
@@ -39,8 +38,6 @@ from touchdown.sim.faults.injector import FaultInjector
 from touchdown.sim.faults.types import WORLD_KINDS
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
-
-Array = NDArray[np.float64]
 
 _LIFT_OFF_HEIGHT_M = 0.1
 _FLOWN = (

@@ -36,8 +36,7 @@ from touchdown.experiments.io.result_parts import (
 from touchdown.experiments.io.results import RunResult
 from touchdown.landing.api import RULE_KEYS, Candidate, Decision
 from touchdown.scenes.api import Scene, names_function
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 def make_result(

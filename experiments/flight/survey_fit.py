@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.config.loading import survey_problem
 from touchdown.experiments.config.schema import Config
@@ -18,9 +17,6 @@ from touchdown.scenes.api import Scene
 
 if TYPE_CHECKING:
     from touchdown.scenes.truth.survey_facts import SurveyGround
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 GROUND_FRACTION = 0.95
 """least fraction of the survey with ground below"""

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.controller.api import Controller
 from touchdown.estimator.api import Estimate, Estimator, Mapper, spare_sensors
@@ -30,13 +29,12 @@ from touchdown.sim.api import Observation, SensorRig, Truth, World, WorldParams
 from touchdown.sim.effects import WorldRecord
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 if TYPE_CHECKING:
     from touchdown.experiments.external.wrapper import ExternalPart
     from touchdown.experiments.px4.autopilot import Px4Autopilot
     from touchdown.landing.classification.onboard import OnnxGroundClassifier
-
-Array = NDArray[np.float64]
 
 
 @dataclass(slots=True)

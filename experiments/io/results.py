@@ -139,18 +139,12 @@ class RunResult(Part):
         return json.dumps(self.plain(), indent=2) + "\n"
 
 
-# ------------------------------------------------------------------------------------- the verdict
-
-
 def is_success(outcome: str, touched_safe_ground: bool | None) -> bool:
     """The one rule of a successful flight: landed on safe ground, or, for a survey alone, flown to
     its end."""
     if outcome == SUCCESS_WITHOUT_LANDING:
         return True
     return outcome == LANDED and touched_safe_ground is True
-
-
-# ----------------------------------------------------------------------------------------- columns
 
 
 def columns() -> dict[str, str]:
@@ -185,9 +179,6 @@ def _kind(hint: Any) -> str | type[BaseModel] | None:
     if isinstance(part, type) and issubclass(part, BaseModel):
         return part
     return _KINDS.get(part)
-
-
-# ----------------------------------------------------------------------------------------- reading
 
 
 def lookup(row: Mapping[str, Any], path: str) -> Any:

@@ -11,16 +11,13 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics, GpsFix, ImuSample, LidarScan, SensorRig
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
+from touchdown.sim.typing import Array, Bytes
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 LOGGED_POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4"), ("intensity", "u1")]
@@ -84,9 +81,6 @@ def stamp_ns(tick: int, time_s: float, tick_hz: int) -> int:
     return max(0, tick_ns(tick, tick_hz) + round((time_s - tick / tick_hz) * 1e9))
 
 
-# ------------------------------------------------------------------------------------------ parts
-
-
 def _make(message_type: str, *members: Any) -> Any:
     return typestore().types[message_type](*members)
 
@@ -105,9 +99,6 @@ def _quaternion(rotation: Array) -> Any:
     return _make("geometry_msgs/msg/Quaternion", x, y, z, w)
 
 
-# -------------------------------------------------------------------------------------- containers
-
-
 def text_message(text: str) -> Any:
     """``std_msgs/msg/String``"""
     return _make("std_msgs/msg/String", text)
@@ -117,9 +108,6 @@ def bytes_message(data: bytes) -> Any:
     """``std_msgs/msg/UInt8MultiArray`` without dimensions."""
     layout = _make("std_msgs/msg/MultiArrayLayout", [], 0)
     return _make("std_msgs/msg/UInt8MultiArray", layout, np.frombuffer(data, dtype=np.uint8))
-
-
-# ----------------------------------------------------------------------------------------- sensors
 
 
 def compressed_image_message(time_ns: int, frame: str, png: Bytes) -> Any:
@@ -247,9 +235,6 @@ def right_camera_shift(rig: SensorRig) -> float:
     """P[0, 3] of the right camera of the pair: -fx times the baseline, pixels times metres."""
     offset = (rig.body_from_camera.inverse() @ rig.body_from_camera_right).translation
     return -float(rig.camera.fx * offset[0])
-
-
-# ------------------------------------------------------------------------------------------- poses
 
 
 def transforms_message(time_ns: int, links: Sequence[Link]) -> Any:

@@ -316,8 +316,6 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-# ------------------------------------------------------------------------------------------- checks
-
 _POSITIVE = (
     "tick_hz", "imu_ticks", "camera_ticks", "lidar_scan_ticks", "camera.width", "camera.height",
     "camera.fx", "camera.fy", "vehicle.mass_kg", "vehicle.thrust_coefficient",

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from touchdown.experiments.errors import UsageError
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _BUFFERED_ROWS = 256
 _MAX_M = 1e12

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.api import Px4Params
 from touchdown.experiments.px4.messages import Px4Error
 from touchdown.sim.api import GRAVITY_MPS2, SensorRig, VehicleModel
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 RATE_RADPS, YAW_RATE_RADPS = 16.0, 5.0
 """crossover of the rate loops: the motors' lag of 40 ms allows no more"""

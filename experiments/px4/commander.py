@@ -7,7 +7,6 @@ from collections import deque
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate
@@ -15,8 +14,7 @@ from touchdown.experiments.api import Px4Params
 from touchdown.experiments.errors import visible
 from touchdown.experiments.px4.link import CommandLink
 from touchdown.experiments.px4.messages import Messages, Px4Error, ned
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _ASK_AGAIN_S = 0.5
 _SPOOLED_S = 0.6

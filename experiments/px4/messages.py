@@ -10,7 +10,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate
@@ -24,8 +23,7 @@ from touchdown.sim.api import (
     SensorRig,
 )
 from touchdown.sim.frames import quat_wxyz_from_matrix, wrap_angle
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _IMU, _MAGNETOMETER, _BAROMETER = 0x3F, 0x1C0, 0x1A00
 _TEMPERATURE_C = 15.0
@@ -178,9 +176,6 @@ class Messages:
             common.MAV_STATE_ACTIVE,
             3,
         )
-
-
-# -------------------------------------------------------------------------------- frames of PX4
 
 
 def ned(enu: Array) -> list[float]:

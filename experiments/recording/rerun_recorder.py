@@ -32,8 +32,7 @@ from touchdown.landing.api import Candidate, LanderView
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import Command, LidarScan, Observation, SensorRig, Truth
 from touchdown.sim.frames import Pose, PoseHistory, quat_wxyz_from_matrix, tilt_from_rotation
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _POSE_HZ = 20.0
 _SCALAR_HZ = 10.0

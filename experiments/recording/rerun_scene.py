@@ -22,8 +22,8 @@ from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.ray_target import body_pose, geom_pose
 from touchdown.sim.geometry.tessellation import geom_mesh, grid_triangles
 from touchdown.sim.moving import MovingBodies
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 Colours = NDArray[np.uint8]
 
@@ -137,9 +137,6 @@ def _log_mesh(stream: rr.RecordingStream, path: str, mesh: Mesh | None) -> None:
     stream.log(path, logged, static=True)
 
 
-# ----------------------------------------------------------------------------------------- meshes
-
-
 def visible_geoms(model: Any) -> list[int]:
     """Geoms that a viewer shows: a common group and not transparent."""
     shown = (model.geom_group < _HIDDEN_GROUP) & (_geom_rgba(model)[:, 3] > 0.0)
@@ -201,9 +198,6 @@ def terrain(
         texture=_texture(model, geom, texture_pixels),
         colours=np.tile((255 * _geom_rgba(model)[geom, :3]).astype(np.uint8), (len(local), 1)),
     )
-
-
-# ---------------------------------------------------------------------------------------- colours
 
 
 def _geom_rgba(model: Any) -> Array:

@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.text import Text
-from numpy.typing import NDArray
 
 from touchdown.experiments.drawing.style import FAINT, GRID, INK, STYLE, new_figure
 from touchdown.experiments.errors import visible
@@ -25,8 +24,7 @@ from touchdown.experiments.reporting.measures import AXES, SET_MARK, is_marked, 
 from touchdown.experiments.reporting.published import ANALYSED_SCENE
 from touchdown.experiments.reporting.statistics import Estimate, mean_interval
 from touchdown.experiments.reporting.trajectories import Trajectory, read_trajectory
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _STYLE: Any = {
     **STYLE,
@@ -76,8 +74,6 @@ def drawn(picture: Picture, width: float, height: float) -> Iterator[Figure]:
     picture.svg = text.getvalue()
 
 
-# ---------------------------------------------------------------------------------------- figures
-
 _PATH_POINTS = 300
 _COLUMNS = 4
 """of small drawings beside one another"""
@@ -107,8 +103,6 @@ def pictures_of(frame: pd.DataFrame) -> list[Picture]:
     ]
     return [picture for picture in found if picture is not None]
 
-
-# ------------------------------------------------------------------------------------------- paths
 
 _Paths = tuple[Trajectory, Trajectory | None, Trajectory | None]
 """trajectories of a flight: truth, estimate, reference"""
@@ -220,9 +214,6 @@ def _add_legend(figure: Figure, axes: Axes, columns: int) -> None:
     figure.legend(handles, labels, loc="outside upper center", ncols=columns, fontsize=8)
 
 
-# -------------------------------------------------------------------------------------------- bars
-
-
 def _error_bars(frame: pd.DataFrame, key: str, picture: Picture) -> Picture | None:
     """Fig. 10 b-e: x, y, z and yaw per method and scene, with intervals."""
     if not values(frame, f"{key}.x").size:
@@ -274,8 +265,6 @@ def _whiskers(estimate: Estimate) -> tuple[float, float]:
         return 0.0, 0.0
     return max(0.0, estimate.value - estimate.low), max(0.0, estimate.high - estimate.value)
 
-
-# -------------------------------------------------------------------------------------- touchdowns
 
 _RINGS_M = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")

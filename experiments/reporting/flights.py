@@ -119,8 +119,6 @@ def ordered(frame: pd.DataFrame, column: str) -> list[str]:
     return sorted(found, key=lambda n: (known.index(n) if n in known else len(known), n))
 
 
-# -------------------------------------------------------------------------------------- conditions
-
 _WORLD = ("profile", "preset", "light")
 """Keys that set many others."""
 _SAME = (*UNTOLD, "landing.site_xy_m", "landing.survey_only")

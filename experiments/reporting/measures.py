@@ -59,9 +59,6 @@ def measure_of(column: str) -> Measure:
     return MEASURES.get(column) or Measure(column, column)
 
 
-# ------------------------------------------------------------------------- figures that are set
-
-
 @dataclass(frozen=True, slots=True)
 class Setting:
     """Figures that a key of the configuration sets. They are marked wherever they are printed, and

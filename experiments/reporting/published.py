@@ -66,8 +66,6 @@ SITES: Mapping[str, PublishedSite] = {
 """Table 6, five landings each, by the scene of this project that is of the same kind."""
 
 
-# ------------------------------------------------------------------- networks, and time of a choice
-
 NETWORK_NAMES: Mapping[str, str] = {
     "resnext50": "ResNeXt50",
     "vgg19": "Vgg19",

@@ -119,9 +119,6 @@ def _pictures(frame: pd.DataFrame) -> list[Picture]:
     return found
 
 
-# ------------------------------------------------------------------------------------------- words
-
-
 def summary_words(frame: pd.DataFrame) -> list[str]:
     """The conditions, and the flights that were not successful."""
     conditions = ordered(frame, "condition")
@@ -199,9 +196,6 @@ def _revision_words(recorded: Iterable[str | None]) -> list[str]:
             f"Git revision of {found.count(None)} flights not recorded: {UNRECORDED_REMEDY}."
         )
     return lines
-
-
-# --------------------------------------------------------------------------------------- rendering
 
 
 def page(report: Report) -> str:

@@ -54,9 +54,6 @@ def landed_of(frame: pd.DataFrame) -> pd.DataFrame:
     return frame[frame["outcome"] == "LANDED"]
 
 
-# ------------------------------------------------------------------------------------- all flights
-
-
 def flight_table(frame: pd.DataFrame, first: str = "") -> Table:
     """A line for each condition, method and scene. ``first``: the condition that the others are
     compared with by the ratio of mean errors on equal scenes and seeds, where there are several."""
@@ -164,9 +161,6 @@ def map_table(frame: pd.DataFrame) -> Table:
     ]
     return make_table(mapped, "table1", "Table 1: scan time, map density and levelness", columns,
                       notes=notes)  # fmt: skip
-
-
-# ---------------------------------------------------------------------------------------- landings
 
 
 def landing_tables(frame: pd.DataFrame) -> list[Table]:
@@ -277,9 +271,6 @@ def _touchdown_table(landings: pd.DataFrame) -> Table:
                       notes=notes)  # fmt: skip
 
 
-# ------------------------------------------------------------------------------------ expectations
-
-
 def expectation_table(verdicts: Sequence[Verdict]) -> Table:
     """A line for each expectation of the campaign's file."""
     rows = [
@@ -296,8 +287,6 @@ def expectation_table(verdicts: Sequence[Verdict]) -> Table:
     notes = [f"`{run_id}`: {why}." for v in verdicts for run_id, why in v.failures.items()]
     return Table("expected", "Expectations and outcomes", header, rows, notes)
 
-
-# ------------------------------------------------------------------------ runs outside of campaigns
 
 _RUN_COLUMNS = (
     *(value(name) for name in ("scene", "estimator")),

@@ -17,10 +17,9 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 CONFIDENCE = 0.95
 RESAMPLES = 10_000
@@ -212,9 +211,6 @@ def rank_correlation(a: Array, b: Array, units: Sequence[Any] | None = None) -> 
     return Estimate(value, float(low), float(high), len(a), independent)
 
 
-# ------------------------------------------------------------------------------------------ tests
-
-
 @functools.lru_cache(maxsize=64)
 def _signs(pairs: int) -> tuple[Array, bool]:
     """(flips, pairs) of -1 and 1; True with all existing patterns."""
@@ -263,9 +259,6 @@ def holm(p_values: Sequence[float]) -> list[float]:
     adjusted = np.empty_like(p)
     adjusted[order] = np.minimum(steps, 1.0)
     return [float(value) for value in adjusted]
-
-
-# ------------------------------------------------------------------------------------------ power
 
 
 def min_pairs(alpha: float) -> int:

@@ -75,9 +75,6 @@ def markdown_lines(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list
     return [head, "|" + "---|" * len(header), *(f"| {' | '.join(row)} |" for row in rows)]
 
 
-# ---------------------------------------------------------------------------------------- columns
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Column:
     """A column of a table. ``of``: makes the figure of a line of its flights; ``column``: of the
@@ -168,9 +165,6 @@ def counts(title: str, column: str, leave: str = "") -> Column:
         return ", ".join(f"{name} {n}" for name, n in number.items()) or None
 
     return Column(key=title, title=title, of=of)
-
-
-# ----------------------------------------------------------------------------------------- groups
 
 
 def groups(
@@ -278,9 +272,6 @@ def _add_printed(
             line.append(Cell(text, kind="published"))
 
 
-# ------------------------------------------------------------------------------------------ cells
-
-
 def cell(figure: Any, *, scale: float = 1.0, kind: str = "", marked: bool = False) -> Cell:
     """The cell of a figure; ``marked``: the configuration sets it."""
     if not _is_known(figure):
@@ -339,7 +330,6 @@ def _as_json(figure: Any) -> Any:
     return figure.item() if isinstance(figure, np.generic) else figure
 
 
-# --------------------------------------------------------------------------------------- Markdown
 # Names of scenes, methods and files come from outside: nothing of them but `code` becomes markup.
 
 _MARKUP = re.compile(

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.io.tum import read_tum
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import matrices_from_quats_wxyz
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 LIFT_OFF_M = 0.1
 

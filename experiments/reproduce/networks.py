@@ -159,9 +159,6 @@ def _render(folder: Path, size: Recognition, jobs: int, notes: Notes) -> None:
     )
 
 
-# --------------------------------------------------------------------------------------- training
-
-
 def _train(todo: Sequence[Training], jobs: int, notes: Notes) -> None:
     """Trains the given networks; resumes interrupted trainings."""
     if jobs == 1 or len(todo) <= 1 or on_gpu():
@@ -208,9 +205,6 @@ def _use_one_thread() -> None:
 
 def _ignore(*_progress: object) -> None:
     pass
-
-
-# ---------------------------------------------------------------------------------------- scoring
 
 
 def _known_scores(file: Path, training: Training) -> dict[str, Any] | None:

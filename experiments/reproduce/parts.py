@@ -38,8 +38,6 @@ Done = tuple[dict[str, Any], str]
 """figures for the report, and the reason why a part failed its purpose, else empty"""
 
 
-# ------------------------------------------------------------------------------------------ extent
-
 # Without normalisation VGG19 does not begin to learn at the rate of the others. Inception has no
 # input left below 75 pixels.
 _PHOTOGRAPHS = Recognition(
@@ -122,9 +120,6 @@ class Part:
     needs_photographs: bool = False
 
 
-# ------------------------------------------------------------------------------- sensors, pictures
-
-
 def _calibration(job: Job) -> Done:
     from touchdown.experiments.calibration.calibrate import run_calibration
 
@@ -197,8 +192,6 @@ def _speed(job: Job) -> Done:
     return bench_landing(rounds=_ROUNDS, threads=job.jobs, reference=reference), ""
 
 
-# ----------------------------------------------------------------------------------------- flights
-
 _QUICK_SCENES = {"zou2024_sites": "rooftop_parking"}
 """Scenes of the quick edition by campaign, where it is not the one that the paper analyses."""
 
@@ -266,9 +259,6 @@ def _campaign(name: str, title: str, *shows: str) -> Part:
     )
 
 
-# ---------------------------------------------------------------------------------------- networks
-
-
 def _networks(name: str, title: str, *shows: str, photographs: bool = False) -> Part:
     """A part that trains networks, on rendered images or on photographs."""
 
@@ -310,9 +300,6 @@ def _networks(name: str, title: str, *shows: str, photographs: bool = False) -> 
     )
 
 
-# ------------------------------------------------------------------------------------------- list
-
-
 def _fixed(name: str, title: str, run: Callable[[Job], Done], seconds: float, *shows: str) -> Part:
     """A part that is the same in all editions."""
     return Part(
@@ -347,9 +334,6 @@ def part_named(name: str) -> Part:
     if name not in known:
         raise UsageError(f"unknown part '{name}'{nearest(name, known)}; known: {', '.join(known)}")
     return PARTS[known.index(name)]
-
-
-# ------------------------------------------------------------------------------------------ results
 
 
 class PartResult(BaseModel):

@@ -106,9 +106,6 @@ def _summary_words(done: Reproduction) -> list[str]:
     return lines
 
 
-# ---------------------------------------------------------------------------------------- sections
-
-
 def _section(part: Part, result: PartResult, folder: Path, rows: list[dict[str, Any]]) -> Section:
     """Section of a part; the flights of its campaign are added to ``rows``."""
     revision = f"at revision `{result.git_revision}`" if result.git_revision else "of no revision"
@@ -250,8 +247,6 @@ def raster(name: str, title: str, caption: str, file: Path) -> Picture:
     )
     return Picture(name, title, caption, svg)
 
-
-# ------------------------------------------------------------------------------------------- items
 
 _WITHOUT_NUMBERS = "no: the paper prints it without numbers, of other scenes"
 _OTHER_IMAGES = "no: trained and tested on other images than the paper's"

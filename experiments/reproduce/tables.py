@@ -112,9 +112,6 @@ def speed_table(figures: Figures) -> Table:
     return Table("table7", "Table 7: time of site selection", header, rows, notes, numbers)
 
 
-# ---------------------------------------------------------------------------------------- networks
-
-
 def network_tables(networks: Sequence[Figures]) -> list[Table]:
     """Tables 3 and 4, of the first training of each network under each label scheme."""
     first = min((one.get("seed", 0) for one in networks), default=0)

@@ -151,9 +151,6 @@ def _check_revision(revisions: Collection[str], directory: Path) -> None:
         )
 
 
-# --------------------------------------------------------------------------------------- measured
-
-
 def _limit(out: Path) -> dict[str, Any]:
     from touchdown.experiments.benchmarks.limit.survey import measure
 
@@ -192,8 +189,6 @@ def measure(parts: Sequence[str], out: Path) -> list[Path]:
         files.append(file)
     return files
 
-
-# ----------------------------------------------------------------------------------------- record
 
 FILE = "docs/results/rows.parquet"
 _KEY = b"touchdown edition"

@@ -210,8 +210,6 @@ def beliefs(frame: pd.DataFrame) -> list[str]:
     )
 
 
-# ------------------------------------------------------------------------------------------ README
-
 _MEASURES = (
     ("d_L, offset from the chosen site", "m", _D_L, _D_L),
     ("v_z before the first contact", "m/s", _V_Z, _V_Z),
@@ -276,8 +274,6 @@ def _landing_summary(frame: pd.DataFrame) -> list[str]:
     return [said, "", *markdown_lines(header, rows)]
 
 
-# ------------------------------------------------------------------------------------ short flights
-
 _COMPARED = (
     ("position error (m)", _ERROR),
     ("largest position error (m)", "position_error_m.max"),
@@ -327,9 +323,6 @@ def _pair_line(title: str, column: str, both: pd.DataFrame) -> list[str]:
     ]
 
 
-# --------------------------------------------------------------------------------------- measured
-
-
 def limit(figures: Mapping[str, Any]) -> list[str]:
     """Of ``limit.json``."""
     from touchdown.experiments.benchmarks.limit.survey import table
@@ -365,9 +358,6 @@ def cost(figures: Mapping[str, Any]) -> list[str]:
         for title, one in figures.items()
     ]  # fmt: skip
     return markdown_lines(["measure", "value"], rows)
-
-
-# ------------------------------------------------------------------------------------------ picture
 
 
 def chosen_ground(frame: pd.DataFrame) -> Picture:

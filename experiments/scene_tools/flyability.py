@@ -132,9 +132,6 @@ def _size(survey: SurveyParams) -> str:
     return f"{survey.leg_length_m:g} x {(survey.legs - 1) * survey.leg_spacing_m:g} m"
 
 
-# ------------------------------------------------------------------------------------------- seeds
-
-
 def check_scene(name: str, seeds: int, progress: Callable[[str], None]) -> dict[str, Any]:
     """Builds seeds 0 to ``seeds`` - 1 of a scene.
 

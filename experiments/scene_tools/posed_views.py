@@ -12,11 +12,10 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import world_params
 from touchdown.scenes.api import Array, Scene
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
+from touchdown.sim.typing import Int32
 
 if TYPE_CHECKING:
     from touchdown.sim.posed_sensors import PosedSensors, PosedView
-
-Int32 = NDArray[np.int32]
 
 LOW_M, HIGH_M = 8.0, 40.0
 """Default range of heights of random views over the take-off spot"""

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 from rerun.chunk import Chunk, RrdReader
 
 from touchdown.experiments.config.keys import settings_apart
@@ -16,8 +15,7 @@ from touchdown.experiments.io.results import RunResult, load_result
 from touchdown.experiments.io.tum import read_tum
 from touchdown.experiments.recording.rerun_blueprint import TIMELINE, pair_blueprint
 from touchdown.sim.files.opening import no_file
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 NAMES = ("a", "b")
 COLOURS = ((80, 180, 255), (255, 150, 50))

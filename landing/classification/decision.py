@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 from touchdown.landing.classification.scores import probabilities
 from touchdown.landing.parameters import LandingParams
 from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES
+from touchdown.sim.typing import Array, Float32, Mask
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 Labels = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 FALSE_SAFE, CONFIDENCE = 0.01, 0.95
 """fraction of images of unsafe ground that may count as safe, and the confidence with which limits

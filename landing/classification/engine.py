@@ -17,8 +17,7 @@ from touchdown.landing.classification.weights import (
     facts_of,
     read_network,
 )
-
-Float32 = NDArray[np.float32]
+from touchdown.sim.typing import Float32
 
 _BATCH = 32
 _TRAINED = Path(__file__).resolve().with_name("trained")

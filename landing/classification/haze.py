@@ -14,10 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from touchdown.sim.typing import Array, Image
 
 _GAMMA = 2.2
 """exponent from grey level to linear light"""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
+from touchdown.sim.typing import Array, Float32
+
 Labels = NDArray[np.int64]
 
 _BINS = 15

@@ -24,10 +24,7 @@ from touchdown.landing.api import (
 )
 from touchdown.landing.classification.survey_images import PosedImage, SurveyImages
 from touchdown.scenes.api import LAND_CLASSES
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array
 
 _PERIOD_S = 0.1
 _JITTER_S = 1e-3

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import (
@@ -30,8 +29,7 @@ from touchdown.landing.classification.survey_images import SurveyImages, sharpne
 from touchdown.landing.selection.ground.landable import Refusal
 from touchdown.scenes.api import LAND_CLASSES, RISKY_CLASSES, SAFE_CLASSES
 from touchdown.sim.api import Observation, SensorRig
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _RECENT_S = 4.0
 """age of the images that the recheck prefers"""

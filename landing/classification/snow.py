@@ -11,14 +11,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapView
 from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, observed_raster
 from touchdown.scenes.api import LAND_CLASSES
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array, Mask
 
 _LEVELS = 150.0
 """intensity of a matt target that reflects everything, straight below (Livox)"""

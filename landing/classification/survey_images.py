@@ -20,9 +20,7 @@ from touchdown.estimator.api import Estimate, image_defect, some_pixels
 from touchdown.landing.classification.haze import Haze, darkest_light, estimate_haze
 from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorRig
 from touchdown.sim.frames import Pose, PoseHistory
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from touchdown.sim.typing import Array, Image
 
 _TRACK = 128
 """number of kept poses, for the pose of an exposure: at 200 Hz longer than the delay of an image"""

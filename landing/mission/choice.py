@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.landing.api import Candidate, CostmapView, Decision, Selection, SelectorInput
 from touchdown.landing.classification.site_check import SiteClassCheck, least_bad
@@ -16,8 +15,7 @@ from touchdown.landing.mission.mission import Mission
 from touchdown.landing.mission.site_recheck import ground_under
 from touchdown.landing.selection.ranking import ranked, why_chosen
 from touchdown.landing.selection.selector import check_site
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 class Choice(NamedTuple):

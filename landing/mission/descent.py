@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.landing.api import Phase
 from touchdown.landing.mission.mission import Mission, RuledSteps, Steps
@@ -17,8 +16,7 @@ from touchdown.landing.mission.trajectory import (
     straight_trajectory,
     vertical_move,
 )
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _RECHECK_S = 3.0
 """time for which a recheck waits for more returns before it refuses the site"""

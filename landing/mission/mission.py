@@ -8,7 +8,6 @@ from collections.abc import Callable, Generator
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
@@ -30,8 +29,8 @@ from touchdown.landing.mission.wind import FeltWind, WindEstimator, WindProfile
 from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.api import Observation, SensorRig
 from touchdown.sim.frames import wrap_angle, yaw_from_rotation
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Steps = Generator[Setpoint, None, None]
 RuledSteps = Generator[Setpoint, None, Ruling | None]
 """steps that end with the rule that ended them, or None"""

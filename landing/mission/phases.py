@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.landing.api import Phase
 from touchdown.landing.mission.choice import choose_commanded, choose_sites, decided
@@ -19,8 +18,7 @@ from touchdown.landing.mission.trajectory import (
     turn_in_climb,
     vertical_move,
 )
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _SENSOR_SETTLE_S = 1.5
 _SPIN_UP_S = 0.8

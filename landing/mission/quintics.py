@@ -2,9 +2,8 @@
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 @njit(cache=True, error_model="numpy")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapView
 from touchdown.landing.api import LandingParams
@@ -23,8 +22,7 @@ from touchdown.landing.selection.ground.landable import (
     plane_refusal,
 )
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _POOL = 2
 """fine cells merged along each axis, for enough returns in each"""

@@ -6,14 +6,11 @@ import dataclasses
 from collections.abc import Iterable
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from touchdown.landing.api import Candidate, CostmapView, Decision, Phase, SurveyParams
 from touchdown.landing.classification.site_check import SiteClass
 from touchdown.landing.mission.site_recheck import Recheck
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Outcome = Literal["", "no_site", "aborted"]
 """what a flight counts as from a decision on; empty where it changes nothing"""
 

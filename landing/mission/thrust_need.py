@@ -14,11 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _ITERATIONS = 25
 _RELAXATION = 0.4

@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams
 from touchdown.landing.mission.quintics import sample_quintics
 from touchdown.landing.mission.thrust_need import FASTEST, air_coefficients, rotor_need
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, Sample
 from touchdown.sim.api import VehicleModel
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 BRAKE_PER_S = 0.30
 """largest fall of the rate per second: 2.3 m/s^2 at the survey's 7.8 m/s"""

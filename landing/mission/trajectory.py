@@ -12,12 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.landing.api import SurveyParams
 from touchdown.sim.frames import rotation_from_yaw
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Sample = tuple[Array, Array, Array]
 
 PEAK_SPEED = 1.875
@@ -129,9 +128,6 @@ def peaks(trajectory: PiecewiseTrajectory, per_segment: int = 64) -> tuple[float
     return float(speed), float(acceleration)
 
 
-# ------------------------------------------------------------------------------------- survey
-
-
 def survey_trajectory(start: Array, yaw: float, params: SurveyParams) -> PiecewiseTrajectory:
     """Returns the serpentine: legs along the heading ``yaw`` (rad) joined by minimum-jerk turns.
 
@@ -209,9 +205,6 @@ def _survey(
     durations.append(ramp)
     states.append(state(origin + sign * length, first_legs - 1, 0.0))
     return through(states, durations)
-
-
-# --------------------------------------------------------------------------- approach and descent
 
 
 def straight_trajectory(
@@ -340,9 +333,6 @@ def _descent(
         for depth, speed in zip(depths, speeds, strict=True)
     ]
     return through(states, durations)
-
-
-# ------------------------------------------------------------------------------------ heading
 
 
 @dataclass(frozen=True, slots=True)

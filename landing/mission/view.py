@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import LandingParams
 from touchdown.sim.api import Observation
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

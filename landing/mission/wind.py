@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate
 from touchdown.landing.mission.thrust_need import (
@@ -15,8 +14,7 @@ from touchdown.landing.mission.thrust_need import (
     air_coefficients,
 )
 from touchdown.sim.api import GRAVITY_MPS2, Observation, VehicleModel
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 _TIME_CONSTANT_S = 3.0
 _FELT_TIME_CONSTANT_S = 0.7

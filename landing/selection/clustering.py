@@ -7,12 +7,9 @@ from dataclasses import dataclass
 import cv2
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams
-
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
+from touchdown.sim.typing import Float32, Int32
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

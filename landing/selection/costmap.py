@@ -18,10 +18,7 @@ from touchdown.landing.selection.ground.elevation_raster import (
     PlaneField,
     disc_widths,
 )
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array, Float32, Mask
 
 
 def c_sum(smooth: Float32, flat: Float32, near: Float32, params: LandingParams) -> Float32:
@@ -33,9 +30,6 @@ def c_sum(smooth: Float32, flat: Float32, near: Float32, params: LandingParams) 
         + weights.weight_distance * near
     )
     return total
-
-
-# --------------------------------------------------------------------------------- smoothness
 
 
 def smoothness_of(raster: ElevationRaster, params: LandingParams) -> Float32:
@@ -84,9 +78,6 @@ def smoothness(edges: NDArray[np.uint8], coloured: Mask, cell_m: float, full_m: 
     radius = pixels * np.float32(cell_m)
     cost = np.minimum(radius / np.float32(full_m), np.float32(1.0))
     return np.where(coloured, cost, np.float32(np.nan))
-
-
-# ----------------------------------------------------------------------------------- flatness
 
 
 def flatness_of(raster: ElevationRaster, planes: PlaneField, params: LandingParams) -> Float32:
@@ -152,9 +143,6 @@ def _disc_sums(values: Float32, widths: NDArray[np.int64], column: Float32, sums
             fraction = np.float32(1.0 if wide else 0.0)
             for col in range(cols):
                 out[col] += left[col] + fraction * right[col]
-
-
-# ----------------------------------------------------------------------------------- distance
 
 
 def distance(raster: ElevationRaster, position_odom: Array, reach_m: float) -> Float32:

@@ -11,7 +11,6 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.landing.api import (
     Candidate,
@@ -32,9 +31,7 @@ from touchdown.landing.selection.ground.elevation_raster import (
 from touchdown.landing.selection.ground.landable import Refusal, fit_footprint
 from touchdown.landing.selection.ranking import ranked
 from touchdown.landing.selection.selector import NOTHING_MAPPED, unmapped
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
+from touchdown.sim.typing import Array, Float32
 
 
 def selection_of(offered: RankedSites, seen: SelectorInput, params: LandingParams) -> Selection:

@@ -30,10 +30,7 @@ from touchdown.landing.selection.ground.landable import (
     inner_cells,
 )
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array, Float32, Mask
 
 NAMES = ("slope", "step", "object", "spread", "neighbour", "confinement", "sparsity", "age")
 TERMS = ("constant", *NAMES, "worst", "near the limit")

@@ -6,7 +6,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import (
@@ -46,10 +45,7 @@ from touchdown.landing.selection.terms import (
     score_of,
     terms_at,
 )
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array, Float32, Mask
 
 NOTHING_MAPPED = Selection(
     candidates=(),

@@ -26,10 +26,7 @@ from touchdown.landing.api import (
 from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, dilated
 from touchdown.landing.selection.ground.landable import LandableMap, Refusal, explain
 from touchdown.scenes.api import LAND_CLASSES
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array, Float32, Mask
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,9 +55,6 @@ class Inputs:
     """probability of ground of an allowed class, by the semantic map"""
     clearance_m: Float32
     """distance to the nearest cell that does not pass the gates"""
-
-
-# -------------------------------------------------------------------------------------- terms
 
 
 def _probability(site: Inputs) -> tuple[Float32, Float32]:
@@ -198,9 +192,6 @@ def allowed_ground(
         nodes, cols, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=blind
     )
     return np.asarray(found, np.float32)
-
-
-# -------------------------------------------------------------------------------------- gates
 
 
 GATES: Mapping[GateName, Callable[[Inputs], Mask]] = {

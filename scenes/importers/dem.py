@@ -100,9 +100,6 @@ def import_dem(
     return export_spec(spec, out)
 
 
-# ---------------------------------------------------------------------------------------- heights
-
-
 def _grid(
     raster: HeightRaster, cell_m: float | None, window_m: float, path: Path
 ) -> tuple[float, float]:
@@ -235,9 +232,6 @@ def takeoff_spot(terrain: HeightField) -> Array:
     cost = relief + 0.003 * np.hypot(offsets[..., 0], offsets[..., 1])
     best = np.unravel_index(int(np.argmin(np.where(inside, cost, np.inf))), cost.shape)
     return np.asarray(spots[best], np.float64)
-
-
-# ---------------------------------------------------------------------------------------- colours
 
 
 def relief_texture(terrain: HeightField) -> Image:

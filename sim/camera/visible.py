@@ -15,7 +15,7 @@ import numpy as np
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.ground_picture import GroundPicture
 from touchdown.sim.geometry.tessellation import may_move
-from touchdown.sim.typing import Array, Bools, Float32, Indices
+from touchdown.sim.typing import Array, Float32, Indices, Mask
 
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _FIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
@@ -45,7 +45,7 @@ class Frustum:
         bottom, top = (0.5 * k.height - last) / k.fy, (0.5 * k.height - first) / k.fy
         return Frustum(eye, axes.reshape(3, 3), (-side, side, bottom, top))
 
-    def holds(self, centers: Array, radii: Array) -> Bools:
+    def holds(self, centers: Array, radii: Array) -> Mask:
         """(N,) True for spheres (N, 3), (N,) that may be in view."""
         x, y, z = ((centers - self.eye) @ self.axes).T
         seen = z <= radii

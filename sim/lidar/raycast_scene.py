@@ -20,7 +20,7 @@ from touchdown.sim.geometry.ray_target import Hits, RayTarget, TargetParts, body
 from touchdown.sim.geometry.tessellation import POROUS_CHORD_RELATIVE, geom_mesh, is_seen
 from touchdown.sim.lidar.heightfield import GroundGrid
 from touchdown.sim.lidar.rays import ground_cells
-from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32
+from touchdown.sim.typing import Array, Bytes, Float32, Indices, Int32, Mask
 
 VEHICLE_PREFIX = "vehicle/"
 DEFAULT_SURFACE = Surface(land_class="other", reflectivity=0.3)
@@ -57,7 +57,7 @@ class OpticalTable:
     """(G,) 0..1"""
     porosity: Float32
     """(G,) fraction of pulses that pass"""
-    water: Bools
+    water: Mask
     """(G,)"""
     ground_geom: int
     """-1 where the scene has no raster"""
@@ -136,7 +136,7 @@ class LidarScene:
         """(G,) geoms of bodies that move"""
         self.rest_poses = {_body_name(model, root): body_pose(rest, root) for root in blocks}
 
-    def crowns(self, chosen: Bools) -> Crowns:
+    def crowns(self, chosen: Mask) -> Crowns:
         """Boxes and heights of the ``chosen`` (G,) geoms that do not move."""
         low, high = np.zeros((2, len(chosen), 3))
         heights = np.zeros(len(chosen))
@@ -236,7 +236,7 @@ def optical_table(model: mujoco.MjModel, scene: Scene) -> OpticalTable:
     )
 
 
-def _dry(raster: Any, wet: Bools, under_water: float, kind: Any) -> Any:
+def _dry(raster: Any, wet: Mask, under_water: float, kind: Any) -> Any:
     """``raster`` itself, 8 MB, where nothing is ``wet``; else a copy with ``under_water`` there."""
     if raster.size and wet.any():
         raster = np.where(wet, under_water, raster)

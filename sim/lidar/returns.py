@@ -24,7 +24,7 @@ from numba import njit
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar.beams import hashed, normal_cell, normal_in, quantile_table
 from touchdown.sim.lidar.rays import Rays
-from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
+from touchdown.sim.typing import Array, Bytes, Float32, Indices, Int32, Mask, Uint32
 
 _LIMIT_SPREAD = 0.02
 """Relative standard deviation of the range limit from pulse to pulse."""
@@ -156,7 +156,7 @@ def receive(
     hits: Hits,
     cells: Int32,
     reflectivity: Float32,
-    water: Bools,
+    water: Mask,
     ground: Float32,
     gain: Float32,
     budget: LinkBudget,

@@ -33,7 +33,7 @@ from touchdown.sim.lidar.beams import hashed
 from touchdown.sim.lidar.patterns import PATTERNS, ScanPattern
 from touchdown.sim.lidar.raycast_scene import OpticalTable, optical_table
 from touchdown.sim.lidar.rays import Movers, Rays
-from touchdown.sim.typing import Array, Bools, Bytes, Float32, Indices, Int32, Uint32
+from touchdown.sim.typing import Array, Bytes, Float32, Indices, Int32, Mask, Uint32
 
 FINEST_M = 0.06
 """side of the smallest cells; those of the next octave are four times as large"""
@@ -83,7 +83,7 @@ class SurfaceDetail:
     salt: np.uint32
     width_rad: tuple[float, float]
     """full widths of the beam at half maximum"""
-    moving: Bools
+    moving: Mask
     """(G,) geoms that hang on a moving body"""
 
     @cached_property
@@ -96,7 +96,7 @@ class SurfaceDetail:
 
     @staticmethod
     def of(
-        params: LidarParams, scanner: ScanPattern, scene: Scene, optics: OpticalTable, moving: Bools
+        params: LidarParams, scanner: ScanPattern, scene: Scene, optics: OpticalTable, moving: Mask
     ) -> SurfaceDetail | None:
         """None where ``params`` ask for neither. The detail is a function of the scene's seed."""
         if params.texture <= 0.0 and params.vegetation <= 0.0:

@@ -27,7 +27,7 @@ from touchdown.sim.api import AIR_DENSITY_KGPM3, LidarParams
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.lidar.raycast_scene import LidarScene
 from touchdown.sim.lidar.rays import Rays
-from touchdown.sim.typing import Array, Bools
+from touchdown.sim.typing import Array, Mask
 
 TURBULENCE = 0.2
 """Standard deviation of the wind over its mean (MIL-F-8785C at tree height)"""
@@ -48,7 +48,7 @@ _TINY = 1e-12
 class Sway:
     """The motion of all crowns of a scene; arrays of (G,) by geom id."""
 
-    porous: Bools
+    porous: Mask
     along: Array
     """(2,) unit vector that the wind blows to"""
     amplitude_m: Array
@@ -109,7 +109,7 @@ def _displacement(time_s: float, along: Array, swing: Array) -> tuple[float, flo
 def _move(
     pulses: Rays,
     hits: Hits,
-    porous: Bools,
+    porous: Mask,
     along: Array,
     swing: Array,
     centers: Array,

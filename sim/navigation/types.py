@@ -14,9 +14,6 @@ from touchdown.sim.params import FORBID_EXTRA, Count, CountOrZero, NotNegative, 
 Array = NDArray[np.float64]
 
 
-# ------------------------------------------------------------------------------- parameters
-
-
 GpsPreset = Literal["zou2024", "ublox-m8", "rtk", "denied"]
 
 
@@ -149,9 +146,6 @@ class NavSheet:
     barometer: BarometerSheet = field(default_factory=BarometerSheet)
     magnetometer: MagnetometerParams = field(default_factory=MagnetometerParams)
     rangefinder: RangefinderParams = field(default_factory=RangefinderParams)
-
-
-# --------------------------------------------------------------------------------- messages
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

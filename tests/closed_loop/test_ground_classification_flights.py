@@ -21,6 +21,7 @@ from touchdown.landing.api import (
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.mission.lander import SiteLander
 from touchdown.sim.api import Observation
+from touchdown.sim.typing import Array
 
 from support.ground_class_support import (
     COLOURS,
@@ -33,7 +34,6 @@ from support.ground_class_support import (
 )
 from support.lander_support import ORIGIN, PARAMS, QUICK, Puppet, flat_map, fly
 
-Array = NDArray[np.float64]
 _PICTURE_TICKS = 120
 UNMAPPED = dataclasses.replace(PARAMS, semantics=SemanticMapParams(squares=0))
 """without a semantic map: each site is judged by its own patches"""

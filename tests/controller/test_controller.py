@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.controller.api import ControlParams, Setpoint
 from touchdown.controller.cascade import (
@@ -20,10 +19,10 @@ from touchdown.controller.mixer import Mixer, MotorLead, allocation_matrix, lead
 from touchdown.controller.pid import PidGains, VectorPid
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import rotation_from_yaw, so3_exp, yaw_from_rotation
+from touchdown.sim.typing import Array
 
 from support.flight_dynamics import Flyer, example_vehicle, fly, gusts
 
-Array = NDArray[np.float64]
 VEHICLE = example_vehicle()
 WEIGHT = VEHICLE.mass_kg * GRAVITY_MPS2
 STEP_S = 0.005

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, GridMap
 from touchdown.estimator.ground import _Heights, _pool
 from touchdown.estimator.mapping.kernels import Grid, Pulses, accumulate_heights
+from touchdown.sim.typing import Array
 
 from support.landing_support import grid_of_returns, make_grid
-
-Array = NDArray[np.float64]
 
 ROWS, COLS, CELL_M = 24, 30, 0.2
 Y, X = (np.mgrid[0:ROWS, 0:COLS] + 0.5) * CELL_M

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import MapperParams, MapView, PoseTrack
 from touchdown.estimator.filtering.deskew import Track, deskew
@@ -17,10 +16,9 @@ from touchdown.estimator.mapping.kernels import Grid, Lens, Pulses
 from touchdown.estimator.mapping.mapper import GridMapper
 from touchdown.sim.api import CameraImage, LidarScan
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp
+from touchdown.sim.typing import Array
 
 from support.landing_support import beam_fan, cast_scan, make_estimate, make_obs, make_rig
-
-Array = NDArray[np.float64]
 
 BOX = (np.array([1.0, -1.0, 0.0]), np.array([3.0, 1.0, 0.5]))
 PARAMS = MapperParams(extent_m=60.0)

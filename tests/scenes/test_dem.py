@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
@@ -17,10 +16,9 @@ from touchdown.scenes.importers.dem import import_dem
 from touchdown.scenes.importers.geotiff import METRES_PER_DEGREE, read_heights
 from touchdown.scenes.truth.maps import judge_touchdown
 from touchdown.scenes.truth.static_surface import cast_down
+from touchdown.sim.typing import Array
 
 from support.command import Says
-
-Array = NDArray[np.float64]
 
 
 def write_tiff(path: Path, heights: Array, cell_m: float = 1.0, **profile: Any) -> Path:

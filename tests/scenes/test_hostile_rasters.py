@@ -19,10 +19,10 @@ from touchdown.scenes.importers import geotiff, pictures
 from touchdown.scenes.importers.dem import import_dem
 from touchdown.scenes.importers.geotiff import read_heights
 from touchdown.scenes.importers.pictures import opened_picture, read_rgb
+from touchdown.sim.typing import Array
 
 from support.hostile_files import limited, pipe, png
 
-Array = NDArray[np.float64]
 NORTH_UP = Affine(1.0, 0.0, 5000.0, 0.0, -1.0, 9000.0)
 SIDE = 100_000
 

@@ -18,6 +18,7 @@ from touchdown.scenes.places.footbridge import bridge as bridge_layout
 from touchdown.scenes.places.rooftop_parking import deck as roof_layout
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 from touchdown.scenes.truth.static_surface import cast_down, class_ids
+from touchdown.sim.typing import Array
 
 from support.places import cached_scene
 
@@ -89,8 +90,6 @@ def test_street_offsets_and_distances_agree() -> None:
             assert abs(float(where) - along) < 0.6
     assert abs(float(street.kerb_distance(street.point(20.0, 3.0)))) < 0.05
 
-
-Array = NDArray[np.float64]
 
 ROAD = LAND_CLASSES.index("road")
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.importers.top_view import CELL_M, TopView, takeoff_spot
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 def level(east_m: float, north_m: float, holes: float = 0.0) -> TopView:

@@ -6,7 +6,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim import api as sim
@@ -25,12 +24,11 @@ from touchdown.sim.airframe.deviations import (
 )
 from touchdown.sim.airframe.rotors import Rotors
 from touchdown.sim.airframe.vehicle import rotor_geometry, vehicle_body_id, vehicle_model
+from touchdown.sim.typing import Array
 from touchdown.sim.world import MujocoWorld
 
 from support.places import scene_of
 from support.worlds import NO_NOISE, STILL_AIR
-
-Array = NDArray[np.float64]
 
 XML = """<mujoco><asset>
   <texture name="checks" type="2d" builtin="checker" rgb1="1 1 1" width="256" height="256"/>

@@ -4,15 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.sim.api import GRAVITY_MPS2, ImuParams
 from touchdown.sim.frames import so3_exp
 from touchdown.sim.imu import WARM_UP_S, ImuErrors, ImuSensor
+from touchdown.sim.typing import Array
 
 from support.worlds import NO_NOISE
-
-Array = NDArray[np.float64]
 
 PERIOD_S = 3 / 600
 

@@ -6,18 +6,16 @@ from collections.abc import Callable, Iterator
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import GroundRaster, Scene, Surface
 from touchdown.sim import api as sim
 from touchdown.sim.frames import rotation_from_yaw, so3_exp
 from touchdown.sim.navigation import sensors
 from touchdown.sim.navigation.rangefinder import RangefinderSensor
+from touchdown.sim.typing import Array
 from touchdown.sim.world import MujocoWorld
 
 from support.places import scene_of
-
-Array = NDArray[np.float64]
 
 ALL_NAV = sim.SensorNeeds(gps=True, barometer=True, magnetometer=True, rangefinder=True)
 

@@ -4,15 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.experiments.benchmarks.imu_spectra import RECORDED_HZ, band_rms, recorded_vibration
 from touchdown.sim import vibration
 from touchdown.sim.api import ImuParams
 from touchdown.sim.imu import ImuSensor
+from touchdown.sim.typing import Array
 from touchdown.sim.vibration import MODE_HZ, PropellerVibration, mount_gain
-
-Array = NDArray[np.float64]
 
 HOVER, PERIOD_S = 398.0, 1.0 / 200.0
 LINES = ImuParams(vibration_harmonics=1.0)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import signal
 
 from touchdown.sim.api import WindParams
+from touchdown.sim.typing import Array
 from touchdown.sim.wind import (
     REFERENCE_HEIGHT_M,
     Wind,
@@ -13,7 +13,6 @@ from touchdown.sim.wind import (
     dryden_scales,
 )
 
-Array = NDArray[np.float64]
 HEIGHT_M = 30.0
 AIRSPEED_MPS = 5.0
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
@@ -16,11 +15,10 @@ from touchdown.sim.airframe.vehicle import rotor_geometry
 from touchdown.sim.effects import Effects, Returns
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 from touchdown.sim.world import MujocoWorld
 
 from support.worlds import NO_NOISE, STILL_AIR
-
-Array = NDArray[np.float64]
 
 XML = """<mujoco><worldbody>
   <geom name="lawn_floor" type="plane" size="60 60 0.1"/><site name="takeoff" pos="-8 0 0"/>

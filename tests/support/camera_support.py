@@ -8,9 +8,7 @@ from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraParams
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
+from touchdown.sim.typing import Array, Bytes
 
 CLEAN = CameraParams(noise_sigma=0.0)
 HEIGHT_M = 20.0

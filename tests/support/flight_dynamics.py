@@ -3,14 +3,13 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.controller.api import Controller, Setpoint
 from touchdown.estimator.api import Estimate
 from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
 from touchdown.sim.frames import Pose, so3_exp
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 PHYSICS_HZ = 600
 INFLOW_DRAG = 2.5
 """N per m/s of flow along the rotor axes."""

@@ -15,11 +15,10 @@ from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.weights import INPUT, OUTPUT, NetworkFacts, write_network
 from touchdown.sim.api import CameraImage, SensorRig
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Image
 
 from support.landing_support import make_rig
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Paint = Callable[[Array, Array], Array]
 """x and y (...) to colours (..., 3)"""
 

@@ -6,7 +6,6 @@ import functools
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import GridMap, MapView
@@ -14,6 +13,7 @@ from touchdown.landing.api import LanderView, LandingParams, Phase, SurveyParams
 from touchdown.landing.mission.lander import SiteLander
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 from support.landing_support import (
     LEG_HEIGHT,
@@ -24,9 +24,6 @@ from support.landing_support import (
     make_rig,
     view_of,
 )
-
-Array = NDArray[np.float64]
-
 
 QUICK = SurveyParams(height_m=20.0, legs=2, leg_length_m=20.0, leg_spacing_m=10.0, duration_s=14.0)
 PARAMS = LandingParams(climb_speed_mps=6.0, descent_speed_mps=5.0)

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, Estimate, GridMap, MapView
 from touchdown.estimator.mapping.kernels import Grid, Pulses, accumulate_heights
@@ -20,8 +19,7 @@ from touchdown.sim.api import (
     VehicleModel,
 )
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 LEG_HEIGHT = 0.3
 DOWNWARD = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3))

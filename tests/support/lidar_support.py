@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import GroundRaster, Scene, Surface
 from touchdown.sim.api import LidarParams
@@ -12,9 +11,7 @@ from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, quat_wxyz_fro
 from touchdown.sim.lidar.patterns import HORIZON
 from touchdown.sim.lidar.returns import LinkBudget
 from touchdown.sim.moving import BodyTrack
-
-Array = NDArray[np.float64]
-
+from touchdown.sim.typing import Array
 
 TICK_HZ = 600
 

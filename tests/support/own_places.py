@@ -11,8 +11,7 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from touchdown.scenes.importers.dem import import_dem
-
-Image = NDArray[np.uint8]
+from touchdown.sim.typing import Image
 
 PHOTOGRAPHS = Path(__file__).parents[2] / "sim/camera/photographs"
 CUT = Path(__file__).with_name("dem_cut.npz")

@@ -13,10 +13,10 @@ from touchdown.sim.camera.optics import raster_rows, through_lens
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, so3_exp
 from touchdown.sim.moving import BodyTrack
+from touchdown.sim.typing import Array
 
 from support.camera_support import HEADLIGHT, HEIGHT_M, make_scene
 
-Array = NDArray[np.float64]
 Motion = Callable[[float], Pose]
 
 

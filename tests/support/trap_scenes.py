@@ -3,16 +3,14 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.experiments.benchmarks.posed_survey import Surveyed, observe, posed_survey
 from touchdown.experiments.config.schema import Config
 from touchdown.landing.mission.trajectory import PiecewiseTrajectory, State, through
+from touchdown.sim.typing import Array
 
 from support.worlds import load_ideal_config as load_config
-
-Array = NDArray[np.float64]
 
 SHORT_SURVEY = (
     "sim.threads=1", "survey.legs=1", "survey.leg_length_m=30.0", "survey.duration_s=9.0",

@@ -5,8 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 TOLERANCE_M = 0.01
 _BESIDE_M = 2e-3

@@ -6,18 +6,16 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import fsolve
 
 from touchdown.landing.api import LanderView
 from touchdown.landing.mission.lander import SiteLander
 from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 from support.lander_support import PARAMS, QUICK, flat_map
 from support.landing_support import LEG_HEIGHT, make_estimate, make_imu, make_obs, make_rig, view_of
-
-Array = NDArray[np.float64]
 
 STEP_TICKS = 12
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.benchmarks.limit.information import (
     CLOCK,
@@ -26,8 +25,7 @@ from touchdown.experiments.benchmarks.limit.information import (
 from touchdown.experiments.benchmarks.limit.ranging import Flight, rates_at, tangents, voxel_names
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 COLUMNS, LINES = 16, 12
 """cells of an image, each with one feature at most"""

@@ -29,9 +29,7 @@ from touchdown.experiments.flight.estimator_calibration import (
 )
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.lidar.range_errors import FRACTIONS
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from touchdown.sim.typing import Array, Indices
 
 STATE = 15
 """position and velocity (world), rotation vector (world axes), biases of gyroscope and

@@ -43,8 +43,8 @@ from touchdown.sim.lidar.range_errors import RangeErrors
 from touchdown.sim.lidar.raycast_scene import LidarScene
 from touchdown.sim.lidar.rays import Rays
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 VOXEL_M, CELL_M = 0.5, 0.1

@@ -12,7 +12,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.benchmarks.ablation import replayed
 from touchdown.experiments.benchmarks.limit import imaging, ranging
@@ -35,8 +34,8 @@ from touchdown.experiments.flight.replay import LoggedRun, open_run, replay_conf
 from touchdown.experiments.io.provenance import git_revision
 from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import GRAVITY_MPS2, SensorRig
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 Report = Callable[[str], None]
 
 PERIOD_S = 0.5

@@ -32,9 +32,7 @@ from touchdown.scenes.truth.maps import truth_maps
 from touchdown.sim.api import VehicleModel
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array, Mask
 
 SUFFIX = ".map.npz"
 TRUTH_CELL_M = 0.1

@@ -40,9 +40,8 @@ from touchdown.landing.selection import probability as risk
 from touchdown.landing.selection.selector import select_sites
 from touchdown.scenes.api import short_name
 from touchdown.sim.api import VehicleModel
+from touchdown.sim.typing import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Report = Callable[[dict[str, Any]], None]
 
 SCENES = (
@@ -227,9 +226,6 @@ def _seen(grid: GridMap, costmap: CostmapView) -> Mask:
     """Cells of the costmap with returns."""
     seen = SafeGround(origin_xy_m=grid.origin_xy_m, cell_m=grid.cell_m, safe=grid.count > 0)
     return _on_grid(seen, costmap)[0]
-
-
-# ------------------------------------------------------------------------------- the command
 
 
 @dataclass(frozen=True, slots=True)

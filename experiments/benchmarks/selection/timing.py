@@ -31,9 +31,7 @@ from touchdown.landing.selection.costmap import c_sum, distance, flatness_of, sm
 from touchdown.landing.selection.ground.elevation_raster import observed_raster
 from touchdown.landing.selection.ground.landable import ground_planes
 from touchdown.sim.api import Observation, SensorRig
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
+from touchdown.sim.typing import Array, Float32
 
 PATCHES, PATCH_PX = 10, 128
 """number and side of the images that the time of classification is measured with"""
@@ -138,9 +136,6 @@ def _classifier_figures(
     )
     medians = {name: 1e3 * float(np.median(taken[1:])) for name, taken in walls.items()}
     return {"classifier_ms": medians, "classified_sites": asked}
-
-
-# --------------------------------------------------------------------------------------- steps
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -143,9 +143,6 @@ def read_baseline(path: Path) -> Baseline:
         ) from None
 
 
-# ------------------------------------------------------------------------------------------- cells
-
-
 def cells_of(rows: Iterable[Row]) -> dict[Key, dict[int, Trial]]:
     """Flights by cell and seed. Raises UsageError when a cell has a seed twice, or a repetition of
     none of its flights."""

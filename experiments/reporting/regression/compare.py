@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting import statistics
@@ -30,8 +29,7 @@ from touchdown.experiments.reporting.regression.baseline import (
     over_scenes,
 )
 from touchdown.experiments.reporting.tables import markdown_lines
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 ERROR_ALPHA, OUTCOME_ALPHA = 0.04, 0.01
 """Parts of the 5 % of false alarms of a whole comparison: most for errors, where exact tests of

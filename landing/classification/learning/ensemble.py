@@ -36,9 +36,8 @@ from touchdown.landing.classification.weights import (
     read_network,
     write_network,
 )
+from touchdown.sim.typing import Array, Float32
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 Labels = NDArray[np.int64]
 
 MAX_WEIGHT = 4.0

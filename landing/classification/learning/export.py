@@ -26,8 +26,7 @@ from touchdown.landing.classification.weights import (
     read_network,
     write_network,
 )
-
-Image = NDArray[np.uint8]
+from touchdown.sim.typing import Image
 
 _OPSET = 17
 _CAST = "/float32"

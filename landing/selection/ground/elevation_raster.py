@@ -18,11 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap, Ground
+from touchdown.sim.typing import Array, Float32, Mask
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Int32 = NDArray[np.int32]
-Mask = NDArray[np.bool_]
 _Sums = tuple[float, float, float, float, float, float, float, float, float]
 _LAYERS = {
     "count": "count", "height": "height_m", "std": "height_std_m", "low": "min_height_m",

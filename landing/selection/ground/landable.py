@@ -23,10 +23,7 @@ from touchdown.landing.selection.ground.elevation_raster import (
     disc_maximum,
     fit_planes,
 )
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array, Float32, Mask
 
 _NEVER_HIGHEST = np.float32(-1e6)
 

@@ -14,12 +14,10 @@ import dataclasses
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.landing.api import GroundParams
 from touchdown.landing.selection.ground.elevation_raster import ElevationRaster
-
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Mask
 
 _NOISE_M = np.float32(0.05)
 """error of the highest of many returns of bare ground"""

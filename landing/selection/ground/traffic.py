@@ -10,15 +10,11 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, dilated
 from touchdown.landing.selection.ground.landable import Defect, LandableMap
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from touchdown.sim.typing import Array, Float32, Mask
 
 
 def surface_of(raster: ElevationRaster, cells: Mask, params: LandingParams) -> Mask:

@@ -88,9 +88,6 @@ def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> rel
     return relief.HeightField(heights_m=heights - plan.height_m)
 
 
-# ---------------------------------------------------------------------------------------- texture
-
-
 def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.Generator) -> None:
     """Paints lawns, terraces, apron, pavements, streets with their markings."""
     plot = plan.plot()
@@ -160,9 +157,6 @@ def car_park_bay(rng: np.random.Generator, px: int = 224) -> Image:
     for bar in np.linspace(0.40, 0.56, 3):
         image[int(bar * px) : int(bar * px) + 2, column:] = (120.0, 124.0, 128.0)
     return to_texture(image.astype(np.float32))
-
-
-# ---------------------------------------------------------------------------------------- objects
 
 
 def build_walls(builder: SceneBuilder, plan: Plan) -> None:

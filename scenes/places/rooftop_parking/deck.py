@@ -189,9 +189,6 @@ def write_deck(spec: Any, plan: Plan, both: HeightField, image: NDArray[np.uint8
     return image[int(top) : int(bottom), int(left) : int(right)]
 
 
-# ---------------------------------------------------------------------------------------- texture
-
-
 def paint_deck(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
     """Paints bays, arrows, hatched areas, joints, gullies and stains."""
     plot = plan.plot()
@@ -292,9 +289,6 @@ def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
         spot, reach = rng.uniform(low + 2.0, high - 2.0), rng.uniform(0.6, 2.2)
         damp = spot + reach * unit_circle(16) * rng.uniform(0.6, 1.2, (16, 1))
         canvas.soil(np.clip(damp, low, high), int(rng.integers(25, 60)))
-
-
-# ---------------------------------------------------------------------------------------- objects
 
 
 def furnish_deck(builder: SceneBuilder, plan: Plan, models: Models) -> None:

@@ -204,9 +204,6 @@ def test_the_clock_and_the_mount_of_the_camera_are_found(
     assert np.abs(error).max() < 0.02
 
 
-# ------------------------------------------------------------------------------- known answers
-
-
 def filter_at(
     pose: Pose, velocity: Any = (0.0, 0.0, 0.0), sigma: Any = 0.1, calibration: int = 0
 ) -> Eskf:

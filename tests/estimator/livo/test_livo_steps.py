@@ -64,9 +64,6 @@ def run(
     return livo, [livo.update(obs) for obs in flight]
 
 
-# ------------------------------------------------------------------------------ covariance
-
-
 def test_without_sensors_the_covariance_is_that_of_dead_reckoning() -> None:
     """From the uncertainty of the start over every sample up to the present, with the noise of the
     flying vehicle; that of the position is inflated by 1.8 and has a floor of 5 mm."""
@@ -156,9 +153,6 @@ def test_an_imu_mounted_askew_gives_the_same_estimate(seen: bool) -> None:
         np.testing.assert_allclose(
             getattr(found, name), getattr(level, name), rtol=fraction, atol=1e-3 * near
         )
-
-
-# ------------------------------------------------------------------------------ scans
 
 
 def test_the_ground_stays_where_it_is_under_a_climb() -> None:
@@ -256,9 +250,6 @@ def test_turns_ways_and_climbs_in_the_dark_add_to_the_map(
     assert livo._lacks_anchor(livo._eskf.state.tick + 600) == lacks
 
 
-# ------------------------------------------------------------------------------ images
-
-
 def test_a_distorted_lens_is_corrected() -> None:
     """Two per cent of barrel distortion are up to two pixels, over which the features move."""
     rig = make_rig(distortion=-0.1)
@@ -279,9 +270,6 @@ def test_a_keyframe_gets_depth_from_scans_after_it() -> None:
         seeing = [k for k in livo._vision.keyframes if k.pixels.size]
         counts += [int(seeing[0].valid.sum())] if seeing else []
     assert counts[0] > 30 and counts[-1] > counts[0] + 5
-
-
-# ------------------------------------------------------------------------------ on the ground
 
 
 def at_rest(seconds: float, rotor: Callable[[int], float], tilt: Array) -> list[Observation]:

@@ -61,9 +61,6 @@ def ground_maps(ground: np.ndarray) -> registration.FeatureMaps:
     return registration.FeatureMaps(edges, planes)
 
 
-# ------------------------------------------------------------------------------- the filter
-
-
 @pytest.mark.parametrize(
     ("sensor", "shift", "turn"),
     [
@@ -100,9 +97,6 @@ def test_a_displaced_pose_is_pulled_back(sensor: str, shift: Any, turn: Any) -> 
             break
     # half a second later the correction has reached what control is given
     assert error(estimate) < 0.03
-
-
-# ------------------------------------------------------------------------------- Algorithm 1
 
 
 def test_the_fifth_that_fits_worst_is_left_out_of_each_kind() -> None:

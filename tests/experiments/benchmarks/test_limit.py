@@ -120,8 +120,6 @@ def test_the_imu_s_constants_act_as_the_model_says():
     assert moved == pytest.approx(1e-3 * np.cross(lean, rotation @ forces[0]), rel=1e-3)
 
 
-# ------------------------------------------------------------- derivatives by differences
-
 BODY = Pose(so3_exp(np.array([0.05, -0.1, 0.7])), np.array([3.0, -2.0, HEIGHT]))
 RATES = np.array([1.0, 2.0, -0.5, 0.1, -0.2, 0.3])
 NONE = np.zeros(6)

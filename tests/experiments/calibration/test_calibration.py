@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import open3d as o3d
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.experiments.api import CalibrationView, Chessboard
 from touchdown.experiments.calibration.board_plane import (
@@ -29,8 +28,7 @@ from touchdown.experiments.calibration.extrinsics import (
     solve_extrinsics,
 )
 from touchdown.sim.frames import Pose, so3_exp, so3_log
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 BOARD = Chessboard()
 MATRIX = np.array([[620.0, 0.0, 420.0], [0.0, 630.0, 235.0], [0.0, 0.0, 1.0]])

@@ -89,9 +89,6 @@ def examined(kind: str, name: str, *overrides: str) -> Any:
     return examine(kind, external_builder(name, kind), rig, params_of(config, kind))
 
 
-# ------------------------------------------------------------------------------------------ names
-
-
 @pytest.mark.parametrize("kind", OTHERS)
 def test_a_name_that_leads_nowhere_is_one_line_before_any_flight(
     kind: str, says: Says, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -163,9 +160,6 @@ def test_finished_runs_of_other_code_stop_a_campaign(
     (tmp_path / "campaign.json").write_text("{}")
     with pytest.raises(UsageError, match=f"the code of {name} has changed"):
         check_external_code(plan, tmp_path)
-
-
-# ------------------------------------------------------------------------------------ examination
 
 
 @pytest.mark.parametrize("kind", EXAMPLES)
@@ -264,9 +258,6 @@ def test_a_slow_part_is_told_in_flight_and_does_not_conform(
     name = brought(kind)
     (found,) = examined(kind, name).violations
     assert found.rule == "latency" and "above 1e-06 ms" in found.reason
-
-
-# ---------------------------------------------------------------------------------------- in flight
 
 
 def asked(kind: str, name: str) -> Any:

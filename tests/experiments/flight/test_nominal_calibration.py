@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.experiments.api import CalibrationErrorParams, StartParams
 from touchdown.experiments.flight.estimator_calibration import (
@@ -25,11 +24,10 @@ from touchdown.sim.frames import (
     tilt_from_rotation,
     yaw_from_rotation,
 )
+from touchdown.sim.typing import Array
 
 from support.livo_flight import make_rig
 from support.worlds import load_ideal_config as load_config
-
-Array = NDArray[np.float64]
 
 NONE = CalibrationErrorParams(rotation_sigma_deg=0.0, translation_sigma_m=0.0, focal_sigma=0.0)
 AGAINST_IMU = replace(

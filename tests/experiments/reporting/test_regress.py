@@ -73,9 +73,6 @@ def test_cells_are_of_one_variant() -> None:
         cells_of([*rows, rows[0]])
 
 
-# ------------------------------------------------------------------------------------- the verdict
-
-
 def test_the_same_flights_are_no_regression() -> None:
     rows = campaign(np.random.default_rng(0), range(10))
     found = against(rows, rows)
@@ -225,9 +222,6 @@ def test_what_is_missing_is_named() -> None:
     assert against(rows, some).added == found.missing
     assert "missing: lake, livo" in verdict_sentences(found)
     assert any("configurations or the set of runs differ" in note for note in found.warnings)
-
-
-# ------------------------------------------------------------------------------- the command line
 
 
 def write_runs(directory: Path, factor: float = 1.0, seeds: range = range(10)) -> None:

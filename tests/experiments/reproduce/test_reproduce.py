@@ -265,9 +265,6 @@ def test_two_reproductions_in_one_directory_are_refused(world: World, tmp_path: 
         run_quick(tmp_path)
 
 
-# ------------------------------------------------------------------------------------------- items
-
-
 def state(part: str, **changes: Any) -> PartResult:
     given: dict[str, Any] = {
         "part": part, "edition": "whole", "settings": {}, "figures": {}, "why": "", "error": "",
@@ -301,9 +298,6 @@ def test_everything_that_is_not_whole_has_a_reason() -> None:
     assert {row[-1].text for row in left_out.rows if row[0].text == "Table 5"} == {
         "no: not measured"
     }
-
-
-# ---------------------------------------------------------------------------------------- networks
 
 
 def test_a_failed_training_gives_its_reason(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.landing.classification.decision import Limits, energies
 from touchdown.landing.classification.engine import OnnxClassifier
@@ -17,7 +16,6 @@ from support.ground_class_support import write_colour_network
 
 ensemble = pytest.importorskip("touchdown.landing.classification.learning.ensemble")
 
-Array = NDArray[np.float64]
 WATER = D_LAND.index("water")
 FIRST = np.array([0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
 SECOND = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.4, 0.1])

@@ -18,6 +18,7 @@ from touchdown.landing.classification.site_check import (
     least_bad,
 )
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 from support.ground_class_support import (
     ByColour,
@@ -31,7 +32,6 @@ from support.ground_class_support import (
 )
 from support.landing_support import make_estimate, make_grid, make_obs, select, view_of
 
-Array = NDArray[np.float64]
 ABOVE = Pose(np.eye(3), np.array([0.0, 0.0, 20.0]))
 SURE = 0.97
 

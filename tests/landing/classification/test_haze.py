@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.landing.classification.haze import Haze, darkest_light, estimate_haze
 from touchdown.landing.classification.survey_images import SurveyImages
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 from support.ground_class_support import photograph, small_rig
 from support.landing_support import make_estimate, make_obs
 
-Array = NDArray[np.float64]
 FOG = Haze(0.02, 0.5)
 CLIMB = 3.0 * 1.2 ** np.arange(13)
 """3 to 27 m"""

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams, SemanticMapParams
 from touchdown.landing.classification import semantic_map
@@ -24,7 +23,6 @@ from support.ground_class_support import (
 )
 from support.landing_support import make_estimate, make_grid, make_obs, select, view_of
 
-Array = NDArray[np.float64]
 FLAT = view_of(make_grid(np.zeros((200, 200)), origin=(-20.0, -20.0)))
 LAWN, WATER = D_LAND.index("lawn"), D_LAND.index("water")
 MAPPED = LandingParams(semantics=SemanticMapParams(squares=2))

@@ -5,16 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.landing.classification.survey_images import SurveyImages, brightened, project
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
+from touchdown.sim.typing import Array
 
 from support.ground_class_support import photograph, plain, small_rig
 from support.landing_support import make_estimate, make_obs
-
-Array = NDArray[np.float64]
 
 
 def _by_place(x: Array, y: Array) -> Array:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import GridMap, MapView
@@ -23,11 +22,11 @@ from touchdown.landing.mission.trajectory import HeadingTurn, vertical_move
 from touchdown.landing.mission.view import MissionView
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose, rotation_from_yaw
+from touchdown.sim.typing import Array
 
 from support import landing_support
 from support.lander_support import QUICK, STEP_TICKS
 
-Array = NDArray[np.float64]
 STEP_S = STEP_TICKS / 600.0
 HOVER_RADPS = float(np.sqrt(GRAVITY_MPS2 / 4e-5))
 SITE = np.array([1.0, -2.0, 0.0])
@@ -115,9 +114,6 @@ def places(setpoints: list[Setpoint]) -> Array:
     return np.array([setpoint.position_odom for setpoint in setpoints])
 
 
-# ------------------------------------------------------------------------------ looks and sweep
-
-
 def test_descent_looks_at_10_m_and_sweeps_along_the_heading_at_4_m() -> None:
     yaw = 0.6
     stage = Stage(SITE + [0.0, 0.0, 15.0], yaw=yaw, sweep_m=1.4)
@@ -179,9 +175,6 @@ def test_a_box_on_the_site_is_evaded_at_10_m_and_too_near_at_4_m(
         site = stage.mission.state.committed_site_world
         assert 1.0 < np.linalg.norm(site[:2] - SITE[:2]) < 3.0
         np.testing.assert_allclose(path[-1, :2], site[:2], atol=1e-6)
-
-
-# ------------------------------------------------------------------------------- final descent
 
 
 def test_final_descent_follows_the_ground_slowly_and_not_near_it() -> None:
@@ -284,9 +277,6 @@ def test_touchdown_is_found_when_the_weight_is_missing(
             found = tick / 600.0
             break
     assert found == (None if after_s is None else pytest.approx(after_s, abs=0.011))
-
-
-# ---------------------------------------------------------------------------------------- ways
 
 
 def test_motors_spin_up_after_the_sensors_have_settled() -> None:
@@ -438,9 +428,6 @@ def test_a_hold_and_a_stop_end_a_leg() -> None:
     assert np.linalg.norm(np.diff(places(stopped)[-3:], axis=0), axis=1).max() < 1e-3
 
 
-# ------------------------------------------------------------------------------------- energy
-
-
 def test_costs_of_segments_by_hand() -> None:
     params = LandingParams(
         cruise_speed_mps=5.0, descent_speed_mps=2.0, climb_speed_mps=3.0, final_speed_mps=0.5,
@@ -491,9 +478,6 @@ def test_time_left_decides_on_search_go_around_reach_and_emergency() -> None:
     assert energy.reach_m(view, state) == pytest.approx(reach)
     state.set_deadline(mission.now + 35.0)
     assert energy.reach_m(view, state) == pytest.approx(reach - 5.0 * 5.0 / 1.875)
-
-
-# ------------------------------------------------------------------------------------- frames
 
 
 def test_setpoints_in_the_world_are_turned_into_the_odometry_frame() -> None:

@@ -5,7 +5,6 @@ import itertools
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.landing.api import LandingParams, Phase, SurveyParams
 from touchdown.landing.mission import time_scaling
@@ -14,11 +13,11 @@ from touchdown.landing.mission.trajectory import State, survey_trajectory, throu
 from touchdown.landing.mission.wind import FeltWind
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 from support.landing_support import make_estimate, make_obs
 from support.windy_flight import balance, draggy_vehicle, windy_run
 
-Array = NDArray[np.float64]
 STEP_S = 0.005
 VEHICLE = draggy_vehicle()
 SLOWING = LandingParams(slow_in_wind=True)

@@ -2,7 +2,6 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.landing.api import SurveyParams
 from touchdown.landing.mission.trajectory import (
@@ -18,8 +17,8 @@ from touchdown.landing.mission.trajectory import (
     turn_in_climb,
 )
 from touchdown.sim.frames import rotation_from_yaw
+from touchdown.sim.typing import Array
 
-Array = NDArray[np.float64]
 START = np.array([3.0, -2.0, 30.0])
 YAW = 0.7
 

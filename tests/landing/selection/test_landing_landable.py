@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import LandingParams
@@ -17,6 +16,7 @@ from touchdown.landing.selection.ground.landable import (
     ground_planes,
 )
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 from support.landing_support import (
     make_estimate,
@@ -24,8 +24,6 @@ from support.landing_support import (
     select,
     view_of,
 )
-
-Array = NDArray[np.float64]
 
 PARAMS = LandingParams()
 ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))

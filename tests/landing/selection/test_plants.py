@@ -12,10 +12,9 @@ from touchdown.landing.mission.site_recheck import ground_under, recheck_site
 from touchdown.landing.selection.ground.elevation_raster import observed_raster
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 from support.landing_support import grid_of_returns, make_estimate, make_grid, select, view_of
-
-Array = NDArray[np.float64]
 
 PARAMS = LandingParams()
 GROUND = PARAMS.ground

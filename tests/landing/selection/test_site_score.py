@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.landing.api import (
     Candidate,
@@ -20,10 +19,9 @@ from touchdown.landing.selection.clustering import kernel_density
 from touchdown.landing.selection.ranking import ranked, why_chosen
 from touchdown.landing.selection.selector import check_site
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 from support.landing_support import make_estimate, make_grid, select, view_of
-
-Array = NDArray[np.float64]
 
 ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
 FAR = make_estimate(0, Pose(np.eye(3), np.array([-30.0, 8.0, 30.0])))

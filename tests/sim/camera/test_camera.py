@@ -5,15 +5,13 @@ import threading
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraParams
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.frames import so3_exp
+from touchdown.sim.typing import Array
 
 from support import camera_support
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import LIGHT_LUX, Light, Scene
 from touchdown.sim.api import CameraParams, LampParams
@@ -12,12 +11,10 @@ from touchdown.sim.camera.optics import intrinsics_of
 from touchdown.sim.camera.row_exposures import MIDDLE_GREY, AutoExposure
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Bytes
 
 from support.camera_support import HEIGHT_M, make_scene, posed
 from support.shutter_support import Stand
-
-Bytes = NDArray[np.uint8]
-Array = NDArray[np.float64]
 
 EXPOSED = CameraParams(exposure=True)
 STRIPE = '<geom type="box" size="30 0.1 0.001" pos="0 0 0.001" rgba="0.95 0.95 0.95 1"/>'

@@ -5,19 +5,16 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraParams
 from touchdown.sim.camera.optics import intrinsics_of
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array, Bytes
 
 from support.camera_support import HEIGHT_M, box, centroid, make_scene
 from support.shutter_support import Motion, Stand, boxes_scene, drawn_by_rows, flight
-
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 READOUT_S = 0.015
 DISTORTION = (-0.11, 0.02, 0.0012, -0.0008, -0.003)

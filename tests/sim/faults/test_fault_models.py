@@ -7,20 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim import api
 from touchdown.sim.faults.disturbances import Disturbances, gust_speed
 from touchdown.sim.frames import Pose, so3_log
+from touchdown.sim.typing import Array
 from touchdown.sim.world import MujocoWorld
 
 from support.fault_support import HZ, STEP, delivered
 from support.lidar_support import DOWN
 from support.places import scene_of
 from support.worlds import load_ideal_config as load_config
-
-Array = NDArray[np.float64]
 
 
 def test_a_skewed_clock_shifts_stamps_by_exactly_so_many_seconds() -> None:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene, Surface
 from touchdown.sim.api import LidarParams, LidarScan
@@ -12,10 +11,9 @@ from touchdown.sim.frames import Pose
 from touchdown.sim.lidar.patterns import HORIZON, PATTERNS
 from touchdown.sim.lidar.sensor import LidarSensor, beam_parts
 from touchdown.sim.moving import BodyTrack
+from touchdown.sim.typing import Array
 
 from support.lidar_support import BRIGHT, DOWN, PLANE, make_scene
-
-Array = NDArray[np.float64]
 
 NOISELESS = LidarParams(range_sigma_m=0.0, angle_sigma_deg=0.0)
 RAYS = replace(NOISELESS, divergence=False)

@@ -6,18 +6,15 @@ import sys
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.geometry.ray_target import Hits
 from touchdown.sim.geometry.tessellation import FIRST_HIDDEN_GROUP
 from touchdown.sim.lidar.raycast_scene import LidarScene
+from touchdown.sim.typing import Array, Float32
 
 from support.places import cached_scene
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 GEOMS = {
     "sphere": 'type="sphere" size="1"', "pebble": 'type="sphere" size="0.05"',

@@ -12,8 +12,7 @@ from touchdown.sim.lidar.patterns import (
     RisleyPattern,
     ScanPattern,
 )
-
-Array = NDArray[np.float64]
+from touchdown.sim.typing import Array
 
 
 def angles_deg(beams: NDArray[np.float32]) -> tuple[Array, Array]:
