@@ -59,13 +59,15 @@ def initialise(mission: Mission) -> Steps:
     mission.state.enter(Phase.INIT, "motors on")
     start = mission.now
     while mission.now - start < _SPIN_UP_S:
-        yield mission.setpoint(mission.start_world, in_world=True, thrust_limit=_SPIN_UP_THRUST)
+        here = mission.view.estimate.world_from_body.translation
+        yield mission.setpoint(here, in_world=True, thrust_limit=_SPIN_UP_THRUST)
 
 
 def take_off(mission: Mission) -> Steps:
     """Climbs to survey height above the start, or chooses the lowest height for the survey, where
-    the wind is weaker, and goes there."""
-    state, start = mission.state, mission.start_world
+    the wind is weaker, and goes there. Leaves the ground where the estimate has it: towards the
+    take-off spot, which an estimate in error has aside, it would lean while it stands."""
+    state, start = mission.state, mission.view.estimate.world_from_body.translation.copy()
     state.take_off(mission.now)
     height = mission.view.ground_world + state.survey.height_m
     climb = vertical_move(start, height, mission.params.climb_speed_mps)

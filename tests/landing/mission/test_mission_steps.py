@@ -288,6 +288,19 @@ def test_motors_spin_up_after_the_sensors_have_settled() -> None:
     assert (len(setpoints) - off) * STEP_S == pytest.approx(0.8, abs=1.1 * STEP_S)
 
 
+def test_an_estimate_aside_of_the_start_takes_off_straight() -> None:
+    aside = np.array([0.9, -0.4, landing_support.LEG_HEIGHT + 0.5])
+    stage = Stage(aside)
+    for setpoint in phases.initialise(stage.mission):
+        stage.tick += STEP_TICKS
+        stage.feed()
+        assert not setpoint.motors_on or setpoint.position_odom == pytest.approx(aside)
+    climb = places(stage.run(phases.take_off(stage.mission)))
+    assert setpoint.motors_on and climb[0] == pytest.approx(aside)
+    assert np.ptp(climb[:, :2], axis=0).max() < 1e-9
+    assert climb[-1, 2] == pytest.approx(QUICK.height_m)
+
+
 def test_take_off_climbs_to_survey_height_and_turns_the_heading() -> None:
     stage = Stage(np.array([0.0, 0.0, landing_support.LEG_HEIGHT]), yaw=0.3)
     turning = dataclasses.replace(QUICK, climb_turn_deg=90.0)
