@@ -9,15 +9,10 @@ from support.baselines_support import tiny
 from support.worlds import load_ideal_config as load_config
 
 
-@pytest.mark.parametrize(
-    ("estimator", "max_m", "max_deg", "max_off_m"),
-    [
-        ("gps", 3.2, 1.4, 0.23),
-        ("hybrid_flow", 3.2, 1.4, 0.22),
-        ("optical_flow", 0.051, 0.15, 0.04),
-        ("stereo", 0.013, 0.13, 0.04),
-    ],
-)
+@pytest.mark.parametrize(("estimator", "max_m", "max_deg", "max_off_m"), [
+    ("gps", 3.2, 1.4, 0.23), ("hybrid_flow", 3.2, 1.4, 0.22), ("optical_flow", 0.051, 0.15, 0.04),
+    ("stereo", 0.013, 0.13, 0.04),
+])  # fmt: skip
 def test_short_survey_in_the_loop(
     estimator: str, max_m: float, max_deg: float, max_off_m: float
 ) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -31,6 +30,7 @@ from support.ground_class_support import (
     plain,
     small_rig,
     write_colour_network,
+    write_noisy_images,
 )
 from support.lander_support import ORIGIN, PARAMS, QUICK, Puppet, flat_map, fly
 
@@ -56,11 +56,6 @@ class Photographer(SiteLander):
         return super().update(obs, estimate, map_view)
 
 
-def _striped(x: Array, y: Array) -> Array:
-    """Water east of x = 12, lawn west of it."""
-    return np.where((x > 12.0)[..., None], COLOURS["water"], COLOURS["lawn"]).astype(float)
-
-
 def test_the_class_of_the_site_is_in_the_view() -> None:
     classifier = ByColour()
     lander = Photographer(plain("lawn"), classifier)
@@ -82,18 +77,6 @@ def test_a_lake_is_not_landed_on() -> None:
     _, taken = fly(Puppet(Photographer(plain("water"), None), flat_map()))
     assert not taken.no_site and taken.committed_site_world is not None
     assert taken.site_class is None
-
-
-def test_the_shore_is_found() -> None:
-    lander = Photographer(_striped, ByColour())
-    _, view = fly(Puppet(lander, flat_map()))
-    assert view.committed_site_world is not None and view.committed_site_world[0] < 12.0
-    assert view.site_class == "lawn" and not view.no_site
-    (decision,) = view.decisions
-    first, *others = decision.candidates
-    assert first.rule == "highest_value" and decision.why.startswith("Site 1 won: ")
-    assert {site.rule for site in others if site.accepted} <= {"lower_value"}
-    assert np.array_equal(decision.positions_world[0], first.position_odom)
 
 
 def test_further_rounds_find_a_site_of_lower_score() -> None:
@@ -151,23 +134,6 @@ def test_second_look_causes_a_go_around(params: LandingParams, why: str) -> None
     assert f"at 10 m: {why}" in around
 
 
-def test_emergency_lands_on_unsafe_ground() -> None:
-    need = dataclasses.replace(PARAMS, emergency="battery")
-    for name in ("road", "water"):
-        _, view = fly(Puppet(Photographer(plain(name), ByColour(), need), flat_map()))
-        assert not view.no_site and view.committed_site_world is not None
-        assert view.site_class == name
-
-
-def test_commanded_site_is_classified_too() -> None:
-    wanted = dataclasses.replace(PARAMS, site_xy_m=(10.0, 3.0))
-    _, view = fly(Puppet(Photographer(plain("water"), ByColour(), wanted), flat_map()))
-    assert view.aborted and "looks like water" in view.candidates[0].reason
-    commanded = dataclasses.replace(wanted, check_site=False)
-    _, view = fly(Puppet(Photographer(plain("water"), ByColour(), commanded), flat_map()))
-    assert not view.aborted and view.committed_site_world is not None
-
-
 def test_without_a_classifier_nothing_changes() -> None:
     """The same setpoints to the bit, with and without images, and with one that always agrees up
     to its decision."""
@@ -187,15 +153,7 @@ def test_without_a_classifier_nothing_changes() -> None:
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folders of images in the colours of their classes, noisy."""
-    home = tmp_path_factory.mktemp("pictures")
-    rng = np.random.default_rng([8, 2])
-    for name, colour in COLOURS.items():
-        (home / name).mkdir()
-        for number in range(40):
-            image = np.clip(rng.normal(colour, 25.0, (16, 16, 3)), 0, 255).astype(np.uint8)
-            cv2.imwrite(str(home / name / f"{number}.png"), image[..., ::-1])
-    return home
+    return write_noisy_images(tmp_path_factory.mktemp("pictures"), 40, 2)
 
 
 @pytest.mark.parametrize("weight_type", ["float16", "int8"])
@@ -225,16 +183,3 @@ def test_smaller_weights_give_the_same_classes(
     if weight_type != "float16":
         assert cli.main([*arguments[:1], str(out), *arguments[2:-2], str(tmp_path / "x.onnx")]) == 2
         assert "has no float16 weights" in capsys.readouterr().err
-
-
-def test_a_variant_does_not_replace_the_network(
-    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("onnx")
-    from touchdown.experiments.cli import main as cli
-
-    source = write_colour_network(tmp_path / "network.onnx")
-    for out, fragment in ((source, "is one of the networks"), (tmp_path, "ends in .onnx")):
-        arguments = ["quantize", str(source), "--data", str(images), "--out", str(out)]
-        assert cli.main([*arguments, "--quiet"]) == 2
-        assert fragment in capsys.readouterr().err

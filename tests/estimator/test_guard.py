@@ -1,7 +1,5 @@
 """Rejection of invalid messages, and removal of rain and fog, by the guard."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

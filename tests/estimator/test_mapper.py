@@ -1,7 +1,5 @@
 """The mapper on scenes whose geometry is known in closed form."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

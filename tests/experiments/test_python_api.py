@@ -39,14 +39,6 @@ def test_importing_loads_no_simulator() -> None:
     assert lines_of(script) == ["[]", "[]"]
 
 
-def test_arguments_win_over_overrides_over_the_file(tmp_path: Path) -> None:
-    file = tmp_path / "a.toml"
-    file.write_text("seed = 1\n[wind]\nmean_kmh = 1\n[survey]\nlegs = 2\n")
-    config = touchdown.load_config(file, seed=3, overrides={"wind.mean_kmh": 2, "seed": 2})
-    assert (config.seed, config.wind.mean_kmh, config.survey.legs) == (3, 2.0, 2)
-    assert touchdown.load_config(overrides={"profile": "ideal"}) == Config()
-
-
 def test_numpy_values_tuples_and_paths_are_taken() -> None:
     overrides = {"landing.site_xy_m": np.array([1.0, 2.0]), "bias.xy_m": (0.5, np.float64(1.0))}
     config = touchdown.load_config(scene=Path("my/scene.xml"), overrides=overrides)

@@ -127,7 +127,6 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="folder of verdicts")
     parser.add_argument("--kinds", default=",".join(KINDS), help="separated by commas")
     parser.add_argument("--count", type=int, default=COUNT, help="cases of each kind")
-    parser.add_argument("--again", action="store_true", help="the findings that are there")
     given = parser.parse_args()
     if given.kind is not None:
         return show(given.kind, given.number)
@@ -136,9 +135,6 @@ def main() -> int:
     found: Verdicts = []
     for kind in given.kinds.split(","):
         out = given.out / f"{kind}.jsonl"
-        if given.again:
-            sound = [json.dumps(verdict) + "\n" for verdict in read(out) if not verdict["faults"]]
-            out.write_text("".join(sound), encoding="utf-8")
         found += run_kind(kind, range(FIRST, FIRST + given.count), out)
         print(table(found).split("\n")[-2], flush=True)
     print(table(found), *findings(found), sep="\n\n")

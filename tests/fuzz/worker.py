@@ -4,8 +4,6 @@ A warm process holds all modules and forks a child for each case: what a case do
 to C libraries or to the machine ends with it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import gc

@@ -101,16 +101,6 @@ def test_kernels_that_hold_mutated_code_are_compiled_again(tmp_path: Path) -> No
     assert left == ["landing_1f/low.f-3.py311.nbi"]
 
 
-def test_tests_that_fail_anyway_stop_the_run(
-    project: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    mutation = _mutation("y = 2 * x", "y = x", "tests/test_broken.py")
-    outcomes = Suite(project, project.parent, 1, 300.0).run([mutation])
-    assert [outcome.name for outcome in outcomes] == ["tests/test_broken.py, unchanged"]
-    assert not report([mutation], outcomes)
-    assert "without any mutation" in capsys.readouterr().out
-
-
 def test_the_report_counts_and_excuses(capsys: pytest.CaptureFixture[str]) -> None:
     many = [replace(KILLING, name=f"toy: {number}") for number in range(19)]
     killed = [Outcome(m.name, KILLED, 3.0) for m in many[:-1]] + [Outcome(many[-1].name, TIMED_OUT)]

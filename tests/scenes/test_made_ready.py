@@ -133,17 +133,14 @@ def test_lamps_that_leave_the_ground_dark_are_joined_by_a_sun(tmp_path: Path) ->
         load_scene(str(path), 0, options=ImportOptions())
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("boxes", {"geom_0": "lawn", "geom_1": "building"}),
-        ("mesh", {"geom_0": "field", "geom_1": "other"}),
-        ("terrain", {"terrain": "lawn", "floor": "lawn"}),
-        ("rooftop", {"geom_5": "lawn", "geom_1": "building", "geom_0": "lawn", "geom_10": "other"}),
-        ("yard", {"floor_0": "field", "geom_5": "building", "geom_6": "other", "geom_8": "trees"}),
-        ("surveyed", {"green grass_0": "lawn", "tarmac_1": "road", "brick_2": "building"}),
-    ],
-)
+@pytest.mark.parametrize(("name", "expected"), [
+    ("boxes", {"geom_0": "lawn", "geom_1": "building"}),
+    ("mesh", {"geom_0": "field", "geom_1": "other"}),
+    ("terrain", {"terrain": "lawn", "floor": "lawn"}),
+    ("rooftop", {"geom_5": "lawn", "geom_1": "building", "geom_0": "lawn", "geom_10": "other"}),
+    ("yard", {"floor_0": "field", "geom_5": "building", "geom_6": "other", "geom_8": "trees"}),
+    ("surveyed", {"green grass_0": "lawn", "tarmac_1": "road", "brick_2": "building"}),
+])  # fmt: skip
 def test_classes_follow_from_words_shape_and_colour(name: str, expected: dict[str, str]) -> None:
     found = classes(place(name))
     assert {geom: found[geom] for geom in expected} == expected

@@ -12,7 +12,6 @@ from touchdown.scenes.authoring import ground
 from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.compose import START_GAP_M, load_scene, spec_of_scene
 from touchdown.scenes.export import export_spec
-from touchdown.scenes.registry import scene_names
 from touchdown.scenes.truth.maps import judge_touchdown, point_slope_deg, truth_maps
 from touchdown.scenes.truth.static_surface import cast_down
 
@@ -187,25 +186,6 @@ def test_boxes_water_and_wire_are_judged_by_the_rule(tmp_path: Path) -> None:
     assert abs(judgement.obstacle_distance_m - 2.6) <= 0.051
     assert judge_touchdown(scene, np.array([-6.0, 0.0])).land_class == "other"
     assert maps.class_id[100, 40] == OTHER_CLASS_ID
-
-
-def test_unknown_name_lists_the_nearest_and_all() -> None:
-    with pytest.raises(ValueError, match="did you mean 'crossroad'") as caught:
-        load_scene("crosroad", 0)
-    assert all(name in str(caught.value) for name in scene_names())
-
-
-def test_missing_and_malformed_files(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"nowhere\.xml"):
-        load_scene(str(tmp_path / "nowhere.xml"), 0)
-    (tmp_path / "bad.xml").write_text("<mujoco><worldbody><geom type='cube'/></worldbody></mujoco>")
-    with pytest.raises(ValueError, match=r"bad\.xml") as caught:
-        load_scene(str(tmp_path / "bad.xml"), 0)
-    assert "\n" not in str(caught.value)
-    with pytest.raises(ValueError, match="negative"):
-        load_scene("crossroad", -1)
-    with pytest.raises(ValueError, match="no ground"):
-        load_text(tmp_path, "<mujoco><worldbody/></mujoco>")
 
 
 def test_export_opens_again_and_is_the_same_scene(

@@ -1,8 +1,6 @@
 """What cottage, houses, pools, the roof used as a car park and the footbridge are: safe ground,
 classes, water and decks above the ground."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 from zlib import crc32

@@ -1,8 +1,6 @@
 """Forest, turf, snow, dunes, lake, open water and flat: relief, water, ice, tracks, meshes, and the
 light on fine relief."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Where a vehicle takes off over ground of a given size, with something in its middle."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """Truth maps against MuJoCo's single rays: geoms on any body, of any type, in any attitude, and
 every shipped scene, of which ``-m slow -s`` prints the figures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

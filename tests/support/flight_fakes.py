@@ -22,10 +22,12 @@ def make_truth(time_s: float, position: Any, **changes: Any) -> Truth:
     return Truth(**(values | changes))
 
 
-def make_estimate(time_s: float, position: Any, yaw: float = 0.0) -> Estimate:
+def make_estimate(time_s: float, place: Any, yaw: float = 0.0) -> Estimate:
+    """``place``: a position, or a pose."""
+    if not isinstance(place, Pose):
+        place = Pose(rotation_from_yaw(yaw), np.asarray(place, dtype=float))
     return Estimate(
-        tick=round(time_s * 600), time_s=time_s,
-        odom_from_body=Pose(rotation_from_yaw(yaw), np.asarray(position, dtype=float)),
+        tick=round(time_s * 600), time_s=time_s, odom_from_body=place,
         world_from_odom=Pose.identity(), velocity_odom=np.zeros(3),
         angular_velocity_body=np.zeros(3), acceleration_odom=np.zeros(3),
         position_covariance=np.eye(3), rotation_covariance=np.eye(3),

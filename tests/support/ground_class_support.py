@@ -151,6 +151,17 @@ def write_colour_network(
     return path
 
 
+def write_noisy_images(folder: Path, count: int, seed: int) -> Path:
+    """``count`` noisy images for each class of ``COLOURS``."""
+    rng = np.random.default_rng([8, seed])
+    for name, colour in COLOURS.items():
+        (folder / name).mkdir()
+        for number in range(count):
+            image = np.clip(rng.normal(colour, 25.0, (16, 16, 3)), 0, 255).astype(np.uint8)
+            write_png(folder / name / f"{number}.png", image)
+    return folder
+
+
 def write_plain_images(folder: Path, size: int) -> Path:
     """Eight images of one colour for each class of ``COLOURS``."""
     for name, colour in COLOURS.items():

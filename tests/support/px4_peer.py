@@ -6,8 +6,6 @@ gyroscope. Gains and thrust curve are those of ``px4-rc.params``. ``PEER_FAULT=K
 misbehave from an answer on: silent, closes, late, twice, nan, time, deny.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import sys

@@ -1,8 +1,6 @@
 """Ray's interface as the engine uses it, in this process. What goes to a node and comes back is
 pickled, and a node does not see the folder ``hidden``."""
 
-from __future__ import annotations
-
 import contextlib
 import pickle
 from collections.abc import Callable, Iterator

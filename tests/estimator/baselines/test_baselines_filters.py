@@ -2,8 +2,6 @@
 shifts, flow and displacement on images of known motion; the GPS filter on synthetic fixes.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """The baselines in motion: what each of them corrects of a wrong state."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 from typing import Any
@@ -132,16 +130,10 @@ class Coarse(HybridFlowEstimator):
         return None
 
 
-@pytest.mark.parametrize(
-    ("make", "leg_m", "max_mps"),
-    [
-        (OpticalFlowEstimator, 0.3, 0.05),
-        (HybridFlowEstimator, 0.3, 0.05),
-        (Coarse, 0.3, 0.10),
-        (StereoEstimator, START_Z, 0.05),
-    ],
-    ids=["flow", "hybrid", "coarse", "stereo"],
-)
+@pytest.mark.parametrize(("make", "leg_m", "max_mps"), [
+    (OpticalFlowEstimator, 0.3, 0.05), (HybridFlowEstimator, 0.3, 0.05), (Coarse, 0.3, 0.10),
+    (StereoEstimator, START_Z, 0.05),
+], ids=["flow", "hybrid", "coarse", "stereo"])  # fmt: skip
 def test_images_correct_a_wrong_velocity(make: Any, leg_m: float, max_mps: float) -> None:
     """0.5 m/s of error; over ground 12 m below, which flow learns by the rangefinder."""
     rig = rig_of(leg_m)

@@ -2,8 +2,6 @@
 directions of scans, and their removal from the update.
 """
 
-from __future__ import annotations
-
 from unittest import mock
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`livo` on flights whose answer is known: single steps inside the estimator, and as a whole."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable
@@ -225,17 +223,10 @@ def test_the_map_belongs_to_clones_of_the_poses_that_made_it() -> None:
     assert matched.found.sum() > 40 and set(matched.anchors[matched.found].tolist()) == {0, 1}
 
 
-@pytest.mark.parametrize(
-    ("way", "turn_deg", "lacks"),
-    [
-        ([0.0, 0.0, 0.0], 19.0, False),
-        ([0.0, 0.0, 0.0], 21.0, True),
-        ([2.6, -3.5, 0.0], 0.0, False),
-        ([2.8, -3.7, 0.0], 0.0, True),
-        ([0.0, 0.0, 2.9], 0.0, False),
-        ([0.0, 0.0, -3.1], 0.0, True),
-    ],
-)
+@pytest.mark.parametrize(("way", "turn_deg", "lacks"), [
+    ([0.0, 0.0, 0.0], 19.0, False), ([0.0, 0.0, 0.0], 21.0, True), ([2.6, -3.5, 0.0], 0.0, False),
+    ([2.8, -3.7, 0.0], 0.0, True), ([0.0, 0.0, 2.9], 0.0, False), ([0.0, 0.0, -3.1], 0.0, True),
+])  # fmt: skip
 def test_turns_ways_and_climbs_in_the_dark_add_to_the_map(
     way: list[float], turn_deg: float, lacks: bool
 ) -> None:

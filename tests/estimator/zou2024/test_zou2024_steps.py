@@ -1,7 +1,5 @@
 """The paper's positioning step by step, what each repairs of a disturbed state, and as a whole."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -61,15 +59,10 @@ def ground_maps(ground: np.ndarray) -> registration.FeatureMaps:
     return registration.FeatureMaps(edges, planes)
 
 
-@pytest.mark.parametrize(
-    ("sensor", "shift", "turn"),
-    [
-        ("lidar", [0.0, 0.0, 0.1], [0.0, 0.0, 0.0]),
-        ("lidar", [0.0, 0.0, 0.0], [0.03, -0.02, 0.0]),
-        ("camera", [0.1, -0.08, 0.0], [0.0, 0.0, 0.0]),
-        ("camera", [0.0, 0.0, 0.0], [0.0, 0.0, 0.02]),
-    ],
-)
+@pytest.mark.parametrize(("sensor", "shift", "turn"), [
+    ("lidar", [0.0, 0.0, 0.1], [0.0, 0.0, 0.0]), ("lidar", [0.0, 0.0, 0.0], [0.03, -0.02, 0.0]),
+    ("camera", [0.1, -0.08, 0.0], [0.0, 0.0, 0.0]), ("camera", [0.0, 0.0, 0.0], [0.0, 0.0, 0.02]),
+])  # fmt: skip
 def test_a_displaced_pose_is_pulled_back(sensor: str, shift: Any, turn: Any) -> None:
     """Algorithm 1 knows height and tilt over level ground, PnP position and heading."""
     alone = {f"use_{name}_pose": name == sensor for name in ("lidar", "camera")}

@@ -20,7 +20,11 @@ from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.labels import D_LAND
 
 from support.command import Says
-from support.ground_class_support import COLOURS, write_colour_network, write_plain_images
+from support.ground_class_support import (
+    write_colour_network,
+    write_noisy_images,
+    write_plain_images,
+)
 from support.labelled_images_support import coloured, coloured_folders
 
 MOBILENET_WEIGHTS = 4_210_008
@@ -226,15 +230,7 @@ BLIND = np.zeros((len(D_LAND), 3))
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folders of images in the colours of their classes, noisy."""
-    home = tmp_path_factory.mktemp("pictures")
-    rng = np.random.default_rng([8, 3])
-    for name, colour in COLOURS.items():
-        (home / name).mkdir()
-        for number in range(60):
-            image = np.clip(rng.normal(colour, 25.0, (16, 16, 3)), 0, 255).astype(np.uint8)
-            cv2.imwrite(str(home / name / f"{number}.png"), image[..., ::-1])
-    return home
+    return write_noisy_images(tmp_path_factory.mktemp("pictures"), 60, 3)
 
 
 def test_two_networks_classify_together(

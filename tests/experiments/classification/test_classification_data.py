@@ -231,23 +231,6 @@ def test_no_picture_in_a_split(folder: Any) -> None:
         load_images([catalogue], "test", "d_land", 16)
 
 
-def test_pictures_that_are_refused(tmp_path: Path) -> None:
-    grey, deep, alpha = (tmp_path / f"{name}.png" for name in ("grey", "deep", "alpha"))
-    cv2.imwrite(str(grey), np.zeros((8, 8), np.uint8))
-    cv2.imwrite(str(deep), np.zeros((8, 8, 3), np.uint16))
-    cv2.imwrite(str(alpha), np.full((8, 8, 4), (1, 2, 3, 4), np.uint8))
-    (tmp_path / "text.png").write_text("no image")
-    for path, message in (
-        (grey, "is grey"),
-        (deep, "has 16 bits"),
-        (tmp_path / "text.png", "is not an image"),
-        (tmp_path / "none.png", "does not exist"),
-    ):
-        with pytest.raises(UsageError, match=message):
-            read_picture(path)
-    assert (read_picture(alpha)[0, 0] == [3, 2, 1]).all()
-
-
 def test_the_middle_square_is_taken() -> None:
     wide = np.zeros((10, 30, 3), np.uint8)
     wide[:, 10:20] = 200

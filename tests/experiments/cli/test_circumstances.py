@@ -16,7 +16,6 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import run_directory
-from touchdown.experiments.terminal import error_line
 
 from support.campaign_fakes import fake_result
 from support.command import RunCli, Says
@@ -162,13 +161,6 @@ def test_links_in_a_circle(tmp_path: Path, says: Says) -> None:
         lines = says(2, *list(command)).err.strip().splitlines()
         assert len(lines) == 1 and lines[0].startswith("touchdown: error: "), (command, lines)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["circle", "network.onnx"]
-
-
-def test_an_error_line_has_no_control_characters_and_a_limited_length() -> None:
-    assert error_line("a\x1b[31m\nb\u202ec") == "touchdown: error: a\\x1b[31m b\\u202ec"
-    assert error_line("größe 💥") == "touchdown: error: größe 💥"
-    line = error_line(f"'{'x' * 9000}' is wrong; give another")
-    assert len(line) < 750 and line.endswith("is wrong; give another")
 
 
 def test_what_libraries_log_is_not_printed() -> None:

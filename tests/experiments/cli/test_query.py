@@ -153,14 +153,11 @@ def test_values_of_any_type_are_json(ask: Query) -> None:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "sql",
-    [
-        "describe runs", "summarize runs", "show tables", "explain select 1", "values (1)",
-        "with x as (select 1 as a) select a from x -- the end", "from runs select seed;",
-        "pivot runs on scene using count(*) group by seed",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("sql", [
+    "describe runs", "summarize runs", "show tables", "explain select 1", "values (1)",
+    "with x as (select 1 as a) select a from x -- the end", "from runs select seed;",
+    "pivot runs on scene using count(*) group by seed",
+])  # fmt: skip
 def test_statements_that_read(ask: Query, sql: str) -> None:
     assert ask(sql)
     assert ask("select sum(seed + 9007199254740993) as s from runs") == [{"s": 2**54 + 3}]

@@ -32,17 +32,6 @@ def test_ideal_is_the_schema_itself() -> None:
 
 
 @pytest.mark.usefixtures("two")
-def test_any_other_source_takes_precedence(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_text('profile = "harsh"\n[wind]\nmean_kmh = 5.0\n')
-    config = load_config(file, ["camera.gain=0.8"])
-    assert (config.wind.mean_kmh, config.camera.gain, config.camera.noise_sigma) == (5.0, 0.8, 3.0)
-    # a profile given by hand does not undo what the user's file sets
-    config = load_config(file, profile="field")
-    assert (config.profile, config.wind.mean_kmh, config.camera.gain) == ("field", 5.0, 1.0)
-
-
-@pytest.mark.usefixtures("two")
 def test_a_run_is_repeated_and_moved_to_another_profile(tmp_path: Path) -> None:
     flown = load_config(None, ["camera.noise_sigma=9"], profile="harsh", wind_kmh=3.0)
     file = tmp_path / "config.json"

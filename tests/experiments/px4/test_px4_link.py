@@ -109,19 +109,16 @@ def test_warnings_that_px4_prints_become_events(
     assert not any("none" in text for text in events)
 
 
-@pytest.mark.parametrize(
-    ("fault", "sentence"),
-    [
-        ("silent@100", r"at 0\.\d+ s PX4 gave no answer in 1 s \(px4.answer_s\)"),
-        ("silent@1", "PX4 is connected, but gave no answer in 4 s"),
-        ("closes@100", r"at 0\.\d+ s PX4 has closed the connection; PX4 has ended with code 3"),
-        ("late@100", r"at 0\.\d+ s PX4 gave no answer in 1 s"),
-        ("twice@100", r"at 0\.\d+ s PX4 had answered the step before twice"),
-        ("nan@100", r"at 0\.\d+ s PX4 gave a control that is not a number"),
-        ("time@100", r"at 0\.\d+ s PX4 answered for another time, 0\.\d+ s"),
-        ("deny@1", r"PX4 did not arm within 2 s \(px4.arm_s\): Arming denied: no valid position"),
-    ],
-)
+@pytest.mark.parametrize(("fault", "sentence"), [
+    ("silent@100", r"at 0\.\d+ s PX4 gave no answer in 1 s \(px4.answer_s\)"),
+    ("silent@1", "PX4 is connected, but gave no answer in 4 s"),
+    ("closes@100", r"at 0\.\d+ s PX4 has closed the connection; PX4 has ended with code 3"),
+    ("late@100", r"at 0\.\d+ s PX4 gave no answer in 1 s"),
+    ("twice@100", r"at 0\.\d+ s PX4 had answered the step before twice"),
+    ("nan@100", r"at 0\.\d+ s PX4 gave a control that is not a number"),
+    ("time@100", r"at 0\.\d+ s PX4 answered for another time, 0\.\d+ s"),
+    ("deny@1", r"PX4 did not arm within 2 s \(px4.arm_s\): Arming denied: no valid position"),
+])  # fmt: skip
 def test_a_px4_that_breaks_the_protocol_ends_the_flight_in_one_line(
     build: Path, fault: str, sentence: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

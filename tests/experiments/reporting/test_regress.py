@@ -326,9 +326,3 @@ def test_nothing_in_common_is_an_error(tmp_path: Path, says: Says) -> None:
     write_baseline([flight("flat", "gps", 0, 1.0)], tmp_path / "base.json")
     command = ["regress", str(tmp_path / "old"), "--baseline", str(tmp_path / "base.json")]
     assert "no cell of these flights; it has flat, gps" in says(2, *command).err
-
-
-def test_a_long_list_of_blind_comparisons_is_cut() -> None:
-    rows = campaign(np.random.default_rng(0), range(5))
-    words = verdict_sentences(against(scaled(rows, lambda r: 3.0), rows))[-1]
-    assert words.endswith(", ...): one needs 10 equal seeds.")

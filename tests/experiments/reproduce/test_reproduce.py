@@ -190,15 +190,6 @@ def test_photographs_train_every_network_until_it_has_converged(
     assert "photographs of pictures alone" in text and "22 of 22 trainings converged" in text
 
 
-def test_vgg19_learns_more_slowly(tmp_path: Path) -> None:
-    found = {
-        one.network: one.options
-        for one in _trainings(tmp_path, parts.TRAININGS["whole"]["photographs"], ())
-    }
-    assert found["vgg19"]["learning_rate"] == 2e-4
-    assert "learning_rate" not in found["resnet50"]
-
-
 def test_every_network_of_every_edition_can_see_its_images(tmp_path: Path) -> None:
     for edition in parts.TRAININGS.values():
         for size in edition.values():

@@ -136,13 +136,10 @@ def test_configuration_overrides_the_limit() -> None:
     assert "(at least 1.00)" in site.reason and not site.accepted
 
 
-@pytest.mark.parametrize(
-    ("sure", "known", "policy", "accepted"),
-    [
-        (0.8, True, "refuse", False), (0.8, True, "geometry", True),
-        (0.8, False, "geometry", True), (0.5, True, "geometry", False),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("sure", "known", "policy", "accepted"), [
+    (0.8, True, "refuse", False), (0.8, True, "geometry", True), (0.8, False, "geometry", True),
+    (0.5, True, "geometry", False),
+])  # fmt: skip
 def test_unknown_ground_is_landed_on_by_its_geometry_alone_if_wished(
     sure: float, known: bool, policy: str, accepted: bool
 ) -> None:

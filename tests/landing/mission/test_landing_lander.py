@@ -156,13 +156,6 @@ def test_emergency_lands_in_time_on_the_least_bad_site() -> None:
     assert not view.no_site
 
 
-def test_emergency_without_a_map_descends_in_place() -> None:
-    void = make_grid(np.full((280, 280), np.nan), origin=ORIGIN)
-    began, view = fly_timed(Puppet(make_lander(emergency="battery"), void))
-    assert Phase.RETURN not in began and view.no_site
-    assert began[Phase.DONE] - began[Phase.SELECT] <= PARAMS.emergency_s
-
-
 @pytest.mark.parametrize(("battery", "legs"), [(0.9, 2), (0.35, 1)])
 def test_search_leg_only_where_the_battery_suffices_for_it_and_the_way_home(
     battery: float, legs: int
@@ -174,45 +167,6 @@ def test_search_leg_only_where_the_battery_suffices_for_it_and_the_way_home(
     puppet.battery = battery
     phases, view = fly(puppet)
     assert phases.count(Phase.SURVEY) == legs and view.no_site
-
-
-class Lost(Puppet):
-    """Its estimator says that it is unhealthy between two times."""
-
-    def __init__(self, start_s: float, end_s: float, **changes: object) -> None:
-        super().__init__(make_lander(**changes), flat_map())
-        healthy = self.lander.update
-
-        def update(obs, estimate, view):  # type: ignore[no-untyped-def]
-            bad = start_s <= obs.time_s < end_s
-            return healthy(obs, dataclasses.replace(estimate, healthy=not bad), view)
-
-        self.lander.update = update  # type: ignore[method-assign]
-
-
-def test_short_unhealthy_period_holds_and_resumes() -> None:
-    puppet = Lost(12.0, 16.0)
-    held, jumps, last = [], [], None
-    for view, setpoint in puppet.run(200.0):
-        if 13.5 < puppet.tick / 600.0 < 15.9:
-            held.append(setpoint.position_odom)
-        if last is not None:
-            jumps.append(float(np.linalg.norm(setpoint.position_odom - last)))
-        last = setpoint.position_odom.copy()
-        if view.phase is Phase.DONE:
-            break
-    assert np.ptp(np.array(held), axis=0) == pytest.approx(0.0, abs=1e-9)
-    assert max(jumps) < 0.3  # the fastest leg covers 0.2 m in a step
-    assert not view.aborted and view.committed_site_world is not None
-
-
-def test_long_unhealthy_period_aborts_and_descends_in_place() -> None:
-    puppet = Lost(12.0, 1e9)
-    phases, view = fly(puppet)
-    assert view.aborted
-    assert "unhealthy" in view.note or phases[-1] is Phase.DONE
-    assert phases[-1] is Phase.DONE and Phase.SELECT not in phases
-    assert puppet.position[:2] == pytest.approx(view.committed_site_world[:2], abs=0.01)
 
 
 def test_wind_follows_from_tilt_and_thrust() -> None:

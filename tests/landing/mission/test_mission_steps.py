@@ -1,7 +1,5 @@
 """Single steps of a mission with known answers: looks, sweep, descent, ways, energy, frames."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any

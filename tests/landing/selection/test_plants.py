@@ -132,15 +132,6 @@ def test_stake_in_a_wide_stand_is_seen_wherever_the_cells_lie(row: int) -> None:
     assert look.position_odom is None and "an object" in look.reason
 
 
-def test_post_in_a_meadow_stays_an_object() -> None:
-    """A stake of 0.4 m: in its cell a tenth of the pulses meet it."""
-    grid = _map(_flat(), _flat(0.25))
-    grid.max_height_m[40, 40] = 0.4
-    grid.height_m[40, 40] += 0.03
-    allowed = _allowed(grid)
-    assert allowed[20:30, 20:30].any() and not allowed[37:44, 37:44].any()
-
-
 def test_plants_without_sure_ground_stay_objects() -> None:
     raster = observed_raster(_map(_flat(), _flat(0.25)))
     assert raster is not None
