@@ -1,8 +1,6 @@
 """Outcomes of flights, parameters of referee, bias, calibration error and PX4, and what a
 calibration takes and gives."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum

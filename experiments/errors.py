@@ -1,7 +1,5 @@
 """Errors of the user and of the machine, and their one-line messages."""
 
-from __future__ import annotations
-
 import difflib
 import errno
 import os

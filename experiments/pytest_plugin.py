@@ -4,8 +4,6 @@ Installed with the project; ``-p no:touchdown`` turns it off. It imports nothing
 time, since pytest loads it in every project.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import os

@@ -4,8 +4,6 @@ A replay is as in a flight, causal and from lift-off to the end of the survey. E
 the distance from the true position, not aligned.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Each command runs in a process of its own on the sources of its checkout; two ch
 command by command, so that both meet the same machine.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -4,8 +4,6 @@ Stages are functions, which are clocked while the flight runs. The time of a sta
 thread that calls it, without that of the stages that it calls: the rows of the table add up.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import importlib

@@ -7,8 +7,6 @@ at 5 m/s that of the front rotors lies at 38 Hz, the alias of 82 Hz; in manoeuvr
 20 and 50 Hz. So the model is compared at rotor speeds of 88 Hz with a standard deviation of 8 Hz.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ All cast from one hovering pose in one scene, because MuJoCo's caster and the pa
 it support only rays from a common origin.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from typing import Any

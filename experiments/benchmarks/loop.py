@@ -1,7 +1,5 @@
 """Benchmark of the whole loop on flights with all sensors and recording."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path

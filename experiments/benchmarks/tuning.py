@@ -6,8 +6,6 @@ tuning that goes on from its file ends as one that was not stopped. The first tr
 shipped.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import math

@@ -5,8 +5,6 @@ Ioannou, Taati, Harrap and Greenspan, "Difference of normals as a multi-scale op
 unorganized point clouds", 3DIMPVT 2012, which the paper applies to find the board.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

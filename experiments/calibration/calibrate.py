@@ -1,8 +1,6 @@
 """Calibration from views of a chessboard (Zou, Sun and Kong 2024, section 3.2), and its errors,
 stated uncertainty and consistency against the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 """Extrinsics: pose of the LIDAR in the camera frame, from planes that both see (Zou, Sun and Kong
 2024, Eqs. 4 and 5)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

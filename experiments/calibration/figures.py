@@ -1,8 +1,6 @@
 """Figures of a calibration: boards with their corners, LIDAR returns over an image, and the
 coloured cloud of one view (the paper's Fig. 2)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The directory of a campaign: who may write to it, what it was made for, what is left of runs."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import json

@@ -6,8 +6,6 @@ memory, its death, and the processes that an estimator starts in it. A process p
 `experiments.campaign.executor_ray` puts the same supervisors on a Ray cluster.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import multiprocessing

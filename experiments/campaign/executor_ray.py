@@ -2,8 +2,6 @@
 on the node that Ray chooses. A finished run directory comes back through Ray's object store: the
 nodes share no folder. Needs the extra ``ray``."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import io

@@ -1,7 +1,5 @@
 """Verdicts on the expectations of a campaign (``[[expect]]`` in its file)."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

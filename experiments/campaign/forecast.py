@@ -1,7 +1,5 @@
 """Forecast of a campaign before it is flown: flights by condition, processor time, wall time."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """The plan of a campaign: a TOML file expanded to runs, each with its configuration."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

@@ -1,8 +1,6 @@
 """Progress of a campaign on stderr: a bar with the remaining time on a terminal, otherwise one line
 per run."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Mapping, Sequence

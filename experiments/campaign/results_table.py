@@ -1,7 +1,5 @@
 """The table of a campaign, one row per run: written to Parquet, read as rows."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,8 +1,6 @@
 """A session of a campaign: flies the remaining runs with an engine, moves what it has flown into
 place, and sums up the results."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket

@@ -5,8 +5,6 @@ with the row of the run, or with a failure. It is started by a guard
 (`touchdown.experiments.external.processes`) on the same machine, and ends with it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import errno

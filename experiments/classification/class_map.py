@@ -1,7 +1,5 @@
 """`touchdown classify`: class maps of aerial photographs by a sliding window, drawn over them."""
 
-from __future__ import annotations
-
 import colorsys
 from collections.abc import Callable, Sequence
 from pathlib import Path

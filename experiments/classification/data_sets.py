@@ -10,8 +10,6 @@ A split follows from the origin of an image alone: it is the same in every run a
 the data.
 """
 
-from __future__ import annotations
-
 import csv
 import functools
 import re

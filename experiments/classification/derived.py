@@ -1,8 +1,6 @@
 """`touchdown quantize` and `touchdown ensemble`: networks made of trained ones, with the limits at
 which ground counts as safe refitted to validation images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

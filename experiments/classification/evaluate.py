@@ -1,8 +1,6 @@
 """`touchdown evaluate`: scores of a network on images that it was not trained on, and its cost, as
 a report, as tables, and as diagrams of their reliability."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

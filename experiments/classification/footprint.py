@@ -5,8 +5,6 @@ As a program it prints one JSON object:
 python -m touchdown.experiments.classification.footprint FILE
 """
 
-from __future__ import annotations
-
 import json
 import statistics
 import subprocess

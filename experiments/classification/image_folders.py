@@ -6,8 +6,6 @@ classes, photographs from the air, and textures of ground.
 `textures=DIR` holds textures named CLASS__NAME.jpg and swatches with ``swatches.csv``.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

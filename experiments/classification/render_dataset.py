@@ -1,8 +1,6 @@
 """`touchdown dataset render`: a folder of labelled patches by scene and seed, `manifest.csv` and a
 contact sheet."""
 
-from __future__ import annotations
-
 import csv
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence

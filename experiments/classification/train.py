@@ -1,7 +1,5 @@
 """`touchdown train`: training of a network on labelled images, its file and learning curves."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import fcntl

@@ -1,7 +1,5 @@
 """Commands ``touchdown bench ...``, which measure speed and accuracy, and ``touchdown maps``."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence

@@ -1,8 +1,6 @@
 """Ground classification: ``touchdown dataset``, ``train``, ``evaluate``, ``quantize``,
 ``ensemble``, ``classify``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Exit codes, options and the command group that all commands share."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import importlib

@@ -1,7 +1,5 @@
 """The command line. A command imports what it needs when it runs, so that help is instant."""
 
-from __future__ import annotations
-
 import atexit
 import gc
 import io

@@ -1,7 +1,5 @@
 """Command ``touchdown bench tune``."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Configuration files: reading of TOML and JSON within limits, and which of them may name code."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Dotted keys of nested tables, and those that tell the runs of one directory apart."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence

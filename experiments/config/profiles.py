@@ -6,8 +6,6 @@ flown: ``whole`` is what profile and defaults say, ``short`` a file. A preset ta
 the profile, any other source of a key over both.
 """
 
-from __future__ import annotations
-
 import fnmatch
 import functools
 import tomllib

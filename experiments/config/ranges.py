@@ -1,8 +1,6 @@
 """Ranges and choices of configuration keys: from their types, and on a side that these leave open
 from the unit of the key."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import operator

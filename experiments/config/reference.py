@@ -3,8 +3,6 @@
 ``python -m touchdown.experiments.config.reference`` prints it; the site has it as a page.
 """
 
-from __future__ import annotations
-
 import ast
 import functools
 import inspect

@@ -6,8 +6,6 @@ files, the profile, the preset, a TOML file (or the ``config.json`` of an earlie
 Every mistake is a ``UsageError`` with one line: what is wrong, where, what would be right.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Owners of seeds: a verdict is worth something on seeds alone that no constant was chosen with."""
 
-from __future__ import annotations
-
 import functools
 import tomllib
 from collections.abc import Iterable

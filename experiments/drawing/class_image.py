@@ -1,7 +1,5 @@
 """The picture of a flight's semantic map: the map in the colours of its classes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib

@@ -1,7 +1,5 @@
 """Contact sheet of many scenes: one row of small images per scene."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import cv2

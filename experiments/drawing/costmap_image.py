@@ -1,7 +1,5 @@
 """The picture of a choice: the map and what ranks its sites, the candidates, and their terms."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is drawn of maps: coloured points and PLY files of them, take-off and survey."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

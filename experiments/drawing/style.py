@@ -1,8 +1,6 @@
 """The style of all drawings, and maps with ticks in metres, north up, with take-off point, heading
 and survey area."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ Importing this package registers ``Touchdown-v0`` with Gymnasium where that is i
 ``rl``); `suite` is ``touchdown.suite``. Actions, observations and rewards are documented in
 `landing_task`."""
 
-from __future__ import annotations
-
 import importlib.util
 
 ENVIRONMENT_ID = "Touchdown-v0"

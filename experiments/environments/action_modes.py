@@ -1,7 +1,5 @@
 """What an action does: rotor commands, or velocities that an autopilot flies."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.controller.api import Controller, Setpoint

@@ -1,7 +1,5 @@
 """The landing task behind Gymnasium's interface."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

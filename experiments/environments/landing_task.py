@@ -37,8 +37,6 @@ most 20), both in metres; less 0.01 a second. The end gives
 "Truly safe" is the rule that the referee applies to all flights (`scenes.api.TruthMaps.safe`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

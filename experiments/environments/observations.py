@@ -1,7 +1,5 @@
 """Observations of a policy: arrays made of the newest sensor measurements."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

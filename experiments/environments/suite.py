@@ -5,8 +5,6 @@ velocity that the project's controller flies. Needs dm_control, which the projec
 3.11 and 3.12. Actions, observations and rewards are documented in `landing_task`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The landing task as a task and a physics of dm_control."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The truly safe ground of a scene, and how far it is."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ EuRoC: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016. KITTI
 Urtasun, "Are we ready for autonomous driving?", CVPR 2012, and its odometry development kit.
 """
 
-from __future__ import annotations
-
 import json
 from collections import deque
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Finished run, export options and results, as all exporters use them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Point clouds of a flight as PLY: its map, or all LIDAR returns in the colours of the camera."""
 
-from __future__ import annotations
-
 from collections import deque
 from pathlib import Path
 from typing import BinaryIO

@@ -6,8 +6,6 @@ a scan, of its beginning). The time in the bag is that of the arrival on board, 
 sends all messages in the order of the flight.
 """
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Export of a finished run in another format."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from touchdown.experiments.errors import UsageError

@@ -1,7 +1,5 @@
 """Trajectories and tables of a flight: TUM and CSV."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

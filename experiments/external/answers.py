@@ -3,8 +3,6 @@
 The checks of answers that come once a control step cost microseconds.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from operator import attrgetter

@@ -4,8 +4,6 @@
 returns every rule that it breaks, with the reason. It needs no flight and no simulator.
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools

@@ -1,8 +1,6 @@
 """The examination of external parts: a part is asked in the synthetic world as a flight asks it,
 and every rule that it breaks is noted. A kind of part has one function that asks it."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import pickle

@@ -1,8 +1,6 @@
 """The examinations of parts of every kind beside the estimator: what each is asked in the synthetic
 world, and the checks of what it answers, by rule."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

@@ -3,8 +3,6 @@
 For a name that cannot be loaded, one line states what is missing and the remedy.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import inspect

@@ -2,8 +2,6 @@
 written as an MJCF file and read as any other.
 """
 
-from __future__ import annotations
-
 import inspect
 import tempfile
 import warnings

@@ -5,8 +5,6 @@ none outlives the program. It is a small process of its own (``python -m`` this 
 process of a command, whose copy runs code that may end it without a word.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import gc

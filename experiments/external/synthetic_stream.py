@@ -4,8 +4,6 @@ For checks that need plausible input. Rates, delays and mounts are those of the
 vehicle; the ground is a sum of waves, its texture a random mosaic, and the vehicle stays level.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator

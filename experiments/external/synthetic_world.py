@@ -1,8 +1,6 @@
 """The synthetic world of examinations, by numpy alone: estimates, maps, a rigid airframe, and a
 vehicle that follows its setpoints exactly. Its sensors are in `synthetic_stream`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """External parts in flight: each is asked as the shipped one is, its calls are watched, its answers
 are checked, and every error is told in one line."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools

@@ -6,8 +6,6 @@ effects of `harsh`: those of ``harsh_effects``, and in profile `harsh` all that 
 place of the landing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass

@@ -10,8 +10,6 @@ lacks of the lists FILE, by default of the first; with ``--write SCENE`` it writ
 by short landings over the scene.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

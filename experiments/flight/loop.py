@@ -1,7 +1,5 @@
 """The one main loop: every flight, whatever its estimator, scene or purpose, runs through here."""
 
-from __future__ import annotations
-
 from touchdown.controller.api import Controller
 from touchdown.estimator.api import Estimator, Mapper
 from touchdown.experiments.flight.referee import Judgement, Referee

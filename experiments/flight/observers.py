@@ -1,7 +1,5 @@
 """Observers of the main loop: events, phases, progress, the newest map; timers of its stages."""
 
-from __future__ import annotations
-
 import time
 from collections import defaultdict
 from collections.abc import Callable

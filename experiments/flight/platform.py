@@ -1,7 +1,5 @@
 """Display, rendering backend and threads of the machine."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import functools

@@ -3,8 +3,6 @@
 A replay is open loop: the trajectory is that of the logged flight, whatever the estimate.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import shutil

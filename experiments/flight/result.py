@@ -1,8 +1,6 @@
 """The result of a flight, from the referee's judgement, the map and the clock: figures, the choice
 of a site, and what a flight that found none, or gave one up, refused of the true ground."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from typing import Any

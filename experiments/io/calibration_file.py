@@ -1,7 +1,5 @@
 """Calibrations as JSON files, which flights load."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -4,8 +4,6 @@ Not by pydantic: it has no schema for the numpy arrays of `sim.api`, whose dtype
 must survive.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import types

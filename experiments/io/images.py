@@ -1,7 +1,5 @@
 """Reading of image files of users, and writing of images."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

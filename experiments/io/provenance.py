@@ -1,7 +1,5 @@
 """Versions and git revision that a result states."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import math
 import subprocess

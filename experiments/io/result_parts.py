@@ -1,7 +1,5 @@
 """The parts of a result: what a flight measured, chose and missed."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Mapping

@@ -1,8 +1,6 @@
 """Atomic creation of run directories and files. What a killed process left is removed by the next
 that makes the same."""
 
-from __future__ import annotations
-
 import datetime
 import errno
 import os

@@ -7,8 +7,6 @@ with every digit, and the number of scans and images that precede it. Scans are 
 message is that of its arrival, the publish time that of its measurement.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping

@@ -1,8 +1,6 @@
 """Reader of sensor logs: returns the observations of a flight, equal to the bit. A log may be
 damaged; what no flight has logged does not reach an estimator."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io

@@ -1,7 +1,5 @@
 """Trajectories as TUM text: one ``t x y z qx qy qz qw`` a line, seconds and metres."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path

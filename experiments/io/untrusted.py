@@ -1,8 +1,6 @@
 """Names, JSON documents and links in files of other people, before they are used. Every string of a
 file that becomes a path goes through this module."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath

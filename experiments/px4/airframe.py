@@ -1,7 +1,5 @@
 """The airframe as PX4 knows it: order and spin of the motors, thrust curve, gains, parameters."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """PX4 as a controller: sensors and estimate in, rotor speeds out, one exchange an IMU sample."""
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 import time

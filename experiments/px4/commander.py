@@ -1,7 +1,5 @@
 """The onboard computer's part: setpoints, mode, arming, and what PX4 says of itself."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Any

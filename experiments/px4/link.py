@@ -1,7 +1,5 @@
 """The two connections to PX4: the simulator's, in lockstep, and an onboard computer's."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import select

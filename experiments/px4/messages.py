@@ -3,8 +3,6 @@
 PX4's frames are local north-east-down and body forward-right-down; ours are east-north-up and
 forward-left-up."""
 
-from __future__ import annotations
-
 import math
 from types import ModuleType
 from typing import Any

@@ -1,7 +1,5 @@
 """PX4 as a process: found, started in a folder of its own, ended always."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """What the main loop hands to recorders."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

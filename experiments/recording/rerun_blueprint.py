@@ -1,7 +1,5 @@
 """Layout and styles of a recording in the Rerun viewer."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

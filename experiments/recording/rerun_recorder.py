@@ -5,8 +5,6 @@ paths go in batches, static geometry is logged once, the map goes in tiles and o
 changed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

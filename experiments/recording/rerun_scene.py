@@ -4,8 +4,6 @@ A group of geoms is merged into one coloured mesh, so that a scene of hundreds o
 entities in the viewer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any

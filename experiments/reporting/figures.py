@@ -1,7 +1,5 @@
 """Figures of a report as SVG: trajectories, errors by axis, touchdowns."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Measures of a flight by the column of its row: name, unit, and which setting decides them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

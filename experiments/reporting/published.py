@@ -1,7 +1,5 @@
 """Published figures of Zou, Sun and Kong (2024), doi:10.3390/app14146079, by their tables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

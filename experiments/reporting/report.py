@@ -1,7 +1,5 @@
 """The report of a campaign: tables and figures, as Markdown, HTML and JSON."""
 
-from __future__ import annotations
-
 import contextlib
 import html
 import json

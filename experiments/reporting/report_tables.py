@@ -1,7 +1,5 @@
 """The tables of a report: which columns each has, and its notes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any

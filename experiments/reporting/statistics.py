@@ -7,8 +7,6 @@ Resampling is one matrix product over all cells of equally many flights: on ten 
 `scipy.stats.bootstrap` takes 9 times as long, `permutation_test` 1000 times (40 cells, exact).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Tables of flights: lines are groups of a frame, columns are figures of the flights of a line."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Trajectories of flights, and the deviation of the flown path from the reference."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Networks of a reproduction: images rendered, trainings in parallel, scores one after another."""
 
-from __future__ import annotations
-
 import csv
 import functools
 import importlib.util

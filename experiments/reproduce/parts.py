@@ -3,8 +3,6 @@
 Heavy modules are imported by the part that needs them.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import importlib.util

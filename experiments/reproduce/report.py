@@ -1,7 +1,5 @@
 """Report of a reproduction: the paper's tables and figures in order, beside the measured ones."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -1,8 +1,6 @@
 """Reproduction of all tables and figures of the paper: a part is done when its result, of the same
 settings, is in its ``part.json``."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import importlib.util

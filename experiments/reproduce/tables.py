@@ -1,7 +1,5 @@
 """Tables of a reproduction from other sources than campaigns: our values beside the paper's."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

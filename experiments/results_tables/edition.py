@@ -4,8 +4,6 @@
 of one revision, which its metadata states beside date and cost of each set.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass

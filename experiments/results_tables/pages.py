@@ -1,8 +1,6 @@
 """README and the results pages: their tables, written between markers that nobody else writes
 between, from the rows of `edition`."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The tables of README and the results pages, as lines of Markdown, of frames of stored rows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

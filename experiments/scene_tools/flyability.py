@@ -1,7 +1,5 @@
 """Checks of scenes: a survey can be flown over an MJCF file; seeds of a scene build and differ."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Sequence

@@ -3,8 +3,6 @@
 Needs dm_control, which the project brings on Python 3.11 and 3.12.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Rendered images of scenes, and scenes exported as MJCF."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

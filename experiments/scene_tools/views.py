@@ -1,7 +1,5 @@
 """Renderings, true maps and sensor views of a scene, as (H, W, 3) RGB arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path

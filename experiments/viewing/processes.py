@@ -1,7 +1,5 @@
 """Processes of the Rerun viewer, their ports, and the viewer of a flight in progress."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """Two flights in one Rerun recording: one place, one time line, and the instant where they part."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

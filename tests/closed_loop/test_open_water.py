@@ -26,14 +26,12 @@ OUT_OF_SIGHT_M = 40.0
 
 @dataclass(slots=True)
 class Watch:
-    """A recorder that keeps errors, standard deviations and events at 20 Hz."""
+    """A recorder that keeps errors and standard deviations at 20 Hz."""
 
     rows: list[Any] = field(default_factory=list)
-    events: list[str] = field(default_factory=list)
 
     def tick(self, step: Any) -> None:
         truth, estimate = step.truth, step.estimate
-        self.events.extend(estimate.events)
         if truth.tick % 30:
             return
         position = truth.world_from_body.translation
@@ -45,12 +43,9 @@ class Watch:
         pass
 
 
-def fly(seed: int, estimator: str, faults: tuple[str, ...] = ()) -> tuple[SimpleNamespace, Watch]:
+def fly(seed: int) -> SimpleNamespace:
     limit_threads()
-    config = load_config(
-        CONFIG, ["sim.threads=1"], scene="open_water", seed=seed, estimator=estimator,
-        record=False, fault=faults or None,
-    )  # fmt: skip
+    config = load_config(CONFIG, ["sim.threads=1"], scene="open_water", seed=seed, record=False)
     flight = build_flight_stack(config, build_scene(config))
     watch = Watch()
     referee = make_referee(config, flight.scene, lambda: None)
@@ -61,12 +56,12 @@ def fly(seed: int, estimator: str, faults: tuple[str, ...] = ()) -> tuple[Simple
         )  # fmt: skip
     finally:
         flight.world.close()
-    return figures(str(result.outcome), np.array(watch.rows)), watch
+    return figures(str(result.outcome), np.array(watch.rows))
 
 
 def figures(outcome: str, rows: Any) -> SimpleNamespace:
-    """Largest growth of the error in five seconds out of sight, sigma before and after them;
-    ``back``: at the end, over the shore; the worst error in sigmas."""
+    """Largest growth of the error in five seconds out of sight; ``back``: at the end, over the
+    shore."""
     times, errors, sigmas, distances = rows[:, 0], rows[:, 1:4], rows[:, 4], rows[:, 5]
     out = np.flatnonzero(distances > OUT_OF_SIGHT_M)
     assert (np.diff(out) == 1).all(), "the shore came into view in between"
@@ -74,13 +69,10 @@ def figures(outcome: str, rows: Any) -> SimpleNamespace:
     starts = out[:-steps]
     size = np.linalg.norm(errors, axis=1)
     growth = size[starts + steps] - size[starts]
-    worst = starts[np.argmax(growth)]
     return SimpleNamespace(
         outcome=outcome, out_of_sight_s=float(times[out[-1]] - times[out[0]]),
-        growth_m=float(growth.max()), sigma_before_m=float(sigmas[worst]),
-        sigma_after_m=float(sigmas[worst + steps]), sigma_largest_m=float(sigmas[out].max()),
+        growth_m=float(growth.max()), sigma_largest_m=float(sigmas[out].max()),
         back_m=float(size[-1]), sigma_back_m=float(sigmas[-1]),
-        worst_sigmas=float((size[out] / sigmas[out]).max()),
     )  # fmt: skip
 
 
@@ -88,22 +80,9 @@ def figures(outcome: str, rows: Any) -> SimpleNamespace:
 @pytest.mark.parametrize("seed", range(3))
 def test_five_seconds_without_shore_cost_little(seed: int) -> None:
     """The ripples of the scene are static, so that the camera can track them."""
-    found, _ = fly(seed, "livo")
+    found = fly(seed)
     print(f"\nopen_water {seed}: {found}")
     assert found.outcome == "COMPLETED" and found.out_of_sight_s >= SPAN_S
     assert found.growth_m <= 0.3
     assert found.sigma_back_m < found.sigma_largest_m
     assert found.back_m < 0.1
-
-
-@pytest.mark.slow
-def test_five_seconds_without_shore_and_camera() -> None:
-    """With IMU and height over water alone, the covariance grows accordingly."""
-    found, watch = fly(0, "livo", ("camera_black@24+5",))
-    print(f"\nopen_water 0, camera_black@24+5: {found}")
-    assert found.outcome == "COMPLETED"
-    assert found.growth_m <= 0.3
-    assert found.sigma_after_m > 2.0 * found.sigma_before_m
-    assert found.worst_sigmas < 4.0
-    assert found.back_m < 0.1 and found.sigma_back_m < 0.5 * found.sigma_after_m
-    assert any("no contrast" in text for text in watch.events)

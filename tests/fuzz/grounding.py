@@ -17,10 +17,7 @@ LEARNING = (
     "touchdown.landing.classification.learning.training",
     "touchdown.landing.classification.learning.export",
 )  # fmt: skip
-SLOW_TO_LOAD = {
-    "asset": ("control",), "campaign": ("pandas",), "argv": ("rerun",),
-    "checkpoint": ("torch._dynamo",),
-}  # fmt: skip
+SLOW_TO_LOAD = {"asset": ("control",), "campaign": ("pandas",), "argv": ("rerun",)}
 """By kind, what the first case that needs it would load, and then the process that forks it."""
 
 SOUND_NETWORKS: set[str] = set()

@@ -26,10 +26,9 @@ KINDS: Mapping[str, tuple[int, tuple[Maker, ...]]] = {
     "baseline": (14, (run_kinds.baseline_case,)), "sql": (14, (data_kinds.sql_case,)),
     "geotiff": (14, (scene_kinds.geotiff_case,)), "image": (14, (learn_kinds.image_case,)),
     "csv": (14, (learn_kinds.csv_case,)), "onnx": (14, (learn_kinds.onnx_case,)),
-    "checkpoint": (17, (learn_kinds.checkpoint_case,)),
 }  # fmt: skip
 """Number of cases of the quick run, and makers of cases"""
-LEARNING = ("onnx", "checkpoint", "csv")
+LEARNING = ("onnx", "csv")
 """Kinds whose commands need torch, which makes forks slower: they come last."""
 
 

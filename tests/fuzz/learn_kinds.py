@@ -1,4 +1,4 @@
-"""Cases over data sets of images, networks and checkpoints."""
+"""Cases over data sets of images and networks."""
 
 import contextlib
 import hashlib
@@ -7,9 +7,6 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from unittest import mock
-
-import numpy as np
 
 from fuzz import grounding
 from fuzz import picture_formats as pictures
@@ -203,85 +200,3 @@ def _change_model(rng: Rng, model: Any) -> None:
             else:
                 setattr(message, field.name, new)
         return
-
-
-_TRAINED = ("--network", "mobilenet_v3_large", "--image-size", "32", "--batch-size", "2")
-
-
-def _trained(shared: Path) -> Path:
-    """Data, and a folder with the checkpoint of a training that has just begun; made once."""
-
-    def fill(folder: Path) -> None:
-        from touchdown.experiments.cli.main import main
-        from touchdown.landing.classification.learning import training
-
-        from fuzz.grounding import Reached
-
-        _data_set(np.random.default_rng(0), folder / "data")
-
-        def note(trainer: Any, _progress: Any) -> None:
-            row = {"epoch": 1.0, "val_macro_f1": 0.5, "val_loss": 1.0, "train_loss": 1.0,
-                   "val_top1": 0.5}  # fmt: skip
-            trainer.history, trainer.best_epoch = [row], 0
-            trainer.write()
-            raise Reached
-
-        with (
-            mock.patch.object(training.Trainer, "run_epoch", note),
-            contextlib.chdir(folder),
-            contextlib.suppress(Reached),
-        ):
-            main(["train", "--data", "data", "--out", "out", *_TRAINED, "--quiet"])
-
-    return _once(shared / "trained", fill)
-
-
-def checkpoint_case(rng: Rng, folder: Path, shared: Path) -> Case:
-    """``last.pt``: trees changed, damaged zips; tests/landing/classification/
-    test_hostile_networks.py has other objects and pickles of code."""
-    source = _trained(shared)
-    shutil.copytree(source / "data", folder / "data")
-    target = folder / "out" / "last.pt"
-    target.parent.mkdir()
-    _put_checkpoint(rng, source / "out" / "last.pt", target)
-    command = ("train", "--data", "data", "--out", "out", *_TRAINED, "--quiet")
-    if chance(rng, 0.1):
-        command = (*command, "--epochs", "1")
-    return Case(arguments=command, writes=("out",))
-
-
-def _put_checkpoint(rng: Rng, valid: Path, target: Path) -> None:
-    import torch
-
-    kind = int(rng.integers(8))
-    if kind == 0:
-        data = valid.read_bytes()
-        target.write_bytes(pick(rng, (flipped(rng, data), data[: int(rng.integers(len(data)))])))
-    elif kind == 1:
-        put_special(rng, target)
-    else:
-        state = torch.load(valid, map_location="cpu", weights_only=True)
-        for _ in range(int(pick(rng, (0, 1, 1, 2)))):
-            _change_state(rng, state, torch)
-        if chance(rng, 0.8) and isinstance(state.get("optimizer"), dict):
-            state["optimizer"]["state"] = {}  # the moments take the time of a case
-        torch.save(state, target)
-
-
-def _change_state(rng: Rng, state: dict[Any, Any], torch: Any) -> None:
-    key = pick(rng, state) if state else "x"
-    inner = state.get(key)
-    while isinstance(inner, dict) and inner and chance(rng, 0.75):
-        state, key = inner, pick(rng, inner)
-        inner = state[key]
-    odd: list[Any] = [
-        None, 3, "x", [], {}, float("nan"), -1, 10**9, torch.zeros(3), torch.zeros(0),
-        torch.full((2, 2), float("nan")), torch.zeros(1, dtype=torch.complex64), [{}],
-        [{"epoch": 1}], torch.zeros(3, device="meta"), "\x1b[31m[/x]",
-        torch.zeros(1).expand(100_000, 100_000),
-    ]  # fmt: skip
-    if isinstance(inner, torch.Tensor) and inner.is_floating_point():
-        odd += [inner * float("nan"), inner.double(), inner.flatten(), inner[:1]] * 3
-    state.pop(key, None)
-    if chance(rng, 0.7):
-        state[pick(rng, (key, key, f"{key}x"))] = pick(rng, odd)

@@ -1,8 +1,4 @@
-"""Runs fuzzed cases: ``python tests/fuzz/run.py KIND NUMBER`` repeats one and keeps its folder.
-
-``python tests/fuzz/run.py --out DIR`` runs all kinds, in parts that may be interrupted, and prints
-a table; it goes on where an earlier call with that folder stopped.
-"""
+"""Runs fuzzed cases: ``python tests/fuzz/run.py KIND NUMBER`` repeats one and keeps its folder."""
 
 import argparse
 import dataclasses
@@ -119,27 +115,9 @@ def show(kind: str, number: int) -> int:
     return 1 if verdict["faults"] else 0
 
 
-def main() -> int:
-    """Returns 1 where there are findings."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("kind", nargs="?", choices=list(KINDS))
-    parser.add_argument("number", nargs="?", type=int, default=0)
-    parser.add_argument("--out", type=Path, help="folder of verdicts")
-    parser.add_argument("--kinds", default=",".join(KINDS), help="separated by commas")
-    parser.add_argument("--count", type=int, default=COUNT, help="cases of each kind")
-    given = parser.parse_args()
-    if given.kind is not None:
-        return show(given.kind, given.number)
-    if given.out is None:
-        parser.error("give KIND and NUMBER, or --out")
-    found: Verdicts = []
-    for kind in given.kinds.split(","):
-        out = given.out / f"{kind}.jsonl"
-        found += run_kind(kind, range(FIRST, FIRST + given.count), out)
-        print(table(found).split("\n")[-2], flush=True)
-    print(table(found), *findings(found), sep="\n\n")
-    return 1 if findings(found) else 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kind", choices=list(KINDS))
+    parser.add_argument("number", type=int)
+    given = parser.parse_args()
+    sys.exit(show(given.kind, given.number))

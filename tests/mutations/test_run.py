@@ -68,17 +68,6 @@ def test_mutations_are_seen_and_a_second_call_goes_on(
     assert [copy.read_text() for copy in copies] == 2 * [FILES["src/touchdown/sim/model.py"]]
 
 
-def test_a_result_holds_for_the_same_source_and_tests(project: Path) -> None:
-    suite = Suite(project, project.parent, 1, 1.0)
-    keys = {suite.key(KILLING), suite.key(VAIN)}
-    for name in (TEST, "src/touchdown/sim/model.py"):
-        (project / name).write_text(FILES[name] + "\n")
-        keys.add(suite.key(KILLING))
-    assert len(keys) == 4
-    (project / "tests/test_broken.py").write_text("")
-    assert suite.key(KILLING) in keys
-
-
 def test_kernels_that_hold_mutated_code_are_compiled_again(tmp_path: Path) -> None:
     """``low`` is imported by ``middle``, and that by ``top`` in a function; ``other`` is not."""
     sources = {

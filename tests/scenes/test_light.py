@@ -16,9 +16,7 @@ from touchdown.scenes.authoring.light import (
     DUSK_SUN_FRACTION,
     bake_light,
     draw_sun,
-    light_in_shadow,
     lit_by,
-    sun_shines,
 )
 from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.compose import load_scene
@@ -112,13 +110,3 @@ def test_scenes_from_files_have_every_light(tmp_path: Path) -> None:
     skies = [m.tex_data[: 64 * 64 * 3].mean() for m in (day, overcast, dusk, night)]
     assert skies[3] < 0.3 * skies[0]
     assert len({round(float(s)) for s in skies}) == 4
-
-
-def test_the_light_ends_with_its_context() -> None:
-    with lit_by("night"):
-        assert not sun_shines()
-        with pytest.raises(ValueError, match="stop"), lit_by("dusk"):
-            raise ValueError("stop")
-        assert light_in_shadow(0.5) == 1.0
-    assert sun_shines()
-    assert light_in_shadow(0.5) == 0.5

@@ -11,7 +11,7 @@ from touchdown.scenes.authoring import micro_relief
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.plots import draw_frame
 from touchdown.scenes.authoring.relief import HALF_M, HeightField
-from touchdown.scenes.authoring.water import WaterLook, lay_water, upsample
+from touchdown.scenes.authoring.water import WaterLook, lay_water
 from touchdown.scenes.places import dunes, turf
 from touchdown.scenes.places.forest import layout
 from touchdown.scenes.places.forest.layout import draw_plan
@@ -246,18 +246,6 @@ def test_open_water_is_safe_at_the_takeoff_spot_only(seed: int) -> None:
     assert (maps.class_id == WATER).mean() > 0.9
 
 
-def test_flat_is_level_to_the_bit_and_safe_everywhere() -> None:
-    scene = cached_scene("flat", 0)
-    assert np.ptp(scene.model.hfield_data) == 0.0
-    maps = truth_maps(scene, 0.25)
-    assert maps.safe.all()
-    assert np.ptp(maps.height_m) < 1e-4
-    visible = [name for name in scene.surfaces if not name.startswith("vehicle")]
-    assert visible == ["terrain"]
-    image = scene.model.tex_data[-3 * 4_000_000 :]
-    assert image.std() > 15.0
-
-
 def test_water_hides_the_bottom_with_depth() -> None:
     """Red light is dimmed first: a bright bottom turns from its own colour to the body's."""
     size = 512
@@ -271,14 +259,6 @@ def test_water_hides_the_bottom_with_depth() -> None:
     assert (dry == 200.0).all()
     assert (shallow[:, 0].mean() < shallow[:, 2].mean() < 200.0) and shallow[:, 0].mean() > 60.0
     np.testing.assert_allclose(deep.mean(axis=0), look.body, atol=14.0)
-
-
-def test_upsample_is_the_terrain_s_linear_interpolation() -> None:
-    x, y = np.meshgrid(np.linspace(-4.0, 4.0, 9), np.linspace(-4.0, 4.0, 9))
-    raster = upsample(2.0 * x - 0.5 * y, 64)
-    axis = (np.arange(64) + 0.5) / 8.0 - 4.0
-    col, row = np.meshgrid(axis, axis)
-    np.testing.assert_allclose(raster, 2.0 * col - 0.5 * row, atol=0.03)
 
 
 @pytest.mark.parametrize("seed", [0, 2])  # a pitch and an airfield

@@ -12,7 +12,6 @@ from touchdown.sim.airframe.battery import DRIVE_EFFICIENCY, HOTEL_LOAD_W, Batte
 from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
 from touchdown.sim.airframe.rotors import Rotors, ground_effect
 from touchdown.sim.airframe.vehicle import (
-    foot_positions,
     rotor_geometry,
     sensor_mounts,
     vehicle_model,
@@ -199,16 +198,6 @@ def test_fuselage_drag_is_that_of_a_bluff_body(tmp_path: Path, vehicle: VehicleM
     front, maximum = np.pi * 0.12 * 0.055, np.pi * 0.15 * 0.12
     expected = AIR_DENSITY_KGPM3 * (0.9 * front + 0.45 * (maximum - front)) * 25.0
     assert -data.qfrc_passive[0] == pytest.approx(expected, rel=0.02)
-
-
-def test_stands_on_its_four_feet(tmp_path: Path, vehicle: VehicleModel) -> None:
-    scene = _scene(tmp_path, FLAT)
-    data = mujoco.MjData(scene.model)
-    settle_on_ground(scene, data)
-    assert data.qpos[2] == pytest.approx(vehicle.leg_height_m, abs=1e-3)
-    assert np.linalg.norm(data.qvel) < 1e-4
-    assert data.ncon == 4
-    assert foot_positions(scene.model)[:, 2] == pytest.approx(-vehicle.leg_height_m)
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.2, 0.3])

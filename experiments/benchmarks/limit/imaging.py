@@ -6,8 +6,6 @@ Points on crowns, which sway, are left out. So is what light and texture do: eve
 feature, and so has the ground that the rangefinder measures.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -3,8 +3,6 @@
 A benchmark: it reads the truth. No estimator uses it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import repeat
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Figures of the steps of one selection, from the map to the site (the paper's Fig. 11)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

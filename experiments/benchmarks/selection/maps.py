@@ -3,8 +3,6 @@
 A survey without a flight makes a map in seconds; a selector needs milliseconds on it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import json

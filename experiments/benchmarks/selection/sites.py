@@ -1,7 +1,5 @@
 """Benchmark of site selection without flights: the maps of surveys, judged by the true ground."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import multiprocessing

@@ -4,8 +4,6 @@ The steps of the paper's Table 7, timed one by one: those of ``landing.selection
 the check of single sites, and the same by Open3D, SciPy and scikit-image.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 A *cell* is a scene with a method and a variant, see `_variant`.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence

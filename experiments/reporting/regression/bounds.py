@@ -5,8 +5,6 @@ which holds repetitions of its flights in a wind that differs by a thousandth: r
 machine too, and a change that means nothing make flights of equal seeds differ as much.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass

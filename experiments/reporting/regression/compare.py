@@ -3,8 +3,6 @@
 Logarithms are compared, so that a change is a ratio and easy and hard scenes weigh the same.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass

@@ -83,14 +83,6 @@ def test_messages_are_logged_as_they_arrived(bag: Path, stream: list[Observation
     assert [time_ns for topic, time_ns in records if topic == "/lidar/points"] == arrivals
 
 
-def test_a_bag_is_a_rosbag2_folder(bag: Path) -> None:
-    assert {path.name for path in bag.iterdir()} == {"metadata.yaml", "flown-bag.mcap"}
-    text = (bag / "metadata.yaml").read_text()
-    information = pytest.importorskip("yaml").safe_load(text)["rosbag2_bagfile_information"]
-    assert information["version"] == 8 and information["storage_identifier"] == "mcap"
-    assert information["relative_file_paths"] == ["flown-bag.mcap"]
-
-
 def test_clouds_hold_what_lidar_odometry_reads(
     messages: dict[str, list[Any]], stream: list[Observation]
 ) -> None:

@@ -58,14 +58,6 @@ def test_mounts_err_against_the_imu_with_their_sigmas_and_independently() -> Non
     np.testing.assert_allclose(np.corrcoef(camera.T, lidar.T), np.eye(12), atol=0.25)
 
 
-def test_a_pair_of_cameras_errs_as_one() -> None:
-    rig = make_rig()
-    nominal = erring_rig(rig, AGAINST_IMU, 2)
-    pair = rig.body_from_camera.inverse() @ rig.body_from_camera_right
-    found = nominal.body_from_camera.inverse() @ nominal.body_from_camera_right
-    np.testing.assert_allclose(found.matrix(), pair.matrix(), atol=1e-12)
-
-
 def test_errors_against_the_imu_leave_those_of_the_pair_as_they_were() -> None:
     """The draws of camera_from_lidar and of the lens do not change."""
     rig = make_rig()

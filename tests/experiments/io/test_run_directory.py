@@ -98,18 +98,6 @@ def test_a_process_of_the_same_number_that_began_later_is_another(tmp_path: Path
         assert whole._is_abandoned(partial, here, str(os.getpid()))
 
 
-def test_an_earlier_run_is_replaced(tmp_path: Path) -> None:
-    out = tmp_path / "a"
-    for maker in ("run_directory", "whole_folder"):
-        make(maker, out)
-        (out / "old").touch()
-        make(maker, out)
-        assert [path.name for path in out.iterdir()] == ["content"]
-        assert [path.name for path in tmp_path.iterdir()] == ["a"]
-        (out / "content").unlink()
-        out.rmdir()
-
-
 @pytest.mark.parametrize("maker", ["run_directory", "whole_folder"])
 def test_what_came_during_the_work_is_kept_and_the_work_too(tmp_path: Path, maker: str) -> None:
     out = tmp_path / "a"

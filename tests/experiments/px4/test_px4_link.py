@@ -232,9 +232,3 @@ def _first_running(build: Path) -> list[int]:
             return found
         time.sleep(0.02)
     return []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("moment", range(10))
-def test_killed_at_ten_moments(build: Path, moment: int) -> None:
-    assert killed_after(build, 0.02 + 0.15 * moment)

@@ -104,13 +104,6 @@ def test_no_figure_is_over_two_profiles(tmp_path: Path) -> None:
     assert error["value"] == pytest.approx(0.24)
 
 
-def test_one_condition_is_named_once(tmp_path: Path) -> None:
-    flown(tmp_path, "field", 0, 0.1)
-    report = make_report(load_flights(tmp_path), title="one")
-    assert report.sections[0].words[0] == "Profile: `field`."
-    assert not any("condition" in t.header for s in report.sections for t in s.tables)
-
-
 def test_conditions_outside_of_a_campaign_are_of_the_configurations(tmp_path: Path) -> None:
     wind = {"mean_kmh": 12.0}
     flown(tmp_path / "a", "field", 0, 0.1, light="day", wind=wind, scene="x", record=True)

@@ -18,15 +18,6 @@ def test_variations_keep_the_kind_of_picture(torch: Any) -> None:
     assert bool((results[0] == results[1]).all()) and bool((results[0] != results[2]).any())
 
 
-def test_without_strength_pictures_are_only_moved(torch: Any) -> None:
-    from touchdown.landing.classification.learning.augment import augmented
-
-    plain = torch.rand(4, 3, 1, 1, generator=torch.Generator().manual_seed(5)).expand(4, 3, 16, 16)
-    varied = augmented(plain, torch.Generator().manual_seed(3), 0.0)
-    np.testing.assert_allclose(varied, plain, atol=1e-6)
-    assert float((augmented(plain, torch.Generator().manual_seed(3)) - plain).abs().max()) > 0.05
-
-
 def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
     from touchdown.landing.classification.learning.augment import augmented, marked
 

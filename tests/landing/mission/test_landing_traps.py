@@ -65,31 +65,6 @@ def test_roof_is_taken_in_the_middle_but_not_at_its_edge(garden: Surveyed) -> No
     refusal(garden, 9.5, -10.0)
 
 
-def test_slope_of_12_degrees_is_too_steep(garden: Surveyed) -> None:
-    assert allowed_fraction(garden, 19.0, 27.0, -14.0, -6.0) == 0.0
-    site, _ = check_site(garden.map_view, garden.estimate, PARAMS, np.array([23.0, -10.0]))
-    assert site.slope_deg == pytest.approx(12.0, abs=0.5) and not site.accepted
-
-
-def test_hole_in_the_map_is_unknown_not_flat(garden: Surveyed) -> None:
-    # the footprint reaches 1 m: so do the corners, 0.6 m aside
-    assert allowed_fraction(garden, 19.4, 24.6, 3.4, 8.6) == 0.0
-    refusal(garden, 22.0, 6.0)
-
-
-def test_rubble_everywhere_offers_no_site(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    stones = [
-        box(f"stone_{i}_{j}", (x, y, 0), (x + 0.5, y + 0.5, 0.2 + 0.4 * float(rng.uniform())))
-        for i, x in enumerate(np.arange(-20.0, 54.0, 1.8))
-        for j, y in enumerate(np.arange(-33.0, 33.0, 1.8))
-        if np.hypot(x + 0.25, y + 0.25) > 1.0  # the vehicle stands in the middle
-    ]
-    place = survey(write(tmp_path, "rubble", LAWN + "".join(stones)))
-    assert not place.selection.allowed.any() and place.selection.candidates
-    assert all(site.reason.startswith("refused") for site in place.selection.candidates)
-
-
 def test_thin_wire_over_a_lawn_is_found_from_4_m_at_the_latest(tmp_path: Path) -> None:
     """A wire of 12 mm, half a metre above the ground: few pulses meet it, fewer from above."""
     wire = '<geom name="wire" type="capsule" fromto="12 -30 0.5 12 30 0.5" size="0.006"/>'
