@@ -50,22 +50,6 @@ def test_many_inputs(kind: str, tmp_path: Path) -> None:
     _check(run.run_kind(kind, numbers, out / f"{kind}.jsonl"))
 
 
-def test_a_case_is_the_same_each_time(tmp_path: Path) -> None:
-    from fuzz import kinds
-
-    def files(folder: Path) -> tuple[object, dict[str, str]]:
-        folder.mkdir()
-        here = os.getcwd()
-        os.chdir(folder)
-        try:
-            case = kinds.make("baseline", 7, folder, tmp_path)
-        finally:
-            os.chdir(here)
-        return case, cases.fingerprint(folder)
-
-    assert files(tmp_path / "a") == files(tmp_path / "b")
-
-
 def _ended(action: Callable[[], object]) -> worker.End:
     def start() -> None:
         os.setsid()
