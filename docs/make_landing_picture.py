@@ -1,7 +1,7 @@
 """Draws the moving picture of the front page, docs/images/landing.webp, from a recorded landing.
 
     touchdown land crossroad --seed 0
-    python docs/make_landing_picture.py runs/crossroad-livo-0 docs/images/landing.webp
+    python docs/make_landing_picture.py runs/crossroad-livo-0-land docs/images/landing.webp
 
 Left: the vehicle at its true poses (truth.tum), the points of the final map (map.ply) that lie in
 the LIDAR's field of view, and the flown path. Right: the camera's view, and the map where the LIDAR

@@ -94,10 +94,11 @@ def fly(
     """Flies the survey alone and returns its result.
 
     ``scene`` is the name of a scene, the path of an MJCF file, or a configuration; the other
-    arguments change it. With ``out`` the run directory appears there, and replaces an earlier one;
-    without it nothing is written. ``{"record": False}`` in ``overrides`` leaves out the recording.
-    ``live`` is the address of a Rerun viewer that shows the flight while it goes on, such as
-    ``rerun+http://127.0.0.1:9876/proxy``. Raises UsageError for bad input before the flight.
+    arguments change it. With ``out`` the run directory appears there, and replaces an earlier one
+    of the same configuration; without it nothing is written. ``{"record": False}`` in
+    ``overrides`` leaves out the recording. ``live`` is the address of a Rerun viewer that shows
+    the flight while it goes on, such as ``rerun+http://127.0.0.1:9876/proxy``. Raises UsageError
+    for bad input before the flight.
     """
     config = _flight_config(scene, estimator, seed, overrides, survey_only=True)
     return _flown(config, out, progress, live)
@@ -140,12 +141,14 @@ def replay(
     Raises UsageError.
     """
     from touchdown.experiments.flight import replay as replays
+    from touchdown.experiments.flight.replacing import check_kept
     from touchdown.experiments.terminal import end_progress
 
     _prepare()
     texts = tuple(f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items())
     config = replays.replay_config(Path(run), estimator, texts, allow_code=allow_code)
-    folder = _path(out)
+    if (folder := _path(out)) is not None and folder.resolve() != Path(run).resolve():
+        check_kept(folder, config, force=False, replayed=Path(run))
     result = replays.replay(Path(run), config, folder, _progress(progress))
     end_progress(quiet=progress is not True)
     return result.found_at(folder)
@@ -222,12 +225,12 @@ def _flown(
     config: Config, out: str | Path | None, progress: Progress, live: str | None
 ) -> RunResult:
     _prepare()
+    from touchdown.experiments.flight.replacing import check_kept
     from touchdown.experiments.flight.run import fly_with_usage_errors
-    from touchdown.experiments.io.run_directory import check_log_kept
     from touchdown.experiments.terminal import end_progress
 
     if (folder := _path(out)) is not None:
-        check_log_kept(folder, logs=config.log.sensors, force=False)
+        check_kept(folder, config, force=False)
     result = fly_with_usage_errors(config, folder, _progress(progress), live)
     end_progress(quiet=progress is not True)
     return result.found_at(folder)

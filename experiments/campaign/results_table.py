@@ -72,7 +72,9 @@ def make_row(
     known.
     """
     row: dict[str, Any] = dict.fromkeys(SCHEMA)
-    row |= {key: value for key, value in flatten(result.plain()) if value is not None}
+    told = result.plain()
+    told.pop("settings_set", None)  # as columns they would differ from run to run
+    row |= {key: value for key, value in flatten(told) if value is not None}
     wall_s = None if result.timing is None else result.timing.wall_s
     row |= {"run_id": run_id, "mode": mode, "config_sha": sha, "wall_s": wall_s}
     return row | more | judged_columns(row)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from touchdown.experiments.config.slots import MODE_KEY, SLOTS
 from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import make_console, make_table
 
@@ -49,6 +51,7 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
         *(f"{kind} {visible(name)}" for kind, name in parts.items()),
         None if result.wind_kmh is None else f"wind {result.wind_kmh:g} km/h",
         *map(visible, fault_texts(result)),
+        *(visible(f"{key}={_value(value)}") for key, value in _other_settings(result)),
     ]  # fmt: skip
     rows: list[tuple[str, str | Text]] = []
     for label, path, form in _ROWS:
@@ -70,6 +73,17 @@ def print_result(result: RunResult, out_dir: Path | None) -> None:
             lines.append(f"recording:     {out_dir / 'flight.rrd'}")
             lines.append(f"view it:       {program} view {out_dir}")
     _print_lines(lines)
+
+
+def _other_settings(result: RunResult) -> Iterator[tuple[str, Any]]:
+    """What was set and has no words of its own in the title."""
+    told = {slot.key for slot in SLOTS.values()} | {"wind.mean_kmh", "faults.events", MODE_KEY}
+    settings = result.settings_set or {}
+    return ((key, value) for key, value in settings.items() if key not in told)
+
+
+def _value(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def _print_facts(title: str, rows: Iterable[tuple[str, str | Text]]) -> None:

@@ -30,6 +30,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.terminal import end_progress, make_progress, say
 
 if TYPE_CHECKING:
+    from touchdown.experiments.config.schema import Config
     from touchdown.experiments.io.results import RunResult
     from touchdown.experiments.viewing.processes import LiveView
 
@@ -87,8 +88,9 @@ _flight_options = many(
                  help="Take the scene of a file as it is: nothing is dressed or guessed."),
     click.option("--classes", metavar="FILE",
                  help="Classes of a file's geoms: TOML by name, or a PNG from above."),
-    click.option("--out", type=PATH, help="Run directory.  [runs/SCENE-ESTIMATOR-SEED]"),
-    click.option("--force", is_flag=True, help="Replace a run whose sensors.mcap would be lost."),
+    click.option("--out", type=PATH, help="Run directory.  [runs/SCENE-ESTIMATOR-SEED-MODE...]"),
+    click.option("--force", is_flag=True,
+                 help="Replace a run of another configuration, or one with sensors.mcap."),
     click.option("--record/--no-record", default=None, help="Write flight.rrd.  [record]"),
     click.option("--log-sensors", is_flag=True, default=None,
                  help="Write sensors.mcap, all messages of the sensors, as for --replay."),
@@ -136,7 +138,7 @@ def fly(replayed: Path | None, **options: Any) -> int:
     """Fly the survey alone and report the positioning error.
 
     With --replay, logged sensors go through an estimator without the simulator. The scene is that
-    of RUN; the result is written to runs/SCENE-ESTIMATOR-SEED-replay, or to --out.
+    of RUN; the result is written to runs/SCENE-ESTIMATOR-SEED-replay..., or to --out.
 
     Example: touchdown fly crossroad --estimator oracle --set survey.height_m=20
     """
@@ -169,10 +171,9 @@ def _viewer(target: str | None) -> AbstractContextManager[LiveView | None]:
 
 def _run_flight(options: dict[str, Any], **more: Any) -> int:
     from touchdown.experiments.config.loading import load_config
-    from touchdown.experiments.config.slots import external_parts
     from touchdown.experiments.external.processes import none_left
+    from touchdown.experiments.flight.replacing import check_kept
     from touchdown.experiments.flight.run import fly_with_usage_errors
-    from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
 
     _take_scene(options)
     if options["scene"] is None:
@@ -186,12 +187,8 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         fault=options["fault"] or None,
         **more,
     )
-    suffix = "" if config.preset == "whole" else f"-{config.preset}"
-    suffix += "".join(
-        f"-{n.replace(':', '.')}" for k, n in external_parts(config) if k != "estimator"
-    )
-    out = options["out"] or default_out_dir(config.scene, config.estimator, config.seed, suffix)
-    check_log_kept(out, logs=config.log.sensors, force=options["force"])
+    out = options["out"] or _default_out(config, "fly" if config.landing.survey_only else "land")
+    check_kept(out, config, force=options["force"])
     with _viewer(options["live"]) as view:
         with none_left():
             address = None if view is None else view.address
@@ -202,10 +199,18 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
     return code
 
 
+def _default_out(config: Config, mode: str) -> Path:
+    from touchdown.experiments.config.settings import name_ending
+    from touchdown.experiments.io.run_directory import default_out_dir
+
+    ending = name_ending(config, mode)
+    return default_out_dir(config.scene, config.estimator, config.seed, ending)
+
+
 def _run_replay(run: Path, options: dict[str, Any]) -> int:
     from touchdown.experiments.external.processes import none_left
-    from touchdown.experiments.flight.replay import replay, replay_config
-    from touchdown.experiments.io.run_directory import check_log_kept, default_out_dir
+    from touchdown.experiments.flight.replacing import check_kept
+    from touchdown.experiments.flight.replay import replay, replay_config, with_faults
 
     _take_scene(options)
     for name in (*_CONFIG_OPTIONS, "config_file", "live"):
@@ -217,9 +222,10 @@ def _run_replay(run: Path, options: dict[str, Any]) -> int:
     )
     if options["scene"] not in (None, config.scene):
         raise UsageError(f"'{run}' was flown over {config.scene}, not {options['scene']}")
-    out = options["out"] or default_out_dir(config.scene, config.estimator, config.seed, "-replay")
+    flown = with_faults(config, options["fault"])
+    out = options["out"] or _default_out(flown, "replay")
     if out.resolve() != run.resolve():  # `replay` reports that with its own message
-        check_log_kept(out, logs=False, force=options["force"])
+        check_kept(out, flown, force=options["force"], replayed=run)
     with none_left():
         result = replay(run, config, out, make_progress(options["quiet"]), options["fault"])
     code = _print(result, out, options)

@@ -43,7 +43,7 @@ def view(run: Path, other: Path | None, web: bool, save: Path | None) -> int:
 
     With --web the viewer listens on localhost only, until Ctrl-C.
 
-    Example: touchdown view runs/crossroad-livo-0
+    Example: touchdown view runs/crossroad-livo-0-land
     """
     if other is None:
         if save is not None:
@@ -144,7 +144,7 @@ def export(run: Path, kind: str, out: Path | None, as_json: bool, **choices: Any
 
     Sensor data (mcap, euroc, kitti, and ply of scans) needs a flight with --log-sensors.
 
-    Example: touchdown export runs/crossroad-livo-0 --format mcap
+    Example: touchdown export runs/crossroad-livo-0-land --format mcap
     """
     from touchdown.experiments.export.flown_run import ExportOptions
     from touchdown.experiments.export.run import export as export_run

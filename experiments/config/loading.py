@@ -149,7 +149,7 @@ def under_base(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> 
     configuration under another profile or preset, only what its author had chosen."""
     names = (name_in, preset_in)
     if came_with_results(file) and any(n({**values, **given}) != n(values) for n in names):
-        return chosen_by_hand(values, dict(_defaults()))
+        return chosen_by_hand(values, dict(default_values()))
     return values
 
 
@@ -181,7 +181,7 @@ def dump_config(config: Config) -> str:
 
 
 @functools.cache
-def _defaults() -> tuple[tuple[str, Any], ...]:
+def default_values() -> tuple[tuple[str, Any], ...]:
     """Every dotted key of the schema, in its order, and its default as JSON has it."""
     return tuple(flatten(json.loads(Config().model_dump_json())))
 
@@ -189,7 +189,7 @@ def _defaults() -> tuple[tuple[str, Any], ...]:
 @functools.cache
 def known_keys() -> tuple[str, ...]:
     """Every dotted key of the schema, in its order."""
-    return tuple(key for key, _ in _defaults())
+    return tuple(key for key, _ in default_values())
 
 
 def is_constant(key: str) -> bool:

@@ -30,6 +30,7 @@ class Slot:
     """the path of a file may stand there too"""
 
 
+MODE_KEY = "landing.survey_only"
 PREFIX = "external."
 _DEEPEST = 8
 PX4 = "px4"

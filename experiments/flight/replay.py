@@ -21,6 +21,7 @@ from touchdown.experiments.api import Outcome
 from touchdown.experiments.config.files import check_named_code
 from touchdown.experiments.config.loading import dump_config, is_key, load_config, read_values
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.settings import settings_of
 from touchdown.experiments.config.slots import PREFIX, SLOTS
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import flown_code
@@ -217,6 +218,12 @@ def replay_faults(config: Config, events: tuple[str, ...], tick_hz: int) -> Faul
     return FaultInjector(params, tick_hz)
 
 
+def with_faults(config: Config, events: tuple[str, ...]) -> Config:
+    """``config`` with faults of a replay beside those of the flight."""
+    faults = dataclasses.replace(config.faults, events=(*config.faults.events, *events))
+    return config.model_copy(update={"faults": faults})
+
+
 def replay(
     run: Path | LoggedRun,
     config: Config,
@@ -248,6 +255,7 @@ def replay(
     estimator = build_estimator(config, logged.sensors.rig)
     check_needs(config.estimator, estimator, logged.sensors)
     injector = replay_faults(config, faults, logged.sensors.rig.tick_hz)
+    config = with_faults(config, faults)
     if out_dir is None:
         return _replay(logged, estimator, config, None, progress, injector, until_s)
     with run_directory(out_dir) as partial:
@@ -257,11 +265,7 @@ def replay(
         finally:
             writer.close()
         shutil.copy(run / "truth.tum", partial / "truth.tum")
-        events = (*config.faults.events, *faults)
-        flown = config.model_copy(
-            update={"faults": dataclasses.replace(config.faults, events=events)}
-        )
-        (partial / "config.json").write_text(dump_config(flown), encoding="utf-8")
+        (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
         (partial / "result.json").write_text(result.to_json(), encoding="utf-8")
     return result
 
@@ -314,6 +318,7 @@ def _replay(
         profile=config.profile,
         preset=config.preset,
         wind_kmh=config.wind.mean_kmh,
+        settings_set=settings_of(config),
         replay_of=str(logged.path),
         flown_by=logged.result.estimator,
         judged_hz=logged.truth_hz,

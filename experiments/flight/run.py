@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.settings import settings_of
 from touchdown.experiments.errors import ExternalPartError, UsageError, input_message
 from touchdown.experiments.flight.conditions import inactive_faults
 from touchdown.experiments.flight.estimator_calibration import check_calibration
@@ -61,6 +62,7 @@ def fly(
     build_classifier(config)
     if out_dir is not None:
         check_out_dir(out_dir)
+    asked = {"settings_set": settings_of(config)}
     limit_threads()
     keep_bitcode()
     with set_up_memory():
@@ -73,13 +75,14 @@ def fly(
         stack.world.take_textures()
     _warn_of_inactive_faults(config, stack)
     if out_dir is None:
-        return fly_and_judge(config, stack, _only_live(config, stack, live), progress)
+        result = fly_and_judge(config, stack, _only_live(config, stack, live), progress)
+        return result.model_copy(update=asked)
     with run_directory(out_dir) as partial:
         if stack.autopilot is not None:
             stack.autopilot.keep_in(partial)
         sensors = _sensor_log(partial, stack) if config.log.sensors else None
         recorder = RunRecorder(partial, scene, stack.world.rig, config, sensors, live)
-        result = fly_and_judge(config, stack, recorder, progress)
+        result = fly_and_judge(config, stack, recorder, progress).model_copy(update=asked)
         (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
         (partial / "result.json").write_text(result.to_json(), encoding="utf-8")
     return result

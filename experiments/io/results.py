@@ -67,6 +67,9 @@ class RunResult(Part):
     """how much was flown; None in results of before there were presets, which are of whole
     flights"""
     wind_kmh: Figure = None
+    settings_set: dict[str, Any] | None = None
+    """keys of the configuration that were set beside profile and preset, and their values; None in
+    results of before they were told"""
     origin_m: PointXYZ = None
     """of the world's origin in the coordinates of the scene's file, where it was moved"""
     replay_of: str | None = None

@@ -105,16 +105,6 @@ def remove_own(folder: Path, own: Collection[str]) -> None:
         folder.rmdir()
 
 
-def check_log_kept(out_dir: Path, *, logs: bool, force: bool) -> None:
-    """Raises UsageError where a run with a sensor log would be replaced by one without: the log may
-    be what other commands count on. ``logs``: the new run writes one."""
-    if not (force or logs) and (out_dir / SENSORS_FILE).is_file():
-        raise UsageError(
-            f"'{out_dir}' holds {SENSORS_FILE}, and this run would replace it without one; name "
-            "another directory with --out, or give --force"
-        )
-
-
 @contextmanager
 def run_directory(out_dir: Path, own: Collection[str] = RUN_FILES) -> Iterator[Path]:
     """A directory to fill; it becomes ``out_dir`` if all goes well, in place of an earlier one that

@@ -102,8 +102,11 @@ def test_fly_load_runs_and_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert result.timing is not None
     assert len(released) == 1 + int(result.timing.sim_s // 5.0), "free memory is given back"
     assert touchdown.load_runs(tmp_path) == [result]
+    assert result.settings_set is not None and "lidar.preset" not in result.settings_set
+    assert result.settings_set["survey.legs"] == 1 and result.settings_set["scene_seed"] == 0
     key, path = "gps_estimator.baro_sigma_m", out.with_name("two")
     again = touchdown.replay(out, overrides={key: 1.0}, out=path)
+    assert again.settings_set == result.settings_set | {key: 1.0}
     assert again.replay_of == str(out) and again.profile == "field"
     flown, replayed = touchdown.load_runs(tmp_path)
     assert (flown.path, replayed.path) == (out, path)

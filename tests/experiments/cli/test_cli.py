@@ -125,7 +125,7 @@ def test_exit_code_follows_the_outcome(
 
 @pytest.mark.parametrize(
     ("options", "code"),
-    [((), 2), (("--fault", "fog@0"), 2), (("--force",), 0), (("--log-sensors",), 0)],
+    [((), 2), (("--force",), 0), (("--log-sensors",), 0)],
 )
 def test_a_sensor_log_is_not_replaced_by_a_run_without(
     options: tuple[str, ...], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
@@ -133,7 +133,7 @@ def test_a_sensor_log_is_not_replaced_by_a_run_without(
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", lambda *_: _result("COMPLETED"))
-    run = tmp_path / "runs" / "crossroad-livo-0"
+    run = tmp_path / "runs" / "crossroad-livo-0-fly"
     run.mkdir(parents=True)
     (run / "sensors.mcap").write_bytes(b"precious")
     got, _, err = run_cli("fly", "crossroad", "--quiet", *options)
