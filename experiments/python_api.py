@@ -13,17 +13,17 @@ import re
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar, Unpack
 
 from touchdown.experiments.config import loading
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.config.slots import params_of
-from touchdown.experiments.errors import UsageError
+from touchdown.experiments.config.slots import SLOTS, params_of
+from touchdown.experiments.errors import UsageError, nearest
+from touchdown.experiments.external.loading import Build, name_of
 
 if TYPE_CHECKING:
     from touchdown.experiments.external.conformance import Violation
-    from touchdown.experiments.external.loading import Build
     from touchdown.experiments.io.results import RunResult
 
 Overrides = Mapping[str, Any]
@@ -35,8 +35,20 @@ _KEYWORDS = (
     ("--log-sensors", "log.sensors=True among the overrides"),
     ("--out, or give --force", "out, or remove it"), ("--out", "out"), ("--set", "overrides"),
     ("--scene-from", "the argument scene"),
-    *((f"--{name}", f"the argument {name}") for name in ("scene", "estimator", "seed")),
+    *((f"--{name}", f"the argument {name}") for name in ("scene", "seed", *SLOTS)),
 )  # fmt: skip
+
+
+class Parts(TypedDict, total=False):
+    """The slots of a flight beside the estimator, as arguments; see ``docs/bring-your-own.md``."""
+
+    selector: str | Build | None
+    lander: str | Build | None
+    controller: str | Build | None
+    mapper: str | Build | None
+    classifier: str | Build | None
+
+
 Progress = bool | Callable[[float, str, str], None]
 """True prints progress to stderr; a function is called with simulated seconds, phase and note."""
 
@@ -62,10 +74,11 @@ def load_config(
     file: str | Path | None = None,
     *,
     scene: str | Path | None = None,
-    estimator: str | None = None,
+    estimator: str | Build | None = None,
     seed: int | None = None,
     overrides: Overrides | None = None,
     allow_code: bool = False,
+    **parts: Unpack[Parts],
 ) -> Config:
     """The configuration of a flight.
 
@@ -76,7 +89,7 @@ def load_config(
     """
     return loading.load_config(
         _path(file), _plain(overrides or {}), allow_code=allow_code,
-        scene=_plain(scene), estimator=estimator, seed=_plain(seed),
+        scene=_plain(scene), seed=_plain(seed), **_names(estimator=estimator, **parts),
     )  # fmt: skip
 
 
@@ -84,23 +97,26 @@ def load_config(
 def fly(
     scene: str | Path | Config = "crossroad",
     *,
-    estimator: str | None = None,
+    estimator: str | Build | None = None,
     seed: int | None = None,
     overrides: Overrides | None = None,
     out: str | Path | None = None,
     progress: Progress = False,
     live: str | None = None,
+    **parts: Unpack[Parts],
 ) -> RunResult:
     """Flies the survey alone and returns its result.
 
     ``scene`` is the name of a scene, the path of an MJCF file, or a configuration; the other
-    arguments change it. With ``out`` the run directory appears there, and replaces an earlier one
-    of the same configuration; without it nothing is written. ``{"record": False}`` in
-    ``overrides`` leaves out the recording. ``live`` is the address of a Rerun viewer that shows
-    the flight while it goes on, such as ``rerun+http://127.0.0.1:9876/proxy``. Raises UsageError
-    for bad input before the flight.
+    arguments change it. ``estimator``, ``selector``, ``lander``, ``controller``, ``mapper`` and
+    ``classifier`` are names, or functions ``build(params, rig)`` that make the part. With ``out``
+    the run directory appears there, and replaces an earlier one of the same configuration; without
+    it nothing is written. ``{"record": False}`` in ``overrides`` leaves out the recording. ``live``
+    is the address of a Rerun viewer that shows the flight while it goes on, such as
+    ``rerun+http://127.0.0.1:9876/proxy``. Raises UsageError for bad input before the flight.
     """
-    config = _flight_config(scene, estimator, seed, overrides, survey_only=True)
+    slots = _names(estimator=estimator, **parts)
+    config = _flight_config(scene, seed, overrides, survey_only=True, **slots)
     return _flown(config, out, progress, live)
 
 
@@ -108,19 +124,21 @@ def fly(
 def land(
     scene: str | Path | Config = "crossroad",
     *,
-    estimator: str | None = None,
+    estimator: str | Build | None = None,
     seed: int | None = None,
     overrides: Overrides | None = None,
     out: str | Path | None = None,
     progress: Progress = False,
     live: str | None = None,
+    **parts: Unpack[Parts],
 ) -> RunResult:
     """Takes off, surveys, maps, chooses a site, lands on it, and returns the result.
 
     Arguments and errors are those of `fly`. An outcome other than a landing is a result, not an
     exception.
     """
-    config = _flight_config(scene, estimator, seed, overrides, survey_only=False)
+    slots = _names(estimator=estimator, **parts)
+    config = _flight_config(scene, seed, overrides, survey_only=False, **slots)
     return _flown(config, out, progress, live)
 
 
@@ -128,7 +146,7 @@ def land(
 def replay(
     run: str | Path,
     *,
-    estimator: str | None = None,
+    estimator: str | Build | None = None,
     overrides: Overrides | None = None,
     out: str | Path | None = None,
     progress: Progress = False,
@@ -146,7 +164,9 @@ def replay(
 
     _prepare()
     texts = tuple(f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items())
-    config = replays.replay_config(Path(run), estimator, texts, allow_code=allow_code)
+    config = replays.replay_config(
+        Path(run), _names(estimator=estimator)["estimator"], texts, allow_code=allow_code
+    )
     if (folder := _path(out)) is not None and folder.resolve() != Path(run).resolve():
         check_kept(folder, config, force=False, replayed=Path(run))
     result = replays.replay(Path(run), config, folder, _progress(progress))
@@ -203,21 +223,33 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, tuple | list) else value
 
 
+def _names(**parts: Any) -> dict[str, Any]:
+    """The names of what fills slots. Raises UsageError for what is neither a name nor callable."""
+    names: dict[str, Any] = {}
+    for kind, part in parts.items():
+        if kind not in SLOTS:
+            raise UsageError(f"there is no argument {kind}{nearest(kind, SLOTS)}")
+        if not (part is None or isinstance(part, str) or callable(part)):
+            raise UsageError(
+                f"--{kind} is a {type(part).__name__}; give a name, or the function "
+                "build(params, rig) that makes the part"
+            )
+        names[kind] = name_of(part) if callable(part) else part
+    return names
+
+
 def _flight_config(
     scene: str | Path | Config,
-    estimator: str | None,
     seed: int | None,
     overrides: Overrides | None,
-    *,
-    survey_only: bool,
+    **options: Any,
 ) -> Config:
     values: dict[str, Any] = {}
     if isinstance(scene, Config):
         values = dict(flatten(json.loads(loading.dump_config(scene))))
     return loading.load_config(
         None, {**values, **_plain(overrides or {})},
-        scene=None if values else _plain(scene), estimator=estimator, seed=_plain(seed),
-        survey_only=survey_only,
+        scene=None if values else _plain(scene), seed=_plain(seed), **options,
     )  # fmt: skip
 
 

@@ -22,6 +22,8 @@ from touchdown.experiments.errors import UsageError, nearest
 Build = Callable[[dict[str, Any], Any], Any]
 """``build(params, rig)`` of a part; the rig is that of its kind"""
 
+GIVEN = "given_"
+"""begins the names of modules that `name_of` makes"""
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 _AT_IMPORT: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()
 """Hashes of the code of modules at their import."""
@@ -71,6 +73,27 @@ def external_builder(name: str, kind: str = "estimator") -> Build:
     if not callable(build):
         raise UsageError(f"{kind} '{name}': {function} is no function")
     return build  # type: ignore[no-any-return]
+
+
+def name_of(build: Build) -> str:
+    """MODULE:FUNCTION that leads to a function, class or other callable of this process: where it
+    lies in a file its own, else one of a module that is made for it and named by its code."""
+    home = sys.modules.get(getattr(build, "__module__", None) or "")
+    function = str(getattr(build, "__name__", ""))
+    if getattr(home, "__file__", None) and getattr(home, function, None) is build:
+        return f"{home.__name__}:{function}"  # type: ignore[union-attr]
+    code = getattr(build, "__code__", None)
+    try:
+        source = inspect.getsource(build if code or inspect.isclass(build) else type(build))
+    except (OSError, TypeError):
+        source = code.co_code.hex() if code else repr(type(build))
+    digest = hashlib.sha256(source.encode()).hexdigest()[:12]
+    module = ModuleType(f"{GIVEN}{digest}")
+    function = function if function.isidentifier() else "build"
+    setattr(module, function, build)
+    sys.modules[module.__name__] = module
+    _AT_IMPORT[module] = digest
+    return f"{module.__name__}:{function}"
 
 
 def check_external(name: str, kind: str = "estimator") -> None:

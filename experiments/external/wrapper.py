@@ -16,6 +16,7 @@ from touchdown.estimator.api import Estimate, MapView, spare_sensors
 from touchdown.experiments.errors import ExternalPartError
 from touchdown.experiments.external.answers import DefectError, check_answer, wrong_part
 from touchdown.experiments.external.loading import (
+    GIVEN,
     Build,
     call,
     describe_error,
@@ -55,9 +56,10 @@ class BrokenRuleError(ExternalPartError):
     ) -> None:
         self.rule, self.reason = defect.rule, defect.reason
         where = "" if error is None else location(error, name.partition(":")[0])
+        more = f"; `touchdown check-plugin {kind} {name}` says more"
         super().__init__(
-            f"{kind} '{name}': {self.reason}{where} (rule '{self.rule}'); "
-            f"`touchdown check-plugin {kind} {name}` says more"
+            f"{kind} '{name}': {self.reason}{where} (rule '{self.rule}')"
+            f"{'' if name.startswith(GIVEN) else more}"
         )
 
 

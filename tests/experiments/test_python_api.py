@@ -1,5 +1,6 @@
 """The Python interface: names, laziness, arguments, errors."""
 
+import importlib
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 
 import touchdown
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.slots import SLOTS, part_of
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.reporting.sql import run_sql
@@ -55,6 +57,9 @@ def test_numpy_values_tuples_and_paths_are_taken() -> None:
         lambda: touchdown.land(overrides={"survey.height_m": -3.0}),
         "survey.height_m = -3 in overrides must be within",
     ),
+    (lambda: touchdown.land("flat", selector=3), "the argument selector is a int; give a name"),
+    (lambda: touchdown.land("flat", selector="riks"), "did you mean 'risk'"),
+    (lambda: touchdown.fly("flat", selecter="risk"), "no argument selecter (did you mean 'sel"),
     (lambda: touchdown.load_config("gone.toml"), "gone.toml' does not exist"),
     (lambda: touchdown.fly("flat", out="."), "out .: is the working directory"),
     (lambda: touchdown.load_runs("gone"), "'gone' is no directory"),
@@ -85,6 +90,29 @@ def test_flights_are_configured_by_their_arguments(monkeypatch: pytest.MonkeyPat
     assert (first.scene, first.seed, first.survey.height_m) == ("lake", 6, 20.0)
     assert first.landing.survey_only and out == Path("x") and second == base and none is None
     assert (third.scene, third.estimator, third.wind.mean_kmh) == ("forest", "zou2024", 0.0)
+
+
+def test_each_slot_takes_a_name_a_function_and_any_other_callable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lqr = importlib.import_module("examples.lqr")
+    given: dict[str, Any] = {kind: lqr.build for kind in SLOTS}
+    config = touchdown.load_config(**given)
+    assert {part_of(config, kind) for kind in SLOTS} == {"examples.lqr:build"}
+    built: list[str] = []
+
+    def build(params: Any, rig: Any) -> Any:
+        built.append(params["note"])
+        return lqr.build({}, rig)
+
+    overrides = SHORT | {"external.controller.note": "mine"}
+    result = touchdown.fly("flat", estimator="gps", controller=build, overrides=overrides)
+    assert result.outcome == "COMPLETED" and built == ["mine"] and result.parts is not None
+    name = str(result.parts.controller)
+    assert name.startswith("given_") and name.endswith(":build") and result.parts_sha is not None
+    assert name[6:18] == result.parts_sha.controller
+    other = touchdown.load_config(controller=lambda params, rig: lqr.build(params, rig))
+    assert other.control.controller not in (name, "cascade")
 
 
 def test_fly_load_runs_and_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -250,9 +250,10 @@ def test_the_blocks_of_the_python_page_run(tmp_path: Path, monkeypatch: pytest.M
 
     matplotlib.use("agg")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(ROOT))
     printed = io.StringIO()
     blocks = blocks_of(ROOT / "docs" / "python.md", "python")
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     with contextlib.redirect_stdout(printed):
         for block in blocks[1:]:
             exec(compile(block, "python.md", "exec", dont_inherit=True), {"__name__": "block"})
