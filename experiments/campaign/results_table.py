@@ -37,6 +37,7 @@ _RUN_COLUMNS: Mapping[str, str] = {
     "mode": "text",
     "success": "bool",
     "ground_safe": "bool",
+    "go_arounds": "float",
     "wall_s": "float",
     "cpu_s": "float",
     "worker_memory_mb": "float",
@@ -45,6 +46,7 @@ _RUN_COLUMNS: Mapping[str, str] = {
 }
 """Columns of a run beside its result. ``success``: see `RunResult.is_success`; ``ground_safe``: the
 ground at the touchdown was safe by what the flight is judged on, null without a touchdown;
+``go_arounds``: see `Choice.go_arounds`, null without a choice;
 ``worker_memory_mb``: anonymous and shared memory of the worker process after the run, MB."""
 _FIRST_COLUMNS = (
     "run_id", "scene", "estimator", "seed", "profile", "wind_kmh", "outcome", "success", "reason",
@@ -77,6 +79,8 @@ def make_row(
     row |= {key: value for key, value in flatten(told) if value is not None}
     wall_s = None if result.timing is None else result.timing.wall_s
     row |= {"run_id": run_id, "mode": mode, "config_sha": sha, "wall_s": wall_s}
+    if result.choice is not None:
+        row["go_arounds"] = float(result.choice.go_arounds)
     return row | more | judged_columns(row)
 
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 def report(directory: Path, out: Path | None, as_json: bool) -> int:
     """Report on all flights at or below DIRECTORY.
 
-    Of a campaign, or with --out: the paper's tables and figures, measured beside published, as
+    Of a campaign, or with --out: what varies and what that changes, tables and figures, as
     report.html (one file, no network needed), report.md and report.json. Of any other directory: a
     Markdown table of its runs, a line on how they ended, and one for each that found no site or
     gave one up: what was refused, and whether it was safe. Exit code 1 means that runs of a
@@ -80,13 +80,18 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
     from touchdown.experiments.campaign import expectations
     from touchdown.experiments.campaign.results_table import is_campaign
     from touchdown.experiments.reporting import report
-    from touchdown.experiments.reporting.flights import campaign_text, first_condition, load_flights
+    from touchdown.experiments.reporting.flights import (
+        campaign_name,
+        campaign_text,
+        first_condition,
+        load_flights,
+    )
 
     rows = load_flights(directory)
     verdicts = expectations.judge_campaign(directory) if is_campaign(directory) else []
     made = report.make_report(
         rows,
-        title=f"Touchdown: {directory.resolve().name}",
+        title=campaign_name(directory) or directory.resolve().name,
         configuration=campaign_text(directory),
         verdicts=verdicts,
         first=first_condition(directory),
@@ -94,9 +99,11 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
     files = {kind: str(path) for kind, path in report.write_report(made, rows, out).items()}
 
     def show(_figures: Mapping[str, Any]) -> None:
-        summary, flights, *_ = made.sections
-        say("\n".join(f"- {visible(line)}" for line in summary.words) + "\n")
-        say("\n".join(map(visible, flights.tables[0].lines)) + "\n")
+        for section in made.sections[:2]:
+            for table in section.tables:
+                say("\n".join(map(visible, ["", table.title, "", *table.lines])))
+            say("\n".join(["", *(f"- {visible(line)}" for line in section.words)]))
+        say("")
         for line in expectations.idle_conditions(rows):
             say(f"warning: {visible(line)}\n")
         if verdicts:

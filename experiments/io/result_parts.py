@@ -341,3 +341,8 @@ class Choice(Part):
     earlier: list[EarlierDecision] = []
     missed: MissedGround | None = None
     """of a flight without a site, or that gave one up"""
+
+    @property
+    def go_arounds(self) -> int:
+        """Number of sites that were given up from closer."""
+        return bool(self.given_up) + sum(bool(decision.given_up) for decision in self.earlier)

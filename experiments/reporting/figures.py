@@ -160,7 +160,7 @@ def _paint_path(axes: Any, paths: _Paths) -> None:
     axes.plot(*points.T, color="tab:blue", linewidth=1.6)
     axes.scatter(*points[0], color="tab:green", s=16)
     axes.scatter(*points[-1], color="tab:red", s=16)
-    axes.set_box_aspect((1.0, 1.0, 0.6))
+    axes.set_aspect("equal", adjustable="box")
     axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     axes.tick_params(labelsize=7)
 

@@ -85,6 +85,11 @@ def campaign_text(directory: Path) -> str:
     return "" if no_file(file) else file.read_text(encoding="utf-8", errors="replace")
 
 
+def campaign_name(directory: Path) -> str:
+    """The name of a campaign; "" outside of one."""
+    return str(read_plan_file(directory)["name"]) if is_campaign(directory) else ""
+
+
 def number(row: Row, key: str) -> float | None:
     """Returns a finite number of a row; None for any other value."""
     value = row.get(key)

@@ -7,38 +7,52 @@ from dataclasses import dataclass
 @dataclass(frozen=True, slots=True)
 class Measure:
     """A number of a flight. ``scale``: from the unit of ``column`` to ``unit``, in which tables
-    print it."""
+    print it; ``meaning``: of a name that is the paper's symbol."""
 
     column: str
     name: str
     unit: str = ""
     scale: float = 1.0
+    meaning: str = ""
 
     @property
     def title(self) -> str:
         return f"{self.name} ({self.unit})" if self.unit else self.name
+
+    @property
+    def words(self) -> str:
+        """The name without the paper's symbols."""
+        return self.meaning or self.name
+
+    @property
+    def plain(self) -> str:
+        """`title` without the paper's symbols."""
+        return f"{self.words} ({self.unit})" if self.unit else self.words
 
 
 AXES = (("x", "x", "m"), ("y", "y", "m"), ("z", "z", "m"), ("yaw_deg", "yaw", "°"))
 """Ending of a column, name and unit of the errors by axis."""
 
 _ALL = (
-    Measure("trajectory_error_m", "E_tra", "m"),
-    Measure("trajectory_variance_m2", "σ²_tra", "m²"),
+    Measure("safe", "safe landings", "%", 100.0),
+    Measure("success", "successful", "%", 100.0),
+    Measure("go_arounds", "go-arounds"),
+    Measure("trajectory_error_m", "E_tra", "m", meaning="tracking error"),
+    Measure("trajectory_variance_m2", "σ²_tra", "m²", meaning="tracking variance"),
     Measure("position_error_m.mean", "position error", "m"),
     Measure("position_error_m.max", "position error at worst", "m"),
     *(Measure(f"position_error_m.{axis}", f"error {name}", unit) for axis, name, unit in AXES),
     *(Measure(f"path_deviation.{axis}", f"deviation {name}", unit) for axis, name, unit in AXES),
     Measure("nees.median", "median NEES"),
     Measure("nees.below_14_2", "NEES below 14.2", "%", 100.0),
-    Measure("map.duration_s", "T_total", "s"),
-    Measure("map.density_per_m2", "ρ_map", "1/m²"),
-    Measure("map.levelness_error_deg.mean", "Δα", "°"),
-    Measure("map.levelness_error_deg.max", "Δα at worst", "°"),
-    Measure("landing.target_offset_m", "d_L", "m"),
-    Measure("landing.vertical_speed_mps", "v_z", "m/s"),
-    Measure("landing.vertical_accel_mps2", "a_z", "m/s²"),
-    Measure("landing.slope_deg", "α_L", "°"),
+    Measure("map.duration_s", "T_total", "s", meaning="scan time"),
+    Measure("map.density_per_m2", "ρ_map", "1/m²", meaning="density"),
+    Measure("map.levelness_error_deg.mean", "Δα", "°", meaning="map's levelness"),
+    Measure("map.levelness_error_deg.max", "Δα at worst", "°", meaning="map's levelness at worst"),
+    Measure("landing.target_offset_m", "d_L", "m", meaning="offset from the site"),
+    Measure("landing.vertical_speed_mps", "v_z", "m/s", meaning="vertical speed"),
+    Measure("landing.vertical_accel_mps2", "a_z", "m/s²", meaning="vertical acceleration"),
+    Measure("landing.slope_deg", "α_L", "°", meaning="slope"),
     Measure("landing.tilt_deg", "tilt", "°"),
     Measure("landing.bounce_m", "bounce", "cm", 100.0),
     Measure("landing.impact_peak_mps2", "deceleration", "m/s²"),

@@ -20,6 +20,12 @@ from touchdown.experiments.io.result_parts import PartNames
 from touchdown.experiments.io.run_directory import run_directory, write_text
 from touchdown.experiments.io.untrusted import as_plain_name, read_object
 from touchdown.experiments.reporting import published
+from touchdown.experiments.reporting.comparison import (
+    difference_tables,
+    factors_of,
+    level_table,
+    varying_words,
+)
 from touchdown.experiments.reporting.figures import Picture, pictures_of
 from touchdown.experiments.reporting.flights import (
     Row,
@@ -38,11 +44,18 @@ from touchdown.experiments.reporting.report_tables import (
     map_table,
 )
 from touchdown.experiments.reporting.statistics import INTERVAL
-from touchdown.experiments.reporting.tables import Table, fenced, markdown_cell, markdown_text
+from touchdown.experiments.reporting.tables import (
+    Table,
+    fenced,
+    markdown_cell,
+    markdown_text,
+    narrowed,
+    plain_title,
+)
 from touchdown.experiments.reporting.trajectories import add_path_deviation
 
 _FILES = {"markdown": "report.md", "html": "report.html", "json": "report.json"}
-_MAX_DRAWN = 4
+_MAX_DRAWN = 2
 """conditions with drawings of their own"""
 _MAX_NAMED = 20
 """unsuccessful flights that are listed by name"""
@@ -64,6 +77,7 @@ class Report:
     sections: list[Section]
     configuration: str = ""
     """text of the campaign's file, empty without one"""
+    paper: bool = False
 
 
 def make_report(
@@ -73,41 +87,51 @@ def make_report(
     configuration: str = "",
     verdicts: Sequence[Verdict] = (),
     first: str = "",
+    paper: bool = False,
 ) -> Report:
     """Returns the report of the flights ``rows`` (see `flights.load_flights`); ``verdicts``: on the
     expectations of the campaign; ``first``: its first condition, with which the others are
-    compared. Every figure is of the flights of one condition."""
+    compared; ``paper``: with the paper's figures beside ours, and by the numbers of its tables.
+    Every figure is of the flights of one condition. Tables are of at most `tables.MAX_COLUMNS`
+    columns, but for those of the paper."""
     add_path_deviation(rows)
     label_conditions(rows)
     frame = frame_of(sorted(rows, key=lambda row: (row["condition"] != first, row["condition"])))
-    pictures = _pictures(frame)
+    pictures = _pictures(frame, paper)
+    differences, shown = difference_tables(frame)
 
     def drawn(*names: str) -> list[Picture]:
         return [picture for picture in pictures if picture.name.startswith(names)]
 
     sections = [
-        Section("summary", "Summary", summary_words(frame)),
-        Section("flights", "Flights", tables=[flight_table(frame, first)]),
-        Section("accuracy", "Accuracy", tables=[accuracy_table(frame)]),
-        Section("axes", "Errors by axis", [], [axis_table(frame)], drawn("fig10")),
-        Section("map", "Maps", tables=[map_table(frame)]),
+        Section("varies", "What varies" if factors_of(frame) else "At a glance",
+                [*varying_words(frame, configuration), *shown],
+                [level_table(frame), *differences]),
+        Section("summary", "Not successful", summary_words(frame)),
+        Section("flights", "Flights", tables=[flight_table(frame)]),
+        Section("accuracy", "Accuracy", tables=[accuracy_table(frame, paper=paper)]),
+        Section("axes", "Errors by axis", [], [axis_table(frame, paper=paper)], drawn("fig10")),
+        Section("map", "Maps", tables=[map_table(frame, paper=paper)]),
         Section("paths", "Trajectories", pictures=drawn("fig9")),
-        Section("landings", "Landings", [], landing_tables(frame), drawn("fig12")),
+        Section("landings", "Landings", [], landing_tables(frame, paper=paper), drawn("fig12")),
         Section("expected", "As expected", tables=[expectation_table(verdicts)]),
-        Section("conditions", "Conditions", condition_words(rows)),
-    ]
+        Section("conditions", "Conditions", condition_words(rows, paper=paper)),
+    ]  # fmt: skip
     for section in sections:
-        section.tables = [table for table in section.tables if table.rows]
+        tables = [table for table in section.tables if table.rows]
+        section.tables = tables if paper else [part for t in tables for part in narrowed(t)]
     kept = [section for section in sections if section.words or section.tables or section.pictures]
-    return Report(title, kept, configuration)
+    return Report(title, kept, configuration, paper)
 
 
-def _pictures(frame: pd.DataFrame) -> list[Picture]:
+def _pictures(frame: pd.DataFrame, paper: bool) -> list[Picture]:
     """The figures of each of the first conditions, which they name where there are several."""
     conditions = ordered(frame, "condition")
     found: list[Picture] = []
     for condition in conditions[:_MAX_DRAWN]:
         pictures = pictures_of(frame[frame["condition"] == condition])
+        for picture in () if paper else pictures:
+            picture.title = plain_title(picture.title)
         if len(conditions) > 1:
             label = condition or _UNNAMED
             for picture in pictures:
@@ -138,13 +162,14 @@ def summary_words(frame: pd.DataFrame) -> list[str]:
     )
     words += [
         f"{row['scene']}, `{row['estimator']}`, seed {row['seed']}: {row['outcome']}"
+        + " on unsafe ground" * (row["outcome"] == "LANDED")
         + (f" ({row['reason']})" if isinstance(row.get("reason"), str) and row["reason"] else "")
         for row in lost[:_MAX_NAMED]
     ]
     return words + [f"and {len(lost) - _MAX_NAMED} more."] * (len(lost) > _MAX_NAMED)
 
 
-def condition_words(rows: Sequence[Row]) -> list[str]:
+def condition_words(rows: Sequence[Row], *, paper: bool = True) -> list[str]:
     """Scenes, methods, seeds, parts, revision and the definition of the intervals."""
     frame = frame_of(rows)
     seeds = {row["seed"] for row in rows}
@@ -159,7 +184,7 @@ def condition_words(rows: Sequence[Row]) -> list[str]:
         *_revision_words(recorded_revision(row) for row in rows),
         f"Intervals: {INTERVAL}, 10 000 seeded resamples; percentages of flights: Wilson's score "
         "interval. Fewer than three flights have no interval.",
-        f"Published figures: {published.SOURCE}.",
+        *([f"Published figures: {published.SOURCE}."] if paper else []),
     ]
     if versions:
         named = (f"{key.partition('.')[2]} {value}" for key, value in versions.items())

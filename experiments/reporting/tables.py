@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Integral
 from typing import Any
 
@@ -29,6 +29,8 @@ from touchdown.experiments.reporting.statistics import (
 MISSING = "–"
 ALL_SCENES = "all scenes"
 PRINTED = "paper prints"
+MAX_COLUMNS = 6
+"""of a table that is read without scrolling 900 pixels"""
 _NAMES = {"estimator": "method"}
 """Titles of the columns that name a line, where they are not called as those of the rows."""
 
@@ -67,6 +69,29 @@ class Table:
         return markdown_lines(self.header, [[cell.markdown for cell in row] for row in self.rows])
 
 
+def plain_title(title: str) -> str:
+    """A title without the number of the paper's table or figure."""
+    found = re.sub(r"^(Table|Fig\.) [^:]*: ", "", title)
+    return found[:1].upper() + found[1:]
+
+
+def narrowed(table: Table) -> list[Table]:
+    """The table as several of at most `MAX_COLUMNS` columns, which all name their lines."""
+    names = sum(cell.kind == "name" for cell in table.rows[0]) if table.rows else 0
+    room, width = MAX_COLUMNS - names, len(table.header)
+    if width <= MAX_COLUMNS:
+        return [table]
+    parts = []
+    for start in range(names, width, room):
+        own = [*range(names), *range(start, min(start + room, width))]
+        rows = [[row[n] for n in own] for row in table.rows]
+        parts.append(replace(table, header=[table.header[n] for n in own], rows=rows, notes=[]))
+    parts[-1].notes = table.notes
+    for number, part in enumerate(parts[1:], start=2):
+        part.key, part.title, part.numbers = f"{table.key}_{number}", "", {}
+    return parts
+
+
 def markdown_lines(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """A Markdown table of texts whose cells are Markdown already."""
     head = f"| {' | '.join(map(markdown_cell, header))} |"
@@ -76,13 +101,14 @@ def markdown_lines(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Column:
     """A column of a table. ``of``: makes the figure of a line of its flights; ``column``: of the
-    rows, which tells whether the figure is set; ``printed``: the paper's figure by method and
-    scene; ``best``: the smallest of several methods is marked."""
+    rows, which tells whether the figure is set; ``plain``: title without symbols; ``printed``: the
+    paper's figure by method and scene; ``best``: the smallest of several methods is marked."""
 
     key: str
     title: str
     of: Callable[[pd.DataFrame], Any]
     column: str = ""
+    plain: str = ""
     scale: float = 1.0
     printed: Callable[[str, str], Any] | None = None
     best: bool = False
@@ -90,9 +116,11 @@ class Column:
 
 def _of_measure(column: str, kind: str, title: str, of: Callable[..., Any], **more: Any) -> Column:
     found = measure_of(column)
-    title = titled(title or f"{kind} {found.title}".strip(), column)
+    name, plain = (
+        titled(title or f"{kind} {own}".strip(), column) for own in (found.title, found.plain)
+    )
     key = f"{column}.{kind}" if kind else column
-    return Column(key=key, title=title, of=of, column=column, scale=found.scale, **more)
+    return Column(key=key, title=name, of=of, column=column, plain=plain, scale=found.scale, **more)
 
 
 def mean(column: str, title: str = "", **more: Any) -> Column:
@@ -194,36 +222,44 @@ def make_table(
     *,
     notes: Sequence[str] = (),
     names: Sequence[str] = (),
+    plain: bool = False,
 ) -> Table:
     """Returns a table with a line for each group of flights. A single condition is not named, and
-    columns without any figure are left out. ``names``: titles of the columns that name a line."""
+    columns without any figure are left out. ``names``: titles of the columns that name a line;
+    ``plain``: without the paper's figures, symbols and numbers of tables, and without the name of a
+    single method or scene."""
     shown = [name for name in by if name != "condition" or frame["condition"].nunique() > 1]
     lines = list(groups(frame, shown))
     every = {column.key: [column.of(own) for _, own in lines] for column in columns}
     if every.get(INDEPENDENT.key) == [len(own) for _, own in lines]:
         del every[INDEPENDENT.key]
     kept = [column for column in columns if any(map(_is_known, every.get(column.key, ())))]
-    cells = [[_name(name, kind) for name, kind in zip(n, shown, strict=True)] for n, _ in lines]
-    header = list(names) or [_NAMES.get(name, name) for name in shown]
+    told = [n for n, name in enumerate(shown) if not plain or frame[name].nunique() > 1]
+    told = told or list(range(len(shown)))[-1:]
+    cells = [[_name(n[at], shown[at]) for at in told] for n, _ in lines]
+    header = list(names) or [_NAMES.get(shown[at], shown[at]) for at in told]
     for column in kept:
-        header.append(column.title)
-        best = _best(shown, lines, every[column.key], column) if column.best else set()
+        header.append((plain and column.plain) or column.title)
+        best = set()
+        if column.best and "estimator" in shown:
+            best = _best(shown, lines, every[column.key], column)
         for line, (_, own) in enumerate(lines):
             marked = is_marked(column.column, own["estimator"].unique())
             kind = "best" if line in best else ""
             cells[line].append(
                 cell(every[column.key][line], scale=column.scale, kind=kind, marked=marked)
             )
-        if column.printed is not None:
+        if column.printed is not None and not plain:
             _add_printed(column, header, cells, shown, lines)
+    title = plain_title(title) if plain else title
     table = Table(key, title, header, cells if kept else [])
     for line, (own_names, _) in enumerate(lines):
         numbers = table.numbers
         for name in own_names:
             numbers = numbers.setdefault(name or "all", {})
         numbers |= {c.key: _as_json(found) for c in kept if _is_known(found := every[c.key][line])}
-    flown = frame["estimator"].unique()
-    table.notes = [*notes, *setting_notes((column.column for column in kept), flown)]
+    settings = setting_notes((column.column for column in kept), frame["estimator"].unique())
+    table.notes = [*notes, *settings]
     return table
 
 

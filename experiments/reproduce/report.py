@@ -84,7 +84,9 @@ def write_reproduction(done: Reproduction, out: Path) -> dict[str, Path]:
     if rows:
         sections.append(Section("conditions", "Conditions", condition_words(rows)))
     edition = "quick edition" if done.quick else "whole edition"
-    return write_report(Report(f"Touchdown: the paper reproduced, {edition}", sections), rows, out)
+    return write_report(
+        Report(f"Touchdown: the paper reproduced, {edition}", sections, paper=True), rows, out
+    )
 
 
 def _summary_words(done: Reproduction) -> list[str]:
@@ -143,7 +145,7 @@ def _add_campaign(section: Section, flights: Path, rows: list[dict[str, Any]]) -
     check_revisions(own, flights)
     rows += own
     keys, pictures = _SECTIONS[section.key]
-    for found in make_report(own, title=section.title).sections:
+    for found in make_report(own, title=section.title, paper=True).sections:
         if found.key in keys:
             section.words += found.words
             section.tables += _renamed(found.tables, section.key)

@@ -58,7 +58,7 @@ def sites(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]], key: str) -> Table:
-    return next(found for found in landing_tables(frame_of(rows)) if found.key == key)
+    return next(found for found in landing_tables(frame_of(rows), paper=True) if found.key == key)
 
 
 def lines(found: Table) -> dict[tuple[str, str], dict[str, str]]:
