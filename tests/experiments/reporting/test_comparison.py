@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from touchdown.experiments.io.result_parts import Choice, EarlierDecision
 from touchdown.experiments.reporting import comparison
 from touchdown.experiments.reporting.flights import frame_of
 from touchdown.experiments.reporting.report import make_report
@@ -101,3 +102,12 @@ def test_a_report_leads_with_what_varies_in_narrow_tables_without_the_papers_fig
     assert not any("paper" in note for table in tables for note in table.notes)
     assert not any("Table" in table.title for table in tables)
     assert comparison.condition_names("[axes") == "condition"
+
+
+def test_sites_given_up_from_closer_are_counted() -> None:
+    before = [
+        EarlierDecision(time_s=at, candidates=3, given_up=why)
+        for at, why in ((1, "rough"), (2, ""))
+    ]
+    given_up = Choice(time_s=3.0, selector="risk", why="", given_up="a car", earlier=before)
+    assert (given_up.go_arounds, Choice(time_s=3.0, selector="risk", why="").go_arounds) == (2, 0)
