@@ -44,7 +44,7 @@ COMMANDS = {
 
 
 @click.group(cls=CommandGroup, modules=COMMANDS, invoke_without_command=True)
-@click.version_option(package_name="touchdown", prog_name="touchdown")
+@click.version_option(package_name="touchdown-sim", prog_name="touchdown")
 @click.pass_context
 def cli(context: click.Context) -> int:
     """Fly, map, choose a site and land a simulated quadrotor without GPS.

@@ -22,13 +22,17 @@ def plain_json(value: Any) -> Any:
     return value
 
 
+DISTRIBUTION = "touchdown-sim"
+"""Name by which the package is installed; it is imported as ``touchdown``."""
+
+
 def versions() -> dict[str, str]:
     """Installed versions of the packages that decide a flight."""
-    names = ("touchdown", "mujoco", "numpy", "numba", "open3d-cpu", "open3d", "rerun-sdk")
+    names = ("mujoco", "numpy", "numba", "open3d-cpu", "open3d", "rerun-sdk")
     found: dict[str, str] = {}
-    for name in (*names, "opencv-contrib-python-headless"):
+    for name in (DISTRIBUTION, *names, "opencv-contrib-python-headless"):
         try:
-            found[name] = importlib.metadata.version(name)
+            found[name.removesuffix("-sim")] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
     return found

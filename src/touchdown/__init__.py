@@ -77,7 +77,7 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         from importlib.metadata import version
 
-        return version("touchdown")
+        return version("touchdown-sim")
     if name in _MODULES:
         module = globals()[name] = importlib.import_module(f"touchdown.{_MODULES[name]}")
         return module

@@ -1,6 +1,7 @@
 """The Python interface: names, laziness, arguments, errors."""
 
 import importlib
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import touchdown
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import SLOTS, part_of
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.provenance import versions
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.reporting.sql import run_sql
 
@@ -26,7 +28,8 @@ SHORT = {
 def test_every_name_is_there() -> None:
     assert all(callable(getattr(touchdown, name)) for name in touchdown.__all__)
     assert set(dir(touchdown)) >= {*touchdown.__all__, "__version__"}
-    assert touchdown.__version__.count(".") == 2
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert touchdown.__version__ == versions()["touchdown"] == project["version"]
     with pytest.raises(AttributeError, match="no attribute 'hover'"):
         _ = touchdown.hover  # type: ignore[attr-defined]
 
