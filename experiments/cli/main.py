@@ -30,7 +30,7 @@ _MODULES = {
     "campaign": ("campaign", "reproduce", "results"),
     "classification": ("classify", "dataset", "ensemble", "evaluate", "quantize", "train"),
     "fly": ("fly", "land"),
-    "parts": ("calibrate", "check-estimator", "check-plugin", "control", "edges"),
+    "parts": ("calibrate", "check-estimator", "check-plugin", "control", "edges", "px4"),
     "report": ("query", "regress", "report"),
     "scenes": ("scenes",),
     "view": ("export", "view"),

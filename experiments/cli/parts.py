@@ -1,5 +1,5 @@
 """Commands on one part of a flight: ``check-plugin``, ``check-estimator``, ``control margins``,
-``calibrate`` and ``edges``."""
+``px4 params``, ``calibrate`` and ``edges``."""
 
 from __future__ import annotations
 
@@ -198,6 +198,41 @@ def control_margins(config_file: Path | None, overrides: tuple[str, ...]) -> dic
         check_named_code(config_file, [("scene", config.scene)])
     margins = loop_margins(vehicle_model(build_scene(config).model), config.control)
     return {"loops": [dataclasses.asdict(margin) for margin in margins]}
+
+
+@click.group(cls=CommandGroup)
+def px4() -> int:
+    """PX4 as the flight controller.
+
+    Example: touchdown px4 params
+    """
+    return EXIT_DONE
+
+
+@px4.command("params")
+@CONFIG
+@OVERRIDES
+@JSON
+def px4_params(config_file: Path | None, overrides: tuple[str, ...], as_json: bool) -> int:
+    """Print all parameters of PX4 for the vehicle and its sensors, as lines of its start script.
+
+    A PX4 that is started by hand for --px4-connect needs them: as the file px4-rc.params in the
+    first folder of its PATH.
+
+    Example: touchdown px4 params > px4-rc.params
+    """
+    from touchdown.experiments.config.loading import load_config
+    from touchdown.experiments.flight.wiring import build_scene, make_world, nominal_rig
+    from touchdown.experiments.px4.airframe import parameter_lines, parameters
+
+    config = load_config(config_file, overrides)
+    world = make_world(config, build_scene(config))
+    try:
+        rig = nominal_rig(world.rig, config)
+    finally:
+        world.close()
+    found = parameters(rig, config.px4, config.control.max_tilt_deg)
+    return answer(found, as_json, lambda _found: say("\n".join(parameter_lines(found))))
 
 
 @click.command()

@@ -79,7 +79,8 @@ def fly(
         return result.model_copy(update=asked)
     with run_directory(out_dir) as partial:
         if stack.autopilot is not None:
-            stack.autopilot.keep_in(partial)
+            failed = out_dir.with_name(f"{out_dir.name}.px4.log")
+            stack.autopilot.keep_in(partial, failed)
         sensors = _sensor_log(partial, stack) if config.log.sensors else None
         recorder = RunRecorder(partial, scene, stack.world.rig, config, sensors, live)
         result = fly_and_judge(config, stack, recorder, progress).model_copy(update=asked)

@@ -1,6 +1,7 @@
 """The airframe as PX4 knows it: order and spin of the motors, thrust curve, gains, parameters."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,6 +83,11 @@ def parameters(rig: SensorRig, params: Px4Params, max_tilt_deg: float) -> dict[s
         name, value = parameter(text)
         found[name] = value
     return found
+
+
+def parameter_lines(found: Mapping[str, float | int]) -> list[str]:
+    """Lines of PX4's start script that set parameters."""
+    return [f"param set {name} {value}" for name, value in found.items()]
 
 
 def parameter(text: str) -> tuple[str, float | int]:

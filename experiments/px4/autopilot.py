@@ -70,15 +70,17 @@ class Px4Autopilot:
         self._obs: Observation | None = None
         self._closing = contextlib.ExitStack()
         self._keep_in: Path | None = None
+        self._of_failure: Path | None = None
         self._link: SimulatorLink | None = None
         self._commander: Commander | None = None
         self._was_healthy, self._resets = True, 0
         self._armed = False
         self._process: Px4Process | None = None
 
-    def keep_in(self, folder: Path) -> None:
-        """PX4 works below ``folder``, and leaves its log there."""
-        self._keep_in = folder
+    def keep_in(self, folder: Path, of_failure: Path | None = None) -> None:
+        """PX4 works below ``folder``, and leaves its log there; of a flight that it breaks off,
+        in ``of_failure``."""
+        self._keep_in, self._of_failure = folder, of_failure
 
     @property
     def waits(self) -> bool:
@@ -110,15 +112,14 @@ class Px4Autopilot:
         assert obs is not None
         try:
             speeds = self._exchange(self._link, obs)
+            if not commander.heard and self._link.in_lockstep:
+                time.sleep(FREE_STEP_S)  # PX4 starts in wall time
+            self._send_estimate(self._link, estimate)
+            if self._step % self._setpoint_steps == 0:
+                commander.send_setpoint(setpoint, estimate)
+            commander.step(estimate, setpoint, self._armed)
         except Px4Error as error:
-            reason = self._ended(_ENDS_S)
-            raise Px4Error(f"{error}; {reason}" if reason else str(error)) from error
-        if not commander.heard and self._link.in_lockstep:
-            time.sleep(FREE_STEP_S)  # PX4 starts in wall time
-        self._send_estimate(self._link, estimate)
-        if self._step % self._setpoint_steps == 0:
-            commander.send_setpoint(setpoint, estimate)
-        commander.step(estimate, setpoint, self._armed)
+            raise Px4Error(self._failure(str(error))) from error
         self._step += 1
         said = commander.events()
         if self._process is not None and self._step % _READ_LOG_STEPS == 0:
@@ -128,6 +129,18 @@ class Px4Autopilot:
     def close(self) -> None:
         """Ends PX4 where it was started here."""
         self._closing.close()
+
+    def _failure(self, line: str) -> str:
+        """``line`` with what PX4 has printed, and where its log is."""
+        if self._process is None:
+            return line
+        parts = [line, self._ended(_ENDS_S)]
+        if printed := self._process.printed():
+            parts.append(f"it printed: {printed}")
+        if self._of_failure is not None:
+            self._process.keep_log(self._of_failure)
+            parts.append(f"its log is '{self._of_failure}'")
+        return "; ".join(filter(None, parts))
 
     def _ended(self, wait_s: float) -> str:
         return "" if self._process is None else self._process.ended(wait_s)

@@ -6,12 +6,14 @@ import re
 import shutil
 import signal
 import subprocess
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
 from touchdown.experiments.api import Px4Params
 from touchdown.experiments.errors import visible
 from touchdown.experiments.external.processes import guarded
+from touchdown.experiments.px4.airframe import parameter_lines
 from touchdown.experiments.px4.link import Ports
 from touchdown.experiments.px4.messages import Px4Error
 
@@ -22,6 +24,8 @@ _MODEL = "none_iris"
 """PX4's airframe for a quadrotor X of a simulator that it does not start itself"""
 _END_TIMEOUT_S = 5.0
 _LOG_BYTES = 1 << 20
+_MOST = 2
+"""warnings that a failure names"""
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _WARNING = re.compile(r"(?:WARN|ERROR)\s+\[(\w+)\] (.*)")
 _OF_START = ("param", "simulator_mavlink")
@@ -60,9 +64,9 @@ class Px4Process:
         folder.mkdir(parents=True)
         self._folder = folder
         self._read = 0
-        lines = [f"param set {name} {value}" for name, value in parameters.items()]
+        self._printed: Counter[str] = Counter()
         # PX4's start script reads both from the first folder of PATH that has them.
-        (folder / "px4-rc.params").write_text("\n".join(lines) + "\n")
+        (folder / "px4-rc.params").write_text("\n".join(parameter_lines(parameters)) + "\n")
         (folder / "px4-rc.mavlink").write_text(
             f"mavlink start -x -u {ports.of_px4} -r 4000000 -m onboard -o {ports.own}\n"
         )
@@ -101,7 +105,19 @@ class Px4Process:
         lines = self._log(self._read).split("\n")
         self._read += sum(len(line.encode()) + 1 for line in lines[:-1])
         found = (_WARNING.match(_COLOUR.sub("", line)) for line in lines[:-1])
-        return [f"{m[1]}: {visible(m[2].strip())}" for m in found if m and m[1] not in _OF_START]
+        said = [f"{m[1]}: {visible(m[2].strip())}" for m in found if m and m[1] not in _OF_START]
+        self._printed.update(said)
+        return said
+
+    def printed(self) -> str:
+        """The warnings and errors that PX4 has printed most often, and how often; "" without."""
+        self.warnings()
+        most = self._printed.most_common(_MOST)
+        return "; ".join(f"{text} ({n} times)" if n > 1 else text for text, n in most)
+
+    def keep_log(self, file: Path) -> None:
+        """Writes what PX4 has printed to ``file``."""
+        file.write_text(self._log(), encoding="utf-8")
 
     def close(self, keep_in: Path | None, ulog: bool) -> None:
         """Ends it and removes its folder; its log goes to ``keep_in``, with ``ulog`` its own log of
@@ -114,7 +130,7 @@ class Px4Process:
                 self._process.wait(_END_TIMEOUT_S)
                 break
         if keep_in is not None:
-            (keep_in / LOG_FILE).write_text(self._log(), encoding="utf-8")
+            self.keep_log(keep_in / LOG_FILE)
             newest = max(self._folder.glob("log/*/*.ulg"), default=None)
             if ulog and newest is not None:
                 shutil.move(newest, keep_in / ULOG_FILE)
