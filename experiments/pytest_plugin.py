@@ -109,9 +109,9 @@ def _fly_one(task: tuple[str, str, str]) -> dict[str, Any]:
     from touchdown.experiments.campaign.results_table import CRASHED, make_row
     from touchdown.experiments.config.schema import Config
     from touchdown.experiments.errors import ExternalPartError, UsageError
-    from touchdown.experiments.flight.platform import rendering_backend
     from touchdown.experiments.flight.run import fly_with_usage_errors
     from touchdown.experiments.io.results import RunResult
+    from touchdown.sim.opengl import rendering_backend
 
     os.environ.setdefault("MUJOCO_GL", rendering_backend())
     text, out, mode = task

@@ -271,7 +271,7 @@ def _flown(
 def _prepare() -> None:
     """Chooses the rendering backend, which MuJoCo reads when it is loaded, and keeps away what
     Open3D would print in a notebook."""
-    from touchdown.experiments.flight.platform import rendering_backend
+    from touchdown.sim.opengl import rendering_backend
 
     os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
     if "mujoco" not in sys.modules:

@@ -29,7 +29,7 @@ from touchdown.experiments.external.processes import (
     memory_bytes,
     resident_bytes,
 )
-from touchdown.experiments.flight.platform import rendering_backend
+from touchdown.sim.opengl import rendering_backend
 
 Event = dict[str, Any]
 """``run_id`` and ``event``: started, retry (``error``), finished (``row``; the run directory is in

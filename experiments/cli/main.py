@@ -22,14 +22,16 @@ from touchdown.experiments.cli.common import (
 )
 from touchdown.experiments.errors import UsageError, system_message, visible
 from touchdown.experiments.external.processes import run_in_child, runs_external_code
-from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_backend, rendering_fault
+from touchdown.experiments.flight.platform import BLAS_THREADS, rendering_fault
 from touchdown.experiments.terminal import end_progress, error_line, warning_line
+from touchdown.sim.opengl import rendering_backend
 
 _MODULES = {
     "bench": ("bench", "maps"),
     "campaign": ("campaign", "reproduce", "results"),
     "classification": ("classify", "dataset", "ensemble", "evaluate", "quantize", "train"),
     "fly": ("fly", "land"),
+    "keys": ("config",),
     "parts": ("calibrate", "check-estimator", "check-plugin", "control", "edges", "px4"),
     "report": ("query", "regress", "report"),
     "scenes": ("scenes",),

@@ -20,11 +20,11 @@ from touchdown.experiments.cli.common import (
     finite_numbers,
 )
 from touchdown.experiments.errors import UsageError
-from touchdown.experiments.flight.platform import has_display
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.experiments.terminal import say
 from touchdown.experiments.viewing.processes import address_text, run_viewer, web_viewer
 from touchdown.sim.files.opening import no_file
+from touchdown.sim.opengl import has_display
 
 if TYPE_CHECKING:
     from touchdown.experiments.export.flown_run import GeodeticPoint

@@ -261,17 +261,10 @@ def _check_key(key: str, source: str) -> None:
     group, _, rest = key.partition(".")
     if rest and difflib.get_close_matches(group, ["external"], cutoff=0.7):
         keys = (*keys, f"external.{rest}")
-    hint = nearest(key, keys) or _same_last_name(key, keys)
-    hint = hint or f"; groups: {', '.join(Config.model_fields)}"
+    from touchdown.experiments.config.suggestions import suggestion  # reads what the keys mean
+
+    hint = suggestion(key, keys) or f"; groups: {', '.join(Config.model_fields)}"
     raise UsageError(f"unknown key '{key}' in {source}{hint}")
-
-
-def _same_last_name(key: str, keys: tuple[str, ...]) -> str:
-    """The hint for a key whose group is wrong or missing: ``mean_kmh`` for ``wind.mean_kmh``."""
-    name = key.split(".")[-1]
-    matches = difflib.get_close_matches(name, [k.split(".")[-1] for k in keys], n=1, cutoff=0.5)
-    full = [known for known in keys if matches and known.split(".")[-1] == matches[0]]
-    return f" (did you mean '{full[0]}'?)" if full else ""
 
 
 def _check_range(key: str, value: Any, source: str) -> None:

@@ -1,7 +1,5 @@
-"""The reference of configuration keys as Markdown, made from the schema.
-
-``python -m touchdown.experiments.config.reference`` prints it; the site has it as a page.
-"""
+"""The reference of configuration keys, made from the schema: `touchdown config`, a page of the
+site."""
 
 import ast
 import functools
@@ -123,7 +121,3 @@ def reference_page() -> str:
 def _markdown(text: str) -> str:
     """Docstring text as Markdown."""
     return " ".join(text.split()).replace("``", "`").replace("<", "&lt;")
-
-
-if __name__ == "__main__":
-    print(reference_page())

@@ -132,7 +132,7 @@ def write_lists(scene: str) -> None:
     """Writes the lists of what landings compile that begin with an empty cache, the longest
     first."""
     from touchdown.experiments.config.loading import load_config
-    from touchdown.experiments.flight.platform import rendering_backend
+    from touchdown.sim.opengl import rendering_backend
 
     os.environ.setdefault("MUJOCO_GL", rendering_backend())
     from touchdown.experiments.flight.run import fly

@@ -1,4 +1,4 @@
-"""Display, rendering backend and threads of the machine."""
+"""Threads and memory of the machine, and what it says where it cannot render."""
 
 import contextlib
 import ctypes
@@ -16,23 +16,6 @@ from touchdown.experiments.external.processes import release_memory
 BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_MMAP_MAX = -1, -3, -4
 """parameters of glibc's mallopt"""
-
-
-def has_display() -> bool:
-    """True if the environment names an X11 or Wayland display."""
-    names = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
-    return any(os.environ.get(name) for name in names)
-
-
-def rendering_backend() -> str:
-    """The first of EGL and OSMesa whose library loads here, else GLFW, which needs a display."""
-    for backend, library in (("egl", "libEGL.so.1"), ("osmesa", "libOSMesa.so.8")):
-        try:
-            ctypes.CDLL(library)
-        except OSError:
-            continue
-        return backend
-    return "glfw"
 
 
 def rendering_fault(error: Exception) -> str:

@@ -15,7 +15,7 @@ import click
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.processes import guarded
-from touchdown.experiments.flight.platform import has_display
+from touchdown.sim.opengl import has_display
 
 LOCALHOST = "127.0.0.1"
 WEB_PORT, DATA_PORT = 9090, 9876

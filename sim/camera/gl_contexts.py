@@ -16,6 +16,8 @@ import warnings
 from collections.abc import Iterator
 from typing import Any
 
+from touchdown.sim.opengl import asked_backend
+
 BACKENDS = ("egl", "osmesa", "glfw")
 """In the order in which they are tried; GLFW needs a display."""
 _MAX_IDLE = 2
@@ -33,7 +35,7 @@ def gl_context(width: int, height: int) -> Any:
     MuJoCo's library reads MUJOCO_GL when it loads its GL functions, so it is set for the choice.
     RuntimeError, with what each backend said, when none works.
     """
-    asked = os.environ.get("MUJOCO_GL", "").lower()
+    asked = asked_backend()
     if asked in ("", "egl") and (context := _waiting()) is not None:
         context.make_current()
         return context

@@ -9,10 +9,14 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
+from touchdown.sim.opengl import choose_backend
+
 # Sums over two threads differ in their last bits from sums over one. Flights keep to one themselves
 # (`experiments.flight.platform`); this is for all else, where nobody asked for more. NumPy reads it
 # when it is loaded, so it is set before.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+choose_backend()
 
 if TYPE_CHECKING:
     from touchdown.estimator.api import Estimate, Estimator
