@@ -85,6 +85,7 @@ _FIELD = "docs/results/field.md"
 BLOCKS = (
     Block("README.md", "summary", ("landing", "positioning"), tables.summary, "docs/images"),
     Block(_FIELD, "landings", ("landing",), tables.landings, "../images"),
+    Block(_FIELD, "paper", ("landing",), tables.paper_landings),
     Block(_FIELD, "positioning", ("positioning", "landing"), tables.positioning),
     Block(_FIELD, "levelness", ("positioning", "landing"), tables.levelness),
     Block(_FIELD, "ideal", ("landing",), tables.ideal_landings),

@@ -10,7 +10,7 @@ from touchdown.experiments.drawing.style import INK
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.figures import Picture, drawn
 from touchdown.experiments.reporting.flights import condition_of, ordered
-from touchdown.experiments.reporting.measures import is_marked, setting_notes, titled
+from touchdown.experiments.reporting.measures import setting_notes, titled
 from touchdown.experiments.reporting.report_tables import FLIGHTS, LANDED, OUTCOMES, UNSAFE
 from touchdown.experiments.reporting.statistics import (
     clustered_fraction,
@@ -214,27 +214,22 @@ _MEASURES = (
     ("a_z before it", "m/s²", _A_Z, _A_Z),
     ("α_L, slope of the ground there", "°", _SLOPE, _SLOPE),
     ("levelness of the map", "°", _LEVEL, _LEVEL_MAX),
-    ("processor time of a landing", "s", "cpu_s", "cpu_s"),
 )
 """Title, unit, and the columns of mean and largest value."""
 
 
 def summary(landed: pd.DataFrame, surveys: pd.DataFrame) -> list[str]:
-    """README's two tables, over all scenes: landings by measure, surveys by method."""
+    """README's sentences on the landings in `field`, and its table of methods, over all scenes."""
     positioned = _positioned(surveys, landed)
-    notes = setting_notes([_V_Z, _PATH, _ERROR], ordered(positioned, "estimator"))
     columns = [
-        Column(key="completed", title="completed", of=_completed),
+        Column(key="completed", title="surveys completed", of=_completed),
         mean(_ERROR),
         _over(positioned, "estimator", "livo"),
-        mean(_PATH),
-        Column(key="paper", title="E_tra, paper (m)", of=_printed_path),
-        mean(_NEES),
     ]
-    heads = [f"surveys, {positioned['scene'].nunique()} scenes"]
-    table = make_table(positioned, "surveys", "", columns, ("estimator",), names=heads)
+    table = make_table(positioned, "surveys", "", columns, ("estimator",))
+    notes = setting_notes([_ERROR], ordered(positioned, "estimator"))
     words = " ".join([*_failures(positioned), *notes, _INTERVALS])
-    return [*_landing_summary(landed), "", *table.lines, "", words]
+    return [*_landing_words(landed[landed["profile"] == "field"]), "", *table.lines, "", words]
 
 
 def _completed(own: pd.DataFrame) -> str:
@@ -242,22 +237,30 @@ def _completed(own: pd.DataFrame) -> str:
     return f"{done} of {len(own)} ({own['unit'].nunique()} independent)"
 
 
-def _printed_path(own: pd.DataFrame) -> str | None:
-    method = own["estimator"].iloc[0]
-    found = published.TRAJECTORY_ERROR_M.get(method)
-    return None if found is None or is_marked(_PATH, [method]) else f"{found:g}"
-
-
-def _landing_summary(frame: pd.DataFrame) -> list[str]:
-    frame = frame[frame["profile"] == "field"]
+def _landing_words(frame: pd.DataFrame) -> list[str]:
     is_safe = frame["outcome"].eq("LANDED") & frame["ground_safe"].eq(True)
     safe, fraction = int(is_safe.sum()), clustered_fraction(is_safe, frame["unit"])
     low, high = 100.0 * (fraction.low or 0.0), 100.0 * (fraction.high or 0.0)
-    said = (
+    offset, slope, error, cost = (
+        (cell(mean(column).of(frame)).markdown, cell(largest(column).of(frame)).text)
+        for column in (_D_L, _SLOPE, _ERROR, "cpu_s")
+    )
+    scenes, units = frame["scene"].nunique(), frame["unit"].nunique()
+    return [
         f"**{safe} of {len(frame)} flights with `livo` land on safe ground: "
         f"{100.0 * fraction.value:.0f} % [{low:.0f}, {high:.0f}]; {UNSAFE.of(frame)} touch unsafe "
-        "ground.**"
-    )
+        "ground.**",
+        "",
+        f"They are {units} independent flights over {scenes} scenes. They touch down {offset[0]} m "
+        f"from the site that they chose (largest {offset[1]} m), where the ground slopes by "
+        f"{slope[0]}° (largest {slope[1]}°). Over the survey the position is off by {error[0]} m "
+        f"(worst flight {error[1]} m). A landing takes {cost[0]} s of a processor.",
+    ]
+
+
+def paper_landings(landed: pd.DataFrame) -> list[str]:
+    """A line for each measure of the landings in `field`, beside the paper's figure."""
+    frame = landed[landed["profile"] == "field"]
     rows = []
     for title, unit, column, worst in _MEASURES:
         theirs = published.LANDINGS.get(column, {}).get("zou2024", MISSING)
@@ -266,10 +269,8 @@ def _landing_summary(frame: pd.DataFrame) -> list[str]:
         figures = mean(column).of(frame), largest(worst).of(frame)
         name = f"{titled(title, column)} ({unit})"
         rows.append([name, str(theirs), *(cell(figure).markdown for figure in figures)])
-    scenes, units = frame["scene"].nunique(), frame["unit"].nunique()
-    flights = f"{len(frame)} landings with `livo`, {scenes} scenes ({units} independent)"
-    header = [flights, "paper", "mean", "largest"]
-    return [said, "", *markdown_lines(header, rows)]
+    flights = f"{len(frame)} landings ({frame['unit'].nunique()} independent)"
+    return [*markdown_lines([flights, "paper", "mean", "largest"], rows), "", _INTERVALS]
 
 
 _COMPARED = (

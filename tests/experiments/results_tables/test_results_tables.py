@@ -142,19 +142,25 @@ def test_flights_by_condition() -> None:
     assert cells(lines, "`lidar_dropout.20`", "`lake`")["outcomes"] == "DIVERGED 1"
 
 
-def test_the_summary_compares_no_figure_that_is_set() -> None:
-    lines = tables.summary(frame_of(landed()), frame_of(surveys()))
+def test_the_papers_figures_stand_beside_ours_unless_ours_are_set() -> None:
+    lines = tables.paper_landings(frame_of(landed()))
     speed = next(line for line in lines if line.startswith("| v_z"))
     assert speed.split("|")[1].strip().endswith("(set) (m/s)") and speed.split("|")[2] == " – "
     assert next(line for line in lines if line.startswith("| d_L")).split("|")[2] == " 0.41 "
+
+
+def test_the_summary_says_first_how_often_it_lands_safely() -> None:
+    lines = tables.summary(frame_of(landed()), frame_of(surveys()))
     assert lines[0] == (
         "**2 of 4 flights with `livo` land on safe ground: 50 % [15, 85]; 1 touch unsafe ground.**"
     )
-    start = next(n for n, line in enumerate(lines) if line.startswith("| surveys"))
-    assert cells(lines[start:], "`gps`")["E_tra, paper (m)"] == "–"
-    assert cells(lines[start:], "`zou2024`")["E_tra, paper (m)"] == "0.3671"
-    assert cells(lines[start:], "`livo`")["completed"] == "3 of 4 (4 independent)"
-    assert cells(lines[start:], "`gps`")["completed"] == "4 of 4 (4 independent)"
+    assert lines[2].startswith(
+        "They are 4 independent flights over 2 scenes. They touch down 0.300"
+    )
+    assert "(largest 0.500 m), where the ground slopes by 1.00 [1.00, 1.00]°" in lines[2]
+    start = next(n for n, line in enumerate(lines) if line.startswith("| method"))
+    assert cells(lines[start:], "`livo`")["surveys completed"] == "3 of 4 (4 independent)"
+    assert cells(lines[start:], "`gps`")["surveys completed"] == "4 of 4 (4 independent)"
 
 
 def fly(found: FlightSet, out: Path, revision: str = REVISION, left_out: int = 0) -> Path:
