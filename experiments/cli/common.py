@@ -5,11 +5,12 @@ import functools
 import importlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 from touchdown.experiments.config.files import LARGEST
 from touchdown.experiments.errors import nearest, usage_errors
@@ -128,6 +129,27 @@ def answered(show: Callable[[Any], object]) -> Callable[[Callable[..., Any]], Ca
         return JSON(run)
 
     return decorate
+
+
+def completed(names: Callable[[], Iterable[str]]) -> Callable[..., list[CompletionItem]]:
+    """What a shell completes of an argument: names, and files where none begins so."""
+
+    def complete(
+        _context: click.Context, _param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        found = [CompletionItem(name) for name in names() if name.startswith(incomplete)]
+        return found or [CompletionItem(incomplete, type="file")]
+
+    return complete
+
+
+def _scene_names() -> list[str]:
+    from touchdown.scenes.registry import scene_names
+
+    return scene_names()
+
+
+SCENES = completed(_scene_names)
 
 
 class CommandGroup(click.Group):

@@ -21,11 +21,14 @@ from touchdown.experiments.cli.common import (
     PRESET,
     PROFILE,
     QUIET,
+    SCENES,
     Parsed,
     answer,
+    completed,
     finite_numbers,
     many,
 )
+from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.terminal import end_progress, make_progress, say
 
@@ -51,14 +54,19 @@ _LIVE = Parsed(
 )
 
 
+ESTIMATORS = ("livo", "zou2024", "gps", "optical_flow", "hybrid_flow", "stereo", "oracle")
+"""Those of `experiments.flight.wiring`, repeated so that help and completion are instant."""
+
+
 def _part(kind: str, text: str) -> Callable[[Any], Any]:
     """The option that names what fills a slot."""
-    return click.option(f"--{kind}", metavar="NAME", help=text)
+    names = ESTIMATORS if kind == "estimator" else SLOTS[kind].shipped
+    found = completed(lambda: names)
+    return click.option(f"--{kind}", metavar="NAME", help=text, shell_complete=found)
 
 
 _flight_options = many(
-    _part("estimator", "livo, zou2024, gps, optical_flow, hybrid_flow, stereo, oracle, or "
-          "MODULE:FUNCTION."),
+    _part("estimator", f"{', '.join(ESTIMATORS)}, or MODULE:FUNCTION."),
     _part("selector", "What chooses the site: risk, zou2024, or MODULE:FUNCTION.  [risk]"),
     _part("lander", "What flies the mission: site, or MODULE:FUNCTION.  [site]"),
     _part("controller", "Setpoints to rotor speeds: cascade, px4, or MODULE:FUNCTION.  [cascade]"),
@@ -112,7 +120,7 @@ about; a replay has them already."""
 
 
 @click.command()
-@click.argument("scene", required=False)
+@click.argument("scene", required=False, shell_complete=SCENES)
 @_flight_options
 @click.option("--site", type=_SITE, help="Land here (metres, world frame).")
 @click.option("--emergency", type=click.Choice(["battery"]),
@@ -130,7 +138,7 @@ def land(site: tuple[float, float] | None, emergency: str | None, **options: Any
 
 
 @click.command()
-@click.argument("scene", required=False)
+@click.argument("scene", required=False, shell_complete=SCENES)
 @_flight_options
 @click.option("--replay", "replayed", metavar="RUN", type=PATH,
               help="Run directory with sensors.mcap, which replaces the simulation.")  # fmt: skip

@@ -81,8 +81,6 @@ def _run(arguments: Sequence[str] | None) -> int:
     warnings.formatwarning = _one_line_warning
     # What libraries log, Pillow for one, is not for the terminal: an error is one line.
     logging.getLogger().addHandler(logging.NullHandler())
-    # A warning of numba about an optional library; nothing here has several threads.
-    warnings.filterwarnings("ignore", message=".*TBB threading layer")
     signal.signal(signal.SIGTERM, _interrupt)
     _print_any_name()
     for word in sys.argv[1:] if arguments is None else arguments:

@@ -17,6 +17,7 @@ from touchdown.experiments.cli.common import (
     OVERRIDES,
     PATH,
     QUIET,
+    SCENES,
     SEED,
     CommandGroup,
     Number,
@@ -55,7 +56,7 @@ def scenes_list(as_json: bool) -> int:
 
 
 @scenes.command("render")
-@click.argument("scene", required=False)
+@click.argument("scene", required=False, shell_complete=SCENES)
 @click.option("--all", "every_scene", is_flag=True, help="Every view of every scene.")
 @click.option("--all-views", is_flag=True, help="Every view of SCENE.")
 @click.option("--out", type=PATH,
@@ -155,7 +156,7 @@ def scenes_check(
 
 
 @scenes.command("export")
-@click.argument("scene")
+@click.argument("scene", shell_complete=SCENES)
 @click.option("--out", type=PATH, help="Directory.  [SCENE-SEED]")
 @SEED
 @JSON

@@ -200,7 +200,8 @@ class Landing(control.Task):  # type: ignore[misc]
 
     def action_spec(self, physics: LandingPhysics) -> specs.BoundedArray:
         names = "\t".join(ACTION_NAMES[self.landing.options.action])
-        return specs.BoundedArray((4,), np.float32, -1.0, 1.0, names)
+        ones = np.ones(4, np.float32)
+        return specs.BoundedArray((4,), np.float32, -ones, ones, names)
 
     @property
     def _step(self) -> Step:

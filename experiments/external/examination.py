@@ -99,7 +99,7 @@ def examine_as(examiner: Examiner, start: Callable[[], Examined]) -> Findings:
     first = attempt(findings, start, examiner)
     if first is None:
         return findings
-    text, reason = _latency(first.times_s, LONGEST_CALL_S[first.kind])
+    text, reason = _latency(first.times_s, LONGEST_CALL_S[first.kind], first.map_text)
     findings.figures = {**first.figures, "latency": text}
     findings.note("latency", reason)
     state = np.random.get_state()  # noqa: NPY002  the one that two objects share by mistake
@@ -129,15 +129,15 @@ def attempt(
     return part
 
 
-def _latency(times_s: list[float], max_s: float) -> tuple[str, str]:
-    """Wall times of calls as text, and the reason why the part is too slow, "" for another. The
-    longest of each hundred, one at least, are left out of the mean: they may compile, or load a
-    file."""
+def _latency(times_s: list[float], max_s: float, where: str) -> tuple[str, str]:
+    """Processor times of calls as text, and the reason why the part is too slow, "" for another.
+    The longest of each hundred, one at least, are left out of the mean: they may compile, or load a
+    file. ``where``: on what they were measured."""
     ordered = sorted(times_s)
     mean_s = float(np.mean(ordered[: -1 - len(ordered) // 100] or ordered))
     text = (
         f"{1e3 * mean_s:.3g} ms a call, {1e3 * ordered[-1]:.3g} ms the longest "
-        f"({len(ordered)} calls)"
+        f"({len(ordered)} calls{where}, processor time)"
     )
     slow = f"{text}, above {1e3 * max_s:g} ms: a vehicle could not wait for it"
     return text, slow if mean_s > max_s else ""

@@ -43,9 +43,9 @@ LONGEST_CALL_S: Mapping[str, float] = {
     "mapper": 0.02,
     "classifier": 1.0,
 }
-"""Mean wall time of a call from which on a part is slow: a control step of 5 ms for what runs in
-each; a fifth of a scan's period for what gets most of its work with a scan; a second for what the
-vehicle hovers for."""
+"""Mean processor time of a call, in the thread that makes it, from which on a part is slow: a
+control step of 5 ms for what runs in each; a fifth of a scan's period for what gets most of its
+work with a scan; a second for what the vehicle hovers for."""
 
 
 class BrokenRuleError(ExternalPartError):
@@ -76,7 +76,10 @@ class ExternalPart:
         build = build or external_builder(name, kind)
         self.kind, self.name, self.rig = kind, name, rig
         self.calls, self.seconds = 0, 0.0
-        """of wall time in calls so far"""
+        """of the calling thread's processor time in calls so far: other work of the machine is not
+        the part's"""
+        self._cells: tuple[int, ...] = ()
+        """rows and columns of the largest map of the calls"""
         self._time = ""
         self._given: dict[int, tuple[Any, Any]] = {}
         """arguments of the last call and their read-only views, by identity"""
@@ -100,10 +103,12 @@ class ExternalPart:
             self._given = {id(a): self._given.get(id(a)) or (a, read_only(a)) for a in arguments}
         what = f"{when or self._time} {method}".strip()
         inputs = [self._given[id(argument)][1] for argument in arguments]
-        started = time.perf_counter()
+        started = time.thread_time()
         answer, error = call(getattr(self.inner, method), *inputs)
         self.calls += 1
-        self.seconds += time.perf_counter() - started
+        self.seconds += time.thread_time() - started
+        for argument in arguments:
+            self._see(getattr(argument, "map_view", argument))
         if error is not None:
             raise self._error(_raised(what, error, rule), error) from error
         if answer is self._map is not None:
@@ -114,7 +119,12 @@ class ExternalPart:
             text = f"{what} returned {defect.reason}"
             raise self._error(DefectError(defect.rule, text)) from None
         self._map = answer if isinstance(answer, MapView) else None
+        self._see(answer)
         return answer
+
+    def _see(self, value: Any) -> None:
+        if isinstance(value, MapView):
+            self._cells = max(self._cells, value.coarse.height_m.shape)
 
     def slowness(self) -> str:
         """A sentence about a part whose calls took more than `LONGEST_CALL_S`; "" for another."""
@@ -122,9 +132,15 @@ class ExternalPart:
         if mean_s <= max_s:
             return ""
         return (
-            f"{self.kind} '{self.name}' took {1e3 * mean_s:.3g} ms a call, above "
-            f"{1e3 * max_s:g} ms (rule 'latency'): simulated time waited, a vehicle could not"
+            f"{self.kind} '{self.name}' took {1e3 * mean_s:.3g} ms of processor time a call"
+            f"{self.map_text}, above {1e3 * max_s:g} ms (rule 'latency'): simulated time waited, a "
+            "vehicle could not"
         )
+
+    @property
+    def map_text(self) -> str:
+        """The size of the largest map of the calls; "" without one."""
+        return f" on a map of {' x '.join(map(str, self._cells))} cells" if self._cells else ""
 
     def _error(self, defect: DefectError, error: BaseException | None = None) -> BrokenRuleError:
         return BrokenRuleError(self.kind, self.name, defect, error)

@@ -27,10 +27,13 @@ DISTRIBUTION = "touchdown-sim"
 
 
 def versions() -> dict[str, str]:
-    """Installed versions of the packages that decide a flight."""
+    """Installed versions of the packages that decide a flight. OpenCV says its own: it comes in
+    several packages."""
+    import cv2  # a flight has loaded it
+
     names = ("mujoco", "numpy", "numba", "open3d-cpu", "open3d", "rerun-sdk")
-    found: dict[str, str] = {}
-    for name in (DISTRIBUTION, *names, "opencv-contrib-python-headless"):
+    found: dict[str, str] = {"opencv": cv2.__version__}
+    for name in (DISTRIBUTION, *names):
         try:
             found[name.removesuffix("-sim")] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:

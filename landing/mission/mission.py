@@ -257,12 +257,12 @@ class Mission:
             if scaling.rate < _REPORTED_RATE and not reported:
                 reported = True
                 wind = self.view.felt_wind_mps
-                state.report(f"{state.phase}: slowed by a wind of {wind:.1f} m/s")
+                state.report(f"slowed by a wind of {wind:.1f} m/s")
             if (blocked := self.ask(Moment.LEG)) is not None:
                 raise LegBlockedError(blocked)
         if reported and stop is None:
             set_s = trajectory.duration_s
-            state.report(f"{state.phase}: {set_s + scaling.lost_s:.1f} s instead of {set_s:.1f} s")
+            state.report(f"{set_s + scaling.lost_s:.1f} s instead of {set_s:.1f} s")
         return stop
 
     def hover(self, seconds: float) -> Steps:

@@ -88,9 +88,8 @@ def take_off(mission: Mission) -> Steps:
 def survey(mission: Mission) -> Steps:
     """Flies the serpentine."""
     params = mission.state.survey
-    mission.state.enter(
-        Phase.SURVEY, f"surveying {params.legs} legs of {params.leg_length_m:.0f} m"
-    )
+    legs = "1 leg" if params.legs == 1 else f"{params.legs} legs"
+    mission.state.enter(Phase.SURVEY, f"surveying {legs} of {params.leg_length_m:.0f} m")
     path = survey_trajectory(mission.reference_world.copy(), mission.start_yaw, params)
     try:
         yield from mission.follow(path, in_world=True)
@@ -123,7 +122,7 @@ def select(mission: Mission) -> RuledSteps:
     site, else the rule that ends the search."""
     state, params = mission.state, mission.params
     while True:
-        state.enter(Phase.SELECT)
+        state.enter(Phase.SELECT, "choosing a site")
         if mission.ask(Moment.SELECTION) is not None:
             state.set_deadline(mission.now + params.emergency_s)
         yield from mission.hover(_SETTLE_S)

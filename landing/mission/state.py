@@ -66,9 +66,9 @@ class MissionState:
         self.note = reason or self.note
 
     def report(self, text: str) -> None:
-        """States ``text`` as the last decision and among the events."""
+        """States ``text`` as the last decision and, with the phase, among the events."""
         self.note = text
-        self.events += (text,)
+        self.events += (f"{self.phase}: {text}",)
 
     def follow_rule(self, name: str, reason: str, outcome: Outcome) -> None:
         """Notes what the rule ``name`` has decided. A rule that decides in many control steps in a

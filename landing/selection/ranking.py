@@ -67,14 +67,16 @@ def why_chosen(sites: Sequence[Candidate]) -> str:
 
 
 def _advantages(first: Candidate, second: Candidate) -> list[str]:
-    """The terms in which ``first`` is better than ``second``, the largest difference first."""
+    """The terms in which ``first`` is better than ``second`` by more than rounding, the largest
+    difference first."""
     pairs = [(a, b) for a, b in zip(first.terms, second.terms, strict=True)]
     pairs.sort(key=lambda pair: pair[1].value - pair[0].value)
-    return [_advantage(a, b) for a, b in pairs[:_MAX_TERMS] if a.value - b.value >= _NOTABLE]
+    texts = [_advantage(a, b) for a, b in pairs[:_MAX_TERMS] if a.value - b.value >= _NOTABLE]
+    return list(filter(None, texts))
 
 
 def _advantage(a: ScoreTerm, b: ScoreTerm) -> str:
-    """Such as "more clearance (3.0 against 1.2 m)"."""
+    """Such as "more clearance (3.0 against 1.2 m)"; "" where both quantities are written alike."""
     if a.name in _YES_OR_NO:
         return _BETTER[a.name]
     better = _BETTER.get(a.name, f"better {a.name.replace('_', ' ')}")
@@ -82,7 +84,8 @@ def _advantage(a: ScoreTerm, b: ScoreTerm) -> str:
         return better
     digits = 1 if a.unit else 3
     unit = f" {a.unit}" if a.unit else ""
-    return f"{better} ({a.quantity:.{digits}f} against {b.quantity:.{digits}f}{unit})"
+    own, other = (f"{term.quantity:.{digits}f}" for term in (a, b))
+    return f"{better} ({own} against {other}{unit})" if own != other else ""
 
 
 def _refused(sites: Sequence[Candidate]) -> str:

@@ -6,12 +6,16 @@ A *cell* is a scene with a method and a variant, see `_variant`.
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AllowInfNan, BaseModel, ConfigDict, NonNegativeFloat
 
+from touchdown.experiments.campaign.plan import SAME_FLIGHT
 from touchdown.experiments.campaign.results_table import is_successful
+from touchdown.experiments.config.files import read_tree
+from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.profiles import PRESETS, WHOLE
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.io.result_parts import PartNames
@@ -83,11 +87,13 @@ class _Cell(BaseModel):
 
 
 class Baseline(BaseModel):
-    """The file of a baseline. ``config_sha``: one hash over the configurations of all flights."""
+    """The file of a baseline. ``config_sha``: one hash over the configurations of all flights;
+    ``config``: `common_config` of them, empty in files of before it was kept."""
 
     format: Literal["touchdown-baseline-1"] = "touchdown-baseline-1"
     git_revision: str | None
     config_sha: str
+    config: dict[str, Any] = {}
     cells: list[_Cell]
 
     @property
@@ -111,8 +117,10 @@ def baseline_of(rows: Sequence[Row]) -> Baseline:
               flights=[trials[seed] for seed in sorted(trials)])
         for (scene, estimator, variant), trials in sorted(cells_of(rows).items())
     ]  # fmt: skip
-    sha = configuration_sha(rows)
-    return Baseline(git_revision=", ".join(revisions) or None, config_sha=sha, cells=cells)
+    return Baseline(
+        git_revision=", ".join(revisions) or None, config_sha=configuration_sha(rows),
+        config=common_config(rows), cells=cells,
+    )  # fmt: skip
 
 
 def write_baseline(rows: Sequence[Row], path: Path) -> None:
@@ -201,6 +209,18 @@ def newly_bad(pairs: Pairs) -> list[str]:
         for seed in sorted(new.keys() & old.keys())
         if new[seed].bad and not old[seed].bad
     ]
+
+
+def common_config(rows: Iterable[Row]) -> dict[str, Any]:
+    """The keys of ``config.json`` in which all flights that have one are equal, and the values,
+    without those that change nothing of a flight."""
+    common: dict[str, Any] | None = None
+    for row in rows:
+        with suppress(UsageError):
+            values = dict(flatten(read_tree(Path(str(row.get("run_dir"))) / "config.json")))
+            shared = values if common is None else common
+            common = {key: v for key, v in shared.items() if key in values and values[key] == v}
+    return {key: v for key, v in (common or {}).items() if key not in SAME_FLIGHT}
 
 
 def configuration_sha(rows: Iterable[Row]) -> str:

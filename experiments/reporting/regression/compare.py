@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from touchdown.experiments.config.settings import difference_text
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting import statistics
 from touchdown.experiments.reporting.flights import Row
@@ -22,6 +23,7 @@ from touchdown.experiments.reporting.regression.baseline import (
     Trials,
     cell_name,
     cells_of,
+    common_config,
     configuration_sha,
     newly_bad,
     over_scenes,
@@ -136,10 +138,11 @@ def compare(rows: Sequence[Row], baseline: Baseline, margin: float = 0.0) -> Com
         if key not in samples and key not in gone
     ]
     if configuration_sha(rows) != baseline.config_sha:
-        warnings.append(
-            "configurations or the set of runs differ from the baseline's: a change may come from "
-            "them"
-        )
+        now = common_config(rows)
+        before = {key: value for key, value in baseline.config.items() if key in now}
+        apart = difference_text(before, {key: now[key] for key in before})
+        what = f"configurations ({apart})" if apart else "configurations or the set of runs"
+        warnings.append(f"{what} differ from the baseline's: a change may come from them")
     return Comparison(
         cells=_test(samples | _pooled(samples), margin),
         outcomes=_compare_outcomes(pairs),

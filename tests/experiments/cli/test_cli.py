@@ -4,9 +4,12 @@ from textwrap import dedent
 from typing import Any
 
 import pytest
+from click.shell_completion import ShellComplete
 
 from touchdown.experiments.cli import main as cli
+from touchdown.experiments.cli.fly import ESTIMATORS
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.flight import wiring
 from touchdown.experiments.io.results import RunResult
 
 from support.command import RunCli, lines_of
@@ -194,3 +197,19 @@ def test_a_lost_estimate_lists_its_events(monkeypatch: pytest.MonkeyPatch, run_c
     assert "the last of the first 8 of 900 messages" in run_cli("fly", "crossroad")[1]
     flown.append(_changed(lost, outcome="TIPPED"))
     assert "messages of" not in run_cli("fly", "crossroad", "--quiet")[1]
+
+
+@pytest.mark.parametrize(("words", "wanted"), [
+    ("land cro", ["crossroad"]),
+    ("fly flat --estimator ", list(ESTIMATORS)),
+    ("land flat --selector z", ["zou2024"]),
+    ("scenes render sn", ["snow"]),
+    ("land ./pla", ["./pla"]),  # a file
+])  # fmt: skip
+def test_a_shell_completes_scenes_and_parts(words: str, wanted: list[str]) -> None:
+    *before, last = words.split(" ")
+    completer = ShellComplete(cli.cli, {}, "touchdown", "_TOUCHDOWN_COMPLETE")
+    found = completer.get_completions(before, last)
+    assert [item.value for item in found] == wanted
+    assert {item.type for item in found} == {"file" if "/" in last else "plain"}
+    assert ESTIMATORS == wiring.ESTIMATORS

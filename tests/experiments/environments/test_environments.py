@@ -125,6 +125,9 @@ def test_a_descent_of_the_suite_is_gymnasiums(
     task = make_task(scene, action="velocity")
     task.reset(0, np.random.default_rng(np.random.RandomState(3).randint(2**31)))
     steps = [env.reset() for env in both]
+    spec = both[0].action_spec()
+    assert spec.minimum.shape == spec.maximum.shape == spec.shape == (4,)
+    assert spec.minimum.tolist() == [-1.0] * 4 == (-spec.maximum).tolist()
     physics, down = both[0].physics, np.array([0.1, 0.0, -0.3, 0.0], dtype=np.float32)
     assert physics.data.ptr is both[0].task.landing.world.data
     while not steps[0].last():

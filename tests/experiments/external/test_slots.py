@@ -316,7 +316,19 @@ def test_a_selectors_terms_are_its_candidates_and_its_costmap(brought: Callable[
     assert selector.select(near).candidates[0].accepted
     assert selector.part.slowness() == ""
     selector.part.seconds = 2.5 * selector.part.calls
-    assert selector.part.slowness().startswith(f"selector '{name}' took 2.5e+03 ms a call, above")
+    rows, cols = seen.map_view.coarse.height_m.shape
+    assert selector.part.slowness().startswith(
+        f"selector '{name}' took 2.5e+03 ms of processor time a call on a map of {rows} x {cols} "
+        "cells, above 1e+03 ms"
+    )
+
+
+def test_the_time_of_a_part_is_that_of_the_processor(brought: Callable[..., str]) -> None:
+    """A part that waits is not slow: so does one on a loaded machine."""
+    name = brought("controller", ASK, f"{ASK}import time\n        time.sleep(0.3)\n        ")
+    asked_of = ExternalController(name, {}, RIGS["controller"](load_config(None), synthetic_rig()))
+    asked_of.update(hovering(), setpoint_at(1.0))
+    assert 0.0 < asked_of.part.seconds < 0.2 and asked_of.part.map_text == ""
 
 
 def test_a_flight_that_a_part_ends_leaves_nothing(brought: Callable[..., str], says: Says) -> None:

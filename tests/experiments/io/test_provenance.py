@@ -1,7 +1,13 @@
+import importlib.metadata
 import subprocess
 from pathlib import Path
+from typing import Any
 
-from touchdown.experiments.io.provenance import revision_of
+import cv2
+import pytest
+
+from touchdown.experiments.io.provenance import revision_of, versions
+from touchdown.scenes import cache
 
 
 def git(tree: Path, *arguments: str) -> str:
@@ -22,3 +28,18 @@ def test_the_revision_says_whether_the_tree_had_changes(tmp_path: Path) -> None:
     assert revision_of(tmp_path) == head
     (tmp_path / "a.py").write_text("x = 2\n")
     assert revision_of(tmp_path) == f"{head}-dirty"
+
+
+def test_any_build_of_opencv_states_its_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    installed = importlib.metadata.version
+
+    def version(name: str) -> Any:
+        if "opencv" in name:
+            raise importlib.metadata.PackageNotFoundError(name)
+        return installed(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    assert versions()["opencv"] == cv2.__version__ and "numpy" in versions()
+    before = cache._sources.__wrapped__()
+    monkeypatch.setattr(cv2, "__version__", "0")
+    assert cache._sources.__wrapped__() != before

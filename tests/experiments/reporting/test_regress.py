@@ -224,6 +224,24 @@ def test_what_is_missing_is_named() -> None:
     assert any("configurations or the set of runs differ" in note for note in found.warnings)
 
 
+def test_the_keys_of_another_configuration_are_named_with_both_values(tmp_path: Path) -> None:
+    def flown(name: str, **values: Any) -> list[Row]:
+        rows = [flight("lake", "livo", seed, 0.1, config_sha=name) for seed in range(3)]
+        for row in rows:
+            row["run_dir"] = str(tmp_path / name / str(row["seed"]))
+            Path(row["run_dir"]).mkdir(parents=True)
+            tree = {"seed": row["seed"], "record": name == "old", "wind": {"mean_kmh": 12}} | values
+            (Path(row["run_dir"]) / "config.json").write_text(json.dumps(tree))
+        return rows
+
+    old = flown("old", light="day", preset="short")
+    assert baseline_of(old).config == {"wind.mean_kmh": 12, "light": "day", "preset": "short"}
+    (note,) = against(flown("new", light="night", preset="whole"), old).warnings
+    assert note.startswith("configurations (light (day, now night), preset (short, now whole)) d")
+    (note,) = against([row | {"config_sha": "x"} for row in old], old).warnings
+    assert note.startswith("configurations or the set of runs differ")
+
+
 def write_runs(directory: Path, factor: float = 1.0, seeds: range = range(10)) -> None:
     rng = np.random.default_rng(7)
     for seed in seeds:

@@ -7,11 +7,21 @@ import pytest
 
 from touchdown.estimator.api import MapView
 from touchdown.landing.api import LanderView, Phase
+from touchdown.landing.mission.lander import SiteLander
 from touchdown.landing.mission.wind import WindEstimator
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose
 
-from support.lander_support import ORIGIN, PARAMS, STEP_TICKS, Puppet, flat_map, fly, make_lander
+from support.lander_support import (
+    ORIGIN,
+    PARAMS,
+    QUICK,
+    STEP_TICKS,
+    Puppet,
+    flat_map,
+    fly,
+    make_lander,
+)
 from support.landing_support import (
     LEG_HEIGHT,
     make_estimate,
@@ -32,6 +42,19 @@ def test_phases_follow_each_other_to_a_landing_on_the_committed_site() -> None:
     assert puppet.position[:2] == pytest.approx(view.committed_site_world[:2], abs=0.01)
     assert view.committed_site_world[2] == pytest.approx(0.0, abs=0.02) and not view.no_site
     assert not view.aborted and not puppet.setpoint.motors_on
+
+
+def test_notes_say_what_the_phase_does() -> None:
+    one_leg = dataclasses.replace(QUICK, legs=1)
+    puppet = Puppet(SiteLander(make_rig(), PARAMS, one_leg), flat_map())
+    notes: dict[Phase, str] = {}
+    for view, _ in puppet.run(200.0):
+        notes.setdefault(view.phase, view.note)
+        if view.phase is Phase.APPROACH:
+            break
+    length = f"{one_leg.leg_length_m:.0f} m"
+    assert notes[Phase.SURVEY] == f"surveying 1 leg of {length}"
+    assert notes[Phase.SELECT] == "choosing a site"
 
 
 def test_references_never_jump_and_meet_the_ground_slowly() -> None:

@@ -194,15 +194,18 @@ def test_clock_slows_before_the_path_asks_too_much() -> None:
 
 def test_strong_wind_slows_the_flight_and_says_so() -> None:
     events: list[str] = []
+    notes: set[str] = set()
     slowed_s = 0.0
     for _, view, _ in windy_run(lambda t: np.array([-11.0, 0.0, 0.0]), 200.0, survey_only=True):
         events += view.events
+        notes.add(view.note)
         slowed_s = view.slowed_s
         if view.phase is Phase.DONE:
             break
     assert view.phase is Phase.DONE
     assert not view.aborted
-    assert any("slowed by a wind of 1" in text for text in events)
+    assert any("SURVEY: slowed by a wind of 1" in text for text in events)
+    assert any(note.startswith("slowed by a wind") for note in notes)  # said beside the phase
     assert any("instead of 14.0 s" in text for text in events)
     assert slowed_s > 1.0
 

@@ -229,6 +229,11 @@ def test_reason_compares_the_first_with_the_next_accepted() -> None:
     )
 
 
+def test_what_is_written_alike_is_no_reason() -> None:
+    alike = [_site(v, "lower_value", ("slope", v, q, "deg")) for v, q in ((0.5, 0.04), (0.4, 0.0))]
+    assert why_chosen(ranked(alike)) == "Site 1 won: score 0.500 against 0.400 of site 2"
+
+
 def test_reason_names_refused_sites_of_a_higher_score() -> None:
     water, road = (
         _site(1.2, rule, accepted=False) for rule in ("water", "unsafe_ground")
