@@ -44,9 +44,8 @@ def limit_threads() -> None:
 
     cv2.setNumThreads(1)
     # Its first choice, TBB, warns where an older one is installed; with one thread all are alike.
-    numba.config.THREADING_LAYER_PRIORITY = sorted(
-        numba.config.THREADING_LAYER_PRIORITY, key="tbb".__eq__
-    )
+    layers: Any = numba.config
+    layers.THREADING_LAYER_PRIORITY = sorted(layers.THREADING_LAYER_PRIORITY, key="tbb".__eq__)
     numba.set_num_threads(1)
     threadpool_limits(1, user_api="blas")
     os.environ[BLAS_THREADS] = "1"  # for copies that are loaded later, here or in a child
