@@ -319,7 +319,7 @@ def test_a_selectors_terms_are_its_candidates_and_its_costmap(brought: Callable[
     rows, cols = seen.map_view.coarse.height_m.shape
     assert selector.part.slowness().startswith(
         f"selector '{name}' took 2.5e+03 ms of processor time a call on a map of {rows} x {cols} "
-        "cells, above 1e+03 ms"
+        "cells, above 1000 ms"
     )
 
 
