@@ -287,6 +287,7 @@ def print_place(row: Mapping[str, Any]) -> None:
             f"{facts['safe_geometry_fraction'] - facts['safe_fraction']:.0%}",
         ),
         ("geoms without a class", _some(facts["without_class"])),
+        ("seen, but not touched", _some(facts["untouchable"])),
         ("dressed ground", _some(facts["dressed"])),
         *_guessed_rows(facts["guessed"]),
     ])  # fmt: skip

@@ -123,6 +123,11 @@ def _remarks(facts: dict[str, Any]) -> list[str]:
             "beyond "
             "its edge an estimator has nothing to hold on to"
         )
+    if untouchable := facts["untouchable"]:
+        found.append(
+            f"{', '.join(untouchable[:4])}: seen below the legs, but not touched (contype 0): the "
+            "vehicle sinks through; let them collide, or leave them out"
+        )
     return found
 
 

@@ -124,6 +124,8 @@ _MOVING_KINDS = (
 _MUJOCO_ERRORS = (ValueError, MemoryError, RuntimeError, mujoco.FatalError)
 """MuJoCo raises RuntimeError for any exception that it does not know, such as one of memory."""
 _NO_MEMORY = "MuJoCo needs more memory than there is"
+_UNKNOWN = "Schema violation: unrecognized"
+"""MuJoCo's words for elements and attributes that it does not know"""
 _SMALLER = (
     "simplify its meshes (decimate), shrink its textures and height fields, or cut out the part "
     "around the take-off"
@@ -160,9 +162,10 @@ def read_mjcf(path: Path, ready: ImportOptions | None = None) -> SceneDraft:
     The take-off spot is the site or body named ``takeoff``, else the position of the vehicle in a
     file written by `scenes.export`, else the origin. Classes follow from names
     (`surface_of_name`); other geoms get class ``other`` with reflectivity 0.30, and one warning
-    names them. Joints and actuators are left out: bodies keep the pose that the file gives them. A
-    file without a light gets a sun. Ground far from height 0 is moved there, and so is a scene more
-    than 1 km from the origin, such as one in map coordinates: `scenes.importers.mjcf`.
+    names them. Joints and actuators are left out: bodies keep the pose that the file gives them.
+    One with joints that stands at the take-off spot, as a vehicle of the file's own does, is left
+    out. A file without a light gets a sun. Ground far from height 0 is moved there, and so is a
+    scene more than 1 km from the origin, such as one in map coordinates: `scenes.importers.mjcf`.
 
     Raises FileNotFoundError for a missing file or asset, ValueError for a file that MuJoCo cannot
     read, for one beyond the limits of `scenes.importers.model_check` or of `sim.files.child`, in
@@ -172,9 +175,18 @@ def read_mjcf(path: Path, ready: ImportOptions | None = None) -> SceneDraft:
     model = run_limited(lambda: _first_compiled(path), path, "to compile it", _SMALLER)
     data = _posed(model)
     spec = _read_spec(path)
+    movable = _movable(spec)
     remove_motion(spec, path)
     takeoff = _takeoff(model, data)
     if _remove_vehicle(spec):
+        model, data = _compiled(spec, path)
+    start = np.zeros(2) if takeoff is None else takeoff.xy_m
+    movable = movable if ready is None or takeoff is not None else set()  # it starts elsewhere
+    while name := _movable_at(model, data, start, movable):
+        _warn_once(
+            path, f"{printable(name)} moves, and stands at the take-off spot: it is left out"
+        )
+        spec.delete(spec.body(name))
         model, data = _compiled(spec, path)
     origin_xy = far_origin(model, data, None if takeoff is None else takeoff.xy_m)
     xy, yaw = takeoff or _Takeoff(_amid(model, data, origin_xy) if ready else origin_xy, 0.0)
@@ -224,6 +236,7 @@ def _first_compiled(path: Path) -> Any:
     check_texts(path)
     spec = _read_spec(path)
     check_spec(spec, path)
+    _movable(spec)  # names are those of the spec that the scene is made of
     remove_motion(spec, path)
     return _compiled(spec, path)[0]
 
@@ -285,6 +298,34 @@ def _remove_vehicle(spec: Any) -> bool:
     return bool(bodies)
 
 
+def _movable(spec: Any) -> set[str]:
+    """Names of the bodies of the world with joints, at them or below; those without get one."""
+    found = [body for body in spec.worldbody.bodies if _has_joint(body)]
+    for number, body in enumerate(found):
+        body.name = body.name or f"moving body {number}"
+    return {body.name for body in found}
+
+
+def _has_joint(body: Any) -> bool:
+    return bool(body.joints) or any(map(_has_joint, body.bodies))
+
+
+def _movable_at(model: Any, data: Any, xy_m: np.ndarray, movable: set[str]) -> str:
+    """The name of the body of ``movable`` that is the highest at (2,) ``xy_m``; "" of others."""
+    start = np.array([*xy_m, _top_m(model, data)])
+    hit = np.full(1, -1, np.int32)
+    mujoco.mj_ray(model, data, start, np.array([0.0, 0.0, -1.0]), None, 1, -1, hit)
+    if hit[0] < 0:
+        return ""
+    name = model.body(model.body_rootid[model.geom_bodyid[hit[0]]]).name
+    return name if name in movable else ""
+
+
+def _top_m(model: Any, data: Any) -> float:
+    """A height above everything."""
+    return float(np.max(data.geom_xpos[:, 2] + model.geom_rbound, initial=0.0)) + 1.0
+
+
 def _compiled(spec: Any, path: Path) -> tuple[Any, Any]:
     """Returns the model, and its data with the poses of time 0."""
     try:
@@ -314,7 +355,7 @@ def _amid(model: Any, data: Any, xy_m: np.ndarray) -> np.ndarray:
 
 def _ground_height(model: Any, data: Any, xy_m: np.ndarray, *, needed: bool) -> float:
     """World height of the highest surface at (2,) ``xy_m``; 0 where nothing is ``needed`` there."""
-    top = float(np.max(data.geom_xpos[:, 2] + model.geom_rbound, initial=0.0)) + 1.0
+    top = _top_m(model, data)
     start, down = np.array([*xy_m, top]), np.array([0.0, 0.0, -1.0])
     hit = np.full(1, -1, np.int32)
     distance = mujoco.mj_ray(model, data, start, down, None, 1, -1, hit)
@@ -340,7 +381,8 @@ def _refusal(path: Path, error: Exception) -> Exception:
     text = _one_line(error)
     if text == _NO_MEMORY:
         return MemoryError(text)
-    return ValueError(f"{path}: not a valid MJCF file: {text}")
+    newer = f"; this is MuJoCo {mujoco.__version__}, a newer one may know it" * (_UNKNOWN in text)
+    return ValueError(f"{path}: not a valid MJCF file: {text}{newer}")
 
 
 def _one_line(error: Exception) -> str:

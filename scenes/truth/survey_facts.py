@@ -42,6 +42,9 @@ class SceneFacts:
     """the highest object within `_CLEAR_OF_LEGS_M` of that rectangle, above the take-off spot"""
     without_class: tuple[str, ...]
     """names of geoms that count as ``other``"""
+    untouchable: tuple[str, ...]
+    """names of geoms below the legs, water and trees aside, that are seen from above and do not
+    collide: a vehicle sinks through them"""
     guessed: tuple[tuple[str, str, str], ...]
     """name, class and reason of geoms whose class is guessed"""
     dressed: tuple[str, ...]
@@ -116,6 +119,7 @@ def scene_facts(
         legs_fraction=float(ground[far == 0.0].mean()),
         seen_fraction=float(ground[seen].mean()),
         highest_m=float(heights[ground & (far <= _CLEAR_OF_LEGS_M)].max()) - level,
+        untouchable=_untouchable(scene, geoms[ground & (far == 0.0)]),
         without_class=tuple(
             geom for geom, surface in scene.surfaces.items()
             if surface.land_class not in LAND_CLASSES
@@ -123,6 +127,17 @@ def scene_facts(
         guessed=tuple((geom, *found) for geom, found in scene.inferred.items()),
         dressed=scene.textured,
     )  # fmt: skip
+
+
+def _untouchable(scene: Scene, geoms: NDArray[np.int32]) -> tuple[str, ...]:
+    model = scene.model
+    seen = [g for g in np.unique(geoms).tolist() if not model.geom_contype[g]]
+    names = [model.geom(geom).name for geom in seen]
+    return tuple(
+        name
+        for name in names
+        if name not in scene.surfaces or scene.surfaces[name].land_class not in ("water", "trees")
+    )
 
 
 def _around_the_legs(

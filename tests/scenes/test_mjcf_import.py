@@ -72,6 +72,27 @@ def test_joints_are_removed_and_the_vehicle_is_unchanged(tmp_path: Path) -> None
     assert scene.surfaces["road_tar_1"].land_class == "road"
 
 
+def test_the_files_own_vehicle_is_not_taken_off_from(tmp_path: Path) -> None:
+    drone = """<body pos="0 0 0.2"><freejoint/><geom type="box" size=".3 .3 .2"/></body>
+      <body pos="3 0 0.2"><freejoint/><geom type="box" size=".3 .3 .2"/></body>"""
+    text = f"<mujoco><worldbody>{FLOOR}{drone}</worldbody></mujoco>"
+    with pytest.warns(
+        UserWarning, match="moving body 0 moves, and stands at the take-off spot: it is left"
+    ):
+        scene = load_scene(write(tmp_path, text), 0)
+    heights, _ = cast_down(scene, np.array([-0.1, -0.1]), 0.2, (1, 1))
+    assert heights[0, 0] == pytest.approx(0.0)
+    there, _ = cast_down(scene, np.array([2.9, -0.1]), 0.2, (1, 1))
+    assert there[0, 0] == pytest.approx(0.4), "what moves elsewhere stays where it stands"
+
+
+def test_an_attribute_that_mujoco_does_not_know_may_be_of_a_newer_one(tmp_path: Path) -> None:
+    with pytest.raises(
+        ValueError, match=rf"'novel'.*; this is MuJoCo {mujoco.__version__}, a newer"
+    ):
+        load(tmp_path, FLOOR.replace("/>", ' novel="1"/>'))
+
+
 def test_includes_meshes_and_textures_are_found_beside_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

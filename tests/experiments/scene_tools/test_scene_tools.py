@@ -159,6 +159,13 @@ SMALL_LAWN = '<geom name="lawn" type="box" size="20 20 1" pos="0 0 -1"/>'
             "",
         ),
         ('<geom name="road" type="plane" size="0 0 1"/>', "no safe ground", ""),
+        (
+            f'{LAWN}<geom name="path_apron" type="box" size="9 9 .2" pos="20 15 0" contype="0" '
+            'conaffinity="0"/><geom name="water" type="box" size="4 4 .1" pos="40 30 0" '
+            'contype="0" conaffinity="0"/>',
+            "",
+            "path_apron: seen below the legs, but not touched",
+        ),
         # 60 x 60 m of ground hold the legs, but not all of the 5821 m2 that are seen from them.
         (
             '<geom name="lawn" type="box" size="30 30 1" pos="25 20 -1"/>',
