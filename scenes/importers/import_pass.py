@@ -71,6 +71,34 @@ def _falling(model: Any, data: Any, lamp: int, points: Array) -> Array:
     return np.asarray(fall)
 
 
+def movable_bodies(spec: Any) -> set[str]:
+    """Names of the bodies of the world with joints, at them or below; those without get one."""
+    found = [body for body in spec.worldbody.bodies if _has_joint(body)]
+    for number, body in enumerate(found):
+        body.name = body.name or f"moving body {number}"
+    return {body.name for body in found}
+
+
+def _has_joint(body: Any) -> bool:
+    return bool(body.joints) or any(map(_has_joint, body.bodies))
+
+
+def movable_at(model: Any, data: Any, xy_m: np.ndarray, movable: set[str]) -> str:
+    """The name of the body of ``movable`` that is the highest at (2,) ``xy_m``; "" of others."""
+    start = np.array([*xy_m, top_m(model, data)])
+    hit = np.full(1, -1, np.int32)
+    mujoco.mj_ray(model, data, start, np.array([0.0, 0.0, -1.0]), None, 1, -1, hit)
+    if hit[0] < 0:
+        return ""
+    name = model.body(model.body_rootid[model.geom_bodyid[hit[0]]]).name
+    return name if name in movable else ""
+
+
+def top_m(model: Any, data: Any) -> float:
+    """A height above everything."""
+    return float(np.max(data.geom_xpos[:, 2] + model.geom_rbound, initial=0.0)) + 1.0
+
+
 def make_flyable(
     draft: SceneDraft,
     unknown: list[str],

@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import LAND_CLASSES, Array, ImportOptions, Surface
 from touchdown.scenes.authoring.draft import SceneDraft
-from touchdown.scenes.importers.import_pass import add_sun, make_flyable
+from touchdown.scenes.importers.import_pass import (
+    add_sun,
+    make_flyable,
+    movable_at,
+    movable_bodies,
+    top_m,
+)
 from touchdown.scenes.importers.model_check import (
     MAX_TEXT_BYTES,
     blame_asset,
@@ -175,14 +181,14 @@ def read_mjcf(path: Path, ready: ImportOptions | None = None) -> SceneDraft:
     model = run_limited(lambda: _first_compiled(path), path, "to compile it", _SMALLER)
     data = _posed(model)
     spec = _read_spec(path)
-    movable = _movable(spec)
+    movable = movable_bodies(spec)
     remove_motion(spec, path)
     takeoff = _takeoff(model, data)
     if _remove_vehicle(spec):
         model, data = _compiled(spec, path)
     start = np.zeros(2) if takeoff is None else takeoff.xy_m
     movable = movable if ready is None or takeoff is not None else set()  # it starts elsewhere
-    while name := _movable_at(model, data, start, movable):
+    while name := movable_at(model, data, start, movable):
         _warn_once(
             path, f"{printable(name)} moves, and stands at the take-off spot: it is left out"
         )
@@ -236,7 +242,7 @@ def _first_compiled(path: Path) -> Any:
     check_texts(path)
     spec = _read_spec(path)
     check_spec(spec, path)
-    _movable(spec)  # names are those of the spec that the scene is made of
+    movable_bodies(spec)  # names are those of the spec that the scene is made of
     remove_motion(spec, path)
     return _compiled(spec, path)[0]
 
@@ -298,34 +304,6 @@ def _remove_vehicle(spec: Any) -> bool:
     return bool(bodies)
 
 
-def _movable(spec: Any) -> set[str]:
-    """Names of the bodies of the world with joints, at them or below; those without get one."""
-    found = [body for body in spec.worldbody.bodies if _has_joint(body)]
-    for number, body in enumerate(found):
-        body.name = body.name or f"moving body {number}"
-    return {body.name for body in found}
-
-
-def _has_joint(body: Any) -> bool:
-    return bool(body.joints) or any(map(_has_joint, body.bodies))
-
-
-def _movable_at(model: Any, data: Any, xy_m: np.ndarray, movable: set[str]) -> str:
-    """The name of the body of ``movable`` that is the highest at (2,) ``xy_m``; "" of others."""
-    start = np.array([*xy_m, _top_m(model, data)])
-    hit = np.full(1, -1, np.int32)
-    mujoco.mj_ray(model, data, start, np.array([0.0, 0.0, -1.0]), None, 1, -1, hit)
-    if hit[0] < 0:
-        return ""
-    name = model.body(model.body_rootid[model.geom_bodyid[hit[0]]]).name
-    return name if name in movable else ""
-
-
-def _top_m(model: Any, data: Any) -> float:
-    """A height above everything."""
-    return float(np.max(data.geom_xpos[:, 2] + model.geom_rbound, initial=0.0)) + 1.0
-
-
 def _compiled(spec: Any, path: Path) -> tuple[Any, Any]:
     """Returns the model, and its data with the poses of time 0."""
     try:
@@ -355,7 +333,7 @@ def _amid(model: Any, data: Any, xy_m: np.ndarray) -> np.ndarray:
 
 def _ground_height(model: Any, data: Any, xy_m: np.ndarray, *, needed: bool) -> float:
     """World height of the highest surface at (2,) ``xy_m``; 0 where nothing is ``needed`` there."""
-    top = _top_m(model, data)
+    top = top_m(model, data)
     start, down = np.array([*xy_m, top]), np.array([0.0, 0.0, -1.0])
     hit = np.full(1, -1, np.int32)
     distance = mujoco.mj_ray(model, data, start, down, None, 1, -1, hit)
