@@ -83,11 +83,12 @@ def write_euroc(flown: FlownRun, folder: Path, _options: ExportOptions) -> Expor
                     (root / f"cam{n}" / "data" / f"{stamp}.png").write_bytes(png.tobytes())
                     listing.write(f"{stamp},{stamp}.png\n")
                     done.counts[f"cam{n}"] += 1
-    done.counts["state_groundtruth_estimate0"] = _write_truth(flown, root, rig)
+    done.counts["state_groundtruth_estimate0"] = write_truth(flown, root, rig)
     return done
 
 
-def _write_truth(flown: FlownRun, root: Path, rig: SensorRig) -> int:
+def write_truth(flown: FlownRun, root: Path, rig: SensorRig) -> int:
+    """Writes the true states of the IMU into a folder below ``root``; returns their number."""
     folder = _sensor(root / "state_groundtruth_estimate0", {"sensor_type": "visual-inertial"})
     truth = Trajectory(flown.file("truth.tum"))
     poses = [pose @ rig.body_from_imu for pose in truth.poses]

@@ -8,11 +8,12 @@ import numpy as np
 import yaml
 from plyfile import PlyData
 
-from touchdown.experiments.export.datasets import write_camera
-from touchdown.experiments.export.flown_run import ExportOptions
+from touchdown.experiments.export.datasets import write_camera, write_truth
+from touchdown.experiments.export.flown_run import ExportOptions, FlownRun
 from touchdown.experiments.export.run import export
 from touchdown.experiments.external.synthetic_stream import SyntheticStream
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
+from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, rotation_from_yaw
 
 from support.command import Says
@@ -49,6 +50,19 @@ def test_a_flight_in_the_format_of_euroc(run: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(matrix_from_quat_wxyz(row[4:8]), pose.rotation, atol=1e-6)
     steps = np.diff(states[:, 1:4], axis=0) / (1e-9 * np.diff(states[:, 0])[:, None])
     np.testing.assert_allclose(states[1:-1, 8:11], 0.5 * (steps[1:] + steps[:-1]), atol=1e-3)
+
+
+def test_the_truth_of_euroc_is_that_of_the_imu(run: Path, tmp_path: Path) -> None:
+    flown = FlownRun(run, {})
+    lever = Pose(rotation_from_yaw(0.3), np.array([0.1, -0.2, 0.05]))
+    rig = dataclasses.replace(SensorLogReader(run / "sensors.mcap").rig, body_from_imu=lever)
+    count = write_truth(flown, tmp_path, rig)
+    table = np.loadtxt(tmp_path / "state_groundtruth_estimate0" / "data.csv", delimiter=",")
+    body = Trajectory(flown.file("truth.tum")).poses
+    assert len(table) == count == len(body)
+    np.testing.assert_allclose(table[3, 1:4], body[3].apply(lever.translation), atol=1e-8)
+    turned = body[3].rotation @ lever.rotation
+    np.testing.assert_allclose(matrix_from_quat_wxyz(table[3, 4:8]), turned, atol=1e-8)
 
 
 def test_a_flight_in_the_format_of_kitti(run: Path, tmp_path: Path) -> None:

@@ -39,7 +39,9 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
         land(out, "gps", seed, landing=landing(east, 0.0))
     for seed, north in enumerate((0.04, 0.06)):
         land(out, "livo", seed, landing=landing(0.0, north, bounce_m=0.01 * (seed + 1)))
-    land(out, "livo", 2, outcome="ABORTED", reason="the commanded site is refused: water")
+    home = landing(0.0, 9.0, slope_deg=30.0, tilt_deg=50.0, bounce_m=1.0)
+    refused = "the commanded site is refused: water"
+    land(out, "livo", 2, outcome="ABORTED", reason=refused, landing=home)
     unsafe = landing(0.03, 0.04, safe_geometry=False, impact_peak_mps2=7.5, class_true="road")
     land(out, "livo", 3, landing=unsafe)
     return load_flights(out)
