@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from touchdown.experiments.cli.console import print_result
 from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.settings import difference_text, name_ending, settings_of
@@ -62,9 +61,9 @@ def test_a_run_of_another_configuration_is_not_replaced(
     code, out, err = run_cli(*flat, "--seed", "3")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "seed (0, now 3), lidar.preset (mid360, now not set)" in err and "--force" in err
-    _, out, _ = run_cli(*flat, "--seed", "3", "--force", "--set", LIDAR[0])
-    assert "seed 3" in out and "lidar.preset=mid360" in out
-    code, _, err = run_cli("fly", *flat[1:], "--seed", "3", "--set", LIDAR[0])
+    _, out, _ = run_cli(*flat, "--seed", "3", "--force", "--set", LIDAR[0], "--selector", "zou2024")
+    assert "seed 3" in out and "lidar.preset=mid360" in out and "landing.selector=" not in out
+    code, _, err = run_cli("fly", *flat[1:], "--seed", "3")
     assert code == 2 and "landing.survey_only (not set, now true)" in err
 
 
@@ -84,10 +83,3 @@ def test_a_difference_names_four_keys_and_counts_the_rest() -> None:
     assert difference_text(old, {"a": 1.0, "b": "y"}) == "b (x, now y)"
     text = difference_text(old, dict.fromkeys("abcdef", 2))
     assert text.startswith("a (1, now 2), b (x, now 2), ") and text.endswith(" and 2 more")
-
-
-def test_the_title_lists_what_has_no_words_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
-    config = load_config(None, ["survey.legs=2", "wind.mean_kmh=3"], selector="zou2024")
-    print_result(result_of(config, settings_set=settings_of(config), wind_kmh=3.0), None)
-    title = capsys.readouterr().out
-    assert "survey.legs=2" in title and "mean_kmh" not in title and "landing.selector" not in title
