@@ -107,6 +107,8 @@ class WorldRecord(NamedTuple):
     deviations: Mapping[str, float]
     """drawn errors of vehicle and IMU: ``mass_fraction``, ``center_of_mass_m``, ``rotor_fraction``,
     ``imu_scale``, ``imu_misalignment_deg`` (the last two root mean squares over the axes)"""
+    renderer: str | None = None
+    """what drew the images (`camera.gl_contexts.renderer_name`); None without an image"""
 
 
 class Returns(NamedTuple):

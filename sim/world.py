@@ -283,7 +283,8 @@ class MujocoWorld:
             *fault_records(self._params.faults, sensors, sun_elevation_deg(self._model)),
         ]
         drawn = self._deviations.sizes() | self._imu.sensor.errors.sizes()
-        return WorldRecord(faults, {**sensors, "air": self._air.effects}, drawn)
+        effects, renderer = {**sensors, "air": self._air.effects}, self._imaging.camera.renderer
+        return WorldRecord(faults, effects, drawn, renderer)
 
     def take_textures(self) -> None:
         """Frees the memory that the scene has for its textures once the cameras have them, so that

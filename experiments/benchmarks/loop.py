@@ -62,6 +62,7 @@ def measure_loop(config: Config, fly: Callable[[Config, Path], RunResult]) -> di
         "sim_s": timing["sim_s"],
         "wall_s": timing["wall_s"],
         "real_time_factor": timing["real_time_factor"],
+        "renderer": result.renderer,
         "stage_ms": stages,
         "stage_fraction": {name: ms / per_scan_ms for name, ms in stages.items()},
         "recording_mb": recording_mb,

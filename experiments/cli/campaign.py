@@ -23,7 +23,7 @@ from touchdown.experiments.cli.common import (
     answer,
     resumable,
 )
-from touchdown.experiments.errors import visible
+from touchdown.experiments.errors import usage_errors, visible
 from touchdown.experiments.terminal import say
 
 if TYPE_CHECKING:
@@ -156,6 +156,27 @@ def status(directory: Path, as_json: bool) -> int:
     figures = summary(directory)
     answer(figures, as_json, print_summary)
     return EXIT_DONE if figures["as_expected"] else EXIT_FAILED
+
+
+@click.command()
+@click.argument("out", type=PATH, metavar="OUT")
+@click.argument("parts", type=PATH, nargs=-1, required=True, metavar="DIR...")
+@JSON
+def merge(out: Path, parts: tuple[Path, ...], as_json: bool) -> int:
+    """Make one campaign in OUT of the directories DIR, the shards of one file flown on machines
+    without a common disk. Runs are copied; give the command again when more have come.
+
+    Exit code 1 means that runs are missing or not as expected.
+
+    Example: touchdown merge runs/all runs/part-1 runs/part-2
+    """
+    from touchdown.experiments.campaign.merging import merge as merge_parts
+    from touchdown.experiments.campaign.progress import print_summary
+
+    figures = usage_errors(lambda: merge_parts(out, parts))
+    answer(figures, as_json, print_summary)
+    whole = not figures["remaining"] and not figures["crashed"]
+    return EXIT_DONE if whole and figures["as_expected"] else EXIT_FAILED
 
 
 @click.command()

@@ -198,6 +198,7 @@ def print_stages(result: RunResult) -> None:
     console = make_console()
     console.print(table)
     console.print(f"real-time factor {timing['real_time_factor']:.2f} ({timing['sim_s']:.1f} s)")
+    console.print(f"drawn by {result.renderer or 'nothing'}")
 
 
 def print_margins(figures: Mapping[str, Any]) -> None:

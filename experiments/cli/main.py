@@ -28,8 +28,9 @@ from touchdown.sim.opengl import rendering_backend
 
 _MODULES = {
     "bench": ("bench", "maps"),
-    "campaign": ("campaign", "reproduce", "results"),
+    "campaign": ("campaign", "merge", "reproduce", "results"),
     "classification": ("classify", "dataset", "ensemble", "evaluate", "quantize", "train"),
+    "doctor": ("doctor",),
     "fly": ("fly", "land"),
     "keys": ("config",),
     "parts": ("calibrate", "check-estimator", "check-plugin", "control", "edges", "px4"),

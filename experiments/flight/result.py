@@ -77,6 +77,7 @@ def make_result(
         map=_map_figures(stack, judgement, observer.judged_map, config.seed),
         timing=_timing(clock, judgement.sim_s),
         versions=versions(),
+        renderer=record.renderer,
         git_revision=git_revision(),
         events=observer.events.kept,
         event_count=observer.events.count,

@@ -94,6 +94,8 @@ class RunResult(Part):
     map: MapFigures | None = None
     timing: Timing | None = None
     versions: dict[str, str] = Field(default_factory=dict)
+    renderer: str | None = None
+    """what drew the camera's images, in the words of OpenGL; None without an image"""
     git_revision: str | None = None
     events: list[Event] = Field(default_factory=list)
     event_count: int = 0

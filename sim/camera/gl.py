@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from touchdown.sim.api import CameraIntrinsics
-from touchdown.sim.camera.gl_contexts import gl_context, put_back
+from touchdown.sim.camera.gl_contexts import gl_context, put_back, renderer_name
 from touchdown.sim.camera.ground_picture import GroundPicture
 from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.camera.visible import Frustum, Terrain, TerrainTiles, VisibleGeoms
@@ -79,6 +79,7 @@ class Stage:
         self._samples = samples
         self._gl = gl_context(pinhole.width, pinhole.height)
         self._gl.make_current()
+        self.renderer = renderer_name()
         self._pictures = {
             field: GroundPicture.of(model, terrain.geom, terrain.half_m, 1.0 / pinhole.fx)
             for field, terrain in self._terrains.items()

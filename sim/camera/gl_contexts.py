@@ -59,6 +59,15 @@ def gl_context(width: int, height: int) -> Any:
     )
 
 
+def renderer_name() -> str:
+    """What draws in the context that is current in this thread, in the driver's words (OpenGL's
+    ``GL_RENDERER``)."""
+    from OpenGL import GL
+
+    name: bytes = GL.glGetString(GL.GL_RENDERER)
+    return name.decode(errors="replace")
+
+
 def put_back(context: Any) -> None:
     """Keeps or frees a context in the thread where it is current. What its user has made in it must
     be deleted."""

@@ -114,6 +114,8 @@ class CameraSensor:
         self._detail = (
             DetailTexture(scene, self._lens.raster, ground.vegetation) if params.detail else None
         )
+        self.renderer: str | None = None
+        """what drew the images so far (`gl_contexts.renderer_name`); None without one"""
         self._stage: Stage | None = None
         self._thread: int | None = None
 
@@ -243,7 +245,7 @@ class CameraSensor:
             self._stage = Stage(
                 self._model, self._lens.raster, self._params.samples, self._vegetation
             )
-            self._thread = thread
+            self.renderer, self._thread = self._stage.renderer, thread
         if self._thread != thread:
             raise RuntimeError(
                 "a camera renders in one thread only: call close() there before another takes over"

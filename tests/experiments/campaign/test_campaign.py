@@ -9,7 +9,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from touchdown.experiments.campaign.directory import read_plan_file, write_plan_file
 from touchdown.experiments.campaign.executor import LocalEngine
+from touchdown.experiments.campaign.merging import merge
 from touchdown.experiments.campaign.results_table import finished_ids, load_rows
 from touchdown.experiments.campaign.session import fly_campaign, summary
 from touchdown.experiments.errors import UsageError
@@ -30,6 +32,7 @@ from support.campaign_flights import (
     start_campaign,
     wait_for,
 )
+from support.command import RunCli
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +94,28 @@ def test_any_number_of_jobs_and_shards_gives_the_same_rows(
     for path in (tmp_path / "out" / "runs").iterdir():
         other = undisturbed / "runs" / path.name
         assert (path / "result.json").read_bytes() == (other / "result.json").read_bytes()
+
+
+def test_shards_that_were_flown_apart_are_merged(
+    tmp_path: Path, undisturbed: Path, run_cli: RunCli
+) -> None:
+    plan, parts = make_plan(tmp_path, MANY), [tmp_path / "a", tmp_path / "b"]
+    for index, part in enumerate(parts, start=1):
+        fly(plan, part, shard=(index, 2))
+    out = tmp_path / "out"
+    status, text, _ = run_cli("merge", out, parts[0], "--json")
+    assert status == 1 and json.loads(text)["remaining"] == len(finished_ids(parts[1])) > 0
+    (marked := out / "runs" / min(finished_ids(out)) / "kept").touch()
+    merged = merge(out, parts)
+    assert merged["remaining"] == 0 and marked.exists(), "what is there is not copied again"
+    assert figures(out) == figures(undisturbed) and finished_ids(parts[0]) < finished_ids(out)
+    assert len(read_plan_file(out)["sessions"]) == 2 and fly(plan, out)["missing"] == []
+    document = read_plan_file(parts[1])
+    write_plan_file(parts[1], document | {"git_revision": "another"})
+    assert run_cli("merge", out, *parts)[0] == 2
+    with pytest.raises(UsageError, match="git_revision differ"):
+        merge(tmp_path / "new", parts)
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

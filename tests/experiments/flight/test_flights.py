@@ -52,6 +52,7 @@ def test_same_seed_same_beginning_to_the_byte_on_any_number_of_threads(
     assert condition["text"].endswith("the flight ended at 6.0 s, before it began")
     assert result["measured"]["scan_latency_ms"] == pytest.approx(60.0)
     assert 10.0 < result["measured"]["image_grey"] < 245.0
+    assert result["renderer"]
     for name in ("truth.tum", "estimate.tum", "reference.tum"):
         begun = (tmp_path / "run" / name).read_bytes()
         assert begun.count(b"\n") > 100
