@@ -20,7 +20,7 @@ def doctor(as_json: bool, quiet: bool) -> int:
 
     Example: touchdown doctor
     """
-    from touchdown.experiments.doctor import examine
+    from touchdown.experiments.benchmarks.doctor import examine
     from touchdown.experiments.flight.run import fly_with_usage_errors
 
     progress = make_progress(quiet)

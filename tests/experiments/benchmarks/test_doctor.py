@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from touchdown.experiments import doctor
+from touchdown.experiments.benchmarks import doctor
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.io.results import RunResult
 
 from support.command import RunCli
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def fly(_config: Config, out: Path) -> RunResult:
