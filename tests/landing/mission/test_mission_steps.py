@@ -178,10 +178,10 @@ def test_a_box_on_the_site_is_evaded_at_10_m_and_too_near_at_4_m(
 def test_a_commanded_site_is_never_moved_by_a_look() -> None:
     height = np.zeros((240, 240))
     height[115:125, 137:147] = 0.5  # 1.1 m beside the spot
-    paths = {}
+    boxed, paths = fine(height), {}
     for commanded in (None, (float(SITE[0]), float(SITE[1]))):
         stage = Stage(SITE + [0.0, 0.0, 15.0], site_xy_m=commanded, sweep_m=0.0)
-        stage.maps = lambda legs: (fine(height), 1)
+        stage.maps = lambda legs: (boxed, 1)
         paths[commanded] = places(stage.run(descend_to(stage.mission)))[:, :2] - SITE[:2]
     chosen, fixed = paths.values()
     assert np.abs(chosen).max() > 0.1 and np.abs(fixed).max() < 1e-6
