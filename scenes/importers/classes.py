@@ -55,6 +55,8 @@ class Look(NamedTuple):
     """one colour, a gradient or a regular pattern: nothing that a place could be told by"""
     pattern: bool = False
     """a texture that is plain"""
+    even: bool = False
+    """a texture of about one colour, as of a street; a pattern is what examples stand on"""
 
 
 class Inferred(NamedTuple):
@@ -98,18 +100,19 @@ def look_of(model: Any, geom: int) -> Look:
     packed = image[:: max(pixels // 200_000, 1)].astype(np.uint32) @ np.array([65536, 256, 1])
     even = float(image.mean(axis=1).std()) < _EVEN
     plain = even or len(np.unique(packed)) <= _REGULAR
-    return Look(mean * colour / 255.0, plain, plain)
+    return Look(mean * colour / 255.0, plain, plain, even)
 
 
 def ground_class(look: Look) -> str:
     """The class of ground that looks like this. Of plain ground only a clear green, brown or white
-    counts; it is a lawn else, a green roof on a building, as that is what it is dressed as."""
+    counts, and the grey of a texture; it is a lawn else, a green roof on a building, as that is
+    what it is dressed as."""
     red, green, blue = look.rgb
     mean = float(look.rgb.mean())
     if green > 1.04 * red and green > 1.08 * blue:
         return "lawn"
     if np.ptp(look.rgb) <= _GREY * max(mean, 1.0) or blue >= red:
-        if look.plain:
+        if look.plain and not look.even:
             return "lawn"
         if mean > 200.0:
             return "field"  # snow

@@ -75,7 +75,7 @@ def truth_maps(scene: Scene, cell_m: float = 0.1, region: Array | None = None) -
     origin = bounds[0] - margin * cell_m
     shape = (int(count[1]) + 2 * margin, int(count[0]) + 2 * margin)
     heights, geoms = static_surface.cast_down(scene, origin, cell_m, shape)
-    classes = static_surface.class_ids(scene, origin, cell_m, geoms)
+    classes = static_surface.class_ids(scene, origin, cell_m, heights, geoms)
     static_surface.raise_thin_things(scene, heights, origin, cell_m)
     slope = fitted_slope_deg(heights, cell_m)
     rule = geometric_rule(heights, slope, classes == _WATER, cell_m)
@@ -109,7 +109,7 @@ def judge_touchdown(scene: Scene, xy: Array) -> TouchdownJudgement:
     cells = int(np.ceil(CLEAR_RADIUS_M / PATCH_CELL_M)) + 1
     heights, geoms = _patch(scene, point, cells)
     origin = point - (cells + 0.5) * PATCH_CELL_M
-    classes = static_surface.class_ids(scene, origin, PATCH_CELL_M, geoms)
+    classes = static_surface.class_ids(scene, origin, PATCH_CELL_M, heights, geoms)
     slope = fitted_slope_deg(heights, PATCH_CELL_M)
     only_here = np.zeros(heights.shape, bool)
     only_here[cells, cells] = True

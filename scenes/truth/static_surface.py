@@ -25,6 +25,8 @@ _STRIP_REACH_M = 5000.0
 """Half length of planes that are unbounded in one direction only."""
 _BLOCK = 1 << 18
 """Rays that are cast at once, which bounds the memory."""
+_THIN_M = 0.1
+"""Least height over what can be touched at which a geom that cannot be touched is no ground"""
 _KEPT = 2
 _recent: list[tuple[weakref.ref[api.Scene], StaticSurface]] = []
 
@@ -65,6 +67,8 @@ class StaticSurface:
         self.geoms = _static_geoms(scene)
         """(G,) geom ids, in ascending order"""
         self._unseen = np.array([not _visible(scene.model, int(g)) for g in self.geoms], bool)
+        solid = scene.model.geom_contype[self.geoms] | scene.model.geom_conaffinity[self.geoms]
+        self._untouched = solid == 0
         # Near the take-off spot single precision is exact to hundredths of a millimetre.
         self._origin = np.round(scene.takeoff_xy_m).astype(np.float64)
         self._all = self._caster(self.geoms)
@@ -76,6 +80,15 @@ class StaticSurface:
             below = np.flatnonzero(np.isin(hits.geom, self.geoms[self._unseen]))
             hits.geom[below] = self._seen.cast(xy_m[below]).geom
         return hits
+
+    def floats(self, xy_m: api.Array, hits: TopHits) -> NDArray[np.bool_]:
+        """(N,) of what `cast` hit: it cannot be touched, nor can anything within 0.1 m below it,
+        as below paint: no ground."""
+        above = np.isin(hits.geom, self.geoms[self._untouched])
+        if above.any():
+            depth = hits.height_m[above] - self._solid.cast(xy_m[above]).height_m
+            above[above] = ~(depth <= _THIN_M)
+        return above
 
     def bare_ground(self, xy_m: api.Array) -> api.Array:
         """(N,) heights of the height fields, or of the planes of a scene without such; NaN where
@@ -91,6 +104,10 @@ class StaticSurface:
     @cached_property
     def _seen(self) -> _Caster:
         return self._caster(self.geoms[~self._unseen])
+
+    @cached_property
+    def _solid(self) -> _Caster:
+        return self._caster(self.geoms[~self._untouched])
 
     @cached_property
     def _terrain(self) -> _Caster:
@@ -207,11 +224,15 @@ def cast_down(
     origin_xy_m: (2,) corner of cell (0, 0); shape: (rows, cols), row = y. Returns (rows, cols)
     float64 metres, NaN where nothing lies below, and (rows, cols) geom ids, -1 there.
     """
+    heights, geoms = cast_points(scene, _centres(origin_xy_m, cell_m, shape).reshape(-1, 2))
+    return heights.reshape(shape), geoms.reshape(shape)
+
+
+def _centres(origin_xy_m: api.Array, cell_m: float, shape: tuple[int, int]) -> api.Array:
+    """(rows, cols, 2) world points."""
     x = origin_xy_m[0] + (np.arange(shape[1]) + 0.5) * cell_m
     y = origin_xy_m[1] + (np.arange(shape[0]) + 0.5) * cell_m
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    heights, geoms = cast_points(scene, points)
-    return heights.reshape(shape), geoms.reshape(shape)
+    return np.stack(np.meshgrid(x, y), axis=-1)
 
 
 def cast_points(scene: api.Scene, xy_m: api.Array) -> tuple[api.Array, NDArray[np.int32]]:
@@ -245,10 +266,14 @@ def raise_thin_things(
 
 
 def class_ids(
-    scene: api.Scene, origin_xy_m: api.Array, cell_m: float, geoms: NDArray[np.int32]
+    scene: api.Scene,
+    origin_xy_m: api.Array,
+    cell_m: float,
+    heights: api.Array,
+    geoms: NDArray[np.int32],
 ) -> NDArray[np.uint8]:
     """Returns the land-class ids of the geoms that `cast_down` hit, (rows, cols); `OTHER_CLASS_ID`
-    for the rest."""
+    for the rest, and where the vehicle would fall through a class that is safe."""
     table = np.full(scene.model.ngeom + 1, api.OTHER_CLASS_ID, np.uint8)
     for geom in range(scene.model.ngeom):
         surface = scene.surfaces.get(scene.model.geom(geom).name)
@@ -256,14 +281,20 @@ def class_ids(
             table[geom] = api.LAND_CLASSES.index(surface.land_class)
     ids = table[geoms]
     ground = scene.ground
+    centres = _centres(origin_xy_m, cell_m, geoms.shape)
     if ground is not None:
-        rows, cols = np.indices(geoms.shape)
-        centres = np.stack([cols, rows], axis=-1) * cell_m + 0.5 * cell_m + origin_xy_m
         on_ground = geoms == scene.model.geom(ground.geom_name).id
         cell = np.floor((centres[on_ground] - ground.origin_xy_m) / ground.cell_m).astype(int)
         limit = np.array(ground.class_id.shape)[::-1] - 1
         cell = np.clip(cell, 0, limit)
         ids[on_ground] = ground.class_id[cell[:, 1], cell[:, 0]]
+    safe = np.isin(ids, [api.LAND_CLASSES.index(name) for name in sorted(api.SAFE_CLASSES)])
+    hits = TopHits(heights[safe], geoms[safe])
+    ids[safe] = np.where(
+        static_surface(scene).floats(centres[safe] + _OFF_EDGE_M, hits),
+        api.OTHER_CLASS_ID,
+        ids[safe],
+    )
     return ids
 
 

@@ -253,7 +253,7 @@ def layout_rasters(scene: Scene) -> LayoutRasters:
     image = render_scene(scene, "above", LAYOUT_PIXELS)
     return LayoutRasters(
         height_m=heights.astype(np.float32),
-        class_id=class_ids(scene, low, LAYOUT_CELL_M, geoms),
+        class_id=class_ids(scene, low, LAYOUT_CELL_M, heights, geoms),
         grey=image.mean(axis=2, dtype=np.float32),
     )
 

@@ -55,7 +55,8 @@ def test_a_checker_is_dressed_below_its_height() -> None:
     heights, _ = cast_points(scene, xy)
     assert heights.min() > -0.0605 and heights.max() < 0.0005 and 0.005 < heights.std() < 0.02
     assert not look_of(scene.model, scene.model.geom("floor").id).plain
-    assert look_of(load_checker_as_is().model, 0).pattern
+    look = look_of(load_checker_as_is().model, 0)
+    assert look.pattern and not look.even
 
 
 def load_checker_as_is() -> Scene:
@@ -166,6 +167,11 @@ def test_only_clear_colours_mean_ground() -> None:
     ):  # fmt: skip
         look = Look(np.array(rgb, float), plain)
         assert ground_class(look) == land_class, rgb
+    for grey, land_class in (
+        (150.0, "path"),
+        (60.0, "road"),
+    ):  # textures of one grey, as of streets
+        assert ground_class(Look(np.full(3, grey), True, True, even=True)) == land_class
     blue = np.array([40.0, 90.0, 160.0])
     assert is_blue(Look(blue, True)) and not is_blue(Look(blue, True, pattern=True))
     assert not is_blue(Look(np.array([25.0, 51.0, 76.0]), True))
@@ -220,7 +226,7 @@ def test_a_user_s_classes_count(tmp_path: Path) -> None:
     cv2.imwrite(str(picture), image[..., ::-1])
     scene = load(path, ImportOptions(classes=str(picture)))
     pad = np.full((2, 1), scene.model.geom("pad").id, np.int32)
-    ids = class_ids(scene, np.array([5.0, -10.0]), 30.0, pad)
+    ids = class_ids(scene, np.array([5.0, -10.0]), 30.0, np.zeros((2, 1)), pad)
     assert [LAND_CLASSES[k] for k in ids[:, 0]] == ["lawn", "road"]
     for text, reason in (
         ('[classes]\n"p*" = "sand"\n', "'sand' of 'p\\*' is none of"), ("[classes\n", "not valid"),

@@ -108,7 +108,7 @@ def sampled(scene: Scene, points: Array) -> tuple[Array, NDArray[np.uint8]]:
     for point in points:
         z, geoms = cast_down(scene, point - 0.005, 0.01, (1, 1))
         heights.append(z[0, 0])
-        classes.append(class_ids(scene, point - 0.005, 0.01, geoms)[0, 0])
+        classes.append(class_ids(scene, point - 0.005, 0.01, z, geoms)[0, 0])
     return np.array(heights), np.array(classes)
 
 

@@ -214,7 +214,7 @@ def below(scene: Scene, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
     low, high = scene.bounds_xy_m
     shape = tuple(np.round((high - low)[::-1] / cell_m).astype(int))
     heights, geoms = cast_down(scene, low, cell_m, (shape[0], shape[1]))
-    return heights, geoms, class_ids(scene, low, cell_m, geoms)
+    return heights, geoms, class_ids(scene, low, cell_m, heights, geoms)
 
 
 def test_lake_water_is_level_and_never_safe() -> None:

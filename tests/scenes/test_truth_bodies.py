@@ -135,6 +135,19 @@ def test_what_cannot_be_seen_and_can_be_touched_has_a_height_and_no_class(tmp_pa
     assert [scene.model.geom(int(g)).name for g in geoms] == ["lawn", "lawn"]
 
 
+def test_what_can_be_seen_and_not_touched_is_no_ground(tmp_path: Path) -> None:
+    """A thin mark is as safe as the lawn below it; through a deck half a metre up one falls."""
+    decks = "".join(
+        f"<geom name='path_{x}' type='box' size='3 3 {half}' pos='{x} 0 {half}' contype='0' "
+        "conaffinity='0'/>"
+        for x, half in ((10, 0.02), (20, 0.25))
+    )
+    scene = scene_of(tmp_path, decks)
+    mark, deck = (judge_touchdown(scene, np.array([x, 0.0])) for x in (10.0, 20.0))
+    assert mark.safe and mark.land_class == "path"
+    assert not deck.safe and deck.land_class == "other"
+
+
 def test_bare_ground_lies_where_its_body_puts_it(tmp_path: Path) -> None:
     """An obstacle's height counts from a slope of 4.4 degrees on a raised and moved body."""
     field = " ".join(str(column / 4) for column in list(range(5)) * 4)
