@@ -38,6 +38,10 @@ def _shard(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
+def _place(text: str) -> Path | str:
+    return text if "://" in text else Path(text)
+
+
 class CampaignGroup(CommandGroup):
     """Runs ``campaign FILE.toml`` where the first argument is no subcommand."""
 
@@ -76,8 +80,10 @@ def campaign() -> int:
 
 @click.command("campaign")
 @click.argument("file", type=PATH, metavar="FILE.toml")
-@click.option("--out", type=PATH, metavar="DIR",
-              help="The campaign's directory; an existing one is resumed.")  # fmt: skip
+@click.option("--out", type=Parsed("DIR", "such as runs/many or s3://bucket/many", _place),
+              metavar="DIR|ADDRESS",
+              help="The campaign's directory, here or at an address such as s3://bucket/many; an "
+                   "existing one is resumed.")  # fmt: skip
 @JOBS
 @click.option("--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option("--ray-address", metavar="ADDRESS", help="Of a Ray cluster.  [a local one]")
@@ -93,7 +99,7 @@ def campaign() -> int:
 @QUIET
 @click.pass_context
 def fly_file(
-    context: click.Context, file: Path, out: Path | None, as_json: bool, **more: Any
+    context: click.Context, file: Path, out: Path | str | None, as_json: bool, **more: Any
 ) -> int:
     """Fly all runs of FILE.toml: scenes x estimators x seeds x winds, in parallel.
 
@@ -107,6 +113,7 @@ def fly_file(
     from touchdown.experiments.campaign.forecast import forecast, lines
     from touchdown.experiments.campaign.plan import load_plan, runs_of_shard
     from touchdown.experiments.campaign.progress import Display, print_summary
+    from touchdown.experiments.campaign.remote import Remote, fly_to_address
     from touchdown.experiments.campaign.session import (
         Watcher,
         default_jobs,
@@ -116,20 +123,24 @@ def fly_file(
 
     shard = more["shard"]
     plan = load_plan(file, **{key: more[key] for key in ("allow_code", "preset", "overrides")})
-    expected = forecast(plan, runs_of_shard(plan, shard), out, more["jobs"] or default_jobs())
+    folder = Remote(out).directory if isinstance(out, str) else out
+    expected = forecast(plan, runs_of_shard(plan, shard), folder, more["jobs"] or default_jobs())
     if more["dry_run"]:
         return answer(
             expected.as_json(), as_json, lambda _: say("\n".join(map(visible, lines(expected))))
         )
-    if out is None:
+    if out is None or folder is None:
         raise click.MissingParameter(ctx=context, param_hint="'--out'", param_type="option")
     flown_by = make_engine(more["engine"], more["jobs"], more["ray_address"])
     watcher = Watcher() if more["quiet"] else Display(lines(expected))
     with resumable(
         "runs are kept, and the same command resumes the campaign "
-        f"(see 'touchdown campaign status {out}')"
+        f"(see 'touchdown campaign status {folder}')"
     ):
-        figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)
+        if isinstance(out, str):
+            figures = fly_to_address(plan, out, flown_by, shard=shard, watcher=watcher)
+        else:
+            figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)
     answer(figures, as_json, print_summary)
     if missing := figures["missing"]:
         say(

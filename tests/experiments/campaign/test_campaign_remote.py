@@ -1,0 +1,69 @@
+"""Campaigns at an address: nothing is flown twice, on this machine or another, nothing lost."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from touchdown.experiments.campaign import remote
+from touchdown.experiments.campaign.executor import LocalEngine
+from touchdown.experiments.campaign.results_table import load_rows
+from touchdown.experiments.errors import UsageError
+
+from support.campaign_flights import RUNNER, attempts, axes, make_plan
+
+THREE = axes(scene=["flat"], estimator=["fake:good"], seeds="0-2")
+
+
+@pytest.fixture(autouse=True)
+def caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def fly_to(tmp_path: Path, text: str = THREE, shard: tuple[int, int] | None = None) -> int:
+    plan = make_plan(tmp_path, text)
+    figures = remote.fly_to_address(
+        plan, f"file://{tmp_path}/there", LocalEngine(1), runner=RUNNER, shard=shard
+    )
+    return int(figures["finished"])
+
+
+def test_another_machine_goes_on_where_one_stopped(tmp_path: Path) -> None:
+    """A run that was cut off while it was sent has no row there: it is flown again."""
+    assert fly_to(tmp_path, axes(scene=["flat"], estimator=["fake:good"], seeds="0-1")) == 2
+    there = tmp_path / "there"
+    (there / "runs" / "flat-fake.good-s1" / "row.parquet").unlink()
+    (there / "runs" / "flat-fake.good-s0" / "stranger.txt").write_text("mine")
+    shutil.rmtree(tmp_path / "cache")
+    assert fly_to(tmp_path) == 3
+    copy = remote.Remote(f"file://{there}").directory
+    assert attempts(copy) == {"flat-fake.good-s1": 1, "flat-fake.good-s2": 1}
+    assert [row["seed"] for row in load_rows(there)] == [0, 1, 2]
+    assert not [*copy.rglob("stranger.txt")]
+
+
+def test_what_was_not_sent_is_sent_at_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as killed:
+        killed.setattr(remote.Remote, "_send", lambda *_: None)
+        assert fly_to(tmp_path) == 3
+    assert not (tmp_path / "there").exists() and fly_to(tmp_path) == 3
+    assert len(load_rows(tmp_path / "there")) == 3
+    assert set(attempts(remote.Remote(f"file://{tmp_path}/there").directory).values()) == {1}
+
+
+def test_a_run_that_is_flown_after_a_crash_is_no_crash_there(tmp_path: Path) -> None:
+    text = axes(scene=["flat"], estimator=["fake:raises"], seeds="0") + "[limits]\nretries = 0\n"
+    assert fly_to(tmp_path, text) == 0
+    record = tmp_path / "there" / "failed" / "flat-fake.raises-s0.json"
+    assert record.is_file()
+    copy = remote.Remote(f"file://{tmp_path}/there")
+    (copy.directory / "runs" / record.stem).mkdir(parents=True)
+    copy.send_run(record.stem)
+    assert not record.exists()
+
+
+def test_an_address_that_cannot_be_used_is_one_line() -> None:
+    with pytest.raises(UsageError, match=r"--out nowhere://a: Protocol not known: nowhere"):
+        remote.Remote("nowhere://a")
