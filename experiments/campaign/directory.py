@@ -14,7 +14,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from touchdown.experiments.campaign.plan import Expect, Plan, PlannedRun, config_for, config_sha
+from touchdown.experiments.campaign.campaign_file import Expect
+from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, config_sha
 from touchdown.experiments.campaign.results_table import FAILED, RESULTS_FILE, RUNS, refresh
 from touchdown.experiments.campaign.worker import Failure, Task
 from touchdown.experiments.config.keys import flatten

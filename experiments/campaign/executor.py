@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
-from touchdown.experiments.campaign.plan import Limits
+from touchdown.experiments.campaign.campaign_file import Limits
 from touchdown.experiments.campaign.worker import Failure, Task
 from touchdown.experiments.external.processes import (
     descendants,

@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from touchdown.experiments.campaign.campaign_file import Limits
 from touchdown.experiments.campaign.executor import MAX_KILLED, Event, Supervisor
-from touchdown.experiments.campaign.plan import Limits
 from touchdown.experiments.campaign.worker import Failure, Task
 from touchdown.experiments.errors import UsageError
 

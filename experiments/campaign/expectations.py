@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from touchdown.experiments.api import Outcome
+from touchdown.experiments.campaign.campaign_file import BOUNDS, Expect
 from touchdown.experiments.campaign.directory import read_plan_file
-from touchdown.experiments.campaign.plan import BOUNDS, Expect, matches
+from touchdown.experiments.campaign.plan import matches
 from touchdown.experiments.campaign.results_table import CRASHED, refresh, touched_safe_ground
 
 _FELL = (Outcome.TIPPED, Outcome.COLLIDED)

@@ -9,11 +9,20 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from touchdown.experiments.api import Outcome
+from touchdown.experiments.campaign.campaign_file import (
+    BOUNDS,
+    MAX_RUNS,
+    CampaignFile,
+    Expect,
+    Limits,
+    Override,
+    Skip,
+)
 from touchdown.experiments.config.files import check_named_code, read_tree
 from touchdown.experiments.config.keys import flatten, renewed
 from touchdown.experiments.config.loading import (
@@ -52,96 +61,6 @@ _OWN_KEYS = {
 
 SAME_FLIGHT = ("record", "sim.threads")
 """Keys that do not change a flight."""
-MAX_RUNS = 100_000
-"""of one campaign: its plan is one file"""
-
-
-def _flat(tree: Any) -> Any:
-    return dict(flatten(tree)) if isinstance(tree, dict) else tree
-
-
-def _lists(tree: Any) -> Any:
-    flat = _flat(tree)
-    if not isinstance(flat, dict):
-        return flat
-    return {key: value if isinstance(value, list) else [value] for key, value in flat.items()}
-
-
-When = Annotated[dict[str, list[Any]], BeforeValidator(_lists)]
-"""wanted values by axis"""
-Bounds = Annotated[dict[str, Annotated[float, Field(gt=-1e300, lt=1e300)]], BeforeValidator(_flat)]
-"""by column of the results"""
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class Limits(_Strict):
-    """Limits of one run; beyond them it is ended and recorded as crashed."""
-
-    run_timeout_s: float = Field(default=1800.0, gt=0)
-    """wall time"""
-    memory_gb: float = Field(default=6.0, gt=0)
-    """anonymous and shared memory of the worker and of what it starts"""
-    retries: int = Field(default=1, ge=0)
-    """more attempts at a run that crashed; an outcome, however bad, is never retried"""
-
-
-class Skip(_Strict):
-    """Runs that are not flown: those whose axes have one of the values in ``when``."""
-
-    when: When
-
-
-class Override(_Strict):
-    """Keys for the runs whose axes have one of the values in ``when``."""
-
-    when: When
-    set: Annotated[dict[str, Any], BeforeValidator(_flat)]
-
-
-class Expect(_Strict):
-    """The expected results of the runs in ``when``; of all runs without it. In a `Plan` and in
-    ``campaign.json``, ``when`` has the dotted keys of runs' values."""
-
-    name: str = ""
-    when: When = {}
-    outcome: list[str] = Field(default_factory=list)
-    """any of these; none: any outcome but a crash of the program"""
-    position_error_m_max: float | None = Field(default=None, gt=0, lt=1e300)
-    """largest position error up to the end of the survey"""
-    at_most: Bounds = {}
-    """for each run"""
-    mean_at_most: Bounds = {}
-    """for the mean over the runs of each scene with each method and variant"""
-    mean_at_least: Bounds = {}
-    """the same from below"""
-    success_at_least: float | None = Field(default=None, ge=0, le=1)
-    """fraction of the runs that land on safe ground, or complete the survey"""
-    happened: bool | list[str] = False
-    """conditions that must have happened in each run: all that it names, or these of them"""
-    unsafe: bool = False
-    """whether touching down on unsafe ground, or not on the legs, is as expected"""
-
-
-BOUNDS = ("at_most", "mean_at_most", "mean_at_least")
-"""Fields of ``Expect`` that bound columns of the results."""
-
-
-class CampaignFile(_Strict):
-    """The schema of a campaign's TOML file."""
-
-    name: str = Field(min_length=1)
-    mode: Literal["fly", "land"] = "fly"
-    record: Literal["failures", "all", "none"] = "failures"
-    """of which runs the Rerun recording is kept"""
-    axes: dict[str, Any]
-    base: Annotated[dict[str, Any], BeforeValidator(_flat)] = {}
-    override: list[Override] = []
-    skip: list[Skip] = []
-    expect: list[Expect] = []
-    limits: Limits = Limits()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -211,7 +130,8 @@ def load_plan(
     for number, skip in enumerate(spec.skip, start=1):
         _check_axes(skip.when, axes, f"[[skip]] {number} of {file}")
     _check_names(axes, str(file))
-    runs = _runs(spec, axes, base, changes, str(file))
+    sweep = _sweep(spec.sweep, axes, f"[sweep] of {file}")
+    runs = _runs(spec, axes, sweep, base, changes, str(file))
     expect = [_expectation(entry, axes, f"[[expect]] {number} of {file}")
               for number, entry in enumerate(spec.expect, start=1)]  # fmt: skip
     return Plan(
@@ -325,6 +245,20 @@ def _axes(tree: Mapping[str, Any], source: str) -> dict[str, list[Any]]:
     return axes
 
 
+def _sweep(
+    tree: Mapping[str, Any], axes: Mapping[str, list[Any]], source: str
+) -> list[dict[str, Any]]:
+    """What is set beside the axes, run by run; one empty change without a sweep."""
+    given = dict(flatten(tree))
+    _check_settable(given, axes, source)
+    for key, values in given.items():
+        if not is_key(key):
+            raise UsageError(f"unknown key '{key}' in {source}{nearest(key, known_keys())}")
+        if not isinstance(values, list) or not values:
+            raise UsageError(f"'{key}' in {source} must be a list of one or more values")
+    return [{key: value} for key, values in given.items() for value in values] or [{}]
+
+
 def _check_axes(when: Mapping[str, list[Any]], axes: Mapping[str, list[Any]], source: str) -> None:
     for key in when:
         if key not in axes:
@@ -379,13 +313,14 @@ def _check_names(axes: Mapping[str, list[Any]], source: str) -> None:
 def _runs(
     spec: CampaignFile,
     axes: Mapping[str, list[Any]],
+    sweep: Sequence[Mapping[str, Any]],
     base: Mapping[str, Any],
     overrides: Sequence[Override],
     source: str,
 ) -> list[PlannedRun]:
     checked: dict[str, dict[str, Any]] = {}
     runs = []
-    for point in itertools.product(*axes.values()):
+    for point, swept in itertools.product(itertools.product(*axes.values()), sweep):
         place = dict(zip(axes, point, strict=True))
         if any(matches(entry.when, place) for entry in spec.skip):
             continue
@@ -393,7 +328,7 @@ def _runs(
         for override in overrides:
             if matches(override.when, place):
                 values |= override.set
-        values |= {AXES.get(axis, axis): value for axis, value in place.items()}
+        values |= {AXES.get(axis, axis): value for axis, value in place.items()} | swept
         values["record"] = spec.record == "all"
         values["landing.survey_only"] = spec.mode == "fly"
         # Seeds share all the rest: it is validated once.
@@ -401,7 +336,7 @@ def _runs(
         if rest not in checked:
             checked[rest] = _values_of(config_for(values, source), SAME_FLIGHT)
         sha = _sha({**checked[rest], "seed": values["seed"]})
-        runs.append(PlannedRun(run_id=run_name(place, axes), values=values, config_sha=sha))
+        runs.append(PlannedRun(run_id=run_name(place, axes, swept), values=values, config_sha=sha))
     if not runs:
         raise UsageError(f"[[skip]] of {source} leaves nothing to fly")
     names = Counter(run.run_id for run in runs)
@@ -424,11 +359,13 @@ _LABELS = {
 """Prefixes of the values of an axis in run names, where it is not the last part of its key."""
 
 
-def run_name(place: Mapping[str, Any], axes: Mapping[str, list[Any]]) -> str:
-    """``crossroad-gps-s3``, then every further axis that has several values."""
+def run_name(
+    place: Mapping[str, Any], axes: Mapping[str, list[Any]], swept: Mapping[str, Any]
+) -> str:
+    """``crossroad-gps-s3``, then every further axis that has several values, and what is swept."""
     parts = [short_name(str(place["scene"])), str(place["estimator"]), f"s{place['seed']}"]
-    for axis, value in place.items():
-        if axis not in ("scene", "estimator", "seed") and len(axes[axis]) > 1:
+    for axis, value in {**place, **swept}.items():
+        if axis not in ("scene", "estimator", "seed") and (axis in swept or len(axes[axis]) > 1):
             label = _LABELS.get(axis, axis.rpartition(".")[2])
             parts.append(f"{label}{_slug(value) or 'none'}")
     return "-".join(re.sub(r"[^\w.+-]+", ".", part) for part in parts)

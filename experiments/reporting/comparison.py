@@ -80,13 +80,15 @@ def level_table(frame: pd.DataFrame) -> Table:
     return make_table(flights, "levels", "At a glance", columns, names, plain=True)
 
 
-def difference_tables(frame: pd.DataFrame) -> tuple[list[Table], list[str]]:
+def difference_tables(
+    frame: pd.DataFrame, but: Sequence[str] = ()
+) -> tuple[list[Table], list[str]]:
     """For each level of each factor but the first a table of paired differences from that, and
-    sentences on what they show."""
+    sentences on what they show. ``but``: factors that are not compared."""
     flights, measures = judged(frame)
     factors = factors_of(frame)
     tables, words = [], []
-    for factor in factors:
+    for factor in (factor for factor in factors if factor not in but):
         base, *others = ordered(flights, factor) or [""]
         keys = ["scene", "seed", *(other for other in factors if other != factor)]
         first = flights[flights[factor] == base]

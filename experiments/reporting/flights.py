@@ -158,6 +158,18 @@ def label_conditions(rows: Sequence[dict[str, Any]]) -> None:
         row["condition"] = condition_of(row) or ", ".join(named)
 
 
+def config_numbers(row: Row, keys: Sequence[str]) -> dict[str, float]:
+    """Numbers of a run's configuration, NaN for none."""
+    config = _config_of(row)
+    found = {}
+    for key in keys:
+        try:
+            found[key] = float(config.get(key, "nan"))
+        except ValueError:
+            found[key] = float("nan")
+    return found
+
+
 def _config_of(row: Row) -> dict[str, str]:
     """Values of the configuration beside a run, as text; those that the row has where it lacks
     one."""

@@ -26,6 +26,7 @@ from touchdown.experiments.reporting.comparison import (
     level_table,
     varying_words,
 )
+from touchdown.experiments.reporting.curves import curves, dial_frames, dials_of
 from touchdown.experiments.reporting.figures import Picture, pictures_of
 from touchdown.experiments.reporting.flights import (
     Row,
@@ -98,12 +99,16 @@ def make_report(
     label_conditions(rows)
     frame = frame_of(sorted(rows, key=lambda row: (row["condition"] != first, row["condition"])))
     pictures = _pictures(frame, paper)
-    differences, shown = difference_tables(frame)
+    drawn_dials = [] if paper else dial_frames(rows, frame, dials_of(configuration)).items()
+    dials = [curves(dial, flown) for dial, flown in drawn_dials]
+    differences, shown = difference_tables(frame, ["condition"] if dials else [])
 
     def drawn(*names: str) -> list[Picture]:
         return [picture for picture in pictures if picture.name.startswith(names)]
 
     sections = [
+        Section("curves", "Where it ends", [line for *_, words in dials for line in words],
+                [table for table, *_ in dials], [picture for _, picture, _ in dials]),
         Section("varies", "What varies" if factors_of(frame) else "At a glance",
                 [*varying_words(frame, configuration), *shown],
                 [level_table(frame), *differences]),

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.campaign import expectations
-from touchdown.experiments.campaign.plan import Expect
+from touchdown.experiments.campaign.campaign_file import Expect
 from touchdown.experiments.campaign.session import summary
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError

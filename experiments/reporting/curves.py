@@ -1,0 +1,240 @@
+"""Curves of a campaign's dials: keys of numbers that are an axis or swept. For each method the
+probability of a safe landing, of an unsafe one and of a missed site against the dial."""
+
+import tomllib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from touchdown.experiments.campaign.campaign_file import unrolled
+from touchdown.experiments.campaign.plan import AXES
+from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.reporting.comparison import NEEDED
+from touchdown.experiments.reporting.figures import Picture, colour_of, drawn
+from touchdown.experiments.reporting.flights import Row, config_numbers, ordered, values_and_units
+from touchdown.experiments.reporting.logistic import LogisticFit, crossing_difference, fit_logistic
+from touchdown.experiments.reporting.statistics import Estimate, clustered_fraction, mean_interval
+from touchdown.experiments.reporting.tables import Cell, Table, cell, digits, name_cell
+from touchdown.sim.typing import Array
+
+MIN_LEVELS = 3
+"""of a key of numbers that is a dial"""
+LEVELS = (0.9, 0.5)
+_EVENTS = {
+    "safe": "lands safely",
+    "unsafe": "touches down unsafely",
+    "missed": "finds no site although one is in view",
+}
+_ERROR = "position_error_m.mean"
+_POINTS = 101
+
+
+def dials_of(configuration: str) -> list[str]:
+    """Keys of the configuration that a campaign's text varies over three or more numbers."""
+    try:
+        text = tomllib.loads(configuration)
+        given = dict(flatten(unrolled({**text.get("axes", {}), **text.get("sweep", {})})))
+    except (tomllib.TOMLDecodeError, AttributeError, TypeError, ValueError):
+        return []
+    return [
+        AXES.get(key, key) for key, found in given.items()
+        if key not in ("seed", "seeds") and isinstance(found, list)
+        and len(set(filter(_is_number, found))) >= MIN_LEVELS
+    ]  # fmt: skip
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def dial_frames(rows: Sequence[Row], frame: pd.DataFrame, dials: Sequence[str]) -> dict[str, Any]:
+    """For each dial the flights with the others at their usual value, that of most flights, with
+    the columns ``dial``, ``safe``, ``unsafe`` and ``missed``. Where all values of all dials were
+    flown together every flight counts."""
+    known = {str(row["run_id"]): config_numbers(row, dials) for row in rows}
+    table = pd.DataFrame([known[str(name)] for name in frame["run_id"]], index=frame.index)
+    flown = frame.assign(**_events(frame))
+    together = len(table.drop_duplicates()) == np.prod([table[dial].nunique() for dial in table])
+    found = {}
+    for dial in dials:
+        others = [other for other in dials if other != dial and not together]
+        usual = [table[other] == table[other].mode().iloc[0] for other in others]
+        kept = table[dial].notna() & np.logical_and.reduce(usual or [np.ones(len(table), bool)])
+        found[dial] = flown[kept].assign(dial=table[dial][kept])
+    return {dial: own for dial, own in found.items() if own["dial"].nunique() >= MIN_LEVELS}
+
+
+def _events(frame: pd.DataFrame) -> dict[str, Any]:
+    empty = pd.Series(index=frame.index, dtype=object)
+    on_safe = frame.get("ground_safe", empty).eq(True)
+    down = frame["outcome"].isin(["LANDED", "TIPPED"])
+    missed = pd.to_numeric(frame.get("choice.missed.safe_m2", empty), errors="coerce") > 0.0
+    return {
+        "safe": (frame["outcome"] == "LANDED") & on_safe,
+        "unsafe": down & ~((frame["outcome"] == "LANDED") & on_safe),
+        "missed": (frame["outcome"] == "NO_SITE") & missed,
+    }
+
+
+def curves(dial: str, flown: pd.DataFrame) -> tuple[Table, Picture, list[str]]:
+    """The table, the picture and sentences of one dial."""
+    methods = ordered(flown, "estimator")
+    fits = {
+        (method, event): fit_logistic(own["dial"], own[event], own["unit"])
+        for method in methods
+        for event in _EVENTS
+        if (own := flown[flown["estimator"] == method])["dial"].nunique() >= 2
+    }
+    table, words = _table(dial, flown, methods, fits), []
+    if without_effect(flown):
+        words.append(
+            f"Warning: `{dial}` changed nothing: flights that differ in it alone are the same. Is "
+            "it a key that the scene or the part reads?"
+        )
+    elif not any(fit.changes() for (_, event), fit in fits.items() if event == "safe"):
+        words.append(f"No effect of `{dial}` on safe landings is shown.")
+    for other in methods[1:]:
+        words += _compared(dial, methods[0], other, fits)
+    return table, _picture(dial, flown, methods, fits), words
+
+
+def without_effect(flown: pd.DataFrame) -> bool:
+    """True if all flights of a scene, a method and a seed are the same at every value."""
+    told = [c for c in (_ERROR, "outcome", "landing.target_offset_m") if c in flown]
+    groups = flown.groupby(["scene", "estimator", "seed"])
+    several = groups["dial"].nunique() > 1
+    return bool(several.any() and (groups[told].nunique(dropna=False)[several] == 1).all(axis=None))
+
+
+def _table(
+    dial: str, flown: pd.DataFrame, methods: Sequence[str], fits: dict[Any, LogisticFit]
+) -> Table:
+    header = ["method", "flights", *(f"{100 * level:.0f} % safe up to" for level in LEVELS),
+              "unsafe (%)", "position error (m)"]  # fmt: skip
+    table = Table(f"curve_{dial}", f"Where `{dial}` ends safe landings", header, [])
+    for method in methods:
+        own = flown[flown["estimator"] == method]
+        fit, units = fits.get((method, "safe")), own["unit"].nunique()
+        unsafe = clustered_fraction(own["unsafe"].to_numpy(), list(own["unit"]))
+        error = mean_interval(*values_and_units(own, _ERROR))
+        at = {level: fit.crossing(level) if fit else None for level in LEVELS}
+        table.rows.append([
+            name_cell(method), Cell(str(len(own)), f"{units} independent" * (units < len(own))),
+            *(_crossing_cell(at[level], fit, level) for level in LEVELS),
+            cell(unsafe, scale=100.0), cell(error),
+        ])  # fmt: skip
+        table.numbers[method] = {
+            "unsafe": unsafe.as_json(),
+            **{f"safe_{level:g}": found.as_json() for level, found in at.items() if found},
+            "levels": _levels(own),
+        }
+    return table
+
+
+def _levels(own: pd.DataFrame) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for value, group in own.groupby("dial"):
+        units = list(group["unit"])
+        found[f"{value:g}"] = {
+            event: clustered_fraction(group[event].to_numpy(), units).as_json() for event in _EVENTS
+        }
+        if error := mean_interval(*values_and_units(group, _ERROR)):
+            found[f"{value:g}"]["position_error_m"] = error.as_json()
+    return found
+
+
+def _crossing_cell(found: Estimate | None, fit: LogisticFit | None, level: float) -> Cell:
+    if fit is None:
+        return Cell("–")
+    if found is None:
+        below = fit.band(np.array([fit.low]))[0][0] <= level
+        return Cell(f"below {fit.low:g}" if below else f"not up to {fit.high:g}")
+    assert found.low is not None and found.high is not None
+    low, high = (
+        f"{end:.3g}" if np.isfinite(end) else edge
+        for end, edge in ((found.low, f"< {fit.low:g}"), (found.high, f"> {fit.high:g}"))
+    )
+    return Cell(digits(found.value), f"[{low}, {high}]")
+
+
+def _compared(dial: str, first: str, other: str, fits: dict[Any, LogisticFit]) -> list[str]:
+    """How far apart two methods fall to one half."""
+    if (first, "safe") not in fits or (other, "safe") not in fits:
+        return []
+    found = crossing_difference(fits[first, "safe"], fits[other, "safe"], LEVELS[-1])
+    if found is None:
+        return [f"`{other}` against `{first}`: one of them does not fall to 50 % within `{dial}`."]
+    if found.units < NEEDED:
+        return [f"`{other}` against `{first}`: n = {found.units} says nothing."]
+    assert found.low is not None and found.high is not None
+    sign = 1.0 if found.value > 0.0 else -1.0
+    low, high = sorted((sign * found.low, sign * found.high))
+    told = f"{abs(found.value):.3g} [{low:.3g}, {high:.3g}]"
+    if not found.excludes(0.0):
+        return [f"`{other}` against `{first}`: no difference is shown ({told}, 50 % safe)."]
+    where = "later" if found.value > 0.0 else "earlier"
+    return [f"`{other}` falls to 50 % safe {where} than `{first}`, by {told} of `{dial}`."]
+
+
+def _picture(
+    dial: str, flown: pd.DataFrame, methods: Sequence[str], fits: dict[Any, LogisticFit]
+) -> Picture:
+    picture = Picture(
+        f"curve_{dial.replace('.', '_')}",
+        f"Landings against `{dial}`",
+        "Lines: logistic fits with their pointwise 95 % bands. Marks: fractions of the flights at "
+        "each value with their 95 % intervals; of the position error means.",
+    )
+    events = [event for event in _EVENTS if flown[event].any() or event == "safe"]
+    with drawn(picture, 2.7 * (len(events) + 1), 3.0) as figure:
+        panels = figure.subplots(1, len(events) + 1)
+        for number, method in enumerate(methods):
+            own, colour = flown[flown["estimator"] == method], colour_of(method, methods)
+            aside = 0.008 * (number - 0.5 * (len(methods) - 1)) * np.ptp(flown["dial"])
+            for axes, event in zip(panels, events, strict=False):
+                if fit := fits.get((method, event)):
+                    _paint_fit(axes, fit, colour, method)
+                _paint_levels(axes, own, event, colour, aside)
+            _paint_levels(panels[-1], own, _ERROR, colour, aside)
+        for axes, event in zip(panels, events, strict=False):
+            axes.set(title=_EVENTS[event], ylim=(-0.03, 1.03))
+            axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
+        panels[-1].set(title="position error (m)")
+        panels[-1].set_ylim(0.0, 1.1 * panels[-1].get_ylim()[1])
+        figure.supxlabel(dial, fontsize=9)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=8)
+    return picture
+
+
+def _paint_fit(axes: Any, fit: LogisticFit, colour: str, method: str) -> None:
+    dial = np.linspace(fit.low, fit.high, _POINTS)
+    value, low, high = fit.band(dial)
+    axes.fill_between(dial, low, high, color=colour, alpha=0.15, linewidth=0)
+    axes.plot(dial, value, color=colour, linewidth=1.6, label=method)
+
+
+def _paint_levels(axes: Any, own: pd.DataFrame, column: str, colour: str, aside: float) -> None:
+    at: list[float] = []
+    found: list[Estimate] = []
+    for value, group in own.groupby("dial"):
+        figure = (
+            clustered_fraction(group[column].to_numpy(), list(group["unit"]))
+            if column in _EVENTS
+            else mean_interval(*values_and_units(group, column))
+        )
+        if figure is not None:
+            at.append(float(value) + aside)  # type: ignore[arg-type]
+            found.append(figure)
+    axes.errorbar(at, [f.value for f in found], yerr=_whiskers(found), fmt="o", markersize=4,
+                  color=colour, capsize=2.0, linewidth=0.9)  # fmt: skip
+
+
+def _whiskers(found: Sequence[Estimate]) -> Array:
+    ends = [
+        (0.0, 0.0) if f.low is None or f.high is None else (f.value - f.low, f.high - f.value)
+        for f in found
+    ]
+    return np.maximum(np.reshape(ends, (-1, 2)).T, 0.0)

@@ -1,0 +1,160 @@
+"""Curves against a dial: planted probabilities are found, within intervals that cover them."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.errors import UsageError
+from touchdown.experiments.reporting.curves import dials_of
+from touchdown.experiments.reporting.logistic import crossing_difference, fit_logistic
+from touchdown.experiments.reporting.report import Section, make_report
+
+from support.campaign_flights import make_plan
+
+TEXT = (
+    'name = "c"\n[axes]\nscene = ["lake"]\nseeds = "0-24"\n'
+    "wind_kmh = { from = 0, to = 50, steps = 6 }\n"
+)
+WINDS = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
+
+
+def expit(x: float) -> float:
+    return float(1.0 / (1.0 + np.exp(-x)))
+
+
+def landings(method: str, half_at: float, seeds: int = 25, effect: float = 0.25) -> list[Any]:
+    """Landings that are safe with a probability that is one half at ``half_at`` km/h."""
+    rng = np.random.default_rng(7)
+    return [
+        {
+            "run_id": f"lake-{method}-s{seed}-w{wind:g}", "scene": "lake", "seed": seed,
+            "estimator": method, "mode": "land", "git_revision": "0123abc", "run_dir": "",
+            "outcome": "LANDED", "wind_kmh": wind, "success": bool(safe), "ground_safe": bool(safe),
+            "condition": f"w{wind:g}", "unit": f"lake, seed {seed}",
+            "position_error_m.mean": 0.1 + 0.001 * effect * wind,
+            "landing.target_offset_m": 0.01 * seed,
+        }
+        for seed in range(seeds)
+        for wind in WINDS
+        for safe in [rng.random() < expit(effect * (half_at - wind))]
+    ]  # fmt: skip
+
+
+def section(rows: list[Any], text: str = TEXT) -> Section:
+    (found,) = (s for s in make_report(rows, title="c", configuration=text).sections
+                if s.key == "curves")  # fmt: skip
+    return found
+
+
+@pytest.mark.parametrize(("units", "at_once"), [(60, False), (20, True)])
+def test_intervals_cover_what_is_planted(units: int, at_once: bool) -> None:
+    """Flights by themselves, and units whose flights at all levels are alike; the marginal
+    probability of those is at one half where the conditional one is."""
+    rng = np.random.default_rng(11)
+    band, crossing, difference = [], [], []
+    for _ in range(300):
+        both, dial, names = ([], []), [], []  # type: ignore[var-annotated]
+        for unit in range(units):
+            shift = rng.normal(0.0, 1.0) if at_once else 0.0
+            for wind in WINDS if at_once else (rng.choice(WINDS),):
+                dial.append(wind)
+                names.append(unit)
+                for hits, half_at in zip(both, (25.0, 15.0), strict=True):
+                    hits.append(rng.random() < expit((half_at - wind) / 6.0 + shift))
+        a, b = (fit_logistic(dial, hits, names) for hits in both)
+        _, low, high = a.band(np.array([25.0]))
+        band.append(low[0] <= 0.5 <= high[0])
+        if (found := a.crossing(0.5)) and found.low is not None and found.high is not None:
+            crossing.append(found.low <= 25.0 <= found.high)
+        apart = crossing_difference(a, b, 0.5)
+        assert apart is not None and apart.low is not None and apart.high is not None
+        difference.append(apart.low <= -10.0 <= apart.high)
+    for covered in (band, crossing, difference):
+        assert 0.92 <= np.mean(covered) <= 0.985
+
+
+def test_what_levels_separate_is_finite_and_what_never_fails_is_not_certain() -> None:
+    """A fit is less certain than a fraction: the interval of 12 of 12 by Wilson begins at 0.76."""
+    fit = fit_logistic([0.0, 1.0] * 12, [True, False] * 12, range(24))
+    found = fit.crossing(0.5)
+    assert found is not None and found.value == pytest.approx(0.5, abs=1e-3) and fit.changes()
+    always = fit_logistic([0.0, 1.0] * 12, [True] * 24, range(24))
+    assert always.crossing(0.5) is None and not always.changes()
+    assert 0.5 < always.band(np.array([1.0]))[1][0] < 0.9
+
+
+def test_a_worse_method_is_worse_by_its_interval() -> None:
+    found = section(landings("livo", 35.0) + landings("zou2024", 15.0))
+    (table,) = found.tables
+    assert table.header[:4] == ["method", "flights", "90 % safe up to", "50 % safe up to"]
+    livo, other = (table.numbers[name]["safe_0.5"] for name in ("livo", "zou2024"))
+    assert livo["low"] < 35.0 < livo["high"] and other["low"] < 15.0 < other["high"]
+    assert table.rows[0][1].text == "150" and table.rows[0][1].detail == "25 independent"
+    (word,) = found.words
+    assert word.startswith("`zou2024` falls to 50 % safe earlier than `livo`, by 19.6 [15.5, 23.7]")
+    (picture,) = found.pictures
+    assert "unsafely" in picture.svg and "no site" not in picture.svg, "none was missed"
+
+
+def test_a_dial_that_changes_nothing_is_a_warning() -> None:
+    same = [
+        row | {"ground_safe": True, "position_error_m.mean": 0.1} for row in landings("livo", 9)
+    ]
+    assert section(same).words[0].startswith("Warning: `wind.mean_kmh` changed nothing")
+    assert "not up to 50" in section(same).tables[0].rows[0][2].text
+    weak = section([row | {"ground_safe": True} for row in landings("livo", 9)])
+    assert weak.words == ["No effect of `wind.mean_kmh` on safe landings is shown."]
+
+
+def test_a_missed_site_is_none_that_was_not_in_view() -> None:
+    rows = landings("livo", 60.0, 4)
+    rows += [
+        row | {"seed": row["seed"] + 90, "outcome": "NO_SITE", "choice.missed.safe_m2": area}
+        for row, area in zip(landings("livo", 60.0, 2), [None, 5.0] * 6, strict=True)
+    ]
+    levels = section(rows).tables[0].numbers["livo"]["levels"]
+    assert [levels[f"{wind:g}"]["missed"]["value"] for wind in WINDS] == [0.0, 1 / 3] * 3
+
+
+def test_ranges_and_sweeps_become_runs(tmp_path: Path) -> None:
+    text = TEXT.replace('seeds = "0-24"', 'seeds = "3"') + (
+        '[sweep]\n"survey.height_m" = { from = 20.0, to = 30.0, steps = 3 }\n'
+        '"survey.legs" = [1, 2]\n'
+    )
+    plan = make_plan(tmp_path, text)
+    assert len(plan.runs) == 6 * 5 and plan.runs[0].run_id == "lake-livo-s3-w0-height_m20"
+    first = [run.values for run in plan.runs[:5]]
+    assert [v.get("survey.height_m") for v in first] == [20.0, 25.0, 30.0, None, None]
+    assert [v.get("survey.legs") for v in first] == [None, None, None, 1, 2]
+    assert [run.values["wind.mean_kmh"] for run in plan.runs[::5]] == [*map(int, WINDS)]
+    assert dials_of(text) == ["wind.mean_kmh", "survey.height_m"], "two legs are no curve"
+    for wrong, reason in (
+        (text.replace("steps = 3", "steps = 1"), "a range is"),
+        (text + "wind_kmh = [3]\n", "unknown key 'wind_kmh' in \\[sweep\\]"),
+        (text.replace("survey.legs", "survey.leg"), "unknown key 'survey.leg'"),
+        (text.replace('"survey.legs"', '"wind.mean_kmh"'), "is an axis already"),
+    ):
+        with pytest.raises(UsageError, match=reason):
+            make_plan(tmp_path, wrong)
+
+
+def test_swept_dials_are_judged_at_the_usual_value_of_the_others(tmp_path: Path) -> None:
+    rows = landings("livo", 35.0, 6)
+    for row in rows:
+        row["run_dir"] = str(tmp_path / row["run_id"])
+        path = Path(row["run_dir"]) / "config.json"
+        path.parent.mkdir()
+        path.write_text(
+            f'{{"wind": {{"mean_kmh": {row["wind_kmh"]}}}, "survey": {{"height_m": 30}}}}'
+        )
+    low = [r | {"run_id": f"{r['run_id']}-h{h}", "run_dir": str(tmp_path / f"h{h}")}
+           for r in rows[:1] for h in (10, 20, 30)]  # fmt: skip
+    for row, height in zip(low, (10, 20, 30), strict=True):
+        (tmp_path / f"h{height}").mkdir()
+        text = f'{{"wind": {{"mean_kmh": 0}}, "survey": {{"height_m": {height}}}}}'
+        (Path(row["run_dir"]) / "config.json").write_text(text)
+    sweep = TEXT + '[sweep]\n"survey.height_m" = [10, 20, 30]\n'
+    winds, heights = (t.rows[0][1].text for t in section(rows + low, sweep).tables)
+    assert (winds, heights) == ("37", "9")
