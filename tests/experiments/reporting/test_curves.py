@@ -75,6 +75,20 @@ def test_intervals_cover_what_is_planted(alike: int) -> None:
         assert 0.92 <= np.mean(covered) <= 0.985
 
 
+def test_pairs_tell_a_difference_through_what_they_share() -> None:
+    """Units fail at winds of their own, the second method 5 km/h before the first."""
+    limits = np.random.default_rng(3).normal(25.0, 8.0, 40)
+    dial, names = np.tile(WINDS, 40), np.repeat(np.arange(40), 6)
+    a = fit_logistic(dial, np.repeat(limits, 6) > dial, names)
+    b = fit_logistic(dial, np.repeat(limits - 5.0, 6) > dial, names)
+    c = fit_logistic(dial, np.repeat(limits - 5.0, 6) > dial, names + 40)
+    paired, apart = crossing_difference(a, b, 0.5), crossing_difference(a, c, 0.5)
+    assert paired is not None and paired.low is not None and paired.high is not None
+    assert apart is not None and apart.low is not None and apart.high is not None
+    assert paired.low < -5.0 < paired.high and paired.units == 40
+    assert paired.high - paired.low < 0.6 * (apart.high - apart.low)
+
+
 def test_what_levels_separate_is_finite_and_what_never_fails_is_not_certain() -> None:
     """A fit is less certain than a fraction: the interval of 12 of 12 by Wilson begins at 0.76."""
     fit = fit_logistic([0.0, 1.0] * 12, [True, False] * 12, range(24))
