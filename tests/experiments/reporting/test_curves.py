@@ -107,7 +107,9 @@ def test_a_worse_method_is_worse_by_its_interval() -> None:
     assert livo["low"] < 35.0 < livo["high"] and other["low"] < 15.0 < other["high"]
     assert table.rows[0][1].text == "150" and table.rows[0][1].detail == "25 independent"
     (word,) = found.words
-    assert word.startswith("`zou2024` falls to 50 % safe earlier than `livo`, by 19.6 [15.5, 23.7]")
+    assert word.startswith(
+        "`zou2024` falls to 50 % safe earlier than `livo`, by 20 [15.7, 24.3] of"
+    )
     (picture,) = found.pictures
     assert "unsafely" in picture.svg and "no site" not in picture.svg, "none was missed"
 
