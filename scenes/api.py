@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
+
+from touchdown.sim.api import FORBID_EXTRA
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -98,6 +101,38 @@ class ImportOptions:
     """file of classes (`scenes.importers.classes`) that overrules names and guesses"""
 
 
+RuggedPreset = Literal["upland", "alpine", "quarry", "lava", "gully", "felled_forest"]
+Cover = Literal["", "bare", "scree", "tussocks", "scrub", "snow", "logs"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RuggedParams:
+    """Dials of the scene ``rugged``; what is not set is the preset's (docs/scenes.md)."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    preset: RuggedPreset = "upland"
+    """the kind of place: its look, the spectrum of its relief, and all dials that are not set"""
+    slope_deg: Annotated[float, Interval(ge=0, le=25)] | None = None
+    """mean slope of the ground over 5 m, without rocks, grooves and cleared pads; none: the
+    preset's"""
+    relief_m: Annotated[float, Interval(ge=0, le=60)] | None = None
+    """height between the lowest and the highest fiftieth of the ground: the longest waves are left
+    out until it is met as nearly as the slope allows; none: the longest waves are those of the
+    scene's size"""
+    rock_abundance: Annotated[float, Interval(ge=0, le=0.3)] | None = None
+    """fraction of the ground that rocks cover, ``k`` of the size-frequency law; none: the
+    preset's"""
+    cover: Cover = ""
+    """what lies on the ground; '': the preset's"""
+    groove_fraction: Annotated[float, Interval(ge=0, le=0.1)] | None = None
+    """fraction of the ground in ruts and crevices, which are narrower than the footprint; none: the
+    preset's"""
+    safe_fraction: Annotated[float, Interval(ge=0.003, le=0.3)] | None = None
+    """fraction of the ground that is safe to touch down on by the geometric rule; none: the
+    preset's"""
+
+
 DETAILS: tuple[str, ...] = (
     "grass", "meadow", "soil", "litter", "asphalt", "gravel", "concrete", "sand", "dune", "snow",
     "rock",
@@ -166,6 +201,10 @@ class Scene:
     """of a file: class of geoms whose names say nothing, and what it is inferred from"""
     textured: tuple[str, ...] = ()
     """of a file: geoms of featureless ground that were given texture and relief"""
+    rugged: RuggedParams | None = None
+    """the dials that it was made with; None for every other scene than ``rugged``"""
+    facts: Mapping[str, float] = field(default_factory=dict)
+    """what the dials asked for and what was reached"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -13,7 +13,7 @@ import numpy as np
 from touchdown.scenes import api
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.light import light_file, lit_by, set_sky
-from touchdown.scenes.registry import scene_generator
+from touchdown.scenes.registry import RUGGED, scene_generator
 
 VEHICLE_XML = Path(__file__).parent / "vehicle" / "quadrotor.xml"
 TICK_HZ = 600
@@ -39,6 +39,7 @@ def load_scene(
     sun: api.LowSun | None = None,
     light: api.Light = "day",
     options: api.ImportOptions | None = None,
+    rugged: api.RuggedParams | None = None,
 ) -> api.Scene:
     """Loads the scene ``name_or_path`` with the vehicle on its take-off spot.
 
@@ -47,13 +48,15 @@ def load_scene(
     A scene from a file does not depend on it. sun: replaces the scene's own; named scenes bake
     their shadows with it, scenes from files have no baked shadows. light: of the sky; ``sun`` is
     that of ``day``. Neither changes what stands where. options: how a scene from a file is made
-    flyable; None takes the file as it is.
+    flyable; None takes the file as it is. rugged: dials of the scene of that name.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
     with lit_by(light, sun):
-        spec, draft = compose_spec(name_or_path, seed, options)
+        spec, draft = compose_spec(name_or_path, seed, options, rugged)
     scene = compile_scene(spec, draft, Path(name_or_path).stem, seed, name_or_path)
-    return replace(scene, light=light, options=options if _is_file(name_or_path) else None)
+    dials = (rugged or api.RuggedParams()) if name_or_path == RUGGED else None
+    options = options if _is_file(name_or_path) else None
+    return replace(scene, light=light, options=options, rugged=dials)
 
 
 def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> api.Scene:
@@ -79,18 +82,22 @@ def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: st
         origin_m=draft.origin_m,
         inferred=draft.inferred,
         textured=draft.textured,
+        facts=draft.facts,
     )
 
 
 def compose_spec(
-    name_or_path: str, seed: int, options: api.ImportOptions | None = None
+    name_or_path: str,
+    seed: int,
+    options: api.ImportOptions | None = None,
+    rugged: api.RuggedParams | None = None,
 ) -> tuple[Any, SceneDraft]:
     """Returns the uncompiled MjSpec, with the vehicle at height 0 over the take-off spot, and its
     draft, which holds the large textures (`SceneDraft.pictures`).
 
     Raises as `load_scene`.
     """
-    draft = _draft(name_or_path, seed, options)
+    draft = _draft(name_or_path, seed, options, rugged)
     prepare_spec(draft)
     return draft.spec, draft
 
@@ -109,7 +116,12 @@ def bare_spec(name_or_path: str, seed: int) -> Any:
     return spec
 
 
-def _draft(name_or_path: str, seed: int, options: api.ImportOptions | None = None) -> SceneDraft:
+def _draft(
+    name_or_path: str,
+    seed: int,
+    options: api.ImportOptions | None = None,
+    rugged: api.RuggedParams | None = None,
+) -> SceneDraft:
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
     if _is_file(name_or_path):
@@ -118,7 +130,7 @@ def _draft(name_or_path: str, seed: int, options: api.ImportOptions | None = Non
         draft = read_mjcf(Path(name_or_path), options)
         light_file(draft.spec)
     else:
-        draft = scene_generator(name_or_path)(seed)
+        draft = scene_generator(name_or_path, rugged)(seed)
     set_sky(draft.spec)
     return draft
 
@@ -130,7 +142,8 @@ def _is_file(name_or_path: str) -> bool:
 def spec_of_scene(scene: api.Scene) -> Any:
     """Returns the MjSpec of a scene of `load_scene`, composed anew from its source and seed; the
     vehicle stands where the scene starts it."""
-    spec, draft = compose_spec(scene.source or scene.name, scene.seed, scene.options)
+    source = scene.source or scene.name
+    spec, draft = compose_spec(source, scene.seed, scene.options, scene.rugged)
     draft.fill()
     spec.body(api.VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(api.VEHICLE_BODY).id]
     return spec

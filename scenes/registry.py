@@ -5,15 +5,20 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
+
+from touchdown.scenes.api import RuggedParams
 
 if TYPE_CHECKING:
     from touchdown.scenes.authoring.draft import SceneDraft
 
 _NAMES = (
     "cottage", "crossroad", "dunes", "flat", "footbridge", "forest", "houses", "lake",
-    "open_water", "pools", "rooftop_parking", "snow", "turf",
+    "open_water", "pools", "rooftop_parking", "rugged", "snow", "turf",
 )  # fmt: skip
+RUGGED = "rugged"
+"""The scene that `RuggedParams` describe."""
 
 
 def scene_names() -> list[str]:
@@ -21,8 +26,9 @@ def scene_names() -> list[str]:
     return list(_NAMES)
 
 
-def scene_generator(name: str) -> Callable[[int], SceneDraft]:
-    """Returns the generator (seed -> draft) of a named scene.
+def scene_generator(name: str, rugged: RuggedParams | None = None) -> Callable[[int], SceneDraft]:
+    """Returns the generator (seed -> draft) of a named scene. rugged: dials of `RUGGED`, which the
+    other scenes do not look at.
 
     Raises ValueError for an unknown name, with the nearest match and all names.
     """
@@ -34,5 +40,5 @@ def scene_generator(name: str) -> Callable[[int], SceneDraft]:
             f"unknown scene '{name}':{hint} known scenes: {known}; or give the path of an MJCF file"
         )
     place = importlib.import_module(f"touchdown.scenes.places.{name}")
-    generate: Callable[[int], SceneDraft] = place.generate
-    return generate
+    generate: Callable[..., SceneDraft] = place.generate
+    return generate if name != RUGGED else partial(generate, params=rugged or RuggedParams())

@@ -46,6 +46,7 @@ _RENDERED = {
     "open_water": ("pond", {"path": "port", "building": "port"}),
     "snow": ("bareland", {"water": "pond", "trees": "forest", "building": "sparseresidential"}),
     "dunes": ("desert", {}),
+    "rugged": ("mountain", {"lawn": "meadow"}),
 }  # fmt: skip
 """by rendered scene: the AID class of the scene, and of the land classes that differ from it"""
 

@@ -54,6 +54,8 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import PREFIX, SLOTS, check_part_names, wrong_external_key
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 from touchdown.landing.api import SurveyParams
+from touchdown.scenes.api import RuggedParams
+from touchdown.scenes.registry import RUGGED
 
 OPTION_KEYS: Mapping[str, str] = {
     "scene": "scene",
@@ -172,6 +174,7 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
     _check_map(config)
     _check_faults(config, sources)
     check_survey(config, sources)
+    _check_dials(config, sources)
     return config
 
 
@@ -364,6 +367,18 @@ def _check_map(config: Config) -> None:
             "mapper.enabled = false leaves nothing to choose a landing site from: it is for "
             "`touchdown fly`, or with landing.survey_only = true"
         )
+
+
+def _check_dials(config: Config, sources: Mapping[str, str]) -> None:
+    """Raises UsageError for dials of ``rugged`` over another scene."""
+    if config.scene == RUGGED or config.rugged == RuggedParams():
+        return
+    dials = dataclasses.asdict(config.rugged)
+    key = next(f"{RUGGED}.{k}" for k, v in dials.items() if v != getattr(RuggedParams(), k))
+    raise UsageError(
+        f"{key} in {sources.get(key, 'the configuration')} is a dial of the scene '{RUGGED}' and "
+        f"not of '{config.scene}': fly over '{RUGGED}', or leave it out"
+    )
 
 
 def _check_faults(config: Config, sources: Mapping[str, str]) -> None:

@@ -31,7 +31,7 @@ from touchdown.experiments.api import (
     StartParams,
 )
 from touchdown.landing.api import LandingParams, SurveyParams
-from touchdown.scenes.api import Light, short_name
+from touchdown.scenes.api import Light, RuggedParams, short_name
 from touchdown.sim.api import (
     FORBID_EXTRA,
     BarometerParams,
@@ -117,6 +117,7 @@ class Config(BaseModel):
     calibration with the errors of ``calibration_error``"""
     record: bool = True
     """write the Rerun recording (trajectories, map and costmap are always written)"""
+    rugged: RuggedParams = Field(default_factory=RuggedParams)
     sim: SimParams = Field(default_factory=SimParams)
     wind: WindParams = Field(default_factory=WindParams)
     lidar: LidarParams = Field(default_factory=LidarParams)

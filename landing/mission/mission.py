@@ -84,6 +84,8 @@ class Mission:
         self.reference_world: Array = self.start_world.copy()
         """(3,) position of the last setpoint"""
         self.turn: HeadingTurn | None = None
+        self.lift_m = 0.0
+        """by which the survey was lifted over risen ground"""
         self.wind = WindEstimator(rig.vehicle)
         self.felt_wind = FeltWind(rig.vehicle)
         self._profile = WindProfile()

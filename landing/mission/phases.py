@@ -12,6 +12,7 @@ from touchdown.landing.mission.descent import descend_to, final_descent
 from touchdown.landing.mission.mission import LegBlockedError, Mission, RuledSteps, Steps
 from touchdown.landing.mission.rules import Action, Moment
 from touchdown.landing.mission.site_recheck import ground_under
+from touchdown.landing.mission.terrain_following import Lift, LiftedTrajectory
 from touchdown.landing.mission.trajectory import (
     straight_trajectory,
     survey_trajectory,
@@ -86,13 +87,18 @@ def take_off(mission: Mission) -> Steps:
 
 
 def survey(mission: Mission) -> Steps:
-    """Flies the serpentine."""
+    """Flies the serpentine, higher where the ground rises."""
     params = mission.state.survey
     legs = "1 leg" if params.legs == 1 else f"{params.legs} legs"
     mission.state.enter(Phase.SURVEY, f"surveying {legs} of {params.leg_length_m:.0f} m")
     path = survey_trajectory(mission.reference_world.copy(), mission.start_yaw, params)
+    lift = Lift(params.height_m)
     try:
-        yield from mission.follow(path, in_world=True)
+        for setpoint in mission.follow(LiftedTrajectory(path, lift), in_world=True):
+            yield setpoint
+            view = mission.view
+            lift.update(view.map_view, mission.reference_odom[:2], view.ground_odom, mission.now)
+            mission.lift_m = lift.height_m
     except LegBlockedError as blocked:
         if blocked.action is not Action.END_SURVEY:
             raise
@@ -167,7 +173,7 @@ def search_leg(mission: Mission) -> Steps:
     side = np.array([-np.sin(mission.start_yaw), np.cos(mission.start_yaw), 0.0])
     ahead = np.array([np.cos(mission.start_yaw), np.sin(mission.start_yaw), 0.0])
     base = mission.start_world.copy()
-    base[2] = mission.view.ground_world + params.height_m
+    base[2] = mission.view.ground_world + params.height_m + mission.lift_m
     row = base + (params.legs + before) * params.leg_spacing_m * side
     near, far = row, row + params.leg_length_m * ahead
     here = mission.reference_world

@@ -42,6 +42,8 @@ class SceneDraft:
     """class of geoms whose names say nothing, and what it is inferred from"""
     textured: tuple[str, ...] = ()
     """geoms of featureless ground that were given texture and relief"""
+    facts: dict[str, float] = field(default_factory=dict)
+    """as `Scene.facts`"""
     pictures: dict[str, Picture] = field(default_factory=dict)
     """of textures that are flat in the spec: `SceneDraft.fill` them there, or `fill_model` the
     compiled model, to which MuJoCo would take them by four copies"""

@@ -147,6 +147,23 @@ class Ground(IntEnum):
                        (176, 154, 106), (0.18, 0.1, 0.14, 0.05), (4, 3, 1), 1)
     BEDROCK = 37, _Look(_surface("field", 0.34, 0.15), "rock",
                      (150, 124, 98), (0.13, 0.13, 0.09, 0.08), (4, 3, 2), 0)
+    # Reflectivities of rugged ground are assumed, as of dry surfaces.
+    GRANITE = 38, _Look(_surface("field", 0.31, 0.16), "rock",
+                     (150, 147, 141), (0.13, 0.12, 0.11, 0.06), (4, 3, 1), 0)
+    SCREE = 39, _Look(_surface("field", 0.28, 0.18, dust=0.1), "gravel",
+                   (126, 122, 114), (0.17, 0.12, 0.16, 0.05), (4, 3, 1), 1)
+    LIMESTONE = 40, _Look(_surface("field", 0.46, 0.12, dust=0.5), "rock",
+                       (206, 196, 172), (0.09, 0.08, 0.08, 0.06), (5, 4, 1), 0)
+    BASALT = 41, _Look(_surface("field", 0.10, 0.18), "rock",
+                    (76, 71, 69), (0.16, 0.15, 0.12, 0.08), (3, 1, 0), 0)
+    MOSS = 42, _Look(_surface("lawn", 0.40, 0.15), "grass",
+                  (134, 134, 66), (0.16, 0.13, 0.09, 0.08), (8, 4, 0), 1)
+    BADLAND = 43, _Look(_surface("field", 0.36, 0.10, dust=0.9), "soil",
+                     (190, 158, 122), (0.09, 0.08, 0.08, 0.05), (4, 1, -1), 1)
+    BRASH = 44, _Look(_surface("field", 0.32, 0.22), "litter",
+                   (124, 104, 80), (0.26, 0.17, 0.18, 0.08), (6, 4, 2), 1)
+    HEATHER = 45, _Look(_surface("lawn", 0.38, 0.18, 0.2, _GRASS), "meadow",
+                     (106, 84, 70), (0.24, 0.18, 0.12, 0.08), (9, 2, 4), 1)
     # fmt: on
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from touchdown.scenes import cache, compose
-from touchdown.scenes.api import ImportOptions, LowSun, Scene
+from touchdown.scenes.api import ImportOptions, LowSun, RuggedParams, Scene
 from touchdown.scenes.authoring.ground import varied_materials
 from touchdown.scenes.cache import cached_scene
 
@@ -78,9 +78,17 @@ def test_each_key_has_its_own_entry(loads: list[Any], monkeypatch: pytest.Monkey
     ]  # fmt: skip
     for _ in range(2):
         assert [cached_scene(*key).model.ngeom for key in keys] == [1, 2, 3, 4, 5]
-    assert loads == [(*key, None) for key in keys]  # without options of files
+    assert loads == [(*key, None, None) for key in keys]  # without options and dials
     monkeypatch.setattr(cache, "_sources", lambda: "other sources")
     assert cached_scene(*keys[0]).model.ngeom == 6
+
+
+def test_dials_are_part_of_the_key_of_one_scene(loads: list[Any]) -> None:
+    steep = RuggedParams(slope_deg=20.0)
+    keys = [("rugged", None), ("rugged", RuggedParams()), ("rugged", steep),
+            ("flat", None), ("flat", steep)]  # fmt: skip
+    found = [cached_scene(name, 1, None, "day", None, dials).model.ngeom for name, dials in keys]
+    assert found == [1, 1, 2, 3, 3]
 
 
 def test_what_the_sources_hash_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
