@@ -46,7 +46,7 @@ def shape_ground(rng: np.random.Generator, dials: Dials) -> Array:
         noise = np.random.default_rng(seed)
         waves = tileable_noise(noise, _TILE, 0.5 * look.spectrum, low_cut)[:NODES, :NODES]
         few = np.ascontiguousarray(waves[::_COARSE, ::_COARSE], np.float64)
-        return waves * _height_for(few, details, dials.slope_deg)
+        return np.asarray(waves * _height_for(few, details, dials.slope_deg), np.float64)
 
     waves, wanted = waves_from(_LOW_CUTS[0]), dials.relief_m
     if wanted is not None:
@@ -102,7 +102,7 @@ class _Details:
         if self._look.gully_m <= 0.0:
             return heights
         coarse = np.ascontiguousarray(heights[::2, ::2])
-        smooth = cv2.GaussianBlur(coarse, (0, 0), 3.0)
+        smooth = np.asarray(cv2.GaussianBlur(coarse, (0, 0), 3.0), np.float64)
         flow = np.zeros(coarse.shape)
         _trickle(smooth, self._starts * (len(coarse) - 3) + 1.0, flow)
         course = np.log1p(cv2.GaussianBlur(flow, (0, 0), 0.8))

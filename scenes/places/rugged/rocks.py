@@ -87,7 +87,10 @@ def heap(rocks: Rocks, nodes: int) -> Array:
     """(nodes, nodes) metres that rocks rise over the ground at the nodes of the scene's square. A
     rock narrower than two cells stands on the nearest node."""
     out = np.zeros((nodes, nodes))
-    _heap(out, 2.0 * HALF_M / (nodes - 1), HALF_M, *rocks)
+    _heap(
+        out, 2.0 * HALF_M / (nodes - 1), HALF_M, rocks.xy_m, rocks.diameter_m, rocks.aspect,
+        rocks.heading, rocks.shape, rocks.height_m, rocks.turn,
+    )  # fmt: skip
     return out
 
 
