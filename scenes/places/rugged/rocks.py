@@ -97,7 +97,7 @@ def heap(rocks: Rocks, nodes: int) -> Array:
 @njit(cache=True, error_model="numpy")
 def _heap(
     out: Array, cell: float, half: float, xy: Array, diameter: Array, aspect: Array, heading: Array,
-    shape: Array, height: Array, turn: Array,
+    shape: NDArray[np.int64], height: Array, turn: Array,
 ) -> None:  # fmt: skip
     last = out.shape[0] - 1
     for k in range(diameter.size):
