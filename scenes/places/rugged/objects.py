@@ -14,12 +14,12 @@ from touchdown.scenes.authoring.ground import Ground
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import draw_heading, unit
 from touchdown.scenes.authoring.relief import HALF_M
-from touchdown.scenes.places.dunes import add_scrub, grow_scrub
 from touchdown.scenes.places.rugged.presets import Dials
 from touchdown.scenes.places.rugged.relief import CELL_M, NODES
 from touchdown.scenes.places.rugged.rocks import Rocks, boulder_mesh
 from touchdown.scenes.places.rugged.safe_ground import SafeGround
 from touchdown.scenes.props import woods
+from touchdown.scenes.props.scrubland import add_scrub, grow_scrub
 
 BOULDERS, BOULDER_M = 240, 0.7
 """So many rocks, the largest, at least so wide, are bodies of their own."""
