@@ -15,7 +15,7 @@ from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.plane import draw_heading, pick, unit, unit_ball
+from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.plots import SurveyFrame, draw_frame
 from touchdown.scenes.authoring.relief import HALF_M, HeightField, level_takeoff, smoothstep
 from touchdown.scenes.authoring.water import upsample
