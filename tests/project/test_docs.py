@@ -169,6 +169,8 @@ def test_commands_in_blocks_parse(page: Path) -> None:
             parts: dict[str, Any] = {kind: options[kind] for kind in SLOTS if kind in options}
             if "name" in options:
                 parts[options.get("kind", "estimator")] = options["name"]
+            if isinstance(options.get("scene"), str):
+                parts["scene"] = options["scene"]
             load_config(None, options.get("overrides", ()), **parts)
 
 
