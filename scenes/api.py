@@ -117,9 +117,8 @@ class RuggedParams:
     """mean slope of the ground over 5 m, without rocks, grooves and cleared pads; none: the
     preset's"""
     relief_m: Annotated[float, Interval(ge=0, le=60)] | None = None
-    """height between the lowest and the highest fiftieth of the ground: the longest waves are left
-    out until it is met as nearly as the slope allows; none: the longest waves are those of the
-    scene's size"""
+    """height between the lowest and the highest fiftieth of the ground, met as nearly as the slope
+    allows by a steeper hillside or without the longest waves; none: what the preset gives"""
     rock_abundance: Annotated[float, Interval(ge=0, le=0.3)] | None = None
     """fraction of the ground that rocks cover, ``k`` of the size-frequency law; none: the
     preset's"""

@@ -11,7 +11,7 @@ mean plane, under a Hann window:
 - 3.0: lava, from the Hurst exponent H = 0.5 of Holuhraun (Aufaristama et al., Geosciences 10, 2020)
   by b = 2 H + 2.
 
-Step heights, depths, roughness and colours are assumed.
+Hillsides, step heights, depths, roughness and colours are assumed.
 """
 
 from __future__ import annotations
@@ -40,6 +40,8 @@ class Preset:
     steep: Ground
     """of faces"""
     rock: Ground
+    plane: float
+    """part of the slope that the hillside has as a whole"""
     rough_m: float
     """standard deviation of what is finer than a metre"""
     terrace_m: float = 0.0
@@ -59,36 +61,36 @@ class Preset:
 PRESETS: Mapping[str, Preset] = {
     "upland": Preset(
         slope_deg=7.0, rock_abundance=0.03, cover="tussocks", groove_fraction=0.004,
-        safe_fraction=0.12, spectrum=3.3, rough_m=0.012, ground=Ground.ROUGH,
+        safe_fraction=0.12, spectrum=3.3, plane=0.6, rough_m=0.012, ground=Ground.ROUGH,
         patches=(Ground.HEATHER, Ground.DRY_GRASS), steep=Ground.SOIL, rock=Ground.GRANITE,
         terrace_m=1.1, terrace_part=0.25,
     ),
     "alpine": Preset(
         slope_deg=18.0, rock_abundance=0.12, cover="snow", groove_fraction=0.004,
-        safe_fraction=0.05, spectrum=3.5, rough_m=0.025, ground=Ground.SCREE,
+        safe_fraction=0.05, spectrum=3.5, plane=0.75, rough_m=0.025, ground=Ground.SCREE,
         patches=(Ground.DRY_GRASS, Ground.ROUGH), steep=Ground.GRANITE, rock=Ground.GRANITE,
         terrace_m=2.2, terrace_part=0.45,
     ),
     "quarry": Preset(
         slope_deg=12.0, rock_abundance=0.06, cover="scree", groove_fraction=0.006,
-        safe_fraction=0.10, spectrum=3.3, rough_m=0.012, ground=Ground.LIMESTONE,
+        safe_fraction=0.10, spectrum=3.3, plane=0.65, rough_m=0.012, ground=Ground.LIMESTONE,
         patches=(Ground.GRAVEL, Ground.CLAY), steep=Ground.LIMESTONE, rock=Ground.LIMESTONE,
         terrace_m=3.2, strata_m=0.7, ruts=True,
     ),
     "lava": Preset(
         slope_deg=8.0, rock_abundance=0.10, cover="bare", groove_fraction=0.02,
-        safe_fraction=0.04, spectrum=3.0, rough_m=0.035, ground=Ground.BASALT,
+        safe_fraction=0.04, spectrum=3.0, plane=0.3, rough_m=0.035, ground=Ground.BASALT,
         patches=(Ground.MOSS, Ground.MOSS), steep=Ground.BASALT, rock=Ground.BASALT, ridge_m=1.1,
     ),
     "gully": Preset(
         slope_deg=14.0, rock_abundance=0.02, cover="scrub", groove_fraction=0.004,
-        safe_fraction=0.08, spectrum=3.6, rough_m=0.008, ground=Ground.BADLAND,
+        safe_fraction=0.08, spectrum=3.6, plane=0.5, rough_m=0.008, ground=Ground.BADLAND,
         patches=(Ground.DRY_GRASS, Ground.SAND_FLAT), steep=Ground.BADLAND, rock=Ground.BEDROCK,
         gully_m=3.2, strata_m=1.3,
     ),
     "felled_forest": Preset(
         slope_deg=9.0, rock_abundance=0.01, cover="logs", groove_fraction=0.03,
-        safe_fraction=0.06, spectrum=3.3, rough_m=0.02, ground=Ground.BRASH,
+        safe_fraction=0.06, spectrum=3.3, plane=0.6, rough_m=0.02, ground=Ground.BRASH,
         patches=(Ground.FERN, Ground.LITTER), steep=Ground.SOIL, rock=Ground.GRANITE, ruts=True,
     ),
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Shape of rugged ground: waves of a power spectrum, steps, gullies, ridges, grooves and snow."""
+"""Shape of rugged ground: a hillside with waves of a power spectrum, steps, gullies, ridges, grooves and snow."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ _TILE = 1024
 """Nodes of the periodic noise that the ground is cut out of"""
 _LOW_CUTS = (1.0, 1.5, 2.3, 3.5, 5.3, 8.0, 12.0)
 """Waves over the tile, of the longest ones"""
+_PLANES = (0.2, 0.35, 0.5, 0.62, 0.72, 0.8, 0.87, 0.93, 0.97)
+"""Parts of the slope that a plane has"""
 _COARSE = 5
 """Nodes between those at which slopes are measured"""
 _SLOPE_BASE_M = 4.8
@@ -40,19 +42,30 @@ def shape_ground(rng: np.random.Generator, dials: Dials) -> Array:
     """Returns the heights (NODES, NODES) in metres of the ground without rocks, grooves and snow,
     with the mean slope of ``dials`` and, as nearly as that allows, their relief."""
     seed, look = int(rng.integers(2**31)), dials.preset
+    uphill = hillside(draw_heading(rng))
     details = _Details(rng, look)
 
-    def waves_from(low_cut: float) -> Array:
+    def base(low_cut: float, plane: float) -> Array:
         noise = np.random.default_rng(seed)
         waves = tileable_noise(noise, _TILE, 0.5 * look.spectrum, low_cut)[:NODES, :NODES]
-        few = np.ascontiguousarray(waves[::_COARSE, ::_COARSE], np.float64)
-        return np.asarray(waves * _height_for(few, details, dials.slope_deg), np.float64)
+        tilt = np.tan(np.deg2rad(plane * dials.slope_deg)) * uphill
+        few = (np.ascontiguousarray(one[::_COARSE, ::_COARSE], np.float64) for one in (waves, tilt))
+        high = _height_for(*few, details, dials.slope_deg)
+        return np.asarray(waves * high + tilt, np.float64)
 
-    waves, wanted = waves_from(_LOW_CUTS[0]), dials.relief_m
+    ground, wanted = base(_LOW_CUTS[0], look.plane), dials.relief_m
     if wanted is not None:
-        tried = (waves, *map(waves_from, _LOW_CUTS[1:]))
-        waves = min(tried, key=lambda h: abs(relief_m(details.on(h)) - wanted))
-    return _carved_to(details.on(waves), details, dials.slope_deg)
+        lower = (base(low_cut, 0.0) for low_cut in _LOW_CUTS)
+        higher = (base(_LOW_CUTS[0], plane) for plane in _PLANES)
+        tried = (ground, *lower, *higher)
+        ground = min(tried, key=lambda h: abs(relief_m(details.on(h)) - wanted))
+    return _carved_to(details.on(ground), details, dials.slope_deg)
+
+
+def hillside(heading: float) -> Array:
+    """(NODES, NODES) metres from the middle of the scene along a heading in radians."""
+    axis = np.linspace(-HALF_M, HALF_M, NODES)
+    return np.asarray(np.cos(heading) * axis + np.sin(heading) * axis[:, None], np.float64)
 
 
 def relief_m(heights: Array) -> float:
@@ -141,12 +154,13 @@ def _trickle(heights: Array, starts: Array, flow: Array) -> None:
                 break
 
 
-def _height_for(few: Array, details: _Details, slope_deg: float) -> float:
-    """The factor of waves at every fifth node that gives them, with their details, the slope."""
+def _height_for(few: Array, tilt: Array, details: _Details, slope_deg: float) -> float:
+    """The factor of waves at every fifth node that gives them, on a tilted plane and with their
+    details, the slope."""
     low, high = 0.0, 40.0
     for _ in range(24):
         middle = 0.5 * (low + high)
-        steep = mean_slope_deg(details.on(middle * few), _COARSE * CELL_M) > slope_deg
+        steep = mean_slope_deg(details.on(middle * few + tilt), _COARSE * CELL_M) > slope_deg
         low, high = (low, middle) if steep else (middle, high)
     return low
 
