@@ -1,4 +1,4 @@
-"""Shape of rugged ground: a hillside with waves of a power spectrum, steps, gullies, ridges, grooves and snow."""
+"""Shape of rugged ground: a hillside with waves, steps, gullies, ridges, grooves and snow."""
 
 from __future__ import annotations
 
