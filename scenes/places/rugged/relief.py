@@ -49,8 +49,9 @@ def shape_ground(rng: np.random.Generator, dials: Dials) -> Array:
         noise = np.random.default_rng(seed)
         waves = tileable_noise(noise, _TILE, 0.5 * look.spectrum, low_cut)[:NODES, :NODES]
         tilt = np.tan(np.deg2rad(plane * dials.slope_deg)) * uphill
-        few = (np.ascontiguousarray(one[::_COARSE, ::_COARSE], np.float64) for one in (waves, tilt))
-        high = _height_for(*few, details, dials.slope_deg)
+        few = np.s_[::_COARSE, ::_COARSE]
+        coarse = waves[few].astype(np.float64)
+        high = _height_for(coarse, tilt[few], details, dials.slope_deg)
         return np.asarray(waves * high + tilt, np.float64)
 
     ground, wanted = base(_LOW_CUTS[0], look.plane), dials.relief_m
