@@ -39,6 +39,8 @@ _GAP_M = 1.3
 """between the edges of two pads"""
 _BEST_OF = 5
 """places of which the most level one becomes a pad"""
+_LEFT = (0.6, 0.4, 0.2, 0.1)
+"""of the wanted fraction that a round of lumps should leave safe"""
 _PARTS = (0.5, 0.9, 1.0, 1.0)
 """of what is missing that a round of pads should add: what a pad adds is learned from the last
 one"""
@@ -89,8 +91,10 @@ class SafeGround:
         There is a level pad at the take-off spot."""
         self._lay(Pad(xy_m=takeoff_xy_m, axes_m=_START_M * np.eye(2)), tilt=0.0)
         safe = self._safe()
-        if safe.mean() > 0.75 * fraction:
-            self._roughen(safe, 0.6 * fraction, takeoff_xy_m)
+        for part in _LEFT:
+            if safe.mean() < 0.75 * fraction:
+                break
+            self._roughen(safe, part * fraction, takeoff_xy_m)
             safe = self._safe()
         yields = 1.0
         for part in _PARTS:
