@@ -23,7 +23,7 @@ from touchdown.scenes.truth.maps import (
 
 _TILT = float(np.tan(np.deg2rad(0.55 * MAX_SLOPE_DEG)))
 """Steepest pad, well below the rule's limit"""
-_LUMP_M, _LUMP_WAVE_M = 0.08, 1.3
+_LUMP_WAVE_M = 1.2
 _BENIGN_M = 0.35
 """of the ground beside a pad that is level enough for part of a footprint"""
 _BLEND_M = 2.4
@@ -39,8 +39,9 @@ _GAP_M = 1.3
 """between the edges of two pads"""
 _BEST_OF = 5
 """places of which the most level one becomes a pad"""
-_LEFT = (0.6, 0.4, 0.2, 0.1)
-"""of the wanted fraction that a round of lumps should leave safe"""
+_LEFT = ((0.6, 0.09), (0.4, 0.12), (0.2, 0.16), (0.1, 0.2))
+"""of the wanted fraction, what a round of lumps should leave safe; their standard deviation in
+metres"""
 _PARTS = (0.5, 0.9, 1.0, 1.0)
 """of what is missing that a round of pads should add: what a pad adds is learned from the last
 one"""
@@ -91,10 +92,10 @@ class SafeGround:
         There is a level pad at the take-off spot."""
         self._lay(Pad(xy_m=takeoff_xy_m, axes_m=_START_M * np.eye(2)), tilt=0.0)
         safe = self._safe()
-        for part in _LEFT:
+        for part, high_m in _LEFT:
             if safe.mean() < 0.75 * fraction:
                 break
-            self._roughen(safe, part * fraction, takeoff_xy_m)
+            self._roughen(safe, part * fraction, high_m)
             safe = self._safe()
         yields = 1.0
         for part in _PARTS:
@@ -118,7 +119,7 @@ class SafeGround:
     def _safe(self) -> NDArray[np.bool_]:
         return rule_map(self.heights + self.things)
 
-    def _roughen(self, safe: NDArray[np.bool_], fraction: float, takeoff_xy_m: Array) -> None:
+    def _roughen(self, safe: NDArray[np.bool_], fraction: float, high_m: float) -> None:
         """Raises lumps of a step's height on patches until ``fraction`` stays safe."""
         shape = (NODES, NODES)
         patches = fractal_noise(self.rng, shape, 11.0 / CELL_M, 3, 0.5).astype(np.float64)
@@ -133,7 +134,7 @@ class SafeGround:
         lumps = fractal_noise(self.rng, shape, _LUMP_WAVE_M / CELL_M, 2, 0.5).astype(np.float64)
         start = self.pads[0].distance(_nodes(np.s_[:], np.s_[:]))
         strength = smoothstep(level + 0.12, level - 0.12, patches) * smoothstep(0.2, 2.0, start)
-        self.heights += _LUMP_M * strength * lumps
+        self.heights += high_m * strength * lumps
 
     def _add_pads(self, missing: float, fraction: float) -> float:
         """Lays pads that should add ``missing`` to the safe fraction; returns what they should
