@@ -42,8 +42,8 @@ def paint_ground(
     rise = np.hypot(*np.gradient(ndimage.gaussian_filter(heights, 0.35 / CELL_M), CELL_M))
     steep = np.rad2deg(np.arctan(resampled(rise, _SMALL))) + 3.0 * ragged
     layer = np.full(shape, int(look.ground), np.uint8)
-    layer[patches + 0.15 * ragged - 0.03 * (steep - 15.0) > 0.45] = int(look.patches[0])
-    layer[others + 0.15 * ragged - 0.03 * (steep - 15.0) > 0.85] = int(look.patches[1])
+    layer[patches + 0.15 * ragged - 0.03 * (steep - 15.0) > 0.75] = int(look.patches[0])
+    layer[others + 0.15 * ragged - 0.03 * (steep - 15.0) > 1.15] = int(look.patches[1])
     if dials.cover == "scree":
         layer[(fractal_noise(rng, shape, 9.0 / cell, 3, 0.5) + 0.2 * ragged > 0.35)] = int(
             Ground.SCREE if look.ground is not Ground.LIMESTONE else Ground.GRAVEL

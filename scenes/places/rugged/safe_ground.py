@@ -24,7 +24,7 @@ from touchdown.scenes.truth.maps import (
 _TILT = float(np.tan(np.deg2rad(0.55 * MAX_SLOPE_DEG)))
 """Steepest pad, well below the rule's limit"""
 _LUMP_WAVE_M = 1.2
-_BENIGN_M = 0.35
+_BENIGN_M = 0.6
 """of the ground beside a pad that is level enough for part of a footprint"""
 _BLEND_M = 2.4
 """from a pad to the ground around it"""
@@ -42,7 +42,7 @@ _BEST_OF = 5
 _LEFT = ((0.6, 0.09), (0.4, 0.12), (0.2, 0.16), (0.1, 0.2))
 """of the wanted fraction, what a round of lumps should leave safe; their standard deviation in
 metres"""
-_PARTS = (0.5, 0.9, 1.0, 1.0)
+_PARTS = (0.35, 0.8, 1.0, 1.0, 1.0)
 """of what is missing that a round of pads should add: what a pad adds is learned from the last
 one"""
 _EDGE_M = 3.0
@@ -105,7 +105,7 @@ class SafeGround:
             before = float(safe.mean())
             expected = self._add_pads(part * missing / yields, fraction)
             safe = self._safe()
-            yields = float(np.clip((safe.mean() - before) / max(expected, 1e-9), 0.3, 3.0))
+            yields = float(np.clip((safe.mean() - before) / max(expected, 1e-9), 0.2, 5.0))
         return float(safe.mean())
 
     def clear(self, xy_m: Array, radius_m: Array) -> NDArray[np.bool_]:
