@@ -358,6 +358,62 @@ def bench_imu(data: Path) -> dict[str, Any]:
     return {name: array.tolist() for name, array in measure(data).items()}
 
 
+def _print_touchdown(figures: dict[str, Any]) -> None:
+    from touchdown.experiments.benchmarks.contact.tipping import table
+
+    say(table(figures))
+
+
+def _range(name: str, low: float, high: float, what: str) -> Any:
+    number = Number(min=0.0, max=1000.0)
+    return click.option(name, nargs=2, type=number, default=(low, high), show_default=True,
+                        metavar="LOW HIGH", help=f"{what}, drawn evenly.")  # fmt: skip
+
+
+@bench.command("touchdown")
+@click.option("--contacts", type=click.IntRange(1, 100_000), default=100, show_default=True,
+              help="Of each level of each ground: 43 levels.")  # fmt: skip
+@SEED
+@_ONE_JOB
+@click.option("--bound", type=Number(min=0.0, max=1.0), default=0.05, show_default=True,
+              help="Probability to tip, strike or slide that is allowed.")  # fmt: skip
+@_range("--friction", 0.3, 0.9, "Sliding friction of the feet")
+@_range("--speed", 0.0, 0.5, "Speed over the ground at the contact, m/s")
+@_range("--wind-kmh", 0.0, 40.0, "Wind")
+@click.option("--profile", type=PROFILE, default="field", show_default=True)
+@click.option("--out", type=PATH, metavar="DIR",
+              help="Write touchdown.json and the maps, touchdown.svg, there.")  # fmt: skip
+@OVERRIDES
+@answered(_print_touchdown)
+@QUIET
+def bench_touchdown(out: Path | None, quiet: bool, **options: Any) -> dict[str, Any]:
+    """Set the vehicle down by its own descent, detection and controller on slopes of 0 to 25
+    degrees, and with one or two legs on steps and rocks of up to 0.4 m: how often it tips, strikes
+    the ground or slides; and up to which slope and step it stands.
+
+    Nothing is perceived: the estimate is true, but for a drift by which the vehicle moves over the
+    ground.
+
+    Example: touchdown bench touchdown --contacts 200 --jobs 2 --out touchdown
+    """
+    from touchdown.experiments.benchmarks.contact import tipping
+
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    names = {"friction": "friction", "speed": "speed_mps", "wind_kmh": "wind_kmh"}
+    ranges = tipping.Ranges(**{key: options.pop(name) for name, key in names.items()})
+    figures = tipping.measure(
+        ranges=ranges, report=lambda n, of: _report(quiet, f"{n} of {of} contacts"), **options
+    )
+    if out is not None:
+        from touchdown.experiments.benchmarks.contact.figure import draw
+
+        text = json.dumps(figures, indent=2) + "\n"
+        (out / "touchdown.json").write_text(text, encoding="utf-8")
+        draw(figures, out / "touchdown.svg")
+    return figures
+
+
 def _print_limit(figures: dict[str, Any]) -> None:
     from touchdown.experiments.benchmarks.limit.survey import table
 

@@ -2,11 +2,9 @@
 
 import contextlib
 import functools
-import multiprocessing
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from touchdown.estimator.api import GridMap
+from touchdown.experiments.benchmarks.processes import mapped
 from touchdown.experiments.benchmarks.selection.maps import (
     KeptMap,
     SafeGround,
@@ -252,7 +251,7 @@ def make_maps(
     ]
     out.mkdir(parents=True, exist_ok=True)
     files = []
-    for file in _mapped(_make_and_write, tasks, jobs):
+    for file in mapped(_make_and_write, tasks, jobs):
         report(file)
         files.append(file)
     return files
@@ -305,7 +304,7 @@ def run(
         check = partial(_checked, selectors=names, overrides=given)
         files: list[Path] = []
         found: list[list[dict[str, Any]]] = []
-        for file, results in _mapped(check, tasks, jobs):
+        for file, results in mapped(check, tasks, jobs):
             report(results[0])
             files.append(file)
             found.append(results)
@@ -315,7 +314,7 @@ def run(
             several = len({place["seed"] for place in mine}) > 1
             draw = partial(_draw, selector=names[0], overrides=given, folder=pictures,
                            several=several)  # fmt: skip
-            list(_mapped(draw, [files[n] for n in order[:worst]], jobs))
+            list(mapped(draw, [files[n] for n in order[:worst]], jobs))
     chosen = names[0] or _config("field", None, given, "flat", 0).landing.selector
     figures: dict[str, Any] = {"selector": chosen, "summary": summary(mine)}
     if len(names) > 1:
@@ -385,16 +384,6 @@ def _config(
         estimator="oracle",
         record=False,
     )
-
-
-def _mapped(function: Callable[[Any], Any], tasks: Sequence[Any], jobs: int) -> Iterator[Any]:
-    """Results in the order of ``tasks``, by ``jobs`` processes."""
-    if jobs == 1:
-        yield from map(function, tasks)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        yield from pool.map(function, tasks)
 
 
 def row(place: dict[str, Any]) -> str:

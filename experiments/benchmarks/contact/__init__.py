@@ -1,0 +1,1 @@
+"""`touchdown bench touchdown`: what ground the vehicle stands on after a touchdown."""

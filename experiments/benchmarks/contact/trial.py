@@ -1,0 +1,255 @@
+"""One touchdown of the bench: the last metres of a mission by its own code in its own loop.
+
+Mission, touchdown detection, motor cut, controller, sensors of the detection, air and referee are
+those of a flight. The estimate is the truth, but for a drift of its position and velocity where the
+vehicle is to move over the ground: that is how it comes to do so in flight. Nothing is perceived.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from touchdown.controller.api import Setpoint
+from touchdown.estimator.api import Estimate, MapView
+from touchdown.estimator.oracle import Oracle
+from touchdown.experiments.api import Outcome
+from touchdown.experiments.benchmarks.contact.terrain import Terrain, terrain_scene
+from touchdown.experiments.config.schema import Config
+from touchdown.experiments.flight.loop import run_flight
+from touchdown.experiments.flight.run import make_referee
+from touchdown.experiments.flight.wiring import FlightStack, build_flight_stack
+from touchdown.experiments.recording.recorder import NullRecorder, StepRecord
+from touchdown.landing.api import LanderView, LandingParams
+from touchdown.landing.mission.descent import final_descent
+from touchdown.landing.mission.mission import Mission, Steps
+from touchdown.landing.mission.phases import rest
+from touchdown.landing.mission.trajectory import descent_trajectory
+from touchdown.scenes.truth.static_surface import cast_points
+from touchdown.sim.api import Command, Observation, SensorNeeds, Truth
+from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
+
+SLIDE_M = 0.25
+"""way of the footprint's centre over the ground, from the first contact to rest, from which on the
+vehicle has slid: half of what the pad of 1.0 m leaves beside a vehicle of 0.53 m (assumed)"""
+_SLOW_M = 0.2
+"""height at which the mission reaches its touchdown speed"""
+_NEAR_M, _FAR_M = 0.25, 1.3
+"""height of the legs at the start: over ground that is met at touchdown speed; else that from which
+the cruise of the final descent is reached"""
+_REST_S = 4.0
+"""after the planned contact; who has not come to rest by then slides"""
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Conditions of one contact. ``friction`` None: that of the vehicle's own feet."""
+
+    friction: float | None = None
+    speed_mps: float = 0.0
+    wind_kmh: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One contact to fly. ``config``: of the world and the mission; its seed draws all else."""
+
+    config: Config
+    terrain: Terrain
+    conditions: Conditions
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """How a trial ended."""
+
+    terrain: Terrain
+    conditions: Conditions
+    fails: str
+    """``tips``, ``strikes`` (a part other than a leg touches the ground), ``slides``; "" where the
+    vehicle stands"""
+    slid_m: float
+    """NaN without a contact of the legs"""
+    tilt_deg: float
+    """largest from the first contact on"""
+    contact_mps: float
+    """horizontal speed at the first contact"""
+    safe_geometry: bool
+    """by the true rule, at the first contact"""
+
+
+def fly_trial(trial: Trial) -> Touch:
+    """Flies one contact and judges it. The same trial gives the same result to the bit."""
+    rng = np.random.default_rng([trial.config.seed, 0])
+    scene = terrain_scene(trial.terrain, trial.conditions.friction, rng)
+    heading = rng.uniform(-np.pi, np.pi)
+    drift = trial.conditions.speed_mps * np.array([np.cos(heading), np.sin(heading), 0.0])
+    ground = float(cast_points(scene, np.zeros((1, 2)))[0][0])
+    low = trial.terrain.kind == "slope" or trial.terrain.size <= _SLOW_M
+    top = trial.terrain.size if trial.terrain.legs else ground
+    legs_m = max(top, ground) + _NEAR_M if low else ground + _FAR_M
+    contact_s = _contact_s(trial.config.landing, legs_m - ground, max(top - ground, 0.0))
+    wind = replace(trial.config.wind, mean_kmh=trial.conditions.wind_kmh, wakes=False)
+    referee = replace(trial.config.referee, timeout_s=contact_s + _REST_S)
+    config = trial.config.model_copy(update={"wind": wind, "referee": referee})
+    stack = build_flight_stack(config, scene)
+    start = np.array([0.0, 0.0, legs_m + stack.nominal_rig.vehicle.leg_height_m])
+    start -= contact_s * drift
+    site = np.array([*start[:2], ground])
+    return _judged(trial, config, stack, _Dropped(stack.world, start), site, drift)
+
+
+def _contact_s(params: LandingParams, height_m: float, top_m: float) -> float:
+    """Time at which the plan has the legs at ``top_m`` over the ground, from ``height_m``."""
+    path = descent_trajectory(
+        np.array([0.0, 0.0, height_m]),
+        _SLOW_M,
+        cruise_speed=params.final_speed_mps,
+        touchdown_speed=params.touchdown_speed_mps,
+        max_accel=params.final_accel_mps2,
+    )
+    times = np.arange(0.0, path.duration_s + _SLOW_M / params.touchdown_speed_mps, 0.01)
+    heights = np.array([path.sample(t)[0][2] for t in times])
+    return float(times[np.argmin(np.abs(heights - top_m))])
+
+
+def _judged(
+    trial: Trial, config: Config, stack: FlightStack, world: _Dropped, site: Array, drift: Array
+) -> Touch:
+    last = _Last(stack.nominal_rig.vehicle.leg_height_m)
+    try:
+        judgement = run_flight(
+            world=world,  # type: ignore[arg-type]
+            estimator=_Drifting(stack.world.truth, drift),
+            mapper=stack.mapper,
+            lander=_FinalDescent(stack, config, site),
+            controller=stack.controller,
+            recorder=last,
+            referee=make_referee(config, stack.scene, lambda: None),
+        )
+    finally:
+        stack.world.close()
+    landing, outcome = judgement.landing, judgement.outcome
+    slid = last.slid_m()
+    return Touch(
+        terrain=trial.terrain,
+        conditions=trial.conditions,
+        fails=_failure(outcome, slid),
+        slid_m=slid,
+        tilt_deg=np.nan if landing is None else float(landing.tilt_deg or 0.0),
+        contact_mps=last.contact_mps,
+        safe_geometry=landing is not None and bool(landing.safe_geometry),
+    )
+
+
+def _failure(outcome: Outcome, slid_m: float) -> str:
+    if outcome is Outcome.TIPPED:
+        return "tips"
+    if outcome is Outcome.COLLIDED:
+        return "strikes"
+    return "" if outcome is Outcome.LANDED and slid_m <= SLIDE_M else "slides"
+
+
+class _Dropped:
+    """A world whose first step lifts the vehicle to ``position`` (3,), at rest and level."""
+
+    def __init__(self, world: Any, position: Array) -> None:
+        self._world, self._position, self._lifted = world, position, False
+
+    def reset(self) -> Observation:
+        observation: Observation = self._world.reset()
+        return observation
+
+    def truth(self) -> Truth:
+        truth: Truth = self._world.truth()
+        return truth
+
+    def step(self, command: Command) -> Observation:
+        observation: Observation
+        if self._lifted:
+            observation = self._world.step(command)
+        else:
+            observation = self._world.start_in_air(self._position, 0.0)
+        self._lifted = True
+        return observation
+
+
+class _Drifting(Oracle):
+    """The truth, with a position that falls behind by ``drift`` (3,) m/s: the controller, which
+    holds it, moves the vehicle by as much."""
+
+    def __init__(self, truth: Any, drift: Array) -> None:
+        super().__init__(truth)
+        self._drift = drift
+
+    def update(self, obs: Observation) -> Estimate:
+        estimate = super().update(obs)
+        pose = estimate.odom_from_body
+        return replace(
+            estimate,
+            odom_from_body=Pose(pose.rotation, pose.translation - obs.time_s * self._drift),
+            velocity_odom=estimate.velocity_odom - self._drift,
+        )
+
+
+class _FinalDescent:
+    """A lander that knows its site: the final descent of the mission and what follows."""
+
+    needs = SensorNeeds()
+
+    def __init__(self, stack: FlightStack, config: Config, site: Array) -> None:
+        self._mission = Mission(stack.nominal_rig, config.landing, config.survey)
+        self._site = site
+        self._steps: Steps | None = None
+
+    def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:
+        mission = self._mission
+        mission.update(obs, estimate, map_view)
+        if self._steps is None:  # still on the pad
+            self._steps = self._descend()
+            return mission.setpoint(mission.start_world, motors_on=False)
+        return next(self._steps)
+
+    def _descend(self) -> Iterator[Setpoint]:  # type: ignore[override]
+        mission = self._mission
+        mission.reference_world = mission.view.estimate.world_from_body.translation.copy()
+        mission.state.choose(self._site)
+        mission.state.commit(self._site)
+        yield from final_descent(mission)
+        yield from rest(mission)
+
+    def view(self) -> LanderView:
+        state = self._mission.state
+        return LanderView(
+            phase=state.phase,
+            note=state.note,
+            reference_world=self._mission.reference_world,
+            committed_site_world=state.committed_site_world,
+        )
+
+
+class _Last(NullRecorder):
+    """Keeps the first contact, and the last state."""
+
+    def __init__(self, leg_height_m: float) -> None:
+        self._below = np.array([0.0, 0.0, -leg_height_m])
+        self._first: Truth | None = None
+        self._last: Truth | None = None
+        self.contact_mps = np.nan
+
+    def tick(self, step: StepRecord) -> None:
+        self._last = step.truth
+        if self._first is None and step.truth.time_s > 0.0 and step.truth.contacts:
+            self._first = step.truth
+            self.contact_mps = float(np.hypot(*step.truth.velocity_world[:2]))
+
+    def slid_m(self) -> float:
+        """Way of the footprint's centre since the first contact; NaN without one."""
+        if self._first is None or self._last is None:
+            return float("nan")
+        first, last = (t.world_from_body.apply(self._below) for t in (self._first, self._last))
+        return float(np.linalg.norm((last - first)[:2]))
