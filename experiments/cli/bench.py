@@ -398,10 +398,10 @@ def bench_touchdown(out: Path | None, quiet: bool, **options: Any) -> dict[str, 
     """
     from touchdown.experiments.benchmarks.contact import tipping
 
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
     names = {"friction": "friction", "speed": "speed_mps", "wind_kmh": "wind_kmh"}
     ranges = tipping.Ranges(**{key: options.pop(name) for name, key in names.items()})
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
     figures = tipping.measure(
         ranges=ranges, report=lambda n, of: _report(quiet, f"{n} of {of} contacts"), **options
     )

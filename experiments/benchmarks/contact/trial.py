@@ -138,7 +138,7 @@ def _judged(
     return Touch(
         terrain=trial.terrain,
         conditions=trial.conditions,
-        fails=_failure(outcome, slid),
+        fails=failure_of(outcome, slid),
         slid_m=slid,
         tilt_deg=np.nan if landing is None else float(landing.tilt_deg or 0.0),
         contact_mps=last.contact_mps,
@@ -146,7 +146,8 @@ def _judged(
     )
 
 
-def _failure(outcome: Outcome, slid_m: float) -> str:
+def failure_of(outcome: Outcome, slid_m: float) -> str:
+    """What `Touch.fails` says of a flight's outcome and the way that the vehicle slid."""
     if outcome is Outcome.TIPPED:
         return "tips"
     if outcome is Outcome.COLLIDED:

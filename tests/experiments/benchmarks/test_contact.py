@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from touchdown.experiments.api import Outcome
 from touchdown.experiments.benchmarks.contact import tipping, trial
 from touchdown.experiments.benchmarks.contact.terrain import Terrain, feet_xy, terrain_scene
 from touchdown.experiments.benchmarks.contact.trial import Conditions, Touch, Trial, fly_trial
@@ -53,6 +54,14 @@ def test_it_stands_on_level_ground_and_moves_as_it_should(config: Config) -> Non
     moving = flown(config, Terrain("slope", 0, 0.0), Conditions(speed_mps=0.4))
     assert moving.contact_mps == pytest.approx(0.4, abs=0.1)
     assert moving.slid_m > found.slid_m
+
+
+@pytest.mark.parametrize("outcome, slid_m, fails", [
+    ("LANDED", 0.1, ""), ("LANDED", 0.3, "slides"), ("TIMEOUT", 0.1, "slides"),
+    ("LANDED", np.nan, "slides"), ("TIPPED", 0.0, "tips"), ("COLLIDED", 0.0, "strikes"),
+])  # fmt: skip
+def test_what_fails(outcome: str, slid_m: float, fails: str) -> None:
+    assert trial.failure_of(Outcome(outcome), slid_m) == fails
 
 
 def test_friction_holds_it_on_a_slope(config: Config) -> None:
