@@ -56,7 +56,7 @@ def test_it_stands_on_level_ground_and_moves_as_it_should(config: Config) -> Non
     assert moving.slid_m > found.slid_m
 
 
-@pytest.mark.parametrize("outcome, slid_m, fails", [
+@pytest.mark.parametrize(("outcome", "slid_m", "fails"), [
     ("LANDED", 0.1, ""), ("LANDED", 0.3, "slides"), ("TIMEOUT", 0.1, "slides"),
     ("LANDED", np.nan, "slides"), ("TIPPED", 0.0, "tips"), ("COLLIDED", 0.0, "strikes"),
 ])  # fmt: skip
