@@ -109,7 +109,8 @@ def figures_of(
     """``levels``: probabilities by ground and size; ``maps``: by size and condition; ``limits``:
     the largest slope and height up to which the upper end of the probability to fail stays below
     ``bound``; ``rule``: failures where the true rule calls the ground safe, and where not."""
-    levels, maps, stands = [], [], {}
+    levels, maps = [], []
+    stands: dict[str, float | None] = {}
     for name, own in _grouped(touches, lambda t: t.terrain.name):
         by_size = _grouped(own, lambda t: t.terrain.size)
         rows = [_level(name, size, some) for size, some in by_size]
@@ -117,6 +118,7 @@ def figures_of(
         stands[name] = _limit(rows, bound)
         maps += [_map(name, dial, by_size, ranges) for dial in (f.name for f in fields(ranges))]
     heights = [value for name, value in stands.items() if name != "slope"]
+    known = [value for value in heights if value is not None]
     judged = _grouped(touches, lambda t: t.safe_geometry)
     return {
         "contacts": len(touches),
@@ -127,7 +129,7 @@ def figures_of(
         "limits": {
             "by_ground": stands,
             "max_slope_deg": stands.get("slope"),
-            "max_step_m": None if None in heights else min(heights, default=None),
+            "max_step_m": min(known, default=None) if len(known) == len(heights) else None,
         },
         "present": {
             "max_slope_deg": config.landing.max_slope_deg, "max_step_m": config.landing.max_step_m
@@ -172,7 +174,8 @@ def _map(
     ground: str, dial: str, by_size: Sequence[tuple[float, list[Touch]]], ranges: Ranges
 ) -> dict[str, Any]:
     """Failures by size (rows) and by the dial in even bins (columns); None without a contact."""
-    edges = np.linspace(*getattr(ranges, dial), BINS + 1)
+    low, high = getattr(ranges, dial)
+    edges = np.linspace(low, high, BINS + 1)
     cells = []
     for _, touches in by_size:
         values = np.array([getattr(touch.conditions, dial) for touch in touches])

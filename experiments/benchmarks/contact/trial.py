@@ -7,7 +7,6 @@ vehicle is to move over the ground: that is how it comes to do so in flight. Not
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -215,7 +214,7 @@ class _FinalDescent:
             return mission.setpoint(mission.start_world, motors_on=False)
         return next(self._steps)
 
-    def _descend(self) -> Iterator[Setpoint]:  # type: ignore[override]
+    def _descend(self) -> Steps:
         mission = self._mission
         mission.reference_world = mission.view.estimate.world_from_body.translation.copy()
         mission.state.choose(self._site)
