@@ -15,7 +15,6 @@ import numpy as np
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.estimator.oracle import Oracle
-from touchdown.experiments.api import Outcome
 from touchdown.experiments.benchmarks.contact.terrain import Terrain, terrain_scene
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.loop import run_flight
@@ -145,13 +144,13 @@ def _judged(
     )
 
 
-def failure_of(outcome: Outcome, slid_m: float) -> str:
+def failure_of(outcome: str, slid_m: float) -> str:
     """What `Touch.fails` says of a flight's outcome and the way that the vehicle slid."""
-    if outcome is Outcome.TIPPED:
+    if outcome == "TIPPED":
         return "tips"
-    if outcome is Outcome.COLLIDED:
+    if outcome == "COLLIDED":
         return "strikes"
-    return "" if outcome is Outcome.LANDED and slid_m <= SLIDE_M else "slides"
+    return "" if outcome == "LANDED" and slid_m <= SLIDE_M else "slides"
 
 
 class _Dropped:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.api import Outcome
 from touchdown.experiments.benchmarks.contact import tipping, trial
 from touchdown.experiments.benchmarks.contact.terrain import Terrain, feet_xy, terrain_scene
 from touchdown.experiments.benchmarks.contact.trial import Conditions, Touch, Trial, fly_trial
@@ -61,7 +60,7 @@ def test_it_stands_on_level_ground_and_moves_as_it_should(config: Config) -> Non
     ("LANDED", np.nan, "slides"), ("TIPPED", 0.0, "tips"), ("COLLIDED", 0.0, "strikes"),
 ])  # fmt: skip
 def test_what_fails(outcome: str, slid_m: float, fails: str) -> None:
-    assert trial.failure_of(Outcome(outcome), slid_m) == fails
+    assert trial.failure_of(outcome, slid_m) == fails
 
 
 def test_friction_holds_it_on_a_slope(config: Config) -> None:
