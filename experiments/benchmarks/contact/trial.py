@@ -21,7 +21,7 @@ from touchdown.experiments.flight.loop import run_flight
 from touchdown.experiments.flight.run import make_referee
 from touchdown.experiments.flight.wiring import FlightStack, build_flight_stack
 from touchdown.experiments.recording.recorder import NullRecorder, StepRecord
-from touchdown.landing.api import LanderView, LandingParams
+from touchdown.landing.api import LanderView, LandingParams, Phase
 from touchdown.landing.mission.descent import final_descent
 from touchdown.landing.mission.mission import Mission, Steps
 from touchdown.landing.mission.phases import rest
@@ -31,9 +31,9 @@ from touchdown.sim.api import Command, Observation, SensorNeeds, Truth
 from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
 
-SLIDE_M = 0.25
-"""way of the footprint's centre over the ground, from the first contact to rest, from which on the
-vehicle has slid: half of what the pad of 1.0 m leaves beside a vehicle of 0.53 m (assumed)"""
+SLIDE_M = 0.15
+"""way of the footprint's centre over the ground, from the detection of the touchdown to rest, from
+which on the vehicle has slid (assumed); before that the controller may drag it"""
 _SLOW_M = 0.2
 """height at which the mission reaches its touchdown speed"""
 _NEAR_M, _FAR_M = 0.25, 1.3
@@ -71,7 +71,9 @@ class Touch:
     """``tips``, ``strikes`` (a part other than a leg touches the ground), ``slides``; "" where the
     vehicle stands"""
     slid_m: float
-    """NaN without a contact of the legs"""
+    """way of the footprint's centre from the detection to rest; NaN where nothing was detected"""
+    dragged_m: float
+    """the same from the first contact to the detection"""
     tilt_deg: float
     """largest from the first contact on"""
     contact_mps: float
@@ -132,12 +134,12 @@ def _judged(
     finally:
         stack.world.close()
     landing, outcome = judgement.landing, judgement.outcome
-    slid = last.slid_m()
     return Touch(
         terrain=trial.terrain,
         conditions=trial.conditions,
-        fails=failure_of(outcome, slid),
-        slid_m=slid,
+        fails=failure_of(outcome, last.slid_m),
+        slid_m=last.slid_m,
+        dragged_m=last.dragged_m,
         tilt_deg=np.nan if landing is None else float(landing.tilt_deg or 0.0),
         contact_mps=last.contact_mps,
         safe_geometry=landing is not None and bool(landing.safe_geometry),
@@ -232,23 +234,27 @@ class _FinalDescent:
 
 
 class _Last(NullRecorder):
-    """Keeps the first contact, and the last state."""
+    """Follows the centre of the footprint from the first contact on."""
 
     def __init__(self, leg_height_m: float) -> None:
         self._below = np.array([0.0, 0.0, -leg_height_m])
-        self._first: Truth | None = None
-        self._last: Truth | None = None
-        self.contact_mps = np.nan
+        self._contact: Array | None = None
+        self._detection: Array | None = None
+        self.contact_mps = self.dragged_m = self.slid_m = np.nan
 
     def tick(self, step: StepRecord) -> None:
-        self._last = step.truth
-        if self._first is None and step.truth.time_s > 0.0 and step.truth.contacts:
-            self._first = step.truth
-            self.contact_mps = float(np.hypot(*step.truth.velocity_world[:2]))
+        truth = step.truth
+        footprint = truth.world_from_body.apply(self._below)
+        if self._contact is None and truth.time_s > 0.0 and truth.contacts:
+            self._contact = footprint
+            self.contact_mps = float(np.hypot(*truth.velocity_world[:2]))
+        if self._contact is None or step.lander_view.phase not in (Phase.TOUCHDOWN, Phase.DONE):
+            return
+        if self._detection is None:
+            self._detection = footprint
+            self.dragged_m = _way(self._contact, footprint)
+        self.slid_m = _way(self._detection, footprint)
 
-    def slid_m(self) -> float:
-        """Way of the footprint's centre since the first contact; NaN without one."""
-        if self._first is None or self._last is None:
-            return float("nan")
-        first, last = (t.world_from_body.apply(self._below) for t in (self._first, self._last))
-        return float(np.linalg.norm((last - first)[:2]))
+
+def _way(start: Array, end: Array) -> float:
+    return float(np.hypot(*(end - start)[:2]))

@@ -52,11 +52,11 @@ def test_it_stands_on_level_ground_and_moves_as_it_should(config: Config) -> Non
     assert found.slid_m < 0.05 and found.tilt_deg < 3.0 and found.contact_mps < 0.1
     moving = flown(config, Terrain("slope", 0, 0.0), Conditions(speed_mps=0.4))
     assert moving.contact_mps == pytest.approx(0.4, abs=0.1)
-    assert moving.slid_m > found.slid_m
+    assert moving.dragged_m > 0.1 > found.dragged_m and moving.fails == ""
 
 
 @pytest.mark.parametrize(("outcome", "slid_m", "fails"), [
-    ("LANDED", 0.1, ""), ("LANDED", 0.3, "slides"), ("TIMEOUT", 0.1, "slides"),
+    ("LANDED", 0.1, ""), ("LANDED", 0.2, "slides"), ("TIMEOUT", 0.1, "slides"),
     ("LANDED", np.nan, "slides"), ("TIPPED", 0.0, "tips"), ("COLLIDED", 0.0, "strikes"),
 ])  # fmt: skip
 def test_what_fails(outcome: str, slid_m: float, fails: str) -> None:
@@ -70,19 +70,17 @@ def test_friction_holds_it_on_a_slope(config: Config) -> None:
     assert flown(config, steep).fails == ""
 
 
-def test_a_leg_without_contact_is_seen(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_legs_without_contact_are_seen(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*given: Any) -> Any:
         scene = terrain_scene(*given)
         for geom in range(scene.model.ngeom):
-            if scene.model.geom(geom).name.startswith("vehicle/leg_0"):
+            if scene.model.geom(geom).name.startswith(("vehicle/leg_0", "vehicle/leg_1")):
                 scene.model.geom_conaffinity[geom] = 0
         return scene
 
     level = Terrain("slope", 0, 0.0)
-    whole = flown(config, level)
     monkeypatch.setattr(trial, "terrain_scene", broken)
-    found = flown(config, level)
-    assert found.fails or found.tilt_deg > whole.tilt_deg + 5.0
+    assert flown(config, level).fails in ("tips", "strikes")
 
 
 def test_ground_that_the_true_rule_calls_safe_never_tips(config: Config) -> None:
@@ -100,7 +98,7 @@ def test_ground_that_the_true_rule_calls_safe_never_tips(config: Config) -> None
 def touch(size: float, fails: str, friction: float = 0.5, kind: str = "slope") -> Touch:
     legs = 0 if kind == "slope" else 1
     return Touch(Terrain(kind, legs, size), Conditions(friction, 0.0, 0.0), fails, 0.0, 0.0, 0.0,
-                 size <= 5.0)  # fmt: skip
+                 0.0, size <= 5.0)  # fmt: skip
 
 
 def test_the_limit_is_below_the_first_level_that_fails(config: Config) -> None:
