@@ -52,7 +52,7 @@ def test_it_stands_on_level_ground_and_moves_as_it_should(config: Config) -> Non
     assert found.slid_m < 0.05 and found.tilt_deg < 3.0 and found.contact_mps < 0.1
     moving = flown(config, Terrain("slope", 0, 0.0), Conditions(speed_mps=0.4))
     assert moving.contact_mps == pytest.approx(0.4, abs=0.1)
-    assert moving.dragged_m > 0.1 > found.dragged_m and moving.fails == ""
+    assert moving.dragged_m > 0.03 > found.dragged_m and moving.fails == ""
 
 
 @pytest.mark.parametrize(("outcome", "slid_m", "fails"), [
