@@ -48,9 +48,14 @@ class Terrain:
 
 
 @cache
+def bare_vehicle() -> Any:
+    """MuJoCo's model of the vehicle alone, names without a prefix."""
+    return mujoco.MjSpec.from_file(str(VEHICLE_XML)).compile()
+
+
 def feet_xy() -> Array:
     """(F, 2) m: the feet of the vehicle, body frame."""
-    return foot_positions(mujoco.MjSpec.from_file(str(VEHICLE_XML)).compile(), prefix="")[:, :2]
+    return foot_positions(bare_vehicle(), prefix="")[:, :2]
 
 
 def terrain_scene(terrain: Terrain, friction: float | None, rng: np.random.Generator) -> Scene:

@@ -14,18 +14,19 @@ from zlib import crc32
 
 import numpy as np
 
-from touchdown.experiments.benchmarks.contact.terrain import Terrain
+from touchdown.experiments.benchmarks.contact.terrain import Terrain, bare_vehicle
 from touchdown.experiments.benchmarks.contact.trial import (
-    SLIDE_M,
     Conditions,
     Touch,
     Trial,
     fly_trial,
+    pad_margin_m,
 )
 from touchdown.experiments.benchmarks.processes import mapped
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.reporting.statistics import Estimate, fraction_interval
+from touchdown.sim.airframe.vehicle import vehicle_model
 
 SLOPES_DEG = (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
 HEIGHTS_M = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4)
@@ -99,7 +100,8 @@ def measure(
     for touch in mapped(fly_trial, planned, jobs):
         touches.append(touch)
         report(len(touches), len(planned))
-    asked = {"seed": seed, "profile": profile, "set": list(overrides), "slide_m": SLIDE_M}
+    asked: dict[str, Any] = {"seed": seed, "profile": profile, "set": list(overrides)}
+    asked["slide_m"] = pad_margin_m(vehicle_model(bare_vehicle(), prefix=""))
     return asked | figures_of(touches, ranges, bound, config)
 
 

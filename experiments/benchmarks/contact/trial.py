@@ -21,19 +21,17 @@ from touchdown.experiments.flight.loop import run_flight
 from touchdown.experiments.flight.run import make_referee
 from touchdown.experiments.flight.wiring import FlightStack, build_flight_stack
 from touchdown.experiments.recording.recorder import NullRecorder, StepRecord
-from touchdown.landing.api import LanderView, LandingParams, Phase
+from touchdown.landing.api import LanderView, LandingParams
 from touchdown.landing.mission.descent import final_descent
 from touchdown.landing.mission.mission import Mission, Steps
 from touchdown.landing.mission.phases import rest
 from touchdown.landing.mission.trajectory import descent_trajectory
+from touchdown.scenes.truth.maps import PAD_RADIUS_M
 from touchdown.scenes.truth.static_surface import cast_points
-from touchdown.sim.api import Command, Observation, SensorNeeds, Truth
+from touchdown.sim.api import Command, Observation, SensorNeeds, Truth, VehicleModel
 from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
 
-SLIDE_M = 0.15
-"""way of the footprint's centre over the ground, from the detection of the touchdown to rest, from
-which on the vehicle has slid (assumed); before that the controller may drag it"""
 _SLOW_M = 0.2
 """height at which the mission reaches its touchdown speed"""
 _NEAR_M, _FAR_M = 0.25, 1.3
@@ -71,9 +69,7 @@ class Touch:
     """``tips``, ``strikes`` (a part other than a leg touches the ground), ``slides``; "" where the
     vehicle stands"""
     slid_m: float
-    """way of the footprint's centre from the detection to rest; NaN where nothing was detected"""
-    dragged_m: float
-    """the same from the first contact to the detection"""
+    """way of the footprint's centre over the ground from the first contact to rest; NaN without"""
     tilt_deg: float
     """largest from the first contact on"""
     contact_mps: float
@@ -120,7 +116,8 @@ def _contact_s(params: LandingParams, height_m: float, top_m: float) -> float:
 def _judged(
     trial: Trial, config: Config, stack: FlightStack, world: _Dropped, site: Array, drift: Array
 ) -> Touch:
-    last = _Last(stack.nominal_rig.vehicle.leg_height_m)
+    vehicle = stack.nominal_rig.vehicle
+    last = _Last(vehicle.leg_height_m)
     try:
         judgement = run_flight(
             world=world,  # type: ignore[arg-type]
@@ -137,22 +134,27 @@ def _judged(
     return Touch(
         terrain=trial.terrain,
         conditions=trial.conditions,
-        fails=failure_of(outcome, last.slid_m),
+        fails=failure_of(outcome, last.slid_m, pad_margin_m(vehicle)),
         slid_m=last.slid_m,
-        dragged_m=last.dragged_m,
         tilt_deg=np.nan if landing is None else float(landing.tilt_deg or 0.0),
         contact_mps=last.contact_mps,
         safe_geometry=landing is not None and bool(landing.safe_geometry),
     )
 
 
-def failure_of(outcome: str, slid_m: float) -> str:
-    """What `Touch.fails` says of a flight's outcome and the way that the vehicle slid."""
+def pad_margin_m(vehicle: VehicleModel) -> float:
+    """What the pad of the true rule leaves around the vehicle: who moves farther from the first
+    contact on stands beside the ground that the rule has judged."""
+    return max(PAD_RADIUS_M - vehicle.footprint_radius_m, 0.0)
+
+
+def failure_of(outcome: str, slid_m: float, margin_m: float) -> str:
+    """What `Touch.fails` says of a flight's outcome and of the way that the vehicle slid."""
     if outcome == "TIPPED":
         return "tips"
     if outcome == "COLLIDED":
         return "strikes"
-    return "" if outcome == "LANDED" and slid_m <= SLIDE_M else "slides"
+    return "" if outcome == "LANDED" and slid_m <= margin_m else "slides"
 
 
 class _Dropped:
@@ -239,8 +241,7 @@ class _Last(NullRecorder):
     def __init__(self, leg_height_m: float) -> None:
         self._below = np.array([0.0, 0.0, -leg_height_m])
         self._contact: Array | None = None
-        self._detection: Array | None = None
-        self.contact_mps = self.dragged_m = self.slid_m = np.nan
+        self.contact_mps = self.slid_m = np.nan
 
     def tick(self, step: StepRecord) -> None:
         truth = step.truth
@@ -248,13 +249,5 @@ class _Last(NullRecorder):
         if self._contact is None and truth.time_s > 0.0 and truth.contacts:
             self._contact = footprint
             self.contact_mps = float(np.hypot(*truth.velocity_world[:2]))
-        if self._contact is None or step.lander_view.phase not in (Phase.TOUCHDOWN, Phase.DONE):
-            return
-        if self._detection is None:
-            self._detection = footprint
-            self.dragged_m = _way(self._contact, footprint)
-        self.slid_m = _way(self._detection, footprint)
-
-
-def _way(start: Array, end: Array) -> float:
-    return float(np.hypot(*(end - start)[:2]))
+        if self._contact is not None:
+            self.slid_m = float(np.hypot(*(footprint - self._contact)[:2]))
