@@ -68,6 +68,7 @@ def scenes_list(as_json: bool) -> int:
               "(coloured by intensity) from 30 m above the take-off; the true height, slope, class "
               "and safe ground.")  # fmt: skip
 @click.option("--light", type=LIGHT, default="day", show_default=True, help="Light of the scene.")
+@OVERRIDES
 @JSON
 @QUIET
 def scenes_render(
@@ -78,6 +79,7 @@ def scenes_render(
     seed: int,
     view: str,
     light: Light,
+    overrides: tuple[str, ...],
     **flags: bool,
 ) -> int:
     """Write an image of a scene, or all images of one or of every scene.
@@ -98,11 +100,11 @@ def scenes_render(
         done = {"directory": str(folder), "contact_sheet": str(sheet)}
     elif scene is not None and all_views:
         folder = out or Path(f"{short_name(scene)}-{seed}")
-        scene_tools.render_all_views(scene, seed, folder, light)
+        scene_tools.render_all_views(scene, seed, folder, light, overrides)
         done = {"directory": str(folder)}
     else:
         target = out or Path(f"{short_name(scene or '')}-{view}.png")
-        scene_tools.render_view(scene or "", seed, view, target, light)
+        scene_tools.render_view(scene or "", seed, view, target, light, overrides)
         done = {"picture": str(target)}
     return _written(done, flags["as_json"])
 
@@ -142,7 +144,8 @@ def scenes_check(
     known = scene_names()
     chosen = names or tuple(known)
     places = [check_scene_file(name, overrides, **more) for name in chosen if name not in known]
-    rows = [check_scene(name, seeds, make_notes(quiet)) for name in chosen if name in known]
+    notes = make_notes(quiet)
+    rows = [check_scene(name, seeds, notes, overrides) for name in chosen if name in known]
 
     def show(_figures: Mapping[str, Any]) -> None:
         for place in places:

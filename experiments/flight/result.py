@@ -47,6 +47,8 @@ def make_result(
     """Returns the result of a finished flight."""
     origin = stack.scene.origin_m
     place: dict[str, Any] = {"origin_m": (*origin.tolist(),)} if origin.any() else {}
+    if stack.scene.facts:
+        place["ground"] = dict(stack.scene.facts)
     record, deviation = stack.record(), judgement.deviation
     measured = observer.conditions.measured(record, stack.world.rig, stack.nominal_rig)
     conditions = judge_conditions(config, measured, record.faults, judgement.sim_s)

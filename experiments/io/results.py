@@ -72,6 +72,8 @@ class RunResult(Part):
     results of before they were told"""
     origin_m: PointXYZ = None
     """of the world's origin in the coordinates of the scene's file, where it was moved"""
+    ground: dict[str, float] | None = None
+    """of a scene with dials: what they asked for and what was reached"""
     replay_of: str | None = None
     flown_by: str | None = None
     """estimator of the flight that a replay reads"""

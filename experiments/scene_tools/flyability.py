@@ -135,8 +135,10 @@ def _size(survey: SurveyParams) -> str:
     return f"{survey.leg_length_m:g} x {(survey.legs - 1) * survey.leg_spacing_m:g} m"
 
 
-def check_scene(name: str, seeds: int, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Builds seeds 0 to ``seeds`` - 1 of a scene.
+def check_scene(
+    name: str, seeds: int, progress: Callable[[str], None], overrides: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Builds seeds 0 to ``seeds`` - 1 of a scene under ``overrides``, ``key=value`` each.
 
     ``built``: how many; ``failed``: the message of each that did not build; ``closest``: the two
     most alike seeds and their differences in height (mean absolute, m), class (fraction of cells)
@@ -150,13 +152,17 @@ def check_scene(name: str, seeds: int, progress: Callable[[str], None]) -> dict[
     layouts: dict[int, Any] = {}
     for seed in range(seeds):
         progress(f"{name} seed {seed}")
-        config = load_config(scene=name, seed=seed, profile_default="ideal")
+        config = load_config(None, overrides, scene=name, seed=seed, profile_default="ideal")
         try:
             scene = build_scene(config)
         except (ValueError, OSError) as error:
             failed[seed] = " ".join(str(error).split())
             continue
-        facts[seed] = dataclasses.asdict(survey_facts(scene, *survey_reach(config.survey)))
+        judged = survey_facts(scene, *survey_reach(config.survey))
+        facts[seed] = {
+            **dataclasses.asdict(judged),
+            **({"ground": scene.facts} if scene.facts else {}),
+        }
         layout = layout_rasters(scene)
         pairs += [
             {

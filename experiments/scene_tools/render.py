@@ -1,6 +1,6 @@
 """Rendered images of scenes, and scenes exported as MJCF."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,21 +25,26 @@ CONTACT_SHEET = "contact_sheet.png"
 PICTURE_SUFFIXES = (".png", ".jpg")
 
 
-def render_view(name: str, seed: int, view: str, out: Path, light: Light = "day") -> None:
+def render_view(
+    name: str, seed: int, view: str, out: Path, light: Light = "day", overrides: Sequence[str] = ()
+) -> None:
     """Writes one view (`experiments.scene_tools.views.VIEWS`) of a scene, a map with ticks around
     it. Raises UsageError before anything is written."""
     if out.suffix.lower() not in PICTURE_SUFFIXES:
         raise UsageError(f"--out {out} must end in {' or '.join(PICTURE_SUFFIXES)}")
-    views = _views(name, seed, light)
+    views = _views(name, seed, light, overrides)
     image = views.draw(view)
     _make_folder(out.parent)
     write_image(out, views.framed(view, image))
 
 
-def render_all_views(name: str, seed: int, out_dir: Path, light: Light = "day") -> dict[str, Image]:
+def render_all_views(
+    name: str, seed: int, out_dir: Path, light: Light = "day", overrides: Sequence[str] = ()
+) -> dict[str, Image]:
     """Writes every view of a scene to ``out_dir/VIEW.png``, maps with ticks around them, and
-    returns them by name, without ticks. Raises as `render_view`."""
-    views = _views(name, seed, light)
+    returns them by name, without ticks. ``overrides``: ``key=value`` each, such as dials of
+    ``rugged``. Raises as `render_view`."""
+    views = _views(name, seed, light, overrides)
     _make_folder(out_dir)
     images: dict[str, Image] = {}
     for view in VIEWS:
@@ -91,8 +96,9 @@ def _make_folder(folder: Path) -> None:
         raise UsageError(f"--out: folder '{folder}' cannot be made: {error.strerror}") from error
 
 
-def _views(name: str, seed: int, light: Light) -> SceneViews:
-    config = load_config(scene=name, seed=seed, light=light, profile_default="ideal")
+def _views(name: str, seed: int, light: Light, overrides: Sequence[str] = ()) -> SceneViews:
+    config = load_config(None, overrides, scene=name, seed=seed, light=light,
+                         profile_default="ideal")  # fmt: skip
     scene = load_configured_scene(config)
     if (fit := fit_survey(config, scene)) is not None:  # the legs that would be flown
         config = config.model_copy(update={"survey": fit.survey})

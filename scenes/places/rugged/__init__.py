@@ -43,6 +43,7 @@ def generate(seed: int, params: RuggedParams) -> SceneDraft:
     ground += np.where(snow > 0.0, snow, 0.0) + roughness(rng, dials) * (snow < 0.05) - cut
     patchy = np.exp(0.7 * fractal_noise(rng, (200, 200), 16.0, 3, 0.5)).astype(np.float64)
     rocks = draw_rocks(rng, dials.rock_abundance, (2.0 * HALF_M) ** 2, patchy)
+    rocks = snowed_in(rocks, snow)
     plants = objects.draw_plants(rng, dials)
     things = [heap(rocks, NODES), heap(plants.tussocks, NODES), objects.tall_things(plants)]
     safe = SafeGround(rng=rng, heights=ground, things=np.maximum.reduce(things))
@@ -65,6 +66,12 @@ def generate(seed: int, params: RuggedParams) -> SceneDraft:
     draft = finish(frame, builder, raster, terrain=surface)
     draft.facts.update(facts, rocks=float(len(rocks.diameter_m)))
     return draft
+
+
+def snowed_in(rocks: Rocks, snow: Array) -> Rocks:
+    """The rocks that look out of ``snow``, (NODES, NODES) metres, as far as they do."""
+    above = rocks.height_m - HeightField(heights_m=snow).at(rocks.xy_m)
+    return rocks._replace(height_m=above).only(above > 0.3 * rocks.height_m)
 
 
 def split(rocks: Rocks) -> tuple[Rocks, Rocks]:

@@ -16,11 +16,12 @@ from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.places.rugged.presets import Dials
 from touchdown.scenes.places.rugged.relief import CELL_M, resampled
-from touchdown.scenes.places.rugged.rocks import Rocks, heap, seen_mask
+from touchdown.scenes.places.rugged.rocks import Rocks, heap
 
 _SMALL = 1280
 _FINE = TEXELS // 2
-_STEEP_DEG = (30.0, 40.0)
+_STEEP_DEG, _BARE_DEG = 35.0, 43.0
+"""Slopes from which on ground is bare, and holds no snow"""
 _SNOW_M = 0.06
 _SHADE = 0.5
 """Light of the sun on level ground"""
@@ -36,29 +37,37 @@ def paint_ground(
     tussocks and rocks. heights, snow, cut: (NODES, NODES) metres."""
     look, shape = dials.preset, (_SMALL, _SMALL)
     cell = 2.0 * HALF_M / _SMALL
-    patches = fractal_noise(rng, shape, 12.0 / cell, 5, 0.6)
-    others = fractal_noise(rng, shape, 7.0 / cell, 4, 0.6)
-    ragged = fractal_noise(rng, shape, 1.4 / cell, 3, 0.6)
+
+    def noise(wave_m: float, octaves: int) -> Float32:
+        return _wide(fractal_noise(rng, shape, wave_m / cell, octaves, 0.6), _FINE)
+
+    ragged = noise(1.4, 3)
     rise = np.hypot(*np.gradient(ndimage.gaussian_filter(heights, 0.35 / CELL_M), CELL_M))
-    steep = np.rad2deg(np.arctan(resampled(rise, _SMALL))) + 3.0 * ragged
-    layer = np.full(shape, int(look.ground), np.uint8)
-    layer[patches + 0.15 * ragged - 0.03 * (steep - 15.0) > 0.75] = int(look.patches[0])
-    layer[others + 0.15 * ragged - 0.03 * (steep - 15.0) > 1.15] = int(look.patches[1])
+    steep = np.rad2deg(np.arctan(resampled(rise, _FINE))) + 3.0 * ragged
+    edge = 0.15 * ragged - 0.03 * (steep - 15.0)
+    layer = np.full((_FINE, _FINE), int(look.ground), np.uint8)
+    layer[noise(12.0, 5) + edge > 0.75] = int(look.patches[0])
+    layer[noise(7.0, 4) + edge > 1.15] = int(look.patches[1])
     if dials.cover == "scree":
-        layer[(fractal_noise(rng, shape, 9.0 / cell, 3, 0.5) + 0.2 * ragged > 0.35)] = int(
-            Ground.SCREE if look.ground is not Ground.LIMESTONE else Ground.GRAVEL
-        )
-    layer[steep > 0.5 * sum(_STEEP_DEG)] = int(look.steep)
+        strewn = Ground.GRAVEL if look.ground is Ground.LIMESTONE else Ground.SCREE
+        layer[noise(9.0, 3) + 0.2 * ragged > 0.35] = int(strewn)
+    layer[steep > _STEEP_DEG] = int(look.steep)
     if look.ruts:
-        layer[resampled(cut, _SMALL) > 0.08] = int(Ground.SOIL)
-    layer[resampled(snow, _SMALL) + 0.015 * ragged > _SNOW_M] = int(Ground.SNOW)
-    canvas.material[:] = cv2.resize(layer, (TEXELS, TEXELS), interpolation=cv2.INTER_NEAREST)
-    buried = cv2.resize(resampled(snow, _SMALL), (_FINE, _FINE)) > 0.35
+        layer[resampled(cut, _FINE) > 0.08] = int(Ground.SOIL)
     for things, material in ((tussocks, Ground.DRY_GRASS), (seen, look.rock)):
-        mask = seen_mask(things, _FINE) * ~buried
-        wide = cv2.resize(mask, (TEXELS, TEXELS), interpolation=cv2.INTER_LINEAR)
-        canvas.material[wide > 127] = int(material)
+        layer[heap(things, _FINE) > 0.0] = int(material)
+    canvas.material[:] = cv2.resize(layer, (TEXELS, TEXELS), interpolation=cv2.INTER_NEAREST)
+    white = (resampled(snow, _FINE) + 0.015 * ragged - _SNOW_M) * (steep < _BARE_DEG)
+    white[heap(seen, _FINE) > 0.0] = -1.0
+    if snow.any():
+        canvas.material[_wide(white, TEXELS) > 0.0] = int(Ground.SNOW)
     _stain(rng, canvas, dials, heights, cut, steep)
+
+
+def _wide(raster: Float32, size: int) -> Float32:
+    """(size, size), linearly."""
+    wide = cv2.resize(raster, (size, size), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(wide, np.float32)
 
 
 def _stain(
@@ -71,10 +80,11 @@ def _stain(
         bend = 0.25 * fractal_noise(rng, (_FINE, _FINE), 500.0, 3, 0.5)
         level = resampled(heights, _FINE) / dials.preset.strata_m + bend
         bands = np.sin(2.0 * np.pi * level) + 0.6 * np.sin(2.0 * np.pi * 2.7 * level + 1.0)
-        face = cv2.resize(np.clip((steep - 14.0) / 16.0, 0.12, 1.0), (_FINE, _FINE))
+        face = np.clip((steep - 14.0) / 16.0, 0.12, 1.0)
         dark = np.maximum(dark, 62.0 * face * np.clip(bands + 0.3, 0.0, 1.6))
-    stain = cv2.resize(dark.astype(np.float32), (TEXELS, TEXELS), interpolation=cv2.INTER_LINEAR)
-    np.maximum(canvas.stain, stain.astype(np.uint8), out=canvas.stain)
+    np.maximum(
+        canvas.stain, _wide(dark.astype(np.float32), TEXELS).astype(np.uint8), out=canvas.stain
+    )
 
 
 def light_slopes(

@@ -68,7 +68,7 @@ PRESETS: Mapping[str, Preset] = {
     "alpine": Preset(
         slope_deg=18.0, rock_abundance=0.12, cover="snow", groove_fraction=0.004,
         safe_fraction=0.05, spectrum=3.5, plane=0.75, rough_m=0.025, ground=Ground.SCREE,
-        patches=(Ground.DRY_GRASS, Ground.ROUGH), steep=Ground.GRANITE, rock=Ground.GRANITE,
+        patches=(Ground.ROUGH, Ground.DRY_GRASS), steep=Ground.GRANITE, rock=Ground.GRANITE,
         terrace_m=2.2, terrace_part=0.45,
     ),
     "quarry": Preset(

@@ -26,7 +26,7 @@ _COARSE = 5
 """Nodes between those at which slopes are measured"""
 _SLOPE_BASE_M = 4.8
 """a multiple of the distance of coarse nodes and of nodes"""
-_FACE = 0.16
+_FACE = 0.28
 """Part of a step's level distance that its face takes"""
 _TREAD = 0.22
 """Part of a step's height that its tread rises by"""

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from touchdown.scenes.api import Array, Bytes
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.meshes import MeshData
 from touchdown.scenes.authoring.relief import HALF_M
 
@@ -158,8 +158,3 @@ def boulder_mesh(rng: np.random.Generator, rocks: Rocks, index: int, uv_m: float
     return MeshData(
         vertices=corners.reshape(-1, 3), faces=faces.astype(np.int32), uv=uv.reshape(-1, 2)
     )
-
-
-def seen_mask(rocks: Rocks, size: int) -> Bytes:
-    """(size, size) 255 where a rock lies, row 0 at y_min."""
-    return (heap(rocks, size) > 0.0).astype(np.uint8) * np.uint8(255)
