@@ -146,6 +146,8 @@ def bench_landing(**options: Any) -> dict[str, Any]:
               help="Draw the steps to each site (Fig. 11 of the paper) into DIR.")  # fmt: skip
 @click.option("--worst", type=click.IntRange(1), metavar="N",
               help="Draw the N places of the largest regret alone.")  # fmt: skip
+@click.option("--curves", type=PATH, metavar="DIR",
+              help="Draw curves against the dials of the maps into DIR.")  # fmt: skip
 @OVERRIDES
 @JSON
 def bench_selector(
@@ -175,6 +177,20 @@ def bench_selector(
     return answer(figures, as_json, lambda found: say(sites.text(found)))
 
 
+def _dial(text: str) -> tuple[str, list[float]]:
+    """The key and the values of KEY=FROM:TO:STEPS. Raises UsageError for another text."""
+    from touchdown.experiments.campaign.campaign_file import unrolled
+
+    key, _, given = text.partition("=")
+    try:
+        low, high, steps = (int(n) if n.isdecimal() else float(n) for n in given.split(":"))
+        return key, unrolled({"from": low, "to": high, "steps": steps})
+    except ValueError:
+        raise UsageError(
+            f"--dial '{text}' is no KEY=FROM:TO:STEPS, such as rugged.slope_deg=0:20:6"
+        ) from None
+
+
 @click.group(cls=CommandGroup)
 def maps() -> int:
     """Keep maps of surveys with their true ground.
@@ -189,18 +205,29 @@ def maps() -> int:
 @_seeds("0-11")
 @click.option("--profile", type=PROFILE, default="field", show_default=True)
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder of the maps.")
+@click.option("--dial", "dials", multiple=True, metavar="KEY=FROM:TO:STEPS",
+              help="Make each map at so many values of a key. May be repeated: each dial is turned "
+              "alone.")  # fmt: skip
 @_ONE_JOB
 @OVERRIDES
 @JSON
 def maps_make(
-    scenes: tuple[str, ...], seeds: str, profile: str, out: Path, as_json: bool, **options: Any
+    scenes: tuple[str, ...],
+    seeds: str,
+    profile: str,
+    out: Path,
+    dials: tuple[str, ...],
+    as_json: bool,
+    **options: Any,
 ) -> int:
     """Survey SCENES at their planned poses, without a flight, and keep each map with its true
     ground as DIR/SCENE-SEED.map.npz. SCENES: by default all scenes but flat and open_water.
 
-    Example: touchdown maps make --out maps --jobs 2
+    Example: touchdown maps make rugged --dial rugged.slope_deg=0:20:6 --out maps --jobs 2
     """
     from touchdown.experiments.benchmarks.selection import sites
+
+    options["dials"] = dict(map(_dial, dials))
 
     source = sites.Posed(scenes or sites.SCENES, seeds, profile)
     options["report"] = lambda file: say(file, err=as_json)

@@ -15,6 +15,7 @@ from touchdown.experiments.reporting.comparison import NEEDED
 from touchdown.experiments.reporting.figures import Picture, colour_of, drawn
 from touchdown.experiments.reporting.flights import Row, config_numbers, ordered, values_and_units
 from touchdown.experiments.reporting.logistic import LogisticFit, crossing_difference, fit_logistic
+from touchdown.experiments.reporting.measures import measure_of
 from touchdown.experiments.reporting.statistics import Estimate, clustered_fraction, mean_interval
 from touchdown.experiments.reporting.tables import Cell, Table, cell, digits, name_cell
 from touchdown.sim.typing import Array
@@ -78,8 +79,11 @@ def _events(frame: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def curves(dial: str, flown: pd.DataFrame) -> tuple[Table, Picture, list[str]]:
-    """The table, the picture and sentences of one dial."""
+def curves(
+    dial: str, flown: pd.DataFrame, measures: Sequence[str] = (_ERROR,), what: str = "flights"
+) -> tuple[Table, Picture, list[str]]:
+    """The table, the picture and sentences of one dial. ``flown``: rows as of `dial_frames`, which
+    are called ``what``; ``measures``: columns of them that are shown beside."""
     methods = ordered(flown, "estimator")
     fits = {
         (method, event): fit_logistic(own["dial"], own[event], own["unit"])
@@ -87,61 +91,66 @@ def curves(dial: str, flown: pd.DataFrame) -> tuple[Table, Picture, list[str]]:
         for event in _EVENTS
         if (own := flown[flown["estimator"] == method])["dial"].nunique() >= 2
     }
-    table, words = _table(dial, flown, methods, fits), []
-    if without_effect(flown):
+    table, words = _table(dial, flown, fits, measures, what), []
+    if without_effect(flown, measures):
         words.append(
-            f"Warning: `{dial}` changed nothing: flights that differ in it alone are the same. Is "
+            f"Warning: `{dial}` changed nothing: {what} that differ in it alone are the same. Is "
             "it a key that the scene or the part reads?"
         )
     elif not any(fit.changes() for (_, event), fit in fits.items() if event == "safe"):
         words.append(f"No effect of `{dial}` on safe landings is shown.")
     for other in methods[1:]:
         words += _compared(dial, methods[0], other, fits)
-    return table, _picture(dial, flown, methods, fits), words
+    return table, _picture(dial, flown, fits, measures, what), words
 
 
-def without_effect(flown: pd.DataFrame) -> bool:
+def without_effect(flown: pd.DataFrame, measures: Sequence[str] = (_ERROR,)) -> bool:
     """True if all flights of a scene, a method and a seed are the same at every value."""
-    told = [c for c in (_ERROR, "outcome", "landing.target_offset_m") if c in flown]
+    told = [c for c in (*measures, "outcome", "landing.target_offset_m") if c in flown]
     groups = flown.groupby(["scene", "estimator", "seed"])
     several = groups["dial"].nunique() > 1
     return bool(several.any() and (groups[told].nunique(dropna=False)[several] == 1).all(axis=None))
 
 
 def _table(
-    dial: str, flown: pd.DataFrame, methods: Sequence[str], fits: dict[Any, LogisticFit]
+    dial: str,
+    flown: pd.DataFrame,
+    fits: dict[Any, LogisticFit],
+    measures: Sequence[str],
+    what: str,
 ) -> Table:
-    header = ["method", "flights", *(f"{100 * level:.0f} % safe up to" for level in LEVELS),
-              "unsafe (%)", "position error (m)"]  # fmt: skip
+    header = ["method", what, *(f"{100 * level:.0f} % safe up to" for level in LEVELS),
+              "unsafe (%)", *(measure_of(column).plain for column in measures)]  # fmt: skip
     table = Table(f"curve_{dial}", f"Where `{dial}` ends safe landings", header, [])
-    for method in methods:
+    for method in ordered(flown, "estimator"):
         own = flown[flown["estimator"] == method]
         fit, units = fits.get((method, "safe")), own["unit"].nunique()
         unsafe = clustered_fraction(own["unsafe"].to_numpy(), list(own["unit"]))
-        error = mean_interval(*values_and_units(own, _ERROR))
         at = {level: fit.crossing(level) if fit else None for level in LEVELS}
         table.rows.append([
             name_cell(method), Cell(str(len(own)), f"{units} independent" * (units < len(own))),
             *(_crossing_cell(at[level], fit, level) for level in LEVELS),
-            cell(unsafe, scale=100.0), cell(error),
+            cell(unsafe, scale=100.0),
+            *(cell(mean_interval(*values_and_units(own, column))) for column in measures),
         ])  # fmt: skip
         table.numbers[method] = {
             "unsafe": unsafe.as_json(),
             **{f"safe_{level:g}": found.as_json() for level, found in at.items() if found},
-            "levels": _levels(own),
+            "levels": _levels(own, measures),
         }
     return table
 
 
-def _levels(own: pd.DataFrame) -> dict[str, Any]:
+def _levels(own: pd.DataFrame, measures: Sequence[str]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for value, group in own.groupby("dial"):
         units = list(group["unit"])
         found[f"{value:g}"] = {
             event: clustered_fraction(group[event].to_numpy(), units).as_json() for event in _EVENTS
         }
-        if error := mean_interval(*values_and_units(group, _ERROR)):
-            found[f"{value:g}"]["position_error_m"] = error.as_json()
+        for column in measures:
+            if figure := mean_interval(*values_and_units(group, column)):
+                found[f"{value:g}"][column.removesuffix(".mean")] = figure.as_json()
     return found
 
 
@@ -179,17 +188,23 @@ def _compared(dial: str, first: str, other: str, fits: dict[Any, LogisticFit]) -
 
 
 def _picture(
-    dial: str, flown: pd.DataFrame, methods: Sequence[str], fits: dict[Any, LogisticFit]
+    dial: str,
+    flown: pd.DataFrame,
+    fits: dict[Any, LogisticFit],
+    measures: Sequence[str],
+    what: str,
 ) -> Picture:
+    names = " and ".join(measure_of(column).words for column in measures)
     picture = Picture(
         f"curve_{dial.replace('.', '_')}",
         f"Landings against `{dial}`",
-        "Lines: logistic fits with their pointwise 95 % bands. Marks: fractions of the flights at "
-        "each value with their 95 % intervals; of the position error means.",
+        f"Lines: logistic fits with their pointwise 95 % bands. Marks: fractions of the {what} at "
+        f"each value with their 95 % intervals; of the {names} means.",
     )
+    methods = ordered(flown, "estimator")
     events = [event for event in _EVENTS if flown[event].any() or event == "safe"]
-    with drawn(picture, 2.7 * (len(events) + 1), 3.0) as figure:
-        panels = figure.subplots(1, len(events) + 1)
+    with drawn(picture, 2.7 * (len(events) + len(measures)), 3.0) as figure:
+        panels = figure.subplots(1, len(events) + len(measures))
         for number, method in enumerate(methods):
             own, colour = flown[flown["estimator"] == method], colour_of(method, methods)
             aside = 0.008 * (number - 0.5 * (len(methods) - 1)) * np.ptp(flown["dial"])
@@ -197,12 +212,14 @@ def _picture(
                 if fit := fits.get((method, event)):
                     _paint_fit(axes, fit, colour, method)
                 _paint_levels(axes, own, event, colour, aside)
-            _paint_levels(panels[-1], own, _ERROR, colour, aside)
+            for axes, column in zip(panels[len(events) :], measures, strict=True):
+                _paint_levels(axes, own, column, colour, aside)
         for axes, event in zip(panels, events, strict=False):
             axes.set(title=_EVENTS[event], ylim=(-0.03, 1.03))
             axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
-        panels[-1].set(title="position error (m)")
-        panels[-1].set_ylim(0.0, 1.1 * panels[-1].get_ylim()[1])
+        for axes, column in zip(panels[len(events) :], measures, strict=True):
+            axes.set(title=measure_of(column).plain)
+            axes.set_ylim(0.0, 1.1 * axes.get_ylim()[1])
         figure.supxlabel(dial, fontsize=9)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=8)

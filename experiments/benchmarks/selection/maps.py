@@ -7,7 +7,8 @@ import dataclasses
 import io
 import json
 import zipfile
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -75,11 +76,13 @@ class KeptMap:
     """at the end of the survey"""
     vehicle: VehicleModel
     truth: SafeGround
+    dials: Mapping[str, float] = field(default_factory=dict)
+    """keys of numbers that were varied between maps, with the value here"""
 
 
-def make_map(config: Config) -> KeptMap:
-    """Surveys the configured scene without a flight. Raises ValueError as `build_scene`, and where
-    nothing was mapped."""
+def make_map(config: Config, dials: Mapping[str, float] | None = None) -> KeptMap:
+    """Surveys the configured scene without a flight; ``dials`` are those of ``config`` that are
+    kept by name. Raises ValueError as `build_scene`, and where nothing was mapped."""
     scene = build_scene(config)
     survey = build_posed_survey(config, scene)
     *_, (estimate, view) = observe(survey, survey.path, start_s=0.0)
@@ -97,11 +100,13 @@ def make_map(config: Config) -> KeptMap:
         estimate=true_estimate(estimate.tick, estimate.time_s, estimate.odom_from_body),
         vehicle=survey.rig.vehicle,
         truth=_safe_ground(scene, track),
+        dials=dials or {},
     )
 
 
 def write_map(kept: KeptMap, folder: Path) -> Path:
-    """Writes ``SCENE-SEED.map.npz`` into ``folder``; returns its path."""
+    """Writes ``SCENE-SEED.map.npz`` into ``folder``, with ``-KEY=VALUE`` of its dials; returns its
+    path."""
     grid, truth = kept.map_view.coarse, kept.truth
     layers: dict[str, Any] = {
         name: _whole(layer, step)
@@ -121,13 +126,15 @@ def write_map(kept: KeptMap, folder: Path) -> Path:
         },
         "pose": {"rotation": pose.rotation.tolist(), "translation": pose.translation.tolist()},
         "time": [kept.estimate.tick, kept.estimate.time_s],
+        "dials": dict(kept.dials),
         "vehicle": {
             field.name: np.asarray(getattr(kept.vehicle, field.name)).tolist()
             for field in dataclasses.fields(kept.vehicle)
         },
     }  # fmt: skip
     packed = np.packbits(truth.safe)
-    file = folder / f"{short_name(kept.scene)}-{kept.seed}{SUFFIX}"
+    dials = "".join(f"-{key}={value:g}" for key, value in kept.dials.items())
+    file = folder / f"{short_name(kept.scene)}-{kept.seed}{dials}{SUFFIX}"
     with whole_file(file) as partial, partial.open("wb") as opened:
         np.savez_compressed(opened, about=np.array(json.dumps(about)), safe=packed, **layers)
     return file
@@ -198,6 +205,7 @@ def _kept(about: dict[str, Any], layers: dict[str, NDArray[Any]]) -> KeptMap:
             cell_m=float(about["truth"]["cell_m"]),
             safe=safe,
         ),
+        dials={str(key): float(value) for key, value in about.get("dials", {}).items()},
     )
 
 

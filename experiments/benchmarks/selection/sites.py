@@ -4,7 +4,7 @@ import contextlib
 import functools
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from scipy.ndimage import distance_transform_edt
 
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.benchmarks.processes import mapped
+from touchdown.experiments.benchmarks.selection.curves import selector_curves
 from touchdown.experiments.benchmarks.selection.maps import (
     KeptMap,
     SafeGround,
@@ -76,6 +77,7 @@ def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
     return {
         "scene": kept.scene,
         "seed": kept.seed,
+        "dials": dict(kept.dials),
         "chosen_safe": bool(verdicts[0]) if verdicts else None,
         "accepted": len(accepted),
         "accepted_safe": sum(map(bool, verdicts)),
@@ -241,14 +243,22 @@ class Posed:
 
 
 def make_maps(
-    source: Posed, out: Path, jobs: int, overrides: Sequence[str], report: Callable[[Path], None]
+    source: Posed,
+    out: Path,
+    jobs: int,
+    overrides: Sequence[str],
+    report: Callable[[Path], None],
+    dials: Mapping[str, Sequence[float]] | None = None,
 ) -> list[Path]:
     """Makes a map of each place and keeps it in the folder ``out``; calls ``report`` with each
-    file. Raises UsageError."""
-    tasks = [
-        (_config(source.profile, None, tuple(overrides), scene, seed), out)
-        for scene, seed in source.places()
-    ]
+    file. With ``dials`` a map of each place at each value of each of them, the others as they are.
+    Raises UsageError."""
+    settings = [{key: value} for key, values in (dials or {}).items() for value in values] or [{}]
+    tasks = []
+    for scene, seed in source.places():
+        for one in settings:
+            given = (*overrides, *(f"{key}={value!r}" for key, value in one.items()))
+            tasks.append((_config(source.profile, None, given, scene, seed), out, one))
     out.mkdir(parents=True, exist_ok=True)
     files = []
     for file in mapped(_make_and_write, tasks, jobs):
@@ -257,9 +267,9 @@ def make_maps(
     return files
 
 
-def _make_and_write(task: tuple[Config, Path]) -> Path:
-    config, out = task
-    return write_map(make_map(config), out)
+def _make_and_write(task: tuple[Config, Path, dict[str, float]]) -> Path:
+    config, out, dials = task
+    return write_map(make_map(config, dials), out)
 
 
 def run(
@@ -272,25 +282,26 @@ def run(
     report: Report,
     pictures: Path | None = None,
     worst: int | None = None,
+    curves: Path | None = None,
 ) -> dict[str, Any]:
     """Checks the selectors on every place of ``source``: surveys to be made, or a folder of maps.
 
     A survey's map is judged as it is kept: in whole millimetres and steps of colour.
-    Returns ``{"selector", "places": [...], "summary", "beside", "fit"}``: the first four of the
-    first selector, `summary` of the others by name, and with ``fit_model`` the fit. ``pictures``:
+    Returns ``{"selector", "places": [...], "summary", "beside", "fit", "curves"}``: the first three
+    of the first selector, `summary` of the others by name, with ``fit_model`` the fit, and curves
+    where the maps have dials; they are drawn into the folder ``curves``. ``pictures``:
     folder for figures of the choices of the first one, of all places or of the ``worst`` by regret.
     Raises UsageError for bad input, and as `load_config`."""
     names: tuple[str | None, ...] = tuple(selectors) or (None,)
     given = tuple(overrides)
     for name in names:
         check_parts_available(_config("field", name, given, "flat", 0))
-    if pictures is not None:
+    for option, folder in (("--pictures", pictures), ("--curves", curves)):
         try:
-            pictures.mkdir(parents=True, exist_ok=True)
+            if folder is not None:
+                folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise UsageError(
-                f"--pictures: '{pictures}' cannot be created: {error.strerror}"
-            ) from error
+            raise UsageError(f"{option}: '{folder}' cannot be created: {error.strerror}") from error
     with contextlib.ExitStack() as stack:
         tasks: list[_Task]
         if isinstance(source, Path):
@@ -324,6 +335,11 @@ def run(
         }
     if fit_model:
         figures["fit"] = fit(mine)
+    named = [chosen, *map(str, names[1:])]
+    if found_curves := selector_curves(dict(zip(named, zip(*found, strict=True), strict=True))):
+        figures["curves"] = {dial: told for dial, (told, _) in found_curves.items()}
+        for _, picture in found_curves.values() if curves is not None else ():
+            (curves / f"{picture.name}.svg").write_text(picture.svg, encoding="utf-8")
     figures["places"] = [
         {key: value for key, value in place.items() if key != "sample"} for place in mine
     ]
@@ -423,6 +439,8 @@ def text(figures: dict[str, Any]) -> str:
         weights = ", ".join(f"{weight:.2f}" for weight in figures["fit"]["weights"])
         lines.append(f"landing.risk_weights=[{weights}]")
         lines.append(f"calibration error held out: {figures['fit']['calibration_error']:.4f}")
+    for told in figures.get("curves", {}).values():
+        lines += ["", *told["lines"], *told["words"]]
     return "\n".join(lines)
 
 

@@ -11,6 +11,7 @@ import pytest
 from touchdown.estimator.api import GridMap, MapView
 from touchdown.experiments.benchmarks.posed_survey import true_estimate
 from touchdown.experiments.benchmarks.selection import sites
+from touchdown.experiments.benchmarks.selection.curves import selector_curves
 from touchdown.experiments.benchmarks.selection.maps import (
     KeptMap,
     SafeGround,
@@ -87,6 +88,49 @@ def test_a_map_is_read_as_it_was_written(kept: KeptMap, tmp_path: Path) -> None:
         "crossroad", 4, "field", "abc",
     )  # fmt: skip
     assert again.estimate.odom_from_body.translation.tolist() == [0.0, 0.0, 30.0]
+
+
+def test_maps_are_made_at_each_value_of_a_dial(
+    kept: KeptMap, tmp_path: Path, says: Says, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+
+    def make(config: Any, dials: dict[str, float]) -> KeptMap:
+        made.append((config.seed, config.wind.mean_kmh))
+        return dataclasses.replace(kept, seed=config.seed, dials=dials)
+
+    monkeypatch.setattr(sites, "make_map", make)
+    dial = ("--dial", "wind.mean_kmh=0:20:3", "--out", tmp_path, "--json")
+    files = json.loads(says(0, "maps", "make", "crossroad", "--seeds", "9000-9001", *dial).out)
+    assert made == [(seed, wind) for seed in (9000, 9001) for wind in (0.0, 10.0, 20.0)]
+    assert files["maps"][1].endswith("crossroad-9000-wind.mean_kmh=10.map.npz")
+    assert read_map(Path(files["maps"][1])).dials == {"wind.mean_kmh": 10.0}
+    for wrong in ("wind.mean_kmh", "wind.mean_kmh=0:20", "wind.mean_kmh=0:20:1"):
+        err = says(2, "maps", "make", "crossroad", "--dial", wrong, "--out", tmp_path).err
+        assert "is no KEY=FROM:TO:STEPS" in err
+
+
+def test_a_selector_that_is_worse_ends_earlier_along_the_dial() -> None:
+    rng = np.random.default_rng(5)
+
+    def choices(half_at: float) -> list[dict[str, Any]]:
+        return [
+            {"scene": "rugged", "seed": seed, "dials": {"rugged.slope_deg": slope},
+             "chosen_safe": safe if safe or seed % 2 else None,
+             "cells": {"safe": 100 * (seed > 3), "allowed": 50, "both": 40 - slope}}
+            for seed in range(40) for slope in (0.0, 5.0, 10.0, 15.0, 20.0)
+            for safe in [bool(rng.random() < 1.0 / (1.0 + np.exp(0.6 * (slope - half_at))))]
+        ]  # fmt: skip
+
+    told, picture = selector_curves({"good": choices(14.0), "bad": choices(6.0)})[
+        "rugged.slope_deg"
+    ]
+    assert told["good"]["safe_0.5"]["value"] == pytest.approx(14.0, abs=1.5)
+    assert any("`bad` falls to 50 % safe earlier than `good`" in line for line in told["words"])
+    steep = told["bad"]["levels"]["20"]
+    assert steep["missed"]["value"] == pytest.approx(18 / 40, abs=0.03)
+    assert steep["precision"]["value"] == 0.4 and steep["recall"]["value"] == 0.2
+    assert picture.name == "curve_rugged_slope_deg" and "<svg" in picture.svg
 
 
 @pytest.mark.parametrize(("x", "safe", "clearance"), [(0.1, True, 3.0), (2.5, True, 1.5),
