@@ -338,8 +338,9 @@ def run(
     named = [chosen, *map(str, names[1:])]
     if found_curves := selector_curves(dict(zip(named, zip(*found, strict=True), strict=True))):
         figures["curves"] = {dial: told for dial, (told, _) in found_curves.items()}
-        for _, picture in found_curves.values() if curves is not None else ():
-            (curves / f"{picture.name}.svg").write_text(picture.svg, encoding="utf-8")
+        if curves is not None:
+            for _, picture in found_curves.values():
+                (curves / f"{picture.name}.svg").write_text(picture.svg, encoding="utf-8")
     figures["places"] = [
         {key: value for key, value in place.items() if key != "sample"} for place in mine
     ]
