@@ -27,7 +27,8 @@ from touchdown.experiments.terminal import end_progress, error_line, warning_lin
 from touchdown.sim.opengl import rendering_backend
 
 _MODULES = {
-    "bench": ("bench", "maps"),
+    "bench": ("bench",),
+    "maps": ("maps",),
     "campaign": ("campaign", "merge", "reproduce", "results"),
     "classification": ("classify", "dataset", "ensemble", "evaluate", "quantize", "train"),
     "doctor": ("doctor",),
