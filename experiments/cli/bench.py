@@ -165,6 +165,7 @@ def bench_selector(
     Example: touchdown bench selector --maps maps --selector examples.flat_disc:build
     """
     from touchdown.experiments.benchmarks.selection import sites
+    from touchdown.experiments.benchmarks.selection.curves import Drawings
 
     if maps is not None and scenes:
         raise UsageError("SCENES and --maps exclude each other: maps are of their own scenes")
@@ -173,6 +174,8 @@ def bench_selector(
         named += [name for name in ("risk", "zou2024") if name not in named]
     source = maps or sites.Posed(scenes or sites.SCENES, seeds)
     options["report"] = lambda result: say(sites.row(result), err=as_json)
+    folders = (options.pop(name) for name in Drawings._fields)
+    options["drawings"] = Drawings(*folders)
     figures = usage_errors(lambda: sites.run(source, named, **options))
     return answer(figures, as_json, lambda found: say(sites.text(found)))
 

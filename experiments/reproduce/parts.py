@@ -165,6 +165,7 @@ def _world(job: Job) -> Done:
 def _sites(job: Job) -> Done:
     """Fig. 11: the steps from a map to a site, over the paper's five kinds of sites."""
     from touchdown.experiments.benchmarks.selection import sites as selector_check
+    from touchdown.experiments.benchmarks.selection.curves import Drawings
 
     with filled_folder(job.folder / PICTURES) as partial_folder:
         found = selector_check.run(
@@ -172,7 +173,7 @@ def _sites(job: Job) -> Done:
             ["zou2024"],
             jobs=min(job.jobs, len(SITES)),
             report=lambda place: job.notes(selector_check.row(place)),
-            pictures=partial_folder,
+            drawings=Drawings(pictures=partial_folder),
         )
     kept = ("scene", "seed", "chosen_safe", "accepted", "accepted_safe")
     places = [{key: place[key] for key in kept} for place in found["places"]]

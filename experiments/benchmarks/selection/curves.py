@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pandas as pd
 
 from touchdown.experiments.reporting.curves import MIN_LEVELS, curves
 from touchdown.experiments.reporting.figures import Picture
+
+
+class Drawings(NamedTuple):
+    """Folders for figures that are wanted, None where not."""
+
+    pictures: Path | None = None
+    """steps to the sites of the first selector, of all places or of the ``worst`` by regret"""
+    worst: int | None = None
+    curves: Path | None = None
+    """curves against the dials of the maps"""
+
 
 MEASURES = ("precision", "recall")
 """of the cells that a selector allows"""

@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt
 
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.benchmarks.processes import mapped
-from touchdown.experiments.benchmarks.selection.curves import selector_curves
+from touchdown.experiments.benchmarks.selection.curves import Drawings, selector_curves
 from touchdown.experiments.benchmarks.selection.maps import (
     KeptMap,
     SafeGround,
@@ -280,18 +280,16 @@ def run(
     fit_model: bool = False,
     overrides: Sequence[str] = (),
     report: Report,
-    pictures: Path | None = None,
-    worst: int | None = None,
-    curves: Path | None = None,
+    drawings: Drawings | None = None,
 ) -> dict[str, Any]:
     """Checks the selectors on every place of ``source``: surveys to be made, or a folder of maps.
 
     A survey's map is judged as it is kept: in whole millimetres and steps of colour.
     Returns ``{"selector", "places": [...], "summary", "beside", "fit", "curves"}``: the first three
     of the first selector, `summary` of the others by name, with ``fit_model`` the fit, and curves
-    where the maps have dials; they are drawn into the folder ``curves``. ``pictures``:
-    folder for figures of the choices of the first one, of all places or of the ``worst`` by regret.
+    where the maps have dials.
     Raises UsageError for bad input, and as `load_config`."""
+    pictures, worst, curves = drawings or Drawings()
     names: tuple[str | None, ...] = tuple(selectors) or (None,)
     given = tuple(overrides)
     for name in names:
