@@ -126,7 +126,7 @@ def test_a_selector_that_is_worse_ends_earlier_along_the_dial() -> None:
         "rugged.slope_deg"
     ]
     assert told["good"]["safe_0.5"]["value"] == pytest.approx(14.0, abs=1.5)
-    assert any("`bad` falls to 50 % safe earlier than `good`" in line for line in told["words"])
+    assert any("`good` falls to 50 % safe later than `bad`" in line for line in told["words"])
     steep = told["bad"]["levels"]["20"]
     assert steep["missed"]["value"] == pytest.approx(18 / 40, abs=0.03)
     assert steep["precision"]["value"] == 0.4 and steep["recall"]["value"] == 0.2
