@@ -16,10 +16,10 @@ from touchdown.sim.airframe.vehicle import foot_positions
 from touchdown.sim.frames import rotation_from_yaw
 from touchdown.sim.typing import Array
 
-_HALF_M = 12.0
+_HALF_M = 30.0
 """half the width of the ground: nothing slides farther before its trial ends"""
 _THICK_M = 1.0
-_PAD_XY_M = np.array([-30.0, 0.0])
+_PAD_XY_M = np.array([-80.0, 0.0])
 """where the vehicle stands before it is lifted over the target"""
 _EDGE_M = 0.03
 """least horizontal distance of a step's edge from a foot, twice the radius of one"""
@@ -69,7 +69,7 @@ def terrain_scene(terrain: Terrain, friction: float | None, rng: np.random.Gener
         spec=spec,
         takeoff_xy_m=_PAD_XY_M,
         takeoff_yaw=0.0,
-        bounds_xy_m=np.array([[-42.0, -12.0], [12.0, 12.0]]),
+        bounds_xy_m=np.array([[-110.0, -30.0], [30.0, 30.0]]),
         surfaces={geom.name: _GROUND for geom in spec.geoms},
         ground=None,
     )

@@ -15,7 +15,7 @@ import numpy as np
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.estimator.oracle import Oracle
-from touchdown.experiments.benchmarks.contact.terrain import Terrain, terrain_scene
+from touchdown.experiments.benchmarks.contact.terrain import Terrain, feet_xy, terrain_scene
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.loop import run_flight
 from touchdown.experiments.flight.run import make_referee
@@ -38,7 +38,7 @@ _NEAR_M, _FAR_M = 0.25, 1.3
 """height of the legs at the start: over ground that is met at touchdown speed; else that from which
 the cruise of the final descent is reached"""
 _REST_S = 4.0
-"""after the planned contact; who has not come to rest by then slides"""
+"""after the planned contact of the last leg; who has not come to rest by then slides"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +84,15 @@ def fly_trial(trial: Trial) -> Touch:
     scene = terrain_scene(trial.terrain, trial.conditions.friction, rng)
     heading = rng.uniform(-np.pi, np.pi)
     drift = trial.conditions.speed_mps * np.array([np.cos(heading), np.sin(heading), 0.0])
-    ground = float(cast_points(scene, np.zeros((1, 2)))[0][0])
+    heights, _ = cast_points(scene, np.vstack([np.zeros(2), feet_xy()]))
+    ground = float(heights[0])
     low = trial.terrain.kind == "slope" or trial.terrain.size <= _SLOW_M
     top = trial.terrain.size if trial.terrain.legs else ground
     legs_m = max(top, ground) + _NEAR_M if low else ground + _FAR_M
     contact_s = _contact_s(trial.config.landing, legs_m - ground, max(top - ground, 0.0))
+    last_leg_s = float(np.ptp(heights)) / trial.config.landing.touchdown_speed_mps
     wind = replace(trial.config.wind, mean_kmh=trial.conditions.wind_kmh, wakes=False)
-    referee = replace(trial.config.referee, timeout_s=contact_s + _REST_S)
+    referee = replace(trial.config.referee, timeout_s=contact_s + last_leg_s + _REST_S)
     config = trial.config.model_copy(update={"wind": wind, "referee": referee})
     stack = build_flight_stack(config, scene)
     start = np.array([0.0, 0.0, legs_m + stack.nominal_rig.vehicle.leg_height_m])

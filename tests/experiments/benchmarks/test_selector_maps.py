@@ -129,7 +129,8 @@ def test_a_selector_that_is_worse_ends_earlier_along_the_dial() -> None:
     assert any("`good` falls to 50 % safe later than `bad`" in line for line in told["words"])
     steep = told["bad"]["levels"]["20"]
     assert steep["missed"]["value"] == pytest.approx(18 / 40, abs=0.03)
-    assert steep["precision"]["value"] == 0.4 and steep["recall"]["value"] == 0.2
+    assert steep["precision"]["value"] == pytest.approx(0.4)
+    assert steep["recall"]["value"] == pytest.approx(0.2)
     assert picture.name == "curve_rugged_slope_deg" and "<svg" in picture.svg
 
 
