@@ -56,18 +56,21 @@ def grow_scrub(builder: SceneBuilder) -> Scrubland:
     for index, (radius, height) in enumerate(((0.16, 0.30), (0.22, 0.42), (0.30, 0.55))):
         mesh = builder.mesh(f"tuft_{index}", tuft_mesh(rng, radius, height))
         land.tufts.append((mesh, radius, height))
-    land.stone = builder.material("stone", sandstone(rng))
+    land.stone = builder.material("stone", weathered(rng, SANDSTONE))
     return land
 
 
-def sandstone(rng: np.random.Generator) -> Image:
-    """(512, 512, 3), periodic: weathered sandstone with dark joints."""
+SANDSTONE = (158.0, 122.0, 92.0)
+
+
+def weathered(rng: np.random.Generator, rgb: tuple[float, float, float]) -> Image:
+    """(512, 512, 3), periodic: weathered rock with dark joints."""
     tone = 1.0 + 0.10 * tileable_noise(rng, textures.TILE_PX, 1.3, 3.0)
     tone += 0.07 * tileable_noise(rng, textures.TILE_PX, 0.4, 20.0)
     joints = np.abs(tileable_noise(rng, textures.TILE_PX, 2.0, 3.0))
     tone *= 1.0 - 0.35 * np.exp(-((joints / 0.03) ** 2))
     hue = tileable_noise(rng, textures.TILE_PX, 1.8, 2.0)[..., None]
-    image = tone[..., None] * np.array([158.0, 122.0, 92.0]) + hue * np.array([8.0, 3.0, -2.0])
+    image = tone[..., None] * np.array(rgb) + hue * np.array([8.0, 3.0, -2.0])
     return textures.to_texture(image.astype(np.float32))
 
 

@@ -238,12 +238,17 @@ def grow_wood(builder: SceneBuilder) -> Wood:
         mesh = builder.mesh(f"canopy_{index}", canopy_mesh(rng, half, 10, 2.6))
         wood.crowns.append(Crown(mesh=mesh, radius_m=radius, height_m=float(half[2])))
     grow_shrubs(builder, wood, (0.55, 0.8, 1.1), 0.8, 1.8)
+    grow_stumps(builder, wood)
+    return wood
+
+
+def grow_stumps(builder: SceneBuilder, wood: Wood) -> None:
+    """Adds stumps of three sizes."""
     for index, (radius, height) in enumerate(((0.16, 0.24), (0.22, 0.34), (0.30, 0.42))):
         profile = np.array([[-0.35, 1.5 * radius], [0.04, 1.35 * radius], [0.14, 1.05 * radius],
                            [height, radius]])  # fmt: skip
-        mesh = builder.mesh(f"stump_{index}", lathe(rng, profile, 11, 0.07))
+        mesh = builder.mesh(f"stump_{index}", lathe(builder.rng, profile, 11, 0.07))
         wood.stumps.append(Crown(mesh=mesh, radius_m=radius, height_m=height))
-    return wood
 
 
 def grow_conifers(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.scenes.api import RuggedParams, Scene
@@ -211,6 +212,11 @@ def test_a_wrong_dial_is_named_in_one_line(override: list[str], words: list[str]
         load_config(None, ["scene=rugged", *override])
     message = str(caught.value)
     assert "\n" not in message and all(word in message for word in words), message
+
+
+@pytest.mark.parametrize("command", [["check", "--seeds", "1"], ["render"]])
+def test_commands_about_scenes_take_dials(command: list[str]) -> None:
+    assert cli.main(["scenes", *command, "flat", "--set", "rugged.slope_deg=3"]) == 2
 
 
 def test_dials_override_the_preset() -> None:

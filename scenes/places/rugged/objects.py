@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from touchdown.scenes.api import Array, Image, Surface
-from touchdown.scenes.authoring import textures
+from touchdown.scenes.api import Array, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder, turned
 from touchdown.scenes.authoring.ground import Ground
-from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
+from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, unit
 from touchdown.scenes.authoring.relief import HALF_M
 from touchdown.scenes.places.rugged.presets import Dials
@@ -19,7 +18,7 @@ from touchdown.scenes.places.rugged.relief import CELL_M, NODES
 from touchdown.scenes.places.rugged.rocks import Rocks, boulder_mesh
 from touchdown.scenes.places.rugged.safe_ground import SafeGround
 from touchdown.scenes.props import woods
-from touchdown.scenes.props.scrubland import add_scrub, grow_scrub
+from touchdown.scenes.props.scrubland import add_scrub, grow_scrub, weathered
 
 BOULDERS, BOULDER_M = 240, 0.7
 """So many rocks, the largest, at least so wide, are bodies of their own."""
@@ -87,22 +86,10 @@ def tall_things(plants: Plants) -> Array:
     return mask / 100.0
 
 
-def stone(rng: np.random.Generator, rock: Ground) -> Image:
-    """(512, 512, 3), periodic: weathered rock of the colour of ``rock`` with joints and lichen."""
-    tone = 1.0 + 0.13 * tileable_noise(rng, textures.TILE_PX, 1.3, 3.0)
-    tone += 0.09 * tileable_noise(rng, textures.TILE_PX, 0.4, 20.0)
-    joints = np.abs(tileable_noise(rng, textures.TILE_PX, 2.0, 3.0))
-    tone *= 1.0 - 0.3 * np.exp(-((joints / 0.025) ** 2))
-    image = tone[..., None] * np.array(rock.look.rgb, np.float32)
-    lichen = tileable_noise(rng, textures.TILE_PX, 1.1, 6.0) > 1.7
-    image[lichen] = 0.6 * image[lichen] + 0.4 * np.array([176.0, 178.0, 140.0])
-    return textures.to_texture(image.astype(np.float32))
-
-
 def place_boulders(builder: SceneBuilder, rocks: Rocks, rock: Ground) -> None:
     """Adds rocks as bodies of their own."""
     surface = Surface(land_class="other", reflectivity=rock.look.surface.reflectivity)
-    material = builder.material("boulder", stone(builder.rng, rock))
+    material = builder.material("boulder", weathered(builder.rng, rock.look.rgb))
     for index in range(len(rocks.diameter_m)):
         data = boulder_mesh(builder.rng, rocks, index, _UV_M)
         mesh = builder.mesh(builder.unique("boulder"), data)
@@ -114,13 +101,9 @@ def place_boulders(builder: SceneBuilder, rocks: Rocks, rock: Ground) -> None:
 def place_plants(builder: SceneBuilder, plants: Plants, safe: SafeGround) -> None:
     """Adds logs, stumps and scrub that lie on no pad."""
     if len(plants.logs):
-        wood = woods.Wood(bark=builder.material("wood_bark", woods.bark(builder.rng, (120.0, 98.0,
-                          76.0))))  # fmt: skip
-        for index, (radius, height) in enumerate(((0.18, 0.26), (0.25, 0.36), (0.33, 0.40))):
-            profile = np.array([[-0.35, 1.5 * radius], [0.04, 1.35 * radius],
-                                [0.14, 1.05 * radius], [height, radius]])  # fmt: skip
-            mesh = builder.mesh(f"stump_{index}", woods.lathe(builder.rng, profile, 11, 0.07))
-            wood.stumps.append(woods.Crown(mesh=mesh, radius_m=radius, height_m=height))
+        bark = woods.bark(builder.rng, (120.0, 98.0, 76.0))
+        wood = woods.Wood(bark=builder.material("wood_bark", bark))
+        woods.grow_stumps(builder, wood)
         along = np.linspace(0.0, 1.0, 15)[:, None]
         for log in plants.logs:
             points = log[:2] + along * (log[2:] - log[:2])

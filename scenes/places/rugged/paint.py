@@ -14,8 +14,9 @@ from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.light import light_in_shadow
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.relief import HALF_M, HeightField
+from touchdown.scenes.authoring.water import upsample
 from touchdown.scenes.places.rugged.presets import Dials
-from touchdown.scenes.places.rugged.relief import CELL_M, resampled
+from touchdown.scenes.places.rugged.relief import CELL_M
 from touchdown.scenes.places.rugged.rocks import Rocks, heap
 
 _SMALL = 1280
@@ -43,7 +44,7 @@ def paint_ground(
 
     ragged = noise(1.4, 3)
     rise = np.hypot(*np.gradient(ndimage.gaussian_filter(heights, 0.35 / CELL_M), CELL_M))
-    steep = np.rad2deg(np.arctan(resampled(rise, _FINE))) + 3.0 * ragged
+    steep = np.rad2deg(np.arctan(upsample(rise, _FINE))) + 3.0 * ragged
     edge = 0.15 * ragged - 0.03 * (steep - 15.0)
     layer = np.full((_FINE, _FINE), int(look.ground), np.uint8)
     layer[noise(12.0, 5) + edge > 0.75] = int(look.patches[0])
@@ -53,11 +54,11 @@ def paint_ground(
         layer[noise(9.0, 3) + 0.2 * ragged > 0.35] = int(strewn)
     layer[steep > _STEEP_DEG] = int(look.steep)
     if look.ruts:
-        layer[resampled(cut, _FINE) > 0.08] = int(Ground.SOIL)
+        layer[upsample(cut, _FINE) > 0.08] = int(Ground.SOIL)
     for things, material in ((tussocks, Ground.DRY_GRASS), (seen, look.rock)):
         layer[heap(things, _FINE) > 0.0] = int(material)
     canvas.material[:] = cv2.resize(layer, (TEXELS, TEXELS), interpolation=cv2.INTER_NEAREST)
-    white = (resampled(snow, _FINE) + 0.015 * ragged - _SNOW_M) * (steep < _BARE_DEG)
+    white = (upsample(snow, _FINE) + 0.015 * ragged - _SNOW_M) * (steep < _BARE_DEG)
     white[heap(seen, _FINE) > 0.0] = -1.0
     if snow.any():
         canvas.material[_wide(white, TEXELS) > 0.0] = int(Ground.SNOW)
@@ -75,10 +76,10 @@ def _stain(
     steep: Float32,
 ) -> None:  # fmt: skip
     """Layers on the faces, and the dark of grooves."""
-    dark = 235.0 * np.clip(resampled(cut, _FINE) / 0.3, 0.0, 1.0) * (not dials.preset.ruts)
+    dark = 235.0 * np.clip(upsample(cut, _FINE) / 0.3, 0.0, 1.0) * (not dials.preset.ruts)
     if dials.preset.strata_m > 0.0:
         bend = 0.25 * fractal_noise(rng, (_FINE, _FINE), 500.0, 3, 0.5)
-        level = resampled(heights, _FINE) / dials.preset.strata_m + bend
+        level = upsample(heights, _FINE) / dials.preset.strata_m + bend
         bands = np.sin(2.0 * np.pi * level) + 0.6 * np.sin(2.0 * np.pi * 2.7 * level + 1.0)
         face = np.clip((steep - 14.0) / 16.0, 0.12, 1.0)
         dark = np.maximum(dark, 62.0 * face * np.clip(bands + 0.3, 0.0, 1.6))
@@ -103,7 +104,7 @@ def light_slopes(
     fine.stand_on(HeightField(heights_m=ground))
     tone = fine.shading(rng, sun)
     # Nodes hold half of what a small rock rises.
-    surface = resampled(terrain.heights_m, _FINE) + np.float32(0.4) * raised
+    surface = upsample(terrain.heights_m, _FINE) + np.float32(0.4) * raised
     depth = shadow_depth(surface, sun, 2.0 * HALF_M / _FINE)
     full = 1.0 - light_in_shadow(_SHADE)
     left = 1.0 - full * np.clip((depth - 0.02) / _SOFT_M, 0.0, 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from scipy import ndimage
 
-from touchdown.scenes.api import Array, Float32
+from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.micro_relief import parallel, wander
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import draw_heading, unit
@@ -211,13 +211,3 @@ def snow_depth(rng: np.random.Generator, heights: Array) -> Array:
     hollow = wide - heights + 0.12 * fractal_noise(rng, heights.shape, 11.0 / CELL_M, 3, 0.5)
     depth = np.clip(1.4 * (hollow - np.quantile(hollow, 1.0 - _SNOW_FRACTION)), 0.0, 1.2)
     return np.asarray(ndimage.gaussian_filter(depth, 0.35 / CELL_M), np.float64)
-
-
-def resampled(nodes: Array, size: int) -> Float32:
-    """(size, size) over the same square, smoothly."""
-    scale = (len(nodes) - 1) / size
-    matrix = np.array([[scale, 0.0, 0.5 * scale], [0.0, scale, 0.5 * scale]])
-    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    image = cv2.warpAffine(nodes.astype(np.float32), matrix, (size, size), flags=flags,
-                           borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
-    return np.asarray(image, np.float32)
