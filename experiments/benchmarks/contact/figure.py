@@ -7,7 +7,15 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 
-from touchdown.experiments.drawing.style import FAINT, GRID, INK, STYLE, new_figure, write_figure
+from touchdown.experiments.drawing.style import (
+    FAINT,
+    GRID,
+    INK,
+    PAPER,
+    STYLE,
+    new_figure,
+    write_figure,
+)
 
 _DIALS = {
     "friction": "friction of the feet",
@@ -65,8 +73,10 @@ def _draw_map(axes: Axes, one: dict[str, Any], unit: str) -> None:
         for x, cell in enumerate(row):
             if cell is not None:
                 words = f"{100 * cell['low']:.0f} – {100 * cell['high']:.0f} %"
-                axes.text(x, y, words, ha="center", va="center", fontsize=6, color=INK)
+                colour = PAPER if abs(cell["probability"] - 0.5) > 0.35 else INK
+                axes.text(x, y, words, ha="center", va="center", fontsize=6, color=colour)
     edges = one["edges"]
     axes.set_xticks(np.arange(len(edges)) - 0.5, [f"{edge:.2g}" for edge in edges])
     axes.set_yticks(range(len(one["sizes"])), [f"{size:g}" for size in one["sizes"]])
     axes.set(xlabel=_DIALS[one["dial"]], ylabel=unit)
+    axes.set_title("fails, 95 % interval", fontsize=8, color=FAINT)

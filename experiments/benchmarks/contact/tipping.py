@@ -25,6 +25,8 @@ from touchdown.experiments.benchmarks.contact.trial import (
 from touchdown.experiments.benchmarks.processes import mapped
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.schema import Config
+from touchdown.experiments.config.slots import PX4
+from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.statistics import Estimate, fraction_interval
 from touchdown.sim.airframe.vehicle import vehicle_model
 
@@ -40,6 +42,7 @@ _FIXED = {
     "camera.width": 64, "camera.height": 36,
 }  # fmt: skip
 """nothing looks: the camera is small because it takes time to make"""
+_DRAWN = ("seed", "wind.mean_kmh", "wind.wakes", "mapper.enabled")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,8 +65,14 @@ class Ranges:
 
 def contact_config(overrides: Sequence[str] = (), profile: str = "field") -> Config:
     """The configuration of all contacts. Raises UsageError."""
+    for text in overrides:
+        key = text.partition("=")[0].strip()
+        if key in _FIXED or key in _DRAWN:
+            raise UsageError(f"--set {text}: the bench sets '{key}' itself")
     fixed = [f"{key}={str(value).lower()}" for key, value in _FIXED.items()]
     config = load_config(overrides=[*fixed, *overrides], profile=profile)
+    if config.control.controller == PX4:
+        raise UsageError("control.controller 'px4' has no final descent of its own to be tried")
     return config.model_copy(update={"mapper": replace(config.mapper, enabled=False)})
 
 

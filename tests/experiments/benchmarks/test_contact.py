@@ -147,3 +147,5 @@ def test_the_command_writes_figures_and_maps(
     assert {file.name for file in tmp_path.iterdir()} == {"touchdown.json", "touchdown.svg"}
     assert main([*words, "--friction", "0.9", "0.5"]) == 2
     assert "give 0 <= LOW <= HIGH" in capsys.readouterr().err
+    assert main([*words, "--set", "estimator=livo"]) == 2
+    assert "the bench sets 'estimator' itself" in capsys.readouterr().err
