@@ -74,13 +74,13 @@ PRESETS: Mapping[str, Preset] = {
     "quarry": Preset(
         slope_deg=12.0, rock_abundance=0.06, cover="scree", groove_fraction=0.006,
         safe_fraction=0.10, spectrum=3.3, plane=0.65, rough_m=0.012, ground=Ground.LIMESTONE,
-        patches=(Ground.GRAVEL, Ground.CLAY), steep=Ground.LIMESTONE, rock=Ground.LIMESTONE,
+        patches=(Ground.GRAVEL, Ground.MUD), steep=Ground.LIMESTONE, rock=Ground.LIMESTONE,
         terrace_m=3.2, strata_m=0.7, ruts=True,
     ),
     "lava": Preset(
         slope_deg=8.0, rock_abundance=0.10, cover="bare", groove_fraction=0.02,
         safe_fraction=0.04, spectrum=3.0, plane=0.3, rough_m=0.035, ground=Ground.BASALT,
-        patches=(Ground.MOSS, Ground.MOSS), steep=Ground.BASALT, rock=Ground.BASALT, ridge_m=1.1,
+        patches=(Ground.MOSS, Ground.SCREE), steep=Ground.BASALT, rock=Ground.BASALT, ridge_m=1.1,
     ),
     "gully": Preset(
         slope_deg=14.0, rock_abundance=0.02, cover="scrub", groove_fraction=0.004,

@@ -193,7 +193,7 @@ def grooves(rng: np.random.Generator, dials: Dials) -> Array:
             break
         middle, way = rng.uniform(-HALF_M, HALF_M, 2), unit(draw_heading(rng))
         length = rng.uniform(25.0, 70.0) if ruts else rng.uniform(5.0, 20.0)
-        line = wander(rng, middle + 0.5 * length * np.array([-way, way]), 3.0 if ruts else 0.9)
+        line = wander(rng, middle + 0.5 * length * np.array([-way, way]), 3.0 if ruts else 0.35)
         sides = (-0.5 * _TRACK_M, 0.5 * _TRACK_M) if ruts else (0.0,)
         points = [np.round(16.0 * (parallel(line, s) + HALF_M) / CELL_M) for s in sides]
         thick = max(1, round(width * rng.uniform(0.6, 1.2) / CELL_M))
