@@ -65,8 +65,9 @@ RULE_KEYS: Mapping[str, str] = {
     "unsafe_ground": "landing.allowed_classes",
     "uncertain_ground": "landing.unknown_ground",
     "unfamiliar_ground": "landing.unknown_ground",
+    "no_image": "landing.classifier",
 }
-"""The key that decides what a rule refuses; rules without one follow from energy or images."""
+"""The key that decides what a rule refuses; rules without one follow from energy."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

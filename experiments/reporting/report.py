@@ -183,7 +183,7 @@ def condition_words(rows: Sequence[Row], *, paper: bool = True) -> list[str]:
     methods = ", ".join(f"`{name}`" for name in ordered(frame, "estimator"))
     lines = [
         f"Scenes: {', '.join(ordered(frame, 'scene'))}. Methods: {methods}. "
-        f"{len(seeds)} seeds from {min(seeds)} to {max(seeds)}. "
+        f"{_seeds(seeds)}. "
         f"Mean wind: {', '.join(f'{wind:g}' for wind in winds) or 'not recorded'} km/h.",
         *part_words(rows),
         *_revision_words(recorded_revision(row) for row in rows),
@@ -195,6 +195,12 @@ def condition_words(rows: Sequence[Row], *, paper: bool = True) -> list[str]:
         named = (f"{key.partition('.')[2]} {value}" for key, value in versions.items())
         lines.append(f"Versions: {', '.join(named)}.")
     return lines
+
+
+def _seeds(seeds: set[int]) -> str:
+    if len(seeds) == 1:
+        return f"Seed {min(seeds)}"
+    return f"{len(seeds)} seeds from {min(seeds)} to {max(seeds)}"
 
 
 def part_words(rows: Sequence[Row]) -> list[str]:

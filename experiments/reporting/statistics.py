@@ -26,8 +26,8 @@ EXACT_PAIRS = 12
 POWER = 0.8
 
 INTERVAL = (
-    "95 % bootstrap interval over independent units (flights of one seed share random draws over "
-    "all scenes, and count as one), percentiles widened for small samples (Hesterberg 2015)"
+    "95 % bootstrap interval over independent units (flights that share random draws count as "
+    "one), percentiles widened for small samples (Hesterberg 2015)"
 )
 
 
