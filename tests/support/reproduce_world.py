@@ -128,9 +128,9 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
         draw(out)
 
     @replaced("benchmarks.selection.sites.run", "sites")
-    def _(source: Any, selectors: list[str], pictures: Path, **options: Any) -> dict[str, Any]:
+    def _(source: Any, selectors: list[str], drawings: Any, **options: Any) -> dict[str, Any]:
         scenes = source.scenes
-        draw(*(pictures / f"site_{scene}.jpg" for scene in scenes))
+        draw(*(drawings.pictures / f"site_{scene}.jpg" for scene in scenes))
         check = {"seed": 0, "chosen_safe": True, "accepted": 9, "accepted_safe": 8}
         return {"selector": "risk", "places": [{"scene": scene, **check} for scene in scenes]}
 
