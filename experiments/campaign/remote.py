@@ -18,8 +18,9 @@ from touchdown.experiments.campaign.results_table import (
     ROW_FILE,
     RUNS,
     finished_ids,
+    refresh,
 )
-from touchdown.experiments.campaign.session import Watcher, fly_campaign
+from touchdown.experiments.campaign.session import Watcher, fly_campaign, summary
 from touchdown.experiments.campaign.worker import REAL_RUNNER, Task
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.io.run_directory import whole_file
@@ -39,34 +40,37 @@ class Remote:
             from fsspec.core import url_to_fs
 
             self._files, self._root = url_to_fs(address)
-            self._there = self._listed()
+        self._there: set[str] = set()
 
     def fetch(self) -> None:
         """Copies what is only there, of a run the row last."""
+        with self._said():
+            self._there = self._listed()
         for name in sorted(self._there, key=lambda name: name.endswith(ROW_FILE)):
             if _is_of_campaign(name) and not (path := inside(self.directory, name)).exists():
                 with self._said(), whole_file(path) as partial:
                     self._files.get_file(f"{self._root}/{name}", str(partial))
 
     def send(self) -> None:
-        """Sends what is only here."""
+        """Sends the runs that are only here, and the files of the campaign."""
         for run_id in sorted(finished_ids(self.directory)):
             if f"{RUNS}/{run_id}/{ROW_FILE}" not in self._there:
                 self.send_run(run_id)
         failed = [f"{FAILED}/{path.name}" for path in self.directory.glob(f"{FAILED}/*.json")]
         for name in (SOURCE_FILE, PLAN_FILE, RESULTS_FILE, *failed):
-            self._send(name)
+            self.send_file(name)
 
     def send_run(self, run_id: str) -> None:
         """Sends a run, the row last: without it the run is not there."""
         names = [path.name for path in (self.directory / RUNS / run_id).iterdir()]
         for name in sorted(names, key=lambda name: name == ROW_FILE):
-            self._send(f"{RUNS}/{run_id}/{name}")
+            self.send_file(f"{RUNS}/{run_id}/{name}")
         if (failed := f"{FAILED}/{run_id}.json") in self._there:
             with self._said():
                 self._files.rm_file(f"{self._root}/{failed}")
 
-    def _send(self, name: str) -> None:
+    def send_file(self, name: str) -> None:
+        """Sends a file of the copy, if there is one."""
         if (path := self.directory / name).is_file():
             with self._said():
                 self._files.makedirs(f"{self._root}/{name}".rpartition("/")[0], exist_ok=True)
@@ -104,6 +108,8 @@ class Sending(Watcher):
         self._remote, self._watcher = remote, watcher
 
     def start(self, todo: Sequence[Task], done: int, jobs: int) -> None:
+        for name in (SOURCE_FILE, PLAN_FILE):  # runs without them are no campaign
+            self._remote.send_file(name)
         self._watcher.start(todo, done, jobs)
 
     def see(self, event: Event) -> None:
@@ -130,8 +136,12 @@ def fly_to_address(
     remote.fetch()
     sending = Sending(remote, watcher or Watcher())
     try:
-        return fly_campaign(
+        flown = fly_campaign(
             plan, remote.directory, engine, shard=shard, watcher=sending, runner=runner
         )
     finally:
         remote.send()
+    remote.fetch()  # what other machines have sent meanwhile
+    refresh(remote.directory, must_write=True)
+    remote.send()
+    return summary(remote.directory) | {"missing": flown["missing"]}

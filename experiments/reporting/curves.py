@@ -119,9 +119,9 @@ def _table(
     measures: Sequence[str],
     what: str,
 ) -> Table:
-    header = ["method", what, *(f"{100 * level:.0f} % safe up to" for level in LEVELS),
+    header = ["method", what, *(f"{100 * level:.0f} % safe" for level in LEVELS),
               "unsafe (%)", *(measure_of(column).plain for column in measures)]  # fmt: skip
-    table = Table(f"curve_{dial}", f"Where `{dial}` ends safe landings", header, [])
+    table = Table(f"curve_{dial}", f"Safe landings by `{dial}`", header, [])
     for method in ordered(flown, "estimator"):
         own = flown[flown["estimator"] == method]
         fit, units = fits.get((method, "safe")), own["unit"].nunique()
@@ -158,23 +158,23 @@ def _crossing_cell(found: Estimate | None, fit: LogisticFit | None, level: float
     if fit is None:
         return Cell("–")
     if found is None:
-        below = fit.band(np.array([fit.low]))[0][0] <= level
-        return Cell(f"below {fit.low:g}" if below else f"not up to {fit.high:g}")
+        is_above = fit.band(np.array([fit.low]))[0][0] > level
+        return Cell("everywhere" if is_above else "nowhere")
     assert found.low is not None and found.high is not None
     low, high = (
         f"{end:.3g}" if np.isfinite(end) else edge
         for end, edge in ((found.low, f"< {fit.low:g}"), (found.high, f"> {fit.high:g}"))
     )
-    return Cell(digits(found.value), f"[{low}, {high}]")
+    return Cell(f"{'up to' if fit.falls else 'from'} {digits(found.value)}", f"[{low}, {high}]")
 
 
 def _compared(dial: str, first: str, other: str, fits: dict[Any, LogisticFit]) -> list[str]:
-    """How far apart two methods fall to one half."""
+    """How far apart two methods pass one half."""
     if (first, "safe") not in fits or (other, "safe") not in fits:
         return []
     found = crossing_difference(fits[first, "safe"], fits[other, "safe"], LEVELS[-1])
     if found is None:
-        return [f"`{other}` against `{first}`: one of them does not fall to 50 % within `{dial}`."]
+        return [f"`{other}` against `{first}`: one of them does not pass 50 % within `{dial}`."]
     if found.units < NEEDED:
         return [f"`{other}` against `{first}`: n = {found.units} says nothing."]
     assert found.low is not None and found.high is not None
@@ -184,7 +184,8 @@ def _compared(dial: str, first: str, other: str, fits: dict[Any, LogisticFit]) -
     if not found.excludes(0.0):
         return [f"`{other}` against `{first}`: no difference is shown ({told}, 50 % safe)."]
     where = "later" if found.value > 0.0 else "earlier"
-    return [f"`{other}` falls to 50 % safe {where} than `{first}`, by {told} of `{dial}`."]
+    passes = "falls" if fits[first, "safe"].falls else "rises"
+    return [f"`{other}` {passes} to 50 % safe {where} than `{first}`, by {told} of `{dial}`."]
 
 
 def _picture(

@@ -42,19 +42,24 @@ class LogisticFit:
         half = self._student() * np.sqrt(np.einsum("in,ij,jn->n", design, self.covariance, design))
         return _expit(logit), _expit(logit - half), _expit(logit + half)
 
+    @property
+    def falls(self) -> bool:
+        """True if the probability gets less along the dial."""
+        return bool(self.coefficients[1] < 0.0)
+
     def crossing(self, level: float) -> Estimate | None:
-        """The dial at which the probability falls to ``level``, with its interval, whose ends are
-        infinite beyond the range; None where the fit does not fall through it in the range."""
+        """The dial at which the probability is ``level``, with its interval, whose ends are
+        infinite beyond the range; None where the fit does not pass it in the range."""
         grid = np.linspace(self.low, self.high, _GRID)
         value, low, high = self.band(grid)
-        if not value[0] > level > value[-1]:
+        if not min(value[0], value[-1]) < level < max(value[0], value[-1]):
             return None
         inside = np.flatnonzero((low <= level) & (level <= high))
         ends = grid[inside[[0, -1]]]
         ends = np.where([inside[0] == 0, inside[-1] == _GRID - 1], [-np.inf, np.inf], ends)
-        units = len(self.influence)
-        at = float(np.interp(-level, -value, grid))
-        return Estimate(at, float(ends[0]), float(ends[1]), self.flights, units)
+        sign = -1.0 if self.falls else 1.0
+        at = float(np.interp(sign * level, sign * value, grid))
+        return Estimate(at, float(ends[0]), float(ends[1]), self.flights, len(self.influence))
 
     def changes(self) -> bool:
         """True if the interval of the slope excludes none."""
@@ -99,9 +104,11 @@ def fit_logistic(
 
 
 def crossing_difference(a: LogisticFit, b: LogisticFit, level: float) -> Estimate | None:
-    """How much later along the dial ``b`` falls to ``level`` than ``a``, with its interval: units
-    that both have flown count as pairs (delta method). None where one of them does not fall to it
-    in the range."""
+    """How much later along the dial ``b`` passes ``level`` than ``a``, with its interval: units
+    that both have flown count as pairs (delta method). None where one of them does not pass it in
+    the range, or one falls and the other rises."""
+    if a.falls != b.falls:
+        return None
     found = []
     for fit in (a, b):
         if (at := fit.crossing(level)) is None:

@@ -3,11 +3,13 @@
 import shutil
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from touchdown.experiments.campaign import remote
 from touchdown.experiments.campaign.executor import LocalEngine
 from touchdown.experiments.campaign.results_table import load_rows
+from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.errors import UsageError
 
 from support.campaign_flights import RUNNER, attempts, axes, make_plan
@@ -46,11 +48,31 @@ def test_what_was_not_sent_is_sent_at_the_next_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as killed:
-        killed.setattr(remote.Remote, "_send", lambda *_: None)
+        killed.setattr(remote.Remote, "send_file", lambda *_: None)
         assert fly_to(tmp_path) == 3
     assert not (tmp_path / "there").exists() and fly_to(tmp_path) == 3
     assert len(load_rows(tmp_path / "there")) == 3
     assert set(attempts(remote.Remote(f"file://{tmp_path}/there").directory).values()) == {1}
+
+
+def test_the_last_machine_to_end_writes_the_table_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second machine begins and ends while the first one flies."""
+
+    class Meanwhile(Watcher):
+        def end(self) -> None:
+            with monkeypatch.context() as machine:
+                machine.setenv("XDG_CACHE_HOME", str(tmp_path / "other"))
+                fly_to(tmp_path, shard=(2, 2))
+
+    plan = make_plan(tmp_path, THREE)
+    figures = remote.fly_to_address(
+        plan, f"file://{tmp_path}/there", LocalEngine(1), runner=RUNNER, shard=(1, 2),
+        watcher=Meanwhile(),
+    )  # fmt: skip
+    table = pq.read_table(tmp_path / "there" / "results.parquet")
+    assert sorted(table["seed"].to_pylist()) == [0, 1, 2] and figures["finished"] == 3
 
 
 def test_a_run_that_is_flown_after_a_crash_is_no_crash_there(tmp_path: Path) -> None:
@@ -59,6 +81,7 @@ def test_a_run_that_is_flown_after_a_crash_is_no_crash_there(tmp_path: Path) -> 
     record = tmp_path / "there" / "failed" / "flat-fake.raises-s0.json"
     assert record.is_file()
     copy = remote.Remote(f"file://{tmp_path}/there")
+    copy.fetch()
     (copy.directory / "runs" / record.stem).mkdir(parents=True)
     copy.send_run(record.stem)
     assert not record.exists()
