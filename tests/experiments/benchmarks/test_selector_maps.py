@@ -117,7 +117,7 @@ def test_a_selector_that_is_worse_ends_earlier_along_the_dial() -> None:
         return [
             {"scene": "rugged", "seed": seed, "dials": {"rugged.slope_deg": slope},
              "chosen_safe": safe if safe or seed % 2 else None,
-             "cells": {"safe": 100 * (seed > 3), "allowed": 50, "both": 40 - slope}}
+             "cells": {"safe": 100 * (seed > 9), "allowed": 50, "both": 40 - slope}}
             for seed in range(40) for slope in (0.0, 5.0, 10.0, 15.0, 20.0)
             for safe in [bool(rng.random() < 1.0 / (1.0 + np.exp(0.6 * (slope - half_at))))]
         ]  # fmt: skip
@@ -128,7 +128,7 @@ def test_a_selector_that_is_worse_ends_earlier_along_the_dial() -> None:
     assert told["good"]["safe_0.5"]["value"] == pytest.approx(14.0, abs=1.5)
     assert any("`good` falls to 50 % safe later than `bad`" in line for line in told["words"])
     steep = told["bad"]["levels"]["20"]
-    assert steep["missed"]["value"] == pytest.approx(18 / 40, abs=0.03)
+    assert steep["missed"]["value"] == pytest.approx(15 / 40, abs=0.03)
     assert steep["precision"]["value"] == pytest.approx(0.4)
     assert steep["recall"]["value"] == pytest.approx(0.2)
     assert picture.name == "curve_rugged_slope_deg" and "<svg" in picture.svg

@@ -8,13 +8,14 @@ import pytest
 
 from touchdown.experiments.campaign import remote
 from touchdown.experiments.campaign.executor import LocalEngine
+from touchdown.experiments.campaign.plan import in_shard
 from touchdown.experiments.campaign.results_table import load_rows
 from touchdown.experiments.campaign.session import Watcher
 from touchdown.experiments.errors import UsageError
 
 from support.campaign_flights import RUNNER, attempts, axes, make_plan
 
-THREE = axes(scene=["flat"], estimator=["fake:good"], seeds="0-2")
+THREE, SIX = (axes(scene=["flat"], estimator=["fake:good"], seeds=s) for s in ("0-2", "0-5"))
 
 
 @pytest.fixture(autouse=True)
@@ -60,19 +61,21 @@ def test_the_last_machine_to_end_writes_the_table_of_all(
 ) -> None:
     """The second machine begins and ends while the first one flies."""
 
+    assert len({in_shard(run.run_id, (1, 2)) for run in make_plan(tmp_path, SIX).runs}) == 2
+
     class Meanwhile(Watcher):
         def end(self) -> None:
             with monkeypatch.context() as machine:
                 machine.setenv("XDG_CACHE_HOME", str(tmp_path / "other"))
-                fly_to(tmp_path, shard=(2, 2))
+                fly_to(tmp_path, SIX, shard=(2, 2))
 
-    plan = make_plan(tmp_path, THREE)
+    plan = make_plan(tmp_path, SIX)
     figures = remote.fly_to_address(
         plan, f"file://{tmp_path}/there", LocalEngine(1), runner=RUNNER, shard=(1, 2),
         watcher=Meanwhile(),
     )  # fmt: skip
     table = pq.read_table(tmp_path / "there" / "results.parquet")
-    assert sorted(table["seed"].to_pylist()) == [0, 1, 2] and figures["finished"] == 3
+    assert sorted(table["seed"].to_pylist()) == [*range(6)] and figures["finished"] == 6
 
 
 def test_a_run_that_is_flown_after_a_crash_is_no_crash_there(tmp_path: Path) -> None:
