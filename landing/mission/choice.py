@@ -76,9 +76,12 @@ def choose_commanded(mission: Mission, wanted: Array) -> Choice:
 
 def decided(mission: Mission, candidates: tuple[Candidate, ...]) -> Decision:
     """Returns the decision for the first of ``candidates``, with the reasons."""
-    positions = [mission.view.world(site.position_odom) for site in candidates]
+    view = mission.view
+    # A site on ground that was not seen has no height.
+    known = (np.nan_to_num(site.position_odom, nan=view.ground_odom) for site in candidates)
+    positions = [view.world(position) for position in known]
     return Decision(
-        time_s=mission.view.obs.time_s,
+        time_s=view.obs.time_s,
         selector=mission.params.selector,
         candidates=candidates,
         positions_world=np.array(positions, np.float64).reshape(-1, 3),

@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import re
+import types
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,12 @@ import numpy as np
 import pytest
 
 from touchdown.landing.api import Candidate, Decision, LandingParams, Phase
+from touchdown.landing.mission import choice
 from touchdown.landing.mission.mission import Mission
 from touchdown.landing.mission.rules import RULES, Action, Moment, first_ruling
 from touchdown.landing.mission.site_recheck import Recheck
 from touchdown.landing.mission.state import MissionState
-from touchdown.sim.frames import Pose
+from touchdown.sim.frames import Pose, rotation_from_yaw
 
 from support.lander_support import QUICK, flat_map
 from support.landing_support import make_estimate, make_obs, make_rig, view_of
@@ -185,3 +187,19 @@ def test_the_state_changes_by_its_own_methods_alone() -> None:
                 continue
             owner = ast.unparse(node.value)
             assert not (owner.endswith("state") and node.attr in attributes), (path.name, node.attr)
+
+
+def test_a_site_that_was_not_seen_has_a_place() -> None:
+    """It has no height; turned into the world it had no place either, and rays that start nowhere
+    take minutes."""
+    unseen = dataclasses.replace(REFUSED, position_odom=np.array([3.0, 4.0, np.nan]))
+    turn = rotation_from_yaw(np.pi / 2)
+    view = types.SimpleNamespace(
+        world=lambda position: turn @ position,
+        ground_odom=-2.0,
+        obs=types.SimpleNamespace(time_s=5.0),
+    )
+    mission: Any = types.SimpleNamespace(view=view, params=types.SimpleNamespace(selector="risk"))
+    np.testing.assert_allclose(
+        choice.decided(mission, (unseen,)).positions_world, [[-4.0, 3.0, -2.0]]
+    )
