@@ -22,7 +22,12 @@ from touchdown.experiments.cli.common import (
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.run_directory import whole_file
 from touchdown.experiments.terminal import say
-from touchdown.experiments.viewing.processes import address_text, run_viewer, web_viewer
+from touchdown.experiments.viewing.processes import (
+    address_text,
+    compacted,
+    run_viewer,
+    web_viewer,
+)
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.opengl import has_display
 
@@ -83,10 +88,15 @@ def _open(run: Path, recording: Path, web: bool) -> int:
             f"there is no display to open a window on; give touchdown view {run} --web, or open "
             f"'{recording}' on a machine that has one"
         )
-    command = [sys.executable, "-m", "rerun", str(recording)]
-    if web:
-        command, page, data = web_viewer(str(recording))
+    if not web:
+        return _exit_code([sys.executable, "-m", "rerun", str(recording)])
+    with tempfile.TemporaryDirectory() as folder:
+        command, page, data = web_viewer(str(compacted(recording, Path(folder))))
         click.echo(address_text(page, data))
+        return _exit_code(command)
+
+
+def _exit_code(command: list[str]) -> int:
     return EXIT_DONE if run_viewer(command) == 0 else EXIT_FAILED
 
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
@@ -50,6 +51,21 @@ def write_costmap(
     """Writes the image of `costmap_image` with ticks in metres of the world frame, take-off
     point, the survey's rectangle and a table of the candidates' terms."""
     write_figure(path, _figure(view, site_odom, world_from_odom, marks))
+
+
+def fitted(image: Colours, shape: tuple[int, int]) -> Colours:
+    """Returns ``image`` (H, W, 3) as large as it fits into the middle of ``shape`` (rows, cols): a
+    viewer takes the images of a path for a video, whose size must not change."""
+    (rows, cols), (height, width) = shape, image.shape[:2]
+    scale = min(rows / height, cols / width)
+    size = round(width * scale), round(height * scale)
+    page = np.empty((rows, cols, 3), np.uint8)
+    page[:] = image[0, 0]
+    left, top = (cols - size[0]) // 2, (rows - size[1]) // 2
+    page[top : top + size[1], left : left + size[0]] = cv2.resize(
+        image, size, interpolation=cv2.INTER_AREA
+    )
+    return page
 
 
 def costmap_of(view: LanderView) -> CostmapView:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import Estimate, GridMap, MapView, PoseTrack
 from touchdown.estimator.filtering.deskew import deskewed_points, track_of
 from touchdown.experiments.config.schema import Config
-from touchdown.experiments.drawing.costmap_image import costmap_image
+from touchdown.experiments.drawing.costmap_image import costmap_image, fitted
 from touchdown.experiments.drawing.map_images import map_points
 from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.experiments.recording.rerun_blueprint import TIMELINE, flight_blueprint, log_styles
@@ -141,6 +141,7 @@ class RerunLog:
         self._seen_text = ("", "")
         self._seen_site: Array = np.full(3, np.nan)
         self._seen_costmap: object = None
+        self._costmap_shape: tuple[int, int] | None = None
         self._seen_candidates: object = ()
         self._last: tuple[Truth, Estimate, MapView] | None = None
         self._log_static()
@@ -309,7 +310,9 @@ class RerunLog:
             self._seen_costmap = view.costmap
             site = view.site_world
             site_odom = None if site is None else estimate.world_from_odom.inverse().apply(site)
-            self._log_picture(time_s, "costmap/total", "png", costmap_image(view, site_odom))
+            picture = costmap_image(view, site_odom)
+            self._costmap_shape = self._costmap_shape or picture.shape[:2]
+            self._log_picture(time_s, "costmap/total", "png", fitted(picture, self._costmap_shape))
         if view.candidates and view.candidates is not self._seen_candidates:
             self._seen_candidates = view.candidates
             self._log(time_s, "world/map/candidates", _candidate_points(view.candidates))

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
@@ -32,6 +33,15 @@ def web_viewer(recording: str | None = None) -> tuple[list[str], int, int]:
     # --web-viewer opens a browser as well
     command += ["--web-viewer" if has_display() else "--serve-web", "--bind", LOCALHOST]
     return [*command, "--web-viewer-port", str(page), "--port", str(data)], page, data
+
+
+def compacted(recording: Path, folder: Path) -> Path:
+    """Returns a copy of ``recording`` in ``folder`` with its chunks joined, which a browser loads
+    several times faster, or ``recording`` where Rerun cannot join them."""
+    copy = folder / recording.name
+    command = [sys.executable, "-m", "rerun", "rrd", "optimize", str(recording), "-o", str(copy)]
+    done = subprocess.run(command, capture_output=True)
+    return copy if done.returncode == 0 and copy.is_file() else recording
 
 
 class LiveView:

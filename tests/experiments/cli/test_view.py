@@ -17,13 +17,17 @@ from support.command import Says
 
 FAKE_VIEWER = """
 import os, pathlib, subprocess, sys
+if sys.argv[1] == "rrd":
+    pathlib.Path(sys.argv[-1]).write_bytes(b"joined")
+    sys.exit()
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"])
 here = pathlib.Path(__file__).parent
 (here / "seen.tmp").write_text("\\n".join([str(os.getpid()), str(child.pid), *sys.argv[1:]]))
 (here / "seen.tmp").rename(here / "seen")
 child.wait()
 """
-"""Starts a child, as Rerun does, and writes both process ids and its arguments to a file."""
+"""Joins chunks at once; as a viewer starts a child, as Rerun does, and writes both process ids and
+its arguments to a file."""
 
 
 @pytest.fixture
@@ -85,7 +89,8 @@ def test_the_viewer_ends_with_the_command(run: Path, tmp_path: Path, number: int
     (package / "__init__.py").touch()
     (package / "__main__.py").write_text(FAKE_VIEWER)
     environment = {k: v for k, v in os.environ.items() if not k.endswith("DISPLAY")}
-    environment["PYTHONPATH"] = str(package.parent)
+    older = os.environ.get("PYTHONPATH", "")
+    environment["PYTHONPATH"] = os.pathsep.join([str(package.parent), older])
     command = subprocess.Popen(
         [sys.executable, "-m", "touchdown", "view", str(run), "--web"],
         env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -104,5 +109,7 @@ def test_the_viewer_ends_with_the_command(run: Path, tmp_path: Path, number: int
         assert command.returncode == (143 if number == signal.SIGTERM else 130)
         assert err.strip() == "touchdown: interrupted"
     assert out.startswith("http://127.0.0.1:") and "ssh -L " in out
-    assert arguments[:2] == [str(run / "flight.rrd"), "--serve-web"]
+    served = Path(arguments[0])
+    assert served.name == "flight.rrd" and served.parent != run and arguments[1] == "--serve-web"
+    assert number == signal.SIGKILL or not served.exists()
     assert _gone(int(viewer)) and _gone(int(child))

@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgb
 
 from touchdown.experiments.drawing import costmap_image as drawing
 from touchdown.experiments.drawing.class_image import CLASS_RGB, class_numbers, write_classes
-from touchdown.experiments.drawing.costmap_image import costmap_image
+from touchdown.experiments.drawing.costmap_image import costmap_image, fitted
 from touchdown.experiments.drawing.map_images import survey_marks
 from touchdown.experiments.drawing.style import pixels_of
 from touchdown.experiments.io.images import read_picture
@@ -56,6 +56,15 @@ def _has(image: np.ndarray, colour: Any) -> bool:
     """True where a pixel is of ``colour``, a name or numbers from 0 to 1, but for rounding."""
     rgb = 255.0 * np.array(to_rgb(colour))
     return bool((np.abs(image - rgb).max(axis=2) <= 1.0).any())
+
+
+def test_a_picture_fits_the_middle_of_another_size() -> None:
+    wide = np.full((10, 40, 3), 200, np.uint8)
+    wide[4:6, 10:30] = 7
+    page = fitted(wide, (20, 20))
+    assert page.shape == (20, 20, 3) and (page[0] == 200).all() and (page[-1] == 200).all()
+    assert (page[9, 6:14] == 7).all(), "the middle stays in the middle"
+    assert np.array_equal(fitted(wide, (10, 40)), wide)
 
 
 def test_image_shows_score_and_winner_beside_the_other_candidates() -> None:

@@ -1,3 +1,4 @@
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -5,6 +6,7 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import GridMap, MapView, PoseTrack
@@ -179,6 +181,9 @@ def _fly(recorder: Any, steps: int = 400) -> None:
             probabilities=np.full((4, 4, 7), 1 / 7, np.float32),
         ),
     )  # fmt: skip
+    half = dataclasses.replace(
+        costmap, total=np.where(np.arange(160) < 80, total, np.float32("nan"))
+    )
     image = np.full((48, 64, 3), 127, np.uint8)
     command = Command(rotor_speed_radps=np.full(4, 500.0))
     for step in range(steps):
@@ -193,7 +198,10 @@ def _fly(recorder: Any, steps: int = 400) -> None:
             rotor_speed_radps=np.full(4, 500.0),
             battery_fraction=1.0,
         )
-        chosen = {"costmap": costmap, "candidates": (_candidate(True), _candidate(False))}
+        chosen = {
+            "costmap": half if step < 300 else costmap,
+            "candidates": (_candidate(True), _candidate(False)),
+        }
         chosen["site_world"] = np.array([-10.0, -10.0, 1.5])
         record = StepRecord(
             make_truth(time_s, here),
@@ -228,6 +236,11 @@ def test_run_directory_holds_all_files(tmp_path: Path, scene: Scene, rig: Sensor
     assert b"element vertex 6400" in header and len(body) == 6400 * 15
     image = cv2.imread(str(tmp_path / "costmap.png"))
     assert image.shape[1] > image.shape[0]
+    chunks = RrdReader(tmp_path / "flight.rrd").stream().to_chunks()
+    logged = [chunk.to_record_batch() for chunk in chunks if chunk.entity_path == "/costmap/total"]
+    blobs = [b for batch in logged for b in batch.column("EncodedImage:blob").to_pylist()]
+    shapes = [cv2.imdecode(np.array(blob[0], np.uint8), cv2.IMREAD_COLOR).shape for blob in blobs]
+    assert len(shapes) == 2 and shapes[0] == shapes[1]  # a viewer takes them for a video
 
 
 def test_with_sensors_the_odometry_is_kept_apart(
