@@ -110,9 +110,9 @@ def make_report(
         Section("curves", "Where it ends", [line for *_, words in dials for line in words],
                 [table for table, *_ in dials], [picture for _, picture, _ in dials]),
         Section("varies", "What varies" if factors_of(frame) else "At a glance",
-                [*varying_words(frame, configuration), *shown],
+                [*varying_words(frame, configuration), *part_words(rows), *shown],
                 [level_table(frame), *differences]),
-        Section("summary", "Not successful", summary_words(frame)),
+        Section("summary", "Outcomes", summary_words(frame)),
         Section("flights", "Flights", tables=[flight_table(frame)]),
         Section("accuracy", "Accuracy", tables=[accuracy_table(frame, paper=paper)]),
         Section("axes", "Errors by axis", [], [axis_table(frame, paper=paper)], drawn("fig10")),
@@ -159,6 +159,8 @@ def summary_words(frame: pd.DataFrame) -> list[str]:
         words += [f"Profile: `{name}`." for name in frame["profile"].dropna().unique()]
     rows: list[Row] = frame.to_dict("records")
     lost = [row for row in rows if not is_successful(row)]
+    if not lost:
+        return [*words, f"All {len(rows)} flights were successful."]
     unmeasured = sum(number(row, "position_error_m.mean") is None for row in lost)
     words.append(
         f"{len(lost)} of {len(rows)} flights were not successful. Their errors up to the loss are "
@@ -175,7 +177,7 @@ def summary_words(frame: pd.DataFrame) -> list[str]:
 
 
 def condition_words(rows: Sequence[Row], *, paper: bool = True) -> list[str]:
-    """Scenes, methods, seeds, parts, revision and the definition of the intervals."""
+    """Scenes, methods, seeds, parts (first in other reports), revision and the definition of the intervals."""
     frame = frame_of(rows)
     seeds = {row["seed"] for row in rows}
     winds = sorted({row["wind_kmh"] for row in rows if row.get("wind_kmh") is not None})
@@ -185,7 +187,7 @@ def condition_words(rows: Sequence[Row], *, paper: bool = True) -> list[str]:
         f"Scenes: {', '.join(ordered(frame, 'scene'))}. Methods: {methods}. "
         f"{_seeds(seeds)}. "
         f"Mean wind: {', '.join(f'{wind:g}' for wind in winds) or 'not recorded'} km/h.",
-        *part_words(rows),
+        *(part_words(rows) if paper else ()),
         *_revision_words(recorded_revision(row) for row in rows),
         f"Intervals: {INTERVAL}, 10 000 seeded resamples; percentages of flights: Wilson's score "
         "interval. Fewer than three flights have no interval.",

@@ -182,7 +182,7 @@ def _fly(recorder: Any, steps: int = 400) -> None:
         ),
     )  # fmt: skip
     half = dataclasses.replace(
-        costmap, total=np.where(np.arange(160) < 80, total, np.float32("nan"))
+        costmap, total=np.where(np.arange(160) < 40, total, np.float32("nan"))
     )
     image = np.full((48, 64, 3), 127, np.uint8)
     command = Command(rotor_speed_radps=np.full(4, 500.0))

@@ -122,6 +122,16 @@ def test_the_summary_names_what_was_lost(report: document.Report) -> None:
     assert lost[0] == "2.20", "the lost flight is in the mean"
 
 
+def test_a_report_begins_with_the_parts_and_says_that_all_was_well(
+    rows: list[dict[str, Any]],
+) -> None:
+    flown = [row | {"parts.selector": "lab:build"} for row in rows if row["estimator"] == "livo"]
+    first, second, *rest = document.make_report(flown, title="x").sections
+    assert "Selector: `lab:build`." in first.words and second.title == "Outcomes"
+    assert second.words[-1] == f"All {len(flown)} flights were successful."
+    assert not any("lab:build" in " ".join(section.words) for section in rest)
+
+
 def test_a_path_that_never_left_the_ground_has_no_deviation(tmp_path: Path) -> None:
     run = write_run(tmp_path, "flat", "gps", 0)
     truth = np.loadtxt(run / "truth.tum")
