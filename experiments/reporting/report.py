@@ -177,7 +177,8 @@ def summary_words(frame: pd.DataFrame) -> list[str]:
 
 
 def condition_words(rows: Sequence[Row], *, paper: bool = True) -> list[str]:
-    """Scenes, methods, seeds, parts (first in other reports), revision and the definition of the intervals."""
+    """Scenes, methods, seeds, revision and the definition of the intervals; the paper's report has
+    the parts here."""
     frame = frame_of(rows)
     seeds = {row["seed"] for row in rows}
     winds = sorted({row["wind_kmh"] for row in rows if row.get("wind_kmh") is not None})
