@@ -24,8 +24,8 @@ from touchdown.landing.classification.labels import D_LAND, NO_LABEL, SCHEMES
 FOLDER_KINDS = ("d_land", "ucmerced", "aid", "places365")
 """data sets of a folder for each class; of the first the classes are those of D_Land"""
 SPLITS = ("train", "val", "test")
-HELD_OUT_SCENES = ("footbridge", "pools")
-"""scenes of which all patches are for the test"""
+HELD_OUT_SCENES = ("footbridge", "pools", "rugged-gully", "rugged-lava")
+"""scenes of which all patches are for the test, and presets of one"""
 _SEED_CYCLE = 5
 _UC_TEST = range(64, 80)
 """test file numbers of each class of UC Merced"""
@@ -86,9 +86,9 @@ def classes_of(data_set: str) -> Mapping[str, Meaning]:
 def rendered_meaning(scene: str, land_class: str) -> Meaning:
     """Returns the labels of a rendered patch of ``land_class``; an unknown scene has no D_Scene
     class."""
-    if scene not in _RENDERED:
+    if (name := scene.partition("-")[0]) not in _RENDERED:
         return Meaning(land_class, None)
-    whole, parts = _RENDERED[scene]
+    whole, parts = _RENDERED[name]
     return Meaning(land_class, parts.get(land_class, whole))
 
 

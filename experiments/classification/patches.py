@@ -9,7 +9,7 @@ randomisation: Tobin et al., IROS 2017)."""
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 from zlib import crc32
@@ -98,17 +98,18 @@ AS_BUILT = NewLooks()
 
 
 def scene_patches(
-    name: str, seed: int, count: int, pixels: int, variation: int, looks: NewLooks = AS_BUILT
-) -> list[Patch]:
+    name: str, seed: int, count: int, pixels: int, variation: int, looks: NewLooks = AS_BUILT,
+    settings: Sequence[str] = (),
+) -> list[Patch]:  # fmt: skip
     """Returns up to ``count`` patches of ``pixels`` across of one seed of a scene; rare classes
     first.
 
-    A pure function of its arguments; ``variation`` changes poses, squares and light. There are
-    fewer patches where the scene does not show enough unambiguous ground. Raises UsageError for an
-    unknown scene.
+    A pure function of its arguments; ``variation`` changes poses, squares and light, ``settings``
+    (``KEY=VALUE``) the configuration. There are fewer patches where the scene does not show enough
+    unambiguous ground. Raises UsageError for an unknown scene.
     """
     config = load_config(
-        None, ("camera.noise_sigma=0", "camera.samples=4"), profile_default="ideal",
+        None, ("camera.noise_sigma=0", "camera.samples=4", *settings), profile_default="ideal",
         scene=name, seed=seed,
     )  # fmt: skip
     draws = np.random.default_rng([seed, variation, crc32(b"materials"), crc32(name.encode())])
@@ -117,6 +118,7 @@ def scene_patches(
     rng = np.random.default_rng([seed, variation, crc32(b"patches"), crc32(name.encode())])
     colours = np.random.default_rng([seed, variation, crc32(b"colours"), crc32(name.encode())])
     classes = geom_classes(scene)
+    kinds = _kinds(scene, classes)
     camera = posed_sensors(config, scene)
     matrix = camera.intrinsics.matrix()
     found: list[Patch] = []
@@ -129,7 +131,7 @@ def scene_patches(
                 materials = material_image(scene, view.geom_id[::2, ::2], shown)
                 view = replace(view, rgb=recoloured(view.rgb, materials, colours))
             # at first, a class that has its quota is not taken any more
-            open_to = np.where(taken < _quota(count, number), taken, _FULL)
+            open_to = np.where(taken < _quota(count, number, kinds), taken, _FULL)
             squares = list(_squares(view, shown, matrix, open_to, rng))
             for square in _rarest(squares, open_to, min(_PER_VIEW, count - len(found))):
                 taken[square.land_class] += 1
@@ -141,9 +143,16 @@ def scene_patches(
     return found
 
 
-def _quota(count: int, view: int) -> int:
-    """Returns the number of patches of one class up to this image: a fifth, later any number."""
-    return max(1, count // 5) if view < count else count
+def _kinds(scene: Scene, classes: Int32) -> int:
+    """Returns the number of land classes of a scene."""
+    ground = classes if scene.ground is None else np.append(classes, scene.ground.class_id)
+    return len(np.intersect1d(ground, np.arange(len(LAND_CLASSES))))
+
+
+def _quota(count: int, view: int, kinds: int) -> int:
+    """Returns the number of patches of one of ``kinds`` classes up to this image: a fifth, or the
+    same of each where there are fewer; later any number."""
+    return max(1, count // min(5, kinds)) if view < count else count
 
 
 def geom_classes(scene: Scene) -> Int32:

@@ -3,7 +3,7 @@ contact sheet."""
 
 import csv
 import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,11 +20,12 @@ from touchdown.experiments.classification.data_sets import (
     split_of_layout,
 )
 from touchdown.experiments.classification.patches import NewLooks, scene_patches
+from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.experiments.io.images import read_picture, write_png
 from touchdown.experiments.io.run_directory import run_directory
 from touchdown.scenes.api import LAND_CLASSES
-from touchdown.scenes.registry import scene_names
+from touchdown.scenes.registry import RUGGED, scene_names
 
 MANIFEST = "manifest.csv"
 SHEET = "contact_sheet.png"
@@ -60,6 +61,8 @@ class DatasetParams:
     """fraction of views in colours that the scene does not have"""
     new_materials: float = 0.0
     """fraction of seeds with ground of other materials of the same class"""
+    settings: Sequence[str] = ()
+    """``KEY=VALUE`` of the configuration, such as the dials of ``rugged``"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +70,8 @@ class _Layout:
     """One seed of a scene, and the number of patches to render of it into ``folder``."""
 
     scene: str
+    place: str
+    """as `place_of`"""
     seed: int
     count: int
     params: DatasetParams
@@ -84,16 +89,17 @@ def render_dataset(
 
     Each scene is rendered with as many seeds as it takes at ``params.per_seed`` patches a seed. The
     same ``params`` give the same bytes, whatever ``jobs``. The folder appears when it is complete.
-    Raises UsageError where ``out`` is not empty or a scene is unknown.
+    Raises UsageError where ``out`` is not empty, a scene is unknown or a setting does not fit.
     """
     known = scene_names()
     for name in set(params.scenes).difference(known):
         raise UsageError(f"unknown scene '{name}'{nearest(name, known)}; known: {', '.join(known)}")
     names = tuple(dict.fromkeys(params.scenes)) or tuple(known)
+    scenes = {name: place_of(name, params.settings) for name in names}
     if out.is_file() or (out.is_dir() and any(out.iterdir())):
         raise UsageError(f"--out: '{out}' is a file or not empty; name a new folder")
     with run_directory(out, own=()) as partial:
-        rows = _render(partial, names, params, jobs, progress)
+        rows = _render(partial, scenes, params, jobs, progress)
         with (partial / MANIFEST).open("w", encoding="utf-8", newline="") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
             writer.writeheader()
@@ -102,8 +108,14 @@ def render_dataset(
     return {"directory": str(out), "images": len(rows), **_counts(rows)}
 
 
+def place_of(scene: str, settings: Sequence[str]) -> str:
+    """Returns the scene's name, of `rugged` with its preset: each is a place of its own."""
+    preset = load_config(None, settings, scene=scene).rugged.preset
+    return f"{scene}-{preset}" if scene == RUGGED else scene
+
+
 def _render(
-    folder: Path, scenes: Sequence[str], params: DatasetParams, jobs: int, progress: Progress
+    folder: Path, scenes: Mapping[str, str], params: DatasetParams, jobs: int, progress: Progress
 ) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     first = FIRST_SEED + _SEED_SPACING * params.seed
@@ -111,7 +123,7 @@ def _render(
         for _ in range(_MAX_ROUNDS):
             missing = params.images - len(rows)
             seeds = -(-missing // (len(scenes) * params.per_seed))
-            places = [(name, first + number) for number in range(seeds) for name in scenes]
+            places = [(*both, first + number) for number in range(seeds) for both in scenes.items()]
             # numbers that differ by at most one
             counts = [len(part) for part in np.array_split(np.arange(missing), len(places))]
             layouts = [
@@ -122,7 +134,7 @@ def _render(
             first += seeds
             for layout, found in zip(layouts, run(_render_layout, layouts), strict=True):
                 rows += found
-                progress(len(rows), params.images, f"{layout.scene}, seed {layout.seed}")
+                progress(len(rows), params.images, f"{layout.place}, seed {layout.seed}")
             if len(rows) == params.images:
                 return rows
     raise UsageError(f"these scenes show only {len(rows)} patches of one kind of ground")
@@ -142,11 +154,11 @@ def _workers(jobs: int) -> Iterator[Callable[..., Iterator[list[dict[str, Any]]]
 def _render_layout(layout: _Layout) -> list[dict[str, Any]]:
     """Writes the images of one layout. Returns their rows of the manifest."""
     cv2.setNumThreads(1)
-    params, name = layout.params, f"{layout.scene}-{layout.seed}"
+    params, name = layout.params, f"{layout.place}-{layout.seed}"
     (layout.folder / name).mkdir()
     looks = NewLooks(params.new_colours, params.new_materials)
     patches = scene_patches(
-        layout.scene, layout.seed, layout.count, params.pixels, params.seed, looks
+        layout.scene, layout.seed, layout.count, params.pixels, params.seed, looks, params.settings
     )
     rows = []
     for number, patch in enumerate(patches):
@@ -157,9 +169,9 @@ def _render_layout(layout: _Layout) -> list[dict[str, Any]]:
             "file": file,
             "d_land": meaning.d_land,
             "d_scene": meaning.d_scene or "",
-            "scene": layout.scene,
+            "scene": layout.place,
             "seed": layout.seed,
-            "split": split_of_layout(layout.scene, layout.seed),
+            "split": split_of_layout(layout.place, layout.seed),
             "height_m": f"{patch.height_m:.2f}",
             "side_m": f"{patch.side_m:.2f}",
             "fraction": f"{patch.fraction:.3f}",

@@ -10,6 +10,7 @@ import click
 
 from touchdown.experiments.cli.common import (
     EXIT_DONE,
+    OVERRIDES,
     PATH,
     QUIET,
     SEED,
@@ -97,13 +98,18 @@ def _print_dataset(done: Mapping[str, Any]) -> None:
               help="Of layouts, poses and light; scene seeds start at 1000.")  # fmt: skip
 @click.option("--scene", "scenes", multiple=True, metavar="NAME",
               help="Only this scene. May be repeated.  [all]")  # fmt: skip
+@click.option("--per-seed", type=click.IntRange(1), default=40, show_default=True,
+              help="Images of each seed of a scene.")  # fmt: skip
 @_fraction("--new-colours", "Fraction of views with random colours of roads, paving, roofs …")
 @_fraction("--new-materials", "Fraction of seeds whose ground is of other materials of its class.")
+@OVERRIDES
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True,
               help="Processes; the images do not depend on it.")  # fmt: skip
 @answered(_print_dataset)
 @QUIET
-def dataset_render(out: Path, jobs: int, quiet: bool, **options: Any) -> dict[str, Any]:
+def dataset_render(
+    out: Path, jobs: int, quiet: bool, overrides: tuple[str, ...], **options: Any
+) -> dict[str, Any]:
     """Render patches of the scenes by the vehicle's camera, labelled by the class of their ground.
 
     Heights from 5 to 60 m, squares of ground from 3 to 26 m, random light, blur and noise. Writes
@@ -114,7 +120,8 @@ def dataset_render(out: Path, jobs: int, quiet: bool, **options: Any) -> dict[st
     from touchdown.experiments.classification.render_dataset import DatasetParams, render_dataset
 
     with progress_bar(quiet) as progress:
-        return render_dataset(out, DatasetParams(**options), jobs=jobs, progress=progress)
+        params = DatasetParams(settings=overrides, **options)
+        return render_dataset(out, params, jobs=jobs, progress=progress)
 
 
 def _print_training(report: Mapping[str, Any]) -> None:

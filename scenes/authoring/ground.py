@@ -172,6 +172,10 @@ def mown_askew(rng: np.random.Generator, angle: float) -> dict[Ground, float]:
     return dict.fromkeys(Ground, angle) | {Ground.LAWN: angle + float(rng.uniform(0.2, 1.3))}
 
 
+HELD_OUT = (Ground.BASALT, Ground.MOSS, Ground.BADLAND)
+"""materials of presets that no classifier is trained on: no other place has them"""
+
+
 @contextlib.contextmanager
 def varied_materials(rng: np.random.Generator) -> Iterator[None]:
     """Gives all scenes made inside the context other ground and water: each material becomes a
@@ -179,7 +183,8 @@ def varied_materials(rng: np.random.Generator) -> Iterator[None]:
     full of silt."""
     table = np.arange(len(Ground), dtype=np.uint8)
     for name in api.LAND_CLASSES:
-        same = np.array([int(m) for m in Ground if m.look.surface.land_class == name], np.uint8)
+        known = [m for m in Ground if m not in HELD_OUT and m.look.surface.land_class == name]
+        same = np.array(known, np.uint8)
         if len(same):
             table[same] = rng.choice(same, len(same))
     red, green, blue = (rng.dirichlet(np.full(len(_WATERS), 0.7)) @ _WATERS).tolist()

@@ -8,7 +8,13 @@ import pytest
 
 from touchdown.scenes.api import LAND_CLASSES
 from touchdown.scenes.authoring import generation
-from touchdown.scenes.authoring.ground import Canvas, Ground, ground_shader, varied_materials
+from touchdown.scenes.authoring.ground import (
+    HELD_OUT,
+    Canvas,
+    Ground,
+    ground_shader,
+    varied_materials,
+)
 from touchdown.scenes.authoring.water import WaterLook, varied
 
 CELLS = 4 * len(Ground)
@@ -40,6 +46,9 @@ def test_ground_gets_other_materials_of_its_class() -> None:
     np.testing.assert_array_equal(*classes)
     changed = (dressed.material != plain.material).mean()
     assert 0.5 < changed < 1.0, "a class of n materials keeps a material once in n"
+    held = np.isin(plain.material, HELD_OUT)
+    assert (dressed.material == plain.material)[held].all()
+    assert not np.isin(dressed.material[~held], HELD_OUT).any()
     road = classes[0] == LAND_CLASSES.index("road")
     assert len(np.unique(plain.raster("terrain").material[road])) == 4
     stripes = (dressed.material != plain.material)[0]

@@ -3,6 +3,7 @@
 import csv
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -83,7 +84,7 @@ def test_patches_of_a_place(tmp_path: Path) -> None:
     """Half lawn, half water: both are found, and look as they are painted."""
     place = tmp_path / "place.xml"
     place.write_text(_PLACE, encoding="utf-8")
-    found, again = (patches.scene_patches(str(place), 7, 6, 40, 0) for _ in range(2))
+    found, again = (patches.scene_patches(str(place), 7, 12, 40, 0) for _ in range(2))
     assert {patch.land_class for patch in found} == {"lawn", "water"}
     for patch, same in zip(found, again, strict=True):
         assert (patch.rgb == same.rgb).all() and patch.rgb.shape == (40, 40, 3)
@@ -97,12 +98,14 @@ def test_patches_of_a_place(tmp_path: Path) -> None:
 def test_a_share_of_seeds_is_of_other_materials(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a scene is built in, by seed; it is not built."""
     found: list[bool] = []
+    presets: list[str] = []
 
     class BuiltError(Exception):
         pass
 
     def build(config: Any) -> None:
         found.append(present_variation() is not None)
+        presets.append(config.rugged.preset)
         raise BuiltError
 
     monkeypatch.setattr(patches, "build_scene", build)
@@ -110,6 +113,10 @@ def test_a_share_of_seeds_is_of_other_materials(monkeypatch: pytest.MonkeyPatch)
         for seed in range(40):
             with pytest.raises(BuiltError):
                 patches.scene_patches("turf", seed, 1, 40, 0, patches.NewLooks(0.0, fraction))
+    looks, dials = patches.NewLooks(0.0, 1.0), ("rugged.preset=quarry",)
+    with pytest.raises(BuiltError):
+        patches.scene_patches("rugged", 1, 1, 40, 0, looks, dials)
+    assert presets[-1] == "quarry"
     assert not any(found[:40]) and all(found[80:]) and 10 <= sum(found[40:80]) <= 30
     assert present_variation() is None
 
@@ -130,12 +137,33 @@ def test_a_material_has_one_colour() -> None:
 
 
 def _painted(
-    name: str, seed: int, count: int, pixels: int, variation: int, looks: patches.NewLooks
-) -> list[patches.Patch]:
+    name: str, seed: int, count: int, pixels: int, variation: int, looks: patches.NewLooks,
+    settings: tuple[str, ...],
+) -> list[patches.Patch]:  # fmt: skip
     """At most two patches a place, in the colour of its seed."""
     rgb = np.full((pixels, pixels, 3), seed % 256, np.uint8)
     land_class = "water" if name == "pools" else "lawn"
     return [patches.Patch(rgb, land_class, 0.9, 20.0, 6.4)] * min(count, 2)
+
+
+@pytest.mark.parametrize(
+    ("preset", "split"), [("lava", "test"), ("gully", "test"), ("quarry", "train")]
+)
+def test_presets_kept_for_a_verdict_are_for_the_test(
+    preset: str, split: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(render_dataset, "scene_patches", _painted)
+    dial = f"rugged.preset={preset}"
+    params = DatasetParams(images=1, scenes=["rugged"], pixels=48, settings=(dial,))
+    assert render_dataset.render_dataset(tmp_path / "new", params)["splits"][split] == 1
+    assert f",lawn,meadow,rugged-{preset},1000," in (tmp_path / "new/manifest.csv").read_text()
+
+
+def test_classes_share_the_first_images() -> None:
+    ground = SimpleNamespace(class_id=np.array([[0, 5], [OTHER_CLASS_ID, 5]], np.uint8))
+    scene: Any = SimpleNamespace(ground=ground)
+    assert patches._kinds(scene, np.array([0, 3], np.int32)) == 3
+    assert [patches._quota(40, *at) for at in ((0, 3), (0, 7), (40, 7))] == [13, 8, 40]
 
 
 def test_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,7 +267,11 @@ def test_the_middle_square_is_taken() -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [(["--scene", "pond"], "unknown scene 'pond'"), (["--images", "0"], "--images")],
+    [
+        (["--scene", "pond"], "unknown scene 'pond'"),
+        (["--images", "0"], "--images"),
+        (["--scene", "lake", "--set", "rugged.slope_deg=3"], "rugged.slope_deg"),
+    ],
 )
 def test_command_refuses(arguments: list[str], message: str, tmp_path: Path, says: Says) -> None:
     printed = says(2, "dataset", "render", "--out", tmp_path / "new", *arguments).err
