@@ -21,7 +21,11 @@ _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _FIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
 _NOT_DRAWN = int(mujoco.mjtGeom.mjGEOM_NONE)
 _MEMBERS = tuple(name for name in dir(mujoco.MjvGeom) if not name.startswith("_"))
-_TILE_CELLS = 16
+_TILE_CELLS, _TILE_M = 16, 10.0
+"""A tile is at least as wide as both: each costs a change of texture."""
+_FINE_CELLS = 130.0
+"""Beyond this many cells of distance every second node is drawn: a cell is at most 4 pixels wide at
+a focal length of 500 pixels"""
 _SMOOTH_COSINE = 0.98
 """Triangles that differ by more from the mean of a node's have an edge, as MuJoCo draws them
 (determined on its pictures)"""
@@ -144,13 +148,27 @@ class TerrainTiles:
 
         self._gl, self._terrain, self._picture = GL, terrain, picture
         size = model.hfield_size[terrain.field]
-        vertices = _vertices(size[2] * heights_of(model, terrain.field), size)
-        tiles = _tiles(*vertices.shape[:2])
+        self._vertices = _vertices(size[2] * heights_of(model, terrain.field), size)
+        self._cell_m = 2.0 * size[0] / (self._vertices.shape[1] - 1)
+        self._tile = max(_TILE_CELLS, 2 * round(0.5 * _TILE_M / self._cell_m))
+        whole = (np.array(self._vertices.shape[:2]) % 2 == 1).all()
+        self._strides = (1, 2) if whole else (1,)
+        self._lists: dict[int, int] = {}
+        self._lists[1], self._boxes = self._compiled(1)
+        half = 0.5 * (self._boxes[:, 1] - self._boxes[:, 0])
+        self._radii = np.linalg.norm(half, axis=1) + _MARGIN_M
+        self._centers = self._boxes.mean(axis=1) + terrain.origin_m
+
+    def _compiled(self, stride: int) -> tuple[int, Array]:
+        """Compiles the tiles with every ``stride``-th node. Returns the first display list, and the
+        lowest and highest corner of each tile (N, 2, 3)."""
+        GL, vertices = self._gl, self._vertices[::stride, ::stride]
+        rows, cols = vertices.shape[:2]
+        tiles = _tiles(rows, cols, self._tile // stride)
         points = vertices.reshape(-1, 3)
-        nodes = np.concatenate(_triangles(*vertices.shape[:2]))
+        nodes = np.concatenate(_triangles(rows, cols))
         normals, corners = _normals(points, nodes)
-        self._lists = GL.glGenLists(len(tiles))
-        self._boxes, radii = np.empty((len(tiles), 2, 3)), np.empty(len(tiles))
+        lists, boxes = int(GL.glGenLists(len(tiles))), np.empty((len(tiles), 2, 3))
         GL.glPushClientAttrib(GL.GL_CLIENT_VERTEX_ARRAY_BIT)
         GL.glEnableClientState(GL.GL_VERTEX_ARRAY)
         GL.glEnableClientState(GL.GL_NORMAL_ARRAY)
@@ -159,21 +177,25 @@ class TerrainTiles:
             own = points[nodes[triangles].ravel()[first]]
             GL.glVertexPointer(3, GL.GL_FLOAT, 0, own)
             GL.glNormalPointer(GL.GL_FLOAT, 0, normals[triangles].reshape(-1, 3)[first])
-            GL.glNewList(self._lists + k, GL.GL_COMPILE)
+            GL.glNewList(lists + k, GL.GL_COMPILE)
             order = order.ravel().astype(np.uint32)
             GL.glDrawElements(GL.GL_TRIANGLES, len(order), GL.GL_UNSIGNED_INT, order)
             GL.glEndList()
-            self._boxes[k] = own.min(axis=0), own.max(axis=0)
-            center = self._boxes[k].mean(axis=0)
-            radii[k] = np.linalg.norm(own - center, axis=1).max() + _MARGIN_M
+            boxes[k] = own.min(axis=0), own.max(axis=0)
         GL.glPopClientAttrib()
-        self._centers, self._radii = self._boxes.mean(axis=1) + terrain.origin_m, radii
+        return lists, boxes
 
     def show(self, context: mujoco.MjrContext, frustum: Frustum) -> None:
         """Makes the tiles in view what ``context`` draws for the height field."""
         GL = self._gl
         seen = np.flatnonzero(frustum.holds(self._centers, self._radii))
-        lists = seen + self._lists
+        # One stride for the whole picture: tiles of two would not meet.
+        away = np.linalg.norm(self._centers[seen] - frustum.eye, axis=1) - self._radii[seen]
+        is_far = away.min(initial=np.inf) > _FINE_CELLS * self._cell_m
+        stride = self._strides[-1] if is_far else 1
+        if stride not in self._lists:
+            self._lists[stride], _ = self._compiled(stride)
+        lists = seen + self._lists[stride]
         if self._picture is not None:
             boxes, ahead = self._boxes[seen], -frustum.axes[:, 2]
             depths = (self._centers[seen] - frustum.eye) @ ahead
@@ -187,7 +209,8 @@ class TerrainTiles:
 
     def free(self) -> None:
         """Deletes the tiles."""
-        self._gl.glDeleteLists(self._lists, len(self._boxes))
+        for lists in self._lists.values():
+            self._gl.glDeleteLists(lists, len(self._boxes))
 
 
 def heights_of(model: mujoco.MjModel, field: int) -> Float32:
@@ -238,12 +261,13 @@ def _triangles(rows: int, cols: int) -> tuple[Indices, Indices]:
     return right, np.column_stack([node, node + cols + 1, node + cols])
 
 
-def _tiles(rows: int, cols: int) -> list[Indices]:
-    """Indices (T,) of the triangles of each tile, those right of the diagonals first."""
+def _tiles(rows: int, cols: int, side: int) -> list[Indices]:
+    """Indices (T,) of the triangles of each tile of ``side`` by ``side`` cells, those right of the
+    diagonals first."""
     cells = np.arange((rows - 1) * (cols - 1)).reshape(rows - 1, cols - 1)
     found = []
-    for row in range(0, rows - 1, _TILE_CELLS):
-        for col in range(0, cols - 1, _TILE_CELLS):
-            own = cells[row : row + _TILE_CELLS, col : col + _TILE_CELLS].ravel()
+    for row in range(0, rows - 1, side):
+        for col in range(0, cols - 1, side):
+            own = cells[row : row + side, col : col + side].ravel()
             found.append(np.concatenate([own, own + cells.size]))
     return found

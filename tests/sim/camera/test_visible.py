@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
 
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera import ground_picture
@@ -27,6 +28,7 @@ POSES = {
     "straight down": ((3.0, -2.0, 18.0), (0.0, 0.0, 0.6)),
     "level": ((0.0, 0.0, 6.0), (1.5, 0.0, 0.0)),
 }
+AFAR = {"from afar": ((3.0, -2.0, 145.0), (0.36, 0.1, 0.6))}
 
 
 def make_model() -> mujoco.MjModel:
@@ -68,7 +70,7 @@ def plain() -> Iterator[Stage]:
 
 
 def snapshot_at(model: mujoco.MjModel, pose: str) -> Snapshot:
-    place, turn = POSES[pose]
+    place, turn = (POSES | AFAR)[pose]
     data = mujoco.MjData(model)
     data.mocap_pos[0] = place
     mujoco.mju_mat2Quat(data.mocap_quat[0], so3_exp(np.array(turn)).ravel())
@@ -134,6 +136,26 @@ def test_only_tiles_in_view_are_drawn(stage: Stage, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(ground_picture, "_MAX_TEXELS", 0)
     stage.colour(snapshot_at(stage._model, "low and slanted"), 0, 0, PINHOLE.height)
     assert len(stage._pictures[0]._parts) == drawn[2] - 1
+
+
+def test_from_afar_every_second_node_is_drawn_and_no_gap_shows(
+    plain: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    snapshot = snapshot_at(plain._model, "from afar")
+    _, far = by_mujoco(plain, snapshot, monkeypatch)
+    plain.colour(snapshot, 0, 0, PINHOLE.height)
+    tiles, drawn = next(iter(plain._tiles.values())), []
+    call = tiles._gl.glCallLists
+    monkeypatch.setattr(tiles._gl, "glCallLists", lambda n, k, a: drawn.append(a) or call(n, k, a))
+    for pose, stride in (("straight down", 1), ("from afar", 2), ("straight down", 1)):
+        plain.colour(snapshot_at(plain._model, pose), 0, 0, PINHOLE.height)
+        numbers = drawn[-1] - tiles._lists[stride]
+        assert numbers.size and numbers.min() >= 0 and numbers.max() < len(tiles._boxes)
+        if stride == 2:
+            depth = plain.inverse_depth_of_last(PINHOLE.height).metres()
+            ground = binary_erosion(far < 190.0)  # its edge is a straight line by fewer nodes
+            assert ground.any() and (depth[ground] < 190.0).all()
+            assert 0.02 < np.median(np.abs(depth - far)[ground]) < 0.5
 
 
 def test_terrain_that_is_tilted_or_shown_twice_is_left_to_mujoco() -> None:
