@@ -110,6 +110,9 @@ class CampaignFile(_Strict):
     axes: Annotated[dict[str, Any], BeforeValidator(unrolled)]
     sweep: Annotated[dict[str, Any], BeforeValidator(unrolled)] = {}
     """values of keys, each flown alone over all of ``axes``, all else as in ``base``"""
+    own_seeds: bool = False
+    """whether the seeds of ``axes`` are those of the first value of ``sweep``, and the next ones
+    those of the others: flights at different values share no draws"""
     base: Annotated[dict[str, Any], BeforeValidator(_flat)] = {}
     override: list[Override] = []
     skip: list[Skip] = []

@@ -320,7 +320,9 @@ def _runs(
 ) -> list[PlannedRun]:
     checked: dict[str, dict[str, Any]] = {}
     runs = []
-    for point, swept in itertools.product(itertools.product(*axes.values()), sweep):
+    apart = max(axes["seed"]) - min(axes["seed"]) + 1 if spec.own_seeds else 0
+    points = itertools.product(itertools.product(*axes.values()), enumerate(sweep))
+    for point, (number, swept) in points:
         place = dict(zip(axes, point, strict=True))
         if any(matches(entry.when, place) for entry in spec.skip):
             continue
@@ -328,6 +330,7 @@ def _runs(
         for override in overrides:
             if matches(override.when, place):
                 values |= override.set
+        place["seed"] += number * apart
         values |= {AXES.get(axis, axis): value for axis, value in place.items()} | swept
         values["record"] = spec.record == "all"
         values["landing.survey_only"] = spec.mode == "fly"

@@ -2,7 +2,7 @@
 probability of a safe landing, of an unsafe one and of a missed site against the dial."""
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import pandas as pd
 from touchdown.experiments.campaign.campaign_file import unrolled
 from touchdown.experiments.campaign.plan import AXES
 from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.io.result_parts import PartNames
 from touchdown.experiments.reporting.comparison import NEEDED
 from touchdown.experiments.reporting.figures import Picture, colour_of, drawn
 from touchdown.experiments.reporting.flights import Row, config_numbers, ordered, values_and_units
@@ -52,19 +53,28 @@ def _is_number(value: Any) -> bool:
 
 def dial_frames(rows: Sequence[Row], frame: pd.DataFrame, dials: Sequence[str]) -> dict[str, Any]:
     """For each dial the flights with the others at their usual value, that of most flights, with
-    the columns ``dial``, ``safe``, ``unsafe`` and ``missed``. Where all values of all dials were
-    flown together every flight counts."""
+    the columns ``dial``, ``safe``, ``unsafe`` and ``missed``; ``estimator`` names other parts too
+    that are not those by default. Where all values of all dials were flown together every flight
+    counts."""
     known = {str(row["run_id"]): config_numbers(row, dials) for row in rows}
     table = pd.DataFrame([known[str(name)] for name in frame["run_id"]], index=frame.index)
-    flown = frame.assign(**_events(frame))
-    together = len(table.drop_duplicates()) == np.prod([table[dial].nunique() for dial in table])
+    methods = [_method(row) for row in frame.to_dict("records")]
+    flown = frame.assign(**_events(frame), estimator=methods)
+    usual_of = table.fillna(np.inf)  # unset
+    together = len(usual_of.drop_duplicates()) == np.prod(usual_of.nunique())
     found = {}
     for dial in dials:
         others = [other for other in dials if other != dial and not together]
-        usual = [table[other] == table[other].mode().iloc[0] for other in others]
+        usual = [usual_of[other] == usual_of[other].mode().iloc[0] for other in others]
         kept = table[dial].notna() & np.logical_and.reduce(usual or [np.ones(len(table), bool)])
         found[dial] = flown[kept].assign(dial=table[dial][kept])
     return {dial: own for dial, own in found.items() if own["dial"].nunique() >= MIN_LEVELS}
+
+
+def _method(row: Mapping[Any, Any]) -> str:
+    """``livo + zou2024`` for that estimator with that selector."""
+    parts = (row.get(f"parts.{kind}") for kind in PartNames.model_fields)
+    return " + ".join([row["estimator"], *(p for p in parts if isinstance(p, str) and p)])
 
 
 def _events(frame: pd.DataFrame) -> dict[str, Any]:

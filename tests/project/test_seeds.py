@@ -11,6 +11,7 @@ from touchdown.experiments.results_tables.edition import SETS
 from support.docs_support import FOLDERS, ROOT
 
 EDITION = {found.file for found in SETS}
+RUGGED = {"configs/rugged.toml", "configs/rugged_whole.toml"}
 REGRESSION = {"configs/regress.toml", "configs/regress_baseline.toml"}
 _SPAN = r"\d+(?:\s*(?:-|to)\s*\d+)?"
 NAMED = re.compile(rf"seeds?\W{{1,6}}({_SPAN}(?:\s*(?:,|and)\s*{_SPAN})*)")
@@ -26,6 +27,8 @@ def test_a_campaign_uses_seeds_of_its_own_kind(file: str) -> None:
     found = {owner_of(run.values["seed"]) for run in load_plan(ROOT / file).runs}
     if file in EDITION:
         assert found == {"verdict of edition 1"}
+    elif file in RUGGED:
+        assert found == {"verdict on rugged ground"}
     elif file in REGRESSION:
         assert found <= {"regression", "short"}
     else:
@@ -61,9 +64,9 @@ def named(text: str) -> list[list[int]]:
 
 
 def test_owners_are_ranges_with_ends() -> None:
-    assert [owner_of(seed) for seed in (0, 9999, 10000, 10100, 20000, 20999, 21000)] == [
+    assert [owner_of(seed) for seed in (0, 9999, 10000, 10100, 20000, 20999, 21000, 22000)] == [
         "development", "development", "regression", "short",
-        "verdict of edition 1", "verdict of edition 1", "user",
+        "verdict of edition 1", "verdict of edition 1", "verdict on rugged ground", "user",
     ]  # fmt: skip
     assert owners([20000, 20000, 3, 4]) == "3 seeds: 1 verdict of edition 1, 2 development"
     assert owners([50000]) == "1 seed: user"

@@ -146,6 +146,14 @@ def test_a_missed_site_is_none_that_was_not_in_view() -> None:
     assert [levels[f"{wind:g}"]["missed"]["value"] for wind in WINDS] == [0.0, 1 / 3] * 3
 
 
+def test_a_curve_is_of_one_set_of_parts() -> None:
+    rows = landings("livo", 35.0, 2)
+    for row in rows[1::2]:
+        row["parts.selector"] = "lab:build"
+    names = [row[0].text for row in section(rows).tables[0].rows]
+    assert names == ["`livo`", "`livo + lab:build`"]
+
+
 def test_ranges_and_sweeps_become_runs(tmp_path: Path) -> None:
     text = TEXT.replace('seeds = "0-24"', 'seeds = "3"') + (
         '[sweep]\n"survey.height_m" = { from = 20.0, to = 30.0, steps = 3 }\n'
@@ -158,6 +166,12 @@ def test_ranges_and_sweeps_become_runs(tmp_path: Path) -> None:
     assert [v.get("survey.legs") for v in first] == [None, None, None, 1, 2]
     assert [run.values["wind.mean_kmh"] for run in plan.runs[::5]] == [*map(int, WINDS)]
     assert dials_of(text) == ["wind.mean_kmh", "survey.height_m"], "two legs are no curve"
+    own = make_plan(tmp_path, "own_seeds = true\n" + text.replace('"3"', '"3-4"'))
+    assert [run.values["seed"] for run in own.runs[:5]] == [3, 5, 7, 9, 11]
+    assert (
+        len({run.values["seed"] for run in own.runs}) == 10
+        and own.runs[4].run_id.split("-")[2] == "s11"
+    )
     for wrong, reason in (
         (text.replace("steps = 3", "steps = 1"), "a range is"),
         (text + "wind_kmh = [3]\n", "unknown key 'wind_kmh' in \\[sweep\\]"),
@@ -186,3 +200,8 @@ def test_swept_dials_are_judged_at_the_usual_value_of_the_others(tmp_path: Path)
     sweep = TEXT + '[sweep]\n"survey.height_m" = [10, 20, 30]\n'
     winds, heights = (t.rows[0][1].text for t in section(rows + low, sweep).tables)
     assert (winds, heights) == ("37", "9")
+    for row in rows:
+        (Path(row["run_dir"]) / "config.json").write_text(
+            f'{{"wind": {{"mean_kmh": {row["wind_kmh"]}}}}}'
+        )
+    assert section(rows + low, sweep).tables[0].rows[0][1].text == "36", "at the height unset"
