@@ -52,7 +52,10 @@ def test_nothing_else_names_a_verdict() -> None:
             or file.is_symlink()
         ):
             continue
-        for seeds in named(file.read_text(encoding="utf-8")):
+        written = re.sub(
+            r"<!-- results .*?<!-- end of results -->", "", file.read_text("utf-8"), flags=re.S
+        )
+        for seeds in named(written):
             count += 1
             assert {owner_of(seed) for seed in seeds} <= {"development", "user"}, (file, seeds)
     assert count > 40
