@@ -125,8 +125,8 @@ class Candidate:
     step_m: float = float("nan")
     """highest step within the footprint"""
     safe_probability: float = float("nan")
-    """probability of a touchdown that is safe by geometry; NaN where the selector has no such term
-    or gate"""
+    """probability of a touchdown that is safe by geometry; NaN for a site of an external selector
+    and off the map"""
     class_predicted: str | None = None
     """most probable class of the ground; None where it was not classified"""
     class_probability: float = float("nan")
@@ -199,7 +199,8 @@ class Selection:
     """cells that the selector accepts as sites"""
     probability: NDArray[np.float32]
     """probability of a touchdown that is safe by geometry, by
-    `landing.selection.probability`; for a selector without it 1 where a site is accepted"""
+    `landing.selection.probability`; of an external selector the quantity of its term
+    ``probability``, without that 1 where a site is accepted"""
     cluster: NDArray[np.int32]
     """number of the cluster (Eq. 19) that a cell belongs to, -1 outside"""
     modes: NDArray[np.int32]
@@ -263,7 +264,9 @@ class RankedSites:
     sites: tuple[Site, ...]
     """the best first; ``landing.max_candidates`` of them are examined"""
     layers: tuple[TermLayer, ...] = ()
-    """the terms in every cell, (rows, cols) of the coarse map: they are drawn as the costmap"""
+    """the terms in every cell, (rows, cols) of the coarse map: they are drawn as the costmap; the
+    quantity of one named ``probability`` is that of a safe touchdown, which `bench selector`
+    judges"""
 
 
 class Selector(Protocol):

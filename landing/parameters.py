@@ -203,7 +203,7 @@ class LandingParams:
     zou2024: Zou2024SelectorParams = field(default_factory=Zou2024SelectorParams)
     ground: GroundParams = field(default_factory=GroundParams)
     semantics: SemanticMapParams = field(default_factory=SemanticMapParams)
-    min_safe_probability: Fraction = 0.95
+    min_safe_probability: Fraction = 0.99
     """a site with a lower probability of a safe touchdown does not pass the gate probability"""
     gust_drift_s: NotNegative = 0.02
     """metres by which each m/s of wind reduces the clearance in the probability"""
@@ -219,13 +219,15 @@ class LandingParams:
     candidate_spacing_m: NotNegative = 3.0
     """least distance between the candidates of a selection: twice ``clear_radius_m``"""
     risk_weights: tuple[
-        float, float, float, float, float, float, float, float, float, float, float
+        float, float, float, float, float, float, float, float, float, float, float, float, float,
+        float,
     ] = (
-        11.87, -1.83, -1.21, -0.2, -0.2, -0.2, -5.49, -0.2, -0.2, -1.06, -1.30,
+        8.62, -0.2, -0.2, -0.2, -0.2, -0.2, -0.2, -0.2, -0.2, -1.06, -1.48, -3.34, -0.2, -3.0,
     )  # fmt: skip
     """log-odds of a safe touchdown: constant; slope, step, object, spread, neighbour, confinement,
-    sparsity and age (``landing.selection.probability``); the worst of slope, step and
-    neighbour, and its excess over 0.8. Fitted by ``touchdown bench selector --fit``"""
+    sparsity, age, slope around, tilt, steepness and plants (``landing.selection.probability``); the
+    excess of the worst of step, object and neighbour over 1.2. Fitted by ``touchdown bench selector
+    --fit``"""
     emergency: Literal["", "battery"] = ""
     """``battery``: land within ``emergency_s`` on the least bad site; empty: no emergency"""
     emergency_s: Positive = 45.0

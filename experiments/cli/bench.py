@@ -147,7 +147,8 @@ def bench_landing(**options: Any) -> dict[str, Any]:
 @click.option("--worst", type=click.IntRange(1), metavar="N",
               help="Draw the N places of the largest regret alone.")  # fmt: skip
 @click.option("--curves", type=PATH, metavar="DIR",
-              help="Draw curves against the dials of the maps into DIR.")  # fmt: skip
+              help="Draw the reliability diagram, and curves against the dials of the maps, into "
+              "DIR.")  # fmt: skip
 @OVERRIDES
 @JSON
 def bench_selector(

@@ -222,9 +222,9 @@ def _picture(
             for axes, event in zip(panels, events, strict=False):
                 if fit := fits.get((method, event)):
                     _paint_fit(axes, fit, colour, method)
-                _paint_levels(axes, own, event, colour, aside)
+                paint_levels(axes, own, event, colour, aside)
             for axes, column in zip(panels[len(events) :], measures, strict=True):
-                _paint_levels(axes, own, column, colour, aside)
+                paint_levels(axes, own, column, colour, aside)
         for axes, event in zip(panels, events, strict=False):
             axes.set(title=_EVENTS[event], ylim=(-0.03, 1.03))
             axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
@@ -244,7 +244,8 @@ def _paint_fit(axes: Any, fit: LogisticFit, colour: str, method: str) -> None:
     axes.plot(dial, value, color=colour, linewidth=1.6, label=method)
 
 
-def _paint_levels(axes: Any, own: pd.DataFrame, column: str, colour: str, aside: float) -> None:
+def paint_levels(axes: Any, own: pd.DataFrame, column: str, colour: str, aside: float) -> None:
+    """Marks of the means of a column at each value of ``dial``, with their intervals."""
     at: list[float] = []
     found: list[Estimate] = []
     for value, group in own.groupby("dial"):

@@ -53,10 +53,16 @@ def selection_of(offered: RankedSites, seen: SelectorInput, params: LandingParam
         candidates=ranked(candidates),
         costmap=costmap,
         allowed=costmap.allowed,
-        probability=costmap.allowed.astype(np.float32),
+        probability=_probability(costmap),
         cluster=np.full(raster.shape, -1, np.int32),
         modes=np.zeros((0, 2), np.int32),
     )
+
+
+def _probability(costmap: CostmapView) -> Float32:
+    """Returns the quantity of the term ``probability``; without one 1 where a site is accepted."""
+    stated = [term.quantity for term in costmap.terms if term.name == "probability"]
+    return stated[0] if stated else costmap.allowed.astype(np.float32)
 
 
 def _value(site: Site) -> float:

@@ -1,8 +1,10 @@
-"""The probability of a safe touchdown: a logistic model of eight features of the ground.
+"""The probability of a safe touchdown: a logistic model of twelve features of the ground.
 
-A feature is 0 for perfect ground and about 1 at the limit of the geometric check. The model is
-fitted to ground-truth maps by ``touchdown bench selector --fit``. Every coefficient except the
-constant is negative: a higher feature never raises the probability.
+A feature is 0 for perfect ground and about 1 at the limit of the geometric check. What a slope near
+the limit says depends on how well the map knows it: the feature ``steepness`` counts the excess in
+units of an uncertainty that grows with the roughness of the footprint. The model is fitted to
+ground-truth maps by ``touchdown bench selector --fit``. Every coefficient except the constant is
+negative: a higher feature never raises the probability.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from touchdown.landing.selection.ground.elevation_raster import (
     dilated,
     disc_maximum,
     distance_to,
+    fit_planes,
     observed_raster,
 )
 from touchdown.landing.selection.ground.landable import (
@@ -32,8 +35,11 @@ from touchdown.landing.selection.ground.landable import (
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
 from touchdown.sim.typing import Array, Float32, Mask
 
-NAMES = ("slope", "step", "object", "spread", "neighbour", "confinement", "sparsity", "age")
-TERMS = ("constant", *NAMES, "worst", "near the limit")
+NAMES = (
+    "slope", "step", "object", "spread", "neighbour", "confinement", "sparsity", "age",
+    "slope around", "tilt", "steepness", "plants",
+)  # fmt: skip
+TERMS = ("constant", *NAMES, "beyond the limit")
 """terms of the logistic model, in the order of ``LandingParams.risk_weights``"""
 
 _SLOPE_DISC_M = 0.5
@@ -46,12 +52,14 @@ _MAX = 2.0
 _AGE_S = 60.0
 _IS_HARD = np.isin(np.arange(len(Defect)), (Defect.UNKNOWN, Defect.MOVING, Defect.WATER))
 """defects that exclude a cell whatever the coefficients"""
-_WORST_OF = [NAMES.index(name) for name in ("slope", "step", "neighbour")]
-_KNEE = 0.8
-"""fraction of a limit beyond which the error of the map dominates"""
-_MAX_COEFFICIENT = -0.2
-"""upper bound of the fitted coefficients. It decides where the data has no information: the maps
-are static, so that the effect of an old map cannot be fitted."""
+_BEYOND = [NAMES.index(name) for name in ("step", "object", "neighbour")]
+_SURELY = 1.2
+"""multiple of a limit that the error of the map does not reach on level ground"""
+_SURE_RATIO, _ROUGH_M = 0.1, 0.05
+"""uncertainty of a slope over its limit on smooth ground; roughness at which it is 1 more"""
+_MAX_COEFFICIENTS = (*[-0.2] * len(NAMES), -3.0)
+"""Upper bounds of the fitted coefficients. They decide where the data has little information: the
+maps are static, so that the effect of an old map cannot be fitted, and posts are rare."""
 _RIDGE = 1e-4
 
 
@@ -59,9 +67,9 @@ _RIDGE = 1e-4
 class RiskFeatures:
     """Features of every cell.
 
-    ``values``: (rows, cols, 8) float32, last axis as ``NAMES``, finite everywhere; ``open``: (rows,
-    cols), cells whose footprint lies within the map and contains no unknown ground, motion or
-    water."""
+    ``values``: (rows, cols, 12) float32, last axis as ``NAMES``, finite everywhere;
+    ``open``: (rows, cols), cells whose footprint lies within the map and contains no unknown
+    ground, motion or water."""
 
     values: Float32
     open: Mask
@@ -71,14 +79,16 @@ def risk_features(
     raster: ElevationRaster,
     landable: LandableMap,
     params: LandingParams,
+    plants: Mask,
     *,
     now_s: float,
     drift_m: float = 0.0,
 ) -> RiskFeatures:
     """Returns the features of every cell as a touchdown point.
 
-    ``now_s``: current time, for the age of cells; ``drift_m``: drift of the vehicle in gusts,
-    subtracted from the clearance around the footprint.
+    ``plants``: cells (rows, cols) whose ground is inferred; ``now_s``: current time, for the age of
+    cells; ``drift_m``: drift of the vehicle in gusts, subtracted from the clearance around the
+    footprint.
     """
     cell = raster.cell_m
     footprint = params.ground.footprint_m
@@ -87,14 +97,23 @@ def risk_features(
     flawed = hard | (landable.defect >= Defect.ROUGH)
     clearance = distance_to(flawed, cell)
     side = 2 * int(np.ceil(pad)) + 1
-    few = np.reciprocal(1.0 + raster.count).astype(np.float32)
-    thin = np.asarray(cv2.blur(few, (side, side), borderType=cv2.BORDER_REPLICATE), np.float32)
-    slope = disc_maximum(landable.slope_deg, _SLOPE_DISC_M / cell)
+    uneven = np.nan_to_num(raster.height - raster.high + landable.peak_m)
+    thin, rough2, planted = (
+        np.asarray(cv2.blur(layer, (side, side), borderType=cv2.BORDER_REPLICATE), np.float32)
+        for layer in (1.0 / (1.0 + raster.count), uneven**2, plants.astype(np.float32))
+    )
+    slope, around = (
+        _scaled(disc_maximum(landable.slope_deg, reach), 0.0, 1.0 / params.max_slope_deg)
+        for reach in (_SLOPE_DISC_M / cell, pad)
+    )
+    pad_plane = fit_planes(raster.height, cell, footprint)
+    tilt = _scaled(np.rad2deg(pad_plane.angle_rad), 0.0, 1.0 / params.max_slope_deg)
+    unsure = _SURE_RATIO + np.sqrt(np.maximum(rough2, 0.0)) / _ROUGH_M
     step, peak, spread = (
         disc_maximum(layer, pad) for layer in (landable.step_m, landable.peak_m, raster.std)
     )
     layers = (
-        _scaled(slope, 0.0, 1.0 / params.max_slope_deg),
+        slope,
         _scaled(step, 0.0, 1.0 / params.max_step_m),
         _scaled(peak, 0.0, 1.0 / params.max_step_m),
         _scaled(spread, 0.0, 1.0 / _SPREAD_LIMIT_M),
@@ -102,6 +121,10 @@ def risk_features(
         _scaled(clearance, _CLEARANCE_M + footprint + drift_m, -1.0 / _CLEARANCE_M),
         _scaled(thin, 0.0, 1.0),
         _scaled(raster.last_seen, now_s, -1.0 / _AGE_S),
+        around,
+        tilt,
+        _scaled((np.maximum(slope, tilt) - 1.0) / unsure, -_MAX, 0.5),
+        planted,
     )
     inside = inner_cells(raster.shape, pad)
     return RiskFeatures(values=np.stack(layers, axis=-1), open=inside & ~dilated(hard, pad))
@@ -114,18 +137,18 @@ def _scaled(layer: Float32, zero: float, gain: float) -> Float32:
 
 
 def model_terms(values: Float32) -> Array:
-    """Returns the model's terms (..., 10) without the constant, from features (..., 8): the
-    features, the worst of slope, step and neighbour, and its excess over 0.8 of the limit."""
+    """Returns the model's terms (..., 13) without the constant, from features (..., 12): the
+    features, and the excess of the worst of step, object and neighbour over 1.2 of the limit."""
     features = values.astype(np.float64)
-    worst = features[..., _WORST_OF].max(axis=-1, keepdims=True)
-    return np.concatenate([features, worst, np.maximum(worst - _KNEE, 0.0)], axis=-1)
+    worst = features[..., _BEYOND].max(axis=-1, keepdims=True)
+    return np.concatenate([features, np.maximum(worst - _SURELY, 0.0)], axis=-1)
 
 
 def predict(values: Float32, weights: tuple[float, ...]) -> Float32:
     """Returns the probabilities (...) float32 of a touchdown that is safe by geometry from features
-    (..., 8).
+    (..., 12).
 
-    ``weights`` (11,): as ``TERMS``. Raises ValueError for another number of them."""
+    ``weights`` (14,): as ``TERMS``. Raises ValueError for another number of them."""
     if len(weights) != len(TERMS):
         raise ValueError(f"landing.risk_weights needs {len(TERMS)} numbers, not {len(weights)}")
     constant, *coefficients = weights
@@ -148,17 +171,18 @@ def features_of(map_view: MapView, estimate: Estimate, params: LandingParams) ->
     if mapped is None:
         raise ValueError("the map is empty: it has no features")
     limits = params.ground
-    raster = without_plants(mapped, standing_plants(mapped, limits), limits)
+    plants = standing_plants(mapped, limits)
+    raster = without_plants(mapped, plants, limits)
     planes = ground_planes(raster, params)
     landable = assess(
         raster, planes, params, margin_m=params.map_margin_m, min_returns=params.min_returns
     )
-    return risk_features(raster, landable, params, now_s=estimate.time_s)
+    return risk_features(raster, landable, params, plants, now_s=estimate.time_s)
 
 
 def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:
-    """Returns the weights (11,) of maximum likelihood for ``safe`` (N,) given features (N, 8), with
-    a slight ridge penalty, each coefficient at most -0.2."""
+    """Returns the weights (14,) of maximum likelihood for ``safe`` (N,) given features (N, 12),
+    with a slight ridge penalty, each coefficient at most -0.2, that beyond the limit at most -3."""
     from scipy.optimize import minimize  # takes a while to load, and no flight fits weights
 
     design = np.column_stack([np.ones(len(values)), model_terms(values)]).astype(np.float64)
@@ -172,7 +196,7 @@ def fit_weights(values: Float32, safe: NDArray[np.bool_]) -> tuple[float, ...]:
         return value, slope + 2.0 * _RIDGE * np.concatenate([[0.0], weights[1:]])
 
     start = np.concatenate([[5.0], np.full(len(TERMS) - 1, -1.0)])
-    bounds = [(None, None)] + [(None, _MAX_COEFFICIENT)] * (len(TERMS) - 1)
+    bounds = [(None, bound) for bound in (None, *_MAX_COEFFICIENTS)]
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds,
                      options={"maxiter": 2000})  # fmt: skip
     return tuple(float(weight) for weight in found.x)

@@ -40,7 +40,6 @@ from touchdown.landing.selection.terms import (
     cluster_bonus,
     layers_of,
     passing,
-    predicts,
     refusal_of,
     score_of,
     terms_at,
@@ -164,12 +163,8 @@ def _assess(seen: SelectorInput, params: LandingParams, margin_m: float) -> Asse
     landable = assess(raster, planes, params, margin_m=margin_m, min_returns=params.min_returns)
     zone = traffic_zone(raster, landable, params)
     reach_m = seen.reach_m if "reach" in selector.gates else np.inf
-    nothing = np.zeros(raster.shape, np.float32)
-    predicted = nothing
-    if predicts(selector):
-        drift_m, now_s = params.gust_drift_s * seen.wind_mps, seen.estimate.time_s
-        features = risk_features(raster, landable, params, now_s=now_s, drift_m=drift_m)
-        predicted = probability(features, params.risk_weights)
+    drift_m, now_s = params.gust_drift_s * seen.wind_mps, seen.estimate.time_s
+    features = risk_features(raster, landable, params, plants, now_s=now_s, drift_m=drift_m)
     site = Inputs(
         params=params,
         selector=selector,
@@ -179,18 +174,14 @@ def _assess(seen: SelectorInput, params: LandingParams, margin_m: float) -> Asse
         smoothness=smoothness_of(raster, params),
         flatness=flatness_of(raster, planes, params),
         distance=distance(raster, position, reach_m),
-        probability=predicted,
+        probability=probability(features, params.risk_weights),
         traffic=zone | surfaces_of_sites(raster, tuple(seen.unsafe_ground_odom), params),
         plants=plants,
         ground=allowed_ground(seen.semantics, raster, params),
-        clearance_m=nothing,
+        clearance_m=np.zeros(raster.shape, np.float32),
     )
     allowed = passing(site)
-    site = dataclasses.replace(
-        site,
-        clearance_m=distance_to(~allowed, raster.cell_m),
-        probability=predicted if predicts(selector) else allowed.astype(np.float32),
-    )
+    site = dataclasses.replace(site, clearance_m=distance_to(~allowed, raster.cell_m))
     avoided = np.zeros(raster.shape, np.bool_)
     for avoid in seen.avoid_odom:
         x, y = raster.offsets_from(avoid)
@@ -286,10 +277,8 @@ def _candidate(
     clearance, value = float(site.clearance_m[spot]), float(found.score[spot])
     figures = (
         f"score {value:.3f}, slope {plane.slope_deg:.1f} deg, roughness {plane.roughness_m:.2f} m, "
-        f"clearance {clearance:.1f} m"
+        f"clearance {clearance:.1f} m, safe with probability {predicted:.3f}"
     )
-    if predicts(site.selector):
-        figures += f", safe with probability {predicted:.3f}"
     good = certain or predicted >= params.min_safe_probability
     verdict = "landable" if good else "the least bad"
     preferred: SiteRule = "lower_value" if good else "least_bad"  # `ranked` names the highest
@@ -307,7 +296,7 @@ def _candidate(
         value=value,
         terms=terms_at(found.layers, spot),
         step_m=_highest_step(site, spot),
-        safe_probability=predicted if predicts(site.selector) else float("nan"),
+        safe_probability=predicted,
     )
 
 

@@ -217,11 +217,6 @@ def checks_ground(selector: SelectorParams) -> bool:
     return "geometry" in selector.gates or "probability" in selector.gates
 
 
-def predicts(selector: SelectorParams) -> bool:
-    """True for a selector that needs the probability of a safe touchdown."""
-    return "probability" in (*selector.terms, *selector.gates, selector.clusters)
-
-
 def refusal_of(site: Inputs, spot: tuple[int, int], margin_m: float) -> Refusal:
     """Returns why the cell ``spot`` does not pass: what the map shows there, for a selector with
     the gate ``probability`` with the probability that follows from it."""

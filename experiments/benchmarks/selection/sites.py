@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt
 
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.benchmarks.processes import mapped
-from touchdown.experiments.benchmarks.selection.curves import Drawings, selector_curves
+from touchdown.experiments.benchmarks.selection.curves import Drawings, reliability, selector_curves
 from touchdown.experiments.benchmarks.selection.maps import (
     KeptMap,
     SafeGround,
@@ -56,11 +56,12 @@ CLEARANCE_CAP_M = 3.0
 def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
     """Judges the configured selector on one map by its true ground. Returns:
 
-    ``chosen_safe`` (None where nothing was accepted), ``accepted`` and ``accepted_safe`` sites;
+    ``chosen_safe`` (None where nothing was accepted), ``accepted`` and ``accepted_safe`` sites, of
+    those on judged ground;
     ``cells``: numbers of surveyed cells that are safe, allowed, and both; ``clearance_m`` of the
     chosen site and ``best_clearance_m``: distance to the nearest unsafe ground, at most 3 m;
     ``seconds`` of processor time; ``sample``: predicted probabilities and truth of evenly spread
-    cells, with their features, None for a selector from outside.
+    cells, with what is allowed and their features, None for a selector that states no probability.
     """
     choose = chooser(config, kept.vehicle)
     started = time.process_time()
@@ -69,8 +70,9 @@ def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
     costmap, truth = selection.costmap, kept.truth
     if costmap is None:
         raise ValueError(f"scene '{kept.scene}': the selector shows no costmap")
-    accepted = [site for site in selection.candidates if site.accepted]
-    verdicts = [_value_at(truth, truth.safe, site.position_odom[:2]) for site in accepted]
+    accepted = [site for site in selection.candidates
+                if site.accepted and _is_judged(truth, site.position_odom)]  # fmt: skip
+    verdicts = [_value_at(truth, truth.safe, site.position_odom) for site in accepted]
     clearance = np.minimum(distance_transform_edt(truth.safe) * truth.cell_m, CLEARANCE_CAP_M)
     safe, judged = _on_grid(truth, costmap)
     seen = judged & _seen(kept.map_view.coarse, costmap)
@@ -86,26 +88,31 @@ def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
             "allowed": int((selection.allowed & seen).sum()),
             "both": int((safe & selection.allowed & seen).sum()),
         },
-        "clearance_m": float(_value_at(truth, clearance, accepted[0].position_odom[:2]))
+        "clearance_m": float(_value_at(truth, clearance, accepted[0].position_odom))
         if accepted
         else 0.0,
         "best_clearance_m": float(clearance.max()),
         "seconds": seconds,
-        "sample": None if _from_outside(config) else _sample(kept, config, selection, safe & seen),
+        "sample": _sample(kept, config, selection, safe & seen),
     }
 
 
-def _sample(kept: KeptMap, config: Config, selection: Selection, safe: Mask) -> dict[str, Any]:
-    features = risk.features_of(kept.map_view, kept.estimate, config.landing)
+def _sample(
+    kept: KeptMap, config: Config, selection: Selection, safe: Mask
+) -> dict[str, Any] | None:
     costmap = selection.costmap
     assert costmap is not None
+    if _from_outside(config) and "probability" not in [term.name for term in costmap.terms]:
+        return None
+    features = risk.features_of(kept.map_view, kept.estimate, config.landing)
     _, judged = _on_grid(kept.truth, costmap)
-    rows, cols = np.nonzero(judged & np.isfinite(costmap.flatness) & features.open)
+    rows, cols = np.nonzero(judged & np.isfinite(selection.probability) & features.open)
     spread = np.s_[:: max(1, rows.size // SAMPLES)]
     rows, cols = rows[spread], cols[spread]
     return {
         "predicted": selection.probability[rows, cols],
         "safe": safe[rows, cols],
+        "allowed": selection.allowed[rows, cols],
         "features": features.values[rows, cols],
     }
 
@@ -138,16 +145,19 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
     ones; ``precision_cells`` and ``recall_cells`` of the cells; ``found``: fraction of scenes with
     safe ground where a site was accepted; ``regret_m``: mean loss of clearance relative to the
     best safe site; ``ms``: mean processor time of a choice; ``calibration_error`` and
-    ``reliability``: see `landing.classification.scores.calibration`, None for a selector from
-    outside."""
+    ``reliability``: see `landing.classification.scores.calibration`, and the error over what is
+    allowed alone; None for a selector that states no probability."""
     chosen = [place["chosen_safe"] for place in places if place["chosen_safe"] is not None]
     offered = [place for place in places if place["best_clearance_m"] > 0.0]
     cells = {
         key: sum(place["cells"][key] for place in places) for key in ("safe", "allowed", "both")
     }
-    error, rows = None, None
+    error, rows, error_allowed = None, None, None
     if all(place["sample"] is not None for place in places):
-        error, rows = calibration(_gathered(places, "predicted"), _gathered(places, "safe"))
+        names = ("predicted", "safe", "allowed")
+        predicted, safe, allowed = (_gathered(places, name) for name in names)
+        error, rows = calibration(predicted, safe)
+        error_allowed = calibration(predicted[allowed], safe[allowed])[0]
     regrets = [_regret(place) for place in offered]
     return {
         "places": len(places),
@@ -162,6 +172,7 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "regret_m": float(np.mean(regrets)) if regrets else None,
         "ms": 1e3 * float(np.mean([place["seconds"] for place in places])),
         "calibration_error": error,
+        "calibration_error_allowed": error_allowed,
         "reliability": rows,
     }
 
@@ -200,11 +211,16 @@ def _fraction(part: int, whole: int) -> float | None:
     return part / whole if whole else None
 
 
-def _value_at(truth: SafeGround, raster: NDArray[Any], xy: Array) -> Any:
-    """Returns the raster's value at a point; False outside."""
-    col, row = np.floor((xy - truth.origin_xy_m) / truth.cell_m).astype(int)
-    inside = 0 <= row < raster.shape[0] and 0 <= col < raster.shape[1]
-    return raster[row, col] if inside else False
+def _is_judged(truth: SafeGround, position: Array) -> bool:
+    """True for a point of the true ground, which ends before the map does."""
+    ends = np.array(truth.safe.shape[::-1]) * truth.cell_m
+    offset = position[:2] - truth.origin_xy_m
+    return bool((offset >= 0.0).all() and (offset < ends).all())
+
+
+def _value_at(truth: SafeGround, raster: NDArray[Any], position: Array) -> Any:
+    col, row = np.floor((position[:2] - truth.origin_xy_m) / truth.cell_m).astype(int)
+    return raster[row, col]
 
 
 def _on_grid(ground: SafeGround, costmap: CostmapView) -> tuple[Mask, Mask]:
@@ -333,12 +349,12 @@ def run(
         }
     if fit_model:
         figures["fit"] = fit(mine)
-    named = [chosen, *map(str, names[1:])]
-    if found_curves := selector_curves(dict(zip(named, zip(*found, strict=True), strict=True))):
+    named = dict(zip([chosen, *map(str, names[1:])], zip(*found, strict=True), strict=True))
+    if found_curves := selector_curves(named):
         figures["curves"] = {dial: told for dial, (told, _) in found_curves.items()}
-        if curves is not None:
-            for _, picture in found_curves.values():
-                (curves / f"{picture.name}.svg").write_text(picture.svg, encoding="utf-8")
+    if curves is not None:
+        for picture in (reliability(named), *(picture for _, picture in found_curves.values())):
+            (curves / f"{picture.name}.svg").write_text(picture.svg, encoding="utf-8")
     figures["places"] = [
         {key: value for key, value in place.items() if key != "sample"} for place in mine
     ]
@@ -429,11 +445,13 @@ def text(figures: dict[str, Any]) -> str:
             f"{name:{width}}  {total['places']:6}  {cells[0]:>11}  {cells[1]:>10}  {cells[2]:>10}"
             f"  {cells[3]:>6}  {cells[4]:>5}  {total['regret_m'] or 0.0:8.2f}  {total['ms']:4.0f}"
         )
-    total = figures["summary"]
-    if total["calibration_error"] is not None:
-        lines.append(f"calibration error of {figures['selector']} {total['calibration_error']:.4f}")
-        lines += [f"  predicted {mean:.3f}  safe {fraction:.3f}  ({number})"
-                  for mean, fraction, number in total["reliability"]]  # fmt: skip
+    for name, total in rows.items():
+        if total["calibration_error"] is not None:
+            errors = (total[f"calibration_error{part}"] for part in ("", "_allowed"))
+            lines.append("calibration error of {} {:.4f}, of what it allows {:.4f}".format(
+                name, *errors))  # fmt: skip
+            lines += [f"  predicted {mean:.3f}  safe {fraction:.3f}  ({number})"
+                      for mean, fraction, number in total["reliability"]]  # fmt: skip
     if "fit" in figures:
         weights = ", ".join(f"{weight:.2f}" for weight in figures["fit"]["weights"])
         lines.append(f"landing.risk_weights=[{weights}]")

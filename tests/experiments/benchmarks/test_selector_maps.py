@@ -32,15 +32,18 @@ from touchdown.landing import api
 
 class Picks:
     def __init__(self, params):
-        self.x = params["x"]
+        self.x, self.states = params["x"], params.get("states", False)
     def select(self, seen):
         grid = seen.map_view.coarse
         east = grid.origin_xy_m[0] + (np.arange(grid.count.shape[1]) + 0.5) * grid.cell_m
         value = np.where(grid.count > 0, 0.0, np.nan) - np.abs(east - self.x)
-        layer = api.TermLayer(name="near", value=value, quantity=value)
-        term = api.ScoreTerm(name="near", value=0.0, quantity=0.0, unit="")
-        site = api.Site(position_odom=np.array([self.x, 0.1]), terms=(term,))
-        return api.RankedSites(sites=(site,), layers=(layer,))
+        layers = [api.TermLayer(name="near", value=value, quantity=value)]
+        if self.states:
+            chance = np.where(east < self.x, 0.9, 0.2) + 0.0 * value
+            layers.append(api.TermLayer(name="probability", value=chance, quantity=chance))
+        terms = tuple(api.ScoreTerm(name=layer.name, value=0.0) for layer in layers)
+        site = api.Site(position_odom=np.array([self.x, 0.1]), terms=terms)
+        return api.RankedSites(sites=(site,), layers=tuple(layers))
 
 def build(params, rig):
     return Picks(params)
@@ -156,6 +159,33 @@ def test_a_choice_is_judged_by_the_true_ground(
     assert total["calibration_error"] is None and total["ms"] > 0.0
     assert found["beside"].keys() == {"risk", "zou2024"}
     assert [file.name for file in (tmp_path / "worst").iterdir()] == ["site_crossroad.jpg"]
+
+
+def test_stated_probabilities_are_drawn_beside_the_truth(
+    kept: KeptMap, tmp_path: Path, says: Says, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A selector that states 0.9 up to 4 m east, where ground is safe, and 0.2 beyond."""
+    (tmp_path / "picks.py").write_text(PICKS)
+    monkeypatch.syspath_prepend(tmp_path)
+    write_map(kept, tmp_path)
+    sets = ("--set", "external.selector.x=4.0", "--set", "external.selector.states=true")
+    found = _json(says, "bench", "selector", "--maps", tmp_path, "--selector", "picks:build",
+                  "--curves", tmp_path, *sets)  # fmt: skip
+    (low, unsafe, _), (high, safe, _) = found["summary"]["reliability"]
+    assert (low, unsafe, high, safe) == pytest.approx((0.2, 0.0, 0.9, 1.0))
+    assert 0.1 < found["summary"]["calibration_error"] < 0.2
+    shipped = found["beside"]
+    assert shipped["zou2024"]["reliability"] == shipped["risk"]["reliability"]
+    assert shipped["risk"]["calibration_error_allowed"] < 0.5
+    drawn = (tmp_path / "reliability.svg").read_text()
+    assert all(name in drawn for name in ("picks:build", "risk", "stated probability"))
+
+
+def test_sites_beyond_the_judged_ground_do_not_count(kept: KeptMap) -> None:
+    small = dataclasses.replace(kept.truth, safe=kept.truth.safe[:50, :50])
+    config = sites._config("field", "risk", (), "crossroad", 4)
+    found = sites.check_map(dataclasses.replace(kept, truth=small), config)
+    assert found["accepted"] == found["accepted_safe"] < 6
 
 
 def _json(says: Says, *arguments: Any) -> dict[str, Any]:

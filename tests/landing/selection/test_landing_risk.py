@@ -51,26 +51,27 @@ def test_confinement_counts_the_clearance_beyond_the_footprint() -> None:
 
 
 def test_logistic_model_by_hand() -> None:
-    values = np.array([[[0.5, 0.9, 0.0, 0.0, 0.2, 0.1, 0.3, 0.4]]], np.float32)
-    weights = (3.0, -1.0, -2.0, -1.0, -1.0, -0.5, -4.0, -0.1, -0.2, -0.7, -5.0)
-    odds = 3.0 - 0.5 - 1.8 - 0.1 - 0.4 - 0.03 - 0.08 - 0.7 * 0.9 - 5.0 * 0.1
+    values = np.array([[[0.5, 0.9, 1.4, 0.0, 0.2, 0.1, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9]]], np.float32)
+    weights = (3.0, -1.0, -2.0, -1.0, -1.0, -0.5, -4.0, -0.1, -0.2, -0.3, -0.4, -0.6, -0.7, -5.0)
+    odds = 3.0 - 0.5 - 1.8 - 1.4 - 0.1 - 0.4 - 0.03 - 0.08
+    odds += -0.18 - 0.28 - 0.48 - 0.63 - 5.0 * (1.4 - 1.2)
     expected = 1.0 / (1.0 + np.exp(-odds))
     seen = RiskFeatures(values=values, open=np.array([[True]]))
     assert risk.probability(seen, weights)[0, 0] == pytest.approx(expected, rel=1e-5)
     assert risk.predict(values[0], weights)[0] == pytest.approx(expected, rel=1e-5)
     shut = RiskFeatures(values=values, open=np.array([[False]]))
     assert risk.probability(shut, weights)[0, 0] == 0.0
-    with pytest.raises(ValueError, match="risk_weights needs 11 numbers"):
+    with pytest.raises(ValueError, match="risk_weights needs 14 numbers"):
         risk.predict(values[0], (1.0, 2.0))
 
 
 def test_fit_finds_calibrated_probabilities_and_keeps_signs() -> None:
     rng = np.random.default_rng(4)
     values = rng.uniform(0.0, 1.5, (20000, len(NAMES))).astype(np.float32)
-    weights = (4.0, -1.0, -2.0, -0.2, -0.2, -0.2, -3.0, -0.2, -0.2, -0.2, -1.0)
+    weights = (8.0, -1.0, -2.0, *[-0.2] * 3, -3.0, -0.2, -0.2, -1.0, -1.0, -1.0, -0.2, -4.0)
     safe = rng.uniform(size=20000) < risk.predict(values, weights)
     found = risk.fit_weights(values, safe)
-    assert all(weight <= -0.2 for weight in found[1:])
+    assert all(weight <= -0.2 for weight in found[1:]) and found[-1] <= -3.0
     error, rows = calibration(risk.predict(values, found), safe)
     assert error < 0.01
     assert sum(number for _, _, number in rows) == 20000

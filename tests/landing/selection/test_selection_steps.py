@@ -18,7 +18,7 @@ from touchdown.landing.selection.ground.elevation_raster import (
 )
 from touchdown.landing.selection.ground.landable import Defect, LandableMap, assess, ground_planes
 from touchdown.landing.selection.ground.traffic import surface_of
-from touchdown.landing.selection.probability import NAMES, RiskFeatures, risk_features
+from touchdown.landing.selection.probability import NAMES, RiskFeatures, probability, risk_features
 from touchdown.landing.selection.selector import (
     _best_spots,
     _shortlist,
@@ -117,8 +117,9 @@ def test_a_commanded_site_has_the_smaller_margin() -> None:
     assert not select(view, ABOVE, LandingParams(selector="zou2024")).allowed[SPOT]
 
 
-def features(grid: GridMap, **more: float) -> RiskFeatures:
-    return risk_features(raster_of(grid), judged(grid), PARAMS, **({"now_s": 0.0} | more))
+def features(grid: GridMap, plants: bool = False, **more: float) -> RiskFeatures:
+    stand = np.full(grid.count.shape, plants)
+    return risk_features(raster_of(grid), judged(grid), PARAMS, stand, **({"now_s": 0.0} | more))
 
 
 def at(found: RiskFeatures, name: str, spot: tuple[int, int] = SPOT) -> float:
@@ -147,6 +148,32 @@ def test_sparsity_and_age() -> None:
     grid.last_seen_s[:] = 60.0
     assert at(features(grid, now_s=90.0), "age") == pytest.approx(0.5)
     assert at(features(grid, now_s=300.0), "age") == 2.0
+
+
+@pytest.mark.parametrize("why", ["sparse", "old", "plants", "small rock", "slope beside", "uneven"])
+def test_the_probability_declines_with_what_the_map_cannot_be_sure_of(why: str) -> None:
+    grid = level(4.8 if why == "uneven" else 0.0)
+    sure = probability(features(grid), PARAMS.risk_weights)[SPOT]
+    if why == "sparse":
+        grid.count[:] = 1.0
+    if why == "small rock":  # 12 cm high and half as wide as its cell: below each limit
+        grid.height_m[40, 42], grid.max_height_m[40, 42] = 0.03, 0.12
+    if why == "slope beside":  # from 0.6 m on
+        grid.height_m[:, 44:] = 0.2 * np.arange(36) * np.tan(np.deg2rad(6.0))
+    if why == "uneven":
+        grid.height_m[::2, ::2] += 0.03
+    now_s = 90.0 if why == "old" else 0.0
+    found = probability(features(grid, why == "plants", now_s=now_s), PARAMS.risk_weights)
+    assert found[SPOT] < sure - 2e-6
+
+
+def test_an_excess_of_slope_counts_less_on_uneven_ground() -> None:
+    smooth, uneven = level(6.0), level(6.0)
+    uneven.height_m[::2, ::2] += 0.03
+    assert at(features(smooth), "tilt") == pytest.approx(1.2, abs=0.01)
+    assert at(features(smooth), "slope around") == pytest.approx(1.2, abs=0.01)
+    assert at(features(smooth), "steepness") == pytest.approx(1.0 + 0.5 * 0.2 / 0.1, abs=0.02)
+    assert 1.0 < at(features(uneven), "steepness") < 1.6
 
 
 def test_gusts_take_away_clearance() -> None:
@@ -199,7 +226,7 @@ def test_the_plane_of_the_whole_footprint_is_checked() -> None:
 def test_wind_lowers_the_probability_beside_an_obstacle() -> None:
     grid = changed("max_height_m", 0.2)
     calm, windy = (selected(grid, {"wind_mps": v}).probability for v in (0.0, 25.0))
-    assert windy[40, 52] < calm[40, 52] - 5e-5
+    assert windy[40, 52] < calm[40, 52] - 5e-6
     assert windy[40, 65] == pytest.approx(calm[40, 65], abs=1e-6)
 
 
