@@ -109,6 +109,7 @@ def risk_features(
     pad_plane = fit_planes(raster.height, cell, footprint)
     tilt = _scaled(np.rad2deg(pad_plane.angle_rad), 0.0, 1.0 / params.max_slope_deg)
     unsure = _SURE_RATIO + np.sqrt(np.maximum(rough2, 0.0)) / _ROUGH_M
+    excess = ((np.maximum(slope, tilt) - 1.0) / unsure).astype(np.float32)
     step, peak, spread = (
         disc_maximum(layer, pad) for layer in (landable.step_m, landable.peak_m, raster.std)
     )
@@ -123,7 +124,7 @@ def risk_features(
         _scaled(raster.last_seen, now_s, -1.0 / _AGE_S),
         around,
         tilt,
-        _scaled((np.maximum(slope, tilt) - 1.0) / unsure, -_MAX, 0.5),
+        _scaled(excess, -_MAX, 0.5),
         planted,
     )
     inside = inner_cells(raster.shape, pad)

@@ -57,14 +57,15 @@ def reliability(places: Mapping[str, Sequence[Mapping[str, Any]]]) -> Picture:
     with drawn(picture, 4.0, 5.0) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
         above.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linestyle="--", linewidth=0.8)
-        for name, own in places.items():
+        for number, (name, own) in enumerate(places.items()):
             if all(place["sample"] is not None for place in own):
                 cells, colour = _stated(own), colour_of(name, list(places))
-                paint_levels(above, cells, "safe", colour, 0.0)
+                paint_levels(above, cells, "safe", colour, 0.008 * number)
                 counts = cells["dial"].value_counts().sort_index()
                 below.step(counts.index, counts, where="mid", color=colour, label=name)
         above.set(ylabel="safe by the true ground", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
         below.set(xlabel="stated probability", ylabel="cells", yscale="log")
+        below.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         figure.legend(loc="outside upper center", ncols=4, fontsize=8)
     return picture
 
