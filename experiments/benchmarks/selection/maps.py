@@ -26,6 +26,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.experiments.io.provenance import git_revision
 from touchdown.experiments.io.run_directory import whole_file
+from touchdown.landing.api import CostmapView
 from touchdown.scenes.api import Scene, short_name
 from touchdown.scenes.truth.maps import truth_maps
 from touchdown.sim.api import VehicleModel
@@ -241,3 +242,30 @@ def _safe_ground(scene: Scene, track_xy: Array) -> SafeGround:
     return SafeGround(
         origin_xy_m=np.asarray(truth.origin_xy_m), cell_m=truth.cell_m, safe=truth.safe_geometry
     )
+
+
+def is_judged(truth: SafeGround, position: Array) -> bool:
+    """True for a point of the true ground, which ends before the map does."""
+    ends = np.array(truth.safe.shape[::-1]) * truth.cell_m
+    offset = position[:2] - truth.origin_xy_m
+    return bool((offset >= 0.0).all() and (offset < ends).all())
+
+
+def value_at(truth: SafeGround, raster: NDArray[Any], position: Array) -> Any:
+    """Returns the raster's value at a point of the true ground."""
+    col, row = np.floor((position[:2] - truth.origin_xy_m) / truth.cell_m).astype(int)
+    return raster[row, col]
+
+
+def on_grid(ground: SafeGround, costmap: CostmapView) -> tuple[Mask, Mask]:
+    """Returns ``ground.safe`` at the centres of the costmap's cells, and the mask where it is
+    known."""
+    rows, cols = costmap.total.shape
+    x = costmap.origin_xy_m[0] + (np.arange(cols) + 0.5) * costmap.cell_m
+    y = costmap.origin_xy_m[1] + (np.arange(rows) + 0.5) * costmap.cell_m
+    col = np.floor((x - ground.origin_xy_m[0]) / ground.cell_m).astype(int)
+    row = np.floor((y - ground.origin_xy_m[1]) / ground.cell_m).astype(int)
+    height, width = ground.safe.shape
+    inside = ((row >= 0) & (row < height))[:, None] & ((col >= 0) & (col < width))[None, :]
+    near = np.ix_(np.clip(row, 0, height - 1), np.clip(col, 0, width - 1))
+    return ground.safe[near] & inside, inside

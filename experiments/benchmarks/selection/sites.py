@@ -20,9 +20,12 @@ from touchdown.experiments.benchmarks.selection.curves import Drawings, reliabil
 from touchdown.experiments.benchmarks.selection.maps import (
     KeptMap,
     SafeGround,
+    is_judged,
     make_map,
     map_files,
+    on_grid,
     read_map,
+    value_at,
     write_map,
 )
 from touchdown.experiments.config.loading import load_config, parse_seeds
@@ -38,7 +41,7 @@ from touchdown.landing.selection import probability as risk
 from touchdown.landing.selection.selector import select_sites
 from touchdown.scenes.api import short_name
 from touchdown.sim.api import VehicleModel
-from touchdown.sim.typing import Array, Mask
+from touchdown.sim.typing import Mask
 
 Report = Callable[[dict[str, Any]], None]
 
@@ -71,10 +74,10 @@ def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
     if costmap is None:
         raise ValueError(f"scene '{kept.scene}': the selector shows no costmap")
     accepted = [site for site in selection.candidates
-                if site.accepted and _is_judged(truth, site.position_odom)]  # fmt: skip
-    verdicts = [_value_at(truth, truth.safe, site.position_odom) for site in accepted]
+                if site.accepted and is_judged(truth, site.position_odom)]  # fmt: skip
+    verdicts = [value_at(truth, truth.safe, site.position_odom) for site in accepted]
     clearance = np.minimum(distance_transform_edt(truth.safe) * truth.cell_m, CLEARANCE_CAP_M)
-    safe, judged = _on_grid(truth, costmap)
+    safe, judged = on_grid(truth, costmap)
     seen = judged & _seen(kept.map_view.coarse, costmap)
     return {
         "scene": kept.scene,
@@ -88,7 +91,7 @@ def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
             "allowed": int((selection.allowed & seen).sum()),
             "both": int((safe & selection.allowed & seen).sum()),
         },
-        "clearance_m": float(_value_at(truth, clearance, accepted[0].position_odom))
+        "clearance_m": float(value_at(truth, clearance, accepted[0].position_odom))
         if accepted
         else 0.0,
         "best_clearance_m": float(clearance.max()),
@@ -105,7 +108,7 @@ def _sample(
     if _from_outside(config) and "probability" not in [term.name for term in costmap.terms]:
         return None
     features = risk.features_of(kept.map_view, kept.estimate, config.landing)
-    _, judged = _on_grid(kept.truth, costmap)
+    _, judged = on_grid(kept.truth, costmap)
     rows, cols = np.nonzero(judged & np.isfinite(selection.probability) & features.open)
     spread = np.s_[:: max(1, rows.size // SAMPLES)]
     rows, cols = rows[spread], cols[spread]
@@ -211,36 +214,10 @@ def _fraction(part: int, whole: int) -> float | None:
     return part / whole if whole else None
 
 
-def _is_judged(truth: SafeGround, position: Array) -> bool:
-    """True for a point of the true ground, which ends before the map does."""
-    ends = np.array(truth.safe.shape[::-1]) * truth.cell_m
-    offset = position[:2] - truth.origin_xy_m
-    return bool((offset >= 0.0).all() and (offset < ends).all())
-
-
-def _value_at(truth: SafeGround, raster: NDArray[Any], position: Array) -> Any:
-    col, row = np.floor((position[:2] - truth.origin_xy_m) / truth.cell_m).astype(int)
-    return raster[row, col]
-
-
-def _on_grid(ground: SafeGround, costmap: CostmapView) -> tuple[Mask, Mask]:
-    """Returns ``ground.safe`` at the centres of the costmap's cells, and the mask where it is
-    known."""
-    rows, cols = costmap.total.shape
-    x = costmap.origin_xy_m[0] + (np.arange(cols) + 0.5) * costmap.cell_m
-    y = costmap.origin_xy_m[1] + (np.arange(rows) + 0.5) * costmap.cell_m
-    col = np.floor((x - ground.origin_xy_m[0]) / ground.cell_m).astype(int)
-    row = np.floor((y - ground.origin_xy_m[1]) / ground.cell_m).astype(int)
-    height, width = ground.safe.shape
-    inside = ((row >= 0) & (row < height))[:, None] & ((col >= 0) & (col < width))[None, :]
-    near = np.ix_(np.clip(row, 0, height - 1), np.clip(col, 0, width - 1))
-    return ground.safe[near] & inside, inside
-
-
 def _seen(grid: GridMap, costmap: CostmapView) -> Mask:
     """Cells of the costmap with returns."""
     seen = SafeGround(origin_xy_m=grid.origin_xy_m, cell_m=grid.cell_m, safe=grid.count > 0)
-    return _on_grid(seen, costmap)[0]
+    return on_grid(seen, costmap)[0]
 
 
 @dataclass(frozen=True, slots=True)
