@@ -234,7 +234,8 @@ def summary(landed: pd.DataFrame, surveys: pd.DataFrame) -> list[str]:
 
 def _completed(own: pd.DataFrame) -> str:
     done = own["outcome"].isin(["COMPLETED", "LANDED"]).sum()
-    return f"{done} of {len(own)} ({own['unit'].nunique()} independent)"
+    units = own["unit"].nunique()
+    return f"{done} of {len(own)}" + f" ({units} independent)" * (units < len(own))
 
 
 def _landing_words(frame: pd.DataFrame) -> list[str]:
@@ -370,7 +371,7 @@ def chosen_ground(frame: pd.DataFrame) -> Picture:
             own = frame[frame["scene"] == scene]
             rough = 1000.0 * own["landing.roughness_m"]
             axes.plot(own[_SLOPE], rough, "o^sD"[number % 4], markersize=4, label=scene, alpha=0.8)
-        axes.axvline(MAX_SLOPE_DEG, color=INK, linewidth=0.8, linestyle="--")
+        axes.axvline(MAX_SLOPE_DEG, color=INK, linewidth=0.8, linestyle="--", label="safe up to")
         axes.set(xlabel="slope of the true ground (°)", ylabel="deviation from the plane (mm)")
         axes.set(xlim=(0.0, MAX_SLOPE_DEG + 0.5), ylim=(0.0, None))
         axes.legend(title=f"{len(frame)} landings", frameon=False)
