@@ -111,9 +111,10 @@ def observe(
     start_s: float,
     period_s: float = LOOK_PERIOD_S,
     watch: Watch | None = None,
+    images: bool = True,
 ) -> Iterator[tuple[Estimate, MapView]]:
-    """Moves the sensors along ``path`` from ``start_s`` on and yields after every scan. The camera
-    is free again at the end."""
+    """Moves the sensors along ``path`` from ``start_s`` on and yields after every scan, without
+    ``images`` by the LIDAR alone. The camera is free again at the end."""
     from touchdown.sim.posed_sensors import track_along
 
     rig, sensors = survey.rig, survey.sensors
@@ -124,12 +125,12 @@ def observe(
         for number, start in enumerate(starts):
             body = track_along(path, sensors.scan_times(start), start_s, survey.yaw)
             end, middle = start + rig.lidar_scan_ticks, start + rig.lidar_scan_ticks // 2
-            images = (sensors.image(body, middle),) if number % _IMAGE_EVERY == 0 else ()
+            takes = images and number % _IMAGE_EVERY == 0
             obs = Observation(
                 tick=end,
                 time_s=end / rig.tick_hz,
                 scans=(sensors.scan(body, start),),
-                images=images,
+                images=(sensors.image(body, middle),) if takes else (),
                 rotor_speed_radps=np.zeros(4),
                 battery_fraction=1.0,
             )

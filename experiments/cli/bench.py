@@ -387,6 +387,41 @@ def bench_touchdown(out: Path | None, quiet: bool, **options: Any) -> dict[str, 
     return figures
 
 
+def _print_hazards(figures: dict[str, Any]) -> None:
+    from touchdown.experiments.benchmarks.selection.hazards import table
+
+    say(table(figures))
+
+
+@bench.command("hazards")
+@click.argument("scenes", nargs=-1)
+@_seeds("0-3")
+@click.option("--places", type=click.IntRange(1, 100), default=6, show_default=True,
+              help="Looked at in each scene, below the way of the survey.")  # fmt: skip
+@_ONE_JOB
+@click.option("--out", type=PATH, metavar="DIR", help="Draw the curves, hazards.svg, there.")
+@OVERRIDES
+@answered(_print_hazards)
+def bench_hazards(
+    scenes: tuple[str, ...], seeds: str, overrides: Sequence[str], out: Path | None, **options: Any
+) -> dict[str, Any]:
+    """Find rocks and steps of known size on level ground: recall and precision against their
+    diameter, in the survey's map and in the fine map of the rechecks at 10 m and 4 m. SCENES: by
+    default rugged.
+
+    Example: touchdown bench hazards --set rugged.slope_deg=3 --out hazards
+    """
+    from touchdown.experiments.benchmarks.selection import hazards, sites
+
+    source = sites.Posed(scenes or ("rugged",), seeds, "field")
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    configs = [
+        sites.config_of(source.profile, None, tuple(overrides), *place) for place in source.places()
+    ]
+    return hazards.measure(configs, out=out, **options)
+
+
 def _print_limit(figures: dict[str, Any]) -> None:
     from touchdown.experiments.benchmarks.limit.survey import table
 

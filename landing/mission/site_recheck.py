@@ -26,7 +26,7 @@ from touchdown.sim.typing import Array
 
 _POOL = 2
 """fine cells merged along each axis, for enough returns in each"""
-_MIN_RETURNS = 3.0
+MIN_RETURNS = 3.0
 _ENOUGH_CLEARANCE_M = 1.0
 
 
@@ -60,12 +60,12 @@ def recheck_site(
 
     Keeps the site where it is landable, else moves it to the landable cell within ``max_shift_m``
     with the most clearance minus distance."""
-    raster = _fine_window(map_view, site_odom, max_shift_m, params)
+    raster = fine_window(map_view, site_odom, max_shift_m, params)
     if raster is None:
         return Recheck(position_odom=None, reason="no fine map of the site")
     margin = params.low_margin_m
     planes = ground_planes(raster, params)
-    landable = assess(raster, planes, params, margin_m=margin, min_returns=_MIN_RETURNS)
+    landable = assess(raster, planes, params, margin_m=margin, min_returns=MIN_RETURNS)
     row, col = raster.cell_of(site_odom)
     if not raster.contains(row, col):
         return Recheck(position_odom=None, reason="the site lies outside the fine map")
@@ -111,9 +111,11 @@ def ground_under(map_view: MapView, xy_odom: Array, radius_m: float = 0.5) -> fl
     return float("nan")
 
 
-def _fine_window(
+def fine_window(
     map_view: MapView, site: Array, max_shift_m: float, params: LandingParams
 ) -> ElevationRaster | None:
+    """Returns the fine map as a recheck looks at it: plants taken off, cells of 0.1 m; None where
+    there is too little of it."""
     if map_view.fine is None:
         return None
     half = max_shift_m + params.clear_radius_m + params.ground.footprint_m

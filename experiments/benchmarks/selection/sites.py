@@ -251,7 +251,7 @@ def make_maps(
     for scene, seed in source.places():
         for one in settings:
             given = (*overrides, *(f"{key}={value!r}" for key, value in one.items()))
-            tasks.append((_config(source.profile, None, given, scene, seed), out, one))
+            tasks.append((config_of(source.profile, None, given, scene, seed), out, one))
     out.mkdir(parents=True, exist_ok=True)
     files = []
     for file in mapped(_make_and_write, tasks, jobs):
@@ -286,7 +286,7 @@ def run(
     names: tuple[str | None, ...] = tuple(selectors) or (None,)
     given = tuple(overrides)
     for name in names:
-        check_parts_available(_config("field", name, given, "flat", 0))
+        check_parts_available(config_of("field", name, given, "flat", 0))
     for option, folder in (("--pictures", pictures), ("--curves", curves)):
         try:
             if folder is not None:
@@ -300,7 +300,7 @@ def run(
         else:
             home = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             tasks = [
-                (_config(source.profile, None, given, *place), home / str(number))
+                (config_of(source.profile, None, given, *place), home / str(number))
                 for number, place in enumerate(source.places())
             ]
         check = partial(_checked, selectors=names, overrides=given)
@@ -317,7 +317,7 @@ def run(
             draw = partial(_draw, selector=names[0], overrides=given, folder=pictures,
                            several=several)  # fmt: skip
             list(mapped(draw, [files[n] for n in order[:worst]], jobs))
-    chosen = names[0] or _config("field", None, given, "flat", 0).landing.selector
+    chosen = names[0] or config_of("field", None, given, "flat", 0).landing.selector
     figures: dict[str, Any] = {"selector": chosen, "summary": summary(mine)}
     if len(names) > 1:
         figures["beside"] = {
@@ -354,7 +354,7 @@ def _checked(
         file = write_map(make_map(config), folder)
     kept = read_map(file)
     return file, [
-        check_map(kept, _config(kept.profile, name, overrides, kept.scene, kept.seed))
+        check_map(kept, config_of(kept.profile, name, overrides, kept.scene, kept.seed))
         for name in selectors
     ]
 
@@ -366,7 +366,7 @@ def _draw(
     from touchdown.experiments.benchmarks.selection.figures import write_steps
 
     kept = read_map(file)
-    config = _config(kept.profile, selector, overrides, kept.scene, kept.seed)
+    config = config_of(kept.profile, selector, overrides, kept.scene, kept.seed)
     seed = f"_{kept.seed}" if several else ""
     selection = chooser(config, kept.vehicle)(kept)
     write_steps(
@@ -377,9 +377,11 @@ def _draw(
 
 
 @functools.lru_cache(maxsize=256)
-def _config(
+def config_of(
     profile: str, selector: str | None, overrides: tuple[str, ...], scene: str, seed: int
 ) -> Config:
+    """Returns the configuration of one place, of which nothing is recorded. Raises as
+    `load_config`."""
     chosen = [] if selector is None else [f"landing.selector={selector}"]
     if not names_code(SLOTS["selector"], selector):  # parameters are for the one that is compared
         overrides = tuple(one for one in overrides if not one.startswith("external.selector."))

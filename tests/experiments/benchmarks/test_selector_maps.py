@@ -183,7 +183,7 @@ def test_stated_probabilities_are_drawn_beside_the_truth(
 
 def test_sites_beyond_the_judged_ground_do_not_count(kept: KeptMap) -> None:
     small = dataclasses.replace(kept.truth, safe=kept.truth.safe[:50, :50])
-    config = sites._config("field", "risk", (), "crossroad", 4)
+    config = sites.config_of("field", "risk", (), "crossroad", 4)
     found = sites.check_map(dataclasses.replace(kept, truth=small), config)
     assert found["accepted"] == found["accepted_safe"] < 6
 
