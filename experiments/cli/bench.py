@@ -409,7 +409,7 @@ def bench_hazards(
     diameter, in the survey's map and in the fine map of the rechecks at 10 m and 4 m. SCENES: by
     default rugged.
 
-    Example: touchdown bench hazards --set rugged.slope_deg=3 --out hazards
+    Example: touchdown bench hazards --seeds 0-3 --out hazards
     """
     from touchdown.experiments.benchmarks.selection import hazards, sites
 
