@@ -222,7 +222,7 @@ class LandingParams:
         float, float, float, float, float, float, float, float, float, float, float, float, float,
         float,
     ] = (
-        8.62, -0.2, -0.2, -0.2, -0.2, -0.2, -0.2, -0.2, -0.2, -1.06, -1.48, -3.34, -0.2, -3.0,
+        10.75, -0.2, -0.2, -0.2, -0.2, -0.2, -2.0, -0.2, -0.2, -1.13, -1.42, -2.95, -0.2, -3.0,
     )  # fmt: skip
     """log-odds of a safe touchdown: constant; slope, step, object, spread, neighbour, confinement,
     sparsity, age, slope around, tilt, steepness and plants (``landing.selection.probability``); the

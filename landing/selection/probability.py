@@ -57,9 +57,10 @@ _SURELY = 1.2
 """multiple of a limit that the error of the map does not reach on level ground"""
 _SURE_RATIO, _ROUGH_M = 0.1, 0.05
 """uncertainty of a slope over its limit on smooth ground; roughness at which it is 1 more"""
-_MAX_COEFFICIENTS = (*[-0.2] * len(NAMES), -3.0)
-"""Upper bounds of the fitted coefficients. They decide where the data has little information: the
-maps are static, so that the effect of an old map cannot be fitted, and posts are rare."""
+_MAX_COEFFICIENTS = (*[-2.0 if name == "confinement" else -0.2 for name in NAMES], -3.0)
+"""Upper bounds of the fitted coefficients. They decide where the data has little information: maps
+are static, so that neither an old map nor a vehicle beside its site can be fitted, and posts are
+rare."""
 _RIDGE = 1e-4
 
 

@@ -383,7 +383,7 @@ def test_strong_wind_makes_sites_beside_obstacles_less_probable() -> None:
         stage.show(grid, wind_mps=wind)
         sites = choose_sites(stage.mission).candidates[:4]
         found.append(sum(site.safe_probability for site in sites))
-    assert found[1] < found[0] - 1e-4
+    assert found[1] < found[0] - 1e-3, found
 
 
 def test_the_way_home_is_flown_at_survey_height() -> None:

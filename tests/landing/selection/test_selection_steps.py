@@ -226,7 +226,7 @@ def test_the_plane_of_the_whole_footprint_is_checked() -> None:
 def test_wind_lowers_the_probability_beside_an_obstacle() -> None:
     grid = changed("max_height_m", 0.2)
     calm, windy = (selected(grid, {"wind_mps": v}).probability for v in (0.0, 25.0))
-    assert windy[40, 52] < calm[40, 52] - 5e-6
+    assert windy[40, 52] < calm[40, 52] - 2e-5
     assert windy[40, 65] == pytest.approx(calm[40, 65], abs=1e-6)
 
 
