@@ -171,6 +171,8 @@ def test_commands_in_blocks_parse(page: Path) -> None:
                 parts[options.get("kind", "estimator")] = options["name"]
             if isinstance(options.get("scene"), str):
                 parts["scene"] = options["scene"]
+            elif options.get("scenes"):
+                parts["scene"] = options["scenes"][0]
             load_config(None, options.get("overrides", ()), **parts)
 
 
