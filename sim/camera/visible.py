@@ -189,9 +189,10 @@ class TerrainTiles:
         """Makes the tiles in view what ``context`` draws for the height field."""
         GL = self._gl
         seen = np.flatnonzero(frustum.holds(self._centers, self._radii))
-        # One stride for the whole picture: tiles of two would not meet.
-        away = np.linalg.norm(self._centers[seen] - frustum.eye, axis=1) - self._radii[seen]
-        is_far = away.min(initial=np.inf) > _FINE_CELLS * self._cell_m
+        # By all tiles, as the rows of a rolling shutter see others: two strides would not meet.
+        eye = frustum.eye - self._terrain.origin_m
+        beside = np.maximum(self._boxes[:, 0] - eye, eye - self._boxes[:, 1]).clip(0.0)
+        is_far = np.linalg.norm(beside, axis=1).min() > _FINE_CELLS * self._cell_m
         stride = self._strides[-1] if is_far else 1
         if stride not in self._lists:
             self._lists[stride], _ = self._compiled(stride)
