@@ -320,6 +320,10 @@ def _runs(
 ) -> list[PlannedRun]:
     checked: dict[str, dict[str, Any]] = {}
     runs = []
+    if spec.own_seeds and any("seed" in entry.when for entry in spec.expect):
+        raise UsageError(
+            f"[[expect]] of {source} names seeds of `axes`, and own_seeds changes them"
+        )
     apart = max(axes["seed"]) - min(axes["seed"]) + 1 if spec.own_seeds else 0
     points = itertools.product(itertools.product(*axes.values()), enumerate(sweep))
     for point, (number, swept) in points:

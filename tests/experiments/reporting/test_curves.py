@@ -172,7 +172,9 @@ def test_ranges_and_sweeps_become_runs(tmp_path: Path) -> None:
         len({run.values["seed"] for run in own.runs}) == 10
         and own.runs[4].run_id.split("-")[2] == "s11"
     )
+    named = '\n[[expect]]\nname = "one"\nwhen = { seed = [3] }\n'
     for wrong, reason in (
+        ("own_seeds = true\n" + text + named, "own_seeds changes them"),
         (text.replace("steps = 3", "steps = 1"), "a range is"),
         (text + "wind_kmh = [3]\n", "unknown key 'wind_kmh' in \\[sweep\\]"),
         (text.replace("survey.legs", "survey.leg"), "unknown key 'survey.leg'"),
