@@ -393,6 +393,10 @@ class World(Protocol):
 
     def truth(self) -> Truth: ...
 
+    def follow(self, phase: str, site_world: Array | None) -> None:
+        """Tells the phase of the mission and the site (3,) that is landed on, None without one, to
+        what begins at a phase or at a height over the site."""
+
     def take_textures(self) -> None:
         """Frees the memory that the scene has for its textures: nobody else can draw it then."""
 

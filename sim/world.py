@@ -24,6 +24,7 @@ from touchdown.sim.delivery import check_rates
 from touchdown.sim.effects import WorldRecord, fault_records
 from touchdown.sim.faults.disturbances import Disturbances
 from touchdown.sim.faults.injector import FaultInjector
+from touchdown.sim.faults.marks import Marks
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
 from touchdown.sim.imaging_sensors import ImagingSensors
 from touchdown.sim.imu import ImuSensor, MountedImu
@@ -176,8 +177,10 @@ class MujocoWorld:
         state = mujoco.mjtState.mjSTATE_INTEGRATION
         mujoco.mj_setState(self._model, self._data, self._start_state, state)
         faults, tick_hz = self._params.faults, self._sim.tick_hz
-        self._faults = FaultInjector(faults, tick_hz)
-        self._disturbances = Disturbances(faults, tick_hz, self._params.wind.mean_kmh, self._seed)
+        self._marks = Marks(faults.schedule(), tick_hz)
+        self._faults = FaultInjector(faults, tick_hz, self._marks)
+        wind_kmh = self._params.wind.mean_kmh
+        self._disturbances = Disturbances(faults, tick_hz, wind_kmh, self._seed, self._marks)
         self._air = self._make_air()
         self._air.start(self._vehicle.leg_height_m)
         mujoco.mj_forward(self._model, self._data)
@@ -251,6 +254,13 @@ class MujocoWorld:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         return self._imaging.camera.snapshot(self._data)
+
+    def follow(self, phase: str, site_world: Array | None) -> None:
+        """As `sim.api.World.follow`."""
+        if self._marks.any:
+            ground = math.inf if site_world is None else float(site_world[2])
+            height = float(self._position[2]) - self._vehicle.leg_height_m - ground
+            self._marks.follow(self._tick, phase, height)
 
     def truth(self) -> api.Truth:
         """The true state now. ``acceleration_world`` is dv/dt: 0 in hover and at rest.

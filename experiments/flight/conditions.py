@@ -8,7 +8,7 @@ place of the landing.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from touchdown.experiments.config.profiles import effects
@@ -213,6 +213,12 @@ def as_json(conditions: Sequence[Condition]) -> list[dict[str, Any]]:
 
 def judge_fault(fault: Fault, record: Mapping[str, Any], sim_s: float, config: Config) -> Condition:
     """The verdict on a fault by its record; in a flight of ``sim_s`` seconds."""
+    if fault.mark:
+        began_s = record.get("began_s")
+        if began_s is None:
+            text = f"{fault.kind} at {fault.mark}: the flight never got there"
+            return Condition(fault.text, False, text, 0.0)
+        fault = replace(fault, start_s=began_s)
     span = f"{fault.kind} {_span(fault)}"
     if fault.start_s >= sim_s:
         text = f"{span}: the flight ended at {sim_s:.1f} s, before it began"

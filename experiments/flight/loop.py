@@ -31,4 +31,5 @@ def run_flight(
         outcome = referee.judge(truth, estimate, view)
         if outcome is not None:
             return referee.result(outcome)
+        world.follow(view.phase, view.site_world)
         obs = world.step(command)

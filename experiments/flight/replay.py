@@ -215,6 +215,8 @@ def replay_faults(config: Config, events: tuple[str, ...], tick_hz: int) -> Faul
                 f"fault '{fault.text}' acts on what is measured, and the log is of the flight "
                 "without it; fly with it"
             )
+        if fault.mark:
+            raise UsageError(f"fault '{fault.text}': a replay knows no phases, give seconds")
     return FaultInjector(params, tick_hz)
 
 

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from touchdown.sim.api import Fault, FaultParams
+from touchdown.sim.faults.marks import Marks
 from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.noise import random_stream
 from touchdown.sim.typing import Array
@@ -36,25 +37,20 @@ ROTORS = 4
 class Happening:
     """Times of all faults of one kind."""
 
-    def __init__(self, params: FaultParams, kind: str, tick_hz: int) -> None:
+    def __init__(
+        self, params: FaultParams, kind: str, tick_hz: int, marks: Marks | None = None
+    ) -> None:
         self.faults = [fault for fault in params.schedule() if fault.kind == kind]
-        self._spans = [span(fault, tick_hz) for fault in self.faults]
+        self._marks = marks or Marks(self.faults, tick_hz)
 
     def since(self, tick: int) -> int | None:
         """Ticks since the beginning of the first fault that is active at ``tick``, or None. A fault
         is no longer active at its end."""
-        for start, end in self._spans:
-            if tick >= start and (end is None or tick < end):
-                return tick - start
+        for fault in self.faults:
+            start, end = self._marks.span(fault)
+            if start <= tick < end:
+                return tick - int(start)
         return None
-
-
-def span(fault: Fault, tick_hz: int) -> tuple[int, int | None]:
-    """First tick of a fault, and the one after its last; None: to the end of the flight."""
-    start = round(fault.start_s * tick_hz)
-    if fault.duration_s is None:
-        return start, None
-    return start, start + max(1, round(fault.duration_s * tick_hz))
 
 
 class Disturbances:
@@ -63,9 +59,17 @@ class Disturbances:
     ``mean_wind_kmh`` is part of the speed that gusts blow up to.
     """
 
-    def __init__(self, params: FaultParams, tick_hz: int, mean_wind_kmh: float, seed: int) -> None:
+    def __init__(
+        self,
+        params: FaultParams,
+        tick_hz: int,
+        mean_wind_kmh: float,
+        seed: int,
+        marks: Marks | None = None,
+    ) -> None:
         self._params, self._tick_hz = params, tick_hz
-        self._motor = Happening(params, "motor_loss", tick_hz)
+        self._marks = marks or Marks(params.schedule(), tick_hz)
+        self._motor = Happening(params, "motor_loss", tick_hz, self._marks)
         self._mount = Happening(params, "miscalibration", tick_hz)
         self._gusts = [fault for fault in params.schedule() if fault.kind == "gust"]
         self._peak_mps = (params.gust_kmh - mean_wind_kmh) / 3.6
@@ -90,7 +94,7 @@ class Disturbances:
         rise_s = self._params.gust_rise_s
         speed = 0.0
         for fault in self._gusts:
-            phase = (tick / self._tick_hz - fault.start_s) / rise_s
+            phase = (tick - self._marks.span(fault)[0]) / self._tick_hz / rise_s
             if 0.0 < phase < 2.0 * gust_count(fault, rise_s):
                 speed += gust_speed(phase, self._peak_mps)
         if speed == 0.0:
@@ -124,7 +128,8 @@ class Disturbances:
         ):
             if faults:
                 text = ", ".join(fault.text for fault in faults)
-                found.append({"fault": text, "acted_s": acted_s[kind], **more})
+                began_s = self._marks.began_s(faults[0])
+                found.append({"fault": text, "acted_s": acted_s[kind], "began_s": began_s, **more})
         return found
 
 

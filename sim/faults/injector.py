@@ -7,7 +7,6 @@ recorder see the same.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import deque
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from touchdown.sim import api
-from touchdown.sim.faults.disturbances import span
+from touchdown.sim.faults.marks import Marks
 from touchdown.sim.faults.types import WORLD_KINDS
 
 _STREAMS = ("scans", "images", "gps")
@@ -34,11 +33,12 @@ class FaultInjector:
     order; without a schedule it returns them unchanged. Raises ValueError for an invalid schedule.
     """
 
-    def __init__(self, params: api.FaultParams, tick_hz: int) -> None:
+    def __init__(self, params: api.FaultParams, tick_hz: int, marks: Marks | None = None) -> None:
+        marks = marks or Marks(params.schedule(), tick_hz)
         self._streams = {
             name: _FaultyStream(
                 [
-                    _Pending(fault, tick_hz)
+                    _Pending(fault, marks)
                     for fault in params.schedule()
                     if name in api.FAULT_KINDS[fault.kind] and fault.kind not in WORLD_KINDS
                 ],
@@ -47,7 +47,7 @@ class FaultInjector:
             )
             for name in _STREAMS
         }
-        self._idle = not params.events
+        self._idle, self._marks = not params.events, marks
 
     def apply(self, obs: api.Observation) -> api.Observation:
         """The observation with faults; the given messages are not written to."""
@@ -62,7 +62,7 @@ class FaultInjector:
     def summary(self) -> list[dict[str, Any]]:
         """Effects of every fault: its text, and for each of its streams ``messages``, the number
         that it changed, of ``came``, the number that came while it was active; of a fault of N
-        messages from its start to the end of the flight."""
+        messages from its start to the end of the flight. ``began_s``: None for never."""
         found: dict[str, dict[str, Any]] = {}
         for name, stream in self._streams.items():
             for pending in stream.faults:
@@ -70,21 +70,26 @@ class FaultInjector:
                 entry = found.setdefault(text, {"fault": text, "messages": {}, "came": {}})
                 entry["messages"][name] = pending.hit
                 entry["came"][name] = pending.came
+                entry["began_s"] = self._marks.began_s(pending.fault)
         return list(found.values())
 
 
 class _Pending:
     """A fault on one stream."""
 
-    def __init__(self, fault: api.Fault, tick_hz: int) -> None:
-        self.fault = fault
-        self.start_tick, end_tick = span(fault, tick_hz)
-        self._end_tick = math.inf if end_tick is None else end_tick
+    def __init__(self, fault: api.Fault, marks: Marks) -> None:
+        self.fault, self._marks = fault, marks
         self.came = self.hit = 0
+
+    @property
+    def start_tick(self) -> float:
+        """Infinite before its mark is reached."""
+        return self._marks.span(self.fault)[0]
 
     def befalls(self, tick: int) -> bool:
         """True for a message at ``tick`` that the fault is to change; it counts as having come."""
-        if not self.start_tick <= tick < self._end_tick:
+        start, end = self._marks.span(self.fault)
+        if not start <= tick < end:
             return False
         self.came += 1
         return self.fault.count is None or self.hit < self.fault.count
@@ -160,7 +165,7 @@ class _FaultyStream:
             due = max(due, self._queue[-1][0])
         self._queue.append((due, message))
 
-    def _skewed(self, message: Any, start_tick: int) -> Any:
+    def _skewed(self, message: Any, start_tick: float) -> Any:
         """The message with the time stamps of a clock that has an offset and a drift."""
         hz, params = self._tick_hz, self._params
         since_s = max(0, _measured(message) - start_tick) / hz
@@ -172,7 +177,7 @@ class _FaultyStream:
         }
         return dataclasses.replace(message, **stamps)
 
-    def _spoofed(self, fix: api.GpsFix, start_tick: int) -> api.GpsFix:
+    def _spoofed(self, fix: api.GpsFix, start_tick: float) -> api.GpsFix:
         """The fix, displaced at a constant velocity since the spoofing began."""
         velocity = np.array(self._params.gps_spoof_mps)
         since_s = max(0, fix.tick - start_tick) / self._tick_hz

@@ -46,13 +46,19 @@ WORLD_KINDS = frozenset(
 )
 """Those that happen where things are measured, at the time of measuring; others on delivery."""
 
+PHASE_MARKS = ("takeoff", "survey", "select", "approach", "descend", "return")
+"""phases of a mission at whose first beginning a fault may begin"""
+_TIMED = frozenset(("miscalibration", "fog", "rain", "lens_dirt", "low_sun"))
+"""kinds that begin at a time alone: sensors foresee them"""
+
 MAX_MOTOR_LOSS = 0.5
 """of one rotor's thrust: with more, hovering level is beyond the other three"""
 MIN_VISIBILITY_M = 5.0
 MIN_SUN_DEG = 3.0
 
 _FORM = re.compile(
-    r"(?P<kind>[a-z_]+)@(?P<start>[0-9.]+)(\+(?P<duration>[0-9.]+)|\*(?P<count>[0-9]{1,6}))?"
+    r"(?P<kind>[a-z_]+)@(?P<start>[0-9.]+m?|[a-z]+)"
+    r"(\+(?P<duration>[0-9.]+)|\*(?P<count>[0-9]{1,6}))?"
 )
 
 
@@ -63,16 +69,21 @@ class Fault:
 
     kind: str
     start_s: float
+    """infinite for one that begins at a mark"""
     duration_s: float | None = None
     count: int | None = None
     """that many messages of each of its streams, from the first at ``start_s`` or later; gusts of
     ``gust``"""
+    mark: str = ""
+    """what begins it in place of a time: a phase in lower case, or a height over the site such as
+    ``12m``"""
 
     @property
     def text(self) -> str:
         """As it is written in the configuration."""
         until = "" if self.duration_s is None else f"+{self.duration_s:g}"
-        return f"{self.kind}@{self.start_s:g}{until}" + (f"*{self.count}" if self.count else "")
+        start = self.mark or f"{self.start_s:g}"
+        return f"{self.kind}@{start}{until}" + (f"*{self.count}" if self.count else "")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,7 +94,8 @@ class FaultParams:
 
     events: tuple[str, ...] = ()
     """``KIND@START`` (to the end), ``KIND@START+DURATION`` in seconds of simulated time, or
-    ``KIND@START*N`` for N messages"""
+    ``KIND@START*N`` for N messages. START is a time, a phase, or a height such as ``12m``: that of
+    the legs over the site on the way down"""
     late_s: NotNegative = 0.3
     """additional delay of ``lidar_late`` and ``camera_late``"""
     gps_jump_m: tuple[float, float, float] = (15.0, -10.0, 5.0)
@@ -151,22 +163,37 @@ def parse_fault(text: str) -> Fault:
     if match is None:
         raise ValueError(
             f"fault '{text}' is not of the form KIND@START, KIND@START+DURATION in seconds or "
-            "KIND@START*N messages, such as lidar_dropout@20+1"
+            "KIND@START*N messages, such as lidar_dropout@20+1 or lidar_dropout@12m"
         )
     kind = match["kind"]
     if kind not in FAULT_KINDS:
         raise ValueError(f"unknown fault '{kind}' in '{text}'; known: {', '.join(FAULT_KINDS)}")
+    mark = match["start"] if match["start"][-1].isalpha() else ""
+    if mark:
+        _check_mark(text, kind, mark)
     try:
-        start = float(match["start"])
+        start = math.inf if mark else float(match["start"])
         duration = None if match["duration"] is None else float(match["duration"])
     except ValueError:
         raise ValueError(f"fault '{text}': START and DURATION must be numbers of seconds") from None
-    if not math.isfinite(start) or (duration is not None and not duration > 0.0):
+    if duration is not None and not duration > 0.0:
         raise ValueError(f"fault '{text}': DURATION must be above 0 seconds")
     count = None if match["count"] is None else int(match["count"])
     if count is not None:
         _check_count(text, kind, count)
-    return Fault(kind=kind, start_s=start, duration_s=duration, count=count)
+    return Fault(kind=kind, start_s=start, duration_s=duration, count=count, mark=mark)
+
+
+def _check_mark(text: str, kind: str, mark: str) -> None:
+    if kind in _TIMED:
+        raise ValueError(
+            f"fault '{text}': {kind} begins at a time, give seconds in place of {mark}"
+        )
+    if not re.fullmatch(r"[0-9]+(\.[0-9]+)?m", mark) and mark not in PHASE_MARKS:
+        raise ValueError(
+            f"fault '{text}': '{mark}' is no time, no height such as 12m and no phase; phases: "
+            f"{', '.join(PHASE_MARKS)}"
+        )
 
 
 def _check_count(text: str, kind: str, count: int) -> None:

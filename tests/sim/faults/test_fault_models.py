@@ -189,4 +189,4 @@ def test_the_time_of_a_weak_motor_is_counted() -> None:
     weak = [t for t in range(0, 3 * HZ, 3) if disturbances.rotor_speed_fraction(t) is not None]
     assert (weak[0], weak[-1]) == (600, 1197)
     (found,) = disturbances.summary(0.005)
-    assert found == {"fault": "motor_loss@1+1", "acted_s": pytest.approx(1.0)}
+    assert found == {"fault": "motor_loss@1+1", "acted_s": pytest.approx(1.0), "began_s": 1.0}
