@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 
 from touchdown.landing.api import Phase
+from touchdown.landing.mission.best_ground import best_ground
 from touchdown.landing.mission.mission import Mission, RuledSteps, Steps
-from touchdown.landing.mission.rules import Moment
+from touchdown.landing.mission.rules import Action, Moment
 from touchdown.landing.mission.site_recheck import ground_under, recheck_site
 from touchdown.landing.mission.touchdown import TouchdownDetector
 from touchdown.landing.mission.trajectory import (
@@ -39,10 +40,11 @@ def descend_to(mission: Mission) -> RuledSteps:
     """Descends to the commitment height with both rechecks.
 
     Returns None once committed, else the rule that refuses the site. In an emergency there is one
-    recheck, which may move the site."""
+    recheck, which may move the site. The take-off spot is never refused: see `home_recheck`."""
     state, params = mission.state, mission.params
-    state.enter(Phase.DESCEND)
-    rechecks = params.site_recheck and (params.check_site or params.site_xy_m is None)
+    if not _is_home(mission):
+        state.enter(Phase.DESCEND)
+    rechecks = params.site_recheck and (params.check_site or not _is_commanded(mission))
     yield from _sink_to(mission, params.look_height_m)
     if rechecks:
         refusal = yield from _recheck(mission, "10 m", _MAX_SHIFT_M)
@@ -58,6 +60,14 @@ def descend_to(mission: Mission) -> RuledSteps:
     return None
 
 
+def _is_home(mission: Mission) -> bool:
+    return mission.state.phase is Phase.RETURN
+
+
+def _is_commanded(mission: Mission) -> bool:
+    return mission.params.site_xy_m is not None and not _is_home(mission)
+
+
 def _sink_to(mission: Mission, height_m: float) -> Steps:
     """Sinks until the legs are ``height_m`` above the site, if they are higher."""
     site, here = _refreshed_site(mission), mission.reference_odom
@@ -70,7 +80,8 @@ def _sink_to(mission: Mission, height_m: float) -> Steps:
 def _refreshed_site(mission: Mission) -> Array:
     """Returns the site at the height that the ground has now, and takes it over. A selected site is
     fixed in the map, a commanded one at its world coordinates."""
-    state, commanded = mission.state, mission.view.commanded_odom
+    state = mission.state
+    commanded = mission.view.commanded_odom if _is_commanded(mission) else None
     assert state.site_odom is not None
     xy = state.site_odom[:2] if commanded is None else commanded
     ground = ground_under(mission.view.map_view, xy)
@@ -87,7 +98,7 @@ def _recheck(
     state, params, site = mission.state, mission.params, mission.state.site_odom
     assert site is not None
     yield from mission.hover(params.look_s)
-    shift = 0.0 if params.site_xy_m is not None else max_shift_m
+    shift = 0.0 if _is_commanded(mission) else max_shift_m
     found = recheck_site(mission.view.map_view, site, shift, params)
     waited = 0.0
     while found.position_odom is None and waited < _RECHECK_S and state.deadline_s is None:
@@ -96,11 +107,16 @@ def _recheck(
         found = recheck_site(mission.view.map_view, site, shift, params)
     yield from mission.hover(params.decision_latency_s)
     unsafe = ""
-    if classify and found.position_odom is not None:
+    if classify and found.position_odom is not None and not _is_home(mission):
         unsafe = _class_refusal(mission, found.position_odom)
     found = dataclasses.replace(found, height=height, unsafe_class=unsafe)
     state.examine(found)
     refusal = mission.ask(Moment.RECHECK)
+    if refusal is not None and refusal.action is Action.BEST_GROUND:
+        legs = mission.reference_odom[2] - mission.leg_height
+        now_s = mission.view.obs.time_s
+        found, refusal = best_ground(mission.view.map_view, site, legs, params, now_s), None
+        state.report(found.reason)
     if refusal is not None or found.position_odom is None or unsafe:
         return refusal
     state.choose(found.position_odom, state.site_class)

@@ -226,20 +226,16 @@ def climb_back(mission: Mission) -> Steps:
 
 
 def return_home(mission: Mission) -> Steps:
-    """Flies back to the take-off spot, which is known to be safe, and lands."""
-    state, params = mission.state, mission.params
-    state.enter(Phase.RETURN)
+    """Flies back to the take-off spot and descends there, with the looks of any descent."""
+    mission.state.enter(Phase.RETURN)
     yield from climb_back(mission)
     above = mission.start_world.copy()
     above[2] = mission.reference_world[2]
     yield from _straight(mission, above, in_world=True, hold_s=1.0)
     home = mission.start_world.copy()
     home[2] = mission.view.ground_world
-    site = mission.view.odom(home)
-    state.choose(site)
-    low = site[2] + (params.commit_height_m + mission.leg_height)
-    yield from mission.follow(vertical_move(mission.reference_odom, low, params.descent_speed_mps))
-    state.commit(home)
+    mission.state.choose(mission.view.odom(home))
+    yield from descend_to(mission)
     yield from final_descent(mission)
 
 

@@ -44,6 +44,7 @@ class Action(StrEnum):
     END_SURVEY = "end the survey"
     HURRY = "land by a deadline"
     SEARCH = "fly another leg"
+    BEST_GROUND = "land on the best ground in view"
     REFUSE = "refuse the site"
     GO_AROUND = "go around"
     RETURN = "return and land at the take-off spot"
@@ -148,6 +149,15 @@ def no_site(view: MissionView, state: MissionState) -> str | None:
     return "no safe site found: returning to the take-off spot"
 
 
+def home_recheck(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the fine map shows no place to land at the take-off spot, in an emergency
+    too."""
+    found = state.recheck
+    if state.phase is not Phase.RETURN or found is None or found.position_odom is not None:
+        return None
+    return f"{found.text}: landing on the best ground in view"
+
+
 def site_recheck(view: MissionView, state: MissionState) -> str | None:
     """Decides where the fine map shows no place to land. An emergency lands nevertheless."""
     found = state.recheck
@@ -203,6 +213,7 @@ RULES: tuple[Rule, ...] = (
     Rule(Moment.NO_SITE, no_site_in_time, Action.LAND_IN_PLACE, "no_site"),
     Rule(Moment.NO_SITE, another_leg, Action.SEARCH),
     Rule(Moment.NO_SITE, no_site, Action.RETURN, "no_site"),
+    Rule(Moment.RECHECK, home_recheck, Action.BEST_GROUND),
     Rule(Moment.RECHECK, site_recheck, Action.REFUSE),
     Rule(Moment.RECHECK, class_recheck, Action.REFUSE),
     Rule(Moment.REFUSED, commanded_site_refused, Action.RETURN, "aborted"),

@@ -11,6 +11,7 @@ from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import GridMap, MapView
 from touchdown.landing.api import LandingParams, Phase, SurveyParams
 from touchdown.landing.mission import energy, phases
+from touchdown.landing.mission.best_ground import best_ground
 from touchdown.landing.mission.choice import choose_sites
 from touchdown.landing.mission.descent import descend_to, final_descent
 from touchdown.landing.mission.mission import Mission
@@ -390,12 +391,78 @@ def test_the_way_home_is_flown_at_survey_height() -> None:
     stage = Stage(np.array([6.0, 0.0, 9.0]))
     stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
     path = places(stage.run(phases.return_home(stage.mission)))
-    aside = (path[:, 0] > 0.01) & (path[:, 0] < 5.99)
+    aside = (path[:, 0] > 1.01) & (path[:, 0] < 5.99)  # the sweep at 4 m is a metre
     assert aside.any()
     np.testing.assert_allclose(path[aside, 2], QUICK.height_m, atol=0.01)
     assert path[-1, :2] == pytest.approx([0.0, 0.0], abs=0.01)
-    assert stage.mission.state.committed_site_world == pytest.approx([0.0, 0.0, 0.0])
+    assert stage.mission.state.committed_site_world == pytest.approx([0.0, 0.0, 0.0], abs=0.01)
     assert stage.mission.state.phase is Phase.TOUCHDOWN
+
+
+HOME = np.zeros(3)
+BOX = np.zeros((240, 240))
+BOX[114:126, 114:126] = 0.5  # 0.6 m about the centre
+ISLAND = np.random.default_rng(5).uniform(0.0, 0.6, (240, 240))
+ISLAND[:, 180:] = 0.0  # level ground from 3 m on
+
+
+@pytest.mark.parametrize("changes", [{}, {"site_xy_m": (9.0, 9.0)}, {"emergency": "battery"}])
+@pytest.mark.parametrize(
+    ("height", "lands"), [(BOX, (1.0, 3.0)), (ISLAND, (4.0, 5.0)), (ISLAND.T, (4.0, 5.0))]
+)
+def test_the_way_home_ends_with_a_look(
+    height: Array, lands: tuple[float, float], changes: dict[str, Any]
+) -> None:
+    """Beside what stands there now, within the shift of a look or on the best ground in view, even
+    where another site was commanded or in an emergency."""
+    stage, seen = Stage(np.array([6.0, 0.0, 20.0]), **changes), fine(height, HOME)
+    stage.maps = lambda legs: (seen if legs < 12.0 else LEVEL, 1)
+    stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
+    events = []
+    for setpoint in phases.return_home(stage.mission):
+        events += stage.mission.state.events
+        stage.position = setpoint.position_odom.copy()
+        stage.tick += STEP_TICKS
+        stage.feed(setpoint.velocity_odom)
+    assert lands[0] < np.linalg.norm(stage.position[:2]) < lands[1]
+    assert stage.mission.state.committed_site_world[:2] == pytest.approx(stage.position[:2])
+    told = [text for text in events if "home_recheck" in text]
+    assert len(told) == (0 if height is BOX else 1), events
+    assert stage.mission.state.phase is Phase.TOUCHDOWN
+
+
+def test_home_is_landed_on_unseen() -> None:
+    stage = Stage(np.array([0.0, 0.0, 20.0]))
+    stage.maps = lambda legs: (None, 1)
+    stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
+    path = places(stage.run(phases.return_home(stage.mission)))
+    assert path[-1, :2] == pytest.approx([0.0, 0.0], abs=0.01)
+
+
+def test_the_best_ground_is_reached_past_what_stands_in_the_way() -> None:
+    """Level ground at both sides of rubble, the nearer one behind a wall: below the legs it does
+    not count. Where all is rubble the least bad is taken, where nothing was seen nothing."""
+    height, params = np.random.default_rng(5).uniform(0.0, 0.6, (240, 240)), LandingParams()
+    height[:, :60], height[:, 176:] = 0.0, 0.0
+    height[:, 166:168] = 2.5
+    for legs, expected in ((4.0, 4.5), (3.0, -4.75)):
+        view = landing_support.view_of(COARSE, fine(height, HOME))
+        found = best_ground(view, HOME, legs, params, 0.0)
+        assert found.position_odom is not None
+        assert found.position_odom[0] == pytest.approx(expected, abs=0.2), found.reason
+    # The fine map is of rubble alone: level by the coarse one counts beyond its edge at 6 m.
+    rubble = landing_support.view_of(COARSE, fine(RUBBLE.height_m, HOME))
+    beyond = best_ground(rubble, HOME, 4.0, params, 0.0).position_odom
+    assert beyond is not None and np.abs(beyond[:2]).max() > 5.9
+    bad = np.random.default_rng(5).uniform(0.0, 2.0, (100, 100))
+    bad[52:68, 17:33] = 0.13 * (np.arange(16) % 2)
+    bad = landing_support.make_grid(bad, origin=(-10.0, -10.0))
+    found = best_ground(landing_support.view_of(bad, None), HOME, 4.0, params, 0.0)
+    assert found.position_odom is not None
+    assert found.position_odom[:2] == pytest.approx([-5.0, 2.0], abs=1.0)
+    unseen = landing_support.make_grid(np.full((100, 100), np.nan), origin=(-10.0, -10.0))
+    nothing = best_ground(landing_support.view_of(unseen, None), HOME, 4.0, params, 0.0)
+    assert nothing.position_odom is None
 
 
 def test_a_search_leg_lies_beside_the_last_one_and_begins_at_its_nearer_end() -> None:
