@@ -47,6 +47,7 @@ class Parts(TypedDict, total=False):
     controller: str | Build | None
     mapper: str | Build | None
     classifier: str | Build | None
+    watch: str | Build | None
 
 
 Progress = bool | Callable[[float, str, str], None]
@@ -108,12 +109,13 @@ def fly(
     """Flies the survey alone and returns its result.
 
     ``scene`` is the name of a scene, the path of an MJCF file, or a configuration; the other
-    arguments change it. ``estimator``, ``selector``, ``lander``, ``controller``, ``mapper`` and
-    ``classifier`` are names, or functions ``build(params, rig)`` that make the part. With ``out``
-    the run directory appears there, and replaces an earlier one of the same configuration; without
-    it nothing is written. ``{"record": False}`` in ``overrides`` leaves out the recording. ``live``
-    is the address of a Rerun viewer that shows the flight while it goes on, such as
-    ``rerun+http://127.0.0.1:9876/proxy``. Raises UsageError for bad input before the flight.
+    arguments change it. ``estimator``, ``selector``, ``lander``, ``controller``, ``mapper``,
+    ``classifier`` and ``watch`` are names, or functions ``build(params, rig)`` that make the part.
+    With ``out`` the run directory appears there, and replaces an earlier one of the same
+    configuration; without it nothing is written. ``{"record": False}`` in ``overrides`` leaves out
+    the recording. ``live`` is the address of a Rerun viewer that shows the flight while it goes on,
+    such as ``rerun+http://127.0.0.1:9876/proxy``. Raises UsageError for bad input before the
+    flight.
     """
     slots = _names(estimator=estimator, **parts)
     config = _flight_config(scene, seed, overrides, survey_only=True, **slots)

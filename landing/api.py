@@ -20,6 +20,12 @@ from touchdown.landing.parameters import SemanticMapParams as SemanticMapParams
 from touchdown.landing.parameters import SurveyParams as SurveyParams
 from touchdown.landing.parameters import TermName as TermName
 from touchdown.landing.parameters import Zou2024SelectorParams as Zou2024SelectorParams
+from touchdown.landing.watching import Finding as Finding
+from touchdown.landing.watching import Verdict as Verdict
+from touchdown.landing.watching import Watch as Watch
+from touchdown.landing.watching import WatchInput as WatchInput
+from touchdown.landing.watching import WatchReport as WatchReport
+from touchdown.landing.watching import WatchRig as WatchRig
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig, VehicleModel
 from touchdown.sim.typing import Array
 
@@ -304,6 +310,8 @@ class LanderView:
     """messages of this control step, for the result"""
     decisions: tuple[Decision, ...] = ()
     """all so far, in the order of time"""
+    watch: WatchReport | None = None
+    """what the watch says in this control step; None where it does not look"""
     slowed_s: float = 0.0
     """time by which wind has made trajectories longer than they were set, so far"""
 
@@ -364,6 +372,8 @@ class LanderRig:
     """the flight's selector, shipped or external"""
     classifier: GroundClassifier | None
     """the flight's ground classifier; None without one"""
+    watch: Watch | None = None
+    """the flight's watch; None where it is off"""
 
 
 class Lander(Protocol):

@@ -196,6 +196,9 @@ class LandingParams:
 
     lander: str = "site"
     """what flies the mission: ``site``, or MODULE:FUNCTION of an external lander"""
+    watch: str = "standard"
+    """what watches the landing place during the descent: ``standard``, ``off``, or MODULE:FUNCTION
+    of an external watch"""
     selector: str = "risk"
     """what chooses the site: ``risk`` (``landing.risk``), ``zou2024`` (``landing.zou2024``), or
     MODULE:FUNCTION of an external selector"""

@@ -72,6 +72,7 @@ _flight_options = many(
     _part("controller", "Setpoints to rotor speeds: cascade, px4, or MODULE:FUNCTION.  [cascade]"),
     _part("mapper", "What makes the map: grid, or MODULE:FUNCTION.  [grid]"),
     _part("classifier", "Class of ground: auto, off, a file, or MODULE:FUNCTION.  [auto]"),
+    _part("watch", "Watches the landing place: standard, off, or MODULE:FUNCTION.  [standard]"),
     click.option("--px4", metavar="PATH", help="PX4's SITL build.  [TOUCHDOWN_PX4]"),
     click.option("--px4-port", type=int, help="Port on which PX4 finds its simulator.  [4560]"),
     click.option("--px4-connect", is_flag=True, default=None, help="Wait for a PX4 that runs."),
@@ -112,7 +113,7 @@ _flight_options = many(
 
 _CONFIG_OPTIONS = (
     "seed", "profile", "preset", "light", "wind_kmh", "record", "calibration", "log_sensors",
-    "as_is", "classes", "selector", "lander", "controller", "mapper", "classifier",
+    "as_is", "classes", "selector", "lander", "controller", "mapper", "classifier", "watch",
     "px4", "px4_port", "px4_connect", "px4_aid",
 )  # fmt: skip
 """The options of `experiments.config.loading.load_config` that say how the sensors' data come

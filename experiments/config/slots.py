@@ -44,6 +44,7 @@ SLOTS: Mapping[str, Slot] = {
         Slot("lander", "landing.lander", "site", ("site",)),
         Slot("controller", "control.controller", "cascade", ("cascade", PX4)),
         Slot("mapper", "mapper.mapper", "grid", ("grid",)),
+        Slot("watch", "landing.watch", "standard", ("standard", "off")),
         Slot("classifier", "landing.classifier", "auto", ("auto", "off"), takes_file=True),
     )
 }
@@ -76,8 +77,11 @@ def external_parts(config: Config) -> Iterator[tuple[str, str]]:
 
 def other_parts(config: Config) -> dict[str, str]:
     """Names by kind of the parts beside the estimator that fly and are not those by default. A
-    survey alone has neither selector nor classifier."""
-    idle = {"estimator", *(("selector", "classifier") if config.landing.survey_only else ())}
+    survey alone has neither selector, classifier nor watch."""
+    idle = {
+        "estimator",
+        *(("selector", "classifier", "watch") if config.landing.survey_only else ()),
+    }
     names = {kind: part_of(config, kind) for kind in SLOTS if kind not in idle}
     return {kind: name for kind, name in names.items() if name != SLOTS[kind].default}
 

@@ -15,6 +15,7 @@ from touchdown.estimator.api import HEIGHT_BINS, Estimate, GridMap, MapView, Pos
 from touchdown.experiments.errors import nearest
 from touchdown.experiments.external.loading import describe_error
 from touchdown.landing.api import (
+    Finding,
     GroundPrediction,
     LanderView,
     Phase,
@@ -22,6 +23,8 @@ from touchdown.landing.api import (
     ScoreTerm,
     Site,
     TermLayer,
+    Verdict,
+    WatchReport,
 )
 from touchdown.sim.api import Command, SensorNeeds
 
@@ -74,7 +77,9 @@ class DefectError(Exception):
 def wrong_part(kind: str, part: Any, rig: Any) -> str:
     """What is wrong with a built object before its first call; "" where nothing is."""
     methods = [method for of, method in _ANSWERS if of == kind]
-    reason = "" if kind not in ("estimator", "mapper", "lander") else _wrong_needs(part, rig)
+    reason = (
+        "" if kind not in ("estimator", "mapper", "lander", "watch") else _wrong_needs(part, rig)
+    )
     if kind == "classifier":
         reason = _wrong_limits(part)
     return _lacks(part, methods) or reason
@@ -267,6 +272,23 @@ def _check_view(view: LanderView, _rig: Any, _arguments: Any) -> None:
         raise DefectError("answers", f"a view whose phase is {view.phase!r}, no Phase")
 
 
+def _check_report(report: WatchReport, _rig: Any, _arguments: Any) -> None:
+    who = "a WatchReport whose "
+    if not isinstance(report.verdict, Verdict):
+        raise DefectError("answers", f"{who}verdict is {report.verdict!r}, no Verdict")
+    if not isinstance(report.reason, str) or (report.verdict is not Verdict.GO) > bool(
+        report.reason
+    ):
+        raise DefectError("answers", f"{who}verdict '{report.verdict}' has no reason")
+    if report.verdict is Verdict.MOVE or report.aside_odom is not None:
+        _check_array(f"{who}aside_odom", report.aside_odom, (2,))
+    for finding in report.findings:
+        if not isinstance(finding, Finding):
+            raise DefectError("answers", f"{who}findings are no tuple of Finding")
+        _check_array(f"{who}findings' position_odom", finding.position_odom, (3,))
+        _check_array(f"{who}findings' velocity_odom", finding.velocity_odom, (2,))
+
+
 _Check = Callable[[Any, Any, Any], None]
 _ANSWERS: Mapping[tuple[str, str], tuple[type, _Check]] = {
     ("estimator", "update"): (Estimate, _check_estimate),
@@ -275,6 +297,7 @@ _ANSWERS: Mapping[tuple[str, str], tuple[type, _Check]] = {
     ("lander", "view"): (LanderView, _check_view),
     ("controller", "update"): (Command, _check_command),
     ("mapper", "update"): (MapView, _check_map),
+    ("watch", "look"): (WatchReport, _check_report),
     ("classifier", "classify"): (GroundPrediction, _check_prediction),
 }
 """By kind of part and method: the type of the answer, and what else is checked of it."""

@@ -23,6 +23,7 @@ RULES: Mapping[str, frozenset[str]] = {
     "lander": _COMMON | {"continuity", "mission", "touchdown"},
     "controller": _COMMON | {"steers", "limit", "stop"},
     "mapper": _COMMON | {"heights", "version"},
+    "watch": _COMMON | {"warns", "calm"},
     "classifier": _COMMON | {"probabilities", "batch", "images"},
 }
 """Names of the checked rules of each kind."""

@@ -4,6 +4,7 @@ world, and the checks of what it answers, by rule."""
 import dataclasses
 import functools
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -19,6 +20,7 @@ from touchdown.experiments.external.examination import (
     examine_as,
 )
 from touchdown.experiments.external.loading import Build
+from touchdown.experiments.external.synthetic_descent import Box, Descent
 from touchdown.experiments.external.synthetic_stream import (
     SyntheticStream,
     ground_height,
@@ -31,7 +33,7 @@ from touchdown.experiments.external.synthetic_world import (
     hovering,
     synthetic_map,
 )
-from touchdown.landing.api import Phase, RankedSites, SelectorInput
+from touchdown.landing.api import Phase, RankedSites, SelectorInput, Verdict
 from touchdown.landing.selection.offered import selection_of
 from touchdown.sim.api import GRAVITY_MPS2, Observation, SensorNeeds
 from touchdown.sim.typing import Array
@@ -242,8 +244,41 @@ def lander(part: Examined) -> Checked:
         yield "mission", f"within {_MISSION_S:g} s it never {lacks}: phases {told}"
 
 
+_APPEARS_S, _NOTICED_S = 1.5, 1.0
+"""when a box appears on the site, and the longest time until a watch must have noticed it"""
+
+
+def watch(part: Examined) -> Checked:
+    """Three seconds over level ground, with nothing on it, with a box that appears on the site, and
+    with few returns."""
+    sensors = part.rig.sensors
+
+    def first(descent: Descent, when: str, rule: str = "answers") -> float:
+        """The time at which it first interrupts the descent; inf where it does not."""
+        noticed = math.inf
+        for seen in descent.seen(sensors):
+            time_s = seen.obs.time_s
+            report = part.ask("look", seen, when=f"{when}, at {time_s:.3f} s,", rule=rule)
+            if report.verdict is not Verdict.GO:
+                noticed = min(noticed, time_s)
+        return noticed
+
+    if (at_s := first(Descent(), "over level ground")) < math.inf:
+        yield "calm", f"at {at_s:.2f} s it interrupts a descent to level ground with nothing on it"
+    box = Box(middle=(0.0, 0.0), from_s=_APPEARS_S)
+    late_s = first(Descent(boxes=(box,)), "with a box") - _APPEARS_S
+    part.figures["box"] = f"noticed after {late_s:.2f} s"
+    if not 0.0 <= late_s <= _NOTICED_S:
+        yield (
+            "warns",
+            f"a box of 0.5 m on the site is not noticed for {late_s:.1f} s",
+        )
+    first(Descent(returned=0.0), "without returns", "missing data")
+
+
 _EXAMINERS: Mapping[str, Examiner] = {
-    examiner.__name__: examiner for examiner in (selector, mapper, classifier, controller, lander)
+    examiner.__name__: examiner
+    for examiner in (selector, mapper, classifier, controller, lander, watch)
 }
 
 

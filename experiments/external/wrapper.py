@@ -31,6 +31,8 @@ from touchdown.landing.api import (
     RankedSites,
     Selection,
     SelectorInput,
+    WatchInput,
+    WatchReport,
 )
 from touchdown.landing.selection.offered import selection_of
 from touchdown.sim.api import Command, Observation, SensorNeeds
@@ -42,6 +44,7 @@ LONGEST_CALL_S: Mapping[str, float] = {
     "controller": 0.005,
     "mapper": 0.02,
     "classifier": 1.0,
+    "watch": 0.005,
 }
 """Mean processor time of a call, in the thread that makes it, from which on a part is slow: a
 control step of 5 ms for what runs in each; a fifth of a scan's period for what gets most of its
@@ -307,6 +310,17 @@ class ExternalLander(_Slot):
         return view
 
 
+class ExternalWatch(_Slot):
+    """Asks a watch for its verdict."""
+
+    kind = "watch"
+
+    def look(self, seen: WatchInput) -> WatchReport:
+        """The report, checked."""
+        report: WatchReport = own(self.part.ask("look", seen))
+        return report
+
+
 PARTS: Mapping[str, type[_Slot]] = {
     slot.kind: slot
     for slot in (
@@ -316,6 +330,7 @@ PARTS: Mapping[str, type[_Slot]] = {
         ExternalController,
         ExternalMapper,
         ExternalClassifier,
+        ExternalWatch,
     )
 }
 """by slot"""

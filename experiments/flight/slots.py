@@ -17,6 +17,8 @@ from touchdown.landing.api import (
     Selection,
     SelectorInput,
     SelectorRig,
+    Watch,
+    WatchRig,
 )
 from touchdown.landing.selection.selector import select_sites
 from touchdown.scenes.api import LAND_CLASSES
@@ -31,6 +33,7 @@ def lander_rig(
     sensors: SensorRig,
     select: Callable[[SelectorInput], Selection] | None,
     classifier: GroundClassifier | None,
+    watch: Watch | None,
 ) -> LanderRig:
     """The rig of a lander; without ``select`` with the shipped selector."""
     shipped = partial(select_sites, rig=RIGS["selector"](config, sensors))
@@ -40,6 +43,7 @@ def lander_rig(
         survey=config.survey,
         select=select or shipped,
         classifier=classifier,
+        watch=watch,
     )
 
 
@@ -55,7 +59,8 @@ RIGS: Mapping[str, Callable[[Config, SensorRig], Any]] = {
         classes=LAND_CLASSES, patch_m=config.landing.classifier_patch_m, landing=config.landing
     ),
     "mapper": lambda config, sensors: MapperRig(sensors=sensors, mapper=config.mapper),
-    "lander": lambda config, sensors: lander_rig(config, sensors, None, None),
+    "lander": lambda config, sensors: lander_rig(config, sensors, None, None, None),
+    "watch": lambda config, sensors: WatchRig(sensors=sensors, landing=config.landing),
 }
 """What a part of each kind is built with, from the configuration and the rig as the estimator knows
 it."""
@@ -63,11 +68,12 @@ it."""
 
 def external_name(config: Config, kind: str) -> str | None:
     """MODULE:FUNCTION that fills a slot; None where a shipped part does, or where the part would
-    have nothing to do: selector and classifier in a survey alone, a classifier without the gate
-    ``class``, a mapper where no map is wanted."""
+    have nothing to do: selector, classifier and watch in a survey alone, a classifier without the
+    gate ``class``, a mapper where no map is wanted."""
     landing = config.landing
     idle = {
         "selector": landing.survey_only,
+        "watch": landing.survey_only,
         "classifier": landing.survey_only or "class" not in landing.chosen_selector.gates,
         "mapper": not config.mapper.enabled,
     }

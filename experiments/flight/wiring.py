@@ -22,7 +22,7 @@ from touchdown.experiments.flight.slots import (
     external_part,
     lander_rig,
 )
-from touchdown.landing.api import Lander
+from touchdown.landing.api import Lander, Watch, WatchRig
 from touchdown.scenes.api import ImportOptions, LowSun, Scene, names_function
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import Observation, SensorRig, Truth, World, WorldParams
@@ -113,10 +113,11 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         controller = external_part(config, "controller", rig)
         own_classifier = external_part(config, "classifier", rig)
         own_mapper = external_part(config, "mapper", rig)
-        classifier = own_classifier or network
+        own_watch = external_part(config, "watch", rig)
+        classifier, watch = own_classifier or network, own_watch or _watch(config, rig)
         select = None if selector is None else selector.select
         own_lander = external_part(
-            config, "lander", rig, lander_rig(config, rig, select, classifier)
+            config, "lander", rig, lander_rig(config, rig, select, classifier, watch)
         )
         autopilot = _autopilot(config, rig)
     except ValueError:
@@ -125,7 +126,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     estimator = _biased(own_estimator, config)
     mapper = own_mapper or _mapper(config, rig)
     lander: Lander = own_lander or SiteLander(
-        rig, config.landing, config.survey, classifier, select
+        rig, config.landing, config.survey, classifier, select, watch
     )
     needs = estimator.needs
     if autopilot is not None:
@@ -133,6 +134,8 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         needs = needs | autopilot.needs
     if config.mapper.enabled:
         needs = needs | mapper.needs | lander.needs
+        if own_watch is not None:
+            needs = needs | own_watch.needs
     world.require(needs)
     return FlightStack(
         scene=scene,
@@ -145,7 +148,13 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         nominal_rig=rig,
         network=None if classifier is None else classifier.description(),
         external=external_of(
-            own_estimator, selector, controller, own_classifier, own_mapper, own_lander
+            own_estimator,
+            selector,
+            controller,
+            own_classifier,
+            own_mapper,
+            own_lander,
+            own_watch,
         ),
         autopilot=autopilot,
     )
@@ -208,6 +217,15 @@ def _mapper(config: Config, rig: SensorRig) -> Mapper:
 
     grid = GridMapper(rig, config.mapper)
     return grid if config.mapper.enabled else NoMap(grid)
+
+
+def _watch(config: Config, rig: SensorRig) -> Watch | None:
+    """The shipped watch; None where it is off or has nothing to do."""
+    if config.landing.watch == "off" or config.landing.survey_only:
+        return None
+    from touchdown.landing.watch.standard import StandardWatch
+
+    return StandardWatch(WatchRig(sensors=rig, landing=config.landing))
 
 
 def world_params(config: Config) -> WorldParams:

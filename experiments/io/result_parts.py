@@ -181,6 +181,7 @@ class PartNames(Part):
     controller: str | None = None
     mapper: str | None = None
     classifier: str | None = None
+    watch: str | None = None
 
 
 class Measured(Part):

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.landing.api import GroundClassifier, LanderView, LandingParams, Phase, SurveyParams
+from touchdown.landing.api import (
+    GroundClassifier,
+    LanderView,
+    LandingParams,
+    Phase,
+    SurveyParams,
+    Watch,
+)
 from touchdown.landing.classification.site_check import SiteClassCheck
-from touchdown.landing.mission.mission import Mission, Select, Steps
+from touchdown.landing.mission.mission import Mission, Select, SiteGivenUpError, Steps
 from touchdown.landing.mission.phases import abort, run_phases
 from touchdown.landing.mission.rules import Action, Moment
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
@@ -27,9 +34,10 @@ class SiteLander:
         survey: SurveyParams,
         classifier: GroundClassifier | None = None,
         select: Select | None = None,
+        watch: Watch | None = None,
     ) -> None:
         class_check = None if classifier is None else SiteClassCheck(classifier, rig, params)
-        self._mission = Mission(rig, params, survey, class_check, select)
+        self._mission = Mission(rig, params, survey, class_check, select, watch)
         self._steps: Steps = run_phases(self._mission)
 
     @property
@@ -44,7 +52,13 @@ class SiteLander:
         ruling = mission.ask(Moment.STEP)
         if ruling is not None and ruling.action is Action.HOLD:
             return mission.hold()
+        if ruling is not None and ruling.action is Action.GIVE_WAY:
+            try:
+                return mission.give_way()
+            except SiteGivenUpError as given_up:
+                return self._steps.throw(given_up)
         if ruling is not None and ruling.action is Action.LAND_IN_PLACE:
+            mission.end_lift()
             self._steps = abort(mission)
         return next(self._steps)
 
@@ -69,4 +83,5 @@ class SiteLander:
             events=state.events,
             slowed_s=state.slowed_s,
             decisions=state.decisions,
+            watch=mission.view.watch,
         )

@@ -18,9 +18,13 @@ from touchdown.landing.api import (
     SelectorInput,
     SelectorRig,
     SurveyParams,
+    Verdict,
+    Watch,
+    WatchReport,
 )
 from touchdown.landing.classification.site_check import SiteClassCheck
-from touchdown.landing.mission.rules import Moment, Ruling, first_ruling
+from touchdown.landing.mission.lookout import Lookout
+from touchdown.landing.mission.rules import Moment, Ruling, first_ruling, is_in_the_way
 from touchdown.landing.mission.state import MissionState
 from touchdown.landing.mission.time_scaling import TimeScaling, scaled
 from touchdown.landing.mission.trajectory import HeadingTurn, PiecewiseTrajectory
@@ -39,6 +43,11 @@ Select = Callable[[SelectorInput], Selection]
 _REPORTED_RATE = 0.9
 """rate of the reference's clock below which a leg is said to be slowed"""
 _LEARN_PERIOD_S = 0.1
+_GIVE_UP_S = 20.0
+"""time for which something may be in the way before the site is given up"""
+_LIFT_ACCEL_MPS2 = 1.0
+_LEVEL_M = 0.02
+"""height above the place of the interruption from which the descent goes on"""
 _FEEL_ABOVE_M = 3.0
 """height from which on the felt wind has settled after the take-off"""
 _GUSTS_ALOFT = 0.25
@@ -54,6 +63,10 @@ class LegBlockedError(Exception):
         self.action = ruling.action
 
 
+class SiteGivenUpError(Exception):
+    """The watch has seen something in the way for too long. The reference has stopped."""
+
+
 class Mission:
     """A landing mission. Phases read ``view`` and ``state``, change ``state`` by its methods, and
     move the reference."""
@@ -67,6 +80,7 @@ class Mission:
         survey: SurveyParams,
         class_check: SiteClassCheck | None = None,
         select: Select | None = None,
+        watch: Watch | None = None,
     ) -> None:
         self.rig = rig
         self.params = params
@@ -77,6 +91,11 @@ class Mission:
         self.class_check = class_check
         """ground classification; None where it is off"""
         self.state = MissionState(survey)
+        self.lookout = None if watch is None else Lookout(watch, params, rig.vehicle.leg_height_m)
+        """asks the watch; None where it is off"""
+        self.may_refuse = False
+        """whether the present site may be given up for another"""
+        self._lift_speed = 0.0
         start = rig.world_from_body_start
         self.start_world: Array = start.translation.copy()
         self.start_yaw = yaw_from_rotation(start.rotation)
@@ -121,7 +140,13 @@ class Mission:
             wind_mps=self.wind.speed_mps,
             felt_wind_odom=self.felt_wind.wind_odom,
             load_aloft=self._load_aloft(),
+            watch=None if self.lookout is None else self._look(obs, estimate, map_view),
         )
+
+    def _look(self, obs: Observation, estimate: Estimate, map_view: MapView) -> WatchReport | None:
+        assert self.lookout is not None
+        start = estimate.world_from_odom.inverse().apply(self.start_world)
+        return self.lookout.look(self.state, start, obs, estimate, map_view)
 
     def _feel_wind(self, obs: Observation, estimate: Estimate) -> None:
         self.felt_wind.update(obs, estimate)
@@ -216,6 +241,39 @@ class Mission:
         self._held_s += self._time_s - self._last_s
         self.view = dataclasses.replace(self.view, now_s=self._time_s - self._held_s)
         return self.setpoint(self.reference_world, in_world=True)
+
+    def give_way(self) -> Setpoint:
+        """As `hold`; climbs to ``look_height_m`` while the watch wants to see more, and sinks back
+        where nothing is in the way any more. Raises SiteGivenUpError where it has taken too long
+        and the site may be refused."""
+        state, params, step = self.state, self.params, self._time_s - self._last_s
+        blocked = is_in_the_way(self.view, state)
+        if state.gave_way_s > _GIVE_UP_S and blocked and self.may_refuse:
+            self.end_lift()
+            raise SiteGivenUpError(self.view.watch.reason if self.view.watch else "")
+        lift, wanted = state.lift_m, 0.0
+        if not blocked:
+            wanted = -min(params.descent_speed_mps, math.sqrt(2.0 * _LIFT_ACCEL_MPS2 * lift))
+        elif self.view.watch is not None and self.view.watch.verdict is Verdict.CLIMB:
+            assert state.site_odom is not None
+            top = state.site_odom[2] + params.look_height_m + self.leg_height
+            room = max(top - float(self.reference_odom[2]), 0.0)
+            wanted = min(params.climb_speed_mps, math.sqrt(2.0 * _LIFT_ACCEL_MPS2 * room))
+        most = _LIFT_ACCEL_MPS2 * step
+        self._lift_speed += min(max(wanted - self._lift_speed, -most), most)
+        lifted = max(lift + step * self._lift_speed, 0.0)
+        if lifted < _LEVEL_M and not blocked:
+            lifted = self._lift_speed = 0.0
+        self.reference_world = self.reference_world + [0.0, 0.0, lifted - lift]
+        state.give_way(step if blocked else 0.0, lifted)
+        setpoint = self.hold()
+        up = np.array([0.0, 0.0, self._lift_speed])
+        return dataclasses.replace(setpoint, velocity_odom=up)
+
+    def end_lift(self) -> None:
+        """Takes the reference as it is, wherever the descent was interrupted."""
+        self._lift_speed = 0.0
+        self.state.give_way(0.0, 0.0)
 
     def follow(
         self,

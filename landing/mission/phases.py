@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 
 import numpy as np
 
+from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Phase
 from touchdown.landing.mission.choice import choose_commanded, choose_sites, decided
 from touchdown.landing.mission.descent import descend_to, final_descent
-from touchdown.landing.mission.mission import LegBlockedError, Mission, RuledSteps, Steps
+from touchdown.landing.mission.mission import (
+    LegBlockedError,
+    Mission,
+    RuledSteps,
+    SiteGivenUpError,
+    Steps,
+)
 from touchdown.landing.mission.rules import Action, Moment
 from touchdown.landing.mission.site_recheck import ground_under
 from touchdown.landing.mission.terrain_following import Lift, LiftedTrajectory
@@ -111,16 +118,30 @@ def land_somewhere(mission: Mission) -> RuledSteps:
         no_site = yield from select(mission)
         if no_site is not None:
             return no_site
-        yield from approach(mission)
-        refusal = yield from descend_to(mission)
-        if refusal is None:
-            yield from final_descent(mission)
+        reason = yield from _land_at_site(mission)
+        if reason is None:
             return None
-        mission.state.refuse(refusal.reason)
+        mission.state.refuse(reason)
         ruling = mission.ask(Moment.REFUSED)
         if ruling is None or ruling.action is not Action.GO_AROUND:
             return ruling
         yield from climb_back(mission)
+
+
+def _land_at_site(mission: Mission) -> Generator[Setpoint, None, str | None]:
+    """Returns the reason why the site is refused; None after a landing."""
+    try:
+        mission.may_refuse = mission.state.deadline_s is None
+        yield from approach(mission)
+        refusal = yield from descend_to(mission)
+        if refusal is not None:
+            return refusal.reason
+        yield from final_descent(mission)
+    except SiteGivenUpError as given_up:
+        return str(given_up)
+    finally:
+        mission.may_refuse = False
+    return None
 
 
 def select(mission: Mission) -> RuledSteps:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from touchdown.landing.api import Phase
+from touchdown.landing.api import Phase, Verdict
 from touchdown.landing.mission import energy
 from touchdown.landing.mission.state import MissionState, Outcome
 from touchdown.landing.mission.view import MissionView
@@ -21,6 +21,10 @@ _IN_THE_AIR = frozenset(
 )
 _MAX_STOP_S = 40.0
 """time for which a reference waits for a weaker wind"""
+_PATIENCE_S, _HURRIED_S = 60.0, 5.0
+"""time for which a descent that has no other site waits, and in an emergency"""
+_RESERVE_S = 30.0
+"""flight time of the battery that is left for the descent"""
 
 
 class Moment(StrEnum):
@@ -39,6 +43,7 @@ class Action(StrEnum):
     """What follows from a rule."""
 
     HOLD = "hold the position"
+    GIVE_WAY = "wait, climb or refuse the site"
     LAND_IN_PLACE = "land in place"
     LOWER_SURVEY = "lower the survey"
     END_SURVEY = "end the survey"
@@ -92,6 +97,25 @@ def estimate_unhealthy(view: MissionView, state: MissionState) -> str | None:
     if not _interruptible(state) or view.unhealthy_s < view.params.unhealthy_hold_s:
         return None
     return "the position estimate is unhealthy: holding the position"
+
+
+def site_not_clear(view: MissionView, state: MissionState) -> str | None:
+    """Decides while the watch sees something in the way, and until the descent is back where it was
+    interrupted. Without another site it has an end."""
+    if is_in_the_way(view, state):
+        assert view.watch is not None
+        return f"{view.watch.reason}: giving way"
+    return "nothing is in the way: sinking back" if state.lift_m > 0.0 else None
+
+
+def is_in_the_way(view: MissionView, state: MissionState) -> bool:
+    """True while the descent is to be interrupted."""
+    watch, patience = view.watch, _PATIENCE_S if state.deadline_s is None else _HURRIED_S
+    descends = watch is not None and state.phase in (Phase.DESCEND, Phase.RETURN)
+    if not descends or state.gave_way_s > patience or view.time_left_s < _RESERVE_S:
+        return False
+    assert watch is not None
+    return watch.verdict is not Verdict.GO
 
 
 def wind_aloft(view: MissionView, state: MissionState) -> str | None:
@@ -205,6 +229,7 @@ def no_go_around_left(view: MissionView, state: MissionState) -> str | None:
 RULES: tuple[Rule, ...] = (
     Rule(Moment.STEP, estimate_lost, Action.LAND_IN_PLACE, "aborted"),
     Rule(Moment.STEP, estimate_unhealthy, Action.HOLD),
+    Rule(Moment.STEP, site_not_clear, Action.GIVE_WAY),
     Rule(Moment.CLIMB, wind_aloft, Action.LOWER_SURVEY),
     Rule(Moment.LEG, survey_blocked, Action.END_SURVEY),
     Rule(Moment.LEG, leg_blocked, Action.LAND_IN_PLACE, "aborted"),

@@ -29,7 +29,11 @@ class MissionState:
         self.deadline_s: float | None = None
         """time of the mission by which an emergency ends on the ground"""
         self.final = False
-        """True in the final descent, which nothing interrupts"""
+        """True in the final descent, which nothing but the watch interrupts"""
+        self.gave_way_s = 0.0
+        """time for which something was in the way at the present site"""
+        self.lift_m = 0.0
+        """height above the place where the watch has interrupted the descent"""
         self.decisions: tuple[Decision, ...] = ()
         self.costmap: CostmapView | None = None
         self.site_odom: Array | None = None
@@ -116,6 +120,7 @@ class MissionState:
     def refuse(self, reason: str) -> None:
         """Gives up the site, for good; its decision says why."""
         assert self.site_odom is not None
+        self.final, self.committed_site_world, self.gave_way_s = False, None, 0.0
         self.refused_odom += (self.site_odom,)
         self.site_odom = self.site_class = None
         self.search_legs = 0
@@ -130,8 +135,13 @@ class MissionState:
         """Fixes the site (3,) that the touchdown is measured against."""
         self.committed_site_world = site_world
 
+    def give_way(self, step_s: float, lift_m: float) -> None:
+        """Notes a control step in which the descent is interrupted, and the climb so far."""
+        self.gave_way_s += step_s
+        self.lift_m = lift_m
+
     def descend_for_good(self) -> None:
-        """Begins a descent that nothing interrupts."""
+        """Begins a descent that nothing but the watch interrupts."""
         self.phase, self.final = Phase.DESCEND, True
 
     def follow_clock(self, late_s: float, stopped_s: float) -> None:

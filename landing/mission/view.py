@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.estimator.api import Estimate, MapView
-from touchdown.landing.api import LandingParams
+from touchdown.landing.api import LandingParams, WatchReport
 from touchdown.sim.api import Observation
 from touchdown.sim.typing import Array
 
@@ -36,6 +36,9 @@ class MissionView:
     load_aloft: float
     """thrust and tilt that a hover at survey height would need over what is allowed; 0 where it is
     unknown or the climb has ended"""
+
+    watch: WatchReport | None = None
+    """what the watch says; None where it does not look"""
 
     @property
     def ground_world(self) -> float:

@@ -10,7 +10,7 @@ from touchdown.experiments.flight.run import fly
 ROOT = Path(__file__).parents[2]
 EXAMPLES = {
     "selector": "flat_disc", "lander": "straight_in", "controller": "lqr", "mapper": "plain_map",
-    "classifier": "colours",
+    "classifier": "colours", "watch": "bare_ground",
 }  # fmt: skip
 
 

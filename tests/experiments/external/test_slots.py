@@ -23,6 +23,7 @@ from touchdown.experiments.external.examine import (
     true_estimate,
 )
 from touchdown.experiments.external.loading import external_builder
+from touchdown.experiments.external.synthetic_descent import Box, Descent
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.experiments.external.synthetic_world import (
     FollowedSetpoints,
@@ -36,6 +37,7 @@ from touchdown.experiments.external.wrapper import (
     ExternalLander,
     ExternalMapper,
     ExternalSelector,
+    ExternalWatch,
 )
 from touchdown.experiments.flight.replay import replay_config
 from touchdown.experiments.flight.slots import RIGS
@@ -54,7 +56,7 @@ LAWN = """<mujoco><worldbody>
 </worldbody></mujoco>"""
 EXAMPLES = {
     "selector": "flat_disc", "lander": "straight_in", "controller": "lqr", "mapper": "plain_map",
-    "classifier": "colours",
+    "classifier": "colours", "watch": "bare_ground",
 }  # fmt: skip
 """Modules of `examples/` by kind."""
 LOW = (
@@ -236,6 +238,14 @@ BROKEN: list[tuple[str, str, str, str, str]] = [
      "images", "the same probabilities"),
     ("classifier", "means = images", "assert images.max()\n        means = images",
      "missing data", "AssertionError"),
+    ("watch", "def look", "def see", "builds", "has no method look"),
+    ("watch", "needs = SensorNeeds(lidar=True)", "needs = None", "builds", "no SensorNeeds"),
+    ("watch", "return self.report", "return self.report.verdict", "answers", "not WatchReport"),
+    ("watch", 'reason=f"{tall} returns above the ground"', 'reason=""', "answers", "no reason"),
+    ("watch", "if tall <= self.returns:", "if True:", "warns", "is not noticed"),
+    ("watch", "if tall <= self.returns:", "if False:", "calm", "with nothing on it"),
+    ("watch", "near = points[", "1 / len(points)\n        near = points[",
+     "missing data", "ZeroDiv"),
     ("controller", ASK, ASK + "1 / float(estimate.healthy)\n        ", "missing data", "ZeroDivi"),
 ]  # fmt: skip
 
@@ -272,6 +282,10 @@ def asked(kind: str, name: str) -> Any:
     if kind == "lander":
         lander = ExternalLander(name, params, rig)
         return lander.update(*FollowedSetpoints(rig.sensors).seen()), lander.view()
+    if kind == "watch":
+        box = Box(middle=(0.0, 0.0), from_s=1.0)
+        watch, descent = ExternalWatch(name, params, rig), Descent(boxes=(box,))
+        return [watch.look(seen) for seen in descent.seen(rig.sensors)][-1]
     if kind == "mapper":
         mapper, stream = ExternalMapper(name, params, rig), SyntheticStream(
             rig.sensors, SensorNeeds(lidar=True), 0.4)  # fmt: skip

@@ -1,0 +1,201 @@
+"""The standard watch: is it safe to go on with the descent?"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from touchdown.estimator.api import GridMap
+from touchdown.landing.api import Finding, Verdict, WatchInput, WatchReport, WatchRig
+from touchdown.landing.watch.surface import CELL_M, CELLS, Layers, Surface
+from touchdown.landing.watch.tracks import Memory, Track, Tracks, things_in
+from touchdown.sim.api import LidarScan, SensorNeeds
+from touchdown.sim.frames import PoseHistory
+from touchdown.sim.typing import Array
+
+_POSES = 256
+_BREAK_S = 1.0
+"""time without a call after which all is forgotten"""
+_NEAR_M = 2.0
+"""distance to the site within which nothing may be that was not there when it was chosen"""
+_MOVER_M = 3.0
+"""distance to the site within which nothing that moves may be at the touchdown"""
+_LEGS_M = 0.6
+"""radius of what the vehicle touches the ground with"""
+_REACT_S, _BRAKE_MPS2 = 0.3, 2.0
+_AROUND_S, _AHEAD_S = 2.0, 8.0
+"""uncertainty of the time of the touchdown, and how far ahead a track is continued"""
+_SCANS = 2
+"""number of scans that have to agree"""
+_CLEAR_S = 1.0
+"""time for which nothing may be in the way before the descent goes on"""
+_LOOK_AFTER_S = 3.0
+"""time in the way after which it climbs to see more, from below ``landing.look_height_m``"""
+_SAME_M = 0.6
+"""horizontal distance up to which something is what the map has: its error and what crowns sway"""
+_HIGHER_M = 0.25
+"""height above the map from which something is new"""
+_BLIND_S = 1.0
+
+
+class StandardWatch:
+    """Looks at each scan for what stands, has appeared or moves near the landing place.
+
+    Implements ``landing.api.Watch``. All positions are relative to the vehicle over the last
+    seconds; the map as it was when the site was chosen tells what stood there before."""
+
+    needs = SensorNeeds(lidar=True)
+
+    def __init__(self, rig: WatchRig) -> None:
+        self._rig = rig
+        self._surface = Surface(rig.sensors.body_from_lidar)
+        self._memory, self._tracks = Memory(), Tracks()
+        self._poses = PoseHistory(_POSES)
+        self._called_s = self._seen_s = self._first_s = -np.inf
+        self._blocked_s = self._since_s = -np.inf
+        self._report = WatchReport()
+
+    def look(self, seen: WatchInput) -> WatchReport:
+        """Returns the verdict; it changes with scans alone."""
+        now = seen.obs.time_s
+        if now - self._called_s > _BREAK_S:
+            self._begin(now)
+        self._called_s = now
+        self._poses.add(now, seen.estimate.odom_from_body)
+        for scan in seen.obs.scans:
+            self._look_at(scan, seen)
+        if now - max(self._seen_s, self._first_s) > _BLIND_S:
+            self._report = WatchReport(reason="no scan shows the ground: it is not watched")
+        return self._report
+
+    def _begin(self, now: float) -> None:
+        self._surface.clear()
+        self._memory.clear()
+        self._tracks.clear()
+        self._poses = PoseHistory(_POSES)
+        self._first_s = now
+        self._seen_s = self._blocked_s = self._since_s = -np.inf
+        self._report = WatchReport()
+
+    def _look_at(self, scan: LidarScan, seen: WatchInput) -> None:
+        layers = self._surface.add(scan, self._poses)
+        if layers is None:
+            return
+        now, corner = scan.end_time_s, self._surface.corner
+        self._memory.move(self._surface.shift)
+        body = seen.estimate.odom_from_body.translation
+        height = float(body[2]) - _ground_at(layers, corner, body)
+        if not np.isfinite(height):
+            return
+        self._seen_s = seen.obs.time_s
+        things = things_in(layers, corner, self._memory.was_free(now))
+        self._memory.add(now, layers)
+        tops = None if seen.known is None else _known_tops(seen.known, layers, corner)
+        for track in self._tracks.update(things, now, layers, corner):
+            track.new += _is_new(track, tops, seen.known)
+        findings = [self._finding(track, seen, now) for track in self._tracks.tracks]
+        self._judge(findings, seen, now, height)
+
+    def _finding(self, track: Track, seen: WatchInput, now: float) -> Finding:
+        thing, at = track.thing, track.at(now)
+        cells = thing.cells + (at - thing.middle)
+        distance = float(np.linalg.norm(cells - seen.site_odom[:2], axis=1).min()) - 0.5 * CELL_M
+        kind: Literal["moving", "new", "object", "known"] = "known"
+        if track.seen >= _SCANS:
+            if track.moves:
+                kind = "moving"
+            elif max(track.appeared, track.new) >= _SCANS:
+                kind = "new"
+            elif distance < _LEGS_M:
+                kind = "object"
+        return Finding(
+            kind=kind, position_odom=np.array([*at, thing.top]), velocity_odom=track.velocity,
+            height_m=thing.height_m, width_m=float(np.ptp(thing.cells, axis=0).max()) + CELL_M,
+            distance_m=max(distance, 0.0),
+        )  # fmt: skip
+
+    def _judge(self, findings: list[Finding], seen: WatchInput, now: float, height: float) -> None:
+        speed = float(np.linalg.norm(seen.estimate.velocity_odom[:2]))
+        near = _NEAR_M + speed * _REACT_S + 0.5 * speed**2 / _BRAKE_MPS2
+        reasons = [_reason(finding, seen, near) for finding in findings]
+        reason = next((text for text in reasons if text), "")
+        if reason:
+            if now - self._blocked_s > _CLEAR_S:
+                self._since_s = now
+            self._blocked_s = now
+        elif now - self._blocked_s < _CLEAR_S:
+            reason = self._report.reason
+        verdict = Verdict.WAIT if reason else Verdict.GO
+        low = height < self._rig.landing.look_height_m
+        if reason and now - self._since_s > _LOOK_AFTER_S and low:
+            verdict = Verdict.CLIMB
+        self._report = WatchReport(
+            verdict=verdict, reason=reason, findings=tuple(findings), height_m=height
+        )
+
+
+def _reason(finding: Finding, seen: WatchInput, near_m: float) -> str:
+    """Returns in words why a finding is in the way; empty where it is not."""
+    away, what = finding.distance_m, f"{finding.height_m:.1f} m high"
+    if finding.kind == "object":
+        return f"something {what} under the legs"
+    if finding.kind == "known":
+        return ""
+    if finding.kind == "new" or away < near_m:
+        text = "moves" if finding.kind == "moving" else f"new, {what},"
+        return f"something {text} {away:.1f} m from the site" if away < near_m else ""
+    if (left := seen.touchdown_s) > _AHEAD_S:
+        return ""
+    times = np.linspace(max(left - _AROUND_S, 0.0), left + _AROUND_S, 9)
+    ways = (finding.position_odom[:2] - seen.site_odom[:2]) + times[:, None] * finding.velocity_odom
+    closest = float(np.linalg.norm(ways, axis=1).min()) - 0.5 * finding.width_m
+    if closest >= _MOVER_M:
+        return ""
+    return f"something that moves {away:.1f} m away will be {max(closest, 0.0):.1f} m from the site"
+
+
+def _ground_at(layers: Layers, corner: Array, at: Array) -> float:
+    """Median height of the ground within a metre; NaN where it is not known."""
+    col, row = np.floor((at[:2] - corner) / CELL_M).astype(int)
+    reach = int(1.0 / CELL_M)
+    if not (reach <= row < CELLS - reach and reach <= col < CELLS - reach):
+        return float("nan")
+    patch = layers.ground[row - reach : row + reach + 1, col - reach : col + reach + 1]
+    known = patch[np.isfinite(patch)]
+    return float(np.median(known)) if known.size else float("nan")
+
+
+def _known_tops(known: GridMap, layers: Layers, corner: Array) -> Array | None:
+    """Returns the upper side of a map, (rows, cols) of its cells, each the highest around, at the
+    height at which the scan shows the ground; -inf where nothing was mapped."""
+    rows, cols = known.height_m.shape
+    x = known.origin_xy_m[0] + (np.arange(cols) + 0.5) * known.cell_m
+    y = known.origin_xy_m[1] + (np.arange(rows) + 0.5) * known.cell_m
+    col = np.floor((x - corner[0]) / CELL_M).astype(int)
+    row = np.floor((y - corner[1]) / CELL_M).astype(int)
+    ok_c, ok_r = (col >= 0) & (col < CELLS), (row >= 0) & (row < CELLS)
+    now = np.full((rows, cols), np.nan)
+    now[np.ix_(ok_r, ok_c)] = layers.ground[np.ix_(row[ok_r], col[ok_c])]
+    low = (known.max_height_m - known.min_height_m) < _HIGHER_M
+    both = np.isfinite(now) & np.isfinite(known.height_m) & low
+    lift = float(np.median(now[both] - known.height_m[both])) if both.sum() > 20 else 0.0
+    reach = round(_SAME_M / known.cell_m)
+    tops = np.nan_to_num(known.max_height_m, nan=-np.inf).astype(np.float32)
+    window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    widened = cv2.dilate(tops, window, borderType=cv2.BORDER_CONSTANT, borderValue=-np.inf)
+    return np.asarray(widened + lift, np.float64)
+
+
+def _is_new(track: Track, tops: Array | None, known: GridMap | None) -> bool:
+    """Whether most of a thing stands higher than what the map has there; what lies where nothing
+    was mapped is not called new."""
+    if tops is None or known is None:
+        return False
+    thing = track.thing
+    cols, rows = np.floor((thing.cells - known.origin_xy_m) / known.cell_m).astype(int).T
+    inside = (cols >= 0) & (rows >= 0) & (cols < tops.shape[1]) & (rows < tops.shape[0])
+    before = tops[rows[inside], cols[inside]]
+    higher = np.isfinite(before) & (thing.tops[inside] > before + _HIGHER_M)
+    return bool(higher.sum() > 0.5 * len(thing.cells))

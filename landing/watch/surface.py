@@ -1,0 +1,222 @@
+"""The surface below the vehicle: returns of the last scans on a grid that moves with it.
+
+Cells lie along the axes of odom and stay where they are for seconds: what an estimate drifts by in
+that time is less than a cell. Nothing is kept for longer.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from touchdown.sim.api import LidarScan
+from touchdown.sim.frames import Pose, PoseHistory
+from touchdown.sim.typing import Array, Float32
+
+CELL_M = 0.2
+CELLS = 90
+"""along a side: the swath of a 70 degree field of view from 12 m, and some way of the vehicle"""
+TALL_M = 0.25
+"""height above the ground from which a return is from something that stands on it: above grass,
+meadow and the roughness of what is landed on"""
+_TALL_SHARE = 0.6
+"""of a cell's returns: through plants and dust more of them come from the ground"""
+_FREE_M = 0.15
+_WIDEST_M = 2.2
+"""width up to which something stands on the ground rather than being it"""
+_RECENTRE_M = 1.0
+_KNOTS = 5
+"""poses along a scan"""
+_MEMORY_S = 2.0
+"""age at which the lowest returns of a cell are forgotten at first; twice that at last"""
+_PLANE_OFF_M = 0.3
+_LOWEST_M = 0.05
+"""by which noise takes the lowest of many returns below the ground"""
+_DRIFT_M = 0.04
+"""difference of the lowest returns of two scans beyond noise"""
+
+Mask = NDArray[np.bool_]
+
+
+class Layers(NamedTuple):
+    """What one scan shows, (CELLS, CELLS), row = y."""
+
+    tall: Mask
+    """something stands there"""
+    free: Mask
+    """ground without anything on it"""
+    returns: Float32
+    """number of them"""
+    ground: Float32
+    """z of the ground, odom frame; NaN where it is not known"""
+    high: Float32
+    """z of the highest return; -inf without one"""
+
+
+class Surface:
+    """Returns of the last scans about the vehicle."""
+
+    def __init__(self, body_from_lidar: Pose) -> None:
+        self._body_from_lidar = body_from_lidar
+        self._renewed_s = -np.inf
+        self._lows = np.full((2, CELLS, CELLS), np.inf, np.float32)
+        self.corner: Array = np.zeros(2)
+        """(2,) corner of the grid, odom frame, a multiple of the cell"""
+        self.shift = (0, 0)
+        """rows and columns by which the last scan has moved the grid"""
+
+    def clear(self) -> None:
+        """Forgets all."""
+        self._lows.fill(np.inf)
+        self._renewed_s = -np.inf
+
+    def add(self, scan: LidarScan, poses: PoseHistory) -> Layers | None:
+        """Returns what a scan shows; None where the poses of the body do not span it."""
+        knots = [
+            poses.at(time_s) for time_s in np.linspace(scan.start_time_s, scan.end_time_s, _KNOTS)
+        ]
+        if any(pose is None for pose in knots):
+            return None
+        mounted = [pose @ self._body_from_lidar for pose in knots if pose is not None]
+        middle = mounted[-1].translation[:2]
+        self._follow(middle)
+        if scan.end_time_s - self._renewed_s > _MEMORY_S:
+            self._renewed_s = scan.end_time_s
+            self._lows[1] = self._lows[0]
+            self._lows[0].fill(np.inf)
+        count = np.zeros((CELLS, CELLS), np.float32)
+        low = np.full((CELLS, CELLS), np.inf, np.float32)
+        high = np.full((CELLS, CELLS), -np.inf, np.float32)
+        cells, heights = binned(
+            scan.directions, scan.ranges, scan.time_offsets,
+            np.stack([pose.rotation for pose in mounted]),
+            np.stack([pose.translation for pose in mounted]) - [*self.corner, 0.0],
+            (scan.end_time_s - scan.start_time_s) / (_KNOTS - 1),
+            count, low, high,
+        )  # fmt: skip
+        self._keep(low)
+        ground = ground_below(np.minimum(self._lows[0], self._lows[1]))
+        flat = ground.ravel()[cells]
+        tall = np.bincount(cells[heights > flat + TALL_M], minlength=CELLS * CELLS)
+        share = tall.reshape(CELLS, CELLS) / np.maximum(count, 1.0)
+        stands = (share >= _TALL_SHARE) & (count >= 2.0)
+        free = (count > 0.0) & (high < ground + _FREE_M)
+        return Layers(stands, free, count, ground, high)
+
+    def _keep(self, low: Float32) -> None:
+        """Adds the lowest returns of a scan. The ones before move with the ground as it is now: the
+        height that an estimate gives may drift."""
+        before = np.minimum(self._lows[0], self._lows[1])
+        both = np.isfinite(low) & np.isfinite(before)
+        if both.any():
+            off = float(np.median(low[both] - before[both]))
+            if abs(off) > _DRIFT_M:
+                self._lows += np.float32(off)
+        self._lows[0] = np.minimum(self._lows[0], low)
+
+    def _follow(self, middle: Array) -> None:
+        """Moves the grid by whole cells where the vehicle has left its middle."""
+        centred = np.round((middle - 0.5 * CELLS * CELL_M) / CELL_M)
+        before = np.round(self.corner / CELL_M)
+        self.shift = (0, 0)
+        if np.max(np.abs(centred - before)) * CELL_M > _RECENTRE_M:
+            cols, rows = (before - centred).astype(int).tolist()
+            self.shift = rows, cols
+            self.corner = centred * CELL_M
+            self._lows = np.stack([shifted(low, self.shift, np.inf) for low in self._lows])
+
+
+def shifted(layer: NDArray, by: tuple[int, int], blank: float) -> NDArray:  # type: ignore[type-arg]
+    """Returns a layer moved by rows and columns, with ``blank`` in what comes in."""
+    moved = np.full_like(layer, blank)
+    rows, cols = layer.shape
+    (r, c), size = by, max(rows, cols)
+    if max(abs(r), abs(c)) < size:
+        moved[max(r, 0) : rows + min(r, 0), max(c, 0) : cols + min(c, 0)] = layer[
+            max(-r, 0) : rows + min(-r, 0), max(-c, 0) : cols + min(-c, 0)
+        ]
+    return moved
+
+
+def ground_below(lows: Float32) -> Float32:
+    """Returns the ground under the lowest returns (CELLS, CELLS), +inf where there are none: their
+    plane, and what of the rest is wider than ``_WIDEST_M``. NaN where nothing is near."""
+    known = np.isfinite(lows)
+    if known.sum() < 10:
+        return np.full_like(lows, np.nan)
+    plane = _plane(lows, known)
+    rest = np.where(known, lows - plane, np.float32(np.inf))
+    window = np.ones((1 + 2 * int(0.5 * _WIDEST_M / CELL_M),) * 2, np.uint8)
+    lowest = cv2.erode(rest, window, borderType=cv2.BORDER_CONSTANT, borderValue=np.inf)
+    lowest = np.where(known, lowest, np.float32(-np.inf))
+    opened = cv2.dilate(lowest, window, borderType=cv2.BORDER_CONSTANT, borderValue=-np.inf)
+    return np.where(np.isfinite(opened), plane + opened + _LOWEST_M, np.nan).astype(np.float32)
+
+
+def _plane(lows: Float32, known: Mask) -> Float32:
+    """Returns the plane (CELLS, CELLS) of most of the lowest returns, from below."""
+    rows, cols = np.nonzero(known)
+    z = lows[known].astype(np.float64)
+    design = np.column_stack([np.ones(z.size), cols, rows]).astype(np.float64)
+    solution = np.array([np.quantile(z, 0.3), 0.0, 0.0])
+    for limit in (4.0 * _PLANE_OFF_M, 2.0 * _PLANE_OFF_M, _PLANE_OFF_M):
+        near = np.abs(z - design @ solution) < limit
+        if near.sum() < 10:
+            break
+        kept = design[near]
+        normal = kept.T @ kept + 1e-6 * np.eye(3)
+        solution = np.linalg.solve(normal, kept.T @ z[near])
+    at = np.arange(CELLS)
+    plane = solution[0] + solution[1] * at[None, :] + solution[2] * at[:, None]
+    return plane.astype(np.float32)
+
+
+@njit(cache=True, error_model="numpy")
+def binned(
+    directions: Float32,
+    ranges: Float32,
+    times: Float32,
+    rotations: Array,
+    positions: Array,
+    step_s: float,
+    count: Float32,
+    low: Float32,
+    high: Float32,
+) -> tuple[NDArray[np.int64], Float32]:
+    """Adds the returns of a scan to the layers; returns the flat cells of those inside and their
+    heights. ``rotations`` (K, 3, 3), ``positions`` (K, 3): of the LIDAR every ``step_s`` seconds of
+    the scan, from the corner of the grid."""
+    cells = np.empty(ranges.shape[0], np.int64)
+    heights = np.empty(ranges.shape[0], np.float32)
+    point, inside, last = np.empty(3), 0, rotations.shape[0] - 2
+    for i in range(ranges.shape[0]):
+        r = ranges[i]
+        if not 0.0 < r < 60.0:
+            continue
+        at = times[i] / step_s
+        k = min(max(int(at), 0), last)
+        f = at - k
+        x, y, z = r * directions[i, 0], r * directions[i, 1], r * directions[i, 2]
+        for axis in range(3):
+            turn, then = rotations[k, axis], rotations[k + 1, axis]
+            point[axis] = (
+                (turn[0] + f * (then[0] - turn[0])) * x
+                + (turn[1] + f * (then[1] - turn[1])) * y
+                + (turn[2] + f * (then[2] - turn[2])) * z
+                + positions[k, axis] + f * (positions[k + 1, axis] - positions[k, axis])
+            )  # fmt: skip
+        col, row = int(np.floor(point[0] / CELL_M)), int(np.floor(point[1] / CELL_M))
+        if not (0 <= col < CELLS and 0 <= row < CELLS):
+            continue
+        height = np.float32(point[2])
+        count[row, col] += 1.0
+        low[row, col] = min(low[row, col], height)
+        high[row, col] = max(high[row, col], height)
+        cells[inside] = row * CELLS + col
+        heights[inside] = height
+        inside += 1
+    return cells[:inside], heights[:inside]

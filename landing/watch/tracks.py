@@ -1,0 +1,198 @@
+"""Things that stand on the ground: found in one scan, followed over the next."""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from touchdown.landing.watch.surface import CELL_M, Layers, Mask, shifted
+from touchdown.sim.typing import Array
+
+_MIN_CELLS, _MIN_RETURNS = 2, 6
+_MIN_HEIGHT_M, _MAX_HEIGHT_M = 0.3, 2.5
+"""what may walk or be put on a site: higher things are trees and houses"""
+_MAX_WIDTH_M = 6.0
+_AGO_S, _LONGEST_S = 0.55, 2.0
+"""age of scans that show what has stood somewhere before"""
+_KEPT = 20
+_GATE_M, _FASTEST_MPS = 0.5, 6.0
+"""distance to where a thing was expected, and speed of one seen for the first time"""
+_FORGET_S, _LOST_S = 4.0, 0.35
+"""time for which something is kept that is out of sight, and that should be seen"""
+_FIT_S, _FIT_SPAN_S, _FIT_SCANS = 1.2, 0.35, 4
+_MOVES_MPS, _MOVED_M = 0.35, 0.25
+
+
+class Thing(NamedTuple):
+    """What stands on the ground in one scan."""
+
+    middle: Array
+    """(2,) odom frame"""
+    cells: Array
+    """(n, 2) middles of its cells, odom frame"""
+    top: float
+    """z, odom frame"""
+    tops: Array
+    """(n,) the same of its cells"""
+    height_m: float
+    appeared: float
+    """fraction of its cells where the ground was free half a second and more before"""
+
+
+class Memory:
+    """What stood where in the scans before, on the grid of the last one."""
+
+    def __init__(self) -> None:
+        self._scans: deque[tuple[float, Mask, Mask]] = deque(maxlen=_KEPT)
+
+    def clear(self) -> None:
+        """Forgets all."""
+        self._scans.clear()
+
+    def move(self, by: tuple[int, int]) -> None:
+        """Follows the grid, by rows and columns."""
+        if by != (0, 0):
+            moved = [(t, shifted(a, by, False), shifted(b, by, False)) for t, a, b in self._scans]
+            self._scans.extend(moved)
+
+    def add(self, time_s: float, layers: Layers) -> None:
+        """Adds what a scan shows."""
+        self._scans.append((time_s, layers.tall, layers.free))
+
+    def was_free(self, time_s: float) -> Mask | None:
+        """Where the ground was free and nothing stood beside; None without a scan that old."""
+        old = [(t, f) for at, t, f in self._scans if _AGO_S <= time_s - at <= _LONGEST_S]
+        if not old:
+            return None
+        tall = np.logical_or.reduce([t for t, _ in old]).astype(np.uint8)
+        free: Mask = np.logical_or.reduce([f for _, f in old])
+        return free & (cv2.dilate(tall, np.ones((3, 3), np.uint8)) == 0)
+
+
+def things_in(layers: Layers, corner: Array, was_free: Mask | None) -> list[Thing]:
+    """Returns what stands on the ground. ``corner`` (2,): of the grid, odom frame."""
+    count, labels = cv2.connectedComponents(layers.tall.astype(np.uint8), connectivity=8)
+    rows, cols = np.nonzero(layers.tall)
+    owner = labels[rows, cols]
+    order = np.argsort(owner, kind="stable")
+    rows, cols, owner = rows[order], cols[order], owner[order]
+    bounds = np.searchsorted(owner, np.arange(1, count + 1))
+    found = []
+    for first, last in itertools.pairwise(bounds):
+        at = rows[first:last], cols[first:last]
+        returns = layers.returns[at]
+        height = float((layers.high[at] - layers.ground[at]).max())
+        if last - first < _MIN_CELLS or returns.sum() < _MIN_RETURNS:
+            continue
+        cells = corner + CELL_M * (np.column_stack([at[1], at[0]]) + 0.5)
+        if not _MIN_HEIGHT_M <= height <= _MAX_HEIGHT_M or np.ptp(cells, 0).max() > _MAX_WIDTH_M:
+            continue
+        found.append(Thing(
+            middle=np.average(cells, axis=0, weights=returns), cells=cells,
+            top=float(layers.high[at].max()), tops=layers.high[at].astype(np.float64),
+            height_m=height, appeared=0.0 if was_free is None else float(was_free[at].mean()),
+        ))  # fmt: skip
+    return found
+
+
+@dataclass(slots=True, eq=False)
+class Track:
+    """One thing over time."""
+
+    thing: Thing
+    """as last seen"""
+    seen_s: float
+    seen: int = 1
+    """number of scans"""
+    appeared: int = 0
+    """number of scans in which it stood where nothing had stood"""
+    new: int = 0
+    """number of scans in which the map did not have it"""
+    velocity: Array = field(default_factory=lambda: np.zeros(2))
+    """(2,) m/s; 0 where it is not known to move"""
+    path: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_KEPT))
+
+    def at(self, time_s: float) -> Array:
+        """(2,) where its middle is expected."""
+        return self.thing.middle + (time_s - self.seen_s) * self.velocity
+
+    @property
+    def moves(self) -> bool:
+        """True for what walks, drives or rolls."""
+        return bool(self.velocity.any())
+
+    def see(self, thing: Thing, time_s: float) -> None:
+        """Takes over where it is now."""
+        self.thing, self.seen_s = thing, time_s
+        self.seen += 1
+        self._follow()
+
+    def _follow(self) -> None:
+        self.appeared += self.thing.appeared >= 0.3
+        self.path.append((self.seen_s, self.thing.middle))
+        near = [(t, xy) for t, xy in self.path if self.seen_s - t <= _FIT_S]
+        times = np.array([t for t, _ in near]) - self.seen_s
+        if len(near) < _FIT_SCANS or -times[0] < _FIT_SPAN_S:
+            return
+        places = np.array([xy for _, xy in near])
+        slope = np.polynomial.polynomial.polyfit(times, places, 1)[1]
+        half = len(near) // 2
+        moved = np.linalg.norm(places[half:].mean(axis=0) - places[:half].mean(axis=0))
+        # What comes into view seems to move too; but it has not been seen free before.
+        moves = np.hypot(*slope) > _MOVES_MPS and 2.0 * moved > _MOVED_M and self.appeared > 1
+        self.velocity = slope if moves else np.zeros(2)
+
+
+class Tracks:
+    """All things in view, and what has moved out of it."""
+
+    def __init__(self) -> None:
+        self.tracks: list[Track] = []
+
+    def clear(self) -> None:
+        """Forgets all."""
+        self.tracks = []
+
+    def update(
+        self, things: list[Thing], time_s: float, layers: Layers, corner: Array
+    ) -> list[Track]:
+        """Follows the things of a scan; returns those that it shows. What it does not show is kept
+        for a while, unless the ground is free there."""
+        left, shown = list(self.tracks), []
+        for thing in sorted(things, key=lambda thing: -len(thing.cells)):
+            track = min(left, key=lambda one: _apart(one, thing, time_s), default=None)
+            if track is None or _apart(track, thing, time_s) > 0.0:
+                track = Track(thing, time_s, seen=0)
+                self.tracks.append(track)
+            else:
+                left.remove(track)
+            track.see(thing, time_s)
+            shown.append(track)
+        self.tracks = [
+            track
+            for track in self.tracks
+            if time_s - track.seen_s
+            < (_LOST_S if _gone(track, time_s, layers, corner) else _FORGET_S)
+        ]
+        return shown
+
+
+def _gone(track: Track, time_s: float, layers: Layers, corner: Array) -> bool:
+    """Whether the ground is free where a track is expected."""
+    cells = track.thing.cells + (track.at(time_s) - track.thing.middle)
+    cols, rows = np.floor((cells - corner) / CELL_M).astype(int).T
+    size = len(layers.free)
+    inside = (cols >= 0) & (rows >= 0) & (cols < size) & (rows < size)
+    return bool(layers.free[rows[inside], cols[inside]].sum() >= 0.5 * len(cells))
+
+
+def _apart(track: Track, thing: Thing, time_s: float) -> float:
+    """Distance of a thing beyond the reach of a track, m; below 0 where it may be the same."""
+    since = time_s - track.seen_s
+    reach = _GATE_M + (0.5 if track.moves or track.seen > 3 else _FASTEST_MPS) * since
+    return float(np.linalg.norm(thing.middle - track.at(time_s))) - reach

@@ -1,0 +1,138 @@
+"""The standard watch over synthetic ground with boxes that stand, appear and move."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from touchdown.experiments.external.synthetic_descent import Box, Descent
+from touchdown.experiments.external.synthetic_stream import synthetic_rig
+from touchdown.landing.api import LandingParams, Verdict, WatchReport, WatchRig
+from touchdown.landing.watch.standard import StandardWatch
+from touchdown.sim.frames import Pose, rotation_from_yaw
+
+PERSON = (0.4, 0.5, 1.7)
+BOX_S = 1.5
+SCAN_S, LATENCY_S = 0.1, 0.08
+"""period of scans, and from the end of one until it is looked at, at the most"""
+
+
+def watched(descent: Descent) -> list[tuple[float, WatchReport]]:
+    rig = synthetic_rig()
+    watch = StandardWatch(WatchRig(sensors=rig, landing=LandingParams()))
+    return [(seen.obs.time_s, watch.look(seen)) for seen in descent.seen(rig)]
+
+
+def first(reports: list[tuple[float, WatchReport]]) -> tuple[float, str]:
+    """When the descent was first interrupted, and why; inf where it was not."""
+    found = [(t, report.reason) for t, report in reports if report.verdict is not Verdict.GO]
+    return found[0] if found else (math.inf, "")
+
+
+def at(height_m: float) -> Pose:
+    return Pose(np.eye(3), np.array([0.0, 0.0, height_m]))
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("returned", [1.0, 0.25])
+def test_a_box_that_appears_near_the_site_is_reported_within_two_scans(
+    known: bool, returned: float
+) -> None:
+    near = Box(middle=(0.0, 1.0), from_s=BOX_S)
+    time_s, reason = first(watched(Descent(boxes=(near,), known=known, returned=returned)))
+    assert BOX_S < time_s <= BOX_S + 2 * SCAN_S + LATENCY_S + 0.02
+    assert reason.startswith("something new, 0.") and reason.endswith("m from the site")
+
+
+def test_the_same_box_six_metres_away_does_not_matter() -> None:
+    far = Box(middle=(0.0, 6.0), from_s=BOX_S)
+    reports = watched(Descent(boxes=(far,), pose_at=lambda _: at(9.0)))
+    assert first(reports)[0] == math.inf
+    (found,) = reports[-1][1].findings
+    assert found.kind == "new" and found.distance_m == pytest.approx(5.7, abs=0.2)
+
+
+def test_a_walker_towards_the_site_is_predicted() -> None:
+    walker = Box(middle=(0.0, 5.5), size=PERSON, velocity=(0.0, -1.5))
+    reports = watched(Descent(boxes=(walker,), touchdown_s=4.0, pose_at=lambda _: at(7.0)))
+    time_s, reason = first(reports)
+    assert reason.startswith("something that moves ") and time_s < 1.2
+    found = next(report.findings[0] for t, report in reports if t == time_s)
+    np.testing.assert_allclose(found.velocity_odom, [0.0, -1.5], atol=0.2)
+    assert found.distance_m > 3.0 and found.height_m == pytest.approx(1.7, abs=0.1)
+
+
+def test_a_walker_who_leaves_does_not_matter() -> None:
+    """In two seconds; he has passed by when the vehicle touches down."""
+    walker = Box(middle=(0.5, 3.0), size=PERSON, velocity=(0.0, 1.2))
+    reports = watched(Descent(boxes=(walker,), touchdown_s=4.0, seconds=1.6))
+    assert first(reports)[0] == math.inf
+    assert any(f.kind == "moving" for _, report in reports for f in report.findings)
+
+
+def test_motion_of_the_vehicle_is_no_motion_of_things() -> None:
+    """At 1 m/s and turning, things come into view and leave it."""
+    boxes = (Box(middle=(0.0, 2.0)), Box(middle=(0.6, -1.5)), Box(middle=(-1.2, 2.8)))
+
+    def pose_at(t: float) -> Pose:
+        return Pose(rotation_from_yaw(0.4 * t), np.array([1.0 * t - 1.5, 0.5, 6.0]))
+
+    reports = watched(Descent(pose_at=pose_at, boxes=boxes, known=False))
+    assert first(reports)[0] == math.inf
+    found = [finding for _, report in reports for finding in report.findings]
+    assert len(found) > 50 and {finding.kind for finding in found} == {"known"}
+
+
+@pytest.mark.parametrize("drift", [(0.3, -0.2, 0.0), (0.0, 0.0, -0.3)])
+def test_a_drifting_position_changes_nothing(drift: tuple[float, float, float]) -> None:
+    """The map as it was drifts away, but by less than things are compared over."""
+    still = Descent(boxes=(Box(middle=(0.0, 4.0), size=PERSON),), drift_mps=drift)
+    assert first(watched(still))[0] == math.inf
+    box = Box(middle=(0.0, 1.0), from_s=BOX_S)
+    moved, fixed = (
+        first(watched(Descent(boxes=(box,), drift_mps=by)))[0] for by in (drift, (0.0, 0.0, 0.0))
+    )
+    assert moved == fixed
+
+
+def test_who_stands_where_the_map_has_nobody_is_new() -> None:
+    """A map from before is what tells; a drop of 0.1 m is no person."""
+    person = Box(middle=(0.0, 1.5), size=PERSON)
+    assert "something new, 1.7 m high" in first(watched(Descent(boxes=(person,))))[1]
+    assert first(watched(Descent(boxes=(person,), known=False)))[0] == math.inf
+    low = dataclasses.replace(person, size=(0.4, 0.5, 0.2))
+    assert first(watched(Descent(boxes=(low,))))[0] == math.inf
+
+
+def test_something_under_the_legs_is_in_the_way_even_where_the_map_has_it() -> None:
+    under = Descent(boxes=(Box(middle=(0.0, 0.3)),), known=False)
+    assert first(watched(under))[1].endswith("m high under the legs")
+
+
+def test_a_slope_is_ground() -> None:
+    assert first(watched(Descent(slope=0.2, known=False)))[0] == math.inf
+
+
+def test_a_scene_that_clears_lets_the_descent_go_on_after_a_second() -> None:
+    walker = Box(middle=(0.0, 0.0), size=PERSON, velocity=(0.0, 1.5))
+    reports = watched(Descent(boxes=(walker,), seconds=4.0, pose_at=lambda _: at(7.0)))
+    waits = [t for t, report in reports if report.verdict is Verdict.WAIT]
+    last_near = (2.0 + 0.25) / 1.5
+    assert waits[0] < 1.0 and last_near + 0.9 < waits[-1] < last_near + 1.3
+    assert reports[-1][1].verdict is Verdict.GO
+
+
+def test_low_down_it_asks_to_climb_after_a_while_and_higher_up_it_waits() -> None:
+    box = Box(middle=(0.0, 1.0), from_s=0.5)
+    for height_m, expected in ((6.0, Verdict.CLIMB), (11.0, Verdict.WAIT)):
+        reports = watched(Descent(boxes=(box,), seconds=5.0, pose_at=lambda _, h=height_m: at(h)))
+        assert reports[-1][1].verdict is expected
+        early = {report.verdict for t, report in reports if t < first(reports)[0] + 2.9}
+        assert Verdict.CLIMB not in early
+
+
+def test_without_returns_it_says_that_nothing_is_watched() -> None:
+    report = watched(Descent(returned=0.0))[-1][1]
+    assert report.verdict is Verdict.GO and "not watched" in report.reason
+    assert watched(Descent())[-1][1].height_m == pytest.approx(6.0, abs=0.05)
