@@ -160,15 +160,68 @@ class GroundRaster:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Limb:
+    """How a part of a walker swings about a joint, in the walker's frame (x ahead, z up)."""
+
+    joint_m: Array
+    """(3,) from the walker's origin, on the ground; the part's own origin"""
+    swing_deg: float = 0.0
+    """amplitude about the y axis"""
+    stride_m: float = 1.0
+    """way of one whole swing: one that stands does not swing"""
+    phase_deg: float = 0.0
+    bend_deg: float = 0.0
+    """constant turn about the y axis"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class MovingBody:
-    """A mocap body that follows a closed polyline at constant speed."""
+    """A mocap body that follows a polyline; its heading follows the path."""
 
     body_name: str
     path_world: Array
-    """(K, 3) vertices, closed implicitly; heading follows the path"""
-    speed_mps: float
-    start_m: float
-    """arc length at time 0"""
+    """(K, 3) vertices; one alone: it stands there"""
+    speed_mps: float = 0.0
+    """on a path that is closed implicitly, where ``times_s`` is None"""
+    start_m: float = 0.0
+    """arc length at time 0 on a closed path"""
+    times_s: Array | None = None
+    """(K,) ascending: when it is at each vertex. It is at the first before, at the last after."""
+    yaw: float = 0.0
+    """heading of one that stands"""
+    limb: Limb | None = None
+    """None for what moves as the path says"""
+    walker: str = ""
+    """name of the first body of what it is a part of; empty for a car"""
+    alive: bool = False
+    """a person, a rider or an animal, whose distance counts"""
+    intruder: bool = False
+    """it is out of the world until a fault sends it"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrafficParams:
+    """People, animals and vehicles that move through any scene; by default there are none."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    people: Annotated[int, Interval(ge=0, le=50)] = 0
+    """who walk, run, stand or sit"""
+    dogs: Annotated[int, Interval(ge=0, le=50)] = 0
+    bicycles: Annotated[int, Interval(ge=0, le=50)] = 0
+    cars: Annotated[int, Interval(ge=0, le=50)] = 0
+    """beside those of the scene"""
+    radius_m: Annotated[float, Interval(gt=0, le=500)] = 30.0
+    """of the disc about the middle of the scene in which paths are drawn"""
+    paths: str = ""
+    """path of a CSV file of own paths: columns name, t, x, y (s and metres, world frame); a name
+    begins with person, dog, bicycle or car"""
+    intruder: Literal["any", "walker", "runner", "dog", "bicycle"] = "any"
+    """whom the fault ``intruder`` sends; any: drawn from the seed"""
+    intruder_from_m: Annotated[float, Interval(ge=3, le=100)] = 15.0
+    """distance from the site at which an intruder begins"""
+    intruder_stays_s: Annotated[float, Interval(ge=0, le=1000)] = 15.0
+    """time on the site, after which it goes on straight ahead"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, weakref_slot=True)
@@ -204,6 +257,8 @@ class Scene:
     """the dials that it was made with; None for every other scene than ``rugged``"""
     facts: Mapping[str, float] = field(default_factory=dict)
     """what the dials asked for and what was reached"""
+    traffic: TrafficParams = field(default_factory=lambda: TrafficParams())
+    """who moves through it beside what the place has"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

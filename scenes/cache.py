@@ -1,8 +1,8 @@
 """Named scenes on disk, so that a place is generated once and not by every flight over it.
 
 An entry is a directory with MuJoCo's binary model and the rest of the `Scene`, pickled. Its name
-is a hash of what the scene depends on: name, seed, dials, sun, light, the sources and pictures of
-this package, and the versions of the libraries that generate it.
+is a hash of what the scene depends on: name, seed, dials, sun, light, traffic, the sources and
+pictures of this package, and the versions of the libraries that generate it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numba
 import numpy as np
 import scipy
 
-from touchdown.scenes.api import ImportOptions, Light, LowSun, RuggedParams, Scene
+from touchdown.scenes.api import ImportOptions, Light, LowSun, RuggedParams, Scene, TrafficParams
 from touchdown.scenes.authoring.variation import present_variation
 from touchdown.scenes.registry import RUGGED, scene_names
 
@@ -44,6 +44,8 @@ def cached_scene(
     light: Light,
     options: ImportOptions | None = None,
     rugged: RuggedParams | None = None,
+    traffic: TrafficParams | None = None,
+    intruders: int = 0,
 ) -> Scene:
     """As `load_scene`, from the disk where the scene was loaded before. A scene from a file is read
     anew each time. Raises as `load_scene`; a cache that cannot be read or written is none."""
@@ -51,14 +53,16 @@ def cached_scene(
     def load() -> Scene:
         from touchdown.scenes.compose import load_scene  # what makes scenes
 
-        return load_scene(name_or_path, seed, sun, light, options, rugged)
+        return load_scene(name_or_path, seed, sun, light, options, rugged, traffic, intruders)
 
+    traffic = traffic or TrafficParams()
     own = name_or_path in scene_names() and seed >= 0 and present_variation() is None
+    own = own and not traffic.paths
     folder = _folder() if own else None
     if folder is None:
         return load()
     dials = (rugged or RuggedParams(),) if name_or_path == RUGGED else ()
-    key = repr((name_or_path, seed, sun, light, _sources(), *dials))
+    key = repr((name_or_path, seed, sun, light, traffic, intruders, _sources(), *dials))
     return _through(folder / hashlib.sha256(key.encode()).hexdigest()[:32], load)
 
 

@@ -14,6 +14,7 @@ from touchdown.scenes import api
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.light import light_file, lit_by, set_sky
 from touchdown.scenes.registry import RUGGED, scene_generator
+from touchdown.scenes.traffic.routes import Traffic
 
 VEHICLE_XML = Path(__file__).parent / "vehicle" / "quadrotor.xml"
 TICK_HZ = 600
@@ -40,6 +41,8 @@ def load_scene(
     light: api.Light = "day",
     options: api.ImportOptions | None = None,
     rugged: api.RuggedParams | None = None,
+    traffic: api.TrafficParams | None = None,
+    intruders: int = 0,
 ) -> api.Scene:
     """Loads the scene ``name_or_path`` with the vehicle on its take-off spot.
 
@@ -48,14 +51,19 @@ def load_scene(
     A scene from a file does not depend on it. sun: replaces the scene's own; named scenes bake
     their shadows with it, scenes from files have no baked shadows. light: of the sky; ``sun`` is
     that of ``day``. Neither changes what stands where. options: how a scene from a file is made
-    flyable; None takes the file as it is. rugged: dials of the scene of that name.
+    flyable; None takes the file as it is. rugged: dials of the scene of that name. traffic: who
+    moves through it, beside ``intruders`` that wait for a fault.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
+    name = Path(name_or_path).stem
+    movers = Traffic(traffic or api.TrafficParams(), intruders, name, seed)
     with lit_by(light, sun):
         spec, draft = compose_spec(name_or_path, seed, options, rugged)
-    scene = compile_scene(spec, draft, Path(name_or_path).stem, seed, name_or_path)
+    movers.add_bodies(spec, draft.surfaces)
+    scene = movers.routed(compile_scene(spec, draft, name, seed, name_or_path))
     dials = (rugged or api.RuggedParams()) if name_or_path == RUGGED else None
     options = options if _is_file(name_or_path) else None
+    scene = replace(scene, traffic=traffic or api.TrafficParams())
     return replace(scene, light=light, options=options, rugged=dials)
 
 

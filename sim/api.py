@@ -378,6 +378,8 @@ class Truth:
     peak_contact_accel: float
     """m/s^2, largest |acceleration| of any tick of the last control step"""
     energy_used_j: float
+    living_world: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(N, 3) where people, riders and animals stand"""
 
 
 class World(Protocol):

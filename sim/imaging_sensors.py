@@ -46,7 +46,9 @@ class ImagingSensors:
     """
 
     def __init__(self, scene: Scene, params: WorldParams, seed: int, moving: MovingBodies) -> None:
-        self._scene, self._params, self._seed, self._moving = scene, params, seed, moving
+        self._scene, self._params, self._seed = scene, params, seed
+        self.moving = moving
+        """the moving bodies of the flight"""
         self._sim, self._model = params.sim, scene.model
         self._renderer = make_executor(self._sim.threads)
         self._caster = make_executor(self._sim.threads)
@@ -185,7 +187,7 @@ class ImagingSensors:
         shutter, period = self._shutter, self._image_period
         since_pulse = (tick - shutter.phase_ticks) % period
         if (since_pulse + shutter.before_ticks) % period == 0:
-            self._moving.write(data, tick / self._sim.tick_hz)
+            self.moving.write(data, tick / self._sim.tick_hz)
             # mj_step leaves positions of the tick's beginning behind.
             mujoco.mj_kinematics(self._model, data)
             mujoco.mj_camlight(self._model, data)
@@ -225,7 +227,7 @@ class ImagingSensors:
             self._sim.tick_hz,
             track,
             mount,
-            self._moving.tracks(track.times_s),
+            self.moving.tracks(track.times_s),
         )
         self._lidar.effects.end_message()
         return scan

@@ -1,18 +1,25 @@
-"""Poses of bodies over time; moving bodies are mocap bodies on closed polylines, a pure function
-of time."""
+"""Poses of bodies over time; moving bodies are mocap bodies on polylines, pure functions of time
+but for intruders, which are sent once."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numba import njit
 
-from touchdown.scenes.api import MovingBody, Scene
+from touchdown.scenes.api import Limb, MovingBody, Scene
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
-from touchdown.sim.typing import Array
+from touchdown.sim.typing import Array, Indices
+
+OUT_OF_THE_WORLD_M = -50.0
+"""height of an intruder before it is sent"""
+_GAIT_MPS = 0.3
+"""speed from which on limbs swing by their whole amplitude"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,66 +54,172 @@ class MovingBodies:
     length."""
 
     def __init__(self, scene: Scene) -> None:
-        self._paths = [_Path(body, scene.model) for body in scene.moving]
+        self._bodies = tuple(scene.moving)
+        ids = [_mocap_id(scene.model, body) for body in self._bodies]
+        self._ids = np.array(ids, np.int64)
+        self._living = np.array(
+            [i for i, body in zip(ids, self._bodies, strict=True)
+             if body.alive and body.walker == body.body_name], np.int64
+        )  # fmt: skip
+        self._paths = _pack(self._bodies)
 
     def write(self, data: Any, time_s: float) -> None:
         """Puts the mocap bodies of an MjData where they are at ``time_s``."""
-        if not self._paths:
-            return
-        positions, quats, times_s = data.mocap_pos, data.mocap_quat, np.array([time_s])
-        for path in self._paths:
-            at = slice(path.mocap_id, path.mocap_id + 1)
-            path.locate(times_s, positions[at], quats[at])
+        if self._bodies:
+            _locate(time_s, self._ids, *self._paths, data.mocap_pos, data.mocap_quat)
+
+    def living(self, data: Any) -> Array:
+        """(N, 3) places of persons, riders and animals in the world, on the ground."""
+        places = data.mocap_pos[self._living]
+        return np.asarray(places[places[:, 2] > OUT_OF_THE_WORLD_M])
 
     def tracks(self, times_s: Array) -> dict[str, BodyTrack]:
         """By body name: the poses at (M,) times."""
-        return {path.name: path.at(times_s) for path in self._paths}
-
-
-class _Path:
-    def __init__(self, body: MovingBody, model: Any) -> None:
-        body_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body.body_name)
-        if body_id < 0 or model.body_mocapid[body_id] < 0:
-            raise ValueError(
-                f"moving body {body.body_name!r} is not a mocap body of the scene; "
-                'give it mocap="true"'
+        count, bodies = len(times_s), len(self._bodies)
+        positions, quats = np.empty((count, bodies, 3)), np.empty((count, bodies, 4))
+        for m, time_s in enumerate(times_s):
+            _locate(time_s, np.arange(bodies), *self._paths, positions[m], quats[m])
+        return {
+            body.body_name: BodyTrack(
+                times_s=times_s,
+                positions=np.ascontiguousarray(positions[:, i]),
+                quats_wxyz=np.ascontiguousarray(quats[:, i]),
             )
-        closed = np.vstack([body.path_world, body.path_world[:1]])
-        edges = np.diff(closed, axis=0)
-        lengths = np.linalg.norm(edges, axis=1)
-        kept = lengths > 1e-9
-        if not kept.any():
-            raise ValueError(f"the path of moving body {body.body_name!r} has no length")
-        self.name = body.body_name
-        self.mocap_id = int(model.body_mocapid[body_id])
-        self._starts = np.ascontiguousarray(closed[:-1][kept])
-        self._directions = edges[kept] / lengths[kept, None]
-        self._arc = np.concatenate([[0.0], np.cumsum(lengths[kept])])
-        self._speed = body.speed_mps
-        self._start = body.start_m
+            for i, body in enumerate(self._bodies)
+        }
 
-    def at(self, times_s: Array) -> BodyTrack:
-        positions = np.empty((len(times_s), 3))
-        quats = np.empty((len(times_s), 4))
-        self.locate(times_s, positions, quats)
-        return BodyTrack(times_s=times_s, positions=positions, quats_wxyz=quats)
+    def send(self, walker: str, path_world: Array, times_s: Array) -> None:
+        """Sends the intruder ``walker`` along (K, 3) vertices at (K,) times; poses before the first
+        time stay as they were, so that what is drawn of the past stays the same."""
+        self._bodies = tuple(
+            replace(body, path_world=path_world, times_s=times_s)
+            if body.walker == walker else body
+            for body in self._bodies
+        )  # fmt: skip
+        self._paths = _pack(self._bodies)
 
-    def locate(self, times_s: Array, positions: Array, quats_wxyz: Array) -> None:
-        """Writes (M, 3) and (M, 4) at (M,) times."""
-        travelled = self._start + self._speed * times_s
-        _locate(self._starts, self._directions, self._arc, travelled, positions, quats_wxyz)
+
+class _Paths(NamedTuple):
+    first: Indices
+    """(B + 1,) first edge of each body, and the number of all"""
+    starts: Array
+    directions: Array
+    """(E, 3) of edges: where they begin, unit vectors"""
+    arc: Array
+    """(E, 2) arc length at both ends"""
+    times_s: Array
+    """(E, 2) at both ends; NaN on closed paths"""
+    motion: Array
+    """(B, 3) speed and start on closed paths; time before which it is out of the world"""
+    limbs: Array
+    """(B, 7) joint, swing, way per radian, phase, bend"""
+
+
+def _pack(bodies: Sequence[MovingBody]) -> _Paths:
+    edges = [_edges(body) for body in bodies]
+    first = np.cumsum([0, *(len(starts) for starts, *_ in edges)])
+    stacked = [np.concatenate(arrays) for arrays in zip(*edges, strict=True)] if edges else []
+    starts, directions, arc, times_s = stacked or [np.zeros((0, n)) for n in (3, 3, 2, 2)]
+    motion = [[body.speed_mps, body.start_m, _sent_s(body)] for body in bodies]
+    limbs = [_numbers(body.limb or Limb(joint_m=np.zeros(3))) for body in bodies]
+    return _Paths(first, starts, directions, arc, times_s,
+                  np.array(motion).reshape(-1, 3), np.array(limbs).reshape(-1, 7))  # fmt: skip
+
+
+def _sent_s(body: MovingBody) -> float:
+    if not body.intruder:
+        return -math.inf
+    return math.inf if body.times_s is None else float(body.times_s[0])
+
+
+def _numbers(limb: Limb) -> list[float]:
+    angles = [math.radians(a) for a in (limb.swing_deg, limb.phase_deg, limb.bend_deg)]
+    return [*limb.joint_m, angles[0], 2.0 * math.pi / limb.stride_m, *angles[1:]]
+
+
+def _edges(body: MovingBody) -> tuple[Array, Array, Array, Array]:
+    """Starts, directions, arc lengths and times of the edges that have a length or take a time."""
+    if len(body.path_world) == 1:
+        heading = np.array([[math.cos(body.yaw), math.sin(body.yaw), 0.0]])
+        never = np.full((1, 2), np.inf)
+        return body.path_world, heading, np.zeros((1, 2)), never
+    closed = body.times_s is None
+    path = np.vstack([body.path_world, body.path_world[:1]]) if closed else body.path_world
+    steps = np.diff(path, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    kept = lengths > 1e-9
+    if not kept.any():
+        raise ValueError(f"the path of moving body {body.body_name!r} has no length")
+    arc = np.concatenate([[0.0], np.cumsum(lengths)])
+    if body.times_s is None:
+        times_s = np.full((len(steps), 2), np.nan)
+    else:
+        times_s = np.column_stack([body.times_s[:-1], body.times_s[1:]])
+        moving = np.flatnonzero(kept)  # one that waits looks the way it came, at first that it goes
+        before = np.maximum(np.searchsorted(moving, np.arange(len(steps)), side="right") - 1, 0)
+        steps, lengths = steps[moving[before]], lengths[moving[before]]
+        kept = np.ones(len(steps), bool)
+    ends = np.column_stack([arc[:-1], arc[1:]])
+    directions = steps[kept] / lengths[kept, None]
+    return np.ascontiguousarray(path[:-1][kept]), directions, ends[kept], times_s[kept]
+
+
+def _mocap_id(model: Any, body: MovingBody) -> int:
+    body_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body.body_name)
+    if body_id < 0 or model.body_mocapid[body_id] < 0:
+        raise ValueError(
+            f'moving body {body.body_name!r} is not a mocap body of the scene; give it mocap="true"'
+        )
+    return int(model.body_mocapid[body_id])
 
 
 @njit(cache=True, error_model="numpy")
 def _locate(
-    starts: Array, directions: Array, arc: Array, travelled: Array, positions: Array, quats: Array
+    time_s: float,
+    rows: Indices,
+    first: Indices,
+    starts: Array,
+    directions: Array,
+    arc: Array,
+    times_s: Array,
+    motion: Array,
+    limbs: Array,
+    positions: Array,
+    quats: Array,
 ) -> None:
-    for m in range(len(travelled)):
-        distance = travelled[m] % arc[-1]
-        edge = min(max(np.searchsorted(arc, distance, side="right") - 1, 0), len(starts) - 1)
-        for axis in range(3):
-            way = (distance - arc[edge]) * directions[edge, axis]
-            positions[m, axis] = starts[edge, axis] + way
-        half_yaw = 0.5 * np.arctan2(directions[edge, 1], directions[edge, 0])
-        quats[m, 0], quats[m, 3] = np.cos(half_yaw), np.sin(half_yaw)
-        quats[m, 1], quats[m, 2] = 0.0, 0.0
+    """Writes the pose of body b at ``time_s`` into row ``rows[b]``."""
+    for b in range(len(rows)):
+        low, high, row = first[b], first[b + 1], rows[b]
+        edge, speed = low, motion[b, 0]
+        if np.isnan(times_s[low, 0]):
+            travelled = (motion[b, 1] + speed * time_s) % arc[high - 1, 1]
+            while edge < high - 1 and travelled >= arc[edge, 1]:
+                edge += 1
+        else:
+            while edge < high - 1 and time_s >= times_s[edge, 1]:
+                edge += 1
+            begin, end = times_s[edge]
+            since = min(max(time_s - begin, 0.0), end - begin) if end > begin else 0.0
+            speed = 0.0
+            if end > begin and begin <= time_s < end:
+                speed = (arc[edge, 1] - arc[edge, 0]) / (end - begin)
+            way = arc[edge, 1] - arc[edge, 0]
+            travelled = arc[edge, 0] + (way * since / (end - begin) if end > begin else 0.0)
+        along = travelled - arc[edge, 0]
+        half = 0.5 * np.arctan2(directions[edge, 1], directions[edge, 0])
+        c, s = np.cos(half), np.sin(half)
+        gait = min(speed / _GAIT_MPS, 1.0)
+        bend = limbs[b, 6] + gait * limbs[b, 3] * np.sin(travelled * limbs[b, 4] + limbs[b, 5])
+        ch, sh = np.cos(0.5 * bend), np.sin(0.5 * bend)
+        quats[row, 0], quats[row, 1] = c * ch, -s * sh
+        quats[row, 2], quats[row, 3] = c * sh, s * ch
+        cos, sin = c * c - s * s, 2.0 * s * c
+        x, y = limbs[b, 0], limbs[b, 1]
+        positions[row, 0] = starts[edge, 0] + along * directions[edge, 0] + cos * x - sin * y
+        positions[row, 1] = starts[edge, 1] + along * directions[edge, 1] + sin * x + cos * y
+        positions[row, 2] = starts[edge, 2] + along * directions[edge, 2] + limbs[b, 2]
+        if time_s < motion[b, 2]:
+            positions[row] = 0.0
+            positions[row, 2] = OUT_OF_THE_WORLD_M
+            quats[row] = 0.0
+            quats[row, 0] = 1.0

@@ -28,6 +28,7 @@ from touchdown.sim.faults.marks import Marks
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
 from touchdown.sim.imaging_sensors import ImagingSensors
 from touchdown.sim.imu import ImuSensor, MountedImu
+from touchdown.sim.intruders import Intruders
 from touchdown.sim.moving import MovingBodies
 from touchdown.sim.navigation.channels import NavSensors
 from touchdown.sim.typing import Array
@@ -181,6 +182,9 @@ class MujocoWorld:
         self._faults = FaultInjector(faults, tick_hz, self._marks)
         wind_kmh = self._params.wind.mean_kmh
         self._disturbances = Disturbances(faults, tick_hz, wind_kmh, self._seed, self._marks)
+        self._moving = MovingBodies(self._scene)
+        self._imaging.moving = self._moving
+        self._intruders = Intruders(self._scene, faults.schedule(), self._marks, self._seed)
         self._air = self._make_air()
         self._air.start(self._vehicle.leg_height_m)
         mujoco.mj_forward(self._model, self._data)
@@ -261,6 +265,8 @@ class MujocoWorld:
             ground = math.inf if site_world is None else float(site_world[2])
             height = float(self._position[2]) - self._vehicle.leg_height_m - ground
             self._marks.follow(self._tick, phase, height)
+        site = self._position if site_world is None else site_world
+        self._intruders.update(self._tick, self._sim.tick_hz, self._data, self._moving, site)
 
     def truth(self) -> api.Truth:
         """The true state now. ``acceleration_world`` is dv/dt: 0 in hover and at rest.
@@ -282,6 +288,7 @@ class MujocoWorld:
             contacts=self._contacts,
             peak_contact_accel=self._peak_acceleration,
             energy_used_j=self._battery.energy_used_j,
+            living_world=_frozen(self._moving.living(self._data)),
         )
 
     def record(self) -> WorldRecord:
@@ -290,6 +297,7 @@ class MujocoWorld:
         faults = [
             *self._faults.summary(),
             *self._disturbances.summary(self._step_s),
+            *self._intruders.summary(self._tick / self._sim.tick_hz),
             *fault_records(self._params.faults, sensors, sun_elevation_deg(self._model)),
         ]
         drawn = self._deviations.sizes() | self._imu.sensor.errors.sizes()

@@ -94,7 +94,7 @@ CONFIG = click.option("--config", "config_file", type=PATH,
 SEED = click.option("--seed", type=SEEDS, default=0, show_default=True)
 JOBS = click.option("--jobs", type=JOB_COUNT, help="Flights at a time.  [cores]")
 PRESET = click.option(
-    "--preset", type=click.Choice(["whole", "short"]),
+    "--preset", type=click.Choice(["whole", "short", "park"]),
     help="How much is flown: short is one leg of 12 m at 15 m.  [whole]",
 )  # fmt: skip
 

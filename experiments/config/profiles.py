@@ -37,7 +37,7 @@ PRESET_KEY = "preset"
 """The key that names the preset."""
 WHOLE = "whole"
 """The preset of a flight that names none; it sets nothing."""
-PRESETS = (WHOLE, "short")
+PRESETS = (WHOLE, "short", "park")
 
 
 @functools.cache

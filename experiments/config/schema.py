@@ -31,7 +31,7 @@ from touchdown.experiments.api import (
     StartParams,
 )
 from touchdown.landing.api import LandingParams, SurveyParams
-from touchdown.scenes.api import Light, RuggedParams, short_name
+from touchdown.scenes.api import Light, RuggedParams, TrafficParams, short_name
 from touchdown.sim.api import (
     FORBID_EXTRA,
     BarometerParams,
@@ -88,7 +88,7 @@ class Config(BaseModel):
     the defaults of all keys, ``field`` is flown where nothing else is named"""
     harsh_effects: tuple[str, ...] = ()
     """effects at the level of ``harsh`` on top of the profile, such as ``vibration``"""
-    preset: Literal["whole", "short"] = "whole"
+    preset: Literal["whole", "short", "park"] = "whole"
     """how much is flown: ``short`` is one leg of 12 m at 15 m and a quick descent, by keys that
     override the profile and that all other sources override; ``whole`` sets none"""
     variant: str = ""
@@ -118,6 +118,7 @@ class Config(BaseModel):
     record: bool = True
     """write the Rerun recording (trajectories, map and costmap are always written)"""
     rugged: RuggedParams = Field(default_factory=RuggedParams)
+    traffic: TrafficParams = Field(default_factory=TrafficParams)
     sim: SimParams = Field(default_factory=SimParams)
     wind: WindParams = Field(default_factory=WindParams)
     lidar: LidarParams = Field(default_factory=LidarParams)

@@ -197,6 +197,37 @@ class TouchdownWindow:
         }
 
 
+PERSON_M = 3.0
+"""least distance to a person at touchdown"""
+_PERSON_HIGH_M = 1.8
+_APPROACH_S = 10.0
+
+
+class Nearest:
+    """Distance from the vehicle to the nearest person, rider or animal until the first contact,
+    each as an upright line of 1.8 m."""
+
+    def __init__(self, steps_per_s: float) -> None:
+        self._last: deque[float] = deque(maxlen=max(1, round(_APPROACH_S * steps_per_s)))
+
+    @property
+    def now_m(self) -> float | None:
+        """The last distance; None where there is nobody."""
+        return self._last[-1] if self._last else None
+
+    def add(self, truth: Truth) -> None:
+        """Takes one control step with somebody in the world."""
+        away = truth.world_from_body.translation - truth.living_world
+        away[:, 2] -= np.clip(away[:, 2], 0.0, _PERSON_HIGH_M)
+        self._last.append(float(np.sqrt((away**2).sum(axis=1).min())))
+
+    def summary(self) -> dict[str, float | None]:
+        """Distances by their names in `Landing`: at the first contact, and the least of the ten
+        seconds before."""
+        least = min(self._last) if self._last else None
+        return {"nearest_person_m": self.now_m, "nearest_person_10s_m": least}
+
+
 @dataclass(frozen=True, slots=True)
 class PlaneFit:
     """Unit upward normal (3,) and largest |residual| in metres of a height patch."""

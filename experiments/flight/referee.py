@@ -13,7 +13,9 @@ import numpy as np
 from touchdown.estimator.api import Estimate
 from touchdown.experiments.api import Outcome, RefereeParams
 from touchdown.experiments.flight.metrics import (
+    PERSON_M,
     Consistency,
+    Nearest,
     PositioningError,
     TouchdownWindow,
     TrajectoryDeviation,
@@ -92,6 +94,7 @@ class Referee:
         self._consistency = Consistency()
         self._steps_per_sample = max(1, round(steps_per_s / _NEES_HZ))
         self._touchdown = TouchdownWindow(steps_per_s)
+        self._people = Nearest(steps_per_s)
         self._start_height: float | None = None
         self._lift_off_s: float | None = None
         self._survey_from_s: float | None = None
@@ -116,6 +119,8 @@ class Referee:
                     truth.world_from_body.translation,
                     estimate.position_covariance,
                 )
+        if len(truth.living_world) and self._touchdown.contact_xy is None:
+            self._people.add(truth)
         self._follow_touchdown(truth, view)
         true = truth.world_from_body.translation
         error_m = math.dist(estimated.translation.tolist(), true.tolist())
@@ -139,6 +144,9 @@ class Referee:
         reason = self._reason or ("" if outcome is Outcome.COMPLETED else view.note)
         if landing is not None and landing.height_agrees is False:
             reason = "; ".join(filter(None, (reason, _off_the_map(landing.height_gap_m))))
+        near = self._people.now_m
+        if landing is not None and near is not None and near < PERSON_M:
+            reason = "; ".join(filter(None, (reason, f"somebody is {near:.1f} m away: not safe")))
         return Judgement(
             outcome=outcome,
             reason=reason,
@@ -248,7 +256,8 @@ class Referee:
         known = agrees is not False
         site = view.committed_site_world
         offset = None if site is None else float(np.linalg.norm(contact_xy - site[:2]))
-        figures: dict[str, Any] = dict(self._touchdown.summary())
+        figures: dict[str, Any] = self._touchdown.summary() | self._people.summary()
+        alone = self._people.now_m is None or self._people.now_m >= PERSON_M
         return Landing(
             commanded_xy_m=self._commanded_xy_m,
             site_xy_m=None if site is None else (float(site[0]), float(site[1])),
@@ -266,9 +275,9 @@ class Referee:
             class_true=verdict.land_class,
             height_gap_m=gap,
             height_agrees=agrees,
-            safe_geometry=bool(verdict.safe_geometry) and known,
+            safe_geometry=bool(verdict.safe_geometry) and known and alone,
             safe_class=verdict.land_class in SAFE_CLASSES and known,
-            safe=bool(verdict.safe) and known,
+            safe=bool(verdict.safe) and known and alone,
             judged_on=self._judged_on,
         )
 

@@ -65,7 +65,8 @@ def build_scene(config: Config) -> Scene:
 
     seed = config.seed if config.scene_seed is None else config.scene_seed
     options = None if config.scene_as_is else ImportOptions(classes=config.scene_classes or "")
-    how = (seed, low_sun(config), config.light, options, config.rugged)
+    intruders = sum(fault.kind == "intruder" for fault in config.faults.schedule())
+    how = (seed, low_sun(config), config.light, options, config.rugged, config.traffic, intruders)
     if names_function(config.scene):
         from touchdown.experiments.external.places import place_file
 

@@ -104,6 +104,10 @@ class Landing(Part):
     bounce_m: Figure = None
     tilt_deg: Figure = None
     obstacle_distance_m: Figure = None
+    nearest_person_m: Figure = None
+    """to a person, rider or animal at the first contact; none where there is nobody"""
+    nearest_person_10s_m: Figure = None
+    """the least of the ten seconds before it"""
     class_predicted: str | None = None
     class_probability: Figure = None
     class_true: str | None = None

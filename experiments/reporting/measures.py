@@ -57,6 +57,8 @@ _ALL = (
     Measure("landing.bounce_m", "bounce", "cm", 100.0),
     Measure("landing.impact_peak_mps2", "deceleration", "m/s²"),
     Measure("landing.obstacle_distance_m", "obstacle distance", "m"),
+    Measure("landing.nearest_person_m", "nearest person", "m"),
+    Measure("landing.nearest_person_10s_m", "nearest person, last 10 s", "m"),
     Measure("landing.estimate_error_at_commit_m", "error at the commit", "m"),
     Measure("landing.estimate_error_at_contact_m", "error at contact", "m"),
     Measure("timing.wall_s", "wall time", "s"),

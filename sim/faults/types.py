@@ -38,11 +38,12 @@ FAULT_KINDS: dict[str, tuple[str, ...]] = {
     "low_sun": ("images",),
     "motor_loss": ("commands",),
     "gust": ("air",),
+    "intruder": ("traffic",),
 }
-"""Kinds of faults and what each befalls: messages, commands to the rotors, the air."""
+"""Kinds of faults and what each befalls: messages, commands to the rotors, the air, the ground."""
 
 WORLD_KINDS = frozenset(
-    ("miscalibration", "fog", "rain", "lens_dirt", "low_sun", "motor_loss", "gust")
+    ("miscalibration", "fog", "rain", "lens_dirt", "low_sun", "motor_loss", "gust", "intruder")
 )
 """Those that happen where things are measured, at the time of measuring; others on delivery."""
 

@@ -105,6 +105,22 @@ def test_a_safe_landing() -> None:
     assert result.position_error.mean == pytest.approx(0.05)
 
 
+@pytest.mark.parametrize(("away_m", "safe", "reason"), [
+    (2.9, False, "somebody is 2.9 m away: not safe"), (3.1, True, ""),
+])  # fmt: skip
+def test_nobody_may_stand_beside_a_touchdown(away_m: float, safe: bool, reason: str) -> None:
+    referee = make_referee()
+    fly_to_descent(referee)
+    people = np.array([[5.0 + away_m, 6.0, 0.0], [50.0, 0.0, 0.0]])
+    for time_s in (61.0, 61.2):  # who comes closer after the first contact does not count
+        judge(referee, time_s, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN, living_world=people)
+        people = people - [1.0, 0.0, 0.0]
+    result = referee.result(Outcome.LANDED)
+    assert result.landing.nearest_person_m == pytest.approx(away_m)
+    assert (result.landing.ground_safe, result.landing.safe) == (safe, safe)
+    assert result.reason == reason
+
+
 @pytest.mark.parametrize(("changes", "safe", "geometry", "by_class"), [
     ({"safe": False}, False, True, True),
     ({"safe": False, "safe_geometry": False, "slope_deg": 9.0}, False, False, True),
