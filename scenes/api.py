@@ -208,7 +208,9 @@ class TrafficParams:
     people: Annotated[int, Interval(ge=0, le=50)] = 0
     """who walk, run, stand or sit"""
     dogs: Annotated[int, Interval(ge=0, le=50)] = 0
+    """who trot or stand"""
     bicycles: Annotated[int, Interval(ge=0, le=50)] = 0
+    """with their riders"""
     cars: Annotated[int, Interval(ge=0, le=50)] = 0
     """beside those of the scene"""
     radius_m: Annotated[float, Interval(gt=0, le=500)] = 30.0
