@@ -23,6 +23,7 @@ from touchdown.sim.camera.degradations import CameraDegradations, ImageDefects
 from touchdown.sim.camera.detail_texture import DetailTexture
 from touchdown.sim.camera.gl import InverseDepth, Snapshot, Stage
 from touchdown.sim.camera.image_sensor import NoisePlace
+from touchdown.sim.camera.mover_shadows import MoverShadows
 from touchdown.sim.camera.row_exposures import RowExposures, exposes_rows, takes_time
 from touchdown.sim.camera.shutter import CameraMotion, camera_motion, margin_px
 from touchdown.sim.camera.vegetation import Vegetation
@@ -114,6 +115,7 @@ class CameraSensor:
         self._detail = (
             DetailTexture(scene, self._lens.raster, ground.vegetation) if params.detail else None
         )
+        self._shadows = MoverShadows.of(scene, self._lens.raster)
         self.renderer: str | None = None
         """what drew the images so far (`gl_contexts.renderer_name`); None without one"""
         self._stage: Stage | None = None
@@ -213,11 +215,15 @@ class CameraSensor:
         self._stage, self._thread = None, None
 
     def _drawn(self, stage: Stage, instant: Snapshot, first: int, last: int) -> _Drawn:
-        """`Stage.colour` of rows ``first`` to ``last``, with the ground's detail texture."""
+        """`Stage.colour` of rows ``first`` to ``last``, with the ground's detail texture and the
+        shadows of who walks there."""
         drawn, depth = stage.colour(instant, self._camera_id, first, last), None
         if self._detail is not None and self._detail.needed(instant, self._camera_id):
             depth = stage.inverse_depth_of_last(last - first)
             self._detail.add(drawn, depth, instant, self._camera_id, last)
+        if self._shadows is not None:
+            depth = depth or stage.inverse_depth_of_last(last - first)
+            self._shadows.darken(drawn, depth, instant, self._camera_id, last)
         return _Drawn(drawn, depth)
 
     def _through_air_and_lens(self, instant: Snapshot, defects: ImageDefects | None) -> Bytes:
