@@ -27,7 +27,7 @@ class Finding:
 
     kind: Literal["moving", "new", "object", "known", "slope", "step", "water"]
     """``new``: it has appeared, or the map has it not as it was when the site was chosen;
-    ``object``: under the legs; ``known``: none of them"""
+    ``object``, ``slope``, ``step``, ``water``: under the legs; ``known``: none of them"""
     position_odom: Array
     """(3,) middle of its upper side"""
     velocity_odom: Array

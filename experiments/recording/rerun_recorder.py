@@ -26,7 +26,7 @@ from touchdown.experiments.drawing.map_images import map_points
 from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.experiments.recording.rerun_blueprint import TIMELINE, flight_blueprint, log_styles
 from touchdown.experiments.recording.rerun_scene import log_moving, log_scene, log_vehicle
-from touchdown.landing.api import Candidate, LanderView
+from touchdown.landing.api import Candidate, LanderView, WatchReport
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import Command, LidarScan, Observation, SensorRig, Truth
 from touchdown.sim.frames import Pose, PoseHistory, quat_wxyz_from_matrix, tilt_from_rotation
@@ -141,6 +141,7 @@ class RerunLog:
         self._seen_text = ("", "")
         self._seen_site: Array = np.full(3, np.nan)
         self._seen_costmap: object = None
+        self._seen_watch: object = None
         self._costmap_shape: tuple[int, int] | None = None
         self._seen_candidates: object = ()
         self._last: tuple[Truth, Estimate, MapView] | None = None
@@ -306,6 +307,9 @@ class RerunLog:
         if view.site_world is not None and not np.array_equal(view.site_world, self._seen_site):
             self._seen_site = view.site_world.copy()
             self._log(time_s, "world/site", _site_lines(view.site_world))
+        if view.watch is not None and view.watch is not self._seen_watch:
+            self._seen_watch = view.watch
+            self._log(time_s, "world/map/watch", _watched_things(view.watch))
         if view.costmap is not None and view.costmap is not self._seen_costmap:
             self._seen_costmap = view.costmap
             site = view.site_world
@@ -372,6 +376,18 @@ def _candidate_points(candidates: tuple[Candidate, ...]) -> rr.Points3D:
         colors=[_RGB_ACCEPTED if c.accepted else _RGB_REFUSED for c in candidates],
         radii=[0.6],
         labels=[f"{n}: score {c.value:.3f}, {c.reason}" for n, c in enumerate(candidates, start=1)],
+        show_labels=False,
+    )
+
+
+def _watched_things(report: WatchReport) -> rr.Points3D:
+    """What the watch has found, with its words; what is in the way is red."""
+    found = report.findings
+    return rr.Points3D(
+        np.array([finding.position_odom for finding in found]).reshape(-1, 3),
+        colors=[_RGB_ACCEPTED if one.kind == "known" else _RGB_REFUSED for one in found],
+        radii=[0.5 * one.width_m for one in found],
+        labels=[f"{one.kind}, {one.height_m:.1f} m high" for one in found],
         show_labels=False,
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from touchdown.landing.api import Phase
 from touchdown.landing.mission.best_ground import best_ground
-from touchdown.landing.mission.mission import Mission, RuledSteps, Steps
+from touchdown.landing.mission.mission import Mission, RuledSteps, SiteMovedError, Steps
 from touchdown.landing.mission.rules import Action, Moment
 from touchdown.landing.mission.site_recheck import ground_under, recheck_site
 from touchdown.landing.mission.touchdown import TouchdownDetector
@@ -167,6 +167,39 @@ class _Drift:
         self._min = min(self._min, variance)
         self.found = self.found or variance > self._min + self._growth
         return self.found
+
+
+def watched_descent(mission: Mission) -> Steps:
+    """The final descent; where the watch moves the site, from the height of the commitment
+    again."""
+    while True:
+        try:
+            mission.may_move = True
+            yield from final_descent(mission)
+            return
+        except SiteMovedError as moved:
+            mission.may_move = False
+            yield from _go_aside(mission, moved.aside_odom)
+        finally:
+            mission.may_move = False
+
+
+def _go_aside(mission: Mission, aside: Array) -> Steps:
+    """Goes over to a site beside the present one, at the height of the commitment at the least, and
+    commits to it."""
+    state, params, here = mission.state, mission.params, mission.reference_odom
+    assert state.site_odom is not None
+    state.choose(np.array([*aside, state.site_odom[2]]), state.site_class)
+    low = state.site_odom[2] + params.commit_height_m + mission.leg_height
+    state.report(f"the site is moved by {np.linalg.norm(aside - here[:2]):.1f} m")
+    if low > here[2] + _SLOW_ABOVE_M:
+        yield from mission.follow(vertical_move(here, low, params.descent_speed_mps))
+    end = np.array([*aside, mission.reference_odom[2]])
+    yield from _move(mission, end, _SHIFT_SPEED_MPS)
+    ground = ground_under(mission.view.map_view, aside)
+    if np.isfinite(ground):
+        state.choose(np.array([*aside, ground]), state.site_class)
+    state.commit(mission.view.world(state.site_odom))
 
 
 def final_descent(mission: Mission) -> Steps:

@@ -13,7 +13,13 @@ from touchdown.landing.api import (
     Watch,
 )
 from touchdown.landing.classification.site_check import SiteClassCheck
-from touchdown.landing.mission.mission import Mission, Select, SiteGivenUpError, Steps
+from touchdown.landing.mission.mission import (
+    Mission,
+    Select,
+    SiteGivenUpError,
+    SiteMovedError,
+    Steps,
+)
 from touchdown.landing.mission.phases import abort, run_phases
 from touchdown.landing.mission.rules import Action, Moment
 from touchdown.sim.api import Observation, SensorNeeds, SensorRig
@@ -55,8 +61,8 @@ class SiteLander:
         if ruling is not None and ruling.action is Action.GIVE_WAY:
             try:
                 return mission.give_way()
-            except SiteGivenUpError as given_up:
-                return self._steps.throw(given_up)
+            except (SiteGivenUpError, SiteMovedError) as change:
+                return self._steps.throw(change)
         if ruling is not None and ruling.action is Action.LAND_IN_PLACE:
             mission.end_lift()
             self._steps = abort(mission)

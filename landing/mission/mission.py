@@ -63,6 +63,15 @@ class LegBlockedError(Exception):
         self.action = ruling.action
 
 
+class SiteMovedError(Exception):
+    """The watch has found a place ``aside_odom`` (2,) near the site where nothing is in the way.
+    The reference has stopped."""
+
+    def __init__(self, aside_odom: Array) -> None:
+        super().__init__("the site is moved aside")
+        self.aside_odom = aside_odom
+
+
 class SiteGivenUpError(Exception):
     """The watch has seen something in the way for too long. The reference has stopped."""
 
@@ -95,6 +104,8 @@ class Mission:
         """asks the watch; None where it is off"""
         self.may_refuse = False
         """whether the present site may be given up for another"""
+        self.may_move = False
+        """whether it may be moved to where nothing is in the way"""
         self._lift_speed = 0.0
         start = rig.world_from_body_start
         self.start_world: Array = start.translation.copy()
@@ -245,16 +256,22 @@ class Mission:
     def give_way(self) -> Setpoint:
         """As `hold`; climbs to ``look_height_m`` while the watch wants to see more, and sinks back
         where nothing is in the way any more. Raises SiteGivenUpError where it has taken too long
-        and the site may be refused."""
+        and the site may be refused, SiteMovedError where the watch has found another place and the
+        site may be moved."""
         state, params, step = self.state, self.params, self._time_s - self._last_s
-        blocked = is_in_the_way(self.view, state)
-        if state.gave_way_s > _GIVE_UP_S and blocked and self.may_refuse:
+        watch = self.view.watch if is_in_the_way(self.view, state) else None
+        blocked = watch is not None
+        if watch is not None and state.gave_way_s > _GIVE_UP_S and self.may_refuse:
             self.end_lift()
-            raise SiteGivenUpError(self.view.watch.reason if self.view.watch else "")
+            raise SiteGivenUpError(watch.reason)
+        if watch is not None and watch.verdict is Verdict.MOVE and self.may_move:
+            assert watch.aside_odom is not None
+            self.end_lift()
+            raise SiteMovedError(watch.aside_odom)
         lift, wanted = state.lift_m, 0.0
-        if not blocked:
+        if watch is None:
             wanted = -min(params.descent_speed_mps, math.sqrt(2.0 * _LIFT_ACCEL_MPS2 * lift))
-        elif self.view.watch is not None and self.view.watch.verdict is Verdict.CLIMB:
+        elif watch.verdict is Verdict.CLIMB:
             assert state.site_odom is not None
             top = state.site_odom[2] + params.look_height_m + self.leg_height
             room = max(top - float(self.reference_odom[2]), 0.0)

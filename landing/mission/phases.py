@@ -9,7 +9,7 @@ import numpy as np
 from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Phase
 from touchdown.landing.mission.choice import choose_commanded, choose_sites, decided
-from touchdown.landing.mission.descent import descend_to, final_descent
+from touchdown.landing.mission.descent import descend_to, watched_descent
 from touchdown.landing.mission.mission import (
     LegBlockedError,
     Mission,
@@ -136,7 +136,7 @@ def _land_at_site(mission: Mission) -> Generator[Setpoint, None, str | None]:
         refusal = yield from descend_to(mission)
         if refusal is not None:
             return refusal.reason
-        yield from final_descent(mission)
+        yield from watched_descent(mission)
     except SiteGivenUpError as given_up:
         return str(given_up)
     finally:
@@ -257,7 +257,7 @@ def return_home(mission: Mission) -> Steps:
     home[2] = mission.view.ground_world
     mission.state.choose(mission.view.odom(home))
     yield from descend_to(mission)
-    yield from final_descent(mission)
+    yield from watched_descent(mission)
 
 
 def land_in_place(mission: Mission) -> Steps:
@@ -277,7 +277,7 @@ def land_in_place(mission: Mission) -> Steps:
         sink = vertical_move(here, low, params.descent_speed_mps)
         yield from mission.follow(sink, min_rate=_DESCENT_RATE)
     state.commit(mission.view.world(site))
-    yield from final_descent(mission)
+    yield from watched_descent(mission)
 
 
 _WAYS_DOWN: dict[Action, Callable[[Mission], Steps]] = {

@@ -21,8 +21,9 @@ _IN_THE_AIR = frozenset(
 )
 _MAX_STOP_S = 40.0
 """time for which a reference waits for a weaker wind"""
-_PATIENCE_S, _HURRIED_S = 60.0, 5.0
-"""time for which a descent that has no other site waits, and in an emergency"""
+_PATIENCE_S, _STILL_S, _HURRIED_S = 60.0, 10.0, 5.0
+"""time for which a descent that has no other site waits for who may leave, and for what stays; in
+an emergency"""
 _RESERVE_S = 30.0
 """flight time of the battery that is left for the descent"""
 
@@ -43,7 +44,7 @@ class Action(StrEnum):
     """What follows from a rule."""
 
     HOLD = "hold the position"
-    GIVE_WAY = "wait, climb or refuse the site"
+    GIVE_WAY = "wait, climb, or move or refuse the site"
     LAND_IN_PLACE = "land in place"
     LOWER_SURVEY = "lower the survey"
     END_SURVEY = "end the survey"
@@ -110,12 +111,14 @@ def site_not_clear(view: MissionView, state: MissionState) -> str | None:
 
 def is_in_the_way(view: MissionView, state: MissionState) -> bool:
     """True while the descent is to be interrupted."""
-    watch, patience = view.watch, _PATIENCE_S if state.deadline_s is None else _HURRIED_S
-    descends = watch is not None and state.phase in (Phase.DESCEND, Phase.RETURN)
-    if not descends or state.gave_way_s > patience or view.time_left_s < _RESERVE_S:
+    watch = view.watch
+    if watch is None or watch.verdict is Verdict.GO or view.time_left_s < _RESERVE_S:
         return False
-    assert watch is not None
-    return watch.verdict is not Verdict.GO
+    kinds = {finding.kind for finding in watch.findings} or {"new"}
+    patience = _PATIENCE_S if kinds & {"new", "moving"} else _STILL_S
+    if state.deadline_s is not None:
+        patience = _HURRIED_S
+    return state.phase in (Phase.DESCEND, Phase.RETURN) and state.gave_way_s <= patience
 
 
 def wind_aloft(view: MissionView, state: MissionState) -> str | None:

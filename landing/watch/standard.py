@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import Finding, Verdict, WatchInput, WatchReport, WatchRig
+from touchdown.landing.watch.footing import footing, nearest_safe, water_fraction
 from touchdown.landing.watch.surface import CELL_M, CELLS, Layers, Surface
 from touchdown.landing.watch.tracks import Memory, Track, Tracks, things_in
 from touchdown.sim.api import LidarScan, SensorNeeds
@@ -31,6 +33,11 @@ _SCANS = 2
 """number of scans that have to agree"""
 _CLEAR_S = 1.0
 """time for which nothing may be in the way before the descent goes on"""
+_ASIDE_AFTER_S = 2.0
+"""time in the way after which it is given up that something still leaves by itself"""
+_STEEP_DEG, _STEP_M, _WATER = 12.0, 0.3, 0.5
+"""ground that is refused from close even where there is no other: slope, step, fraction of pulses
+without return"""
 _LOOK_AFTER_S = 3.0
 """time in the way after which it climbs to see more, from below ``landing.look_height_m``"""
 _SAME_M = 0.6
@@ -55,6 +62,8 @@ class StandardWatch:
         self._poses = PoseHistory(_POSES)
         self._called_s = self._seen_s = self._first_s = -np.inf
         self._blocked_s = self._since_s = -np.inf
+        self._bad_ground: set[str] = set()
+        """what was wrong with the ground in the last scan"""
         self._report = WatchReport()
 
     def look(self, seen: WatchInput) -> WatchReport:
@@ -77,6 +86,7 @@ class StandardWatch:
         self._poses = PoseHistory(_POSES)
         self._first_s = now
         self._seen_s = self._blocked_s = self._since_s = -np.inf
+        self._bad_ground = set()
         self._report = WatchReport()
 
     def _look_at(self, scan: LidarScan, seen: WatchInput) -> None:
@@ -86,8 +96,7 @@ class StandardWatch:
         now, corner = scan.end_time_s, self._surface.corner
         self._memory.move(self._surface.shift)
         body = seen.estimate.odom_from_body.translation
-        height = float(body[2]) - _ground_at(layers, corner, body)
-        if not np.isfinite(height):
+        if not np.isfinite(_ground_at(layers, corner, body)):
             return
         self._seen_s = seen.obs.time_s
         things = things_in(layers, corner, self._memory.was_free(now))
@@ -96,7 +105,11 @@ class StandardWatch:
         for track in self._tracks.update(things, now, layers, corner):
             track.new += _is_new(track, tops, seen.known)
         findings = [self._finding(track, seen, now) for track in self._tracks.tracks]
-        self._judge(findings, seen, now, height)
+        findings.sort(key=lambda finding: finding.distance_m)
+        ground = self._ground(layers, seen)
+        findings += [finding for finding in ground if finding.kind in self._bad_ground]
+        self._bad_ground = {finding.kind for finding in ground}
+        self._judge(findings, layers, seen, now)
 
     def _finding(self, track: Track, seen: WatchInput, now: float) -> Finding:
         thing, at = track.thing, track.at(now)
@@ -116,24 +129,71 @@ class StandardWatch:
             distance_m=max(distance, 0.0),
         )  # fmt: skip
 
-    def _judge(self, findings: list[Finding], seen: WatchInput, now: float, height: float) -> None:
+    def _judge(self, findings: list[Finding], layers: Layers, seen: WatchInput, now: float) -> None:
         speed = float(np.linalg.norm(seen.estimate.velocity_odom[:2]))
-        near = _NEAR_M + speed * _REACT_S + 0.5 * speed**2 / _BRAKE_MPS2
-        reasons = [_reason(finding, seen, near) for finding in findings]
-        reason = next((text for text in reasons if text), "")
+        near = _NEAR_M + min(speed * _REACT_S + 0.5 * speed**2 / _BRAKE_MPS2, _NEAR_M)
+        blocking = [one for one in findings if _reason(one, seen, near)]
+        reason = _reason(blocking[0], seen, near) if blocking else ""
         if reason:
             if now - self._blocked_s > _CLEAR_S:
                 self._since_s = now
             self._blocked_s = now
         elif now - self._blocked_s < _CLEAR_S:
             reason = self._report.reason
-        verdict = Verdict.WAIT if reason else Verdict.GO
-        low = height < self._rig.landing.look_height_m
-        if reason and now - self._since_s > _LOOK_AFTER_S and low:
-            verdict = Verdict.CLIMB
-        self._report = WatchReport(
-            verdict=verdict, reason=reason, findings=tuple(findings), height_m=height
+        verdict, aside, height = (
+            Verdict.WAIT if reason else Verdict.GO,
+            None,
+            self._height(layers, seen),
         )
+        if blocking and now - self._since_s > _ASIDE_AFTER_S:
+            if all(one.kind != "moving" for one in blocking):
+                aside = self._aside(findings, layers, seen, near)
+            if aside is not None:
+                verdict = Verdict.MOVE
+            elif now - self._since_s > _LOOK_AFTER_S and height < self._rig.landing.look_height_m:
+                verdict = Verdict.CLIMB
+        self._report = WatchReport(
+            verdict=verdict, reason=reason, findings=tuple(findings), aside_odom=aside,
+            height_m=height,
+        )  # fmt: skip
+
+    def _height(self, layers: Layers, seen: WatchInput) -> float:
+        body = seen.estimate.odom_from_body.translation
+        return float(body[2]) - _ground_at(layers, self._surface.corner, body)
+
+    def _aside(
+        self, findings: list[Finding], layers: Layers, seen: WatchInput, near: float
+    ) -> Array | None:
+        """(2,) the nearest place that is level, free, and away from all that is found."""
+        away = []
+        for finding in findings:
+            if finding.kind in ("moving", "new", "object", "known"):
+                keep = near if finding.kind in ("moving", "new") else _LEGS_M
+                for ahead_s in (
+                    np.linspace(0.0, _AHEAD_S, 5) if finding.kind == "moving" else (0.0,)
+                ):
+                    at = finding.position_odom[:2] + ahead_s * finding.velocity_odom
+                    away.append((at, keep + 0.5 * finding.width_m))
+        return nearest_safe(
+            layers, self._surface.corner, self._memory.free(), seen.site_odom[:2], away
+        )
+
+    def _ground(self, layers: Layers, seen: WatchInput) -> list[Finding]:
+        """What is wrong with the ground under the legs."""
+        found, site = footing(layers, self._surface.corner, seen.site_odom[:2]), seen.site_odom
+        kinds: list[tuple[Literal["slope", "step", "water"], bool, float]] = [
+            ("step", found.step_m > _STEP_M, found.step_m),
+            ("slope", found.slope_deg > _STEEP_DEG, math.tan(math.radians(found.slope_deg))),
+            ("water", water_fraction(seen.map_view.coarse, site[:2]) > _WATER, 0.0),
+        ]
+        return [
+            Finding(
+                kind=kind, position_odom=site.copy(), velocity_odom=np.zeros(2), height_m=height,
+                width_m=2.0 * _LEGS_M, distance_m=0.0,
+            )
+            for kind, wrong, height in kinds
+            if wrong
+        ]  # fmt: skip
 
 
 def _reason(finding: Finding, seen: WatchInput, near_m: float) -> str:
@@ -141,6 +201,12 @@ def _reason(finding: Finding, seen: WatchInput, near_m: float) -> str:
     away, what = finding.distance_m, f"{finding.height_m:.1f} m high"
     if finding.kind == "object":
         return f"something {what} under the legs"
+    if finding.kind == "slope":
+        return f"the ground slopes by {math.degrees(math.atan(finding.height_m)):.0f} degrees"
+    if finding.kind == "step":
+        return f"a step of {finding.height_m:.1f} m under the legs"
+    if finding.kind == "water":
+        return "water under the legs"
     if finding.kind == "known":
         return ""
     if finding.kind == "new" or away < near_m:

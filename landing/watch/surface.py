@@ -51,6 +51,8 @@ class Layers(NamedTuple):
     """ground without anything on it"""
     returns: Float32
     """number of them"""
+    low: Float32
+    """z of the lowest return of the last seconds; inf without one"""
     ground: Float32
     """z of the ground, odom frame; NaN where it is not known"""
     high: Float32
@@ -99,13 +101,14 @@ class Surface:
             count, low, high,
         )  # fmt: skip
         self._keep(low)
-        ground = ground_below(np.minimum(self._lows[0], self._lows[1]))
+        lowest = np.minimum(self._lows[0], self._lows[1])
+        ground = ground_below(lowest)
         flat = ground.ravel()[cells]
         tall = np.bincount(cells[heights > flat + TALL_M], minlength=CELLS * CELLS)
         share = tall.reshape(CELLS, CELLS) / np.maximum(count, 1.0)
         stands = (share >= _TALL_SHARE) & (count >= 2.0)
         free = (count > 0.0) & (high < ground + _FREE_M)
-        return Layers(stands, free, count, ground, high)
+        return Layers(stands, free, count, lowest, ground, high)
 
     def _keep(self, low: Float32) -> None:
         """Adds the lowest returns of a scan. The ones before move with the ground as it is now: the

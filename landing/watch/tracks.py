@@ -17,8 +17,14 @@ _MIN_CELLS, _MIN_RETURNS = 2, 6
 _MIN_HEIGHT_M, _MAX_HEIGHT_M = 0.3, 2.5
 """what may walk or be put on a site: higher things are trees and houses"""
 _MAX_WIDTH_M = 6.0
+_MIN_NEW_M = 0.35
+"""height from which it may have appeared: crops and meadows are up to 0.3 m high, and noise"""
+_APPEARED = 0.3
+"""fraction of its cells"""
 _AGO_S, _LONGEST_S = 0.55, 2.0
 """age of scans that show what has stood somewhere before"""
+_FREE_SCANS = 3
+"""number of those that have to show free ground"""
 _KEPT = 20
 _GATE_M, _FASTEST_MPS = 0.5, 6.0
 """distance to where a thing was expected, and speed of one seen for the first time"""
@@ -61,17 +67,25 @@ class Memory:
             self._scans.extend(moved)
 
     def add(self, time_s: float, layers: Layers) -> None:
-        """Adds what a scan shows."""
-        self._scans.append((time_s, layers.tall, layers.free))
+        """Adds what a scan shows. Plants at the limit of what is tall are so in one scan and not in
+        the next; free ground they are in none."""
+        rises = (layers.returns > 0.0) & ~layers.free
+        self._scans.append((time_s, rises, layers.free))
+
+    def free(self) -> Mask:
+        """Where one of the scans has seen free ground and none something on it."""
+        rises = np.logical_or.reduce([rises for _, rises, _ in self._scans])
+        seen: Mask = np.logical_or.reduce([free for _, _, free in self._scans])
+        return seen & ~rises
 
     def was_free(self, time_s: float) -> Mask | None:
         """Where the ground was free and nothing stood beside; None without a scan that old."""
-        old = [(t, f) for at, t, f in self._scans if _AGO_S <= time_s - at <= _LONGEST_S]
+        old = [(r, f) for at, r, f in self._scans if _AGO_S <= time_s - at <= _LONGEST_S]
         if not old:
             return None
-        tall = np.logical_or.reduce([t for t, _ in old]).astype(np.uint8)
-        free: Mask = np.logical_or.reduce([f for _, f in old])
-        return free & (cv2.dilate(tall, np.ones((3, 3), np.uint8)) == 0)
+        rises = np.logical_or.reduce([r for r, _ in old]).astype(np.uint8)
+        free: Mask = np.add.reduce([f for _, f in old], dtype=np.uint8) >= _FREE_SCANS
+        return free & (cv2.dilate(rises, np.ones((3, 3), np.uint8)) == 0)
 
 
 def things_in(layers: Layers, corner: Array, was_free: Mask | None) -> list[Thing]:
@@ -111,6 +125,8 @@ class Track:
     """number of scans"""
     appeared: int = 0
     """number of scans in which it stood where nothing had stood"""
+    lately: deque[bool] = field(default_factory=lambda: deque(maxlen=5))
+    """the same of the last scans"""
     new: int = 0
     """number of scans in which the map did not have it"""
     velocity: Array = field(default_factory=lambda: np.zeros(2))
@@ -133,7 +149,9 @@ class Track:
         self._follow()
 
     def _follow(self) -> None:
-        self.appeared += self.thing.appeared >= 0.3
+        appeared = self.thing.appeared >= _APPEARED and self.thing.height_m >= _MIN_NEW_M
+        self.appeared += appeared
+        self.lately.append(appeared)
         self.path.append((self.seen_s, self.thing.middle))
         near = [(t, xy) for t, xy in self.path if self.seen_s - t <= _FIT_S]
         times = np.array([t for t, _ in near]) - self.seen_s
@@ -144,7 +162,7 @@ class Track:
         half = len(near) // 2
         moved = np.linalg.norm(places[half:].mean(axis=0) - places[:half].mean(axis=0))
         # What comes into view seems to move too; but it has not been seen free before.
-        moves = np.hypot(*slope) > _MOVES_MPS and 2.0 * moved > _MOVED_M and self.appeared > 1
+        moves = np.hypot(*slope) > _MOVES_MPS and 2.0 * moved > _MOVED_M and sum(self.lately) > 2
         self.velocity = slope if moves else np.zeros(2)
 
 

@@ -6,9 +6,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from touchdown.landing.api import Phase, Verdict, WatchInput, WatchReport
+from touchdown.landing.api import Finding, Phase, Verdict, WatchInput, WatchReport
 from touchdown.landing.mission.lander import SiteLander
 from touchdown.landing.mission.lookout import window
+from touchdown.landing.mission.rules import is_in_the_way
 from touchdown.sim.api import SensorNeeds
 
 from support.lander_support import PARAMS, QUICK, Puppet, flat_map
@@ -32,7 +33,9 @@ class Told:
         legs = float(seen.estimate.odom_from_body.translation[2] - seen.site_odom[2]) - LEG_HEIGHT
         self.asked.append((seen.obs.time_s, legs))
         verdict = self.says(legs, seen.obs.time_s)
-        return WatchReport(verdict=verdict, reason="" if verdict is Verdict.GO else "a dog")
+        reason = "" if verdict is Verdict.GO else "a dog"
+        aside = seen.site_odom[:2] + [2.0, 0.0] if verdict is Verdict.MOVE else None
+        return WatchReport(verdict=verdict, reason=reason, aside_odom=aside)
 
 
 class Flown:
@@ -109,6 +112,37 @@ def test_it_climbs_to_look_and_comes_back() -> None:
     assert site is not None
     np.testing.assert_allclose(flown.puppet.position[:2], site[:2], atol=0.05)
     assert flown.largest_step < 0.15 and len([e for e in flown.events if "dog" in e]) == 1
+
+
+def test_it_goes_aside_in_the_final_descent_and_before_it_waits() -> None:
+    flown = Flown(Between(3.0, 0.02, Verdict.MOVE))
+    assert flown.view.phase is Phase.DONE and "DESCEND: the site is moved by 2.0 m" in flown.events
+    site, chosen = flown.view.committed_site_world, flown.view.decisions[0].positions_world[0]
+    assert site is not None
+    np.testing.assert_allclose(site[:2] - chosen[:2], [2.0, 0.0], atol=0.05)
+    np.testing.assert_allclose(flown.puppet.position[:2], site[:2], atol=0.05)
+    low = max(z for (t, z), xy in zip(flown.path, flown.places, strict=True)
+              if 0.1 < xy[0] - chosen[0] < 1.9 and t > flown.times[-1])  # fmt: skip
+    assert low - LEG_HEIGHT == pytest.approx(PARAMS.commit_height_m, abs=0.1)
+    early = Between(9.0, 4.0, Verdict.MOVE)
+    assert not any("moved" in event for event in Flown(early).events)
+
+
+def test_what_stays_delays_a_descent_without_another_site_for_ten_seconds() -> None:
+    slope = Finding(
+        kind="slope", position_odom=np.zeros(3), velocity_odom=np.zeros(2), height_m=0.3,
+        width_m=1.0, distance_m=0.0,
+    )  # fmt: skip
+    for findings, held_s in (((slope,), 10.0), ((), 60.0)):
+        mission = Flown(lambda *_: Verdict.GO, 8.0).puppet.lander._mission
+        mission.state.enter(Phase.RETURN)
+        report = WatchReport(verdict=Verdict.WAIT, reason="", findings=findings)
+        view = dataclasses.replace(mission.view, watch=report)
+        mission.state.give_way(held_s - 0.1, 0.0)
+        assert is_in_the_way(view, mission.state)
+        assert not is_in_the_way(dataclasses.replace(view, time_left_s=29.0), mission.state)
+        mission.state.give_way(0.2, 0.0)
+        assert not is_in_the_way(view, mission.state)
 
 
 def test_what_does_not_go_away_sends_the_vehicle_around_and_home() -> None:

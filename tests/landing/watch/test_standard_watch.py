@@ -64,9 +64,9 @@ def test_a_walker_towards_the_site_is_predicted() -> None:
 
 
 def test_a_walker_who_leaves_does_not_matter() -> None:
-    """In two seconds; he has passed by when the vehicle touches down."""
+    """He has passed by when the vehicle touches down."""
     walker = Box(middle=(0.5, 3.0), size=PERSON, velocity=(0.0, 1.2))
-    reports = watched(Descent(boxes=(walker,), touchdown_s=4.0, seconds=1.6))
+    reports = watched(Descent(boxes=(walker,), touchdown_s=4.0, pose_at=lambda _: at(8.0)))
     assert first(reports)[0] == math.inf
     assert any(f.kind == "moving" for _, report in reports for f in report.findings)
 
@@ -124,12 +124,48 @@ def test_a_scene_that_clears_lets_the_descent_go_on_after_a_second() -> None:
 
 
 def test_low_down_it_asks_to_climb_after_a_while_and_higher_up_it_waits() -> None:
-    box = Box(middle=(0.0, 1.0), from_s=0.5)
+    box, slope = Box(middle=(0.0, 1.0), from_s=0.5), 0.18
     for height_m, expected in ((6.0, Verdict.CLIMB), (11.0, Verdict.WAIT)):
-        reports = watched(Descent(boxes=(box,), seconds=5.0, pose_at=lambda _, h=height_m: at(h)))
+        reports = watched(
+            Descent(boxes=(box,), seconds=5.0, slope=slope, pose_at=lambda _, h=height_m: at(h))
+        )
         assert reports[-1][1].verdict is expected
         early = {report.verdict for t, report in reports if t < first(reports)[0] + 2.9}
         assert Verdict.CLIMB not in early
+
+
+def test_what_stays_in_the_way_is_evaded_where_the_ground_is_level_and_free() -> None:
+    boxes = (Box(middle=(0.0, 1.0), from_s=0.5), Box(middle=(0.0, -1.6), size=(2.0, 1.0, 0.5)))
+    reports = watched(Descent(boxes=boxes, seconds=4.0, pose_at=lambda _: at(8.0)))
+    moves = [(t, report) for t, report in reports if report.verdict is Verdict.MOVE]
+    assert moves[0][0] == pytest.approx(first(reports)[0] + 2.0, abs=0.25)
+    aside = moves[0][1].aside_odom
+    assert aside is not None and np.hypot(*(aside - [0.0, 1.0])) > 2.0 and np.hypot(*aside) < 4.0
+    assert max(abs(aside[0]) - 1.0, abs(aside[1] + 1.6) - 0.5) > 0.8
+
+
+@pytest.mark.parametrize(
+    ("slope", "boxes", "words"),
+    [
+        (0.3, (), "the ground slopes by 17 degrees"),
+        (0.0, (Box(middle=(0.0, 4.0), size=(9.0, 8.0, 0.8)),), "a step of 0."),
+    ],
+)
+def test_bad_ground_under_the_legs_is_told(
+    slope: float, boxes: tuple[Box, ...], words: str
+) -> None:
+    assert first(watched(Descent(slope=slope, boxes=boxes, known=False)))[1].startswith(words)
+
+
+def test_water_is_what_the_map_has_no_returns_of() -> None:
+    rig = synthetic_rig()
+    watch = StandardWatch(WatchRig(sensors=rig, landing=LandingParams()))
+    for seen in Descent(seconds=1.0).seen(rig):
+        grid = seen.map_view.coarse
+        lost = dataclasses.replace(grid, missing=2.0 * grid.count)
+        view = dataclasses.replace(seen.map_view, coarse=lost)
+        report = watch.look(dataclasses.replace(seen, map_view=view))
+    assert report.reason == "water under the legs"
 
 
 def test_without_returns_it_says_that_nothing_is_watched() -> None:
