@@ -303,7 +303,10 @@ class LandingParams:
     unhealthy_hold_s: NotNegative = 1.0
     """duration of an unhealthy estimate after which the vehicle holds its position"""
     unhealthy_abort_s: NotNegative = 8.0
-    """duration of an unhealthy estimate after which the vehicle descends where it is"""
+    """duration of an unhealthy estimate after which the vehicle comes down"""
+    blind_abort_s: NotNegative = 2.0
+    """time without a measurement of the position after which the vehicle comes down; in climb and
+    survey three times as long"""
     slow_in_wind: bool = False
     """slow the reference down where its motion through the felt wind would need more than the next
     three keys allow, and fly the survey lower where the wind leaves a hover no margin; where it

@@ -7,10 +7,9 @@ import dataclasses
 import numpy as np
 
 from touchdown.landing.api import Phase
-from touchdown.landing.mission.best_ground import best_ground
 from touchdown.landing.mission.mission import Mission, RuledSteps, SiteMovedError, Steps
 from touchdown.landing.mission.rules import Action, Moment
-from touchdown.landing.mission.site_recheck import ground_under, recheck_site
+from touchdown.landing.mission.site_recheck import best_ground, ground_under, recheck_site
 from touchdown.landing.mission.touchdown import TouchdownDetector
 from touchdown.landing.mission.trajectory import (
     descent_trajectory,
@@ -31,7 +30,8 @@ _FREEZE_ABOVE_M = 1.5
 """height below which, near the shortest LIDAR range, the ground height is no longer updated"""
 _GROUND_RATE_MPS = 0.05
 """rate limit of corrections of the ground height"""
-_DETECT_BELOW_M = 0.6
+_DETECT_BELOW_M, _DETECT_DRIFTING_M = 0.6, 2.0
+"""height of the legs below which contact is looked for; the height drifts with the position"""
 _THRUST_RAMP_S = 0.5
 _MOTORS_OFF_S = 1.0
 
@@ -245,9 +245,8 @@ def final_descent(mission: Mission) -> Steps:
         before = mission.now
         fade = float(np.exp(-(mission.now - start)))
         position = position + np.array([*(fade * offset), correction])
-        if legs_above < _DETECT_BELOW_M and detector.update(
-            mission.view.obs, mission.view.estimate
-        ):
+        near = _DETECT_DRIFTING_M if drifts else _DETECT_BELOW_M
+        if legs_above < near and detector.update(mission.view.obs, mission.view.estimate):
             break
         yield mission.setpoint(position, velocity, acceleration)
     yield from stop_motors(mission)

@@ -63,7 +63,7 @@ class SiteLander:
                 return mission.give_way()
             except (SiteGivenUpError, SiteMovedError) as change:
                 return self._steps.throw(change)
-        if ruling is not None and ruling.action is Action.LAND_IN_PLACE:
+        if ruling is not None and ruling.action is Action.LAND_BLIND:
             mission.end_lift()
             self._steps = abort(mission)
         return next(self._steps)

@@ -28,7 +28,7 @@ from touchdown.landing.mission.rules import Moment, Ruling, first_ruling, is_in_
 from touchdown.landing.mission.state import MissionState
 from touchdown.landing.mission.time_scaling import TimeScaling, scaled
 from touchdown.landing.mission.trajectory import HeadingTurn, PiecewiseTrajectory
-from touchdown.landing.mission.view import MissionView
+from touchdown.landing.mission.view import MissionView, Sight
 from touchdown.landing.mission.wind import FeltWind, WindEstimator, WindProfile
 from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.api import Observation, SensorRig
@@ -123,6 +123,7 @@ class Mission:
         self._next_learning_s = 0.0
         self._time_s = self._last_s = self._held_s = 0.0
         self._unhealthy_since_s: float | None = None
+        self._sight = Sight()
 
     # ------------------------------------------------------------------------------- inputs
 
@@ -148,6 +149,7 @@ class Mission:
             now_s=now,
             time_left_s=_time_left_s(obs.battery_fraction, now, state.takeoff_s),
             unhealthy_s=self._unhealthy_s(obs.time_s, estimate.healthy),
+            blind_s=self._sight.lost_s(obs.time_s, estimate.position_covariance),
             wind_mps=self.wind.speed_mps,
             felt_wind_odom=self.felt_wind.wind_odom,
             load_aloft=self._load_aloft(),
@@ -245,6 +247,11 @@ class Mission:
             motors_on=motors_on,
             thrust_limit=thrust_limit,
         )
+
+    def velocity_setpoint(self, velocity: Array, acceleration: Array) -> Setpoint:
+        """Returns the setpoint that keeps a velocity (3,), odom frame: its position is that of the
+        estimate, wherever that goes, so that there is no position to correct."""
+        return self.setpoint(self.view.position_odom.copy(), velocity, acceleration)
 
     def hold(self) -> Setpoint:
         """Returns the setpoint that stays at the reference, and stops the clock of the mission for

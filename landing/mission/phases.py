@@ -8,6 +8,7 @@ import numpy as np
 
 from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Phase
+from touchdown.landing.mission.blind_descent import blind_descent
 from touchdown.landing.mission.choice import choose_commanded, choose_sites, decided
 from touchdown.landing.mission.descent import descend_to, watched_descent
 from touchdown.landing.mission.mission import (
@@ -287,8 +288,8 @@ _WAYS_DOWN: dict[Action, Callable[[Mission], Steps]] = {
 
 
 def abort(mission: Mission) -> Steps:
-    """Lands in place and rests, whatever the phase."""
-    yield from land_in_place(mission)
+    """Lands by velocity and rests, whatever the phase."""
+    yield from blind_descent(mission)
     yield from rest(mission)
 
 

@@ -46,6 +46,7 @@ class Action(StrEnum):
     HOLD = "hold the position"
     GIVE_WAY = "wait, climb, or move or refuse the site"
     LAND_IN_PLACE = "land in place"
+    LAND_BLIND = "land by velocity on the best ground in view"
     LOWER_SURVEY = "lower the survey"
     END_SURVEY = "end the survey"
     HURRY = "land by a deadline"
@@ -89,7 +90,17 @@ def estimate_lost(view: MissionView, state: MissionState) -> str | None:
     reached without an estimate."""
     if not _interruptible(state) or view.unhealthy_s < view.params.unhealthy_abort_s:
         return None
-    return "the position estimate stays unhealthy: landing straight down"
+    return "the position estimate stays unhealthy"
+
+
+def sight_lost(view: MissionView, state: MissionState) -> str | None:
+    """Decides where nothing has measured the position for ``blind_abort_s``: what is known of
+    place, height and speed is worth less each second. A survey for its positions alone goes on."""
+    early = state.phase in (Phase.TAKEOFF, Phase.SURVEY)
+    patience = view.params.blind_abort_s * (3.0 if early else 1.0)
+    if not _interruptible(state) or view.params.survey_only or view.blind_s <= patience:
+        return None
+    return f"nothing has measured the position for {view.blind_s:.1f} s"
 
 
 def estimate_unhealthy(view: MissionView, state: MissionState) -> str | None:
@@ -112,7 +123,7 @@ def site_not_clear(view: MissionView, state: MissionState) -> str | None:
 def is_in_the_way(view: MissionView, state: MissionState) -> bool:
     """True while the descent is to be interrupted."""
     watch = view.watch
-    if watch is None or watch.verdict is Verdict.GO or view.time_left_s < _RESERVE_S:
+    if watch is None or watch.verdict is Verdict.GO or view.time_left_s < _RESERVE_S or state.blind:
         return False
     kinds = {finding.kind for finding in watch.findings} or {"new"}
     patience = _PATIENCE_S if kinds & {"new", "moving"} else _STILL_S
@@ -230,7 +241,8 @@ def no_go_around_left(view: MissionView, state: MissionState) -> str | None:
 
 
 RULES: tuple[Rule, ...] = (
-    Rule(Moment.STEP, estimate_lost, Action.LAND_IN_PLACE, "aborted"),
+    Rule(Moment.STEP, estimate_lost, Action.LAND_BLIND, "aborted"),
+    Rule(Moment.STEP, sight_lost, Action.LAND_BLIND, "aborted"),
     Rule(Moment.STEP, estimate_unhealthy, Action.HOLD),
     Rule(Moment.STEP, site_not_clear, Action.GIVE_WAY),
     Rule(Moment.CLIMB, wind_aloft, Action.LOWER_SURVEY),

@@ -28,6 +28,8 @@ class MissionState:
         self.takeoff_s: float | None = None
         self.deadline_s: float | None = None
         """time of the mission by which an emergency ends on the ground"""
+        self.blind = False
+        """True in a final descent whose position nothing measures: it waits for nobody"""
         self.final = False
         """True in the final descent, which nothing but the watch interrupts"""
         self.gave_way_s = 0.0
@@ -140,9 +142,9 @@ class MissionState:
         self.gave_way_s += step_s
         self.lift_m = lift_m
 
-    def descend_for_good(self) -> None:
+    def descend_for_good(self, *, blind: bool = False) -> None:
         """Begins a descent that nothing but the watch interrupts."""
-        self.phase, self.final = Phase.DESCEND, True
+        self.phase, self.final, self.blind = Phase.DESCEND, True, blind
 
     def follow_clock(self, late_s: float, stopped_s: float) -> None:
         """Notes by how much this control step has made the trajectory later, and for how long its

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,17 @@ from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import LandingParams, WatchReport
 from touchdown.sim.api import Observation
 from touchdown.sim.typing import Array
+
+_FACTOR, _GROWTH_M = 3.0, 0.1
+"""growth of the standard deviation from which on nothing measures"""
+_RATE_PER_S = 0.1
+"""relative growth of the standard deviation of dead reckoning by what measures the velocity; with
+the inertial sensors alone it is 0.2 and more for twenty seconds"""
+_SURE_M = 0.05
+"""standard deviation below which one counts as this: at take-off the position is given"""
+_LOWERS = 0.9
+"""fraction to which a measurement lowers a standard deviation that has grown; turns of the vehicle
+lower it by less"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -29,6 +41,8 @@ class MissionView:
     """remaining flight time of the battery at its mean rate since take-off; inf at first"""
     unhealthy_s: float
     """time for which the estimate has been unhealthy in the air; -1 where it is healthy"""
+    blind_s: float
+    """time for which nothing has measured the horizontal position; 0 where something does"""
     wind_mps: float
     """mean wind speed"""
     felt_wind_odom: Array
@@ -90,3 +104,23 @@ class MissionView:
     def takes_risky(self) -> bool:
         """True where roads and roofs are accepted."""
         return self.params.allow_risky or self.in_emergency
+
+
+class Sight:
+    """Follows the larger horizontal standard deviation of the position. A measurement lowers it;
+    without any it rises, with the inertial sensors ever faster."""
+
+    def __init__(self) -> None:
+        self._peak = self._least = self._time_s = 0.0
+        self._since_s: float | None = None
+
+    def lost_s(self, time_s: float, covariance: Array) -> float:
+        """Time since the last measurement, s, where ``covariance`` (3, 3) has grown since then as
+        nothing that measures lets it grow, else 0; called once a control step."""
+        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[1]))
+        self._least *= math.exp(_RATE_PER_S * (time_s - self._time_s))
+        if self._since_s is None or sigma < max(_LOWERS * self._peak, self._least):
+            self._least, self._peak, self._since_s = max(sigma, _SURE_M), sigma, time_s
+        self._peak, self._time_s = max(sigma, self._peak), time_s
+        grown = sigma > _FACTOR * self._least and sigma > self._least + _GROWTH_M
+        return time_s - self._since_s if grown else 0.0

@@ -18,7 +18,7 @@ from touchdown.sim.typing import Array
 
 _TIME_CONSTANT_S = 3.0
 _FELT_TIME_CONSTANT_S = 0.7
-_ROUGHNESS_M = 0.1
+ROUGHNESS_M = 0.1
 
 
 class WindEstimator:
@@ -106,12 +106,12 @@ class WindProfile:
 
     def update(self, felt_odom: Array, height_m: float) -> None:
         """Adds the felt wind (3,) at a height above the ground."""
-        self._sum += felt_odom / np.log(height_m / _ROUGHNESS_M)
+        self._sum += felt_odom / np.log(height_m / ROUGHNESS_M)
         self._samples += 1
 
     def at(self, height_m: float) -> Array:
         """(3,) m/s, the mean wind at another height; needs one sample at least."""
-        return self._sum / self._samples * np.log(height_m / _ROUGHNESS_M)
+        return self._sum / self._samples * np.log(height_m / ROUGHNESS_M)
 
 
 @njit(cache=True, error_model="numpy")

@@ -29,6 +29,8 @@ def test_a_campaign_uses_seeds_of_its_own_kind(file: str) -> None:
         assert found == {"verdict of edition 1"}
     elif file in RUGGED:
         assert found == {"verdict on rugged ground"}
+    elif file == "configs/blind.toml":
+        assert found == {"verdict on blindness"}
     elif file in REGRESSION:
         assert found <= {"regression", "short"}
     else:
@@ -67,9 +69,11 @@ def named(text: str) -> list[list[int]]:
 
 
 def test_owners_are_ranges_with_ends() -> None:
-    assert [owner_of(seed) for seed in (0, 9999, 10000, 10100, 20000, 20999, 21000, 22000)] == [
+    seeds = (0, 9999, 10000, 10100, 20000, 20999, 21000, 22000, 22100)
+    assert [owner_of(seed) for seed in seeds] == [
         "development", "development", "regression", "short",
-        "verdict of edition 1", "verdict of edition 1", "verdict on rugged ground", "user",
+        "verdict of edition 1", "verdict of edition 1", "verdict on rugged ground",
+        "verdict on blindness", "user",
     ]  # fmt: skip
     assert owners([20000, 20000, 3, 4]) == "3 seeds: 1 verdict of edition 1, 2 development"
     assert owners([50000]) == "1 seed: user"

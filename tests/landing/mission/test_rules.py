@@ -77,6 +77,20 @@ def test_the_estimate_s_health_is_judged_in_the_air_alone() -> None:
         assert decided(mission, Moment.STEP) is None
 
 
+def test_a_lost_sight_ends_the_flight_at_once_in_a_descent_and_later_in_a_survey() -> None:
+    for phase, patience in ((Phase.SURVEY, 6.0), (Phase.APPROACH, 2.0), (Phase.RETURN, 2.0)):
+        mission = flying(phase)
+        seen(mission, blind_s=patience)
+        assert decided(mission, Moment.STEP) is None
+        seen(mission, blind_s=patience + 0.1)
+        assert decided(mission, Moment.STEP) == "sight_lost" and mission.state.aborted
+        mission.state.descend_for_good()
+        assert decided(mission, Moment.STEP) is None
+    alone = flying(survey_only=True)
+    seen(alone, blind_s=60.0)
+    assert decided(alone, Moment.STEP) is None
+
+
 def test_wind_ends_the_first_survey_or_the_flight() -> None:
     mission = flying()
     mission.state.follow_clock(0.0, 40.0)
