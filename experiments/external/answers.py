@@ -276,9 +276,8 @@ def _check_report(report: WatchReport, _rig: Any, _arguments: Any) -> None:
     who = "a WatchReport whose "
     if not isinstance(report.verdict, Verdict):
         raise DefectError("answers", f"{who}verdict is {report.verdict!r}, no Verdict")
-    if not isinstance(report.reason, str) or (report.verdict is not Verdict.GO) > bool(
-        report.reason
-    ):
+    silent = not (isinstance(report.reason, str) and report.reason)
+    if silent and report.verdict is not Verdict.GO:
         raise DefectError("answers", f"{who}verdict '{report.verdict}' has no reason")
     if report.verdict is Verdict.MOVE or report.aside_odom is not None:
         _check_array(f"{who}aside_odom", report.aside_odom, (2,))

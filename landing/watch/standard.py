@@ -38,6 +38,8 @@ _ASIDE_AFTER_S = 2.0
 _STEEP_DEG, _STEP_M, _WATER = 12.0, 0.3, 0.5
 """ground that is refused from close even where there is no other: slope, step, fraction of pulses
 without return"""
+_SPARE_M = 0.5
+"""distance by which another place is farther away than what is in the way"""
 _LOOK_AFTER_S = 3.0
 """time in the way after which it climbs to see more, from below ``landing.look_height_m``"""
 _SAME_M = 0.6
@@ -168,7 +170,7 @@ class StandardWatch:
         away = []
         for finding in findings:
             if finding.kind in ("moving", "new", "object", "known"):
-                keep = near if finding.kind in ("moving", "new") else _LEGS_M
+                keep = near + _SPARE_M if finding.kind in ("moving", "new") else _LEGS_M
                 for ahead_s in (
                     np.linspace(0.0, _AHEAD_S, 5) if finding.kind == "moving" else (0.0,)
                 ):

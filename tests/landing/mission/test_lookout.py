@@ -121,7 +121,7 @@ def test_it_goes_aside_in_the_final_descent_and_before_it_waits() -> None:
     assert site is not None
     np.testing.assert_allclose(site[:2] - chosen[:2], [2.0, 0.0], atol=0.05)
     np.testing.assert_allclose(flown.puppet.position[:2], site[:2], atol=0.05)
-    low = max(z for (t, z), xy in zip(flown.path, flown.places, strict=True)
+    low = min(z for (t, z), xy in zip(flown.path, flown.places, strict=True)
               if 0.1 < xy[0] - chosen[0] < 1.9 and t > flown.times[-1])  # fmt: skip
     assert low - LEG_HEIGHT == pytest.approx(PARAMS.commit_height_m, abs=0.1)
     early = Between(9.0, 4.0, Verdict.MOVE)

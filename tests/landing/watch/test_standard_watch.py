@@ -84,7 +84,7 @@ def test_motion_of_the_vehicle_is_no_motion_of_things() -> None:
     assert len(found) > 50 and {finding.kind for finding in found} == {"known"}
 
 
-@pytest.mark.parametrize("drift", [(0.3, -0.2, 0.0), (0.0, 0.0, -0.3)])
+@pytest.mark.parametrize("drift", [(0.3, -0.2, 0.0), (0.0, 0.0, 0.3)])
 def test_a_drifting_position_changes_nothing(drift: tuple[float, float, float]) -> None:
     """The map as it was drifts away, but by less than things are compared over."""
     still = Descent(boxes=(Box(middle=(0.0, 4.0), size=PERSON),), drift_mps=drift)
@@ -140,7 +140,7 @@ def test_what_stays_in_the_way_is_evaded_where_the_ground_is_level_and_free() ->
     moves = [(t, report) for t, report in reports if report.verdict is Verdict.MOVE]
     assert moves[0][0] == pytest.approx(first(reports)[0] + 2.0, abs=0.25)
     aside = moves[0][1].aside_odom
-    assert aside is not None and np.hypot(*(aside - [0.0, 1.0])) > 2.0 and np.hypot(*aside) < 4.0
+    assert aside is not None and np.hypot(*(aside - [0.0, 1.0])) > 2.4 and np.hypot(*aside) < 4.0
     assert max(abs(aside[0]) - 1.0, abs(aside[1] + 1.6) - 0.5) > 0.8
 
 
