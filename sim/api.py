@@ -380,6 +380,8 @@ class Truth:
     energy_used_j: float
     living_world: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(N, 3) where people, riders and animals stand"""
+    intruders_world: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(M, 3) those of them whom a fault has sent"""
 
 
 class World(Protocol):

@@ -57,10 +57,10 @@ class MovingBodies:
         self._bodies = tuple(scene.moving)
         ids = [_mocap_id(scene.model, body) for body in self._bodies]
         self._ids = np.array(ids, np.int64)
-        self._living = np.array(
-            [i for i, body in zip(ids, self._bodies, strict=True)
-             if body.alive and body.walker == body.body_name], np.int64
-        )  # fmt: skip
+        alive = [(i, body) for i, body in zip(ids, self._bodies, strict=True)
+                 if body.alive and body.walker == body.body_name]  # fmt: skip
+        self._living = np.array([i for i, _ in alive], np.int64)
+        self._intruders = np.array([i for i, body in alive if body.intruder], np.int64)
         self._paths = _pack(self._bodies)
 
     def write(self, data: Any, time_s: float) -> None:
@@ -68,9 +68,10 @@ class MovingBodies:
         if self._bodies:
             _locate(time_s, self._ids, *self._paths, data.mocap_pos, data.mocap_quat)
 
-    def living(self, data: Any) -> Array:
-        """(N, 3) places of persons, riders and animals in the world, on the ground."""
-        places = data.mocap_pos[self._living]
+    def living(self, data: Any, intruders: bool = False) -> Array:
+        """(N, 3) places of persons, riders and animals in the world, on the ground; ``intruders``:
+        of those alone."""
+        places = data.mocap_pos[self._intruders if intruders else self._living]
         return np.asarray(places[places[:, 2] > OUT_OF_THE_WORLD_M])
 
     def tracks(self, times_s: Array) -> dict[str, BodyTrack]:

@@ -289,6 +289,7 @@ class MujocoWorld:
             peak_contact_accel=self._peak_acceleration,
             energy_used_j=self._battery.energy_used_j,
             living_world=_frozen(self._moving.living(self._data)),
+            intruders_world=_frozen(self._moving.living(self._data, intruders=True)),
         )
 
     def record(self) -> WorldRecord:

@@ -8,11 +8,12 @@ from typing import Any
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.external.processes import release_pages
 from touchdown.experiments.flight.conditions import ConditionsObserver
+from touchdown.experiments.flight.intrusion import IntrusionObserver
 from touchdown.experiments.flight.metrics import GroundMap
 from touchdown.experiments.io.result_parts import Event, PhaseStart
 from touchdown.experiments.recording.recorder import Recorder, StepRecord
 from touchdown.landing.api import Decision
-from touchdown.sim.api import WindParams
+from touchdown.sim.api import SensorRig, WindParams
 
 Progress = Callable[[float, str, str], None]
 """Called with simulated seconds, phase and note."""
@@ -47,6 +48,7 @@ class StepObserver:
         self,
         recorder: Recorder,
         progress: Progress | None,
+        rig: SensorRig,
         roughness_length_m: float = WindParams().roughness_length_m,
     ) -> None:
         self.events = EventLog()
@@ -57,6 +59,7 @@ class StepObserver:
         self.decisions: tuple[Decision, ...] = ()
         """decisions of the lander so far"""
         self.conditions = ConditionsObserver(roughness_length_m)
+        self.intrusion = IntrusionObserver(rig)
         self._recorder, self._progress = recorder, progress
         self._phase = ""
         self._next_s = self._release_s = 0.0
@@ -74,6 +77,7 @@ class StepObserver:
             self.phases.append(PhaseStart(time_s=time_s, phase=phase))
         self._phase = phase
         self.conditions.tick(step)
+        self.intrusion.tick(step)
         self._latest_map = step.map_view.coarse
         if self._progress is not None and time_s >= self._next_s:
             self._next_s = time_s + _PROGRESS_PERIOD_S

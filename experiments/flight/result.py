@@ -74,6 +74,7 @@ def make_result(
         slowed_s=observer.slowed_s,
         nees=judgement.nees,
         landing=judgement.landing,
+        intrusion=observer.intrusion.summary(),
         choice=choice_of(observer.decisions, missed),
         classifier=stack.network or "off",
         map=_map_figures(stack, judgement, observer.judged_map, config.seed),

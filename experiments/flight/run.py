@@ -141,7 +141,7 @@ def fly_and_judge(
 ) -> RunResult:
     """Flies ``stack`` to the end, closes it and returns the result."""
     clock = StageClock()
-    observer = StepObserver(recorder, progress, config.wind.roughness_length_m)
+    observer = StepObserver(recorder, progress, stack.nominal_rig, config.wind.roughness_length_m)
     try:
         by_class = stack.network is not None and class_counts(config.landing)
         referee = make_referee(config, stack.scene, observer.end_survey, by_class=by_class)

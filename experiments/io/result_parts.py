@@ -126,6 +126,21 @@ class Landing(Part):
         return ground_safe(self.judged_on, safe=self.safe, safe_geometry=self.safe_geometry)
 
 
+class Intrusion(Part):
+    """What became of the first intruder; times since the start of the flight."""
+
+    in_view_s: Figure = None
+    """when he was first in view below 15 m; None: never"""
+    in_view_height_m: Figure = None
+    """of the legs above where he stood"""
+    stopping_m: Figure = None
+    """way in which the vehicle could have stopped sinking then: he can be avoided from above it"""
+    answered_s: Figure = None
+    """when the watch first interrupted the descent after he was sent; None: never"""
+    reaction_s: Figure = None
+    """from the first to the second; 0 where he was expected before"""
+
+
 class LevelnessError(Part):
     """Angle between the normals of map and true ground, in degrees, over ``places`` discs."""
 

@@ -22,6 +22,7 @@ from touchdown.experiments.io.result_parts import (
     Choice,
     Event,
     Figure,
+    Intrusion,
     Landing,
     MapFigures,
     Measured,
@@ -89,6 +90,8 @@ class RunResult(Part):
     nees: Nees | None = None
     landing: Landing | None = None
     """None where nothing was touched"""
+    intrusion: Intrusion | None = None
+    """None where nobody was sent"""
     choice: Choice | None = None
     """None where no site was to be chosen"""
     classifier: dict[str, Any] | str | None = None

@@ -10,6 +10,7 @@ from touchdown.experiments.campaign.plan import Plan, load_plan
 from touchdown.experiments.flight.conditions import judge_fault
 from touchdown.sim.api import FAULT_KINDS, FaultParams
 from touchdown.sim.faults.injector import FaultInjector
+from touchdown.sim.faults.marks import Marks
 from touchdown.sim.faults.types import WORLD_KINDS
 
 from support.fault_support import HZ, world
@@ -84,14 +85,20 @@ def test_a_condition_that_no_expectation_demands_is_found(tmp_path: Path) -> Non
 
 
 def test_every_scheduled_fault_of_messages_happens() -> None:
-    """The injector changes as many messages of a flight of a minute as the entries say."""
+    """The injector changes as many messages of a flight of a minute as the entries say: an approach
+    at 20 s, a descent from 15 m at 30 s."""
     observations = [obs for obs in world(FLIGHT_S * HZ) if obs.scans]
     schedules = scheduled()
     assert len(schedules) >= 15 and ("camera_black@20",) in schedules
     for events in schedules:
         config = load_config(fault=events)
-        injector = FaultInjector(FaultParams(events=events), HZ)
+        params = FaultParams(events=events)
+        marks = Marks(params.schedule(), HZ)
+        injector = FaultInjector(params, HZ, marks)
         for observation in observations:
+            time_s = observation.time_s
+            phase = "SURVEY" if time_s < 20.0 else "APPROACH" if time_s < 30.0 else "DESCEND"
+            marks.follow(observation.tick, phase, 15.0 - 0.5 * (time_s - 30.0))
             injector.apply(observation)
         records = {record["fault"]: record for record in injector.summary()}
         for fault in config.faults.schedule():

@@ -57,6 +57,7 @@ def test_a_shadow_lies_behind_who_throws_it_as_long_as_he_is_tall(scene: Scene) 
     assert north.min() > -0.35 and np.abs((cols - 159.5) / per_m).max() < 0.5
     on_ground = dark & (np.arange(240)[:, None] < 119.5 - 0.5 * per_m)
     assert np.median(ratio[on_ground]) == pytest.approx(LEFT, abs=0.04)
+    assert np.median(ratio[118:122, 157:163]) > 0.9  # his head is in the sun
     assert np.median(ratio[~dark]) == pytest.approx(1.0, abs=0.01)
 
 
