@@ -25,9 +25,10 @@ class Verdict(StrEnum):
 class Finding:
     """One thing that a watch has seen."""
 
-    kind: Literal["moving", "new", "object", "known", "slope", "step", "water"]
-    """``new``: it has appeared, or the map has it not as it was when the site was chosen;
-    ``object``, ``slope``, ``step``, ``water``: under the legs; ``known``: none of them"""
+    kind: Literal["person", "moving", "new", "object", "known", "slope", "step", "water"]
+    """``person``: a person, rider or animal in images; ``new``: it has appeared, or the map has it
+    not as it was when the site was chosen; ``object``, ``slope``, ``step``, ``water``: under the
+    legs; ``known``: none of them"""
     position_odom: Array
     """(3,) middle of its upper side"""
     velocity_odom: Array

@@ -34,6 +34,7 @@ _MODULES = {
     "doctor": ("doctor",),
     "fly": ("fly", "land"),
     "keys": ("config",),
+    "people": ("people",),
     "parts": ("calibrate", "check-estimator", "check-plugin", "control", "edges", "px4"),
     "report": ("query", "regress", "report"),
     "scenes": ("scenes",),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Literal
 
 import cv2
@@ -11,6 +12,8 @@ import numpy as np
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import Finding, Verdict, WatchInput, WatchReport, WatchRig
 from touchdown.landing.watch.footing import footing, nearest_safe, water_fraction
+from touchdown.landing.watch.people import PeopleDetector
+from touchdown.landing.watch.sightings import Sightings
 from touchdown.landing.watch.surface import CELL_M, CELLS, Layers, Surface
 from touchdown.landing.watch.tracks import Memory, Track, Tracks, things_in
 from touchdown.sim.api import LidarScan, SensorNeeds
@@ -22,6 +25,9 @@ _BREAK_S = 1.0
 """time without a call after which all is forgotten"""
 _NEAR_M = 2.0
 """distance to the site within which nothing may be that was not there when it was chosen"""
+_PERSON_M, _TALL_M = 3.5, 1.7
+"""distance to the site within which nobody may stand: 3 m, and what a place in an image is off by;
+height that somebody is shown with"""
 _MOVER_M = 3.0
 """distance to the site within which nothing that moves may be at the touchdown"""
 _LEGS_M = 0.6
@@ -67,6 +73,14 @@ class StandardWatch:
         self._bad_ground: set[str] = set()
         """what was wrong with the ground in the last scan"""
         self._report = WatchReport()
+        self._sightings: Sightings | None = None
+        """None where images are not looked at"""
+        if rig.landing.people_network:
+            detector = PeopleDetector(Path(rig.landing.people_network))
+            self._sightings = Sightings(rig.sensors, detector)
+            self.needs = SensorNeeds(camera_hz=5, lidar=True)
+        self._ground_z = np.nan
+        """height of the ground below in the last scan, odom frame"""
 
     def look(self, seen: WatchInput) -> WatchReport:
         """Returns the verdict; it changes with scans alone."""
@@ -75,6 +89,10 @@ class StandardWatch:
             self._begin(now)
         self._called_s = now
         self._poses.add(now, seen.estimate.odom_from_body)
+        for image in seen.obs.images if self._sightings is not None else ():
+            pose = self._poses.at(image.time_s)
+            if self._sightings is not None and pose is not None and np.isfinite(self._ground_z):
+                self._sightings.add(image, pose, self._ground_z)
         for scan in seen.obs.scans:
             self._look_at(scan, seen)
         if now - max(self._seen_s, self._first_s) > _BLIND_S:
@@ -89,6 +107,9 @@ class StandardWatch:
         self._first_s = now
         self._seen_s = self._blocked_s = self._since_s = -np.inf
         self._bad_ground = set()
+        if self._sightings is not None:
+            self._sightings.clear()
+        self._ground_z = np.nan
         self._report = WatchReport()
 
     def _look_at(self, scan: LidarScan, seen: WatchInput) -> None:
@@ -98,8 +119,9 @@ class StandardWatch:
         now, corner = scan.end_time_s, self._surface.corner
         self._memory.move(self._surface.shift)
         body = seen.estimate.odom_from_body.translation
-        if not np.isfinite(_ground_at(layers, corner, body)):
+        if not np.isfinite(below := _ground_at(layers, corner, body)):
             return
+        self._ground_z = below
         self._seen_s = seen.obs.time_s
         things = things_in(layers, corner, self._memory.was_free(now))
         self._memory.add(now, layers)
@@ -107,6 +129,8 @@ class StandardWatch:
         for track in self._tracks.update(things, now, layers, corner):
             track.new += _is_new(track, tops, seen.known)
         findings = [self._finding(track, seen, now) for track in self._tracks.tracks]
+        if self._sightings is not None:
+            findings += [_person(one.xy_odom, seen, below) for one in self._sightings.present()]
         findings.sort(key=lambda finding: finding.distance_m)
         ground = self._ground(layers, seen)
         findings += [finding for finding in ground if finding.kind in self._bad_ground]
@@ -169,8 +193,9 @@ class StandardWatch:
         """(2,) the nearest place that is level, free, and away from all that is found."""
         away = []
         for finding in findings:
-            if finding.kind in ("moving", "new", "object", "known"):
+            if finding.kind in ("person", "moving", "new", "object", "known"):
                 keep = near + _SPARE_M if finding.kind in ("moving", "new") else _LEGS_M
+                keep = _PERSON_M if finding.kind == "person" else keep
                 for ahead_s in (
                     np.linspace(0.0, _AHEAD_S, 5) if finding.kind == "moving" else (0.0,)
                 ):
@@ -201,6 +226,8 @@ class StandardWatch:
 def _reason(finding: Finding, seen: WatchInput, near_m: float) -> str:
     """Returns in words why a finding is in the way; empty where it is not."""
     away, what = finding.distance_m, f"{finding.height_m:.1f} m high"
+    if finding.kind == "person":
+        return f"somebody {away:.1f} m from the site" if away < _PERSON_M else ""
     if finding.kind == "object":
         return f"something {what} under the legs"
     if finding.kind == "slope":
@@ -222,6 +249,14 @@ def _reason(finding: Finding, seen: WatchInput, near_m: float) -> str:
     if closest >= _MOVER_M:
         return ""
     return f"something that moves {away:.1f} m away will be {max(closest, 0.0):.1f} m from the site"
+
+
+def _person(xy: Array, seen: WatchInput, ground_z: float) -> Finding:
+    return Finding(
+        kind="person", position_odom=np.array([*xy, ground_z + _TALL_M]), height_m=_TALL_M,
+        velocity_odom=np.zeros(2), width_m=0.0,
+        distance_m=float(np.linalg.norm(xy - seen.site_odom[:2])),
+    )  # fmt: skip
 
 
 def _ground_at(layers: Layers, corner: Array, at: Array) -> float:

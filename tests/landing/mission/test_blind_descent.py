@@ -59,10 +59,8 @@ class Flight:
             assert off or setpoint.position_odom == pytest.approx(stage.position)
             velocity = np.zeros(3) if off else setpoint.velocity_odom - error(time_s)
             self.true = self.true + velocity * STEP_S
-            self.speeds.append(velocity.copy())
-            if self.true[2] <= LEGS + ground:
-                self.true[2] = LEGS + ground
-                velocity[2] = 0.0
+            self.true[2] = max(self.true[2], LEGS + ground)
+            self.speeds.append(velocity)
             self.places.append(self.true.copy())
             time_s += STEP_S
             stage.position = stage.position + (velocity + error(time_s)) * STEP_S

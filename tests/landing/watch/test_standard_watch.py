@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ import pytest
 from touchdown.experiments.external.synthetic_descent import Box, Descent
 from touchdown.experiments.external.synthetic_stream import synthetic_rig
 from touchdown.landing.api import LandingParams, Verdict, WatchReport, WatchRig
+from touchdown.landing.watch.people import Person
 from touchdown.landing.watch.standard import StandardWatch
+from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
 PERSON = (0.4, 0.5, 1.7)
@@ -172,3 +175,35 @@ def test_without_returns_it_says_that_nothing_is_watched() -> None:
     report = watched(Descent(returned=0.0))[-1][1]
     assert report.verdict is Verdict.GO and "not watched" in report.reason
     assert watched(Descent())[-1][1].height_m == pytest.approx(6.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("away_m", "said"), [(2.0, "somebody "), (4.5, "")])
+def test_somebody_in_images_near_the_site_is_in_the_way(
+    away_m: float, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scans show flat ground; the person stands still."""
+    rig = synthetic_rig()
+    descent = Descent(pose_at=lambda _: at(7.0))
+
+    class Detector:
+        def __init__(self, _network: Path) -> None:
+            u = rig.camera.cx + rig.camera.fx * away_m / (7.0 - 0.8)
+            self._box = Person(u - 9, rig.camera.cy - 9, u + 9, rig.camera.cy + 9, 0.9)
+
+        def find(self, _image: object) -> tuple[Person, ...]:
+            return (self._box,)
+
+    monkeypatch.setattr("touchdown.landing.watch.standard.PeopleDetector", Detector)
+    watch = StandardWatch(
+        WatchRig(sensors=rig, landing=LandingParams(people_network="people.onnx"))
+    )
+    assert watch.needs.camera_hz == 5 and StandardWatch.needs.camera_hz == 0
+    reasons, last_s = [], 0.0
+    for seen in descent.seen(rig):
+        obs = seen.obs
+        if obs.time_s >= last_s + 0.2:
+            last_s = obs.time_s
+            picture = CameraImage(tick=obs.tick, time_s=last_s, rgb=np.zeros((2, 2, 3), np.uint8))
+            seen = dataclasses.replace(seen, obs=dataclasses.replace(obs, images=(picture,)))
+        reasons.append(watch.look(seen).reason)
+    assert reasons[-1].startswith(said) and bool(reasons[-1]) is bool(said)

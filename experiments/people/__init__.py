@@ -1,0 +1,1 @@
+"""The detector of people: its rendered images, its training, its figures."""
