@@ -77,7 +77,7 @@ def people_train(data: Path, out: Path, epochs: int, seed: int, quiet: bool) -> 
     Example: touchdown people train --data people/train --out people.onnx
     """
     from touchdown.experiments.people.images import read_images
-    from touchdown.experiments.people.network import export, train
+    from touchdown.experiments.people.learning.network import export, train
 
     found = list(read_images(data))
     losses: list[float] = []

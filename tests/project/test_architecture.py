@@ -60,7 +60,10 @@ SHARED = (
     "touchdown.sim.files.",
 )  # fmt: skip
 """What all library folders may use beside the apis."""
-TORCH_FOLDERS = (Path("landing/classification/networks"), Path("landing/classification/learning"))
+TORCH_FOLDERS = (
+    Path("landing/classification/networks"), Path("landing/classification/learning"),
+    Path("experiments/people/learning"),
+)  # fmt: skip
 """The only places that load torch; ``registry`` among them does not."""
 MAX_LINES = 450
 MAX_MODULES = 20

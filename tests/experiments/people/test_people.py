@@ -8,7 +8,7 @@ import pytest
 
 from touchdown.experiments.people.figures import measured, summary
 from touchdown.experiments.people.images import Labelled, read_images, rendered, write_images
-from touchdown.experiments.people.network import CROP, export, loss_of, targets_of, train
+from touchdown.experiments.people.learning.network import CROP, export, loss_of, targets_of, train
 from touchdown.landing.watch.people import SIZE, STRIDE, PeopleDetector, Person, overlap, peaks
 
 PLACE = """<mujoco><worldbody>
