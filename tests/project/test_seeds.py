@@ -31,6 +31,8 @@ def test_a_campaign_uses_seeds_of_its_own_kind(file: str) -> None:
         assert found == {"verdict on rugged ground"}
     elif file == "configs/blind.toml":
         assert found == {"verdict on blindness"}
+    elif file == "configs/intruders.toml":
+        assert found == {"verdict on intruders"}
     elif file in REGRESSION:
         assert found <= {"regression", "short"}
     else:
