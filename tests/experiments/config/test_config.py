@@ -95,7 +95,8 @@ def test_one_fault_needs_no_brackets(tmp_path: Path) -> None:
 
 OPEN_NAMES = {
     "scene", "estimator", "external", "calibration", "scene_classes", "harsh_effects",
-    "traffic.paths", "faults.events", "variant", "zou2024.edge_model", "px4.path", "px4.parameters",
+    "traffic.paths", "landing.people_network", "faults.events",
+    "variant", "zou2024.edge_model", "px4.path", "px4.parameters",
     *(slot.key for slot in SLOTS.values()),
 }  # fmt: skip
 """Names beside paths, modules and forms with numbers: checked by what reads them."""
