@@ -180,7 +180,7 @@ def test_a_mesh_that_takes_too_long_is_given_up(
 ) -> None:
     """The time of a convex hull follows from the shape: every point is part of it here."""
     monkeypatch.setattr(child, "CPU_S", 1)
-    found = np.random.default_rng(0).standard_normal((60_000, 3))
+    found = np.random.default_rng(0).standard_normal((150_000, 3))
     found *= 10.0 / np.linalg.norm(found, axis=1)[:, None]
     lines = [f"v {x} {y} {z}" for x, y, z in found]
     lines += [f"f {i} {i + 1} {i + 2}" for i in range(1, len(found) - 1, 3)]

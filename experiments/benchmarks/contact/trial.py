@@ -173,6 +173,9 @@ class _Dropped:
         truth: Truth = self._world.truth()
         return truth
 
+    def follow(self, phase: str, site_world: Array | None) -> None:
+        self._world.follow(phase, site_world)
+
     def step(self, command: Command) -> Observation:
         observation: Observation
         if self._lifted:
