@@ -25,6 +25,7 @@ from touchdown.landing.api import (
 from touchdown.landing.classification.site_check import SiteClassCheck
 from touchdown.landing.mission.lookout import Lookout
 from touchdown.landing.mission.rules import Moment, Ruling, first_ruling, is_in_the_way
+from touchdown.landing.mission.site_recheck import recheck_site
 from touchdown.landing.mission.state import MissionState
 from touchdown.landing.mission.time_scaling import TimeScaling, scaled
 from touchdown.landing.mission.trajectory import HeadingTurn, PiecewiseTrajectory
@@ -46,6 +47,7 @@ _LEARN_PERIOD_S = 0.1
 _GIVE_UP_S = 20.0
 """time for which something may be in the way before the site is given up"""
 _LIFT_ACCEL_MPS2 = 1.0
+_ASIDE_SHIFT_M = 0.5
 _LEVEL_M = 0.02
 """height above the place of the interruption from which the descent goes on"""
 _FEEL_ABOVE_M = 3.0
@@ -107,6 +109,8 @@ class Mission:
         self.may_move = False
         """whether it may be moved to where nothing is in the way"""
         self._lift_speed = 0.0
+        self._asked_map = -1
+        """version of the map that was last asked for ground beside the site"""
         start = rig.world_from_body_start
         self.start_world: Array = start.translation.copy()
         self.start_yaw = yaw_from_rotation(start.rotation)
@@ -273,8 +277,9 @@ class Mission:
             raise SiteGivenUpError(watch.reason)
         if watch is not None and watch.verdict is Verdict.MOVE and self.may_move:
             assert watch.aside_odom is not None
-            self.end_lift()
-            raise SiteMovedError(watch.aside_odom)
+            if (place := self._landable(watch.aside_odom)) is not None:
+                self.end_lift()
+                raise SiteMovedError(place)
         lift, wanted = state.lift_m, 0.0
         if watch is None:
             wanted = -min(params.descent_speed_mps, math.sqrt(2.0 * _LIFT_ACCEL_MPS2 * lift))
@@ -293,6 +298,17 @@ class Mission:
         setpoint = self.hold()
         up = np.array([0.0, 0.0, self._lift_speed])
         return dataclasses.replace(setpoint, velocity_odom=up)
+
+    def _landable(self, aside: Array) -> Array | None:
+        """(2,) where the fine map has ground to land on, too, within half a metre of ``aside``;
+        None where it has none. Each map is asked once."""
+        maps, site = self.view.map_view, self.state.site_odom
+        if site is None or maps.version == self._asked_map:
+            return None
+        self._asked_map = maps.version
+        at = np.array([*aside, site[2]])
+        found = recheck_site(maps, at, _ASIDE_SHIFT_M, self.params).position_odom
+        return None if found is None else found[:2]
 
     def end_lift(self) -> None:
         """Takes the reference as it is, wherever the descent was interrupted."""
