@@ -126,7 +126,7 @@ def is_in_the_way(view: MissionView, state: MissionState) -> bool:
     if watch is None or watch.verdict is Verdict.GO or view.time_left_s < _RESERVE_S or state.blind:
         return False
     kinds = {finding.kind for finding in watch.findings} or {"new"}
-    patience = _PATIENCE_S if kinds & {"new", "moving"} else _STILL_S
+    patience = _PATIENCE_S if kinds & {"person", "new", "moving"} else _STILL_S
     if state.deadline_s is not None:
         patience = _HURRIED_S
     return state.phase in (Phase.DESCEND, Phase.RETURN) and state.gave_way_s <= patience

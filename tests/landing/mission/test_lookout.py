@@ -153,7 +153,8 @@ def test_what_stays_delays_a_descent_without_another_site_for_ten_seconds() -> N
         kind="slope", position_odom=np.zeros(3), velocity_odom=np.zeros(2), height_m=0.3,
         width_m=1.0, distance_m=0.0,
     )  # fmt: skip
-    for findings, held_s in (((slope,), 10.0), ((), 60.0)):
+    person = dataclasses.replace(slope, kind="person")
+    for findings, held_s in (((slope,), 10.0), ((person,), 60.0), ((), 60.0)):
         mission = Flown(lambda *_: Verdict.GO, 8.0).puppet.lander._mission
         mission.state.enter(Phase.RETURN)
         report = WatchReport(verdict=Verdict.WAIT, reason="", findings=findings)
