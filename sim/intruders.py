@@ -66,8 +66,13 @@ class Intruders:
         best: tuple[float, Array] | None = None
         for angle in first + np.arange(_WAYS) * 2.0 * math.pi / _WAYS:
             xy = site[:2] + along[:, None] * np.array([math.cos(angle), math.sin(angle)])
-            path = np.column_stack([xy, self._heights(xy, data)])
-            step = float(np.abs(np.diff(path[: len(along) // 2 + 1, 2])).max())
+            heights = self._heights(xy, data)
+            known = np.isfinite(heights)
+            before = np.where(known, heights, np.nan)[: len(along) // 2 + 1]
+            step = float(np.nan_to_num(np.abs(np.diff(before)), nan=np.inf).max())
+            # beside the ground one walks on at its height
+            heights = np.interp(along, along[known], heights[known]) if known.any() else 0.0 * along
+            path = np.column_stack([xy, heights])
             if best is None or step < best[0]:
                 best = step, path
             if step < _PASSABLE_M:

@@ -262,7 +262,7 @@ class MujocoWorld:
     def follow(self, phase: str, site_world: Array | None) -> None:
         """As `sim.api.World.follow`."""
         if self._marks.any:
-            ground = math.inf if site_world is None else float(site_world[2])
+            ground = -math.inf if site_world is None else float(site_world[2])
             height = float(self._position[2]) - self._vehicle.leg_height_m - ground
             self._marks.follow(self._tick, phase, height)
         site = self._position if site_world is None else site_world

@@ -1,6 +1,7 @@
 """Intruders: from where they come, and when."""
 
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -57,6 +58,33 @@ def test_an_intruder_comes_over_open_ground_stays_and_goes_on(scene: Scene, seed
     assert np.all((speed > 2.5 - 1e-6) & (speed < 3.5 + 1e-6))
     (record,) = [r for r in world.record().faults if "intruder" in r["fault"]]
     assert record["who"] == "runner" and record["acted_s"] == pytest.approx(11.0, abs=0.05)
+    world.close()
+
+
+def test_beside_the_ground_an_intruder_walks_on_at_its_height(tmp_path: Path) -> None:
+    file = tmp_path / "raft.xml"
+    file.write_text(
+        "<mujoco><worldbody><geom name='lawn' type='box' size='8 8 1' pos='0 0 1'/>"
+        "<site name='takeoff' pos='5 5 2'/></worldbody></mujoco>"
+    )
+    traffic = TrafficParams(intruder="runner", intruder_from_m=12.0, intruder_stays_s=0.1)
+    scene = load_scene(str(file), 0, traffic=traffic, intruders=1)
+    world, truths = flown(scene, 0, "intruder@descend", 12.0)
+    heights = np.concatenate([t.living_world[:, 2] for t in truths])
+    assert len(heights) > 2000 and heights == pytest.approx(heights[0])
+    world.close()
+
+
+def test_a_height_counts_over_a_site_alone(scene: Scene) -> None:
+    """Without a site no height is reached, on the way home neither."""
+    world = MujocoWorld(scene, WorldParams(faults=FaultParams(events=("intruder@12m",))), 0)
+    world.reset()
+    world.follow("RETURN", None)
+    world.step(Command(rotor_speed_radps=np.zeros(4)))
+    assert len(world.truth().living_world) == 0
+    world.follow("RETURN", np.zeros(3))
+    world.step(Command(rotor_speed_radps=np.zeros(4)))
+    assert len(world.truth().living_world) == 1
     world.close()
 
 
