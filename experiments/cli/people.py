@@ -87,16 +87,17 @@ def people_train(data: Path, out: Path, epochs: int, seed: int, quiet: bool) -> 
             losses.append(loss)
             progress(epoch + 1, epochs, f"loss {loss:.3f}")
 
-        boxes = [one.boxes for one in found]
-        network = train([one.image for one in found], boxes, epochs, seed, report)
+        network = train(found, epochs, seed, report)
     export(network, out)
     return {"network": str(out), "loss": losses[-1], "images": len(found)}
 
 
 def _print_figures(done: Mapping[str, Any]) -> None:
-    say(f"{done['images']} images, {done['false_boxes']:.1f} false boxes in a hundred images")
+    say(f"{done['images']} images, {done['false_boxes']:.1f} false boxes in a hundred images, "
+        f"{done['ms']:.1f} ms an image")  # fmt: skip
     for row in done["rows"]:
-        say(f"{row['what']:>18}: {row['found']} of {row['there']} found")
+        part = 100.0 * row["found"] / row["there"]
+        say(f"{row['what']:>18}: {row['found']} of {row['there']} found, {part:.1f} %")
 
 
 @people.command("evaluate")
@@ -106,7 +107,7 @@ def _print_figures(done: Mapping[str, Any]) -> None:
               help="[that of flights]")  # fmt: skip
 @answered(_print_figures)
 def people_evaluate(network: Path, data: Path, least_score: float | None) -> dict[str, Any]:
-    """Recall of people and animals by kind and distance, and false boxes.
+    """Recall of people and animals by posture, light and distance, and false boxes.
 
     Example: touchdown people evaluate people.onnx --data people/held
     """

@@ -14,10 +14,17 @@ import numpy as np
 
 from touchdown.sim.typing import Bytes, Float32
 
-SIZE = (424, 240)
-"""width and height of the network's images"""
+PIXEL_M = 0.04
+"""metres on the ground of a pixel of the network's images: everybody has one size, from any height
+but the lowest"""
+LEAST_WIDTH = 128
+"""pixels of the smallest of the network's images, which show less on a pixel"""
 STRIDE = 4
 """pixels of an image to a cell of its answer"""
+_COARSEST = 16
+"""pixels of which an image has a whole number along both sides"""
+_GREY, _GAINS = 0.4, (0.7, 5.0)
+"""mean that an image is brought to, and by which factors"""
 LEAST = 0.35
 """score from which on somebody is there"""
 _MOST = 32
@@ -53,19 +60,34 @@ class PeopleDetector:
         )
         self._least = least_score
 
-    def find(self, image: Bytes) -> tuple[Person, ...]:
-        """Who is in an image (H, W, 3) uint8 RGB, the surest first; pixels are the image's."""
-        rows, cols = image.shape[:2]
-        small = cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA)
-        inputs = small.transpose(2, 0, 1)[None].astype(np.float32) / np.float32(255.0)
+    def find(self, image: Bytes, metres_per_pixel: float) -> tuple[Person, ...]:
+        """Who is in an image (H, W, 3) uint8 RGB, the surest first; pixels are the image's.
+        ``metres_per_pixel``: of it, on the ground below."""
+        small = resampled(image, metres_per_pixel)
+        inputs = np.ascontiguousarray(levelled(small).transpose(2, 0, 1)[None])
         heat, sizes = (
             np.asarray(found[0], np.float32) for found in self._session.run(None, {"image": inputs})
         )
-        scale = cols / SIZE[0], rows / SIZE[1]
+        scale = image.shape[1] / small.shape[1], image.shape[0] / small.shape[0]
         return tuple(
             Person(x0 * scale[0], y0 * scale[1], x1 * scale[0], y1 * scale[1], score)
             for x0, y0, x1, y1, score in peaks(heat[0], sizes, self._least)
         )
+
+
+def resampled(image: Bytes, metres_per_pixel: float) -> Bytes:
+    """An image (H, W, 3) at the network's scale."""
+    scale = max(metres_per_pixel / PIXEL_M, LEAST_WIDTH / image.shape[1])
+    rows, cols = (
+        max(round(min(scale, 1.0) * side / _COARSEST), 1) * _COARSEST for side in image.shape[:2]
+    )
+    return np.asarray(cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def levelled(image: Bytes) -> Float32:
+    """(H, W, 3) an image about 0, of one brightness by day and by night."""
+    gain = float(np.clip(_GREY * 255.0 / max(float(image.mean()), 1.0), *_GAINS))
+    return image.astype(np.float32) * np.float32(gain / 255.0) - np.float32(_GREY)
 
 
 def peaks(heat: Float32, sizes: Float32, least: float) -> list[tuple[float, ...]]:

@@ -49,8 +49,9 @@ class Sightings:
         """Takes an image, from the pose of the body when it was exposed; ``ground_z``: height of
         the ground below, odom frame."""
         camera = odom_from_body @ self._rig.body_from_camera
+        per_pixel = max(float(camera.translation[2]) - ground_z, 0.0) / self._rig.camera.fx
         found = [self._place(box.x0 + box.x1, box.y0 + box.y1, camera, ground_z)
-                 for box in self._detector.find(image.rgb)]  # fmt: skip
+                 for box in self._detector.find(image.rgb, per_pixel)]  # fmt: skip
         for xy in found:
             if xy is None:
                 continue

@@ -23,7 +23,8 @@ class Seen:
         self.people: list[tuple[float, float, float]] = []
         self.pose = Pose(np.eye(3), np.zeros(3))
 
-    def find(self, _image: Any) -> tuple[Person, ...]:
+    def find(self, _image: Any, metres_per_pixel: float) -> tuple[Person, ...]:
+        self.metres_per_pixel = metres_per_pixel
         found = []
         for place in self.people:
             x, y, z = (self.pose @ DOWN).inverse().apply(np.array(place))
@@ -55,6 +56,7 @@ def test_somebody_is_where_he_stands_once_two_images_have_him() -> None:
     assert watched.image(9.0, (1.0, -2.0)) == []
     assert watched.image(9.0, (1.0, -2.0)) == [(1.0, -2.0)]
     assert watched.image(8.0, (1.0, -2.0), away=0.5) == [(1.0, -2.0)]  # ego-motion is no motion
+    assert watched.seen.metres_per_pixel == pytest.approx(8.0 / 617.0)
 
 
 def test_who_walks_is_followed_and_two_are_two() -> None:

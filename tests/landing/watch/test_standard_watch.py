@@ -190,7 +190,7 @@ def test_somebody_in_images_near_the_site_is_in_the_way(
             u = rig.camera.cx + rig.camera.fx * away_m / (7.0 - 0.8)
             self._box = Person(u - 9, rig.camera.cy - 9, u + 9, rig.camera.cy + 9, 0.9)
 
-        def find(self, _image: object) -> tuple[Person, ...]:
+        def find(self, _image: object, _metres_per_pixel: float) -> tuple[Person, ...]:
             return (self._box,)
 
     monkeypatch.setattr("touchdown.landing.watch.standard.PeopleDetector", Detector)
