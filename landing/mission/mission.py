@@ -52,6 +52,8 @@ _LEVEL_M = 0.02
 """height above the place of the interruption from which the descent goes on"""
 _FEEL_ABOVE_M = 3.0
 """height from which on the felt wind has settled after the take-off"""
+_SETTLED_ABOVE_M = 6.0
+"""height from which on its mean tells the wind at the lowest survey height"""
 _GUSTS_ALOFT = 0.25
 """gusts over the mean wind that a survey at a height must leave room for: two standard deviations
 of the turbulence of MIL-F-8785C at 30 m over the mean wind there"""
@@ -142,6 +144,7 @@ class Mission:
             self.wind.update(obs, estimate)
             if self.params.slow_in_wind:
                 self._feel_wind(obs, estimate)
+        survey = state.survey
         now = obs.time_s - self._held_s
         self.view = MissionView(
             params=self.params,
@@ -156,7 +159,8 @@ class Mission:
             blind_s=self._sight.lost_s(obs.time_s, estimate.position_covariance),
             wind_mps=self.wind.speed_mps,
             felt_wind_odom=self.felt_wind.wind_odom,
-            load_aloft=self._load_aloft(),
+            load_aloft=self._load_in_climb(survey.height_m, survey.min_height_m),
+            load_lowest=self._load_in_climb(survey.min_height_m, _SETTLED_ABOVE_M),
             watch=None if self.lookout is None else self._look(obs, estimate, map_view),
         )
 
@@ -167,6 +171,8 @@ class Mission:
 
     def _feel_wind(self, obs: Observation, estimate: Estimate) -> None:
         self.felt_wind.update(obs, estimate)
+        if (height := self._climbed_m()) >= _FEEL_ABOVE_M:
+            self._profile.update(self.felt_wind.wind_odom, height)
         if obs.time_s >= self._next_learning_s and not self.state.final:
             self._next_learning_s = obs.time_s + _LEARN_PERIOD_S
             self._time_scaling.learn(
@@ -184,19 +190,19 @@ class Mission:
             self._unhealthy_since_s = time_s
         return time_s - self._unhealthy_since_s
 
-    def _load_aloft(self) -> float:
-        """Load of a hover at survey height in the mean wind felt so far in the climb. Below
-        ``survey.min_height_m`` the climb goes on in any wind."""
-        survey, ground = self.state.survey, float(self.start_world[2]) - self.leg_height
-        height = float(self.reference_world[2]) - ground
-        climbs = self.state.phase is Phase.TAKEOFF and self.params.slow_in_wind
-        if not climbs or height < _FEEL_ABOVE_M:
+    def _load_in_climb(self, survey_m: float, lowest_m: float) -> float:
+        """Load of a hover at ``survey_m`` in the mean wind felt so far in the climb, while the
+        climb is between ``lowest_m`` and that height; 0 elsewhere."""
+        if not lowest_m <= self._climbed_m() < survey_m - 1.0:
             return 0.0
-        self._profile.update(self.felt_wind.wind_odom, height)
-        if not survey.min_height_m <= height < survey.height_m - 1.0:
-            return 0.0
-        wind = (1.0 + _GUSTS_ALOFT) * self._profile.at(survey.height_m)
+        wind = (1.0 + _GUSTS_ALOFT) * self._profile.at(survey_m)
         return self._time_scaling.hover_load(wind, gusts=False)
+
+    def _climbed_m(self) -> float:
+        """Height of the reference above the ground in a climb whose wind counts; else 0."""
+        if self.state.phase is not Phase.TAKEOFF or not self.params.slow_in_wind:
+            return 0.0
+        return float(self.reference_world[2] - self.start_world[2]) + self.leg_height
 
     @property
     def now(self) -> float:

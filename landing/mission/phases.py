@@ -45,9 +45,12 @@ def run_phases(mission: Mission) -> Steps:
     """Runs the whole mission; never ends."""
     yield from initialise(mission)
     try:
-        yield from take_off(mission)
-        yield from survey(mission)
-        if mission.params.return_home:
+        no_go = yield from take_off(mission)
+        if no_go is None:
+            yield from survey(mission)
+        if no_go is not None:
+            yield from land_at_home(mission)
+        elif mission.params.return_home:
             yield from return_home(mission)
         elif not mission.params.survey_only:
             no_landing = yield from land_somewhere(mission)
@@ -72,9 +75,9 @@ def initialise(mission: Mission) -> Steps:
         yield mission.setpoint(here, in_world=True, thrust_limit=_SPIN_UP_THRUST)
 
 
-def take_off(mission: Mission) -> Steps:
+def take_off(mission: Mission) -> RuledSteps:
     """Climbs to survey height above the start, or chooses the lowest height for the survey, where
-    the wind is weaker, and goes there. Leaves the ground where the estimate has it: towards the
+    the wind is weaker, and goes there; returns the rule that lets it go no further. Leaves the ground where the estimate has it: towards the
     take-off spot, which an estimate in error has aside, it would lean while it stands."""
     state, start = mission.state, mission.view.estimate.world_from_body.translation.copy()
     state.take_off(mission.now)
@@ -84,14 +87,15 @@ def take_off(mission: Mission) -> Steps:
     ruling = yield from mission.follow(
         climb, in_world=True, hold_s=_HOVER_AFTER_CLIMB_S, until=Moment.CLIMB
     )
-    if ruling is None:
-        return
+    if ruling is None or ruling.action is not Action.LOWER_SURVEY:
+        return ruling
     state.lower_survey()
     height = mission.view.ground_world + state.survey.height_m
     if mission.reference_world[2] > height + 0.5:
         here = mission.reference_world.copy()
         sink = vertical_move(here, height, mission.params.descent_speed_mps)
         yield from mission.follow(sink, in_world=True, min_rate=_DESCENT_RATE)
+    return None
 
 
 def survey(mission: Mission) -> Steps:
@@ -248,9 +252,16 @@ def climb_back(mission: Mission) -> Steps:
 
 
 def return_home(mission: Mission) -> Steps:
-    """Flies back to the take-off spot and descends there, with the looks of any descent."""
+    """Flies back to the take-off spot at survey height and lands there."""
     mission.state.enter(Phase.RETURN)
     yield from climb_back(mission)
+    yield from land_at_home(mission)
+
+
+def land_at_home(mission: Mission) -> Steps:
+    """Flies to the take-off spot at the present height and descends there, with the looks of any
+    descent."""
+    mission.state.enter(Phase.RETURN)
     above = mission.start_world.copy()
     above[2] = mission.reference_world[2]
     yield from _straight(mission, above, in_world=True, hold_s=1.0)

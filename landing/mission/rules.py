@@ -21,6 +21,10 @@ _IN_THE_AIR = frozenset(
 )
 _MAX_STOP_S = 40.0
 """time for which a reference waits for a weaker wind"""
+_MAX_CLIMB_STOP_S = 5.0
+"""the same in the climb, from which the way home is short"""
+_NO_GO = 1.1
+"""load of a hover, gusts included, from which a vehicle cannot hold its place"""
 _PATIENCE_S, _STILL_S, _HURRIED_S = 60.0, 10.0, 5.0
 """time for which a descent that has no other site waits for who may leave, and for what stays; in
 an emergency"""
@@ -130,6 +134,15 @@ def is_in_the_way(view: MissionView, state: MissionState) -> bool:
     if state.deadline_s is not None:
         patience = _HURRIED_S
     return state.phase in (Phase.DESCEND, Phase.RETURN) and state.gave_way_s <= patience
+
+
+def wind_no_go(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the wind would not let the vehicle hold its place even at the lowest height of
+    a survey, or has stopped the climb. A survey for its positions alone goes on."""
+    holds = view.load_lowest <= _NO_GO and state.stopped_s <= _MAX_CLIMB_STOP_S
+    if holds or view.params.survey_only:
+        return None
+    return f"a wind of {view.felt_wind_mps:.1f} m/s is too strong to survey: landing where it began"
 
 
 def wind_aloft(view: MissionView, state: MissionState) -> str | None:
@@ -245,6 +258,7 @@ RULES: tuple[Rule, ...] = (
     Rule(Moment.STEP, sight_lost, Action.LAND_BLIND, "aborted"),
     Rule(Moment.STEP, estimate_unhealthy, Action.HOLD),
     Rule(Moment.STEP, site_not_clear, Action.GIVE_WAY),
+    Rule(Moment.CLIMB, wind_no_go, Action.RETURN, "aborted"),
     Rule(Moment.CLIMB, wind_aloft, Action.LOWER_SURVEY),
     Rule(Moment.LEG, survey_blocked, Action.END_SURVEY),
     Rule(Moment.LEG, leg_blocked, Action.LAND_IN_PLACE, "aborted"),

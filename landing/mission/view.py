@@ -50,7 +50,8 @@ class MissionView:
     load_aloft: float
     """thrust and tilt that a hover at survey height would need over what is allowed; 0 where it is
     unknown or the climb has ended"""
-
+    load_lowest: float = 0.0
+    """the same at the lowest height of a survey"""
     watch: WatchReport | None = None
     """what the watch says; None where it does not look"""
 

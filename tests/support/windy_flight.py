@@ -65,9 +65,10 @@ def balance(vehicle: VehicleModel, through_air: Array, acceleration: Array) -> B
 
 
 def windy_run(
-    wind: Callable[[float], Array], seconds: float, **params: object
+    wind: Callable[[float, float], Array], seconds: float, **params: object
 ) -> Iterator[tuple[float, LanderView, Array]]:
-    """Yields time, view and reference of a landing over flat ground, every control step."""
+    """Yields time, view and reference of a landing over flat ground, every control step, in a wind
+    of a time and a height above the ground."""
     rig = dataclasses.replace(make_rig(), vehicle=draggy_vehicle())
     survey = dataclasses.replace(QUICK, min_height_m=10.0)
     lander = SiteLander(rig, dataclasses.replace(PARAMS, slow_in_wind=True, **params), survey)
@@ -77,10 +78,11 @@ def windy_run(
     map_view = view_of(flat_map(), None)
     for tick in range(0, round(seconds * 600), STEP_TICKS):
         time_s = tick / 600.0
-        airborne = position[2] > LEG_HEIGHT + 1e-9
+        height = position[2] - LEG_HEIGHT
+        airborne = height > 1e-9
         balanced = Balance(np.eye(3), hover if motors else 0.0)
         if airborne:
-            balanced = balance(rig.vehicle, velocity - wind(time_s), acceleration)
+            balanced = balance(rig.vehicle, velocity - wind(time_s, height), acceleration)
         obs = make_obs(
             tick, imu=(make_imu(tick, GRAVITY_MPS2),), rotor_speed_radps=np.full(4, balanced.speed)
         )

@@ -432,6 +432,8 @@ def test_a_hold_and_a_stop_end_a_leg() -> None:
     stopped = stage.run(stage.mission.follow(path, until=Moment.CLIMB))
     assert stage.result.rule.name == "wind_aloft"
     assert 4.5 < stopped[-1].position_odom[2] < 9.0
+    stage.mission.state.follow_clock(0.0, 5.1)
+    assert stage.mission.ask(Moment.CLIMB).rule.name == "wind_no_go"
     assert np.linalg.norm(np.diff(places(stopped)[-3:], axis=0), axis=1).max() < 1e-3
 
 

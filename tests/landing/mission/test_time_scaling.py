@@ -1,6 +1,7 @@
 """Time scaling of the reference: its bounds, its derivatives, and what it makes of wind."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from touchdown.landing.api import LandingParams, Phase, SurveyParams
 from touchdown.landing.mission import time_scaling
 from touchdown.landing.mission.thrust_need import air_coefficients, rotor_need
 from touchdown.landing.mission.trajectory import State, survey_trajectory, through
-from touchdown.landing.mission.wind import FeltWind
+from touchdown.landing.mission.wind import ROUGHNESS_M, FeltWind
 from touchdown.sim.api import GRAVITY_MPS2
 from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
@@ -196,7 +197,7 @@ def test_strong_wind_slows_the_flight_and_says_so() -> None:
     events: list[str] = []
     notes: set[str] = set()
     slowed_s = 0.0
-    for _, view, _ in windy_run(lambda t: np.array([-11.0, 0.0, 0.0]), 200.0, survey_only=True):
+    for _, view, _ in windy_run(lambda t, height: np.array([-11.0, 0.0, 0.0]), 200.0, survey_only=True):
         events += view.events
         notes.add(view.note)
         slowed_s = view.slowed_s
@@ -210,9 +211,14 @@ def test_strong_wind_slows_the_flight_and_says_so() -> None:
     assert slowed_s > 1.0
 
 
+def _profile(wind_at_10m: float) -> Callable[[float, float], Array]:
+    along = wind_at_10m / np.log(10.0 / ROUGHNESS_M)
+    return lambda t, height: np.array([along * np.log(max(height, 1.0) / ROUGHNESS_M), 0.0, 0.0])
+
+
 def test_wind_too_strong_for_the_height_lowers_the_survey() -> None:
     heights, events = [], []
-    for _, view, reference in windy_run(lambda t: np.array([14.5, 0.0, 0.0]), 120.0):
+    for _, view, reference in windy_run(_profile(11.5), 120.0):
         events += view.events
         heights.append(reference[2])
         if view.phase is Phase.SURVEY:
@@ -221,10 +227,29 @@ def test_wind_too_strong_for_the_height_lowers_the_survey() -> None:
     assert heights[-1] == pytest.approx(10.0 + 0.3, abs=0.4)
 
 
+def test_wind_too_strong_for_any_height_ends_where_it_began() -> None:
+    """It turns back below the height of a survey, and its landing is watched as any other."""
+    places, events, phases = [], [], set()
+    for _, view, reference in windy_run(_profile(15.0), 120.0):
+        events += view.events
+        phases.add(view.phase)
+        places.append(reference)
+        if view.phase is Phase.DESCEND and reference[2] < 1.0:
+            break
+    assert any("wind_no_go" in text for text in events)
+    assert view.aborted and reference[2] < 1.0
+    assert Phase.RETURN in phases and Phase.SURVEY not in phases
+    assert 6.0 < np.max(places, axis=0)[2] < 10.0  # the lowest survey
+    np.testing.assert_allclose(places[-1][:2], 0.0, atol=0.05)
+    events.clear()
+    survey = windy_run(_profile(15.0), 30.0, survey_only=True)
+    assert not any("wind_no_go" in text for _, view, _ in survey for text in view.events)
+
+
 def test_wind_beyond_reach_ends_the_mission_on_the_ground() -> None:
     """A gust front: the survey can no longer be flown, so that the vehicle lands where it is."""
 
-    def front(t: float) -> Array:
+    def front(t: float, height: float) -> Array:
         return np.array([-6.0 if t < 12.0 else -17.5, 0.0, 0.0])
 
     events: list[str] = []
