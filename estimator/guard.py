@@ -18,7 +18,7 @@ import numpy as np
 
 from touchdown.estimator.api import image_defect, some_pixels
 from touchdown.sim.api import CameraImage, ImuSample, LidarScan, Observation, SensorRig
-from touchdown.sim.typing import Bytes, Float32, Mask
+from touchdown.sim.typing import Array, Bytes, Float32, Mask
 
 _CLUTTER_M = 10.0
 """range within which echoes may come from rain or fog"""
@@ -36,6 +36,10 @@ _ISOLATED_GAP_M = 1.0
 _NOWHERE = np.float32(np.inf)
 _DROPOUT_PERIODS = 3.5
 """a sensor that has delivered once is in dropout after so many of its periods"""
+_SECTORS = 12
+_SECTOR_PULSES, _BLIND_RETURNS, _BLIND_SCANS = 20, 0.02, 10
+"""pulses of a sector about the boresight from which its returns tell something, the fraction of
+returns below which it is blind, and the scans in a row before this is said"""
 
 Message = TypeVar("Message", LidarScan, CameraImage)
 
@@ -61,6 +65,8 @@ class InputGuard:
         self._clutter_until = -1
         self._cluttered = 0
         """consecutive scans with signs of rain or fog"""
+        self._blind: Array = np.zeros(_SECTORS)
+        """(12,) scans in a row for which each sector about the boresight was blind"""
         self._imu: ImuSample | None = None
         self._repaired = 0
         self.events: tuple[str, ...] = ()
@@ -75,6 +81,8 @@ class InputGuard:
         imu = self._finite_samples(obs.imu, events) if self._inertial else obs.imu
         scans = self._scans.screen(obs.scans, obs.tick, self._judge_scan, events)
         images = self._images.screen(obs.images, obs.tick, self._judge_image, events)
+        for scan in scans:
+            self._watch_sectors(scan, events)
         self.events = tuple(events)
         arrived = len(obs.scans) + len(obs.images)
         self.refused = arrived - len(scans) - len(images) + self._repaired
@@ -154,6 +162,25 @@ class InputGuard:
         if scan.end_tick > self._clutter_until or not floating.any():
             return None
         return floating
+
+    def _watch_sectors(self, scan: LidarScan, events: list[str]) -> None:
+        """Appends an event where a sector about the boresight has become blind beside others that
+        see, as behind dirt on the window, and where it sees again."""
+        azimuth = np.arctan2(scan.directions[:, 1], scan.directions[:, 0])
+        sector = ((azimuth / (2.0 * np.pi) + 1.0) * _SECTORS).astype(int) % _SECTORS
+        pulses = np.bincount(sector, minlength=_SECTORS)
+        returns = np.bincount(sector, scan.ranges > 0.0, minlength=_SECTORS)
+        told = pulses >= _SECTOR_PULSES
+        blind = told & (returns < _BLIND_RETURNS * pulses)
+        if 2 * np.count_nonzero(blind) >= np.count_nonzero(told):
+            return  # over water, or about to rise
+        before = self._blind >= _BLIND_SCANS
+        self._blind = np.where(told, (self._blind + 1) * blind, self._blind)
+        now = self._blind >= _BLIND_SCANS
+        if (now != before).any():
+            where = ", ".join(f"{30 * i} to {30 * (i + 1)} deg" for i in np.flatnonzero(now))
+            what = f"is blind at azimuths of {where}" if where else "sees all round again"
+            events.append(f"LIDAR {what}")
 
     # ------------------------------------------------------------------------ images
 

@@ -109,6 +109,7 @@ class _FaultyStream:
             "lidar_nan": _not_a_number,
             "lidar_empty": partial(_pulses, take=slice(0)),
             "lidar_blind": _without_returns,
+            "lidar_soiled": partial(_without_returns, sector_deg=params.soiled_deg),
             "camera_black": _black,
             "gps_jump": partial(_moved, offset=np.array(params.gps_jump_m)),
             "lidar_frozen": self._frozen,
@@ -208,9 +209,18 @@ def _not_a_number(scan: api.LidarScan) -> api.LidarScan:
     )
 
 
-def _without_returns(scan: api.LidarScan) -> api.LidarScan:
+def _without_returns(
+    scan: api.LidarScan, sector_deg: tuple[float, float] | None = None
+) -> api.LidarScan:
+    """The scan without the returns of a sector of azimuths about the boresight; None: of all."""
+    keep = np.zeros(len(scan.ranges), bool)
+    if sector_deg is not None:
+        azimuth = np.degrees(np.arctan2(scan.directions[:, 1], scan.directions[:, 0]))
+        keep = (azimuth - sector_deg[0]) % 360.0 > (sector_deg[1] - sector_deg[0]) % 360.0
     return dataclasses.replace(
-        scan, ranges=np.zeros_like(scan.ranges), intensity=np.zeros_like(scan.intensity)
+        scan,
+        ranges=np.where(keep, scan.ranges, np.float32(0.0)),
+        intensity=np.where(keep, scan.intensity, np.uint8(0)),
     )
 
 

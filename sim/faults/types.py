@@ -15,6 +15,7 @@ FAULT_KINDS: dict[str, tuple[str, ...]] = {
     "lidar_nan": ("scans",),
     "lidar_empty": ("scans",),
     "lidar_blind": ("scans",),
+    "lidar_soiled": ("scans",),
     "lidar_dropout": ("scans",),
     "lidar_frozen": ("scans",),
     "lidar_late": ("scans",),
@@ -99,6 +100,9 @@ class FaultParams:
     the legs over the site on the way down"""
     late_s: NotNegative = 0.3
     """additional delay of ``lidar_late`` and ``camera_late``"""
+    soiled_deg: tuple[Heading, Heading] = (30.0, 90.0)
+    """sector from which ``lidar_soiled`` takes the returns: from the first azimuth about the
+    boresight to the second, from the long axis of the field of view on"""
     gps_jump_m: tuple[float, float, float] = (15.0, -10.0, 5.0)
     """offset of every position of ``gps_jump``, world frame"""
     gps_spoof_mps: tuple[float, float, float] = (0.5, -0.3, 0.0)

@@ -67,6 +67,33 @@ def test_scans_that_are_refused(changes: dict[str, Any], word: str) -> None:
     assert guard.refused == 1
 
 
+def test_a_sector_that_goes_blind_is_named_and_so_is_its_sight() -> None:
+    """600 beams in a cone; none comes back from azimuths of 60 to 90 degrees, then all do. Where
+    most of them are missing, as over water, nothing is said."""
+    azimuth = np.radians(np.arange(0.0, 360.0, 0.6))
+    cone = np.stack([np.cos(azimuth), np.sin(azimuth), np.ones(600)], axis=1).astype(np.float32)
+
+    def observed(index: int, blind: tuple[float, float]) -> Observation:
+        end = 60 * (index + 1)
+        lost = (azimuth >= np.radians(blind[0])) & (azimuth < np.radians(blind[1]))
+        ranges = np.random.default_rng(index).uniform(5.0, 9.0, 600).astype(np.float32)
+        times = np.linspace(0.005, 0.1, 600, dtype=np.float32)
+        return make_obs(end + 36, scans=(scan(
+            end, directions=cone, ranges=np.where(lost, np.float32(0.0), ranges),
+            time_offsets=times, intensity=np.full(600, 20, np.uint8),
+        ),))  # fmt: skip
+
+    def events(*blind: tuple[float, float]) -> list[str]:
+        return screen(*(observed(k, sector) for k, sector in enumerate(blind)))[1]
+
+    soiled, clear, water = (60.0, 90.0), (0.0, 0.0), (30.0, 330.0)
+    assert events(*[soiled] * 9) == events(*[water] * 20) == []
+    named = "LIDAR is blind at azimuths of 60 to 90 deg"
+    assert events(*[soiled] * 10) == [named]
+    assert events(*[soiled] * 30, clear) == [named, "LIDAR sees all round again"]
+    assert events(*[soiled, clear] * 10) == []
+
+
 def test_missing_returns_are_an_event_in_flight_only() -> None:
     def blind(end: int) -> LidarScan:
         return scan(end, ranges=np.zeros(20, np.float32))

@@ -1,5 +1,6 @@
 """Scheduled faults: the affected messages and the effects."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,20 @@ def test_faulty_scans_keep_their_stamps(kind: str) -> None:
     for tick, message in delivered(f"{kind}@1.05*1"):
         if tick != 636:
             np.testing.assert_array_equal(message.ranges, clean[tick].ranges)
+
+
+def test_a_soiled_window_takes_a_sector() -> None:
+    """Eight beams in a cone about the boresight, from 0 degrees in steps of 45."""
+    azimuth = np.radians(np.arange(0.0, 360.0, 45.0))
+    cone = np.stack([np.cos(azimuth), np.sin(azimuth), np.ones(8)], axis=1).astype(np.float32)
+    whole = dataclasses.replace(
+        world(636)[-1], scans=(dataclasses.replace(scan(600), directions=cone),)
+    )
+    params = FaultParams(events=("lidar_soiled@1",), soiled_deg=(340.0, 100.0))
+    soiled = FaultInjector(params, HZ).apply(whole).scans[0]
+    lost = np.isin(np.arange(8), (0, 1, 2))
+    np.testing.assert_array_equal(soiled.ranges == 0.0, lost)
+    np.testing.assert_array_equal(soiled.intensity == 0, lost)
 
 
 def test_black_images() -> None:
