@@ -77,8 +77,9 @@ def initialise(mission: Mission) -> Steps:
 
 def take_off(mission: Mission) -> RuledSteps:
     """Climbs to survey height above the start, or chooses the lowest height for the survey, where
-    the wind is weaker, and goes there; returns the rule that lets it go no further. Leaves the ground where the estimate has it: towards the
-    take-off spot, which an estimate in error has aside, it would lean while it stands."""
+    the wind is weaker, and goes there; returns the rule that lets it go no further. Leaves the
+    ground where the estimate has it: towards the take-off spot, which an estimate in error has
+    aside, it would lean while it stands."""
     state, start = mission.state, mission.view.estimate.world_from_body.translation.copy()
     state.take_off(mission.now)
     height = mission.view.ground_world + state.survey.height_m

@@ -197,7 +197,9 @@ def test_strong_wind_slows_the_flight_and_says_so() -> None:
     events: list[str] = []
     notes: set[str] = set()
     slowed_s = 0.0
-    for _, view, _ in windy_run(lambda t, height: np.array([-11.0, 0.0, 0.0]), 200.0, survey_only=True):
+    for _, view, _ in windy_run(
+        lambda t, height: np.array([-11.0, 0.0, 0.0]), 200.0, survey_only=True
+    ):
         events += view.events
         notes.add(view.note)
         slowed_s = view.slowed_s
