@@ -1,7 +1,8 @@
 """How soon a flight answers to an intruder: the time from his first sight to a changed setpoint.
 
-He is in view where a part of him lies in the camera's image or within the LIDAR's cone, the legs
-being below the height from which a descent is watched; whether something hides him is not asked.
+He is in view where a part of him lies in the camera's image or in the LIDAR's field of view, the
+legs being below the height from which a descent is watched; whether something hides him is not
+asked.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ import numpy as np
 from touchdown.experiments.io.result_parts import Intrusion
 from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.sim.api import GRAVITY_MPS2, SensorRig, VehicleModel
+from touchdown.sim.lidar.patterns import PATTERNS
 from touchdown.sim.typing import Array
 
 WATCHED_M = 15.0
 RULE = "site_not_clear"
-_LIDAR_DEG = 35.0
+_ROUND_DEG = 35.0
+"""half angle of the cone about the camera's axis that counts for a LIDAR that looks all round"""
 _PARTS_M = (0.2, 0.9, 1.6)
 """heights of the parts that are looked for"""
 
@@ -68,8 +71,21 @@ class IntrusionObserver:
         ahead = z > 0.1
         u, v = k.fx * x / np.maximum(z, 0.1) + k.cx, k.fy * y / np.maximum(z, 0.1) + k.cy
         image = ahead & (u >= 0) & (v >= 0) & (u < k.width) & (v < k.height)
-        cone = np.hypot(x, y) < z * math.tan(math.radians(_LIDAR_DEG))
-        return bool((image | cone).any())
+        return bool((image | self._in_scans(step, parts)).any())
+
+    def _in_scans(self, step: StepRecord, parts: Array) -> Array:
+        """(K,) whether points (K, 3) lie in the LIDAR's field of view."""
+        wide = PATTERNS[self._rig.lidar.preset].field_of_view_deg
+        round_about = max(wide) > 180.0
+        sensor = self._rig.body_from_camera if round_about else self._rig.body_from_lidar
+        points = (step.truth.world_from_body @ sensor).inverse().apply(parts)
+        x, y, z = points[:, 0], points[:, 1], np.maximum(points[:, 2], 1e-3)
+        if round_about:
+            inside = np.hypot(x, y) < z * math.tan(math.radians(_ROUND_DEG))
+        else:
+            limits = np.tan(np.radians(wide) / 2.0)
+            inside = (np.abs(x) < z * limits[0]) & (np.abs(y) < z * limits[1])
+        return np.asarray(inside & (points[:, 2] > 0.1))
 
 
 def _brake_mps2(vehicle: VehicleModel) -> float:

@@ -25,8 +25,8 @@ _COARSEST = 16
 """pixels of which an image has a whole number along both sides"""
 _GREY, _GAINS = 0.4, (0.7, 5.0)
 """mean that an image is brought to, and by which factors"""
-LEAST = 0.35
-"""score from which on somebody is there"""
+LEAST, SURE = 0.35, 0.5
+"""score from which on somebody is there whom two images show, and one image alone"""
 _MOST = 32
 _SAME = 0.3
 """overlap from which on two boxes are of one"""

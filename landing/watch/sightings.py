@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from touchdown.landing.watch.people import PeopleDetector
+from touchdown.landing.watch.people import SURE, PeopleDetector
 from touchdown.sim.api import CameraImage, SensorRig
 from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
@@ -17,7 +17,9 @@ _MIDDLE_M = 0.8
 _SAME_M = 1.2
 """distance between two images up to which somebody is the same: a runner's way in 0.3 s"""
 _TWICE = 2
-"""images in which somebody has to be found"""
+"""images in which somebody has to be found who is not found surely"""
+_LATELY_S, _MOVES_AFTER, _MOVES_MPS = 0.9, 3, 0.7
+"""time over which a velocity is measured, images that it needs, and speed below which one stands"""
 _LOST_S = 0.7
 """time after which somebody is gone who should be in the image and is not found"""
 _REMEMBERED_S = 10.0
@@ -26,11 +28,40 @@ _REMEMBERED_S = 10.0
 
 @dataclass(slots=True)
 class Sighting:
-    """Somebody: (2,) where, odom frame; when last, by time of the image; in how many images."""
+    """Somebody in images: times, and places (2,) in the odom frame, of the last second; the highest
+    score; in how many images."""
 
-    xy_odom: Array
-    last_s: float
+    times_s: list[float]
+    places_odom: list[Array]
+    score: float
     count: int = 1
+
+    @property
+    def xy_odom(self) -> Array:
+        """(2,) where he was seen last."""
+        return self.places_odom[-1]
+
+    @property
+    def last_s(self) -> float:
+        """When he was seen last, by time of the image."""
+        return self.times_s[-1]
+
+    @property
+    def velocity_odom(self) -> Array:
+        """(2,) m/s; 0 where he stands or it is not known yet."""
+        times = np.array(self.times_s) - np.mean(self.times_s)
+        if len(times) < _MOVES_AFTER:
+            return np.zeros(2)
+        velocity: Array = times @ np.array(self.places_odom) / (times @ times)
+        return velocity if np.linalg.norm(velocity) > _MOVES_MPS else np.zeros(2)
+
+    def add(self, time_s: float, xy_odom: Array, score: float) -> None:
+        """Takes another image of him."""
+        self.times_s.append(time_s)
+        self.places_odom.append(xy_odom)
+        while self.times_s[0] < time_s - _LATELY_S:
+            del self.times_s[0], self.places_odom[0]
+        self.score, self.count = max(self.score, score), self.count + 1
 
 
 class Sightings:
@@ -50,24 +81,23 @@ class Sightings:
         the ground below, odom frame."""
         camera = odom_from_body @ self._rig.body_from_camera
         per_pixel = max(float(camera.translation[2]) - ground_z, 0.0) / self._rig.camera.fx
-        found = [self._place(box.x0 + box.x1, box.y0 + box.y1, camera, ground_z)
-                 for box in self._detector.find(image.rgb, per_pixel)]  # fmt: skip
-        for xy in found:
+        for box in self._detector.find(image.rgb, per_pixel):
+            xy = self._place(box.x0 + box.x1, box.y0 + box.y1, camera, ground_z)
             if xy is None:
                 continue
             near = [one for one in self._known if np.linalg.norm(one.xy_odom - xy) < _SAME_M]
             same = min(near, key=lambda one: float(np.linalg.norm(one.xy_odom - xy)), default=None)
             if same is None:
-                self._known.append(Sighting(xy, image.time_s))
+                self._known.append(Sighting([image.time_s], [xy], box.score))
             elif same.last_s < image.time_s:
-                same.xy_odom, same.last_s, same.count = xy, image.time_s, same.count + 1
+                same.add(image.time_s, xy, box.score)
         self._known = [
             one for one in self._known if self._counts(one, image.time_s, camera, ground_z)
         ]
 
     def present(self) -> list[Sighting]:
-        """Those found in two images or more."""
-        return [one for one in self._known if one.count >= _TWICE]
+        """Those found surely, or in two images or more."""
+        return [one for one in self._known if one.count >= _TWICE or one.score >= SURE]
 
     def _counts(self, one: Sighting, now_s: float, camera: Pose, ground_z: float) -> bool:
         ago = now_s - one.last_s

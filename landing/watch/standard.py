@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +14,7 @@ from touchdown.estimator.api import GridMap
 from touchdown.landing.api import Finding, Verdict, WatchInput, WatchReport, WatchRig
 from touchdown.landing.watch.footing import footing, nearest_safe, water_fraction
 from touchdown.landing.watch.people import PeopleDetector
-from touchdown.landing.watch.sightings import Sightings
+from touchdown.landing.watch.sightings import Sighting, Sightings
 from touchdown.landing.watch.surface import CELL_M, CELLS, Layers, Surface
 from touchdown.landing.watch.tracks import Memory, Track, Tracks, things_in
 from touchdown.sim.api import LidarScan, SensorNeeds
@@ -25,9 +26,9 @@ _BREAK_S = 1.0
 """time without a call after which all is forgotten"""
 _NEAR_M = 2.0
 """distance to the site within which nothing may be that was not there when it was chosen"""
-_PERSON_M, _TALL_M = 3.5, 1.7
-"""distance to the site within which nobody may stand: 3 m, and what a place in an image is off by;
-height that somebody is shown with"""
+_PERSON_M, _PERSON_S, _TALL_M = 3.5, 2.0, 1.7
+"""distance to the site within which nobody may be, 3 m and what a place in an image is off by, and
+until when; height that somebody is shown with"""
 _MOVER_M = 3.0
 """distance to the site within which nothing that moves may be at the touchdown"""
 _LEGS_M = 0.6
@@ -83,7 +84,7 @@ class StandardWatch:
         """height of the ground below in the last scan, odom frame"""
 
     def look(self, seen: WatchInput) -> WatchReport:
-        """Returns the verdict; it changes with scans alone."""
+        """Returns the verdict; it changes with scans, and to waiting with images, too."""
         now = seen.obs.time_s
         if now - self._called_s > _BREAK_S:
             self._begin(now)
@@ -93,6 +94,7 @@ class StandardWatch:
             pose = self._poses.at(image.time_s)
             if self._sightings is not None and pose is not None and np.isfinite(self._ground_z):
                 self._sightings.add(image, pose, self._ground_z)
+                self._hold_for(self._sightings, seen, now)
         for scan in seen.obs.scans:
             self._look_at(scan, seen)
         if now - max(self._seen_s, self._first_s) > _BLIND_S:
@@ -130,12 +132,25 @@ class StandardWatch:
             track.new += _is_new(track, tops, seen.known)
         findings = [self._finding(track, seen, now) for track in self._tracks.tracks]
         if self._sightings is not None:
-            findings += [_person(one.xy_odom, seen, below) for one in self._sightings.present()]
+            findings += [_person(one, seen, below) for one in self._sightings.present()]
         findings.sort(key=lambda finding: finding.distance_m)
         ground = self._ground(layers, seen)
         findings += [finding for finding in ground if finding.kind in self._bad_ground]
         self._bad_ground = {finding.kind for finding in ground}
         self._judge(findings, layers, seen, now)
+
+    def _hold_for(self, sightings: Sightings, seen: WatchInput, now: float) -> None:
+        """Holds the descent for who is near the site in an image; the next scan judges again."""
+        if self._report.verdict is not Verdict.GO:
+            return
+        found = (_person(one, seen, self._ground_z) for one in sightings.present())
+        near = [(reason, one) for one in found if (reason := _reason(one, seen, _NEAR_M))]
+        if near:
+            self._blocked_s = self._since_s = now
+            self._report = replace(
+                self._report, verdict=Verdict.WAIT, reason=near[0][0],
+                findings=(*(one for _, one in near), *self._report.findings),
+            )  # fmt: skip
 
     def _finding(self, track: Track, seen: WatchInput, now: float) -> Finding:
         thing, at = track.thing, track.at(now)
@@ -227,7 +242,10 @@ def _reason(finding: Finding, seen: WatchInput, near_m: float) -> str:
     """Returns in words why a finding is in the way; empty where it is not."""
     away, what = finding.distance_m, f"{finding.height_m:.1f} m high"
     if finding.kind == "person":
-        return f"somebody {away:.1f} m from the site" if away < _PERSON_M else ""
+        at = finding.position_odom[:2] - seen.site_odom[:2]
+        way = at + np.linspace(0.0, _PERSON_S, 5)[:, None] * finding.velocity_odom
+        near = float(np.linalg.norm(way, axis=1).min()) < _PERSON_M
+        return f"somebody {away:.1f} m from the site" if near else ""
     if finding.kind == "object":
         return f"something {what} under the legs"
     if finding.kind == "slope":
@@ -251,11 +269,11 @@ def _reason(finding: Finding, seen: WatchInput, near_m: float) -> str:
     return f"something that moves {away:.1f} m away will be {max(closest, 0.0):.1f} m from the site"
 
 
-def _person(xy: Array, seen: WatchInput, ground_z: float) -> Finding:
+def _person(one: Sighting, seen: WatchInput, ground_z: float) -> Finding:
     return Finding(
-        kind="person", position_odom=np.array([*xy, ground_z + _TALL_M]), height_m=_TALL_M,
-        velocity_odom=np.zeros(2), width_m=0.0,
-        distance_m=float(np.linalg.norm(xy - seen.site_odom[:2])),
+        kind="person", position_odom=np.array([*one.xy_odom, ground_z + _TALL_M]),
+        height_m=_TALL_M, velocity_odom=one.velocity_odom, width_m=0.0,
+        distance_m=float(np.linalg.norm(one.xy_odom - seen.site_odom[:2])),
     )  # fmt: skip
 
 

@@ -36,8 +36,11 @@ _LEARNING_RATE = 3e-3
 _SIZE_LOSS = 0.1
 _AVERAGED = 0.998
 """of the weights' moving average that a step leaves"""
-_MINED_EVERY, _MINED_SCORE = 6, 0.08
-"""epochs between searches for what is found falsely, and its least score"""
+_LEAST_SPREAD = 0.9
+"""cells: a mark's neighbours may be the middle as well"""
+_MINED_EVERY, _FALSE, _SURE = 6, 0.08, 0.4
+"""epochs between searches for mistakes; scores from which on nobody is found falsely, and somebody
+is found"""
 _WIDTHS = (16, 24, 40, 56)
 
 
@@ -120,7 +123,7 @@ def targets_of(boxes: Float32, shown: Float32) -> Targets:
             continue
         col = min(int(0.5 * (x0 + x1) / STRIDE), side - 1)
         row = min(int(0.5 * (y0 + y1) / STRIDE), side - 1)
-        spread = np.maximum(np.array([x1 - x0, y1 - y0]) / STRIDE / 6.0, 0.5)
+        spread = np.maximum(np.array([x1 - x0, y1 - y0]) / STRIDE / 6.0, _LEAST_SPREAD)
         mark = np.exp(-0.5 * (((x - col) / spread[0]) ** 2 + ((y - row) / spread[1]) ** 2))
         heat = np.maximum(heat, mark.astype(np.float32))
         sizes[:, row, col] = np.log(np.maximum([x1 - x0, y1 - y0], 1.0) / STRIDE)
@@ -221,7 +224,7 @@ def train(
     batch_size: int = 24,
 ) -> PeopleNetwork:
     """Trains anew. The learning rate rises and falls once; the network returned is the moving
-    average of the weights. From time to time squares are drawn about what is found falsely."""
+    average of the weights. From time to time squares are drawn about mistakes."""
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     network = PeopleNetwork().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -233,7 +236,7 @@ def train(
     step = 0
     for epoch in range(epochs):
         if epoch and epoch % _MINED_EVERY == 0:
-            hard = [false_places(averaged, one) for one in images]
+            hard = [mistakes(averaged, one) for one in images]
         order, total = rng.permutation(len(images)), 0.0
         for first in range(0, len(images) - batch_size + 1, batch_size):
             drawn = [augmented(images[i], rng, hard[i]) for i in order[first : first + batch_size]]
@@ -264,19 +267,21 @@ def _average(averaged: nn.Module, network: nn.Module, left: float) -> None:
                 slow.lerp_(fast, 1.0 - left)
 
 
-def false_places(network: PeopleNetwork, one: Labelled) -> list[tuple[float, float]]:
-    """(x, y) in pixels of an image where the network finds somebody who is not there."""
+def mistakes(network: PeopleNetwork, one: Labelled) -> list[tuple[float, float]]:
+    """(x, y) in pixels of an image where the network finds somebody who is not there, or misses
+    somebody."""
     small = resampled(one.image, one.metres_per_pixel)
     network.eval()
     with torch.no_grad():
         heat, sizes = network(torch.from_numpy(levelled(small).transpose(2, 0, 1)[None].copy()))
     ratio = np.array(one.image.shape[1::-1]) / small.shape[1::-1]
-    places = []
-    for x0, y0, x1, y1, _ in peaks(heat[0, 0].numpy(), sizes[0].numpy(), _MINED_SCORE):
-        x, y = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)]) * ratio
-        if not any(a <= x <= c and b <= y <= d for a, b, c, d in one.boxes):
-            places.append((float(x), float(y)))
-    return places
+    found = np.array(peaks(heat[0, 0].numpy(), sizes[0].numpy(), _FALSE)).reshape(-1, 5)
+    middles = 0.5 * (found[:, :2] + found[:, 2:4]) * ratio
+    least, most = one.boxes[:, None, :2], one.boxes[:, None, 2:]
+    inside = ((least <= middles) & (middles <= most)).all(axis=2)  # (boxes, found)
+    missed = ~(inside & (found[:, 4] >= _SURE)).any(axis=1) & (one.shown >= SHOWN)
+    places = [*middles[~inside.any(axis=0)], *(0.5 * (one.boxes[:, :2] + one.boxes[:, 2:]))[missed]]
+    return [(float(x), float(y)) for x, y in places]
 
 
 def export(network: PeopleNetwork, file: Path) -> None:

@@ -11,13 +11,15 @@ from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
 DOWN = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.zeros(3))
+LONG_AHEAD = Pose(np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]), np.zeros(3))
 VEHICLE = SimpleNamespace(
     leg_height_m=0.3, rotor_spin=np.ones(4), thrust_coefficient=1.0, rotor_speed_max=2.0,
     mass_kg=1.0,
 )  # fmt: skip
 RIG: Any = SimpleNamespace(
     camera=CameraIntrinsics(width=848, height=480, fx=617.0, fy=625.0, cx=423.5, cy=239.5),
-    body_from_camera=DOWN, vehicle=VEHICLE,
+    body_from_camera=DOWN, body_from_lidar=LONG_AHEAD, lidar=SimpleNamespace(preset="horizon"),
+    vehicle=VEHICLE,
 )  # fmt: skip
 
 
@@ -55,8 +57,19 @@ def test_an_answer_before_the_sight_takes_no_time_and_none_is_none() -> None:
     assert unseen.summary().in_view_s is None  # type: ignore[union-attr]
 
 
-def test_a_head_is_in_view_where_the_feet_are_not() -> None:
-    for x, seen in ((2.0, False), (1.1, True)):  # a cone of 35 degrees from 3 m
-        observer = IntrusionObserver(RIG)
-        observer.tick(step(1.0, 3.0, (0, x, 0)))
-        assert (observer.summary().in_view_s is not None) is seen  # type: ignore[union-attr]
+@pytest.mark.parametrize(
+    ("foot", "preset", "seen"),
+    [
+        ((2.0, 0.0, 0.0), "horizon", True),  # 81.7 degrees along x: the feet
+        ((2.9, 0.0, 0.0), "horizon", False),
+        ((1.6, 0.0, 0.0), "mid360", True),  # a cone of 35 degrees
+        ((2.4, 0.0, 0.0), "mid360", False),
+        ((0.0, 1.9, 0.0), "horizon", True),  # the image along its long side
+        ((0.0, 2.2, 0.0), "horizon", False),
+    ],
+)
+def test_fields_of_view(foot: tuple[float, ...], preset: str, seen: bool) -> None:
+    rig: Any = SimpleNamespace(**{**vars(RIG), "lidar": SimpleNamespace(preset=preset)})
+    observer = IntrusionObserver(rig)
+    observer.tick(step(1.0, 3.0, foot))
+    assert (observer.summary().in_view_s is not None) is seen  # type: ignore[union-attr]

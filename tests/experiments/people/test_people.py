@@ -1,5 +1,6 @@
 """The detector of people: its images, its targets, its training and its figures."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,8 @@ from touchdown.experiments.people.learning.network import (
     CROP,
     augmented,
     export,
-    false_places,
     loss_of,
+    mistakes,
     targets_of,
     train,
 )
@@ -192,7 +193,10 @@ def test_training_finds_what_it_was_shown(tmp_path: Path) -> None:
     assert losses[-1] < 0.3 * losses[0]
     empty = Labelled(held[0].image, PIXEL_M, held[0].boxes[:0], (), held[0].metres[:0],
                      held[0].shown[:0])  # fmt: skip
-    assert len(false_places(network, empty)) == len(false_places(network, held[0])) + 2
+    assert len(mistakes(network, empty)) == len(mistakes(network, held[0])) + 2
+    unseen = replace(held[0], boxes=held[0].boxes[:1] * 0.0 + [200, 100, 210, 110], kinds=("dog",),
+                     shown=held[0].shown[:1])  # fmt: skip
+    assert (205.0, 105.0) in mistakes(network, unseen)
     export(network, tmp_path / "people.onnx")
     figures = measured(PeopleDetector(tmp_path / "people.onnx", 0.05), held)
     found, there = figures.recall(0.35)

@@ -21,6 +21,7 @@ class Seen:
 
     def __init__(self) -> None:
         self.people: list[tuple[float, float, float]] = []
+        self.score = 0.45
         self.pose = Pose(np.eye(3), np.zeros(3))
 
     def find(self, _image: Any, metres_per_pixel: float) -> tuple[Person, ...]:
@@ -30,7 +31,7 @@ class Seen:
             x, y, z = (self.pose @ DOWN).inverse().apply(np.array(place))
             u, v = LENS.fx * x / z + LENS.cx, LENS.fy * y / z + LENS.cy
             if 0 <= u < LENS.width and 0 <= v < LENS.height:
-                found.append(Person(u - 10, v - 10, u + 10, v + 10, 0.9))
+                found.append(Person(u - 10, v - 10, u + 10, v + 10, self.score))
         return tuple(found)
 
 
@@ -63,7 +64,24 @@ def test_who_walks_is_followed_and_two_are_two() -> None:
     watched = Watched()
     for step in range(4):
         present = watched.image(10.0, (0.6 * step - 2.0, 1.0), (2.0, -2.0))
+        speeds = {round(float(one.velocity_odom[0]), 6) for one in watched.sightings.present()}
+        assert speeds == (set(), {0.0}, {3.0, 0.0}, {3.0, 0.0})[step]
     assert sorted(present) == [(-0.2, 1.0), (2.0, -2.0)]
+
+
+def test_slow_and_old_motion_is_none() -> None:
+    watched = Watched()
+    for step in range(12):
+        watched.image(10.0, (min(0.4 * step, 2.0), 1.0), (-2.0, 0.1 * step - 1.0))
+    assert all((one.velocity_odom == 0.0).all() for one in watched.sightings.present())
+
+
+def test_who_is_found_surely_is_there_at_once() -> None:
+    watched = Watched()
+    watched.seen.score = 0.95
+    assert watched.image(9.0, (1.0, -2.0)) == [(1.0, -2.0)]
+    watched.seen.score = 0.4
+    assert watched.image(9.0, (1.0, -2.0), (-2.0, 0.0)) == [(1.0, -2.0)]
 
 
 def test_who_has_gone_is_forgotten_and_who_left_the_image_is_not() -> None:

@@ -177,33 +177,44 @@ def test_without_returns_it_says_that_nothing_is_watched() -> None:
     assert watched(Descent())[-1][1].height_m == pytest.approx(6.0, abs=0.05)
 
 
-@pytest.mark.parametrize(("away_m", "said"), [(2.0, "somebody "), (4.5, "")])
+@pytest.mark.parametrize(
+    ("away_m", "mps", "said"),
+    [(2.0, 0.0, "somebody "), (4.5, 0.0, ""), (5.5, -1.4, "somebody "), (3.7, 1.4, "")],
+)
 def test_somebody_in_images_near_the_site_is_in_the_way(
-    away_m: float, said: str, monkeypatch: pytest.MonkeyPatch
+    away_m: float, mps: float, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Scans show flat ground; the person stands still."""
+    """Scans show flat ground; the person stands still, or walks towards the site."""
     rig = synthetic_rig()
-    descent = Descent(pose_at=lambda _: at(7.0))
+    descent = Descent(pose_at=lambda _: at(9.0))
+    place = [away_m]
 
     class Detector:
-        def __init__(self, _network: Path) -> None:
-            u = rig.camera.cx + rig.camera.fx * away_m / (7.0 - 0.8)
-            self._box = Person(u - 9, rig.camera.cy - 9, u + 9, rig.camera.cy + 9, 0.9)
+        def __init__(self, _network: Path) -> None: ...
 
-        def find(self, _image: object, _metres_per_pixel: float) -> tuple[Person, ...]:
-            return (self._box,)
+        def find(self, _image: object, metres_per_pixel: float) -> tuple[Person, ...]:
+            assert metres_per_pixel == pytest.approx(9.0 / rig.camera.fx, rel=0.03)
+            u = rig.camera.cx + rig.camera.fx * place[0] / (9.0 - 0.8)
+            return (Person(u - 9, rig.camera.cy - 9, u + 9, rig.camera.cy + 9, 0.9),)
 
     monkeypatch.setattr("touchdown.landing.watch.standard.PeopleDetector", Detector)
     watch = StandardWatch(
         WatchRig(sensors=rig, landing=LandingParams(people_network="people.onnx"))
     )
     assert watch.needs.camera_hz == 5 and StandardWatch.needs.camera_hz == 0
-    reasons, last_s = [], 0.0
+    reasons, last_s, first = [], 0.0, None
     for seen in descent.seen(rig):
         obs = seen.obs
         if obs.time_s >= last_s + 0.2:
             last_s = obs.time_s
+            place[0] += 0.2 * mps
             picture = CameraImage(tick=obs.tick, time_s=last_s, rgb=np.zeros((2, 2, 3), np.uint8))
             seen = dataclasses.replace(seen, obs=dataclasses.replace(obs, images=(picture,)))
         reasons.append(watch.look(seen).reason)
-    assert reasons[-1].startswith(said) and bool(reasons[-1]) is bool(said)
+        first = first or (seen if reasons[-1] else None)
+    assert any(reasons) is bool(said) and all(r.startswith(said) for r in reasons if r)
+    assert (first is None) is not bool(said)
+    if first is not None:  # the image alone, before the next scan
+        assert first.obs.images and not first.obs.scans
+        if mps:  # before he is there
+            assert float(next(filter(None, reasons)).split()[1]) > 3.6
