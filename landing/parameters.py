@@ -33,6 +33,16 @@ class SurveyParams:
     min_height_m: Positive = 20.0
     """lowest height of the survey where the wind at ``height_m`` is too strong; above all
     obstacles"""
+    path: str = "serpentine"
+    """``serpentine``; ``spiral``, outward from the take-off spot in ``legs`` turns that are
+    ``leg_spacing_m`` apart; or a file: GeoJSON, whose polygon is covered by parallel legs and whose
+    line is followed, or a plan of QGroundControl"""
+    waypoints_m: tuple[tuple[float, float, float], ...] = ()
+    """path in place of ``path``: metres east and north of the take-off spot, and height above it;
+    read from the file"""
+    home_deg: tuple[float, float, float] | None = None
+    """latitude and longitude (degrees) and height (m) of the take-off spot on WGS 84, for files;
+    None: as the file says"""
 
 
 TermName = Literal[

@@ -38,7 +38,7 @@ class PosedSurvey:
 def build_posed_survey(config: Config, scene: Scene) -> PosedSurvey:
     """Builds a survey without a flight. Raises ValueError as `build_flight_stack`."""
     from touchdown.estimator.mapping.mapper import GridMapper
-    from touchdown.landing.mission.trajectory import survey_trajectory
+    from touchdown.landing.mission.waypoints import survey_path
     from touchdown.landing.selection.selector import select_sites
     from touchdown.sim.frames import yaw_from_rotation
     from touchdown.sim.posed_sensors import PosedSensors
@@ -54,7 +54,7 @@ def build_posed_survey(config: Config, scene: Scene) -> PosedSurvey:
         rig=rig,
         sensors=PosedSensors(scene, world_params(config), config.world_seed),
         mapper=GridMapper(rig, config.mapper),
-        path=survey_trajectory(above, yaw, config.survey),
+        path=survey_path(above, yaw, config.survey, config.landing),
         yaw=yaw,
         select=lambda map_view, estimate: select_sites(
             SelectorInput(map_view=map_view, estimate=estimate),

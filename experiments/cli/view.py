@@ -107,7 +107,7 @@ _FORMATS_OF_OPTION = {
     "poses": ("mcap", _SCANS, "tum", "kitti"),
     "images": ("mcap",),
     "tf": ("mcap",),
-    "origin": ("mcap",),
+    "origin": ("mcap", "plan"),
     "judged": ("tum", "csv"),
 }
 """Formats to which an option applies."""
@@ -125,9 +125,10 @@ def _origin(text: str) -> GeodeticPoint:
 @click.command()
 @click.argument("run", type=PATH)
 @click.option("--format", "kind", required=True,
-              type=click.Choice(["mcap", "ply", "tum", "csv", "euroc", "kitti"]),
+              type=click.Choice(["mcap", "ply", "tum", "csv", "euroc", "kitti", "plan"]),
               help="mcap: a rosbag2 folder; ply: a cloud; tum: a trajectory; csv: a table of time "
-              "steps; euroc, kitti: folders of these data sets.")  # fmt: skip
+              "steps; euroc, kitti: folders of these data sets; plan: "
+              "waypoints for QGroundControl.")  # fmt: skip
 @click.option("--out", type=PATH, help="The file or folder.  [RUN.FORMAT, RUN-bag, RUN-euroc]")
 @click.option("--poses", type=click.Choice(["estimate", "truth", "reference"]), default="estimate",
               show_default=True,
@@ -145,7 +146,7 @@ def _origin(text: str) -> GeodeticPoint:
               "itself.")  # fmt: skip
 @click.option("--origin",
               type=Parsed("LAT,LON,HEIGHT", "degrees and metres, such as 40,116,50", _origin),
-              help="mcap: the world's origin.")  # fmt: skip
+              help="mcap, plan: the world's origin.")  # fmt: skip
 @click.option("--judged", is_flag=True,
               help="tum, csv: only rows at which the position error is evaluated.")  # fmt: skip
 @JSON

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import SurveyParams
-from touchdown.sim.frames import Pose
+from touchdown.landing.mission.waypoints import survey_waypoints
+from touchdown.sim.frames import Pose, rotation_from_yaw
 from touchdown.sim.typing import Array
 
 Points = NDArray[np.float32]
@@ -60,15 +61,16 @@ class Marks:
     """(2,)"""
     yaw: float
     """heading of the take-off, rad"""
-    corners_xy_m: Array
-    """(4, 2) of the rectangle of the survey's legs"""
+    path_xy_m: Array
+    """(N, 2) rectangle of the legs of a serpentine, closed; else the waypoints from the take-off
+    on"""
 
 
 def survey_marks(takeoff_xy_m: Array, yaw: float, survey: SurveyParams) -> Marks:
-    """Marks of a survey whose legs run along the heading from the take-off point, each next leg to
-    the left."""
-    length, width = survey.leg_length_m, (survey.legs - 1) * survey.leg_spacing_m
-    local = np.array([[0.0, 0.0], [length, 0.0], [length, width], [0.0, width]])
-    c, s = np.cos(yaw), np.sin(yaw)
-    corners = local @ np.array([[c, s], [-s, c]]) + takeoff_xy_m
-    return Marks(takeoff_xy_m=takeoff_xy_m, yaw=yaw, corners_xy_m=corners)
+    """Marks of a survey from a take-off point at the heading ``yaw``, rad."""
+    path = np.vstack([np.zeros(3), survey_waypoints(yaw, survey)])[:, :2]
+    if survey.path == "serpentine":
+        length, width = survey.leg_length_m, (survey.legs - 1) * survey.leg_spacing_m
+        box = np.array([[0, 0], [length, 0], [length, width], [0, width], [0, 0]])
+        path = box @ rotation_from_yaw(yaw)[:2, :2].T
+    return Marks(takeoff_xy_m=takeoff_xy_m, yaw=yaw, path_xy_m=takeoff_xy_m + path)

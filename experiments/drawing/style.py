@@ -63,11 +63,12 @@ RIM = [withStroke(linewidth=3.5, foreground="#101218")]
 
 
 def draw_marks(axes: Axes, marks: Marks) -> None:
-    """Draws the survey's rectangle dashed, and take-off point and heading as a circle with a hand;
+    """Draws the survey dashed, and take-off point and heading as a circle with a hand;
     the limits of the axes stay."""
     axes.autoscale(False)
-    closed = np.vstack([marks.corners_xy_m, marks.corners_xy_m[:1]])
-    axes.plot(*closed.T, color="white", linewidth=1.2, linestyle=(0, (6, 4)), path_effects=RIM)
+    axes.plot(
+        *marks.path_xy_m.T, color="white", linewidth=1.2, linestyle=(0, (6, 4)), path_effects=RIM
+    )
     axes.plot(*marks.takeoff_xy_m, marker="o", markersize=9, markerfacecolor="none",
               markeredgecolor="white", markeredgewidth=1.4, path_effects=RIM)  # fmt: skip
     hand = {"arrowstyle": "-", "color": "white", "path_effects": RIM}

@@ -39,7 +39,7 @@ class ExportOptions:
     tf: str = "all"
     """MCAP: ``all`` transforms; ``odom``: all but map to odom; ``none``: static ones alone"""
     origin: GeodeticPoint | None = None
-    """MCAP: the world's origin"""
+    """MCAP, plan: the world's origin"""
     judged: bool = False
     """TUM, CSV: only rows at which the position error is evaluated"""
 

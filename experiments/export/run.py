@@ -11,6 +11,7 @@ from touchdown.experiments.export.flown_run import (
     FlownRun,
     open_flown,
 )
+from touchdown.experiments.export.plans import write_plan
 from touchdown.experiments.export.point_cloud import write_cloud
 from touchdown.experiments.export.ros2_bag import WRITTEN_BY, write_bag
 from touchdown.experiments.export.tables import TIME, write_csv, write_tum
@@ -25,7 +26,7 @@ from touchdown.experiments.io.sensor_log_reader import damage_reported
 BAG_METADATA = "metadata.yaml"
 WRITERS = {
     "mcap": write_bag, "ply": write_cloud, "tum": write_tum, "csv": write_csv,
-    "euroc": write_euroc, "kitti": write_kitti,
+    "euroc": write_euroc, "kitti": write_kitti, "plan": write_plan,
 }  # fmt: skip
 FOLDERS = ("mcap", "euroc", "kitti")
 
@@ -72,7 +73,8 @@ def _check_inputs(flown: FlownRun, kind: str, options: ExportOptions) -> None:
     if kind in (*FOLDERS, "ply"):
         flown.sensors()
     names = {"mcap": ("truth", "estimate"), "csv": ("truth",), "euroc": ("truth",),
-             "kitti": ("truth", options.poses)}.get(kind, (options.poses,))  # fmt: skip
+             "kitti": ("truth", options.poses),
+             "plan": ("truth",)}.get(kind, (options.poses,))  # fmt: skip
     for name in names:
         flown.file(f"{name}.tum")
 
@@ -103,6 +105,8 @@ def _is_export(path: Path, kind: str) -> bool:
         raise UsageError(f"--out {path}: cannot be read: {error.strerror}") from error
     if kind == "ply":
         return head.startswith(b"ply\n") and f"comment {LIBRARY}".encode() in head
+    if kind == "plan":
+        return b'"fileType": "Plan"' in head
     if kind == "csv":
         return head.startswith(f"{TIME},phase,judged".encode())
     try:

@@ -19,6 +19,7 @@ from touchdown.experiments.flight.platform import keep_bitcode, limit_threads, s
 from touchdown.experiments.flight.referee import Referee, TruthLookup
 from touchdown.experiments.flight.result import make_result
 from touchdown.experiments.flight.slots import check_parts_available
+from touchdown.experiments.flight.survey_path import with_path
 from touchdown.experiments.flight.wiring import (
     FlightStack,
     build_classifier,
@@ -67,6 +68,7 @@ def fly(
     keep_bitcode()
     with set_up_memory():
         scene = build_scene(config)
+        config = with_path(config, scene)
         if scene.options is not None:  # the scene of a file
             from touchdown.experiments.flight.survey_fit import fitted
 

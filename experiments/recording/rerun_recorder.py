@@ -27,6 +27,7 @@ from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.experiments.recording.rerun_blueprint import TIMELINE, flight_blueprint, log_styles
 from touchdown.experiments.recording.rerun_scene import log_moving, log_scene, log_vehicle
 from touchdown.landing.api import Candidate, LanderView, WatchReport
+from touchdown.landing.mission.waypoints import survey_waypoints
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import Command, LidarScan, Observation, SensorRig, Truth
 from touchdown.sim.frames import Pose, PoseHistory, quat_wxyz_from_matrix, tilt_from_rotation
@@ -346,11 +347,8 @@ def _fault_times(config: Config) -> list[tuple[float, str]]:
 
 def _survey_middle(scene: Scene, config: Config) -> Array:
     """(2,) from the take-off point to the middle of the surveyed area, world axes."""
-    half = 0.5 * np.array(
-        [config.survey.leg_length_m, config.survey.leg_spacing_m * (config.survey.legs - 1)]
-    )
-    cos, sin = np.cos(scene.takeoff_yaw), np.sin(scene.takeoff_yaw)
-    return np.array([cos * half[0] - sin * half[1], sin * half[0] + cos * half[1]])
+    ways = survey_waypoints(scene.takeoff_yaw, config.survey)[:, :2]
+    return np.asarray(0.5 * (ways.min(axis=0) + ways.max(axis=0)))
 
 
 def _transform(pose: Pose) -> rr.Transform3D:

@@ -23,10 +23,10 @@ from touchdown.landing.mission.site_recheck import ground_under
 from touchdown.landing.mission.terrain_following import Lift, LiftedTrajectory
 from touchdown.landing.mission.trajectory import (
     straight_trajectory,
-    survey_trajectory,
     turn_in_climb,
     vertical_move,
 )
+from touchdown.landing.mission.waypoints import survey_path, survey_waypoints
 from touchdown.sim.typing import Array
 
 _SENSOR_SETTLE_S = 1.5
@@ -100,11 +100,15 @@ def take_off(mission: Mission) -> RuledSteps:
 
 
 def survey(mission: Mission) -> Steps:
-    """Flies the serpentine, higher where the ground rises."""
+    """Flies the survey, higher where the ground rises."""
     params = mission.state.survey
     legs = "1 leg" if params.legs == 1 else f"{params.legs} legs"
-    mission.state.enter(Phase.SURVEY, f"surveying {legs} of {params.leg_length_m:.0f} m")
-    path = survey_trajectory(mission.reference_world.copy(), mission.start_yaw, params)
+    what = f"{legs} of {params.leg_length_m:.0f} m"
+    if params.waypoints_m or params.path != "serpentine":
+        what = f"{len(survey_waypoints(mission.start_yaw, params))} waypoints"
+    mission.state.enter(Phase.SURVEY, f"surveying {what}")
+    above = mission.reference_world.copy()
+    path = survey_path(above, mission.start_yaw, params, mission.params)
     lift = Lift(params.height_m)
     try:
         for setpoint in mission.follow(LiftedTrajectory(path, lift), in_world=True):

@@ -93,7 +93,9 @@ class MissionState:
 
     def lower_survey(self) -> None:
         """Takes the lowest height for the survey."""
-        self.survey = dataclasses.replace(self.survey, height_m=self.survey.min_height_m)
+        low = self.survey.min_height_m
+        ways = tuple((x, y, min(z, low)) for x, y, z in self.survey.waypoints_m)
+        self.survey = dataclasses.replace(self.survey, height_m=low, waypoints_m=ways)
 
     def set_deadline(self, deadline_s: float) -> None:
         """Begins an emergency that ends on the ground by ``deadline_s``."""
