@@ -267,9 +267,5 @@ def geodetic(home: tuple[float, ...], place: Array) -> tuple[float, float]:
     first two numbers are its own."""
     import pymap3d
 
-    # The tangent plane leaves the ellipsoid by the square of the distance.
-    drop = 0.0
-    for _ in range(3):
-        latitude, longitude, height = pymap3d.enu2geodetic(*place.tolist(), drop, *home[:2], 0.0)
-        drop -= float(height)
+    latitude, longitude, _ = pymap3d.enu2geodetic(*place.tolist(), 0.0, *home[:2], 0.0)
     return float(latitude), float(longitude)
