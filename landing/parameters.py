@@ -40,7 +40,7 @@ class SurveyParams:
     waypoints_m: tuple[tuple[float, float, float], ...] = ()
     """path in place of ``path``: metres east and north of the take-off spot, and height above it;
     read from the file"""
-    home_deg: tuple[float, float, float] | None = None
+    home_wgs84: tuple[float, float, float] | None = None
     """latitude and longitude (degrees) and height (m) of the take-off spot on WGS 84, for files;
     None: as the file says"""
 

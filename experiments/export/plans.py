@@ -27,13 +27,13 @@ def write_plan(flown: FlownRun, path: Path, options: ExportOptions) -> Exported:
         _, positions, quats = read_tum(flown.file("truth.tum"))
         start = Pose(matrices_from_quats_wxyz(quats[:1])[0], positions[0])
         places = survey_waypoints(yaw_from_rotation(start.rotation), survey)
-        home = survey.home_deg
+        home = survey.home_wgs84
         if home is None:
             origin = options.origin or GeodeticPoint(*SITE_DEG, 0.0)
             home = (*geodetic(origin, start.translation[:2]), origin.height_m)
         site = config["landing"].get("site_xy_m")
         plan = FlightPlan(
-            home_deg=(home[0], home[1], home[2]),
+            home_wgs84=(home[0], home[1], home[2]),
             waypoints_m=tuple((float(x), float(y), float(z)) for x, y, z in places),
             land_m=None
             if site is None

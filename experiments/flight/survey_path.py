@@ -20,7 +20,7 @@ def with_path(config: Config, scene: Scene) -> Config:
     survey, landing = config.survey, config.landing
     if survey.path in PATTERNS or survey.waypoints_m:
         return config
-    plan = read_path(Path(survey.path), survey.height_m, survey.leg_spacing_m, survey.home_deg)
+    plan = read_path(Path(survey.path), survey.height_m, survey.leg_spacing_m, survey.home_wgs84)
     low, high = scene.bounds_xy_m - scene.takeoff_xy_m
     for number, (east, north, _) in enumerate(plan.waypoints_m, start=1):
         if not ((low <= (east, north)) & ((east, north) <= high)).all():
@@ -32,7 +32,7 @@ def with_path(config: Config, scene: Scene) -> Config:
     heights = [up for *_, up in plan.waypoints_m]
     survey = dataclasses.replace(
         survey,
-        waypoints_m=plan.waypoints_m, home_deg=plan.home_deg, height_m=heights[0],
+        waypoints_m=plan.waypoints_m, home_wgs84=plan.home_wgs84, height_m=heights[0],
         min_height_m=min(survey.min_height_m, *heights),
     )  # fmt: skip
     if not landing.survey_only and plan.land_m is not None and landing.site_xy_m is None:

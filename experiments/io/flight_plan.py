@@ -35,7 +35,7 @@ _MOST = 5000
 class FlightPlan:
     """A path over a place on WGS 84."""
 
-    home_deg: tuple[float, float, float]
+    home_wgs84: tuple[float, float, float]
     """latitude, longitude (degrees) and height (m) of the take-off spot"""
     waypoints_m: tuple[tuple[float, float, float], ...]
     """metres east and north of it, and height above it"""
@@ -46,16 +46,16 @@ class FlightPlan:
 
 
 def read_path(
-    file: Path, height_m: float, spacing_m: float, home_deg: tuple[float, float, float] | None
+    file: Path, height_m: float, spacing_m: float, home_wgs84: tuple[float, float, float] | None
 ) -> FlightPlan:
     """Reads a plan or GeoJSON. ``height_m`` and ``spacing_m`` are those of the legs in a polygon,
-    ``home_deg`` the take-off spot, without which the file has to name it. Raises UsageError, one
+    ``home_wgs84`` the take-off spot, without which the file has to name it. Raises UsageError, one
     line."""
     try:
         tree = read_object(file)
         if tree.get("fileType") == "Plan":
-            return _plan(tree, home_deg)
-        return _geojson(tree, height_m, spacing_m, home_deg)
+            return _plan(tree, home_wgs84)
+        return _geojson(tree, height_m, spacing_m, home_wgs84)
     except FileNotFoundError:
         raise UsageError(
             f"survey.path: '{file}' is neither serpentine nor spiral nor a file"
@@ -66,12 +66,12 @@ def read_path(
 
 def plan_of(plan: FlightPlan) -> str:
     """The plan as QGroundControl writes it."""
-    latitude, longitude, height = plan.home_deg
+    latitude, longitude, height = plan.home_wgs84
 
     def item(command: int, place: Array | None) -> dict[str, Any]:
         where = [0.0, 0.0, 0.0]
         if place is not None:
-            degrees = geodetic(plan.home_deg, place[:2])
+            degrees = geodetic(plan.home_wgs84, place[:2])
             where = [round(degrees[0], 9), round(degrees[1], 9), round(float(place[2]), 3)]
         return {
             "AMSLAltAboveTerrain": None, "Altitude": where[2], "AltitudeMode": 1,
@@ -101,12 +101,12 @@ def plan_of(plan: FlightPlan) -> str:
     return json.dumps(tree, indent=4) + "\n"
 
 
-def _plan(tree: dict[str, Any], home_deg: tuple[float, float, float] | None) -> FlightPlan:
+def _plan(tree: dict[str, Any], home_wgs84: tuple[float, float, float] | None) -> FlightPlan:
     mission = tree.get("mission")
     items = mission.get("items") if isinstance(mission, dict) else None
     if not isinstance(mission, dict) or not isinstance(items, list):
         raise ValueError("it has no mission with items")
-    home = home_deg or _numbers(mission.get("plannedHomePosition"), 3, "plannedHomePosition")
+    home = home_wgs84 or _numbers(mission.get("plannedHomePosition"), 3, "plannedHomePosition")
     ways, land, returns = [], None, False
     for number, item in enumerate(_simple(items), start=1):
         what = f"item {number}"
@@ -135,7 +135,7 @@ def _plan(tree: dict[str, Any], home_deg: tuple[float, float, float] | None) -> 
             up = place[2] - (home[2] if frame == _ABSOLUTE else 0.0)
             ways.append((east, north, up))
     return _checked(
-        FlightPlan(home_deg=home, waypoints_m=tuple(ways), land_m=land, returns=returns)
+        FlightPlan(home_wgs84=home, waypoints_m=tuple(ways), land_m=land, returns=returns)
     )
 
 
@@ -153,16 +153,16 @@ def _simple(items: list[Any]) -> list[dict[str, Any]]:
 
 def _geojson(
     tree: dict[str, Any], height_m: float, spacing_m: float,
-    home_deg: tuple[float, float, float] | None,
+    home_wgs84: tuple[float, float, float] | None,
 ) -> FlightPlan:  # fmt: skip
     shapes = {"Point": None, "LineString": None, "Polygon": None} | dict(_geometries(tree, 0))
-    if home_deg is None:
+    if home_wgs84 is None:
         if shapes["Point"] is None:
             raise ValueError(
-                "it does not say where the take-off spot is; add a Point, or set survey.home_deg"
+                "it does not say where the take-off spot is; add a Point, or set survey.home_wgs84"
             )
         longitude, latitude = _numbers(shapes["Point"][:2], 2, "its Point")
-        home_deg = (latitude, longitude, 0.0)
+        home_wgs84 = (latitude, longitude, 0.0)
     line, polygon = shapes["LineString"], shapes["Polygon"]
     if (line is None) == (polygon is None):
         raise ValueError("it needs one Polygon to cover or one LineString to follow")
@@ -171,10 +171,10 @@ def _geojson(
     corners = []
     for corner in line if polygon is None else polygon[0]:
         longitude, latitude = _numbers(corner[:2] if isinstance(corner, list) else 0, 2, "a corner")
-        corners.append(_metres(home_deg, (latitude, longitude)))
+        corners.append(_metres(home_wgs84, (latitude, longitude)))
     places = np.array(corners) if polygon is None else covering(np.array(corners[:-1]), spacing_m)
     ways = tuple((float(x), float(y), height_m) for x, y in places)
-    return _checked(FlightPlan(home_deg=home_deg, waypoints_m=ways))
+    return _checked(FlightPlan(home_wgs84=home_wgs84, waypoints_m=ways))
 
 
 def _geometries(tree: Any, depth: int) -> list[tuple[str, Any]]:
@@ -231,7 +231,7 @@ def covering(corners: Array, spacing_m: float) -> Array:
 
 
 def _checked(plan: FlightPlan) -> FlightPlan:
-    latitude, longitude, _ = plan.home_deg
+    latitude, longitude, _ = plan.home_wgs84
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         raise ValueError(
             f"its take-off spot at {latitude:g}, {longitude:g} is nowhere on the globe"

@@ -28,7 +28,7 @@ def _place() -> Scene:
 def _plan(tmp_path: Path, **ends: object) -> Path:
     file = tmp_path / "a.plan"
     home = (47.4, 8.5, 488.0)
-    file.write_text(plan_of(FlightPlan(home_deg=home, waypoints_m=WAYS, **ends)))  # type: ignore[arg-type]
+    file.write_text(plan_of(FlightPlan(home_wgs84=home, waypoints_m=WAYS, **ends)))  # type: ignore[arg-type]
     return file
 
 
@@ -71,7 +71,7 @@ def test_a_run_is_exported_as_a_plan(tmp_path: Path) -> None:
     plan = read_path(done.out, 30.0, 20.0, None)
     np.testing.assert_allclose(plan.waypoints_m, [[0, 0, 18], [0, 40, 18]], atol=1e-3)
     assert plan.land_m == pytest.approx((0.0, 20.0), abs=1e-3)
-    assert plan.home_deg[0] == pytest.approx(40.0 - 5.0 / 111_030.0, abs=1e-6)
+    assert plan.home_wgs84[0] == pytest.approx(40.0 - 5.0 / 111_030.0, abs=1e-6)
     (run / "config.json").write_text("{}")
     with pytest.raises(UsageError, match="describes no survey"):
         export(run, "plan", tmp_path / "b.plan", ExportOptions())

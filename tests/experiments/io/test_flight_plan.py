@@ -23,7 +23,7 @@ def _item(command: int, *place: float, frame: int = 3) -> dict[str, Any]:
 def _read(tmp_path: Path, tree: Any, **options: Any) -> FlightPlan:
     file = tmp_path / "path.json"
     file.write_text(json.dumps(tree))
-    values: dict[str, Any] = {"height_m": 30.0, "spacing_m": 20.0, "home_deg": None} | options
+    values: dict[str, Any] = {"height_m": 30.0, "spacing_m": 20.0, "home_wgs84": None} | options
     return read_path(file, **values)
 
 
@@ -45,7 +45,7 @@ def test_a_plan_of_take_off_waypoints_and_landing(tmp_path: Path) -> None:
     ))  # fmt: skip
     np.testing.assert_allclose(plan.waypoints_m, [[0, 50, 25], [0, 50, 32]], atol=0.01)
     assert plan.land_m == (0.0, 0.0) and not plan.returns
-    assert plan.home_deg == tuple(HOME)
+    assert plan.home_wgs84 == tuple(HOME)
     assert _read(tmp_path, _mission(_item(16, NORTH, HOME[1], 25.0), _item(20, 0, 0, 0))).returns
 
 
@@ -53,11 +53,11 @@ def test_a_plan_is_written_back_equal(tmp_path: Path) -> None:
     """To a hundredth of a millimetre, over a kilometre."""
     ways = ((812.5, -640.25, 25.0), (12.5, 91.0, 41.5))
     for ends in ({"land_m": (-30.0, 4.0)}, {"returns": True}, {}):
-        plan = FlightPlan(home_deg=(-33.9, 151.2, 12.0), waypoints_m=ways, **ends)
+        plan = FlightPlan(home_wgs84=(-33.9, 151.2, 12.0), waypoints_m=ways, **ends)
         text = plan_of(plan)
         read = _read(tmp_path, json.loads(text))
         np.testing.assert_allclose(read.waypoints_m, ways, atol=2e-4)
-        assert (read.home_deg, read.returns) == (plan.home_deg, plan.returns)
+        assert (read.home_wgs84, read.returns) == (plan.home_wgs84, plan.returns)
         assert plan_of(read) == text
 
 
@@ -80,9 +80,9 @@ def test_a_polygon_is_covered_and_a_line_is_followed(tmp_path: Path) -> None:
             "features": [_geo("Point", [HOME[1], HOME[0]]), _geo("Polygon", [ring])]}  # fmt: skip
     plan = _read(tmp_path, tree)
     ways = np.array(plan.waypoints_m)
-    assert (ways[:, 2] == 30.0).all() and plan.home_deg == (HOME[0], HOME[1], 0.0)
+    assert (ways[:, 2] == 30.0).all() and plan.home_wgs84 == (HOME[0], HOME[1], 0.0)
     assert ways[:, :2].min() > -0.1 and ways[:, 1].max() < 40.1
-    line = _read(tmp_path, _geo("LineString", ring[:2]), home_deg=tuple(HOME))
+    line = _read(tmp_path, _geo("LineString", ring[:2]), home_wgs84=tuple(HOME))
     np.testing.assert_allclose(line.waypoints_m, [[0, 0, 30], [0, 40, 30]], atol=0.01)
 
 
@@ -128,9 +128,9 @@ def test_polygons_that_cannot_be_covered(tmp_path: Path) -> None:
         ([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 0.0]], "legs; raise"),
     ):
         with pytest.raises(UsageError, match=word):
-            _read(tmp_path, _geo("Polygon", [ring]), home_deg=(0.0, 0.0, 0.0), spacing_m=10.0)
+            _read(tmp_path, _geo("Polygon", [ring]), home_wgs84=(0.0, 0.0, 0.0), spacing_m=10.0)
     holes = [[[0, 0], [1, 0], [1, 1], [0, 0]]] * 2
     with pytest.raises(UsageError, match="holes"):
-        _read(tmp_path, _geo("Polygon", holes), home_deg=(0.0, 0.0, 0.0))
+        _read(tmp_path, _geo("Polygon", holes), home_wgs84=(0.0, 0.0, 0.0))
     with pytest.raises(UsageError, match="neither serpentine nor spiral"):
         read_path(tmp_path / "spirall", 30.0, 20.0, None)
