@@ -48,9 +48,9 @@ def load_scene(
 
     name_or_path: a name of `scenes.registry.scene_names` or the path of an MJCF file (a path has
     a slash or ends in .xml). seed: non-negative; the same seed gives the same model to the byte.
-    A scene from a file does not depend on it. sun: replaces the scene's own; named scenes bake
-    their shadows with it, scenes from files have no baked shadows. light: of the sky; ``sun`` is
-    that of ``day``. Neither changes what stands where. options: how a scene from a file is made
+    Of a scene from a file it draws where movers start, nothing else. sun: replaces the scene's own;
+    named scenes bake their shadows with it, scenes from files have no baked shadows. light: of the
+    sky; ``sun`` is that of ``day``. Neither changes what stands where. options: how a scene from a file is made
     flyable; None takes the file as it is. rugged: dials of the scene of that name. traffic: who
     moves through it, beside ``intruders`` that wait for a fault.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
@@ -135,7 +135,7 @@ def _draft(
     if _is_file(name_or_path):
         from touchdown.scenes.importers.mjcf import read_mjcf
 
-        draft = read_mjcf(Path(name_or_path), options)
+        draft = read_mjcf(Path(name_or_path), options, seed)
         light_file(draft.spec)
     else:
         draft = scene_generator(name_or_path, rugged)(seed)

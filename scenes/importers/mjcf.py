@@ -31,6 +31,7 @@ from touchdown.scenes.importers.model_check import (
     check_spec,
     check_texts,
 )
+from touchdown.scenes.importers.movers import movers
 from touchdown.sim.files.child import run_limited
 from touchdown.sim.files.opening import check_file, printable, quiet_libraries
 
@@ -162,13 +163,14 @@ def _surface(land_class: str) -> Surface:
     )
 
 
-def read_mjcf(path: Path, ready: ImportOptions | None = None) -> SceneDraft:
+def read_mjcf(path: Path, ready: ImportOptions | None = None, seed: int = 0) -> SceneDraft:
     """Reads an MJCF file as a scene, as it is or made ``ready`` (`scenes.importers.import_pass`).
 
     The take-off spot is the site or body named ``takeoff``, else the position of the vehicle in a
     file written by `scenes.export`, else the origin. Classes follow from names
     (`surface_of_name`); other geoms get class ``other`` with reflectivity 0.30, and one warning
-    names them. Joints and actuators are left out: bodies keep the pose that the file gives them.
+    names them. Joints and actuators are left out: bodies keep the pose that the file gives them,
+    but for mocap bodies with a path (`scenes.importers.movers`), of which ``seed`` may draw starts.
     One with joints that stands at the take-off spot, as a vehicle of the file's own does, is left
     out. A file without a light gets a sun. Ground far from height 0 is moved there, and so is a
     scene more than 1 km from the origin, such as one in map coordinates: `scenes.importers.mjcf`.
@@ -217,6 +219,10 @@ def read_mjcf(path: Path, ready: ImportOptions | None = None) -> SceneDraft:
     surfaces, unknown = _surfaces(spec)
     if ready is None:
         _warn_of_unknown(path, unknown)
+    try:
+        moving = movers(spec, seed, origin)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
     draft = SceneDraft(
         spec=spec,
         takeoff_xy_m=xy - origin_xy,
@@ -224,6 +230,7 @@ def read_mjcf(path: Path, ready: ImportOptions | None = None) -> SceneDraft:
         bounds_xy_m=_bounds(model, data, xy, path) - origin_xy,
         surfaces=surfaces,
         ground=None,
+        moving=moving,
         origin_m=origin,
     )
     if ready is None:
@@ -267,7 +274,7 @@ def remove_motion(spec: Any, path: Path) -> None:
     if moving:
         _warn_once(
             path,
-            f"its {moving} joints and soft bodies are left out; nothing in a scene moves by itself",
+            f"its {moving} joints and soft bodies are left out; what moves has a path",
         )
     compiler, option = spec.compiler, spec.option
     compiler.settotalmass = -1.0
