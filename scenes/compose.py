@@ -50,9 +50,9 @@ def load_scene(
     a slash or ends in .xml). seed: non-negative; the same seed gives the same model to the byte.
     Of a scene from a file it draws where movers start, nothing else. sun: replaces the scene's own;
     named scenes bake their shadows with it, scenes from files have no baked shadows. light: of the
-    sky; ``sun`` is that of ``day``. Neither changes what stands where. options: how a scene from a file is made
-    flyable; None takes the file as it is. rugged: dials of the scene of that name. traffic: who
-    moves through it, beside ``intruders`` that wait for a fault.
+    sky; ``sun`` is that of ``day``. Neither changes what stands where. options: how a scene from a
+    file is made flyable; None takes the file as it is. rugged: dials of the scene of that name.
+    traffic: who moves through it, beside ``intruders`` that wait for a fault.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
     name = Path(name_or_path).stem
