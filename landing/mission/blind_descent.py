@@ -31,7 +31,8 @@ _TOUCHDOWN_MPS = 0.5
 """vertical speed from there on; the legs take it with the error of the estimate on top"""
 _ABOVE_SITE_M = 1.0
 _WAIT_S = 6.0
-"""horizontal distance to the ground to land on from which it sinks, and how long it waits"""
+"""horizontal distance to the ground to land on from which it sinks, and how long it waits, above
+and again near the ground, where the wind is weaker"""
 _GUST, _GUST_MPS = 0.5, 2.0
 """change of the felt wind, over the wind before and in m/s, that may be one of the wind"""
 
@@ -51,7 +52,8 @@ def blind_descent(mission: Mission) -> Steps:
     left = site - view.position_odom
     left[2] += mission.leg_height
     wind, wind_legs = view.felt_wind_odom.copy(), -float(left[2])
-    detector, drift, slow_s = TouchdownDetector(mission.rig), np.zeros(3), 0.0
+    detector, drift = TouchdownDetector(mission.rig), np.zeros(3)
+    slow_s = low_s = 0.0
     start, before, arrived = mission.now, mission.now, False
     slow_above = _SLOW_ABOVE_M + _SLOW_SOONER_MPS * max(view.blind_s, view.unhealthy_s, 0.0)
     fastest = max(mission.params.descent_speed_mps, _SINK_MPS)
@@ -65,14 +67,16 @@ def blind_descent(mission: Mission) -> Steps:
             known = wind * _profile(legs) / _profile(wind_legs)
             drift = runaway(mission.view.felt_wind_odom - known, wind)
         left -= (estimate.velocity_odom - drift) * step
+        low_s += step * low
         wanted = np.zeros(3)
         away = float(np.hypot(left[0], left[1]))
-        if not low or away > _ABOVE_SITE_M:
+        seeks = away > _ABOVE_SITE_M and low_s < _WAIT_S
+        if not low or seeks:
             wanted[:2] = left[:2] * min(_PER_S, _SPEED_MPS / max(away, 1e-6))
         over = max(legs - slow_above, 0.0)
         sink = min(fastest, math.sqrt(2.0 * 0.6 * _ACCEL_MPS2 * over))
         arrived = arrived or away < _ABOVE_SITE_M or mission.now - start > _WAIT_S
-        wanted[2] = -max(sink, _TOUCHDOWN_MPS) if arrived else 0.0
+        wanted[2] = -max(sink, _TOUCHDOWN_MPS) if arrived and not (low and seeks) else 0.0
         change = wanted - velocity
         most = _ACCEL_MPS2 * step
         change[:2] *= min(1.0, most / max(float(np.hypot(change[0], change[1])), 1e-9))

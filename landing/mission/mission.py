@@ -161,6 +161,7 @@ class Mission:
             felt_wind_odom=self.felt_wind.wind_odom,
             load_aloft=self._load_in_climb(survey.height_m, survey.min_height_m),
             load_lowest=self._load_in_climb(survey.min_height_m, _SETTLED_ABOVE_M),
+            behind_m=math.dist(estimate.world_from_body.translation, self.reference_world),
             watch=None if self.lookout is None else self._look(obs, estimate, map_view),
         )
 
@@ -350,7 +351,7 @@ class Mission:
                 t,
                 self.now - before,
                 self._wind_for(in_world),
-                self._behind_m(),
+                self.view.behind_m,
                 stop=stop is not None,
                 min_rate=min_rate,
             )
@@ -377,11 +378,6 @@ class Mission:
         start = self.now
         while self.now - start < seconds:
             yield self.setpoint(position)
-
-    def _behind_m(self) -> float:
-        """Distance of the vehicle from the reference, as estimated."""
-        here = self.view.estimate.world_from_body.translation
-        return math.dist(here.tolist(), self.reference_world.tolist())
 
     def _wind_for(self, in_world: bool) -> Array:
         wind = self.view.felt_wind_odom

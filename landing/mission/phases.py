@@ -58,7 +58,7 @@ def run_phases(mission: Mission) -> Steps:
                 yield from _WAYS_DOWN[no_landing.action](mission)
     except LegBlockedError:
         if not mission.params.survey_only:
-            yield from land_in_place(mission)
+            yield from blind_descent(mission)
     yield from rest(mission)
 
 

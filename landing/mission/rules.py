@@ -21,6 +21,8 @@ _IN_THE_AIR = frozenset(
 )
 _MAX_STOP_S = 40.0
 """time for which a reference waits for a weaker wind"""
+_BLOWN_STOP_S, _BLOWN_M = 5.0, 6.0
+"""the same beside a vehicle so far away from it"""
 _MAX_CLIMB_STOP_S = 5.0
 """the same in the climb, from which the way home is short"""
 _NO_GO = 1.1
@@ -153,6 +155,15 @@ def wind_aloft(view: MissionView, state: MissionState) -> str | None:
     return f"a wind of {view.felt_wind_mps:.1f} m/s, so that the survey is flown at {height:g} m"
 
 
+def blown_away(view: MissionView, state: MissionState) -> str | None:
+    """Decides where the wind carries the vehicle away from a reference that waits: nearer to the
+    ground it is weaker. A survey for its positions alone goes on."""
+    waits = state.stopped_s > _BLOWN_STOP_S and view.behind_m > _BLOWN_M
+    if not waits or view.params.survey_only:
+        return None
+    return f"a wind of {view.felt_wind_mps:.1f} m/s has carried it {view.behind_m:.0f} m away"
+
+
 def survey_blocked(view: MissionView, state: MissionState) -> str | None:
     """Decides where the wind stops the first survey: sites are chosen on what is mapped."""
     if state.phase is not Phase.SURVEY or state.decisions or view.params.survey_only:
@@ -262,8 +273,9 @@ RULES: tuple[Rule, ...] = (
     Rule(Moment.STEP, site_not_clear, Action.GIVE_WAY),
     Rule(Moment.CLIMB, wind_no_go, Action.RETURN, "aborted"),
     Rule(Moment.CLIMB, wind_aloft, Action.LOWER_SURVEY),
+    Rule(Moment.LEG, blown_away, Action.LAND_BLIND, "aborted"),
     Rule(Moment.LEG, survey_blocked, Action.END_SURVEY),
-    Rule(Moment.LEG, leg_blocked, Action.LAND_IN_PLACE, "aborted"),
+    Rule(Moment.LEG, leg_blocked, Action.LAND_BLIND, "aborted"),
     Rule(Moment.SELECTION, battery, Action.HURRY),
     Rule(Moment.NO_SITE, commanded_site_unsuitable, Action.RETURN, "aborted"),
     Rule(Moment.NO_SITE, no_site_in_time, Action.LAND_IN_PLACE, "no_site"),

@@ -52,6 +52,8 @@ class MissionView:
     unknown or the climb has ended"""
     load_lowest: float = 0.0
     """the same at the lowest height of a survey"""
+    behind_m: float = 0.0
+    """distance of the vehicle, as estimated, from the last reference"""
     watch: WatchReport | None = None
     """what the watch says; None where it does not look"""
 

@@ -38,7 +38,8 @@ def test_sight_is_lost_where_the_spread_rises_without_a_measurement() -> None:
 
 class Flight:
     """A blind descent of a vehicle that flies the commanded velocity, and measures it with
-    ``error``. The true ground lies at ``ground``; ``jump`` moves the estimated position."""
+    ``error``. The true ground lies at ``ground``; ``jump`` moves the estimated position, and a
+    vehicle at a height is ``carried`` by a wind that it cannot hold against."""
 
     def __init__(
         self,
@@ -47,6 +48,7 @@ class Flight:
         error: Callable[[float], Array] = lambda t: np.zeros(3),
         jump: Callable[[float], Array] = lambda t: np.zeros(3),
         felt: Callable[[Array], Array] | None = None,
+        carried: Callable[[float], Array] = lambda height: np.zeros(3),
     ) -> None:
         self.true, time_s, before = stage.position.copy(), 0.0, np.zeros(3)
         self.setpoints: list[Setpoint] = []
@@ -58,6 +60,7 @@ class Flight:
             off = setpoint.thrust_limit is not None or not setpoint.motors_on
             assert off or setpoint.position_odom == pytest.approx(stage.position)
             velocity = np.zeros(3) if off else setpoint.velocity_odom - error(time_s)
+            velocity = velocity + carried(self.true[2] - LEGS - ground)
             self.true = self.true + velocity * STEP_S
             self.true[2] = max(self.true[2], LEGS + ground)
             self.speeds.append(velocity)
@@ -111,6 +114,21 @@ def test_a_position_that_jumps_moves_nothing() -> None:
         for x in (np.zeros(3), np.array([3.0, 0.0, 1.0]))
     ]
     np.testing.assert_allclose(*speeds, atol=1e-9)
+
+
+def test_who_is_carried_away_comes_down_and_goes_back_near_the_ground() -> None:
+    """Above 3 m it is carried at 4 m/s, faster than it flies: it sinks after six seconds, comes
+    back within the next six, and touches down without a speed across."""
+    start = np.array([2.0, 0.0, 12.0])
+    flight = Flight(stage(start), carried=lambda h: np.array([4.0, 0, 0]) * (h > 3.0))
+    path = np.array(flight.places)
+    assert 8.0 < np.abs(path[:, 0] - SITE[0]).max() < 40.0
+    touch = next(i for i, place in enumerate(path) if place[2] <= LEGS + 1e-9)
+    assert np.hypot(*flight.speeds[touch][:2]) < 0.05
+    low = np.flatnonzero(path[:touch, 2] < LEGS + 1.7)
+    assert np.hypot(*(path[low[-1], :2] - path[low[0], :2])) > 3.0
+    away = np.hypot(*(path[touch, :2] - SITE[:2]))
+    assert away < 1.1 or len(low) * STEP_S > 6.0
 
 
 def test_without_a_site_it_takes_the_best_ground_or_that_below() -> None:

@@ -104,6 +104,21 @@ def test_wind_ends_the_first_survey_or_the_flight() -> None:
     assert decided(alone, Moment.LEG) == "leg_blocked"
 
 
+def test_who_is_carried_away_from_a_reference_that_waits_comes_down() -> None:
+    for phase in (Phase.SURVEY, Phase.APPROACH):
+        mission = flying(phase)
+        for stopped_s, behind_m, expected in ((5.0, 9.0, None), (5.1, 6.0, None),
+                                              (5.1, 6.1, "blown_away")):  # fmt: skip
+            mission.state.follow_clock(0.0, stopped_s)
+            seen(mission, behind_m=behind_m)
+            assert decided(mission, Moment.LEG) == expected
+        assert mission.state.aborted
+    alone = flying(survey_only=True)
+    alone.state.follow_clock(0.0, 9.0)
+    seen(alone, behind_m=9.0)
+    assert decided(alone, Moment.LEG) is None
+
+
 def test_an_emergency_begins_once() -> None:
     mission = flying(Phase.SELECT)
     assert decided(mission, Moment.SELECTION) is None
