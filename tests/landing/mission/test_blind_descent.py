@@ -129,6 +129,8 @@ def test_who_is_carried_away_comes_down_and_goes_back_near_the_ground() -> None:
     assert np.hypot(*(path[low[-1], :2] - path[low[0], :2])) > 3.0
     away = np.hypot(*(path[touch, :2] - SITE[:2]))
     assert away < 1.1 or len(low) * STEP_S > 6.0
+    lost = Flight(stage(start), carried=lambda h: np.array([4.0, 0.0, 0.0]) * (h > 0.0))
+    assert lost.flown[-1].velocity_odom == pytest.approx([0.0, 0.0, -0.5], abs=0.01)
 
 
 def test_without_a_site_it_takes_the_best_ground_or_that_below() -> None:
