@@ -116,5 +116,5 @@ def people_evaluate(network: Path, data: Path, least_score: float | None) -> dic
     from touchdown.landing.watch.people import LEAST, PeopleDetector
 
     least = LEAST if least_score is None else least_score
-    detector = PeopleDetector(network, least_score=0.05)
+    detector = PeopleDetector(network, least_score=least)
     return summary(measured(detector, read_images(data)), least)

@@ -25,8 +25,10 @@ _COARSEST = 16
 """pixels of which an image has a whole number along both sides"""
 _GREY, _GAINS = 0.4, (0.7, 5.0)
 """mean that an image is brought to, and by which factors"""
-LEAST, SURE = 0.35, 0.5
+LEAST, SURE = 0.45, 0.55
 """score from which on somebody is there whom two images show, and one image alone"""
+_MAYBE = 0.7
+"""part of the least score from which on a second look may find somebody"""
 _MOST = 32
 _SAME = 0.3
 """overlap from which on two boxes are of one"""
@@ -62,17 +64,25 @@ class PeopleDetector:
 
     def find(self, image: Bytes, metres_per_pixel: float) -> tuple[Person, ...]:
         """Who is in an image (H, W, 3) uint8 RGB, the surest first; pixels are the image's.
-        ``metres_per_pixel``: of it, on the ground below."""
+        ``metres_per_pixel``: of it, on the ground below. Where somebody may be, a second look at
+        the image upside down counts as much as the first."""
         small = resampled(image, metres_per_pixel)
-        inputs = np.ascontiguousarray(levelled(small).transpose(2, 0, 1)[None])
-        heat, sizes = (
-            np.asarray(found[0], np.float32) for found in self._session.run(None, {"image": inputs})
-        )
+        inputs = levelled(small)
+        heat, sizes = self._answer(inputs)
+        if heat.max() >= _MAYBE * self._least:
+            turned, _ = self._answer(inputs[::-1, ::-1])
+            heat = np.ascontiguousarray(0.5 * (heat + turned[::-1, ::-1]))
         scale = image.shape[1] / small.shape[1], image.shape[0] / small.shape[0]
         return tuple(
             Person(x0 * scale[0], y0 * scale[1], x1 * scale[0], y1 * scale[1], score)
-            for x0, y0, x1, y1, score in peaks(heat[0], sizes, self._least)
+            for x0, y0, x1, y1, score in peaks(heat, sizes, self._least)
         )
+
+    def _answer(self, image: Float32) -> tuple[Float32, Float32]:
+        """(h, w) heat and (2, h, w) sizes of an image (H, W, 3)."""
+        inputs = np.ascontiguousarray(image.transpose(2, 0, 1)[None])
+        heat, sizes = self._session.run(None, {"image": inputs})
+        return np.asarray(heat[0, 0], np.float32), np.asarray(sizes[0], np.float32)
 
 
 def resampled(image: Bytes, metres_per_pixel: float) -> Bytes:

@@ -25,6 +25,7 @@ from touchdown.landing.watch.people import (
     PIXEL_M,
     STRIDE,
     levelled,
+    overlap,
     peaks,
     resampled,
 )
@@ -36,6 +37,8 @@ _LEARNING_RATE = 3e-3
 _SIZE_LOSS = 0.1
 _AVERAGED = 0.998
 """of the weights' moving average that a step leaves"""
+_CLUTTERED = 0.35
+"""part of the squares with more clutter than there is"""
 _LEAST_SPREAD = 0.9
 """cells: a mark's neighbours may be the middle as well"""
 _MINED_EVERY, _FALSE, _SURE = 6, 0.08, 0.4
@@ -145,6 +148,8 @@ def augmented(
     """A square out of an image, as another height, light or attitude would have it; one time of
     four about one of the ``hard`` places (x, y), pixels of the image, if there are any."""
     image, boxes, shown = _cropped(one, rng, hard)
+    if rng.random() < _CLUTTERED:
+        clutter(image, boxes, rng)
     for _ in range(int(rng.integers(4))):
         image = np.rot90(image)
         boxes = np.stack([boxes[:, 1], CROP - boxes[:, 2], boxes[:, 3], CROP - boxes[:, 0]], 1)
@@ -162,6 +167,34 @@ def augmented(
         values = cv2.GaussianBlur(values, (0, 0), float(rng.uniform(0.3, 1.0)))
     values += rng.normal(0.0, float(rng.uniform(0.0, 0.03)), values.shape).astype(np.float32)
     return Sample((np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8), boxes, shown)
+
+
+def clutter(image: Bytes, boxes: Float32, rng: np.random.Generator) -> None:
+    """Draws up to six stains, stones and plates of a person's size beside the boxes: they are
+    nobody."""
+    for _ in range(int(rng.integers(1, 7))):
+        half = np.exp(rng.uniform(np.log(2.0), np.log(14.0), 2))
+        reach = math.ceil(1.5 * half.max()) + 3
+        x, y = rng.integers(reach, CROP - reach, 2)
+        near = np.array([x - reach, y - reach, x + reach, y + reach])
+        if any(overlap(tuple(near), tuple(box)) > 0.0 for box in boxes):
+            continue
+        side = 2 * reach
+        cover, angle = np.zeros((side, side), np.float32), float(rng.uniform(0.0, 180.0))
+        if rng.random() < 0.7:
+            axes = (int(half[0]), int(half[1]))
+            cv2.ellipse(cover, (reach, reach), axes, angle, 0.0, 360.0, 1.0, -1)
+        else:
+            corners = cv2.boxPoints(((reach, reach), tuple((2.0 * half).tolist()), angle))
+            cv2.fillConvexPoly(cover, corners.astype(np.int32), 1.0)
+        grain = cv2.resize(rng.normal(0.0, 1.0, (5, 5)), (side, side)).astype(np.float32)
+        cover = np.clip(cover * (1.0 + float(rng.uniform(0.0, 1.0)) * grain), 0.0, 1.0)
+        cover = cv2.GaussianBlur(cover, (0, 0), float(rng.uniform(0.4, 1.6)))[..., None]
+        part = image[near[1] : near[3], near[0] : near[2]]
+        mean = part.mean(axis=(0, 1))
+        colour = mean * rng.uniform(0.3, 1.9) + rng.normal(0.0, 25.0, 3)
+        stain = colour * (1.0 + 0.15 * grain[..., None])
+        part[:] = np.clip(part + cover * (stain - part), 0.0, 255.0)
 
 
 def _cropped(

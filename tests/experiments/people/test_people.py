@@ -12,6 +12,7 @@ from touchdown.experiments.people.images import Labelled, read_images, rendered,
 from touchdown.experiments.people.learning.network import (
     CROP,
     augmented,
+    clutter,
     export,
     loss_of,
     mistakes,
@@ -198,7 +199,11 @@ def test_training_finds_what_it_was_shown(tmp_path: Path) -> None:
                      shown=held[0].shown[:1])  # fmt: skip
     assert (205.0, 105.0) in mistakes(network, unseen)
     export(network, tmp_path / "people.onnx")
-    figures = measured(PeopleDetector(tmp_path / "people.onnx", 0.05), held)
+    detector = PeopleDetector(tmp_path / "people.onnx", 0.05)
+    for image in (held[1].image, held[2].image):
+        upright, turned = detector.find(image, PIXEL_M), detector.find(image[::-1, ::-1], PIXEL_M)
+        assert [one.score for one in upright] == pytest.approx([one.score for one in turned])
+    figures = measured(detector, held)
     found, there = figures.recall(0.35)
     assert there == 24 and found >= 20
     assert figures.false_boxes(0.35) <= 50.0
@@ -216,10 +221,12 @@ class Answers:
 
 def test_figures() -> None:
     image = np.zeros((240, 424, 3), np.uint8)
-    boxes = np.array([[10, 10, 20, 30], [100, 100, 120, 120], [200, 50, 204, 56]], np.float32)
+    boxes = np.array([[10, 10, 20, 30], [100, 100, 120, 120], [200, 50, 204, 56], [0, 200, 9, 209]],
+                     np.float32)  # fmt: skip
     one = Labelled(
-        image, 0.04, boxes, ("person sits", "dog", "person runs"),
-        np.array([3.0, 9.0, 9.0], np.float32), np.array([1.0, 1.0, 0.1], np.float32), "night",
+        image, 0.04, boxes, ("person sits", "dog", "person runs", "person runs"),
+        np.array([3.0, 9.0, 9.0, 20.0], np.float32), np.array([1.0, 1.0, 0.1, 1.0], np.float32),
+        "night",
     )  # fmt: skip
     answers = (
         Person(11, 12, 19, 28, 0.9), Person(12, 12, 22, 28, 0.5), Person(300, 50, 310, 60, 0.6),
@@ -236,3 +243,14 @@ def test_figures() -> None:
     assert rows["person sits"] == (1, 2) and rows["dog"] == (0, 2)
     assert rows["person, night"] == (1, 2) and "person, 8 to 12 m" not in rows
     assert told["worst_ms"] >= told["ms"] > 0.0
+
+
+def test_clutter_lies_beside_people() -> None:
+    rng = np.random.default_rng(5)
+    boxes = np.array([[60.0, 60.0, 100.0, 100.0]], np.float32)
+    drawn = np.zeros((CROP, CROP), bool)
+    for _ in range(30):
+        image = np.full((CROP, CROP, 3), 120, np.uint8)
+        clutter(image, boxes, rng)
+        drawn |= (image != 120).any(axis=2)
+    assert drawn.mean() > 0.1 and not drawn[60:100, 60:100].any()
