@@ -1,4 +1,5 @@
-"""The descent of a vehicle whose position is not measured: by velocity, on the best ground in view.
+"""The descent of a vehicle without a site that it can fly to: by velocity, on the best ground in
+view. Its position is not measured, or the wind is too strong to keep one, or no time is left.
 
 A position that nothing measures, or that jumps, is not worth flying to. The velocity of the
 estimate errs by a few decimetres a second after ten seconds with the inertial sensors alone; its
@@ -33,6 +34,7 @@ _ABOVE_SITE_M = 1.0
 _WAIT_S = 6.0
 """horizontal distance to the ground to land on from which it sinks, and how long it waits, above
 and again near the ground, where the wind is weaker"""
+_HELD_S = 0.05
 _GUST, _GUST_MPS = 0.5, 2.0
 """change of the felt wind, over the wind before and in m/s, that may be one of the wind"""
 
@@ -48,19 +50,23 @@ def blind_descent(mission: Mission) -> Steps:
     site = _ground_ahead(mission, here)
     state.choose(site)
     state.commit(view.world(site))
-    state.descend_for_good(blind=True)
+    state.descend_for_good(blind=max(view.blind_s, view.unhealthy_s) > 0.0)
     left = site - view.position_odom
     left[2] += mission.leg_height
     wind, wind_legs = view.felt_wind_odom.copy(), -float(left[2])
     detector, drift = TouchdownDetector(mission.rig), np.zeros(3)
     slow_s = low_s = 0.0
     start, before, arrived = mission.now, mission.now, False
+    seen_s = view.obs.time_s
     slow_above = _SLOW_ABOVE_M + _SLOW_SOONER_MPS * max(view.blind_s, view.unhealthy_s, 0.0)
     fastest = max(mission.params.descent_speed_mps, _SINK_MPS)
     while True:
         step = mission.now - before
         before = mission.now
         legs, estimate = -float(left[2]), mission.view.estimate
+        if mission.view.obs.time_s - seen_s > step + _HELD_S:  # the watch has made it wait
+            velocity = estimate.velocity_odom.copy()
+        seen_s = mission.view.obs.time_s
         slow_above += _SLOW_SOONER_MPS * step
         low = legs < slow_above
         if not low:  # on the ground friction looks like wind

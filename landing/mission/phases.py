@@ -19,7 +19,6 @@ from touchdown.landing.mission.mission import (
     Steps,
 )
 from touchdown.landing.mission.rules import Action, Moment
-from touchdown.landing.mission.site_recheck import ground_under
 from touchdown.landing.mission.terrain_following import Lift, LiftedTrajectory
 from touchdown.landing.mission.trajectory import (
     straight_trajectory,
@@ -38,7 +37,6 @@ _SETTLE_S = 0.5
 _CORRIDOR_M = 3.0
 _DESCENT_RATE = 0.3
 """slowest rate of the clock in a descent that nothing may stop"""
-_BLOWN_OFF_M = 2.0
 
 
 def run_phases(mission: Mission) -> Steps:
@@ -277,29 +275,9 @@ def land_at_home(mission: Mission) -> Steps:
     yield from watched_descent(mission)
 
 
-def land_in_place(mission: Mission) -> Steps:
-    """Descends from the reference without rechecks."""
-    state, params = mission.state, mission.params
-    state.descend_for_good()
-    here = mission.reference_odom
-    if np.linalg.norm(mission.view.position_odom - here) > _BLOWN_OFF_M:
-        here = mission.view.position_odom.copy()
-    ground = ground_under(mission.view.map_view, here[:2])
-    if not np.isfinite(ground):
-        ground = mission.view.ground_odom
-    site = np.array([here[0], here[1], ground])
-    state.choose(site)
-    low = ground + params.commit_height_m + mission.leg_height
-    if low < here[2]:
-        sink = vertical_move(here, low, params.descent_speed_mps)
-        yield from mission.follow(sink, min_rate=_DESCENT_RATE)
-    state.commit(mission.view.world(site))
-    yield from watched_descent(mission)
-
-
 _WAYS_DOWN: dict[Action, Callable[[Mission], Steps]] = {
     Action.RETURN: return_home,
-    Action.LAND_IN_PLACE: land_in_place,
+    Action.LAND_BLIND: blind_descent,
 }
 
 

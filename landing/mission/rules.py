@@ -51,7 +51,6 @@ class Action(StrEnum):
 
     HOLD = "hold the position"
     GIVE_WAY = "wait, climb, or move or refuse the site"
-    LAND_IN_PLACE = "land in place"
     LAND_BLIND = "land by velocity on the best ground in view"
     LOWER_SURVEY = "lower the survey"
     END_SURVEY = "end the survey"
@@ -196,7 +195,7 @@ def commanded_site_unsuitable(view: MissionView, state: MissionState) -> str | N
 def no_site_in_time(view: MissionView, state: MissionState) -> str | None:
     """Decides where an emergency finds no site within reach."""
     hurried = view.in_emergency or state.deadline_s is not None
-    return "no safe site found: landing in place" if hurried else None
+    return "no safe site found in time" if hurried else None
 
 
 def another_leg(view: MissionView, state: MissionState) -> str | None:
@@ -278,7 +277,7 @@ RULES: tuple[Rule, ...] = (
     Rule(Moment.LEG, leg_blocked, Action.LAND_BLIND, "aborted"),
     Rule(Moment.SELECTION, battery, Action.HURRY),
     Rule(Moment.NO_SITE, commanded_site_unsuitable, Action.RETURN, "aborted"),
-    Rule(Moment.NO_SITE, no_site_in_time, Action.LAND_IN_PLACE, "no_site"),
+    Rule(Moment.NO_SITE, no_site_in_time, Action.LAND_BLIND, "no_site"),
     Rule(Moment.NO_SITE, another_leg, Action.SEARCH),
     Rule(Moment.NO_SITE, no_site, Action.RETURN, "no_site"),
     Rule(Moment.RECHECK, home_recheck, Action.BEST_GROUND),

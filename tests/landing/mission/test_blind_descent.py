@@ -163,3 +163,23 @@ def test_the_drag_bounds_an_estimate_that_runs_away() -> None:
         flight = Flight(here, error=error, felt=felt)
         fastest[felt is None] = np.abs(np.array(flight.speeds)[:, 0]).max()
     assert fastest[True] > 5.5 and fastest[False] < 3.0
+
+
+def test_who_sees_its_place_waits_for_others_and_sinks_on_from_rest() -> None:
+    for blind_s, blind in ((0.0, False), (3.0, True)):
+        here = stage(np.array([0.0, 0.0, 12.0]))
+        here.show(here.coarse, blind_s=blind_s)
+        steps = blind_descent(here.mission)
+        next(steps)
+        assert here.mission.state.final and here.mission.state.blind is blind
+    sinking = np.zeros(3)
+    for step in range(round(4.0 / STEP_S)):
+        here.tick += STEP_TICKS
+        here.feed(sinking)
+        waits = step * STEP_S > 2.0
+        sinking = here.mission.hold().velocity_odom if waits else next(steps).velocity_odom
+        if step == round(1.9 / STEP_S):
+            assert sinking[2] < -2.5
+    here.tick += STEP_TICKS
+    here.feed(np.zeros(3))
+    assert next(steps).velocity_odom[2] == pytest.approx(0.0, abs=0.05)

@@ -402,18 +402,6 @@ def test_a_go_around_climbs_to_survey_height_on_the_spot() -> None:
     np.testing.assert_allclose(path[:, :2], np.tile(SITE[:2], (len(path), 1)), atol=1e-9)
 
 
-@pytest.mark.parametrize(("blown", "lands_at"), [(1.5, 0.0), (3.0, 3.0)])
-def test_an_aborted_flight_comes_down_where_the_wind_has_blown_it(
-    blown: float, lands_at: float
-) -> None:
-    stage = Stage(SITE + [0.0, 0.0, 12.0])
-    stage.carried = lambda legs: 0.5 if legs <= 1e-3 else 1.0
-    stage.position = stage.position + [blown, 0.0, 0.0]
-    stage.feed()
-    stage.run(phases.land_in_place(stage.mission))
-    assert stage.position[0] - SITE[0] == pytest.approx(lands_at, abs=0.02)
-
-
 def test_a_vertical_move_takes_three_seconds_to_its_speed() -> None:
     path = vertical_move(np.array([1.0, 2.0, 20.0]), 8.0, 2.0)
     assert path.duration_s == pytest.approx(3.0 + (12.0 - 6.0) / 2.0 + 3.0)
