@@ -40,6 +40,10 @@ class Controller(Protocol):
     def update(self, estimate: Estimate, setpoint: Setpoint) -> Command: ...
 
 
+LED_MOTOR_S = 0.04
+"""time constant of the motors that ``motor_response_s`` is of"""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ControlParams:
     """Closed-loop bandwidths, which ``controller/pid.py`` turns into PID gains."""
@@ -54,7 +58,8 @@ class ControlParams:
     max_tilt_deg: Annotated[float, Interval(gt=0.0, lt=60.0)] = 35.0
     """largest tilt that is commanded"""
     motor_response_s: ClassVar[float] = 0.012
-    """time constant of the rotors behind the lead that speeds them up"""
+    """time constant of rotors of `LED_MOTOR_S` behind the lead that speeds them up; that of others
+    is in proportion"""
     rate_radps: Positive = 28.0
     """crossover of the roll and pitch rate loops"""
     yaw_rate_radps: Positive = 12.0
@@ -84,6 +89,11 @@ class ControlParams:
     wind_feed_forward: bool = False
     """feed the thrust that the felt wind takes forward too, and give height priority over place
     where the rotors' thrust does not last for both; off, the force across is fed forward alone"""
+
+    def response_s(self, motor_s: float) -> float:
+        """Time constant behind the lead of rotors whose own is ``motor_s``."""
+        return self.motor_response_s * (motor_s / LED_MOTOR_S)
+
     max_correction_mps: ClassVar[float] = 3.0
     """bound on the velocity that the position loop may add to the reference's"""
 

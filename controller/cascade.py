@@ -14,6 +14,8 @@ ground they are those of ground effect and of the legs' contact.
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 from numba import njit, types
 
@@ -56,7 +58,7 @@ class DisturbanceObserver:
         """(3,) m/s^2 beyond ``expected`` (3,), odom frame; without ``vertical`` z is always 0.
 
         acceleration: (3,) m/s^2 measured, gravity removed; rotation: odom_from_body;
-        rotor_speed_radps: (4,) modelled. Forgets while the ground carries the vehicle, where the
+        rotor_speed_radps: (R,) modelled. Forgets while the ground carries the vehicle, where the
         unexplained force is friction.
         """
         self.acceleration = _update(
@@ -93,13 +95,24 @@ def _update(
 
 
 _MAX_RATE_RADPS = np.array([4.0, 4.0, 1.5])
-_MAX_JERK_MPS3 = 12.0
+_LAG_MPS2 = 4.0 / 3.0
+"""that the reference's jerk may add to the feed-forward, for the lag of the angle loop"""
+_SLOW, _SLOW_S = 0.5, 0.05
+"""fraction of its modelled speed below which a rotor is lost, and for how long; a motor at the
+limit of an empty battery reaches 0.8"""
+_TURNING = 1.5
+"""multiple of the idle speed above which a rotor is watched"""
 _MIN_VERTICAL_FORCE = 0.3
 _MAX_VERTICAL_FORCE = 1.8
 """fractions of the weight; below the lower one, tilting has no control authority"""
 _THRUST_FRACTION = 0.98
 """fraction of the rotors' largest thrust that the wanted force may take; the rest is left to the
 torques"""
+
+
+def jerk_limit_mps3(params: ControlParams) -> float:
+    """The largest jerk of a reference that is fed forward."""
+    return _LAG_MPS2 * params.attitude_radps
 
 
 class CascadeController:
@@ -121,11 +134,14 @@ class CascadeController:
         self._velocity_pid = VectorPid(gains.velocity, step_s)
         self._rate_pid = VectorPid(gains.rate, step_s)
         self._mixer = Mixer(vehicle)
-        self._lead = MotorLead(vehicle, params.motor_response_s, step_s)
+        response_s = params.response_s(vehicle.motor_time_constant_s)
+        self._lead = MotorLead(vehicle, response_s, step_s)
         self._observer = DisturbanceObserver(
             vehicle, params.disturbance_radps, step_s, vertical=params.wind_feed_forward
         )
-        full = 4.0 * vehicle.thrust_coefficient * vehicle.rotor_speed_max**2
+        full = (
+            float(len(vehicle.rotor_spin)) * vehicle.thrust_coefficient * vehicle.rotor_speed_max**2
+        )
         self._max_force = _THRUST_FRACTION * full if params.wind_feed_forward else np.inf
         self._max_correction = params.max_correction_mps
         self._max_slope = float(np.tan(np.radians(params.max_tilt_deg)))
@@ -133,9 +149,31 @@ class CascadeController:
         self._drag_per_mass = vehicle.linear_drag / vehicle.mass_kg
         # A proportional angle loop follows a ramp late by 1 / gain, the thrust by the motor's lag.
         self._reference_lead_s = np.array(
-            [1.0 / params.attitude_radps, 1.0 / params.attitude_radps, params.motor_response_s]
+            [1.0 / params.attitude_radps, 1.0 / params.attitude_radps, response_s]
         )
+        self._max_jerk = jerk_limit_mps3(params)
+        self._lost: tuple[int, ...] = ()
+        self._slow_steps = np.zeros(len(vehicle.rotor_spin), dtype=np.int64)
         self.reset()
+
+    def hear(self, rotor_speed_radps: Array) -> None:
+        """Takes the speed controllers' telemetry, (R,) rad/s, once a control step before
+        ``update``. A rotor that stays well below the speed of its model is lost: the others take
+        over, as far as they can."""
+        modelled = self._lead.modelled_radps
+        slow = (rotor_speed_radps < _SLOW * modelled) & (
+            modelled > _TURNING * self._vehicle.rotor_speed_min
+        )
+        if not slow.any():
+            self._slow_steps[:] = 0
+            return
+        self._slow_steps = np.where(slow, self._slow_steps + 1, 0)
+        found = np.flatnonzero(self._slow_steps * self._step_s > _SLOW_S)
+        lost = tuple(sorted({*self._lost, *found.tolist()}))
+        if lost != self._lost:
+            self._lost = lost
+            with contextlib.suppress(ValueError):  # too many: what there is must do
+                self._mixer = Mixer(self._vehicle, lost)
 
     def reset(self) -> None:
         """Forgets integrals and references, as after a stop of the motors."""
@@ -147,10 +185,10 @@ class CascadeController:
         self._last_rates: Array | None = None
 
     def update(self, estimate: Estimate, setpoint: Setpoint) -> Command:
-        """Returns the rotor speeds (4,) rad/s for the control step that begins now."""
+        """Returns the rotor speeds (R,) rad/s for the control step that begins now."""
         if not setpoint.motors_on:
             self.reset()
-            return Command(rotor_speed_radps=np.zeros(4))
+            return Command(rotor_speed_radps=np.zeros(len(self._vehicle.rotor_spin)))
         rotation = estimate.odom_from_body.rotation
         rates = estimate.angular_velocity_body
         force = self._wanted_force(estimate, setpoint)
@@ -171,7 +209,11 @@ class CascadeController:
         speeds = self._mixer.speeds(wrench, np.inf if fraction is None else fraction * self._weight)
         if fraction is None:  # on the ground contact forces would wind up the integrals
             self._settle(force, wrench, self._mixer.wrench(speeds))
-        return Command(rotor_speed_radps=self._lead.command(speeds))
+        command = self._lead.command(speeds)
+        if self._lost:
+            lost = list(self._lost)
+            command[lost] = self._lead.modelled_radps[lost] = 0.0
+        return Command(rotor_speed_radps=command)
 
     def _wanted_force(self, estimate: Estimate, setpoint: Setpoint) -> Array:
         """(3,) N, odom frame: demanded thrust vector, within the tilt limit."""
@@ -191,6 +233,7 @@ class CascadeController:
             self._max_correction,
             self._reference_lead_s,
             self._drag_per_mass,
+            self._max_jerk,
         )
         unexpected = self._observer.update(
             estimate.acceleration_odom,
@@ -233,7 +276,10 @@ _GIVEN = types.Array(types.float64, 1, "A", readonly=True)
 
 
 # Estimates and setpoints come in arrays of all kinds; one signature, or each kind is compiled anew.
-@njit([(_GIVEN,) * 7 + (types.float64, _GIVEN, types.float64, _GIVEN, types.float64)], cache=True)
+@njit(
+    [(_GIVEN,) * 7 + (types.float64, _GIVEN, types.float64, _GIVEN) + (types.float64,) * 2],
+    cache=True,
+)
 def _outer_errors(
     wanted_position: Array,
     position: Array,
@@ -247,6 +293,7 @@ def _outer_errors(
     max_correction: float,
     lead_s: Array,
     drag_per_mass: float,
+    max_jerk: float,
 ) -> tuple[Array, Array, Array, Array]:
     """Velocity error with the position loop's correction, acceleration error, feed-forward, and the
     rotor drag of the reference's own speed in still air; the rest of the drag is observed.
@@ -259,8 +306,8 @@ def _outer_errors(
         correction *= max_correction / size
     jerk = (reference - last_reference) / step_s
     jerk_size = np.sqrt(np.sum(jerk * jerk))
-    if jerk_size > _MAX_JERK_MPS3:
-        jerk *= _MAX_JERK_MPS3 / jerk_size
+    if jerk_size > max_jerk:
+        jerk *= max_jerk / jerk_size
     drag = -drag_per_mass * wanted_velocity
     drag[2] = 0.0
     return (

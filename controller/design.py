@@ -12,16 +12,18 @@ prints the margins.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control
 import numpy as np
+from numpy.typing import NDArray
 
 from touchdown.controller.api import ControlParams
-from touchdown.controller.mixer import lead_coefficients
+from touchdown.controller.mixer import Mixer, lead_coefficients
 from touchdown.controller.pid import CascadeGains, cascade_gains
 from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
+from touchdown.sim.typing import Array
 
 System = Any
 """a discrete ``control.StateSpace``"""
@@ -62,14 +64,109 @@ class _Stage:
         return direct if self.damping is None else direct + self.damping
 
 
+_SHAPES = (
+    ("rate_radps", "attitude_radps", "velocity_xy_radps", "position_xy_radps"),
+    ("yaw_rate_radps", "yaw_radps"),
+    ("velocity_z_radps", "position_z_radps"),
+)
+"""crossovers of the loops of roll and pitch, yaw, and height, by their keys"""
+_RESERVE_DB, _RESERVE_DEG = 2.0, 5.0
+"""by which the design stays above the least margins"""
+_SLOWEST = 0.2
+_STEPS = 7
+"""bisections of a factor"""
+_STEP_RAD = 0.15
+"""angle error that the rotors must be able to answer without saturation"""
+
+
+def designed(vehicle: VehicleModel, params: ControlParams) -> ControlParams:
+    """``params`` with the gains of ``vehicle``: its loops have the shape of ``params``, the ratios
+    of their crossovers, and are as fast as its motors allow, at most as fast as ``params``.
+
+    Roll and pitch, yaw, and height are each slowed by one factor until all margins of the chain
+    keep a reserve over the least ones, and until the rotors, with what they have left in hover,
+    answer an angle error of `_STEP_RAD`. Raises ValueError where that is too slow to fly.
+    """
+    authority = angular_authority(vehicle)
+    tilt_limit = min(authority[:2]) / (params.rate_radps * params.attitude_radps * _STEP_RAD)
+    yaw_limit = authority[2] / (params.yaw_rate_radps * params.yaw_radps * _STEP_RAD)
+    found = params
+    for chain, limit in enumerate((tilt_limit, yaw_limit, np.inf)):
+        low, high = _SLOWEST, min(1.0, float(np.sqrt(limit)))
+        if high < low or not _has_reserve(vehicle, _slowed(params, chain, low), chain):
+            raise ValueError(
+                f"the loops of {('roll and pitch', 'yaw', 'height')[chain]} would be too slow to "
+                f"fly: motors of {vehicle.motor_time_constant_s:g} s (motor_time_constant) and "
+                f"angular accelerations of {np.round(authority, 1)} rad/s^2 (roll, pitch, yaw); "
+                "give faster motors, longer arms, more thrust or torque, or less inertia"
+            )
+        if not _has_reserve(vehicle, _slowed(params, chain, high), chain):
+            for _ in range(_STEPS):
+                middle = 0.5 * (low + high)
+                enough = _has_reserve(vehicle, _slowed(params, chain, middle), chain)
+                low, high = (middle, high) if enough else (low, middle)
+            high = low
+        found = _slowed(found, chain, high)
+    return found
+
+
+def _slowed(params: ControlParams, chain: int, factor: float) -> ControlParams:
+    """One chain's frequencies times ``factor``, and its times over it."""
+    slower = {key: factor * getattr(params, key) for key in _SHAPES[chain]}
+    if chain == 0:
+        slower["rate_derivative_s"] = params.rate_derivative_s / factor
+        slower["disturbance_radps"] = factor * params.disturbance_radps
+    return replace(params, **slower)
+
+
+def _has_reserve(vehicle: VehicleModel, params: ControlParams, chain: int) -> bool:
+    return all(
+        margin.gain_margin_db >= MIN_GAIN_MARGIN_DB + _RESERVE_DB
+        and margin.phase_margin_deg >= MIN_PHASE_MARGIN_DEG + _RESERVE_DEG
+        for margin in _chain_margins(*_chains(vehicle.motor_time_constant_s, params)[chain])
+    )
+
+
+def angular_authority(vehicle: VehicleModel) -> Array:
+    """(3,) rad/s^2 about roll, pitch and yaw that the mixer delivers in hover, both ways."""
+    mixer, weight = Mixer(vehicle), vehicle.mass_kg * GRAVITY_MPS2
+    found = np.empty(3)
+    for axis in range(3):
+        most = 100.0 * weight * np.eye(4)[1 + axis]
+        both = [
+            abs(
+                mixer.wrench(mixer.speeds(np.array([weight, 0.0, 0.0, 0.0]) + way * most))[1 + axis]
+            )
+            for way in (-1.0, 1.0)
+        ]
+        found[axis] = min(both) / vehicle.inertia_kgm2[axis]
+    return found
+
+
+def checked_margins(vehicle: VehicleModel, params: ControlParams) -> list[LoopMargin]:
+    """As `loop_margins`. Raises ValueError for a loop below the least margins."""
+    found = loop_margins(vehicle, params)
+    for one in found:
+        if one.gain_margin_db < MIN_GAIN_MARGIN_DB or one.phase_margin_deg < MIN_PHASE_MARGIN_DEG:
+            raise ValueError(
+                f"loop '{one.name}' has margins of {one.gain_margin_db:.1f} dB and "
+                f"{one.phase_margin_deg:.0f} degrees, of {MIN_GAIN_MARGIN_DB:g} dB and "
+                f"{MIN_PHASE_MARGIN_DEG:g} degrees that it needs; give faster motors "
+                "(motor_time_constant)"
+            )
+    return found
+
+
 def loop_margins(vehicle: VehicleModel, params: ControlParams) -> list[LoopMargin]:
     """Returns the margins of every loop of ``CascadeController(vehicle, params)``, inner loops
     first."""
-    rows = []
-    for axes, plant, stages in _chains(vehicle.motor_time_constant_s, params):
-        rows += [_margin(name, loop) for name, loop in _cut_loops(plant, stages)]
-        rows.append(_margin(f"actuator, {axes}", _cut_at_actuator(plant, stages)))
-    return rows
+    chains = _chains(vehicle.motor_time_constant_s, params)
+    return [margin for chain in chains for margin in _chain_margins(*chain)]
+
+
+def _chain_margins(axes: str, plant: System, stages: list[_Stage]) -> list[LoopMargin]:
+    rows = [_margin(name, loop) for name, loop in _cut_loops(plant, stages)]
+    return [*rows, _margin(f"actuator, {axes}", _cut_at_actuator(plant, stages))]
 
 
 def _chains(motor_s: float, params: ControlParams) -> list[tuple[str, System, list[_Stage]]]:
@@ -146,7 +243,7 @@ def _plant(
     continuous = control.ss(dynamics, drive, np.array(rows, dtype=float), 0.0)
     sampled = control.sample_system(continuous, step_s, method="zoh")
     delay = control.ss(0.0, 1.0, 1.0, 0.0, step_s)
-    gain, decay = lead_coefficients(motor_s, params.motor_response_s, step_s)
+    gain, decay = lead_coefficients(motor_s, params.response_s(motor_s), step_s)
     approach = (1.0 - decay) * gain
     lead = control.ss(1.0 - approach, approach, 1.0 - gain, gain, step_s)
     return sampled * delay * lead
@@ -191,13 +288,34 @@ def _cut_at_actuator(plant: System, stages: list[_Stage]) -> System:
 
 def _margin(name: str, loop: System) -> LoopMargin:
     """Returns the margins from the frequency response on a fine grid, which avoids the rounding
-    errors of polynomials with many poles near z = 1."""
+    errors of polynomials with many poles near z = 1; linear between its points."""
     grid = np.geomspace(0.01, 0.999 * np.pi / loop.dt, 1_500)
-    response = control.frd(loop, grid)
-    gain, phase, _, _, crossover, _ = control.stability_margins(response, returnall=True)
+    response = _response(loop, np.exp(1j * grid * loop.dt))
+    gain_db, phase = 20.0 * np.log10(np.abs(response)), np.unwrap(np.angle(response))
+    at_unity, where = _crossings(gain_db)
+    phases = (1.0 - where) * phase[at_unity] + where * phase[at_unity + 1]
+    at_turn, there = _crossings(np.sin(phase))
+    gains = (1.0 - there) * gain_db[at_turn] + there * gain_db[at_turn + 1]
+    gains = gains[np.cos(phase[at_turn]) < 0.0]  # at -180 degrees, and not at 0
+    off = np.abs(phases % (2.0 * np.pi) - np.pi)
     return LoopMargin(
         name=name,
-        gain_margin_db=float(np.min(np.abs(20.0 * np.log10(gain)), initial=np.inf)),
-        phase_margin_deg=float(np.min(np.abs(phase), initial=np.inf)),
-        crossover_rad_s=float(np.max(crossover, initial=0.0)),
-    )
+        gain_margin_db=float(np.min(np.abs(gains), initial=np.inf)),
+        phase_margin_deg=float(np.degrees(np.min(off, initial=np.inf))),
+        crossover_rad_s=float(np.max(grid[at_unity] ** (1.0 - where) * grid[at_unity + 1] ** where,
+                                     initial=0.0)),
+    )  # fmt: skip
+
+
+def _response(loop: System, points: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """(N,) of a single loop at (N,) ``points`` of the z plane."""
+    states = points[:, None, None] * np.eye(loop.nstates) - loop.A
+    inside = np.linalg.solve(states, np.broadcast_to(loop.B, (len(points), *loop.B.shape)))
+    found: NDArray[np.complex128] = (loop.C @ inside)[:, 0, 0] + loop.D[0, 0]
+    return found
+
+
+def _crossings(values: Array) -> tuple[NDArray[np.int64], Array]:
+    """Indices before which, and fractions of a step after which, ``values`` (N,) pass zero."""
+    at = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    return at, values[at] / (values[at] - values[at + 1])

@@ -33,8 +33,46 @@ def short_name(scene: str) -> str:
     return scene.replace(":", ".") if names_function(scene) else Path(scene).stem
 
 
+VEHICLE_FOLDER = Path(__file__).parent / "vehicle"
+"""MJCF files of the shipped vehicles"""
+DEFAULT_VEHICLE = "quadrotor"
 VEHICLE_BODY, VEHICLE_GROUP = "vehicle/quadrotor", 4
 """name of the vehicle's body, and group of its geoms, which sensors do not see"""
+
+VEHICLES: Mapping[str, str] = {
+    "quadrotor": "4.2 kg, four rotors, Livox Horizon: the default",
+    "small_quadrotor": "1.3 kg, four rotors, Livox Mid-360",
+    "hexarotor": "6 kg, six rotors, flies on after the loss of one",
+    "coaxial_x8": "14 kg, eight rotors on four arms",
+}
+"""shipped vehicles, and what they are"""
+
+
+def vehicle_file(name_or_path: str) -> Path:
+    """The MJCF file of a vehicle, by the name of a shipped one or a path (with a slash, or ending
+    in .xml). Raises ValueError for another name."""
+    if name_or_path.endswith(".xml") or "/" in name_or_path:
+        return Path(name_or_path)
+    if name_or_path not in VEHICLES:
+        raise ValueError(
+            f"unknown vehicle '{name_or_path[:60]}'; known: {', '.join(VEHICLES)}, or the path of "
+            "an MJCF file (docs/vehicles.md)"
+        )
+    return VEHICLE_FOLDER / f"{name_or_path}.xml"
+
+
+@dataclass(frozen=True, slots=True)
+class Guests:
+    """Who comes into a scene, beside its traffic."""
+
+    vehicle: str = DEFAULT_VEHICLE
+    """as for `vehicle_file`"""
+    intruders: int = 0
+    """that wait for a fault"""
+
+
+NO_GUESTS = Guests()
+"""the default vehicle alone"""
 
 LAND_CLASSES: tuple[str, ...] = ("lawn", "field", "path", "road", "building", "water", "trees")
 """The paper's seven-class scheme D_Land; a class id is an index into this tuple."""
@@ -257,6 +295,8 @@ class Scene:
     """of a file: geoms of featureless ground that were given texture and relief"""
     rugged: RuggedParams | None = None
     """the dials that it was made with; None for every other scene than ``rugged``"""
+    vehicle: str = DEFAULT_VEHICLE
+    """name or file of the vehicle in it"""
     facts: Mapping[str, float] = field(default_factory=dict)
     """what the dials asked for and what was reached"""
     traffic: TrafficParams = field(default_factory=lambda: TrafficParams())

@@ -24,7 +24,17 @@ import numba
 import numpy as np
 import scipy
 
-from touchdown.scenes.api import ImportOptions, Light, LowSun, RuggedParams, Scene, TrafficParams
+from touchdown.scenes.api import (
+    NO_GUESTS,
+    VEHICLES,
+    Guests,
+    ImportOptions,
+    Light,
+    LowSun,
+    RuggedParams,
+    Scene,
+    TrafficParams,
+)
 from touchdown.scenes.authoring.variation import present_variation
 from touchdown.scenes.registry import RUGGED, scene_names
 
@@ -45,7 +55,7 @@ def cached_scene(
     options: ImportOptions | None = None,
     rugged: RuggedParams | None = None,
     traffic: TrafficParams | None = None,
-    intruders: int = 0,
+    guests: Guests = NO_GUESTS,
 ) -> Scene:
     """As `load_scene`, from the disk where the scene was loaded before. A scene from a file is read
     anew each time. Raises as `load_scene`; a cache that cannot be read or written is none."""
@@ -53,16 +63,16 @@ def cached_scene(
     def load() -> Scene:
         from touchdown.scenes.compose import load_scene  # what makes scenes
 
-        return load_scene(name_or_path, seed, sun, light, options, rugged, traffic, intruders)
+        return load_scene(name_or_path, seed, sun, light, options, rugged, traffic, guests)
 
     traffic = traffic or TrafficParams()
     own = name_or_path in scene_names() and seed >= 0 and present_variation() is None
-    own = own and not traffic.paths
+    own = own and not traffic.paths and guests.vehicle in VEHICLES
     folder = _folder() if own else None
     if folder is None:
         return load()
     dials = (rugged or RuggedParams(),) if name_or_path == RUGGED else ()
-    key = repr((name_or_path, seed, sun, light, traffic, intruders, _sources(), *dials))
+    key = repr((name_or_path, seed, sun, light, traffic, guests, _sources(), *dials))
     return _through(folder / hashlib.sha256(key.encode()).hexdigest()[:32], load)
 
 

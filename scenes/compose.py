@@ -16,7 +16,7 @@ from touchdown.scenes.authoring.light import light_file, lit_by, set_sky
 from touchdown.scenes.registry import RUGGED, scene_generator
 from touchdown.scenes.traffic.routes import Traffic
 
-VEHICLE_XML = Path(__file__).parent / "vehicle" / "quadrotor.xml"
+VEHICLE_XML = api.VEHICLE_FOLDER / "quadrotor.xml"
 TICK_HZ = 600
 AIR_DENSITY_KGPM3 = 1.225
 AIR_VISCOSITY_PAS = 1.8e-5
@@ -42,7 +42,7 @@ def load_scene(
     options: api.ImportOptions | None = None,
     rugged: api.RuggedParams | None = None,
     traffic: api.TrafficParams | None = None,
-    intruders: int = 0,
+    guests: api.Guests = api.NO_GUESTS,
 ) -> api.Scene:
     """Loads the scene ``name_or_path`` with the vehicle on its take-off spot.
 
@@ -52,18 +52,18 @@ def load_scene(
     named scenes bake their shadows with it, scenes from files have no baked shadows. light: of the
     sky; ``sun`` is that of ``day``. Neither changes what stands where. options: how a scene from a
     file is made flyable; None takes the file as it is. rugged: dials of the scene of that name.
-    traffic: who moves through it, beside ``intruders`` that wait for a fault.
+    traffic: who moves through it. guests: the vehicle and who waits for a fault.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
     name = Path(name_or_path).stem
-    movers = Traffic(traffic or api.TrafficParams(), intruders, name, seed)
+    movers = Traffic(traffic or api.TrafficParams(), guests.intruders, name, seed)
     with lit_by(light, sun):
-        spec, draft = compose_spec(name_or_path, seed, options, rugged)
+        spec, draft = compose_spec(name_or_path, seed, options, rugged, guests.vehicle)
     movers.add_bodies(spec, draft.surfaces)
     scene = movers.routed(compile_scene(spec, draft, name, seed, name_or_path))
     dials = (rugged or api.RuggedParams()) if name_or_path == RUGGED else None
     options = options if _is_file(name_or_path) else None
-    scene = replace(scene, traffic=traffic or api.TrafficParams())
+    scene = replace(scene, traffic=traffic or api.TrafficParams(), vehicle=guests.vehicle)
     return replace(scene, light=light, options=options, rugged=dials)
 
 
@@ -99,6 +99,7 @@ def compose_spec(
     seed: int,
     options: api.ImportOptions | None = None,
     rugged: api.RuggedParams | None = None,
+    vehicle: str = api.DEFAULT_VEHICLE,
 ) -> tuple[Any, SceneDraft]:
     """Returns the uncompiled MjSpec, with the vehicle at height 0 over the take-off spot, and its
     draft, which holds the large textures (`SceneDraft.pictures`).
@@ -106,7 +107,7 @@ def compose_spec(
     Raises as `load_scene`.
     """
     draft = _draft(name_or_path, seed, options, rugged)
-    prepare_spec(draft)
+    prepare_spec(draft, vehicle)
     return draft.spec, draft
 
 
@@ -151,13 +152,13 @@ def spec_of_scene(scene: api.Scene) -> Any:
     """Returns the MjSpec of a scene of `load_scene`, composed anew from its source and seed; the
     vehicle stands where the scene starts it."""
     source = scene.source or scene.name
-    spec, draft = compose_spec(source, scene.seed, scene.options, scene.rugged)
+    spec, draft = compose_spec(source, scene.seed, scene.options, scene.rugged, scene.vehicle)
     draft.fill()
     spec.body(api.VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(api.VEHICLE_BODY).id]
     return spec
 
 
-def prepare_spec(draft: SceneDraft) -> None:
+def prepare_spec(draft: SceneDraft, vehicle: str = api.DEFAULT_VEHICLE) -> None:
     """Sets a draft's physics and visual options and puts the vehicle over its take-off spot."""
     spec = draft.spec
     _set_options(spec)
@@ -166,7 +167,7 @@ def prepare_spec(draft: SceneDraft) -> None:
         geom.group = 0 if geom.group == api.VEHICLE_GROUP else geom.group
         if geom.contype or geom.conaffinity:
             geom.contype, geom.conaffinity = 1, 0
-    _attach_vehicle(spec, draft)
+    _attach_vehicle(spec, draft, vehicle)
 
 
 def _set_options(spec: Any) -> None:
@@ -195,11 +196,17 @@ def _set_visual(spec: Any) -> None:
     visual.global_.offheight = max(int(visual.global_.offheight), 1080)
 
 
-def _attach_vehicle(spec: Any, draft: SceneDraft) -> None:
-    if not VEHICLE_XML.is_file():
-        raise FileNotFoundError(f"the vehicle's MJCF is missing: {VEHICLE_XML}")
-    vehicle = mujoco.MjSpec.from_file(str(VEHICLE_XML))
-    spec.attach(vehicle, prefix="vehicle/", frame=spec.worldbody.add_frame())
+def vehicle_spec(name_or_path: str) -> Any:
+    """The MjSpec of a vehicle, its body named ``quadrotor``. Raises as `load_scene`."""
+    if name_or_path == api.DEFAULT_VEHICLE:
+        return mujoco.MjSpec.from_file(str(VEHICLE_XML))
+    from touchdown.scenes.importers.vehicle import read_vehicle
+
+    return read_vehicle(name_or_path)
+
+
+def _attach_vehicle(spec: Any, draft: SceneDraft, vehicle: str) -> None:
+    spec.attach(vehicle_spec(vehicle), prefix="vehicle/", frame=spec.worldbody.add_frame())
     body = spec.body(api.VEHICLE_BODY)
     half_yaw = 0.5 * draft.takeoff_yaw
     body.pos = [*draft.takeoff_xy_m, 0.0]

@@ -161,9 +161,9 @@ class VehicleModel:
     inertia_kgm2: Array
     """(3,) principal moments about the centre of mass, body axes."""
     rotor_xy_m: Array
-    """(4, 2)"""
+    """(R, 2)"""
     rotor_spin: Array
-    """(4,) of +1 or -1"""
+    """(R,) of +1 or -1"""
     thrust_coefficient: float
     """N / (rad/s)^2"""
     torque_coefficient: float
@@ -174,7 +174,7 @@ class VehicleModel:
     """rad/s"""
     motor_time_constant_s: float
     linear_drag: float
-    """N per m/s of air-relative velocity in the rotor plane, all four rotors at hover."""
+    """N per m/s of air-relative velocity in the rotor plane, all rotors at hover."""
     leg_height_m: float
     """Distance from the underside of the legs to the body origin."""
     footprint_radius_m: float
@@ -332,14 +332,14 @@ class Observation:
     magnetometer: tuple[MagnetometerSample, ...] = ()
     rangefinder: tuple[RangefinderSample, ...] = ()
     rotor_speed_radps: Array
-    """(4,) speed-controller telemetry of now."""
+    """(R,) speed-controller telemetry of now."""
     battery_fraction: float
     """Usable energy left, 1 at take-off."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Command:
-    """Demanded rotor speeds, (4,) rad/s; 0 switches a motor off."""
+    """Demanded rotor speeds, (R,) rad/s; 0 switches a motor off."""
 
     rotor_speed_radps: Array
     events: tuple[str, ...] = ()

@@ -20,7 +20,6 @@ BMI088, data sheet), taken for a standard deviation"""
 WARM_UP_S = 60.0
 """time constant of the temperature after switching on; assumed"""
 _DRAWN = 64
-_STOPPED = np.zeros(4)
 
 
 class ImuErrors:
@@ -71,7 +70,7 @@ class ImuSensor:
 
     White noise of density d averages to d / sqrt(T) over a sample of T seconds. The bias starts at
     a random turn-on value, walks by w sqrt(T) a sample and drifts as the sensor warms up. The
-    vibration of ``vibration_*_density`` is white as well: the lines of four propellers at
+    vibration of ``vibration_*_density`` is white as well: the lines of propellers at
     different speeds, folded by the sampling, fill the whole band. That of ``vibration_harmonics``
     and ``vibration_broadband`` is `vibration.PropellerVibration`.
 
@@ -80,7 +79,13 @@ class ImuSensor:
     """
 
     def __init__(
-        self, params: ImuParams, tick_hz: int, imu_ticks: int, seed: int, hover_radps: float = 0.0
+        self,
+        params: ImuParams,
+        tick_hz: int,
+        imu_ticks: int,
+        seed: int,
+        hover_radps: float = 0.0,
+        rotors: int = 4,
     ) -> None:
         """``hover_radps``: rotor speed that the levels of the vibration belong to. ValueError:
         there is vibration and it is not positive."""
@@ -105,7 +110,10 @@ class ImuSensor:
         self.errors = ImuErrors(params, seed)
         self._propellers: PropellerVibration | None = None
         if params.vibration_harmonics or params.vibration_broadband:
-            self._propellers = PropellerVibration(params, self._period_s, hover_radps, seed)
+            self._propellers = PropellerVibration(
+                params, self._period_s, hover_radps, seed, rotors=rotors
+            )
+        self._stopped = np.zeros(rotors)
 
     def sample(
         self,
@@ -119,14 +127,16 @@ class ImuSensor:
     ) -> ImuSample:
         """The sample that ends at ``tick``, from the world_from_imu rotations (3, 3) at both ends
         of its period and the world velocities (3,) m/s of the IMU's own point. ``shake``: mean
-        square of the rotor speeds over that in hover; ``rotor_speeds``: (4,) rad/s now, None: at
+        square of the rotor speeds over that in hover; ``rotor_speeds``: (R,) rad/s now, None: at
         rest. Rotations of more than 170 degrees a sample are beyond it."""
         measured = _ideal(
             rotation_start, rotation_end, velocity_start, velocity_end, self._period_s
         )
         noise, step, shaking = next(self._randomness)
         if self._propellers is not None:
-            measured += self._propellers.sample(_STOPPED if rotor_speeds is None else rotor_speeds)
+            measured += self._propellers.sample(
+                self._stopped if rotor_speeds is None else rotor_speeds
+            )
         if self.errors.distorts:
             measured = self.errors.matrix @ measured
         measured += self._bias + noise + shake * shaking
@@ -173,7 +183,7 @@ class MountedImu:
     def sample(
         self, tick: int, quat: Array, velocity: Array, angular_velocity: Array, rotors: Array
     ) -> ImuSample:
-        """The sample that ends at ``tick``; motion as for ``start``, rotor speeds (4,) rad/s."""
+        """The sample that ends at ``tick``; motion as for ``start``, rotor speeds (R,) rad/s."""
         rotation, moved = self._rotation, self._velocity
         self.start(quat, velocity, angular_velocity)
         return self.sensor.sample(

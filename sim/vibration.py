@@ -27,7 +27,7 @@ HARMONIC_RMS = np.array(
     [[0.071, 0.089, 0.018, 1.6, 1.3, 5.5], [0.036, 0.044, 0.0092, 0.81, 0.65, 3.7]]
 )
 """rad/s and m/s^2, hover, gyroscope and accelerometer x, y, z: once per turn (imbalance), and twice
-(two blades that pass), of all four rotors together"""
+(two blades that pass), of all rotors together"""
 
 MODE_HZ = np.array([13.0, 24.0, 34.0, 44.0, 57.0])
 MODE_DAMPING = np.array([0.2, 0.2, 0.15, 0.1, 0.015])
@@ -46,7 +46,7 @@ MODE_RMS = np.array(
 
 LEVELS = HARMONIC_RMS, MODE_RMS
 
-_ROTORS, _STATES, _BLOCK = 4, 4, 64
+_STATES, _BLOCK = 4, 64
 
 
 class _Resonance(NamedTuple):
@@ -71,6 +71,7 @@ class PropellerVibration:
         hover_radps: float,
         seed: int,
         levels: tuple[Array, Array] = LEVELS,
+        rotors: int = 4,
     ) -> None:
         """``levels``: of harmonics (2, 6) and resonances (M, 6), instead of the fitted ones.
         ValueError: the speed in hover is not positive."""
@@ -80,10 +81,10 @@ class PropellerVibration:
         self._rng = np.random.default_rng([seed, crc32(b"imu propellers")])
         fraction = params.vibration_isolation
         self._isolation = np.array([fraction, 2.0 * math.pi * ISOLATION_CORNER_HZ])
-        self._lines = params.vibration_harmonics * levels[0] * math.sqrt(2.0 / _ROTORS)
-        self._offsets = self._rng.uniform(0.0, 2.0 * math.pi, (_ROTORS, 2, 6))
-        self._phases = self._rng.uniform(0.0, 2.0 * math.pi, _ROTORS)
-        self._speeds = np.zeros(_ROTORS)
+        self._lines = params.vibration_harmonics * levels[0] * math.sqrt(2.0 / rotors)
+        self._offsets = self._rng.uniform(0.0, 2.0 * math.pi, (rotors, 2, 6))
+        self._phases = self._rng.uniform(0.0, 2.0 * math.pi, rotors)
+        self._speeds = np.zeros(rotors)
         self._levels = params.vibration_broadband * levels[1]
         resonances = [
             _resonance(2.0 * math.pi * hz, damping, fraction, period_s)
@@ -98,7 +99,7 @@ class PropellerVibration:
         self._normals, self._next = np.zeros((0, 0, 0, 0)), 0
 
     def sample(self, speeds: Array) -> Array:
-        """(6,) rad/s and m/s^2: mean over the period that ends now, with the rotors at (4,)
+        """(6,) rad/s and m/s^2: mean over the period that ends now, with the rotors at (R,)
         ``speeds`` rad/s; the speeds run linearly from one call to the next."""
         if self._next == len(self._normals):
             shape = (_BLOCK, len(MODE_HZ), 6, _STATES + 1)

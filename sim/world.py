@@ -17,7 +17,12 @@ from touchdown.sim.airframe.contacts import ContactSensor, GroundProbe
 from touchdown.sim.airframe.deviations import SpeedTelemetry, draw_deviations, true_model
 from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
 from touchdown.sim.airframe.rotors import Rotors
-from touchdown.sim.airframe.vehicle import rotor_geometry, vehicle_body_id, vehicle_model
+from touchdown.sim.airframe.vehicle import (
+    power_system,
+    rotor_geometry,
+    vehicle_body_id,
+    vehicle_model,
+)
 from touchdown.sim.camera.degradations import sun_elevation_deg
 from touchdown.sim.camera.sensor import Snapshot
 from touchdown.sim.delivery import check_rates
@@ -64,7 +69,8 @@ class MujocoWorld:
     ) -> None:
         check_rates(params.sim, needs)
         self._vehicle = vehicle_model(scene.model)
-        self._deviations = draw_deviations(params.vehicle_error, seed)
+        self._count = len(self._vehicle.rotor_spin)
+        self._deviations = draw_deviations(params.vehicle_error, seed, self._count)
         nominal = scene
         scene = replace(scene, model=true_model(scene.model, self._deviations, drawn))
         self._scene, self._params, self._seed, self._needs = scene, params, seed, needs
@@ -105,9 +111,11 @@ class MujocoWorld:
         return NavSensors(self._scene, nav, self._sim, self._needs, self._seed, plants)
 
     def _make_imu(self) -> MountedImu:
-        hover = math.sqrt(self._hover_square / len(self._vehicle.rotor_spin))
+        hover = math.sqrt(self._hover_square / self._count)
         sim = self._sim
-        sensor = ImuSensor(self._params.imu, sim.tick_hz, sim.imu_ticks, self._seed, hover)
+        sensor = ImuSensor(
+            self._params.imu, sim.tick_hz, sim.imu_ticks, self._seed, hover, self._count
+        )
         return MountedImu(sensor, self.rig.body_from_imu, self._hover_square)
 
     def _make_air(self) -> Airflow:
@@ -181,7 +189,9 @@ class MujocoWorld:
         self._marks = Marks(faults.schedule(), tick_hz)
         self._faults = FaultInjector(faults, tick_hz, self._marks)
         wind_kmh = self._params.wind.mean_kmh
-        self._disturbances = Disturbances(faults, tick_hz, wind_kmh, self._seed, self._marks)
+        self._disturbances = Disturbances(
+            faults, tick_hz, wind_kmh, self._seed, self._marks, self._count
+        )
         self._moving = MovingBodies(self._scene)
         self._imaging.moving = self._moving
         self._intruders = Intruders(self._scene, faults.schedule(), self._marks, self._seed)
@@ -197,9 +207,12 @@ class MujocoWorld:
             tick_s=1.0 / self._sim.tick_hz,
             deviations=self._deviations,
         )
-        self._telemetry = SpeedTelemetry(self._params.vehicle_error, self._seed)
+        self._telemetry = SpeedTelemetry(self._params.vehicle_error, self._seed, self._count)
         self._battery = Battery(
-            self._sim.battery_capacity_j, self._sim.battery_sag, self._sim.battery_resistance_ohm
+            self._sim.battery_capacity_j,
+            self._sim.battery_sag,
+            self._sim.battery_resistance_ohm,
+            power_system(self._model),
         )
         self._imu = self._make_imu()
         self._nav = self._make_nav()

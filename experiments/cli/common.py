@@ -150,6 +150,12 @@ def _scene_names() -> list[str]:
 
 
 SCENES = completed(_scene_names)
+VEHICLE_NAMES = ("quadrotor", "small_quadrotor", "hexarotor", "coaxial_x8")
+"""Those of `scenes.api.VEHICLES`, repeated so that help and completion are instant."""
+VEHICLE = click.option(
+    "--vehicle", metavar="NAME|FILE.xml", shell_complete=completed(lambda: VEHICLE_NAMES),
+    help="Of `touchdown vehicles list`, or an MJCF file.  [quadrotor]",
+)  # fmt: skip
 
 
 class CommandGroup(click.Group):

@@ -22,6 +22,7 @@ from touchdown.experiments.cli.common import (
     PROFILE,
     QUIET,
     SCENES,
+    VEHICLE,
     Parsed,
     answer,
     completed,
@@ -82,6 +83,7 @@ _flight_options = many(
     click.option("--profile", type=PROFILE, help="How kind the world is.  [field]"),
     PRESET,
     click.option("--light", type=LIGHT, help="Light of the scene; see lamp.below_m.  [day]"),
+    VEHICLE,
     click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
     click.option("--calibration", metavar="FILE",
                  help="Of `touchdown calibrate`: the calibration given to the estimator."),
@@ -112,9 +114,9 @@ _flight_options = many(
 )  # fmt: skip
 
 _CONFIG_OPTIONS = (
-    "seed", "profile", "preset", "light", "wind_kmh", "record", "calibration", "log_sensors",
-    "as_is", "classes", "selector", "lander", "controller", "mapper", "classifier", "watch",
-    "px4", "px4_port", "px4_connect", "px4_aid",
+    "seed", "profile", "preset", "vehicle", "light", "wind_kmh", "record", "calibration",
+    "log_sensors", "as_is", "classes", "selector", "lander", "controller", "mapper",
+    "classifier", "watch", "px4", "px4_port", "px4_connect", "px4_aid",
 )  # fmt: skip
 """The options of `experiments.config.loading.load_config` that say how the sensors' data come
 about; a replay has them already."""

@@ -52,6 +52,7 @@ from touchdown.experiments.config.ranges import (
 )
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import PREFIX, SLOTS, check_part_names, wrong_external_key
+from touchdown.experiments.config.vehicles import vehicle_in
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 from touchdown.landing.api import SurveyParams
 from touchdown.scenes.api import RuggedParams
@@ -64,6 +65,7 @@ OPTION_KEYS: Mapping[str, str] = {
     "profile": "profile",
     "preset": "preset",
     "light": "light",
+    "vehicle": "vehicle",
     "as_is": "scene_as_is",
     "classes": "scene_classes",
     "calibration": "calibration",
@@ -149,7 +151,7 @@ def read_values(file: Path) -> dict[str, Any]:
 def under_base(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """The ``values`` that ``file`` contributes beside those ``given`` by hand: of a whole
     configuration under another profile or preset, only what its author had chosen."""
-    names = (name_in, preset_in)
+    names = (name_in, preset_in, vehicle_in)
     if came_with_results(file) and any(n({**values, **given}) != n(values) for n in names):
         return chosen_by_hand(values, dict(default_values()))
     return values

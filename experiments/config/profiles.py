@@ -14,6 +14,8 @@ from importlib import resources
 from typing import Any
 
 from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.vehicles import KEY as VEHICLE_KEY
+from touchdown.experiments.config.vehicles import vehicle_in, vehicle_values
 from touchdown.experiments.errors import UsageError, nearest
 
 KEY = "profile"
@@ -96,16 +98,24 @@ def preset_values(name: str) -> Mapping[str, Any]:
 
 
 def base_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that the profile, the effects and the preset of ``values`` set."""
+    """The values that the profile, the effects, the preset and the vehicle of ``values`` set.
+    Raises UsageError for a vehicle that cannot fly."""
     profile = profile_values(name_in(values))
-    return {**profile, **effect_values(values.get(EFFECTS_KEY)), **preset_values(preset_in(values))}
+    lower = {
+        **profile,
+        **effect_values(values.get(EFFECTS_KEY)),
+        **preset_values(preset_in(values)),
+    }
+    return {**lower, **vehicle_values(values, lower)}
 
 
 def base_sources(values: Mapping[str, Any]) -> dict[str, str]:
     """The source of each of the `base_values`, for error messages."""
-    return dict.fromkeys(base_values(values), f"profile {name_in(values)}") | dict.fromkeys(
-        preset_values(preset_in(values)), f"preset {preset_in(values)}"
-    )
+    return {
+        **dict.fromkeys(base_values(values), f"profile {name_in(values)}"),
+        **dict.fromkeys(preset_values(preset_in(values)), f"preset {preset_in(values)}"),
+        **dict.fromkeys(vehicle_values(values, {}), f"vehicle {vehicle_in(values)}"),
+    }
 
 
 def name_in(values: Mapping[str, Any]) -> str:
@@ -128,5 +138,5 @@ def chosen_by_hand(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> di
     keys.
     """
     own = {**defaults, **base_values(values)}
-    named = (KEY, PRESET_KEY)
+    named = (KEY, PRESET_KEY, VEHICLE_KEY)
     return {k: v for k, v in values.items() if k in named or k not in own or own[k] != v}

@@ -31,7 +31,7 @@ from touchdown.experiments.api import (
     StartParams,
 )
 from touchdown.landing.api import LandingParams, SurveyParams
-from touchdown.scenes.api import Light, RuggedParams, TrafficParams, short_name
+from touchdown.scenes.api import DEFAULT_VEHICLE, Light, RuggedParams, TrafficParams, short_name
 from touchdown.sim.api import (
     FORBID_EXTRA,
     BarometerParams,
@@ -96,6 +96,9 @@ class Config(BaseModel):
     changes nothing itself"""
     scene: str = "crossroad"
     """name of a scene, path of an MJCF file, or MODULE:FUNCTION that makes one"""
+    vehicle: str = DEFAULT_VEHICLE
+    """name of a shipped vehicle, or path of its MJCF file; its gains, limits, battery and kind of
+    LIDAR override profile and preset (`touchdown vehicles check`)"""
     seed: CountOrZero = 0
     """seed of the scene; with the scene's name, of the wind and all noise"""
     scene_seed: CountOrZero | None = None

@@ -34,6 +34,8 @@ _ROTATION_OFF = 1e-2
 """limit of the deviation from orthonormal: above rounding, below a mistake"""
 _IDENTITY = np.eye(3)
 
+_ROTORS = (-1,)
+"""one number for each rotor of the rig"""
 _SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
     Estimate: {
         "time_s": (),
@@ -47,7 +49,7 @@ _SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
         "position_covariance": (3, 3),
         "rotation_covariance": (3, 3),
     },
-    Command: {"rotor_speed_radps": (4,)},
+    Command: {"rotor_speed_radps": _ROTORS},
     Setpoint: {
         "position_odom": (3,),
         "velocity_odom": (3,),
@@ -133,7 +135,9 @@ def check_answer(kind: str, method: str, answer: Any, rig: Any, arguments: tuple
         except AttributeError:
             raise DefectError("shapes", f"{who}{path} is missing") from None
         if value is not None or path not in _OPTIONAL:
-            _check_array(who + path, value, shape)
+            _check_array(
+                who + path, value, rig.vehicle.rotor_spin.shape if shape is _ROTORS else shape
+            )
     check(answer, rig, arguments)
 
 

@@ -100,7 +100,7 @@ def flat_map(centre: Array) -> MapView:
 
 
 class SyntheticAirframe:
-    """A rigid quadrotor that flies from rest at ``position`` (3,), hovering; ``step_s`` is the
+    """A rigid vehicle that flies from rest at ``position`` (3,), hovering; ``step_s`` is the
     control period. Rotors follow their commands with the time constant of the data sheet; there is
     drag but no wind."""
 
@@ -109,11 +109,11 @@ class SyntheticAirframe:
         self.position: Array = np.array(position, np.float64)
         self.rotation: Array = np.eye(3)
         self._velocity, self._rates, self._acceleration = np.zeros(3), np.zeros(3), np.zeros(3)
-        self._speeds: Array = np.full(4, hover_speed(vehicle))
+        self._speeds: Array = np.full(len(vehicle.rotor_spin), hover_speed(vehicle))
         self._steps = 0
 
     def step(self, speeds: Array) -> None:
-        """Flies one control period with commanded rotor speeds (4,) rad/s."""
+        """Flies one control period with commanded rotor speeds (R,) rad/s."""
         vehicle, step_s = self._vehicle, self._step_s / _SUBSTEPS
         wanted = np.clip(speeds, 0.0, vehicle.rotor_speed_max)
         follow = 1.0 - np.exp(-step_s / vehicle.motor_time_constant_s)
@@ -150,7 +150,7 @@ class SyntheticAirframe:
 def hover_speed(vehicle: VehicleModel) -> float:
     """Rotor speed that carries the weight, rad/s."""
     weight = vehicle.mass_kg * GRAVITY_MPS2
-    return float(np.sqrt(weight / 4.0 / vehicle.thrust_coefficient))
+    return float(np.sqrt(weight / len(vehicle.rotor_spin) / vehicle.thrust_coefficient))
 
 
 class FollowedSetpoints:
@@ -162,6 +162,7 @@ class FollowedSetpoints:
         start = sensors.world_from_body_start
         self._low = sensors.vehicle.leg_height_m
         self._hover = hover_speed(sensors.vehicle)
+        self._rotors = len(sensors.vehicle.rotor_spin)
         self._yaw = yaw_from_rotation(start.rotation)
         self._step_s = sensors.imu_ticks / sensors.tick_hz
         self._tick = 0
@@ -186,7 +187,7 @@ class FollowedSetpoints:
         obs = Observation(
             **time,
             imu=(imu,) if self._tick else (),
-            rotor_speed_radps=np.full(4, self._hover * np.sqrt(self._carried)),
+            rotor_speed_radps=np.full(self._rotors, self._hover * np.sqrt(self._carried)),
             battery_fraction=1.0 - 1e-6 * self._tick,
         )
         pose = Pose(turn, self.position.copy())

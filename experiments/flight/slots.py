@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from touchdown.controller.api import ControllerRig
-from touchdown.estimator.api import MapperRig
+from touchdown.estimator.api import Estimate, Estimator, MapperRig
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import external_parts, params_of
 from touchdown.landing.api import (
@@ -22,10 +22,23 @@ from touchdown.landing.api import (
 )
 from touchdown.landing.selection.selector import select_sites
 from touchdown.scenes.api import LAND_CLASSES
-from touchdown.sim.api import SensorRig
+from touchdown.sim.api import Observation, SensorRig
 
 if TYPE_CHECKING:
     from touchdown.experiments.external.wrapper import ExternalPart
+
+
+class Overheard:
+    """An estimator whose observations a controller gets as well, before it is asked."""
+
+    def __init__(self, inner: Estimator, hear: Callable[[Observation], object]) -> None:
+        self._inner, self._hear = inner, hear
+        self.needs = inner.needs
+
+    def update(self, obs: Observation) -> Estimate:
+        """The estimate of the estimator."""
+        self._hear(obs)
+        return self._inner.update(obs)
 
 
 def lander_rig(

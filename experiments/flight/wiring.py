@@ -17,13 +17,14 @@ from touchdown.experiments.config.slots import PX4, SLOTS, names_code, params_of
 from touchdown.experiments.errors import UsageError, nearest, usage_errors
 from touchdown.experiments.flight.estimator_calibration import nominal_rig
 from touchdown.experiments.flight.slots import (
+    Overheard,
     external_name,
     external_of,
     external_part,
     lander_rig,
 )
 from touchdown.landing.api import Lander, Watch, WatchRig
-from touchdown.scenes.api import ImportOptions, LowSun, Scene, names_function
+from touchdown.scenes.api import Guests, ImportOptions, LowSun, Scene, names_function
 from touchdown.scenes.registry import scene_names
 from touchdown.sim.api import Observation, SensorRig, Truth, World, WorldParams
 from touchdown.sim.effects import WorldRecord
@@ -66,7 +67,8 @@ def build_scene(config: Config) -> Scene:
     seed = config.seed if config.scene_seed is None else config.scene_seed
     options = None if config.scene_as_is else ImportOptions(classes=config.scene_classes or "")
     intruders = sum(fault.kind == "intruder" for fault in config.faults.schedule())
-    how = (seed, low_sun(config), config.light, options, config.rugged, config.traffic, intruders)
+    guests = Guests(config.vehicle, intruders)
+    how = (seed, low_sun(config), config.light, options, config.rugged, config.traffic, guests)
     if names_function(config.scene):
         from touchdown.experiments.external.places import place_file
 
@@ -125,13 +127,18 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         world.close()
         raise
     estimator = _biased(own_estimator, config)
+    own_controller = CascadeController(world.rig.vehicle, config.control)
+    if autopilot is not None:
+        estimator = Overheard(estimator, autopilot.sense)
+    elif controller is None:
+        estimator = Overheard(estimator, lambda obs: own_controller.hear(obs.rotor_speed_radps))
     mapper = own_mapper or _mapper(config, rig)
     lander: Lander = own_lander or SiteLander(
         rig, config.landing, config.survey, classifier, select, watch
     )
     needs = estimator.needs
     if autopilot is not None:
-        estimator, lander = autopilot.listening(estimator), autopilot.holding(lander)
+        lander = autopilot.holding(lander)
         needs = needs | autopilot.needs
     if config.mapper.enabled:
         needs = needs | mapper.needs | lander.needs
@@ -144,7 +151,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         estimator=estimator,
         mapper=mapper,
         lander=lander,
-        controller=controller or autopilot or CascadeController(world.rig.vehicle, config.control),
+        controller=controller or autopilot or own_controller,
         record=world.record,
         nominal_rig=rig,
         network=None if classifier is None else classifier.description(),

@@ -344,8 +344,8 @@ def _check(obs: Observation, rig: SensorRig, before: int) -> None:
         raise DamagedError(f"the observation of tick {obs.tick} is out of order")
     if abs(obs.time_s - obs.tick / rig.tick_hz) > 1e-6 * max(1.0, obs.time_s):
         raise DamagedError(f"the time of tick {obs.tick} is another")
-    if obs.rotor_speed_radps.shape != (4,):
-        raise DamagedError("there are not four rotor speeds")
+    if obs.rotor_speed_radps.shape != rig.vehicle.rotor_spin.shape:
+        raise DamagedError("there is not one rotor speed for each rotor")
     for name in ("imu", "gps", "barometer", "magnetometer", "rangefinder"):
         for message in getattr(obs, name):
             for field in dataclasses.fields(message):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from touchdown.controller.api import Setpoint
-from touchdown.estimator.api import Estimate, Estimator, MapView
+from touchdown.estimator.api import Estimate, MapView
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.px4.airframe import Motors, parameters
 from touchdown.experiments.px4.commander import Commander
@@ -91,10 +91,6 @@ class Px4Autopilot:
     def lockstep(self) -> tuple[int, int]:
         """Steps since the first answer, and the answers to them."""
         return (0, 0) if self._link is None else (self._link.steps, self._link.answers)
-
-    def listening(self, estimator: Estimator) -> Estimator:
-        """``estimator``, whose observations come here as well."""
-        return _SensedEstimator(estimator, self)
 
     def holding(self, lander: Lander) -> Lander:
         """``lander``, which is not asked for anything new while PX4 arms."""
@@ -182,19 +178,6 @@ class Px4Autopilot:
         self._was_healthy = estimate.healthy
         if estimate.healthy and self._step and self._step % self._odometry_steps == 0:
             link.send(self._messages.odometry(estimate, self._resets))
-
-
-class _SensedEstimator:
-    """An estimator whose observations an autopilot gets as well."""
-
-    def __init__(self, inner: Estimator, autopilot: Px4Autopilot) -> None:
-        self._inner, self._autopilot = inner, autopilot
-        self.needs = inner.needs
-
-    def update(self, obs: Observation) -> Estimate:
-        """The estimate of the estimator."""
-        self._autopilot.sense(obs)
-        return self._inner.update(obs)
 
 
 class _WaitingLander:

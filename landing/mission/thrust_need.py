@@ -21,23 +21,25 @@ from touchdown.sim.typing import Array
 _ITERATIONS = 25
 _RELAXATION = 0.4
 """fraction of a step of the fixed point that is taken: inflow and tilt drive each other"""
-ROTORS = 4
 
-MASS, THRUST, INFLOW, ROTOR_DRAG, BODY_DRAG, FASTEST = range(6)
+MASS, THRUST, INFLOW, ROTOR_DRAG, BODY_DRAG, FASTEST, ROTORS = range(7)
 """indices into the coefficients of `air_coefficients`"""
 
 
 def air_coefficients(vehicle: VehicleModel) -> Array:
-    """(6,) mass, thrust, inflow, drag of one rotor, drag of the fuselage, largest rotor speed."""
-    hover = np.sqrt(vehicle.mass_kg * GRAVITY_MPS2 / (ROTORS * vehicle.thrust_coefficient))
+    """(7,) mass, thrust, inflow, drag of one rotor, drag of the fuselage, largest rotor speed,
+    number of rotors."""
+    rotors = len(vehicle.rotor_spin)
+    hover = np.sqrt(vehicle.mass_kg * GRAVITY_MPS2 / (rotors * vehicle.thrust_coefficient))
     return np.array(
         [
             vehicle.mass_kg,
             vehicle.thrust_coefficient,
             vehicle.rotor_inflow,
-            vehicle.linear_drag / (ROTORS * hover),
+            vehicle.linear_drag / (rotors * hover),
             vehicle.quadratic_drag,
             vehicle.rotor_speed_max,
+            rotors,
         ]
     )
 
@@ -49,7 +51,7 @@ def rotor_need(through_air: Array, acceleration: Array, coefficients: Array) -> 
 
     ``through_air`` (3,) m/s and ``acceleration`` (3,) m/s^2, z up; ``coefficients`` of
     `air_coefficients`."""
-    mass, thrust = coefficients[MASS], coefficients[THRUST]
+    mass, thrust, rotors = coefficients[MASS], coefficients[THRUST], coefficients[ROTORS]
     fastest = coefficients[FASTEST]
     vx, vy, vz = through_air[0], through_air[1], through_air[2]
     airspeed = np.sqrt(vx * vx + vy * vy + vz * vz)
@@ -58,10 +60,10 @@ def rotor_need(through_air: Array, acceleration: Array, coefficients: Array) -> 
     fy = mass * acceleration[1] + body * vy
     fz = mass * (acceleration[2] + GRAVITY_MPS2) + body * vz
     zx, zy, zz = 0.0, 0.0, 1.0
-    speed = np.sqrt(mass * GRAVITY_MPS2 / (ROTORS * thrust))
+    speed = np.sqrt(mass * GRAVITY_MPS2 / (rotors * thrust))
     for _ in range(_ITERATIONS):
         along = vx * zx + vy * zy + vz * zz
-        drag = ROTORS * coefficients[ROTOR_DRAG] * speed
+        drag = rotors * coefficients[ROTOR_DRAG] * speed
         tx = fx + drag * (vx - along * zx)
         ty = fy + drag * (vy - along * zy)
         tz = fz + drag * (vz - along * zz)
@@ -71,8 +73,8 @@ def rotor_need(through_air: Array, acceleration: Array, coefficients: Array) -> 
         zz += _RELAXATION * (tz / size - zz)
         norm = max(np.sqrt(zx * zx + zy * zy + zz * zz), 1e-9)
         zx, zy, zz = zx / norm, zy / norm, zz / norm
-        lost = ROTORS * coefficients[INFLOW] * along
-        root = np.sqrt(max(lost * lost + 4.0 * ROTORS * thrust * size, 0.0))
-        wanted = (lost + root) / (2.0 * ROTORS * thrust)
+        lost = rotors * coefficients[INFLOW] * along
+        root = np.sqrt(max(lost * lost + 4.0 * rotors * thrust * size, 0.0))
+        wanted = (lost + root) / (2.0 * rotors * thrust)
         speed += _RELAXATION * (min(max(wanted, 0.0), 2.0 * fastest) - speed)
     return speed / fastest, np.arccos(min(max(zz, -1.0), 1.0))

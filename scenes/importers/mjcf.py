@@ -91,8 +91,12 @@ def coarse_meshes(model: Any) -> list[str]:
 
 def move_world(spec: Any, offset_m: Array) -> None:
     """Moves all elements of the world by (3,) metres."""
-    world = spec.worldbody
-    for element in (*world.geoms, *world.bodies, *world.sites, *world.cameras, *world.lights):
+    move_inside(spec.worldbody, offset_m)
+
+
+def move_inside(body: Any, offset_m: Array) -> None:
+    """Moves all elements of a body, and the bodies in it, by (3,) metres of its axes."""
+    for element in (*body.geoms, *body.bodies, *body.sites, *body.cameras, *body.lights):
         if element.frame is not None:
             continue
         ends = getattr(element, "fromto", np.full(6, np.nan))
@@ -100,7 +104,7 @@ def move_world(spec: Any, offset_m: Array) -> None:
             element.fromto = ends + np.tile(offset_m, 2)
         else:
             element.pos = element.pos + offset_m
-    for frame in world.frames:
+    for frame in body.frames:
         if frame.frame is None:
             frame.pos = frame.pos + offset_m
 
@@ -182,12 +186,12 @@ def read_mjcf(path: Path, ready: ImportOptions | None = None, seed: int = 0) -> 
     check_file(path, "a scene", MAX_TEXT_BYTES)
     model = run_limited(lambda: _first_compiled(path), path, "to compile it", _SMALLER)
     data = _posed(model)
-    spec = _read_spec(path)
+    spec = read_spec(path)
     movable = movable_bodies(spec)
     remove_motion(spec, path)
     takeoff = _takeoff(model, data)
     if _remove_vehicle(spec):
-        model, data = _compiled(spec, path)
+        model, data = compiled(spec, path)
     start = np.zeros(2) if takeoff is None else takeoff.xy_m
     movable = movable if ready is None or takeoff is not None else set()  # it starts elsewhere
     while name := movable_at(model, data, start, movable):
@@ -195,7 +199,7 @@ def read_mjcf(path: Path, ready: ImportOptions | None = None, seed: int = 0) -> 
             path, f"{printable(name)} moves, and stands at the take-off spot: it is left out"
         )
         spec.delete(spec.body(name))
-        model, data = _compiled(spec, path)
+        model, data = compiled(spec, path)
     origin_xy = far_origin(model, data, None if takeoff is None else takeoff.xy_m)
     xy, yaw = takeoff or _Takeoff(_amid(model, data, origin_xy) if ready else origin_xy, 0.0)
     if coarse := coarse_meshes(model):
@@ -247,14 +251,14 @@ def read_mjcf(path: Path, ready: ImportOptions | None = None, seed: int = 0) -> 
 def _first_compiled(path: Path) -> Any:
     """The model of a file that nothing is known of, without what moves."""
     check_texts(path)
-    spec = _read_spec(path)
+    spec = read_spec(path)
     check_spec(spec, path)
     movable_bodies(spec)  # names are those of the spec that the scene is made of
     remove_motion(spec, path)
-    return _compiled(spec, path)[0]
+    return compiled(spec, path)[0]
 
 
-def _read_spec(path: Path) -> Any:
+def read_spec(path: Path) -> Any:
     try:
         with quiet_libraries():
             return mujoco.MjSpec.from_file(str(path))
@@ -268,14 +272,19 @@ def remove_motion(spec: Any, path: Path) -> None:
     # The vehicle of an exported scene is replaced: no warning for its joint.
     joints = [joint for joint in spec.joints if not joint.parent.name.startswith(_VEHICLE_PREFIX)]
     moving = len(joints) + len(spec.flexes)
-    for kind in _MOVING_KINDS:
-        for element in list(getattr(spec, kind)):
-            spec.delete(element)
+    delete_motion(spec)
     if moving:
         _warn_once(
             path,
             f"its {moving} joints and soft bodies are left out; what moves has a path",
         )
+
+
+def delete_motion(spec: Any) -> None:
+    """Deletes joints, soft bodies and all that refers to them, and resets options."""
+    for kind in _MOVING_KINDS:
+        for element in list(getattr(spec, kind)):
+            spec.delete(element)
     compiler, option = spec.compiler, spec.option
     compiler.settotalmass = -1.0
     compiler.boundmass = compiler.boundinertia = 0.0
@@ -311,7 +320,7 @@ def _remove_vehicle(spec: Any) -> bool:
     return bool(bodies)
 
 
-def _compiled(spec: Any, path: Path) -> tuple[Any, Any]:
+def compiled(spec: Any, path: Path) -> tuple[Any, Any]:
     """Returns the model, and its data with the poses of time 0."""
     try:
         with quiet_libraries():

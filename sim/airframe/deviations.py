@@ -13,7 +13,7 @@ from zlib import crc32
 import mujoco
 import numpy as np
 
-from touchdown.sim.airframe.vehicle import ROTOR_COUNT, vehicle_body_id
+from touchdown.sim.airframe.vehicle import vehicle_body_id
 from touchdown.sim.api import VehicleErrorParams
 from touchdown.sim.typing import Array
 
@@ -30,9 +30,9 @@ class Deviations:
     center_of_mass_m: Array
     """(3,) body axes, from the body origin"""
     thrust: Array
-    """(4,) true over nominal coefficient of each rotor"""
+    """(R,) true over nominal coefficient of each rotor"""
     torque: Array
-    """(4,)"""
+    """(R,)"""
     drag: float = 1.0
     """of the rotors in their plane, true over nominal"""
 
@@ -43,7 +43,7 @@ class Deviations:
 
     def sizes(self) -> dict[str, float]:
         """Absolute deviations: relative of the mass, metres of the centre of mass, relative of the
-        rotor that differs most from the mean of the four."""
+        rotor that differs most from the mean of all."""
         single = self.thrust / self.thrust.mean() - 1.0
         return {
             "mass_fraction": abs(self.mass - 1.0),
@@ -52,15 +52,15 @@ class Deviations:
         }
 
 
-NOMINAL = Deviations(
-    center_of_mass_m=np.zeros(3), thrust=np.ones(ROTOR_COUNT), torque=np.ones(ROTOR_COUNT)
-)
+def nominal(rotors: int = 4) -> Deviations:
+    """No deviation of a vehicle with so many rotors."""
+    return Deviations(center_of_mass_m=np.zeros(3), thrust=np.ones(rotors), torque=np.ones(rotors))
 
 
-def draw_deviations(params: VehicleErrorParams, seed: int) -> Deviations:
-    """The deviations of one flight. Each quantity has a stream of its own, so that a bound of 0
-    leaves the draws of the others alone."""
-    single = params.rotor_fraction * _uniform(seed, b"rotors", ROTOR_COUNT)
+def draw_deviations(params: VehicleErrorParams, seed: int, rotors: int = 4) -> Deviations:
+    """The deviations of one flight of a vehicle with so many rotors. Each quantity has a stream
+    of its own, so that a bound of 0 leaves the draws of the others alone."""
+    single = params.rotor_fraction * _uniform(seed, b"rotors", rotors)
     drag = 1.0 + params.drag_fraction * _uniform(seed, b"drag", 1).item()
     return Deviations(
         mass=1.0 + params.mass_fraction * _uniform(seed, b"mass", 1).item(),
@@ -99,15 +99,16 @@ class SpeedTelemetry:
     """Rotor speeds as the speed controllers report them, with noise and resolution. A rotor that
     stands still reports 0: its controller sees no commutation."""
 
-    def __init__(self, params: VehicleErrorParams, seed: int) -> None:
+    def __init__(self, params: VehicleErrorParams, seed: int, rotors: int = 4) -> None:
+        self._rotors = rotors
         self._sigma, self._step = params.telemetry_sigma_radps, params.telemetry_step_radps
         self._rng = np.random.default_rng([seed, crc32(b"rotor telemetry")])
         self._noise = self._draw()
 
     def read(self, speeds: Array) -> Array:
-        """(4,) rad/s, a new array."""
+        """(R,) rad/s, a new array."""
         reported = speeds.copy()
-        # Scalars: at every control step, numpy's calls on four numbers are most of what they cost.
+        # Scalars: at every control step, numpy's calls on few numbers are most of what they cost.
         if self._sigma > 0.0:
             noise = next(self._noise)
             for i, speed in enumerate(speeds.tolist()):
@@ -119,7 +120,7 @@ class SpeedTelemetry:
     def _draw(self) -> Iterator[list[float]]:
         """Noise of one reading after the other; drawn for many at a time, which costs less."""
         while True:
-            yield from (self._sigma * self._rng.standard_normal((_DRAWN, ROTOR_COUNT))).tolist()
+            yield from (self._sigma * self._rng.standard_normal((_DRAWN, self._rotors))).tolist()
 
 
 def give_back_textures(model: Any) -> None:

@@ -20,7 +20,7 @@ import math
 import numpy as np
 from numba import njit
 
-from touchdown.sim.airframe.deviations import NOMINAL, Deviations
+from touchdown.sim.airframe.deviations import Deviations, nominal
 from touchdown.sim.airframe.vehicle import RotorGeometry
 from touchdown.sim.api import VehicleModel
 from touchdown.sim.typing import Array
@@ -32,7 +32,7 @@ _KT, _KQ, _INFLOW, _DRAG, _RADIUS = range(5)
 
 
 class Rotors:
-    """Four rotors. ``speeds`` (4,) rad/s is the state; ``wrench`` (6,) is force and torque about
+    """The rotors. ``speeds`` (R,) rad/s is the state; ``wrench`` (6,) is force and torque about
     the centre of mass, both in world axes, as MuJoCo's ``xfrc_applied`` takes them."""
 
     def __init__(
@@ -40,8 +40,10 @@ class Rotors:
         vehicle: VehicleModel,
         geometry: RotorGeometry,
         tick_s: float,
-        deviations: Deviations = NOMINAL,
+        deviations: Deviations | None = None,
     ) -> None:
+        count = len(vehicle.rotor_spin)
+        deviations = deviations or nominal(count)
         self._positions = np.ascontiguousarray(geometry.positions_body)
         self._spin = np.ascontiguousarray(vehicle.rotor_spin)
         self._coefficients = np.array(
@@ -59,19 +61,20 @@ class Rotors:
         self._min = vehicle.rotor_speed_min
         self._max = vehicle.rotor_speed_max
         self._lag = float(-np.expm1(-tick_s / vehicle.motor_time_constant_s))
-        self._demand = np.zeros(4)
-        self.speeds = np.zeros(4)
+        self._demand = np.zeros(count)
+        self.speeds = np.zeros(count)
         self.wrench = np.zeros(6)
 
     def demand(self, rotor_speed_radps: Array, speed_fraction: Array | None = None) -> None:
-        """Takes a command, (4,) rad/s: 0 switches a motor off, other values are clipped to the
-        motor's range. ``speed_fraction`` (4,) is the fraction of it that weak motors reach. Raises
+        """Takes a command, (R,) rad/s: 0 switches a motor off, other values are clipped to the
+        motor's range. ``speed_fraction`` (R,) is the fraction of it that weak motors reach. Raises
         ValueError for a wrong shape or a value that is not finite."""
-        # Scalars: at every control step, numpy's calls on four numbers are most of what they cost.
+        # Scalars: at every control step, numpy's calls on few numbers are most of what they cost.
         wanted = np.asarray(rotor_speed_radps).tolist()
-        if np.shape(rotor_speed_radps) != (4,) or not math.isfinite(sum(wanted)):
+        if np.shape(rotor_speed_radps) != self.speeds.shape or not math.isfinite(sum(wanted)):
             raise ValueError(
-                f"a command must hold 4 finite rotor speeds in rad/s, not {rotor_speed_radps!r}"
+                f"a command must hold {len(self.speeds)} finite rotor speeds in rad/s, not "
+                f"{rotor_speed_radps!r}"
             )
         low, high = self._min, self._max * self.speed_fraction
         self._demand[:] = [min(max(w, low), high) if w > 0.0 else 0.0 for w in wanted]
@@ -150,7 +153,7 @@ def _step(
     rotation = _rotation(quat_wxyz)
     air = rotation.T @ (velocity_world - wind_world)
     force, torque = np.zeros(3), np.zeros(3)
-    for i in range(4):
+    for i in range(speeds.size):
         speeds[i] += lag * (demand[i] - speeds[i])
         w = speeds[i]
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]

@@ -1,24 +1,33 @@
 """The airframe's parameters, from its MJCF: mass, inertia, rotors, sensor mounts.
 
-The numbers live in ``scenes/vehicle/quadrotor.xml`` alone; another vehicle that keeps the names of
-its sites and ``<numeric>`` entries works as well.
+All numbers are those of the file: sites give places, ``<numeric>`` entries the rest
+(docs/vehicles.md).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
+from touchdown.sim.airframe.battery import PowerSystem
 from touchdown.sim.api import GRAVITY_MPS2, VehicleModel
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
 from touchdown.sim.typing import Array
 
 VEHICLE_PREFIX = "vehicle/"
 VEHICLE_BODY = "quadrotor"
-ROTOR_COUNT = 4
+"""the vehicle's body in a composed scene, whatever the vehicle"""
+IDLE_FRACTION = 0.14
+"""of the highest speed, that of a motor that idles, where the file names none"""
+MOTOR_TIME_CONSTANT_S = 0.04
+_STALL_RATIO = 0.1814
+"""axial speed at which a propeller's thrust vanishes, over that of its tip: an advance ratio of
+0.57"""
+_DRAG_OVER_INFLOW = 0.218
+"""of rotors of which the file does not name the drag in their plane: that of `quadrotor`"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -26,7 +35,7 @@ class RotorGeometry:
     """Parameters of the aerodynamics that the controller's ``VehicleModel`` does not hold."""
 
     positions_body: Array
-    """(4, 3) m, hubs"""
+    """(R, 3) m, hubs"""
     radius_m: float
     drag: float
     """In-plane drag of one rotor, N / ((rad/s)(m/s))"""
@@ -60,45 +69,69 @@ def vehicle_model(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> Vehicl
     principal_axes = matrix_from_quat_wxyz(model.body_iquat[body_id])
     inertia = principal_axes @ np.diag(model.body_inertia[body_id]) @ principal_axes.T
     thrust = _number(model, prefix, "thrust_coefficient")
-    hover_speed = np.sqrt(mass * GRAVITY_MPS2 / (ROTOR_COUNT * thrust))
+    count, fastest = len(geometry.positions_body), _number(model, prefix, "rotor_speed_max")
+    hover_speed = np.sqrt(mass * GRAVITY_MPS2 / (count * thrust))
     return VehicleModel(
         mass_kg=mass,
         inertia_kgm2=np.diag(inertia).copy(),
         rotor_xy_m=geometry.positions_body[:, :2].copy(),
-        rotor_spin=_numbers(model, prefix, "rotor_spin", ROTOR_COUNT),
+        rotor_spin=_numbers(model, prefix, "rotor_spin", count),
         thrust_coefficient=thrust,
         torque_coefficient=_number(model, prefix, "torque_coefficient"),
-        rotor_speed_min=_number(model, prefix, "rotor_speed_min"),
-        rotor_speed_max=_number(model, prefix, "rotor_speed_max"),
-        motor_time_constant_s=_number(model, prefix, "motor_time_constant"),
-        linear_drag=float(ROTOR_COUNT * geometry.drag * hover_speed),
+        rotor_speed_min=optional_number(model, "rotor_speed_min", IDLE_FRACTION * fastest, prefix),
+        rotor_speed_max=fastest,
+        motor_time_constant_s=optional_number(
+            model, "motor_time_constant", MOTOR_TIME_CONSTANT_S, prefix
+        ),
+        linear_drag=float(count * geometry.drag * hover_speed),
         leg_height_m=float(-foot_positions(model, prefix)[:, 2].min()),
         footprint_radius_m=float(
             np.linalg.norm(geometry.positions_body[:, :2], axis=1).max() + geometry.radius_m
         ),
         rotor_inflow=geometry.inflow,
-        quadratic_drag=_optional_number(model, prefix, "fuselage_drag"),
+        quadratic_drag=optional_number(model, "fuselage_drag", 0.0, prefix),
     )
 
 
 def rotor_geometry(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> RotorGeometry:
-    """Hubs from the sites ``rotor_0`` ... ``rotor_3``."""
-    positions = [_site_pose(model, prefix, f"rotor_{i}").translation for i in range(ROTOR_COUNT)]
+    """Hubs from the sites ``rotor_0``, ``rotor_1`` ... and aerodynamics; a file without drag and
+    inflow has those of propellers of a usual pitch."""
+    positions = [pose.translation for pose in rotor_sites(model, prefix)]
+    radius = _number(model, prefix, "rotor_radius")
+    usual = _number(model, prefix, "thrust_coefficient") / (_STALL_RATIO * radius)
+    inflow = optional_number(model, "rotor_inflow", usual, prefix)
     return RotorGeometry(
         positions_body=np.stack(positions),
-        radius_m=_number(model, prefix, "rotor_radius"),
-        drag=_number(model, prefix, "rotor_drag"),
-        inflow=_number(model, prefix, "rotor_inflow"),
+        radius_m=radius,
+        drag=optional_number(model, "rotor_drag", _DRAG_OVER_INFLOW * inflow, prefix),
+        inflow=inflow,
+    )
+
+
+def rotor_sites(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> list[Pose]:
+    """Poses of the sites ``rotor_0``, ``rotor_1`` ... on the body, one at least."""
+    found = [_site_pose(model, prefix, "rotor_0")]
+    while _id(model, mujoco.mjtObj.mjOBJ_SITE, f"{prefix}rotor_{len(found)}") >= 0:
+        found.append(_site_pose(model, prefix, f"rotor_{len(found)}"))
+    return found
+
+
+def power_system(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> PowerSystem:
+    """``battery_cells`` and ``avionics_w``."""
+    usual = PowerSystem()
+    return PowerSystem(
+        cells=optional_number(model, "battery_cells", usual.cells, prefix),
+        avionics_w=optional_number(model, "avionics_w", usual.avionics_w, prefix),
     )
 
 
 def sensor_mounts(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> SensorMounts:
-    """Poses of the sites ``imu``, ``lidar``, ``camera`` and ``camera_right``."""
+    """Poses of the sites ``imu``, ``lidar_0``, ``camera_0`` and ``camera_1``, the right one."""
     return SensorMounts(
         imu=_site_pose(model, prefix, "imu"),
-        lidar=_site_pose(model, prefix, "lidar"),
-        camera=_site_pose(model, prefix, "camera"),
-        camera_right=_site_pose(model, prefix, "camera_right"),
+        lidar=_site_pose(model, prefix, "lidar_0"),
+        camera=_site_pose(model, prefix, "camera_0"),
+        camera_right=_site_pose(model, prefix, "camera_1"),
     )
 
 
@@ -122,7 +155,7 @@ def _geoms_of(model: mujoco.MjModel, body_id: int) -> range:
 
 
 def _site_pose(model: mujoco.MjModel, prefix: str, name: str) -> Pose:
-    site_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, prefix + name)
+    site_id = _id(model, mujoco.mjtObj.mjOBJ_SITE, prefix + name)
     if site_id < 0:
         raise ValueError(f"the vehicle's MJCF has no site {prefix + name!r}; add it")
     return Pose(matrix_from_quat_wxyz(model.site_quat[site_id]), np.array(model.site_pos[site_id]))
@@ -132,17 +165,26 @@ def _number(model: mujoco.MjModel, prefix: str, name: str) -> float:
     return float(_numbers(model, prefix, name, 1)[0])
 
 
-def _optional_number(model: mujoco.MjModel, prefix: str, name: str) -> float:
-    """The entry's value; 0 where the MJCF has none."""
-    known = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, prefix + name) >= 0
-    return _number(model, prefix, name) if known else 0.0
+def optional_number(
+    model: mujoco.MjModel, name: str, usual: float, prefix: str = VEHICLE_PREFIX
+) -> float:
+    """The entry's value; ``usual`` where the MJCF has none."""
+    known = _id(model, mujoco.mjtObj.mjOBJ_NUMERIC, prefix + name) >= 0
+    return _number(model, prefix, name) if known else usual
+
+
+def _id(model: mujoco.MjModel, kind: Any, name: str) -> int:
+    return int(mujoco.mj_name2id(model, kind, name))
 
 
 def _numbers(model: mujoco.MjModel, prefix: str, name: str, count: int) -> Array:
-    numeric_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, prefix + name)
+    numeric_id = _id(model, mujoco.mjtObj.mjOBJ_NUMERIC, prefix + name)
     if numeric_id < 0:
         raise ValueError(f"the vehicle's MJCF has no <numeric name={prefix + name!r}>; add it")
     if model.numeric_size[numeric_id] != count:
-        raise ValueError(f"<numeric name={prefix + name!r}> must hold {count} value(s)")
+        raise ValueError(
+            f"<numeric name={prefix + name!r}> must hold {count} value(s), not "
+            f"{model.numeric_size[numeric_id]}"
+        )
     address = int(model.numeric_adr[numeric_id])
     return np.array(model.numeric_data[address : address + count])

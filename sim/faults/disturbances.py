@@ -27,11 +27,10 @@ import numpy as np
 
 from touchdown.sim.api import Fault, FaultParams
 from touchdown.sim.faults.marks import Marks
+from touchdown.sim.faults.types import MAX_MOTOR_LOSS
 from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.noise import random_stream
 from touchdown.sim.typing import Array
-
-ROTORS = 4
 
 
 class Happening:
@@ -66,21 +65,31 @@ class Disturbances:
         mean_wind_kmh: float,
         seed: int,
         marks: Marks | None = None,
+        rotors: int = 4,
     ) -> None:
+        if params.motor >= rotors:
+            raise ValueError(
+                f"faults.motor = {params.motor} is none of the vehicle's rotors, 0 to {rotors - 1}"
+            )
+        if rotors <= 4 and params.motor_loss_fraction > MAX_MOTOR_LOSS:
+            raise ValueError(
+                f"faults.motor_loss_fraction = {params.motor_loss_fraction:g} leaves four rotors "
+                f"without a level hover: at most {MAX_MOTOR_LOSS:g}, or a vehicle with more rotors"
+            )
         self._params, self._tick_hz = params, tick_hz
         self._marks = marks or Marks(params.schedule(), tick_hz)
         self._motor = Happening(params, "motor_loss", tick_hz, self._marks)
         self._mount = Happening(params, "miscalibration", tick_hz)
         self._gusts = [fault for fault in params.schedule() if fault.kind == "gust"]
         self._peak_mps = (params.gust_kmh - mean_wind_kmh) / 3.6
-        self._speed_fraction = np.ones(ROTORS)
+        self._speed_fraction = np.ones(rotors)
         self._speed_fraction[params.motor] = math.sqrt(1.0 - params.motor_loss_fraction)
         self._knock = _knock(params, seed) if self._mount.faults else None
         self._acted = {"motor_loss": 0, "gust": 0}
         self._largest_gust_mps = 0.0
 
     def rotor_speed_fraction(self, tick: int) -> Array | None:
-        """(4,) fraction of the demanded rotor speeds that is reached, None: all of it."""
+        """(R,) fraction of the demanded rotor speeds that is reached, None: all of it."""
         if not self._motor.faults or self._motor.since(tick) is None:
             return None
         self._acted["motor_loss"] += 1

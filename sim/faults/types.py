@@ -54,7 +54,7 @@ _TIMED = frozenset(("miscalibration", "fog", "rain", "lens_dirt", "low_sun"))
 """kinds that begin at a time alone: sensors foresee them"""
 
 MAX_MOTOR_LOSS = 0.5
-"""of one rotor's thrust: with more, hovering level is beyond the other three"""
+"""of one rotor's thrust: with more, hovering level is beyond three others"""
 MIN_VISIBILITY_M = 5.0
 MIN_SUN_DEG = 3.0
 
@@ -116,10 +116,10 @@ class FaultParams:
     """rotation of the LIDAR about an axis drawn from the seed"""
     miscalibration_m: Annotated[float, Interval(ge=0.0, le=0.5)] = 0.02
     """translation of the LIDAR in a direction drawn from the seed"""
-    motor: Annotated[int, Interval(ge=0, le=3)] = 0
-    """the rotor of ``motor_loss``, 0 to 3"""
-    motor_loss_fraction: Annotated[float, Interval(ge=0.0, le=MAX_MOTOR_LOSS)] = 0.2
-    """lost fraction of that rotor's thrust, 0 to 0.5"""
+    motor: Annotated[int, Interval(ge=0, le=11)] = 0
+    """the rotor of ``motor_loss``, from 0"""
+    motor_loss_fraction: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.2
+    """lost fraction of that rotor's thrust; 1: it stands"""
     gust_kmh: Annotated[float, Interval(ge=0.0, le=200.0)] = 30.0
     """speed up to which a ``gust`` blows, mean wind included"""
     gust_rise_s: Annotated[float, Interval(ge=0.05, le=60.0)] = 1.5

@@ -16,10 +16,10 @@ from touchdown.sim.airframe.battery import (
     open_circuit_voltage,
 )
 from touchdown.sim.airframe.deviations import (
-    NOMINAL,
     Deviations,
     SpeedTelemetry,
     draw_deviations,
+    nominal,
     true_model,
 )
 from touchdown.sim.airframe.rotors import Rotors
@@ -74,7 +74,7 @@ def test_rotors_have_the_true_drag(scene: Scene) -> None:
     assert 0.8 <= drawn.min() < 0.82 and 1.18 < drawn.max() <= 1.2
     model, level, zero = scene.model, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     forces = []
-    for deviations in (NOMINAL, replace(NOMINAL, drag=1.2)):
+    for deviations in (nominal(), replace(nominal(), drag=1.2)):
         rotors = Rotors(vehicle_model(model), rotor_geometry(model), 1.0 / 600.0, deviations)
         rotors.speeds[:] = 400.0
         forces.append(rotors.step(level, np.array([5.0, 0.0, 0.0]), zero, zero, np.inf).copy())
@@ -96,7 +96,7 @@ def test_true_model_is_a_copy_with_another_body(scene: Scene) -> None:
     body = vehicle_body_id(scene.model)
     shift = np.array([0.01, -0.005, 0.002])
     before = scene.model.body_mass[body], scene.model.body_ipos[body].copy()
-    true = true_model(scene.model, replace(NOMINAL, mass=1.1, center_of_mass_m=shift))
+    true = true_model(scene.model, replace(nominal(), mass=1.1, center_of_mass_m=shift))
     assert true.body_mass[body] == pytest.approx(1.1 * before[0])
     np.testing.assert_allclose(
         true.body_inertia[body], 1.1 * scene.model.body_inertia[body], rtol=1e-12
@@ -104,7 +104,7 @@ def test_true_model_is_a_copy_with_another_body(scene: Scene) -> None:
     np.testing.assert_allclose(true.body_ipos[body], before[1] + shift)
     assert true.body_subtreemass[body] == pytest.approx(1.1 * before[0])
     assert scene.model.body_mass[body] == before[0]
-    assert true_model(scene.model, NOMINAL) is scene.model
+    assert true_model(scene.model, nominal()) is scene.model
 
 
 def test_cameras_keep_the_textures_that_the_scene_gives_back() -> None:
@@ -152,8 +152,8 @@ def test_thrust_through_the_origin_turns_a_body_with_its_mass_ahead(scene: Scene
     """The same thrust on all rotors acts at the origin: a centre of mass 1 cm ahead of it gives the
     pitching moment of the thrust times 1 cm, nose up negative: nose down is + about y."""
     speeds = np.full(4, 398.0)
-    ahead = replace(NOMINAL, center_of_mass_m=np.array([0.01, 0.0, 0.0]))
-    _, level = fall(scene, NOMINAL, speeds)
+    ahead = replace(nominal(), center_of_mass_m=np.array([0.01, 0.0, 0.0]))
+    _, level = fall(scene, nominal(), speeds)
     _, turned = fall(scene, ahead, speeds)
     vehicle = vehicle_model(scene.model)
     thrust = 4.0 * vehicle.thrust_coefficient * 398.0**2
@@ -163,9 +163,9 @@ def test_thrust_through_the_origin_turns_a_body_with_its_mass_ahead(scene: Scene
 
 
 def test_a_weak_rotor_tips_the_body_towards_itself(scene: Scene) -> None:
-    weak = replace(NOMINAL, thrust=np.array([0.98, 1.0, 1.0, 1.0]))
+    weak = replace(nominal(), thrust=np.array([0.98, 1.0, 1.0, 1.0]))
     _, turned = fall(scene, weak, np.full(4, 398.0))
-    _, level = fall(scene, NOMINAL, np.full(4, 398.0))
+    _, level = fall(scene, nominal(), np.full(4, 398.0))
     # rotor 0 is front left: the front sinks (+y) and the left side sinks (-x)
     assert (turned - level)[1] > 0.05 and (turned - level)[0] < -0.05
 
@@ -173,7 +173,7 @@ def test_a_weak_rotor_tips_the_body_towards_itself(scene: Scene) -> None:
 def test_torque_share_turns_about_the_vertical_and_costs_power(scene: Scene) -> None:
     speeds = np.full(4, 398.0)
     spin = vehicle_model(scene.model).rotor_spin
-    uneven = replace(NOMINAL, torque=1.0 + 0.05 * (spin > 0))
+    uneven = replace(nominal(), torque=1.0 + 0.05 * (spin > 0))
     _, turned = fall(scene, uneven, speeds)
     vehicle = vehicle_model(scene.model)
     expected = 2 * 0.05 * vehicle.torque_coefficient * 398.0**2 / vehicle.inertia_kgm2[2]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.flight.metrics import Nearest
-from touchdown.scenes.api import Scene, TrafficParams
+from touchdown.scenes.api import Guests, Scene, TrafficParams
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import Command, FaultParams, Truth, WorldParams
 from touchdown.sim.frames import Pose
@@ -27,7 +27,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     file = tmp_path_factory.mktemp("place") / "place.xml"
     file.write_text(PLACE.format(y=9))
     traffic = TrafficParams(intruder="runner", intruder_from_m=10.0, intruder_stays_s=3.0)
-    return load_scene(str(file), 0, traffic=traffic, intruders=1)
+    return load_scene(str(file), 0, traffic=traffic, guests=Guests(intruders=1))
 
 
 def flown(scene: Scene, seed: int, fault: str, seconds: float) -> tuple[MujocoWorld, list[Truth]]:
@@ -68,7 +68,7 @@ def test_beside_the_ground_an_intruder_walks_on_at_its_height(tmp_path: Path) ->
         "<site name='takeoff' pos='5 5 2'/></worldbody></mujoco>"
     )
     traffic = TrafficParams(intruder="runner", intruder_from_m=12.0, intruder_stays_s=0.1)
-    scene = load_scene(str(file), 0, traffic=traffic, intruders=1)
+    scene = load_scene(str(file), 0, traffic=traffic, guests=Guests(intruders=1))
     world, truths = flown(scene, 0, "intruder@descend", 12.0)
     heights = np.concatenate([t.living_world[:, 2] for t in truths])
     assert len(heights) > 2000 and heights == pytest.approx(heights[0])

@@ -8,7 +8,7 @@ import pytest
 
 from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import VEHICLE_XML, load_scene
-from touchdown.sim.airframe.battery import DRIVE_EFFICIENCY, HOTEL_LOAD_W, Battery
+from touchdown.sim.airframe.battery import DRIVE_EFFICIENCY, Battery, PowerSystem
 from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
 from touchdown.sim.airframe.rotors import Rotors, ground_effect
 from touchdown.sim.airframe.vehicle import (
@@ -230,7 +230,9 @@ def test_touchdown_neither_bounces_nor_penetrates(
 def test_battery_counts_shaft_and_hotel_power() -> None:
     battery = Battery(1000.0)
     battery.draw(shaft_power_w=75.0, duration_s=2.0)
-    assert battery.energy_used_j == pytest.approx(2.0 * (75.0 / DRIVE_EFFICIENCY + HOTEL_LOAD_W))
+    assert battery.energy_used_j == pytest.approx(
+        2.0 * (75.0 / DRIVE_EFFICIENCY + PowerSystem().avionics_w)
+    )
     assert battery.fraction == pytest.approx(1.0 - battery.energy_used_j / 1000.0)
     battery.draw(shaft_power_w=1e6, duration_s=1.0)
     assert battery.empty

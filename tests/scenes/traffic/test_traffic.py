@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from touchdown.scenes.api import Limb, MovingBody, Scene, TrafficParams
+from touchdown.scenes.api import Guests, Limb, MovingBody, Scene, TrafficParams
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth import static_surface
 from touchdown.sim.moving import OUT_OF_THE_WORLD_M, MovingBodies
@@ -30,7 +30,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.fixture(scope="module")
 def busy(place: str) -> Scene:
     counts = TrafficParams(people=12, dogs=4, bicycles=4, cars=2)
-    return load_scene(place, 5, traffic=counts, intruders=1)
+    return load_scene(place, 5, traffic=counts, guests=Guests(intruders=1))
 
 
 def roots(scene: Scene) -> list[MovingBody]:
@@ -42,8 +42,8 @@ def test_who_was_asked_for_is_there_and_the_seed_decides_where(place: str, busy:
     assert [kinds.count(kind) for kind in ("person", "dog", "bicycle", "car", "intruder")] == [
         12, 4, 4, 2, 1,
     ]  # fmt: skip
-    same = load_scene(place, 5, traffic=busy.traffic, intruders=1)
-    other = load_scene(place, 6, traffic=busy.traffic, intruders=1)
+    same = load_scene(place, 5, traffic=busy.traffic, guests=Guests(intruders=1))
+    other = load_scene(place, 6, traffic=busy.traffic, guests=Guests(intruders=1))
     path = roots(busy)[0].path_world
     assert np.array_equal(path, roots(same)[0].path_world)
     assert not np.array_equal(path, roots(other)[0].path_world)
