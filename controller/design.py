@@ -128,18 +128,14 @@ def _has_reserve(vehicle: VehicleModel, params: ControlParams, chain: int) -> bo
 
 
 def angular_authority(vehicle: VehicleModel) -> Array:
-    """(3,) rad/s^2 about roll, pitch and yaw that the mixer delivers in hover, both ways."""
+    """(3,) rad/s^2 about roll, pitch and yaw that the mixer delivers both ways, at no more thrust
+    than in hover."""
     mixer, weight = Mixer(vehicle), vehicle.mass_kg * GRAVITY_MPS2
     found = np.empty(3)
     for axis in range(3):
-        most = 100.0 * weight * np.eye(4)[1 + axis]
-        both = [
-            abs(
-                mixer.wrench(mixer.speeds(np.array([weight, 0.0, 0.0, 0.0]) + way * most))[1 + axis]
-            )
-            for way in (-1.0, 1.0)
-        ]
-        found[axis] = min(both) / vehicle.inertia_kgm2[axis]
+        wanted = weight * np.eye(4)[0] + np.outer([-100.0, 100.0], weight * np.eye(4)[1 + axis])
+        both = [mixer.wrench(mixer.speeds(one, weight))[1 + axis] for one in wanted]
+        found[axis] = np.abs(both).min() / vehicle.inertia_kgm2[axis]
     return found
 
 

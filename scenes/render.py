@@ -15,7 +15,7 @@ from touchdown.scenes.api import Image, Scene
 
 VIEWS = ("above", "oblique")
 _VEHICLE_GROUP = 4
-"""of its geoms, see ``vehicle/quadrotor.xml``"""
+"""of its geoms"""
 
 
 def render_scene(scene: Scene, view: str, pixels: int | None = None) -> Image:
@@ -51,7 +51,10 @@ def render_vehicle(scene: Scene, pixels: int = 1200) -> Image:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     body = data.body("vehicle/quadrotor")
-    eye = _camera(body.xpos[:2], 1.5, -16.0, np.rad2deg(scene.takeoff_yaw) + 215.0)
+    reach = np.linalg.norm(model.geom_pos[model.geom_bodyid == body.id][:, :2], axis=1).max()
+    eye = _camera(
+        body.xpos[:2], 0.35 + 3.4 * float(reach), -16.0, np.rad2deg(scene.takeoff_yaw) + 215.0
+    )
     eye.lookat[2] = body.xpos[2]
     options = mujoco.MjvOption()
     options.geomgroup[_VEHICLE_GROUP] = 1

@@ -38,6 +38,7 @@ _MODULES = {
     "parts": ("calibrate", "check-estimator", "check-plugin", "control", "edges", "px4"),
     "report": ("query", "regress", "report"),
     "scenes": ("scenes",),
+    "vehicles": ("vehicles",),
     "view": ("export", "view"),
 }
 """The commands of each module."""

@@ -42,7 +42,7 @@ def suggestion(key: str, keys: Iterable[str]) -> str:
     if asked[:1] in (["camera"], ["lidar"]) and _MOUNTED.intersection(asked):
         return (
             f": no key mounts the {asked[0]}; its place and attitude are those of the site "
-            f"'{asked[0]}' in scenes/vehicle/quadrotor.xml"
+            f"'{asked[0]}_0' in the vehicle's MJCF"
         )
     scores = {known_key: _score(asked, known_key) for known_key in known}
     best = max(known, key=lambda k: (scores[k], difflib.SequenceMatcher(None, key, k).ratio()))
