@@ -28,6 +28,21 @@ DARK = 0.15
 """Light on level ground, 1 for a white one: below it pictures are mostly noise."""
 
 
+def move_inside(body: Any, offset_m: Array) -> None:
+    """Moves all elements of a body, and the bodies in it, by (3,) metres of its axes."""
+    for element in (*body.geoms, *body.bodies, *body.sites, *body.cameras, *body.lights):
+        if element.frame is not None:
+            continue
+        ends = getattr(element, "fromto", np.full(6, np.nan))
+        if np.isfinite(ends[0]):
+            element.fromto = ends + np.tile(offset_m, 2)
+        else:
+            element.pos = element.pos + offset_m
+    for frame in body.frames:
+        if frame.frame is None:
+            frame.pos = frame.pos + offset_m
+
+
 def add_sun(spec: Any) -> None:
     """Adds a sun to ``spec``, and the light of the sky."""
     taken = any(light.name == "sun" for light in spec.lights)

@@ -22,6 +22,7 @@ from touchdown.scenes.importers.import_pass import (
     make_flyable,
     movable_at,
     movable_bodies,
+    move_inside,
     top_m,
 )
 from touchdown.scenes.importers.model_check import (
@@ -87,26 +88,6 @@ def coarse_meshes(model: Any) -> list[str]:
         for index, step in enumerate(np.spacing(far).tolist())
         if step > _COARSE_M
     ]
-
-
-def move_world(spec: Any, offset_m: Array) -> None:
-    """Moves all elements of the world by (3,) metres."""
-    move_inside(spec.worldbody, offset_m)
-
-
-def move_inside(body: Any, offset_m: Array) -> None:
-    """Moves all elements of a body, and the bodies in it, by (3,) metres of its axes."""
-    for element in (*body.geoms, *body.bodies, *body.sites, *body.cameras, *body.lights):
-        if element.frame is not None:
-            continue
-        ends = getattr(element, "fromto", np.full(6, np.nan))
-        if np.isfinite(ends[0]):
-            element.fromto = ends + np.tile(offset_m, 2)
-        else:
-            element.pos = element.pos + offset_m
-    for frame in body.frames:
-        if frame.frame is None:
-            frame.pos = frame.pos + offset_m
 
 
 REFLECTIVITY_905NM = {
@@ -211,7 +192,7 @@ def read_mjcf(path: Path, ready: ImportOptions | None = None, seed: int = 0) -> 
     ground = _ground_height(model, data, xy, needed=ready is None or takeoff is not None)
     origin = np.array([*origin_xy, ground if abs(ground) > _MAX_GROUND_M else 0.0])
     if origin.any():
-        move_world(spec, -origin)
+        move_inside(spec.worldbody, -origin)
     if origin_xy.any():
         _warn_once(
             path,

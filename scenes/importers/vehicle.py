@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import VEHICLE_FOLDER, VEHICLE_GROUP, vehicle_file
-from touchdown.scenes.importers.mjcf import compiled, delete_motion, move_inside, read_spec
+from touchdown.scenes.importers.import_pass import move_inside
+from touchdown.scenes.importers.mjcf import compiled, delete_motion, read_spec
 from touchdown.scenes.importers.model_check import MAX_TEXT_BYTES, check_spec, check_texts
 from touchdown.sim.files.child import run_limited
 from touchdown.sim.files.opening import check_file
