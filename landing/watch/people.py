@@ -25,7 +25,7 @@ _COARSEST = 16
 """pixels of which an image has a whole number along both sides"""
 _GREY, _GAINS = 0.4, (0.7, 5.0)
 """mean that an image is brought to, and by which factors"""
-LEAST, SURE = 0.45, 0.55
+LEAST, SURE = 0.4, 0.55
 """score from which on somebody is there whom two images show, and one image alone"""
 _MAYBE = 0.7
 """part of the least score from which on a second look may find somebody"""
