@@ -150,6 +150,8 @@ class FaultParams:
     def check(self, mean_wind_kmh: float) -> None:
         """Raises ValueError for a schedule that cannot happen in this mean wind."""
         for fault in self.schedule():
+            if self.events.count(fault.text) > 1:
+                raise ValueError(f"fault '{fault.text}' is listed twice")
             if fault.kind == "low_sun" and (fault.start_s or fault.duration_s):
                 raise ValueError(
                     f"fault '{fault.text}': the sun stands still during a flight, give low_sun@0"
@@ -183,6 +185,8 @@ def parse_fault(text: str) -> Fault:
         raise ValueError(f"fault '{text}': START and DURATION must be numbers of seconds") from None
     if duration is not None and not duration > 0.0:
         raise ValueError(f"fault '{text}': DURATION must be above 0 seconds")
+    if duration is not None and kind == "intruder":
+        raise ValueError(f"fault '{text}': faults of this kind last traffic.intruder_stays_s")
     count = None if match["count"] is None else int(match["count"])
     if count is not None:
         _check_count(text, kind, count)

@@ -203,6 +203,7 @@ def test_every_kind_is_read_back(kind: str) -> None:
     ("", "lidar_nan@3+1*2", "KIND@START"), ("", "lidar_nan@3*1.5", "KIND@START"),
     ("", "timestamp_swap@3*1", "even N, such as \\*2"), ("", "@3", "KIND@START"),
     ("", "", "KIND@START"), ("", "low_sun@5", "give low_sun@0"),
+    ("", "intruder@8m+5", "last traffic.intruder_stays_s"),
     ("", "low_sun@0+5", "give low_sun@0"), ("faults.motor=4", "fog@0", "must be within 0 to 3"),
     ("faults.motor_loss_fraction=0.6", "fog@0", "within 0 to 0.5"),
     ("faults.fog_visibility_m=1.0", "fog@0", "must be within 5 to 100000"),
@@ -255,3 +256,8 @@ def test_a_fault_of_an_unused_sensor_is_reported() -> None:
     dark = inactive_faults(config, SensorNeeds(gps=True))
     assert [sentence.split("'")[1] for sentence in dark] == ["lidar_nan@3", "fog@0"]
     assert dark[1].endswith("reads the LIDAR or the camera")
+
+
+def test_an_entry_counts_once() -> None:
+    with pytest.raises(ValueError, match="'fog@3' is listed twice"):
+        FaultParams(events=("fog@3", "gust@4", "fog@3")).check(0.0)
