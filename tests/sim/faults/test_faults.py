@@ -173,7 +173,7 @@ def test_what_repeats_the_last_message_needs_one() -> None:
 
 
 def test_messages_given_are_not_written_to() -> None:
-    for kind in FAULT_KINDS:
+    for kind in FAULT_KINDS.keys() - WORLD_KINDS:
         observations = world(900)
         injector = FaultInjector(FaultParams(events=(f"{kind}@0.5+0.5",)), HZ)
         for obs in observations:
@@ -188,7 +188,8 @@ def test_messages_given_are_not_written_to() -> None:
 @pytest.mark.parametrize("kind", FAULT_KINDS)
 def test_every_kind_is_read_back(kind: str) -> None:
     assert parse_fault(f"{kind}@12.5").text == f"{kind}@12.5"
-    assert parse_fault(f"{kind}@12.5+1").duration_s == 1.0
+    if kind != "intruder":
+        assert parse_fault(f"{kind}@12.5+1").duration_s == 1.0
     if kind not in WORLD_KINDS or kind == "gust":
         assert parse_fault(f"{kind}@12.5*2").text == f"{kind}@12.5*2"
     else:
