@@ -205,8 +205,8 @@ def test_every_kind_is_read_back(kind: str) -> None:
     ("", "timestamp_swap@3*1", "even N, such as \\*2"), ("", "@3", "KIND@START"),
     ("", "", "KIND@START"), ("", "low_sun@5", "give low_sun@0"),
     ("", "intruder@8m+5", "last traffic.intruder_stays_s"),
-    ("", "low_sun@0+5", "give low_sun@0"), ("faults.motor=4", "fog@0", "must be within 0 to 3"),
-    ("faults.motor_loss_fraction=0.6", "fog@0", "within 0 to 0.5"),
+    ("", "low_sun@0+5", "give low_sun@0"), ("faults.motor=12", "fog@0", "must be within 0 to 11"),
+    ("faults.motor_loss_fraction=1.1", "fog@0", "within 0 to 1"),
     ("faults.fog_visibility_m=1.0", "fog@0", "must be within 5 to 100000"),
     ("wind.mean_kmh=40.0", "gust@5", "gust_kmh = 30 is below wind.mean_kmh = 40"),
 ])  # fmt: skip
