@@ -21,6 +21,7 @@ from touchdown.experiments.cli.common import (
     QUIET,
     SEED,
     SEEDS,
+    VEHICLE,
     CommandGroup,
     Number,
     answer,
@@ -210,10 +211,13 @@ def px4() -> int:
 
 
 @px4.command("params")
+@VEHICLE
 @CONFIG
 @OVERRIDES
 @JSON
-def px4_params(config_file: Path | None, overrides: tuple[str, ...], as_json: bool) -> int:
+def px4_params(
+    vehicle: str | None, config_file: Path | None, overrides: tuple[str, ...], as_json: bool
+) -> int:
     """Print all parameters of PX4 for the vehicle and its sensors, as lines of its start script.
 
     A PX4 that is started by hand for --px4-connect needs them: as the file px4-rc.params in the
@@ -225,7 +229,7 @@ def px4_params(config_file: Path | None, overrides: tuple[str, ...], as_json: bo
     from touchdown.experiments.flight.wiring import build_scene, make_world, nominal_rig
     from touchdown.experiments.px4.airframe import parameter_lines, parameters
 
-    config = load_config(config_file, overrides)
+    config = load_config(config_file, overrides, vehicle=vehicle)
     world = make_world(config, build_scene(config))
     try:
         rig = nominal_rig(world.rig, config)

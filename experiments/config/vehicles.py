@@ -131,15 +131,24 @@ def values_of(found: Examined, lower: Mapping[str, Any]) -> dict[str, Any]:
         "landing.wind_tilt_deg": landing.wind_tilt_deg,
         "landing.descent_speed_mps": landing.descent_speed_mps,
         "landing.max_slope_deg": landing.max_slope_deg,
+        "landing.climb_speed_mps": landing.climb_speed_mps,
+        "landing.accel_mps2": landing.accel_mps2,
         "sim.battery_capacity_j": sim.battery_capacity_j,
         "sim.battery_resistance_ohm": sim.battery_resistance_ohm,
         "lidar.preset": "horizon",
         **lower,
     }  # fmt: skip
+    up = found.control.velocity_z_radps / usual.velocity_z_radps
+    aside = found.control.velocity_xy_radps / usual.velocity_xy_radps
+    # References are as much slower as the loops that follow them.
     limits = {
+        "landing.climb_speed_mps": up * before["landing.climb_speed_mps"],
+        "landing.accel_mps2": aside * before["landing.accel_mps2"],
         "control.max_tilt_deg": found.max_tilt_deg,
         "landing.wind_tilt_deg": found.max_tilt_deg - _WIND_TILT_DEG,
-        "landing.descent_speed_mps": found.max_descent_mps,
+        "landing.descent_speed_mps": min(
+            found.max_descent_mps, up * before["landing.descent_speed_mps"]
+        ),
         "landing.max_slope_deg": found.max_slope_deg,
     }
     own = {

@@ -15,37 +15,33 @@ RATE_RADPS, YAW_RATE_RADPS = 16.0, 5.0
 """crossover of the rate loops: the motors' lag of 40 ms allows no more"""
 _RATE_LEAD_S = 0.025
 _RATE_INTEGRAL_S = 0.6
+_MOTOR_S = 0.04
 ATTITUDE_RADPS, YAW_RADPS = 6.0, 2.0
-_EACH_OF_A_TORQUE = math.sqrt(0.5)
-"""of the thrust range, by which a motor changes for a whole unit of roll or pitch: PX4 scales the
-columns of its allocation matrix so; a unit of yaw changes it by the whole range"""
+_X_PLACES = ((True, False), (False, True), (True, True), (False, False))
+_X_TURNS = (-1.0, -1.0, 1.0, 1.0)
+"""ahead, left; and the reaction torque about up: of a quadrotor X in PX4's order"""
 
 
 class Motors:
-    """PX4's motors as rotors: motor ``order[i]`` of PX4's list is our rotor ``i``.
+    """PX4's motors as rotors: motor ``i`` of PX4's list is our rotor ``rotor_of_motor[i]``.
 
     A quadrotor X in PX4's order: front right and rear left, which turn counter-clockwise, then
-    front left and rear right. Raises Px4Error for a vehicle of another shape.
+    front left and rear right; a vehicle of another shape in its own.
     """
 
     def __init__(self, vehicle: VehicleModel) -> None:
         corners = [(x > 0.0, y > 0.0) for x, y in vehicle.rotor_xy_m.tolist()]
-        wanted = [(True, False), (False, True), (True, True), (False, False)]
-        turns = [-1.0, -1.0, 1.0, 1.0]  # the reaction torque about up, of CCW, CCW, CW, CW
-        if sorted(corners) != sorted(wanted):
-            raise Px4Error("controller px4 needs a quadrotor X: one rotor in each quarter")
-        self.rotor_of_motor = [corners.index(corner) for corner in wanted]
-        spins = [float(vehicle.rotor_spin[i]) for i in self.rotor_of_motor]
-        if spins != turns:
-            raise Px4Error(
-                "controller px4 needs rotors that turn counter-clockwise at front right and rear "
-                "left, clockwise at the others"
-            )
+        self.rotor_of_motor = list(range(len(corners)))
+        if sorted(corners) == sorted(_X_PLACES):
+            order = [corners.index(corner) for corner in _X_PLACES]
+            if tuple(vehicle.rotor_spin[order].tolist()) == _X_TURNS:
+                self.rotor_of_motor = order
+        self.count = len(corners)
         self._low, self._high = vehicle.rotor_speed_min, vehicle.rotor_speed_max
 
     def speeds(self, controls: list[float]) -> Array:
-        """(4,) rad/s of our rotors for PX4's controls, 0 to 1: idle to full speed."""
-        speeds = np.zeros(4)
+        """(R,) rad/s of our rotors for PX4's controls, 0 to 1: idle to full speed."""
+        speeds = np.zeros(self.count)
         for rotor, control in zip(self.rotor_of_motor, controls, strict=True):
             speeds[rotor] = self._low + min(max(control, 0.0), 1.0) * (self._high - self._low)
         return speeds
@@ -70,6 +66,21 @@ def thrust_curve(vehicle: VehicleModel) -> ThrustCurve:
     range_n = (1.0 - idle**2) * full_n
     hover_n = vehicle.mass_kg * GRAVITY_MPS2 / len(vehicle.rotor_spin)
     return ThrustCurve((1.0 - idle) / (1.0 + idle), (hover_n - idle**2 * full_n) / range_n, range_n)
+
+
+def unit_torques_nm(vehicle: VehicleModel) -> list[float]:
+    """Torques about roll, pitch and yaw for a whole unit of PX4's torque setpoints.
+
+    PX4 scales the columns of the pseudo-inverse: of roll and pitch by the larger root of their
+    square sum over half the motors that act, of yaw by the largest entry.
+    """
+    ratio = vehicle.torque_coefficient / vehicle.thrust_coefficient
+    x, y = vehicle.rotor_xy_m.T
+    mix = np.linalg.pinv(np.stack([y, -x, ratio * vehicle.rotor_spin, np.ones(len(x))]))
+    acting = (np.abs(mix[:, :2]) > 1e-3).sum(axis=0)
+    tilting = float(np.sqrt((mix[:, :2] ** 2).sum(axis=0) / (acting / 2.0)).max())
+    range_n = thrust_curve(vehicle).range_n
+    return [range_n / tilting, range_n / tilting, range_n / float(np.abs(mix[:, 2]).max())]
 
 
 def parameters(rig: SensorRig, params: Px4Params, max_tilt_deg: float) -> dict[str, float | int]:
@@ -135,30 +146,29 @@ def _estimation(rig: SensorRig, params: Px4Params) -> dict[str, float | int]:
 
 def _control(vehicle: VehicleModel, max_tilt_deg: float) -> dict[str, float | int]:
     curve = thrust_curve(vehicle)
-    found: dict[str, float | int] = {"CA_AIRFRAME": 0, "CA_ROTOR_COUNT": 4}
+    found: dict[str, float | int] = {
+        "CA_AIRFRAME": 0, "CA_ROTOR_COUNT": len(vehicle.rotor_spin)
+    }  # fmt: skip
     ratio = vehicle.torque_coefficient / vehicle.thrust_coefficient
     order = Motors(vehicle).rotor_of_motor
     for motor, rotor in enumerate(order):
         x, y = vehicle.rotor_xy_m[rotor].tolist()
         found[f"CA_ROTOR{motor}_PX"], found[f"CA_ROTOR{motor}_PY"] = x, -y
         found[f"CA_ROTOR{motor}_KM"] = -float(vehicle.rotor_spin[rotor]) * ratio
-    arms = np.abs(vehicle.rotor_xy_m).sum(axis=0)  # of pitch, of roll
-    authority = {
-        "ROLL": _EACH_OF_A_TORQUE * curve.range_n * float(arms[1]),
-        "PITCH": _EACH_OF_A_TORQUE * curve.range_n * float(arms[0]),
-        "YAW": len(order) * ratio * curve.range_n,
-    }
+    # PX4 turns faster motors' loops no faster; slower motors' in proportion to their lag.
+    slower = min(1.0, _MOTOR_S / vehicle.motor_time_constant_s)
+    authority = dict(zip(("ROLL", "PITCH", "YAW"), unit_torques_nm(vehicle), strict=True))
     for axis, (name, torque_nm) in enumerate(authority.items()):
         crossover = YAW_RATE_RADPS if name == "YAW" else RATE_RADPS
-        gain = float(vehicle.inertia_kgm2[axis]) * crossover / torque_nm
+        gain = float(vehicle.inertia_kgm2[axis]) * slower * crossover / torque_nm
         found[f"MC_{name}RATE_K"] = 1.0
         found[f"MC_{name}RATE_P"] = gain
         found[f"MC_{name}RATE_I"] = gain / _RATE_INTEGRAL_S
         found[f"MC_{name}RATE_D"] = 0.0 if name == "YAW" else gain * _RATE_LEAD_S
     return found | {
-        "MC_ROLL_P": ATTITUDE_RADPS,
-        "MC_PITCH_P": ATTITUDE_RADPS,
-        "MC_YAW_P": YAW_RADPS,
+        "MC_ROLL_P": slower * ATTITUDE_RADPS,
+        "MC_PITCH_P": slower * ATTITUDE_RADPS,
+        "MC_YAW_P": slower * YAW_RADPS,
         "THR_MDL_FAC": curve.factor,
         "MPC_THR_HOVER": curve.hover,
         "MPC_THR_MIN": 0.08,

@@ -24,8 +24,6 @@ from touchdown.experiments.px4.process import Px4Process, find_px4
 from touchdown.landing.api import Lander, LanderView
 from touchdown.sim.api import Command, Observation, SensorNeeds, SensorRig
 
-_OFF = np.zeros(4)
-_OFF.setflags(write=False)
 _READ_LOG_STEPS = 40
 _ENDS_S = 1.0
 """wall time in which a PX4 that broke off ends"""
@@ -153,7 +151,7 @@ class Px4Autopilot:
             self._closing.callback(process.close, self._keep_in, params.ulog)
             self._process = process
         connection = accept(ports, params.start_s, self._ended)
-        link = SimulatorLink(connection, params.start_s, params.answer_s)
+        link = SimulatorLink(connection, params.start_s, params.answer_s, self._motors.count)
         self._closing.callback(link.close)
         return link, Commander(CommandLink(ports), self._messages, params)
 
@@ -162,13 +160,13 @@ class Px4Autopilot:
             link.send(self._messages.fix(fix, self._site_m))
         magnetometer = obs.magnetometer[-1] if obs.magnetometer else None
         barometer = obs.barometer[-1] if obs.barometer else None
-        speeds = _OFF
+        speeds = off = np.zeros(self._motors.count)
         for imu in obs.imu:
             answer = link.exchange(self._messages.sensors(imu, magnetometer, barometer))
             magnetometer = barometer = None
             if answer is not None:
                 self._armed = answer.armed
-                speeds = self._motors.speeds(answer.controls) if answer.armed else _OFF
+                speeds = self._motors.speeds(answer.controls) if answer.armed else off
         return speeds
 
     def _send_estimate(self, link: SimulatorLink, estimate: Estimate) -> None:

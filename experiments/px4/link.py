@@ -90,8 +90,11 @@ class SimulatorLink:
     by the clock of the sensors, and would wait for it for ever.
     """
 
-    def __init__(self, connection: socket.socket, start_s: float, answer_s: float) -> None:
+    def __init__(
+        self, connection: socket.socket, start_s: float, answer_s: float, motors: int = 4
+    ) -> None:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._motors = motors
         self._socket = connection
         self._common: Any = dialect()
         self._mav = self._common.MAVLink(None, srcSystem=1, srcComponent=51)
@@ -168,7 +171,7 @@ class SimulatorLink:
             raise _twice(at)
 
     def _checked(self, message: Any, at: str) -> Answer:
-        controls = [float(value) for value in message.controls[:4]]
+        controls = [float(value) for value in message.controls[: self._motors]]
         if not all(map(math.isfinite, controls)):
             raise Px4Error(f"{at} gave a control that is not a number: {controls}")
         armed = bool(message.mode & self._common.MAV_MODE_FLAG_SAFETY_ARMED)

@@ -1,5 +1,6 @@
 """Vehicles from MJCF files: what is added, what is wrong with a file, what follows from it."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from touchdown.scenes.api import VEHICLE_FOLDER, VEHICLES, Guests
 from touchdown.scenes.compose import load_scene, vehicle_spec
 from touchdown.sim.airframe.checks import induced_speed_mps, tipping_slope_deg
 from touchdown.sim.airframe.vehicle import foot_positions, sensor_mounts, vehicle_model
+from touchdown.sim.api import FaultParams
+from touchdown.sim.faults.disturbances import Disturbances
 
 from support.command import Says
 
@@ -150,6 +153,8 @@ def test_keys_that_a_vehicle_sets_stand_below_all_others() -> None:
     assert config.sim.battery_capacity_j == pytest.approx(72 * 3600)
     slow = load_config(None, vehicle="coaxial_x8")
     assert slow.control.rate_radps < 28.0 and slow.control.wind_feed_forward  # that of `field`
+    slower = slow.control.velocity_z_radps / 7.0
+    assert slower < 1.0 and slow.landing.climb_speed_mps == pytest.approx(3.0 * slower)
     assert identity_of(slow)["vehicle"] == "coaxial_x8" and len(identity_of(slow)) == 6
 
 
@@ -165,3 +170,13 @@ def test_limits_by_hand(tmp_path: Path) -> None:
     slope = np.radians(tipping_slope_deg(model))
     rise = reach * (1.0 - np.cos(np.arctan2(0.15, 0.2) - slope))
     assert 0.5 * inertia * spin**2 == pytest.approx(2.0 * 9.81 * rise)
+
+
+def test_a_rotor_stops_only_where_others_are_left() -> None:
+    with pytest.raises(ValueError, match="motor = 4 is none of the vehicle's rotors, 0 to 3"):
+        Disturbances(FaultParams(motor=4), 600, 0.0, 0)
+    whole = FaultParams(events=("motor_loss@0",), motor=4, motor_loss_fraction=1.0)
+    with pytest.raises(ValueError, match="without a level hover"):
+        Disturbances(dataclasses.replace(whole, motor=0), 600, 0.0, 0)
+    fraction = Disturbances(whole, 600, 0.0, 0, rotors=6).rotor_speed_fraction(0)
+    np.testing.assert_array_equal(fraction, [1, 1, 1, 1, 0, 1])

@@ -161,10 +161,23 @@ def test_motors_are_px4s_by_place_and_spin() -> None:
     assert airframe.Motors(VEHICLE).speeds([0.0, 0.0, 1.0, -1.0]).tolist() == [565.0, 80, 80, 80]
     assert (PARAMETERS["CA_ROTOR0_PX"], PARAMETERS["CA_ROTOR0_PY"]) == (0.24, 0.24)
     assert PARAMETERS["CA_ROTOR0_KM"] == pytest.approx(1.6e-6 / 6.5e-5)
-    with pytest.raises(Px4Error, match="counter-clockwise at front right"):
-        airframe.Motors(replace(VEHICLE, rotor_spin=-VEHICLE.rotor_spin))
-    with pytest.raises(Px4Error, match="quadrotor X"):
-        airframe.Motors(replace(VEHICLE, rotor_xy_m=np.abs(VEHICLE.rotor_xy_m)))
+    turned = airframe.Motors(replace(VEHICLE, rotor_spin=-VEHICLE.rotor_spin))
+    assert turned.rotor_of_motor == [0, 1, 2, 3]
+
+
+def test_geometry_of_a_hexarotor() -> None:
+    angles = np.pi / 3.0 * np.arange(6)
+    places = 0.5 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    hexa = replace(VEHICLE, rotor_xy_m=places, rotor_spin=np.array([1.0, -1, 1, -1, 1, -1]))
+    found = airframe.parameters(replace(RIG, vehicle=hexa), Px4Params(), 35.0)
+    assert found["CA_ROTOR_COUNT"] == 6 and "CA_ROTOR6_PX" not in found
+    assert (found["CA_ROTOR1_PX"], found["CA_ROTOR1_PY"]) == pytest.approx((0.25, -0.433), abs=1e-3)
+    assert found["CA_ROTOR1_KM"] == pytest.approx(1.6e-6 / 6.5e-5)
+    # Roll: four motors act, y / sum of y^2; pitch: six, x / sum of x^2, whose scale is the smaller.
+    roll, pitch, yaw = airframe.unit_torques_nm(hexa)
+    range_n = airframe.thrust_curve(hexa).range_n
+    assert roll == pitch == pytest.approx(range_n * np.sqrt(0.75 * 2.0))
+    assert yaw == pytest.approx(6.0 * 1.6e-6 / 6.5e-5 * range_n)
 
 
 def test_satellites_are_off_unless_asked_for_and_a_parameter_may_be_given() -> None:
