@@ -159,6 +159,7 @@ def next_rate(rate: float, change: float, target: float, step_s: float) -> tuple
 
 @njit(cache=True, error_model="numpy")
 def _load(velocity: Array, acceleration: Array, coefficients: Array, limits: Array) -> float:
+    """The larger of rotor speed and tilt that a motion needs, each over its limit."""
     fraction, tilt = rotor_need(velocity, acceleration, coefficients)
     return max(fraction / limits[0], np.tan(min(tilt, 1.5)) / limits[1])
 
