@@ -11,6 +11,7 @@ from touchdown.experiments.config.loading import default_values, dump_config
 from touchdown.experiments.config.profiles import DEFAULT, WHOLE, chosen_by_hand
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import MODE_KEY
+from touchdown.scenes.api import DEFAULT_VEHICLE
 
 NAMED = ("scene", "seed", "estimator", "profile", "preset")
 """Keys that are fields of a result."""
@@ -26,6 +27,8 @@ def settings_of(config: Config) -> dict[str, Any]:
     flight."""
     values = dict(flatten(json.loads(dump_config(config))))
     chosen = chosen_by_hand(values, dict(default_values()))
+    if config.vehicle == DEFAULT_VEHICLE:
+        chosen.pop("vehicle", None)
     return {k: v for k, v in chosen.items() if k not in NAMED and not k.startswith(_SAME_FLIGHT)}
 
 

@@ -32,7 +32,7 @@ def _reach(*_arguments: Any, **_options: Any) -> Any:
     raise Reached
 
 
-def _compose_spec(name_or_path: str, seed: int, ready: Any = None, rugged: Any = None) -> Any:
+def _compose_spec(name_or_path: str, seed: int, ready: Any = None, *others: Any) -> Any:
     """Composes scenes of files; built-in ones take seconds and read nothing."""
     from touchdown.scenes import compose
 

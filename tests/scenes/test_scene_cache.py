@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from touchdown.scenes import cache, compose
-from touchdown.scenes.api import ImportOptions, LowSun, RuggedParams, Scene, TrafficParams
+from touchdown.scenes.api import (
+    NO_GUESTS,
+    Guests,
+    ImportOptions,
+    LowSun,
+    RuggedParams,
+    Scene,
+    TrafficParams,
+)
 from touchdown.scenes.authoring.ground import varied_materials
 from touchdown.scenes.cache import cached_scene
 
@@ -76,14 +84,15 @@ def test_each_key_has_its_own_entry(loads: list[Any], monkeypatch: pytest.Monkey
         ("flat", 1, None, "day"), ("flat", 2, None, "day"), ("lake", 1, None, "day"),
         ("flat", 1, sun, "day"), ("flat", 1, None, "dusk"),
         ("flat", 1, None, "day", None, None, TrafficParams(people=1)),
-        ("flat", 1, None, "day", None, None, None, 1),
+        ("flat", 1, None, "day", None, None, None, Guests(intruders=1)),
+        ("flat", 1, None, "day", None, None, None, Guests(vehicle="hexarotor")),
     ]  # fmt: skip
     for _ in range(2):
-        assert [cached_scene(*key).model.ngeom for key in keys] == [1, 2, 3, 4, 5, 6, 7]
-    rest = (None, None, TrafficParams(), 0)  # neither options nor dials nor traffic
+        assert [cached_scene(*key).model.ngeom for key in keys] == [1, 2, 3, 4, 5, 6, 7, 8]
+    rest = (None, None, TrafficParams(), NO_GUESTS)  # neither options nor dials nor traffic
     assert loads[:5] == [(*key, *rest) for key in keys[:5]]
     monkeypatch.setattr(cache, "_sources", lambda: "other sources")
-    assert cached_scene(*keys[0]).model.ngeom == 8
+    assert cached_scene(*keys[0]).model.ngeom == 9
 
 
 def test_dials_are_part_of_the_key_of_one_scene(loads: list[Any]) -> None:

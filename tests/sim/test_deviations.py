@@ -11,8 +11,8 @@ from touchdown.scenes.api import Scene
 from touchdown.sim import api as sim
 from touchdown.sim.airframe.battery import (
     DRIVE_EFFICIENCY,
-    HOTEL_LOAD_W,
     Battery,
+    PowerSystem,
     open_circuit_voltage,
 )
 from touchdown.sim.airframe.deviations import (
@@ -220,7 +220,7 @@ def test_open_circuit_voltage_of_a_cell() -> None:
 def test_voltage_sags_under_load_by_ohms_law() -> None:
     battery = Battery(700e3, sag=True, resistance_ohm=0.025)
     battery.draw(500.0, 0.005)
-    power = 500.0 / DRIVE_EFFICIENCY + HOTEL_LOAD_W
+    power = 500.0 / DRIVE_EFFICIENCY + PowerSystem().avionics_w
     current = power / battery.voltage
     assert open_circuit_voltage(1.0) - 0.025 * current == pytest.approx(battery.voltage, rel=1e-6)
     assert battery.speed_fraction == pytest.approx(battery.voltage / open_circuit_voltage(1.0))
@@ -238,7 +238,7 @@ def test_sag_grows_with_what_was_used_and_is_off_by_default() -> None:
     plain = Battery(700e3)
     plain.draw(400.0, 0.005)
     assert plain.speed_fraction == 1.0
-    assert plain.energy_used_j == (400.0 / DRIVE_EFFICIENCY + HOTEL_LOAD_W) * 0.005
+    assert plain.energy_used_j == (400.0 / DRIVE_EFFICIENCY + PowerSystem().avionics_w) * 0.005
 
 
 def test_sag_limits_the_rotors(scene: Scene) -> None:
