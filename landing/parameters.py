@@ -209,9 +209,9 @@ class LandingParams:
     watch: str = "standard"
     """what watches the landing place during the descent: ``standard``, ``off``, or MODULE:FUNCTION
     of an external watch"""
-    people_network: str = ""
-    """path of a network of `touchdown people train`, with which the standard watch finds people in
-    images; '': it looks at scans alone"""
+    people_network: str = "shipped"
+    """network with which the standard watch finds people in images: ``shipped``, or the path of one
+    of `touchdown people train`; '': it looks at scans alone"""
     selector: str = "risk"
     """what chooses the site: ``risk`` (``landing.risk``), ``zou2024`` (``landing.zou2024``), or
     MODULE:FUNCTION of an external selector"""

@@ -27,6 +27,8 @@ _GREY, _GAINS = 0.4, (0.7, 5.0)
 """mean that an image is brought to, and by which factors"""
 LEAST, SURE = 0.4, 0.55
 """score from which on somebody is there whom two images show, and one image alone"""
+SHIPPED = Path(__file__).with_name("trained") / "people.onnx"
+"""the network that is shipped with the project"""
 _MAYBE = 0.7
 """part of the least score from which on a second look may find somebody"""
 _MOST = 32

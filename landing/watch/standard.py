@@ -13,7 +13,7 @@ import numpy as np
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import Finding, Verdict, WatchInput, WatchReport, WatchRig
 from touchdown.landing.watch.footing import footing, nearest_safe, water_fraction
-from touchdown.landing.watch.people import PeopleDetector
+from touchdown.landing.watch.people import SHIPPED, PeopleDetector
 from touchdown.landing.watch.sightings import Sighting, Sightings
 from touchdown.landing.watch.surface import CELL_M, CELLS, Layers, Surface
 from touchdown.landing.watch.tracks import Memory, Track, Tracks, things_in
@@ -77,7 +77,8 @@ class StandardWatch:
         self._sightings: Sightings | None = None
         """None where images are not looked at"""
         if rig.landing.people_network:
-            detector = PeopleDetector(Path(rig.landing.people_network))
+            name = rig.landing.people_network
+            detector = PeopleDetector(SHIPPED if name == "shipped" else Path(name))
             self._sightings = Sightings(rig.sensors, detector)
             self.needs = SensorNeeds(camera_hz=5, lidar=True)
         self._ground_z = np.nan

@@ -20,8 +20,10 @@ from touchdown.experiments.people.learning.network import (
     train,
 )
 from touchdown.landing.watch.people import (
+    LEAST,
     LEAST_WIDTH,
     PIXEL_M,
+    SHIPPED,
     STRIDE,
     PeopleDetector,
     Person,
@@ -207,6 +209,14 @@ def test_training_finds_what_it_was_shown(tmp_path: Path) -> None:
     found, there = figures.recall(0.35)
     assert there == 24 and found >= 20
     assert figures.false_boxes(0.35) <= 50.0
+
+
+def test_the_shipped_network_finds_people(found: list[Labelled]) -> None:
+    assert SHIPPED.stat().st_size <= 1_000_000
+    figures = measured(PeopleDetector(SHIPPED), found)
+    there, all_of_them = figures.recall(LEAST, lambda one: one.kind.startswith("person"))
+    assert all_of_them >= 4 and there >= 0.75 * all_of_them
+    assert figures.false_boxes(LEAST) <= 20.0
 
 
 class Answers:
