@@ -209,7 +209,7 @@ class LandingParams:
     watch: str = "standard"
     """what watches the landing place during the descent: ``standard``, ``off``, or MODULE:FUNCTION
     of an external watch"""
-    people_network: str = "shipped"
+    people_network: str = ""
     """network with which the standard watch finds people in images: ``shipped``, or the path of one
     of `touchdown people train`; '': it looks at scans alone"""
     selector: str = "risk"
