@@ -44,6 +44,11 @@ class SurveyParams:
     """latitude and longitude (degrees) and height (m) of the take-off spot on WGS 84, for files;
     None: as the file says"""
 
+    @property
+    def is_serpentine(self) -> bool:
+        """True where legs are flown, and not waypoints."""
+        return self.path == "serpentine" and not self.waypoints_m
+
 
 TermName = Literal[
     "probability",

@@ -11,6 +11,7 @@ import numpy as np
 from touchdown.estimator.api import Estimate, Mapper, MapView, PoseTrack
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.survey_fit import fitted
+from touchdown.experiments.flight.survey_path import with_path
 from touchdown.experiments.flight.wiring import build_scene, make_world, world_params
 from touchdown.landing.api import Selection, SelectorInput, SelectorRig
 from touchdown.scenes.api import Scene
@@ -95,7 +96,7 @@ def posed_survey(
     A scan every ``period_s``, at least the duration of one scan; with every second one a picture.
     """
     scene = build_scene(config)
-    config = fitted(config, scene)
+    config = with_path(fitted(config, scene), scene)
     survey = build_posed_survey(config, scene)
     *_, (estimate, view) = observe(survey, survey.path, start_s=0.0, period_s=period_s, watch=watch)
     selection = survey.select(view, estimate)

@@ -402,7 +402,7 @@ def _check_faults(config: Config, sources: Mapping[str, str]) -> None:
 
 def check_survey(config: Config, sources: Mapping[str, str]) -> None:
     """Raises UsageError for a survey that does not fit into its duration."""
-    if config.survey.path != "serpentine":
+    if not config.survey.is_serpentine:
         return
     path = dataclasses.replace(config.survey, height_m=SurveyParams().height_m)
     problem = "" if path == SurveyParams() else survey_problem(path)

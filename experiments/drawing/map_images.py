@@ -69,7 +69,7 @@ class Marks:
 def survey_marks(takeoff_xy_m: Array, yaw: float, survey: SurveyParams) -> Marks:
     """Marks of a survey from a take-off point at the heading ``yaw``, rad."""
     path = np.vstack([np.zeros(3), survey_waypoints(yaw, survey)])[:, :2]
-    if survey.path == "serpentine":
+    if survey.is_serpentine:
         length, width = survey.leg_length_m, (survey.legs - 1) * survey.leg_spacing_m
         box = np.array([[0, 0], [length, 0], [length, width], [0, width], [0, 0]])
         path = box @ rotation_from_yaw(yaw)[:2, :2].T

@@ -60,7 +60,7 @@ def read_path(
         raise UsageError(
             f"survey.path: '{file}' is neither serpentine nor spiral nor a file"
         ) from None
-    except (ValueError, OSError) as error:
+    except (ValueError, OverflowError, OSError) as error:
         raise UsageError(f"survey.path: '{file}': {reason_of(error)}") from error
 
 
@@ -166,8 +166,8 @@ def _geojson(
     line, polygon = shapes["LineString"], shapes["Polygon"]
     if (line is None) == (polygon is None):
         raise ValueError("it needs one Polygon to cover or one LineString to follow")
-    if polygon is not None and len(polygon) != 1:
-        raise ValueError("its Polygon has holes; draw it without")
+    if polygon is not None and not (len(polygon) == 1 and isinstance(polygon[0], list)):
+        raise ValueError("its Polygon is not one ring of corners without holes")
     corners = []
     for corner in line if polygon is None else polygon[0]:
         longitude, latitude = _numbers(corner[:2] if isinstance(corner, list) else 0, 2, "a corner")

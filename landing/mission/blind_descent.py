@@ -35,6 +35,7 @@ _WAIT_S = 6.0
 """horizontal distance to the ground to land on from which it sinks, and how long it waits, above
 and again near the ground, where the wind is weaker"""
 _HELD_S = 0.05
+"""time beside the mission's clock from which the descent has been interrupted"""
 _GUST, _GUST_MPS = 0.5, 2.0
 """change of the felt wind, over the wind before and in m/s, that may be one of the wind"""
 

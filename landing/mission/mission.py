@@ -145,6 +145,7 @@ class Mission:
             if self.params.slow_in_wind:
                 self._feel_wind(obs, estimate)
         survey = state.survey
+        lowest = min(survey.min_height_m, survey.height_m)
         now = obs.time_s - self._held_s
         self.view = MissionView(
             params=self.params,
@@ -160,7 +161,7 @@ class Mission:
             wind_mps=self.wind.speed_mps,
             felt_wind_odom=self.felt_wind.wind_odom,
             load_aloft=self._load_in_climb(survey.height_m, survey.min_height_m),
-            load_lowest=self._load_in_climb(survey.min_height_m, _SETTLED_ABOVE_M),
+            load_lowest=self._load_in_climb(lowest, _SETTLED_ABOVE_M),
             behind_m=math.dist(estimate.world_from_body.translation, self.reference_world),
             watch=None if self.lookout is None else self._look(obs, estimate, map_view),
         )
@@ -194,7 +195,7 @@ class Mission:
     def _load_in_climb(self, survey_m: float, lowest_m: float) -> float:
         """Load of a hover at ``survey_m`` in the mean wind felt so far in the climb, while the
         climb is between ``lowest_m`` and that height; 0 elsewhere."""
-        if not lowest_m <= self._climbed_m() < survey_m - 1.0:
+        if not max(lowest_m, _FEEL_ABOVE_M) <= self._climbed_m() < survey_m - 1.0:
             return 0.0
         wind = (1.0 + _GUSTS_ALOFT) * self._profile.at(survey_m)
         return self._time_scaling.hover_load(wind, gusts=False)

@@ -45,19 +45,24 @@ def run_phases(mission: Mission) -> Steps:
     try:
         no_go = yield from take_off(mission)
         if no_go is None:
-            yield from survey(mission)
-        if no_go is not None:
+            yield from survey_and_land(mission)
+        else:
             yield from land_at_home(mission)
-        elif mission.params.return_home:
-            yield from return_home(mission)
-        elif not mission.params.survey_only:
-            no_landing = yield from land_somewhere(mission)
-            if no_landing is not None:
-                yield from _WAYS_DOWN[no_landing.action](mission)
     except LegBlockedError:
         if not mission.params.survey_only:
             yield from blind_descent(mission)
     yield from rest(mission)
+
+
+def survey_and_land(mission: Mission) -> Steps:
+    """What follows a climb: the survey and, unless it is all, a landing at a site or at home."""
+    yield from survey(mission)
+    if mission.params.return_home:
+        yield from return_home(mission)
+    elif not mission.params.survey_only:
+        no_landing = yield from land_somewhere(mission)
+        if no_landing is not None:
+            yield from _WAYS_DOWN[no_landing.action](mission)
 
 
 def initialise(mission: Mission) -> Steps:
@@ -102,7 +107,7 @@ def survey(mission: Mission) -> Steps:
     params = mission.state.survey
     legs = "1 leg" if params.legs == 1 else f"{params.legs} legs"
     what = f"{legs} of {params.leg_length_m:.0f} m"
-    if params.waypoints_m or params.path != "serpentine":
+    if not params.is_serpentine:
         what = f"{len(survey_waypoints(mission.start_yaw, params))} waypoints"
     mission.state.enter(Phase.SURVEY, f"surveying {what}")
     above = mission.reference_world.copy()

@@ -200,7 +200,7 @@ def no_site_in_time(view: MissionView, state: MissionState) -> str | None:
 
 def another_leg(view: MissionView, state: MissionState) -> str | None:
     """Decides where ``search_legs`` and the battery allow a further leg of a serpentine."""
-    if state.survey.path != "serpentine":
+    if not state.survey.is_serpentine:
         return None
     if state.search_legs >= view.params.search_legs or not energy.affords_search_leg(view, state):
         return None

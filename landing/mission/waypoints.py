@@ -37,7 +37,7 @@ def survey_path(
     """Returns the path of a survey from ``start`` (3,), above the take-off spot at survey height,
     at the heading ``yaw`` (rad). Raises ValueError as `survey_trajectory`, and for waypoints
     without a way."""
-    if survey.path == "serpentine" and not survey.waypoints_m:
+    if survey.is_serpentine:
         return survey_trajectory(start, yaw, survey)
     ways = start + survey_waypoints(yaw, survey) - [0.0, 0.0, survey.height_m]
     return waypoint_trajectory(
@@ -48,13 +48,15 @@ def survey_path(
 
 def survey_waypoints(yaw: float, survey: SurveyParams) -> Array:
     """(N, 3) corners of a survey: metres east and north of the take-off spot, and height above it.
-    ``yaw``: heading of the take-off, rad."""
+    ``yaw``: heading of the take-off, rad. Raises ValueError for a file that has not been read."""
     if survey.waypoints_m:
         return np.array(survey.waypoints_m)
     if survey.path == "spiral":
         angle = np.arange(_SPIRAL_STEP, 2.0 * np.pi * survey.legs + 1e-6, _SPIRAL_STEP)
         radius = survey.leg_spacing_m * angle / (2.0 * np.pi)
         places = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    elif survey.path != "serpentine":
+        raise ValueError(f"survey.path: '{survey.path}' is read in flights and maps alone")
     else:
         legs = np.repeat(np.arange(survey.legs), 2)
         far = np.isin(np.arange(legs.size) % 4, (1, 2))

@@ -78,7 +78,7 @@ def test_bodies_inside_are_one_with_it_and_the_origin_is_the_centre_of_mass(
     vehicle = vehicle_model(model, prefix="")
     box = 2.0 / 3.0 * np.array([0.1**2 + 0.04**2, 0.1**2 + 0.04**2, 2 * 0.1**2])
     ball, offset = 0.4 * 2.0 * 0.05**2, 2 * 2.0 * np.array([0.05**2, 0.1**2 + 0.05**2, 0.1**2])
-    assert vehicle.mass_kg == pytest.approx(4.0)
+    assert vehicle.mass_kg == model.body_subtreemass[0] == pytest.approx(4.0)
     np.testing.assert_allclose(vehicle.inertia_kgm2, box + ball + offset)
     np.testing.assert_allclose(vehicle.rotor_xy_m[0], [0.1, 0.2])  # half-way to the part
     assert vehicle.leg_height_m == pytest.approx(0.25)

@@ -65,12 +65,15 @@ def balance(vehicle: VehicleModel, through_air: Array, acceleration: Array) -> B
 
 
 def windy_run(
-    wind: Callable[[float, float], Array], seconds: float, **params: object
+    wind: Callable[[float, float], Array],
+    seconds: float,
+    min_height_m: float = 10.0,
+    **params: object,
 ) -> Iterator[tuple[float, LanderView, Array]]:
     """Yields time, view and reference of a landing over flat ground, every control step, in a wind
     of a time and a height above the ground."""
     rig = dataclasses.replace(make_rig(), vehicle=draggy_vehicle())
-    survey = dataclasses.replace(QUICK, min_height_m=10.0)
+    survey = dataclasses.replace(QUICK, min_height_m=min_height_m)
     lander = SiteLander(rig, dataclasses.replace(PARAMS, slow_in_wind=True, **params), survey)
     position, velocity = np.array([0.0, 0.0, LEG_HEIGHT]), np.zeros(3)
     acceleration, motors = np.zeros(3), False

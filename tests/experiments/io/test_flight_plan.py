@@ -115,6 +115,9 @@ LEVEL = _item(16, NORTH, HOME[1], 25.0)
     (_mission(_item(16, NORTH, None, 25.0)), "the place of item 1"),
     (_geo("LineString", [[0.0, 0.0], [1.0, 1.0]]), "take-off spot"),
     (_geo("Point", [0.0, 0.0]), "one Polygon"),
+    (_mission(_item(16, 10**400, HOME[1], 25.0)), "too large"),
+    ({"type": "FeatureCollection", "features": [_geo("Point", [0, 0]), _geo("Polygon", [5])]},
+     "not one ring"),
 ])  # fmt: skip
 def test_what_is_no_path_is_one_line(tmp_path: Path, tree: Any, word: str) -> None:
     with pytest.raises(UsageError, match=word) as caught:

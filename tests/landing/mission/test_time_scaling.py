@@ -248,6 +248,14 @@ def test_wind_too_strong_for_any_height_ends_where_it_began() -> None:
     assert not any("wind_no_go" in text for _, view, _ in survey for text in view.events)
 
 
+def test_a_low_survey_is_judged_at_its_own_height() -> None:
+    """At its 20 m the wind leaves a margin, at 40 m it would not; below 3 m no wind is known."""
+    for min_height_m, wind_at_10m in ((40.0, 10.6), (2.0, 9.0)):
+        flown = windy_run(_profile(wind_at_10m), 16.0, min_height_m=min_height_m)
+        rules = [text for _, view, _ in flown for text in view.events]
+        assert not any("wind_no_go" in text or "wind_aloft" in text for text in rules)
+
+
 def test_wind_beyond_reach_ends_the_mission_on_the_ground() -> None:
     """A gust front: the survey can no longer be flown, so that the vehicle lands where it is."""
 

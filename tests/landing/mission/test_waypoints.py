@@ -94,6 +94,8 @@ def test_the_serpentine_is_what_it_was() -> None:
 
 def test_waypoints_without_a_way_are_refused() -> None:
     still = SurveyParams(path="a.plan", waypoints_m=((0.0, 0.0, 30.0),))
+    with pytest.raises(ValueError, match="read in flights"):
+        survey_waypoints(0.0, SurveyParams(path="a.plan"))
     with pytest.raises(ValueError, match="goes nowhere"):
         survey_path(np.array([0.0, 0.0, 30.0]), 0.0, still, LIMITS)
 
