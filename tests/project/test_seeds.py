@@ -33,6 +33,10 @@ def test_a_campaign_uses_seeds_of_its_own_kind(file: str) -> None:
         assert found == {"verdict on blindness"}
     elif file == "configs/intruders.toml":
         assert found == {"verdict on intruders"}
+    elif file in {"configs/vehicles.toml", "configs/rigs.toml"}:
+        assert found == {"verdict on vehicles and rigs"}
+    elif file == "configs/deck.toml":
+        assert found == {"verdict on a moving deck"}
     elif file in REGRESSION:
         assert found <= {"regression", "short"}
     else:
