@@ -170,6 +170,25 @@ class RuggedParams:
     preset's"""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DeckParams:
+    """Dials of the scene ``deck``."""
+
+    __pydantic_config__ = FORBID_EXTRA
+
+    kind: Literal["boat", "truck", "barge"] = "boat"
+    """what carries the deck: a boat under way, a truck on a road, a barge at rest"""
+    sea_state: Annotated[int, Interval(ge=0, le=6)] = 3
+    """of the water under boat and barge (docs/scenes.md)"""
+    speed_mps: Annotated[float, Interval(ge=0, le=5)] = 3.0
+    """of boat and truck along a straight course"""
+
+
+Dials = RuggedParams | DeckParams
+
+CARRIER, TOUCHED = "/carrier", "/touched"
+"""suffixes of the names of a `MovingBody.carries` body and of its geoms"""
+
 DETAILS: tuple[str, ...] = (
     "grass", "meadow", "soil", "litter", "asphalt", "gravel", "concrete", "sand", "dune", "snow",
     "rock",
@@ -213,6 +232,23 @@ class Limb:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Sway:
+    """Motion of a hull about its course: sums of cosines, of K waves."""
+
+    rates_radps: Array
+    """(K,) at which the waves are met"""
+    amplitudes: Array
+    """(K, 3) of heave, m, of roll to the right and of pitch down, rad: about the body's axes"""
+    phases: Array
+    """(K, 3) at time 0"""
+
+    def at(self, times_s: Array) -> Array:
+        """(M, 3) heave, roll and pitch at (M,) times."""
+        angles = np.multiply.outer(times_s, self.rates_radps)[..., None] + self.phases
+        return np.asarray((self.amplitudes * np.cos(angles)).sum(axis=1))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class MovingBody:
     """A mocap body that follows a polyline; its heading follows the path."""
 
@@ -235,6 +271,11 @@ class MovingBody:
     """a person, a rider or an animal, whose distance counts"""
     intruder: bool = False
     """it is out of the world until a fault sends it"""
+    sway: Sway | None = None
+    """motion about the path"""
+    carries: str = ""
+    """its geom that can be landed on. A body ``NAME/carrier`` of the same colliding shapes, which
+    sensors do not see, moves along: contacts with a mocap body know no velocity"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -293,8 +334,8 @@ class Scene:
     """of a file: class of geoms whose names say nothing, and what it is inferred from"""
     textured: tuple[str, ...] = ()
     """of a file: geoms of featureless ground that were given texture and relief"""
-    rugged: RuggedParams | None = None
-    """the dials that it was made with; None for every other scene than ``rugged``"""
+    dials: Dials | None = None
+    """those that it was made with; None for a scene without"""
     vehicle: str = DEFAULT_VEHICLE
     """name or file of the vehicle in it"""
     facts: Mapping[str, float] = field(default_factory=dict)

@@ -27,16 +27,16 @@ import scipy
 from touchdown.scenes.api import (
     NO_GUESTS,
     VEHICLES,
+    Dials,
     Guests,
     ImportOptions,
     Light,
     LowSun,
-    RuggedParams,
     Scene,
     TrafficParams,
 )
 from touchdown.scenes.authoring.variation import present_variation
-from touchdown.scenes.registry import RUGGED, scene_names
+from touchdown.scenes.registry import dials_of, scene_names
 
 DIRECTORY_VARIABLE = "TOUCHDOWN_SCENE_CACHE"
 """a directory, or ``off``; without it ``touchdown/scenes`` in the user's directory of caches"""
@@ -53,7 +53,7 @@ def cached_scene(
     sun: LowSun | None,
     light: Light,
     options: ImportOptions | None = None,
-    rugged: RuggedParams | None = None,
+    dials: Dials | None = None,
     traffic: TrafficParams | None = None,
     guests: Guests = NO_GUESTS,
 ) -> Scene:
@@ -63,7 +63,7 @@ def cached_scene(
     def load() -> Scene:
         from touchdown.scenes.compose import load_scene  # what makes scenes
 
-        return load_scene(name_or_path, seed, sun, light, options, rugged, traffic, guests)
+        return load_scene(name_or_path, seed, sun, light, options, dials, traffic, guests)
 
     traffic = traffic or TrafficParams()
     own = name_or_path in scene_names() and seed >= 0 and present_variation() is None
@@ -71,8 +71,8 @@ def cached_scene(
     folder = _folder() if own else None
     if folder is None:
         return load()
-    dials = (rugged or RuggedParams(),) if name_or_path == RUGGED else ()
-    key = repr((name_or_path, seed, sun, light, traffic, guests, _sources(), *dials))
+    found = dials_of(name_or_path, dials)
+    key = repr((name_or_path, seed, sun, light, traffic, guests, _sources(), found))
     return _through(folder / hashlib.sha256(key.encode()).hexdigest()[:32], load)
 
 

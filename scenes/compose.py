@@ -13,7 +13,7 @@ import numpy as np
 from touchdown.scenes import api
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.light import light_file, lit_by, set_sky
-from touchdown.scenes.registry import RUGGED, scene_generator
+from touchdown.scenes.registry import dials_of, scene_generator
 from touchdown.scenes.traffic.routes import Traffic
 
 VEHICLE_XML = api.VEHICLE_FOLDER / "quadrotor.xml"
@@ -24,6 +24,8 @@ START_GAP_M = 0.003
 """The legs start this far above the ground and settle."""
 NEAR_M, FAR_M = 0.05, 400.0
 _PROBE_HEIGHT_M = 500.0
+_CARRIER_KG = 1000.0
+"""of a deck whose motion is given: much more than a vehicle, so that one leaves it alone"""
 
 
 def _warn(message: str) -> None:
@@ -40,7 +42,7 @@ def load_scene(
     sun: api.LowSun | None = None,
     light: api.Light = "day",
     options: api.ImportOptions | None = None,
-    rugged: api.RuggedParams | None = None,
+    dials: api.Dials | None = None,
     traffic: api.TrafficParams | None = None,
     guests: api.Guests = api.NO_GUESTS,
 ) -> api.Scene:
@@ -51,20 +53,20 @@ def load_scene(
     Of a scene from a file it draws where movers start, nothing else. sun: replaces the scene's own;
     named scenes bake their shadows with it, scenes from files have no baked shadows. light: of the
     sky; ``sun`` is that of ``day``. Neither changes what stands where. options: how a scene from a
-    file is made flyable; None takes the file as it is. rugged: dials of the scene of that name.
+    file is made flyable; None takes the file as it is. dials: of a scene that has any.
     traffic: who moves through it. guests: the vehicle and who waits for a fault.
     Raises ValueError (unknown name, negative seed, malformed MJCF) and FileNotFoundError.
     """
     name = Path(name_or_path).stem
     movers = Traffic(traffic or api.TrafficParams(), guests.intruders, name, seed)
     with lit_by(light, sun):
-        spec, draft = compose_spec(name_or_path, seed, options, rugged, guests.vehicle)
+        spec, draft = compose_spec(name_or_path, seed, options, dials, guests.vehicle)
     movers.add_bodies(spec, draft.surfaces)
     scene = movers.routed(compile_scene(spec, draft, name, seed, name_or_path))
-    dials = (rugged or api.RuggedParams()) if name_or_path == RUGGED else None
+    dials = dials_of(name_or_path, dials)
     options = options if _is_file(name_or_path) else None
     scene = replace(scene, traffic=traffic or api.TrafficParams(), vehicle=guests.vehicle)
-    return replace(scene, light=light, options=options, rugged=dials)
+    return replace(scene, light=light, options=options, dials=dials)
 
 
 def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> api.Scene:
@@ -98,7 +100,7 @@ def compose_spec(
     name_or_path: str,
     seed: int,
     options: api.ImportOptions | None = None,
-    rugged: api.RuggedParams | None = None,
+    dials: api.Dials | None = None,
     vehicle: str = api.DEFAULT_VEHICLE,
 ) -> tuple[Any, SceneDraft]:
     """Returns the uncompiled MjSpec, with the vehicle at height 0 over the take-off spot, and its
@@ -106,7 +108,7 @@ def compose_spec(
 
     Raises as `load_scene`.
     """
-    draft = _draft(name_or_path, seed, options, rugged)
+    draft = _draft(name_or_path, seed, options, dials)
     prepare_spec(draft, vehicle)
     return draft.spec, draft
 
@@ -129,7 +131,7 @@ def _draft(
     name_or_path: str,
     seed: int,
     options: api.ImportOptions | None = None,
-    rugged: api.RuggedParams | None = None,
+    dials: api.Dials | None = None,
 ) -> SceneDraft:
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give an integer from 0 up")
@@ -139,7 +141,7 @@ def _draft(
         draft = read_mjcf(Path(name_or_path), options, seed)
         light_file(draft.spec)
     else:
-        draft = scene_generator(name_or_path, rugged)(seed)
+        draft = scene_generator(name_or_path, dials)(seed)
     set_sky(draft.spec)
     return draft
 
@@ -152,7 +154,7 @@ def spec_of_scene(scene: api.Scene) -> Any:
     """Returns the MjSpec of a scene of `load_scene`, composed anew from its source and seed; the
     vehicle stands where the scene starts it."""
     source = scene.source or scene.name
-    spec, draft = compose_spec(source, scene.seed, scene.options, scene.rugged, scene.vehicle)
+    spec, draft = compose_spec(source, scene.seed, scene.options, scene.dials, scene.vehicle)
     draft.fill()
     spec.body(api.VEHICLE_BODY).pos = scene.model.body_pos[scene.model.body(api.VEHICLE_BODY).id]
     return spec
@@ -168,6 +170,28 @@ def prepare_spec(draft: SceneDraft, vehicle: str = api.DEFAULT_VEHICLE) -> None:
         if geom.contype or geom.conaffinity:
             geom.contype, geom.conaffinity = 1, 0
     _attach_vehicle(spec, draft, vehicle)
+    for body in draft.moving:
+        if body.carries:
+            _add_carrier(spec, draft, body.body_name)
+
+
+def _add_carrier(spec: Any, draft: SceneDraft, name: str) -> None:
+    """Moves what of a mocap body can be touched to a free body, which `sim.moving` moves along."""
+    body = spec.worldbody.add_body(name=f"{name}{api.CARRIER}", gravcomp=1.0)
+    body.mass, body.inertia = _CARRIER_KG, [_CARRIER_KG] * 3
+    body.explicitinertial = True
+    body.add_freejoint()
+    for geom in spec.body(name).geoms:
+        if not geom.contype:
+            continue
+        touched = f"{geom.name}{api.TOUCHED}"
+        draft.surfaces[touched] = draft.surfaces[geom.name]
+        body.add_geom(
+            name=touched, type=geom.type, size=geom.size, pos=geom.pos, quat=geom.quat,
+            fromto=geom.fromto, friction=geom.friction, solref=geom.solref, condim=geom.condim,
+            contype=1, conaffinity=0, group=api.VEHICLE_GROUP, rgba=[0.0, 0.0, 0.0, 0.0],
+        )  # fmt: skip
+        geom.contype = 0
 
 
 def _set_options(spec: Any) -> None:

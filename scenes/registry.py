@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import difflib
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
-from touchdown.scenes.api import RuggedParams
+from touchdown.scenes.api import DeckParams, Dials, RuggedParams
 
 if TYPE_CHECKING:
     from touchdown.scenes.authoring.draft import SceneDraft
 
 _NAMES = (
-    "cottage", "crossroad", "dunes", "flat", "footbridge", "forest", "houses", "lake",
+    "cottage", "crossroad", "deck", "dunes", "flat", "footbridge", "forest", "houses", "lake",
     "open_water", "pools", "rooftop_parking", "rugged", "snow", "turf",
 )  # fmt: skip
-RUGGED = "rugged"
-"""The scene that `RuggedParams` describe."""
+RUGGED, DECK = "rugged", "deck"
+"""The scenes that `RuggedParams` and `DeckParams` describe."""
+_DIALS: Mapping[str, type[Dials]] = {RUGGED: RuggedParams, DECK: DeckParams}
+
+
+def dials_of(name: str, given: Dials | None) -> Dials | None:
+    """Those that the scene is made with: of a scene without dials None."""
+    kind = _DIALS.get(name)
+    return None if kind is None else given or kind()
 
 
 def scene_names() -> list[str]:
@@ -26,9 +33,8 @@ def scene_names() -> list[str]:
     return list(_NAMES)
 
 
-def scene_generator(name: str, rugged: RuggedParams | None = None) -> Callable[[int], SceneDraft]:
-    """Returns the generator (seed -> draft) of a named scene. rugged: dials of `RUGGED`, which the
-    other scenes do not look at.
+def scene_generator(name: str, dials: Dials | None = None) -> Callable[[int], SceneDraft]:
+    """Returns the generator (seed -> draft) of a named scene. dials: of a scene that has any.
 
     Raises ValueError for an unknown name, with the nearest match and all names.
     """
@@ -41,4 +47,5 @@ def scene_generator(name: str, rugged: RuggedParams | None = None) -> Callable[[
         )
     place = importlib.import_module(f"touchdown.scenes.places.{name}")
     generate: Callable[..., SceneDraft] = place.generate
-    return generate if name != RUGGED else partial(generate, params=rugged or RuggedParams())
+    found = dials_of(name, dials)
+    return generate if found is None else partial(generate, params=found)

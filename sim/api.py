@@ -358,6 +358,22 @@ class Contact:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class MovingFrame:
+    """Pose and motion of a body in the world."""
+
+    world_from_frame: Pose
+    velocity_world: Array
+    """(3,) m/s of its origin"""
+    angular_velocity_world: Array
+    """(3,) rad/s"""
+
+    def velocity_at(self, point_world: Array) -> Array:
+        """(3,) m/s of a point (3,) that is fixed to it."""
+        arm = point_world - self.world_from_frame.translation
+        return np.asarray(self.velocity_world + np.cross(self.angular_velocity_world, arm))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Truth:
     """The true state, for the recorder, the referee and the ``oracle`` estimator only."""
 
@@ -382,6 +398,8 @@ class Truth:
     """(N, 3) where people, riders and animals stand"""
     intruders_world: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(M, 3) those of them whom a fault has sent"""
+    deck: MovingFrame | None = None
+    """what moves and can be landed on; None where nothing does"""
 
 
 class World(Protocol):

@@ -12,12 +12,19 @@ import mujoco
 import numpy as np
 from numba import njit
 
-from touchdown.scenes.api import Limb, MovingBody, Scene
-from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from touchdown.scenes.api import CARRIER, Limb, MovingBody, Scene
+from touchdown.sim.api import MovingFrame
+from touchdown.sim.frames import (
+    Pose,
+    matrix_from_quat_wxyz,
+    quat_wxyz_from_matrix,
+    so3_log,
+)
 from touchdown.sim.typing import Array, Indices
 
 OUT_OF_THE_WORLD_M = -50.0
 """height of an intruder before it is sent"""
+_DIFFERENCE_S = 1e-3
 _GAIT_MPS = 0.3
 """speed from which on limbs swing by their whole amplitude"""
 
@@ -62,11 +69,47 @@ class MovingBodies:
         self._living = np.array([i for i, _ in alive], np.int64)
         self._intruders = np.array([i for i, body in alive if body.intruder], np.int64)
         self._paths = _pack(self._bodies)
+        self._carriers = [
+            (index, int(scene.model.body(f"{body.body_name}{CARRIER}").id))
+            for index, body in enumerate(self._bodies)
+            if body.carries
+        ]
 
     def write(self, data: Any, time_s: float) -> None:
-        """Puts the mocap bodies of an MjData where they are at ``time_s``."""
+        """Puts the mocap bodies of an MjData where they are at ``time_s``, and what carries a
+        vehicle with the velocity that it has there."""
         if self._bodies:
             _locate(time_s, self._ids, *self._paths, data.mocap_pos, data.mocap_quat)
+            times = np.array([time_s])
+            for row, body in zip(self._ids, self._bodies, strict=True):
+                if body.sway is not None:
+                    places = data.mocap_pos[row : row + 1], data.mocap_quat[row : row + 1]
+                    _sway(body, times, *places)
+        for index, body_id in self._carriers:
+            motion = self._motion(index, time_s)
+            joint = data.model.body_jntadr[body_id]
+            at, speed = data.model.jnt_qposadr[joint], data.model.jnt_dofadr[joint]
+            data.qpos[at : at + 3] = motion.world_from_frame.translation
+            data.qpos[at + 3 : at + 7] = data.mocap_quat[self._ids[index]]
+            data.qvel[speed : speed + 3] = motion.velocity_world
+            turned = motion.world_from_frame.rotation.T @ motion.angular_velocity_world
+            data.qvel[speed + 3 : speed + 6] = turned
+
+    def deck(self, time_s: float) -> MovingFrame | None:
+        """Pose and motion of the body that carries a vehicle; None where there is none."""
+        return self._motion(self._carriers[0][0], time_s) if self._carriers else None
+
+    def _motion(self, index: int, time_s: float) -> MovingFrame:
+        """By differences over two milliseconds."""
+        times = time_s + _DIFFERENCE_S * np.array([-1.0, 0.0, 1.0])
+        track = self.tracks(times)[self._bodies[index].body_name]
+        first, now, last = (matrix_from_quat_wxyz(quat) for quat in track.quats_wxyz)
+        moved = track.positions[2] - track.positions[0]
+        return MovingFrame(
+            world_from_frame=Pose(now, track.positions[1]),
+            velocity_world=moved / (2.0 * _DIFFERENCE_S),
+            angular_velocity_world=so3_log(last @ first.T) / (2.0 * _DIFFERENCE_S),
+        )
 
     def living(self, data: Any, intruders: bool = False) -> Array:
         """(N, 3) places of persons, riders and animals in the world, on the ground; ``intruders``:
@@ -80,6 +123,9 @@ class MovingBodies:
         positions, quats = np.empty((count, bodies, 3)), np.empty((count, bodies, 4))
         for m, time_s in enumerate(times_s):
             _locate(time_s, np.arange(bodies), *self._paths, positions[m], quats[m])
+        for i, body in enumerate(self._bodies):
+            if body.sway is not None:
+                _sway(body, times_s, positions[:, i], quats[:, i])
         return {
             body.body_name: BodyTrack(
                 times_s=times_s,
@@ -98,6 +144,18 @@ class MovingBodies:
             for body in self._bodies
         )  # fmt: skip
         self._paths = _pack(self._bodies)
+
+
+def _sway(body: MovingBody, times_s: Array, positions: Array, quats: Array) -> None:
+    """Moves (M, 3) positions and turns (M, 4) quaternions of ``body`` as it sways at (M,) times."""
+    assert body.sway is not None
+    heave, roll, pitch = body.sway.at(times_s).T
+    positions[:, 2] += heave
+    for row, (x, y) in enumerate(zip(0.5 * roll, 0.5 * pitch, strict=True)):
+        heading = quats[row].copy()
+        mujoco.mju_mulQuat(quats[row], np.array([math.cos(y), 0.0, math.sin(y), 0.0]),
+                           np.array([math.cos(x), math.sin(x), 0.0, 0.0]))  # fmt: skip
+        mujoco.mju_mulQuat(quats[row], heading, quats[row].copy())
 
 
 class _Paths(NamedTuple):

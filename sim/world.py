@@ -194,6 +194,7 @@ class MujocoWorld:
         )
         self._moving = MovingBodies(self._scene)
         self._imaging.moving = self._moving
+        self._moving.write(self._data, 0.0)
         self._intruders = Intruders(self._scene, faults.schedule(), self._marks, self._seed)
         self._air = self._make_air()
         self._air.start(self._vehicle.leg_height_m)
@@ -303,6 +304,7 @@ class MujocoWorld:
             energy_used_j=self._battery.energy_used_j,
             living_world=_frozen(self._moving.living(self._data)),
             intruders_world=_frozen(self._moving.living(self._data, intruders=True)),
+            deck=self._moving.deck(self._tick / self._sim.tick_hz),
         )
 
     def record(self) -> WorldRecord:

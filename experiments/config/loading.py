@@ -55,8 +55,6 @@ from touchdown.experiments.config.slots import PREFIX, SLOTS, check_part_names, 
 from touchdown.experiments.config.vehicles import vehicle_in
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 from touchdown.landing.api import SurveyParams
-from touchdown.scenes.api import RuggedParams
-from touchdown.scenes.registry import RUGGED
 
 OPTION_KEYS: Mapping[str, str] = {
     "scene": "scene",
@@ -372,15 +370,17 @@ def _check_map(config: Config) -> None:
 
 
 def _check_dials(config: Config, sources: Mapping[str, str]) -> None:
-    """Raises UsageError for dials of ``rugged`` over another scene."""
-    if config.scene == RUGGED or config.rugged == RuggedParams():
-        return
-    dials = dataclasses.asdict(config.rugged)
-    key = next(f"{RUGGED}.{k}" for k, v in dials.items() if v != getattr(RuggedParams(), k))
-    raise UsageError(
-        f"{key} in {sources.get(key, 'the configuration')} is a dial of the scene '{RUGGED}' and "
-        f"not of '{config.scene}': fly over '{RUGGED}', or leave it out"
-    )
+    """Raises UsageError for dials of ``rugged`` or ``deck`` over another scene."""
+    for scene, dials in (("rugged", config.rugged), ("deck", config.deck)):
+        usual = type(dials)()
+        if config.scene == scene or dials == usual:
+            continue
+        given = dataclasses.asdict(dials)
+        key = next(f"{scene}.{k}" for k, v in given.items() if v != getattr(usual, k))
+        raise UsageError(
+            f"{key} in {sources.get(key, 'the configuration')} is a dial of the scene '{scene}' "
+            f"and not of '{config.scene}': fly over '{scene}', or leave it out"
+        )
 
 
 def _check_faults(config: Config, sources: Mapping[str, str]) -> None:

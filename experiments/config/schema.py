@@ -31,7 +31,15 @@ from touchdown.experiments.api import (
     StartParams,
 )
 from touchdown.landing.api import LandingParams, SurveyParams
-from touchdown.scenes.api import DEFAULT_VEHICLE, Light, RuggedParams, TrafficParams, short_name
+from touchdown.scenes.api import (
+    DEFAULT_VEHICLE,
+    DeckParams,
+    Dials,
+    Light,
+    RuggedParams,
+    TrafficParams,
+    short_name,
+)
 from touchdown.sim.api import (
     FORBID_EXTRA,
     BarometerParams,
@@ -121,6 +129,7 @@ class Config(BaseModel):
     record: bool = True
     """write the Rerun recording (trajectories, map and costmap are always written)"""
     rugged: RuggedParams = Field(default_factory=RuggedParams)
+    deck: DeckParams = Field(default_factory=DeckParams)
     traffic: TrafficParams = Field(default_factory=TrafficParams)
     sim: SimParams = Field(default_factory=SimParams)
     wind: WindParams = Field(default_factory=WindParams)
@@ -153,6 +162,12 @@ class Config(BaseModel):
     bias: BiasParams = Field(default_factory=BiasParams)
     calibration_error: CalibrationErrorParams = Field(default_factory=CalibrationErrorParams)
     log: LogParams = Field(default_factory=LogParams)
+
+    @property
+    def dials(self) -> Dials | None:
+        """Those of the scene; None for one without."""
+        known: dict[str, Dials] = {"rugged": self.rugged, "deck": self.deck}
+        return known.get(self.scene)
 
     @property
     def world_seed(self) -> int:

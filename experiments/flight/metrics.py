@@ -150,7 +150,8 @@ class Consistency:
 
 
 class TouchdownWindow:
-    """Truth of the last half second before the first contact and of the time after it."""
+    """Truth of the last half second before the first contact and of the time after it; over a deck
+    that moves, relative to it."""
 
     def __init__(self, steps_per_s: float) -> None:
         length = max(1, round(TOUCHDOWN_WINDOW_S * steps_per_s))
@@ -166,7 +167,7 @@ class TouchdownWindow:
         self.contacts: tuple[Contact, ...] = ()
 
     def add_before(self, truth: Truth) -> None:
-        x, y, z = truth.velocity_world.tolist()
+        x, y, z = velocity_over_deck(truth).tolist()
         self._vertical_speed.append(abs(z))
         self._horizontal_speed.append(math.hypot(x, y))
         self._vertical_accel.append(abs(float(truth.acceleration_world[2])))
@@ -177,10 +178,13 @@ class TouchdownWindow:
         self.contacts = truth.contacts
 
     def add_after(self, truth: Truth) -> None:
-        height = float(truth.world_from_body.translation[2])
+        pose = truth.world_from_body
+        if truth.deck is not None:
+            pose = truth.deck.world_from_frame.inverse() @ pose
+        height = float(pose.translation[2])
         self._lowest = min(self._lowest, height)
         self.bounce_m = max(self.bounce_m, height - self._lowest)
-        tilt = float(np.degrees(tilt_from_rotation(truth.world_from_body.rotation)))
+        tilt = float(np.degrees(tilt_from_rotation(pose.rotation)))
         self.tilt_deg = max(self.tilt_deg, tilt)
         self.impact_peak_mps2 = max(self.impact_peak_mps2, truth.peak_contact_accel)
 
@@ -195,6 +199,13 @@ class TouchdownWindow:
             "bounce_m": self.bounce_m,
             "tilt_deg": self.tilt_deg,
         }
+
+
+def velocity_over_deck(truth: Truth) -> Array:
+    """(3,) m/s of the vehicle relative to the deck below it; in the world where none moves."""
+    if truth.deck is None:
+        return truth.velocity_world
+    return truth.velocity_world - truth.deck.velocity_at(truth.world_from_body.translation)
 
 
 PERSON_M = 3.0

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from touchdown.experiments.flight.metrics import (
     PositioningError,
     TouchdownWindow,
     TrajectoryDeviation,
+    velocity_over_deck,
 )
 from touchdown.experiments.io.result_parts import (
     JUDGED_BY_CLASS,
@@ -29,8 +30,9 @@ from touchdown.experiments.io.result_parts import (
 )
 from touchdown.landing.api import LanderView, Phase
 from touchdown.scenes.api import SAFE_CLASSES, Scene
-from touchdown.sim.api import Contact, Truth
-from touchdown.sim.frames import tilt_from_rotation
+from touchdown.sim.airframe.vehicle import vehicle_model
+from touchdown.sim.api import Contact, MovingFrame, Truth
+from touchdown.sim.frames import Pose, tilt_from_rotation
 from touchdown.sim.typing import Array
 
 _DESCENDING = frozenset({Phase.DESCEND, Phase.TOUCHDOWN, Phase.RETURN, Phase.DONE})
@@ -213,7 +215,7 @@ class Referee:
         if self._lift_off_s is None or truth.time_s < self._lift_off_s + 1.0:
             return None
         for contact in truth.contacts:
-            with_moving = contact.other in self._moving_geoms
+            with_moving = contact.other in self._moving_geoms - self._ground.decks
             if contact.part != "leg" or with_moving or view.phase not in _DESCENDING:
                 self._reason = f"{contact.part} touched {contact.other} in {view.phase}"
                 return Outcome.COLLIDED
@@ -237,7 +239,7 @@ class Referee:
         return None
 
     def _at_rest(self, truth: Truth) -> bool:
-        speed = float(np.linalg.norm(truth.velocity_world))
+        speed = float(np.linalg.norm(velocity_over_deck(truth)))
         if speed > _REST_SPEED_MPS or not truth.contacts:
             self._rest_since_s = None
             return False
@@ -249,7 +251,12 @@ class Referee:
         contact_xy = self._touchdown.contact_xy
         if contact_xy is None:
             return None
-        verdict = self._ground.judge(contact_xy)
+        on_deck = any(contact.other in self._ground.decks for contact in truth.contacts)
+        if on_deck:
+            assert truth.deck is not None
+            verdict = self._ground.judge_on_deck(truth.world_from_body, truth.deck)
+        else:
+            verdict = self._ground.judge(contact_xy)
         gap = self._height_gap(truth)
         agrees = stands_on_truth(gap)
         # Where the truth map lacks what the vehicle stands on, it cannot vouch for anything there.
@@ -279,6 +286,7 @@ class Referee:
             safe_class=verdict.land_class in SAFE_CLASSES and known,
             safe=bool(verdict.safe) and known and alone,
             judged_on=self._judged_on,
+            landed_on=None if truth.deck is None else "deck" if on_deck else verdict.land_class,
         )
 
     def _height_gap(self, truth: Truth) -> float | None:
@@ -296,6 +304,18 @@ def _off_the_map(height_gap_m: float | None) -> str:
         return "it stands where the truth map has no ground: not safe"
     side = "above" if height_gap_m > 0.0 else "below"
     return f"it stands {abs(height_gap_m):.2f} m {side} the truth map: not safe"
+
+
+class DeckJudgement(NamedTuple):
+    """As `scenes.truth.maps.TouchdownJudgement`, of a place on a deck."""
+
+    slope_deg: float
+    safe_geometry: bool
+    land_class: str
+    safe: bool
+    obstacle_distance_m: float
+    """from the vehicle's middle to the next edge"""
+    roughness_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -349,6 +369,21 @@ class TruthLookup:
         above, below = touching[:, 2] - highest, lowest - touching[:, 2]
         gaps = np.where(above > 0.0, above, -np.maximum(below, 0.0))
         return float(gaps[np.argmax(np.abs(gaps))]) + 0.0  # no negative zero
+
+    def judge_on_deck(self, world_from_body: Pose, deck: MovingFrame) -> DeckJudgement:
+        """Judges a vehicle that stands on a deck: safe where all of it is within the edges."""
+        geom = self.scene.model.geom(next(iter(self.decks)))
+        at = deck.world_from_frame.inverse().apply(world_from_body.translation) - geom.pos
+        room = float(np.min(geom.size[:2] - np.abs(at[:2])))
+        safe = room > vehicle_model(self.scene.model).footprint_radius_m
+        slope = math.degrees(tilt_from_rotation(deck.world_from_frame.rotation))
+        land_class = self.scene.surfaces[geom.name].land_class
+        return DeckJudgement(slope, safe, land_class, safe and land_class in SAFE_CLASSES, room)
+
+    @cached_property
+    def decks(self) -> frozenset[str]:
+        """Names of the geoms of moving bodies that can be landed on."""
+        return frozenset(m.carries for m in self.scene.moving if m.carries)
 
     @cached_property
     def moving_geoms(self) -> frozenset[str]:

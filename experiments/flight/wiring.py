@@ -68,7 +68,7 @@ def build_scene(config: Config) -> Scene:
     options = None if config.scene_as_is else ImportOptions(classes=config.scene_classes or "")
     intruders = sum(fault.kind == "intruder" for fault in config.faults.schedule())
     guests = Guests(config.vehicle, intruders)
-    how = (seed, low_sun(config), config.light, options, config.rugged, config.traffic, guests)
+    how = (seed, low_sun(config), config.light, options, config.dials, config.traffic, guests)
     if names_function(config.scene):
         from touchdown.experiments.external.places import place_file
 

@@ -119,6 +119,9 @@ class Landing(Part):
     safe_class: bool | None = None
     safe: bool | None = None
     judged_on: str | None = None
+    landed_on: str | None = None
+    """over a deck that moves: ``deck``, or the class of what is beside it; speeds, tilt and bounce
+    are relative to the deck"""
 
     @property
     def ground_safe(self) -> bool | None:

@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from touchdown.scenes.api import TOUCHED
 from touchdown.sim.airframe.vehicle import VEHICLE_PREFIX, vehicle_body_id
 from touchdown.sim.api import Contact
 from touchdown.sim.typing import Array
@@ -19,7 +20,9 @@ class ContactSensor:
     def __init__(self, model: Any) -> None:
         self._model = model
         self._vehicle = vehicle_body_id(model)
-        self._names = [model.geom(i).name or f"geom {i}" for i in range(model.ngeom)]
+        self._names = [
+            model.geom(i).name.removesuffix(TOUCHED) or f"geom {i}" for i in range(model.ngeom)
+        ]
         self._of_vehicle = model.body_rootid[model.geom_bodyid] == self._vehicle
         self._force = np.zeros(6)
 

@@ -13,6 +13,7 @@ PLACES = {
     # slope in degrees, height of the highest object and of trees
     "cottage": (0, (0.02, 0.8), (3.0, 0.2), (24.0, 24.0)),
     "crossroad": (0, (0.05, 0.9), (3.0, 2.0), (18.0, np.inf)),
+    "deck": (0, (0.0, 0.05), (2.0, 0.5), (18.0, np.inf)),
     "dunes": (0, (0.10, 0.75), (0.9, 2.0), (18.0, np.inf)),
     "flat": (0, (1.0, 1.0), (2.0, 0.5), (18.0, np.inf)),
     "footbridge": (0, (0.02, 0.9), (2.5, 2.0), (18.0, np.inf)),

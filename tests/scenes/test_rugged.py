@@ -42,7 +42,7 @@ def dials(**given: Any) -> Dials:
 @functools.cache
 def scene() -> Scene:
     params = RuggedParams(preset="lava", safe_fraction=0.08, rock_abundance=0.06)
-    return load_scene("rugged", 9001, rugged=params)
+    return load_scene("rugged", 9001, dials=params)
 
 
 @pytest.mark.parametrize("k", [0.02, 0.1, 0.3])

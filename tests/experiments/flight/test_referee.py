@@ -42,6 +42,7 @@ def ground(*gaps: float | None, verdict: SimpleNamespace = SAFE_LAWN) -> Any:
         judge=lambda xy: verdict,
         height_gap_m=lambda contacts: next(left, None),
         moving_geoms=frozenset({"car"}),
+        decks=frozenset(),
     )
 
 
