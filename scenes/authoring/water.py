@@ -17,6 +17,7 @@ from numba import njit
 from touchdown.scenes.api import LAND_CLASSES, NO_DETAIL_ID, Array, Bytes, Float32, GroundRaster
 from touchdown.scenes.authoring.light import sun_shines
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plane import draw_heading
 from touchdown.scenes.authoring.variation import present_variation
 
 WATER_REFLECTIVITY = 0.03
@@ -42,6 +43,19 @@ class WaterLook:
     """strength of the ripples' relief, 0..1"""
     wind_angle: float = 0.0
     """radians; the ripples run this way"""
+
+
+def draw_look(rng: np.random.Generator) -> WaterLook:
+    """Returns the look of blue, green or grey water with waves of some metres."""
+    colours = np.array([[18.0, 66.0, 96.0], [22.0, 80.0, 84.0], [46.0, 76.0, 88.0]])
+    red, green, blue = rng.dirichlet(np.ones(3)) @ colours
+    return WaterLook(
+        body=(red, green, blue),
+        clarity_m=(0.7, 1.5, 1.4),
+        wave_m=float(rng.uniform(2.5, 5.0)),
+        ripple=float(rng.uniform(0.45, 0.75)),
+        wind_angle=draw_heading(rng),
+    )
 
 
 def varied(look: WaterLook) -> WaterLook:

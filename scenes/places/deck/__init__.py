@@ -20,7 +20,7 @@ from touchdown.scenes.authoring.plots import SurveyFrame
 from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.authoring.sea import hull_motion
 from touchdown.scenes.authoring.textures import to_texture
-from touchdown.scenes.places.open_water import FREEBOARD_M, draw_look, place_pontoon
+from touchdown.scenes.props.pontoon import CONCRETE, place_pontoon
 
 NAME = "deck"
 """of the body that moves"""
@@ -28,15 +28,16 @@ HALF_M = 96.0
 _TILE_PX = 3072
 _TILES = 1
 """copies of the picture of water or meadow on each side of the scene: a deck goes far"""
-_AHEAD_M = (13.0, 17.0)
+_AHEAD_M = (14.0, 16.0)
 """distance between the take-off spot and the course"""
 _PASSES_S = (17.0, 23.0)
 """when the deck is in front of it"""
 _COURSE_S = 300.0
+_FREEBOARD_M = 0.45
+"""of the pontoon"""
 
 STEEL = Surface(land_class="path", reflectivity=0.30)
 TIMBER = Surface(land_class="path", reflectivity=0.36)
-CONCRETE = Surface(land_class="path", reflectivity=0.36)
 PAINTED = Surface(land_class="other", reflectivity=0.45)
 MEADOW = Surface(land_class="lawn", reflectivity=0.44)
 ASPHALT = Surface(land_class="road", reflectivity=0.14)
@@ -73,7 +74,7 @@ def generate(seed: int, params: DeckParams) -> SceneDraft:
     """Returns the scene of ``seed`` without the vehicle. The same seed gives the same bytes."""
     rng = scene_rng("deck", seed)
     afloat = params.kind != "truck"
-    level = -FREEBOARD_M if afloat else 0.0
+    level = -_FREEBOARD_M if afloat else 0.0
     flat = HeightField(heights_m=np.full((193, 193), level), half_m=HALF_M)
     builder = start_scene("deck", rng, flat)
     yaw = float(rng.uniform(-np.pi, np.pi))
@@ -229,7 +230,7 @@ def _spread(
 def _water(builder: SceneBuilder) -> Image:
     image = np.zeros((_TILE_PX, _TILE_PX, 3), np.uint8)
     depth = np.full((256, 256), 7.0, np.float32)
-    look = water.varied(draw_look(builder.rng))
+    look = water.varied(water.draw_look(builder.rng))
     water.lay_water(builder.rng, image, depth, HALF_M, look, builder.sun)
     return image
 

@@ -10,7 +10,7 @@ import cv2
 import mujoco
 import numpy as np
 
-from touchdown.scenes.api import Array, GroundRaster, Image, Surface
+from touchdown.scenes.api import Array, GroundRaster, Surface
 from touchdown.scenes.authoring import water
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture
 from touchdown.scenes.authoring.draft import SceneDraft
@@ -22,11 +22,10 @@ from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, pick, unit
 from touchdown.scenes.authoring.plots import SurveyFrame, free_spots
 from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep, write_hfield
-from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.props import waterside
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, plant_nursery
+from touchdown.scenes.props.pontoon import place_pontoon, square_shadow
 
-CONCRETE = Surface(land_class="path", reflectivity=0.36)
 FREEBOARD_M = 0.45
 """Of both kinds of deck."""
 
@@ -58,60 +57,6 @@ def place_raft(builder: SceneBuilder) -> None:
     waterside.add_boat(builder, model, spot, deck.angle + rng.uniform(-0.06, 0.06))
 
 
-def place_pontoon(builder: SceneBuilder) -> None:
-    """Adds a concrete work pontoon with a painted circle, bollards, a rail and crates."""
-    rng = builder.rng
-    size = (float(rng.uniform(9.0, 12.0)), float(rng.uniform(6.2, 7.4)))
-    deck = waterside.Deck(centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size,
-                top_m=0.0, thick_m=0.9)  # fmt: skip
-    waterside.add_deck(builder, deck, _concrete(rng, size), CONCRETE)
-    builder.claim(np.zeros(2), 0.7 * max(size))
-    x, y = 0.5 * size[0], 0.5 * size[1]
-    corners = deck.points(np.array([[sx * (x - 0.3), sy * (y - 0.3)]
-                                    for sx in (-1, 1) for sy in (-1, 1)]))  # fmt: skip
-    for corner in corners:
-        builder.geom("bollard", waterside.PILE, type=GEOM.mjGEOM_CYLINDER, size=[0.12, 0.2, 0],
-                     pos=[*corner, 0.18], rgba=[0.80, 0.64, 0.12, 1])  # fmt: skip
-        _square_shadow(builder, corner, 0.12, 0.0, 0.36)
-    side = -1.0 if rng.random() < 0.5 else 1.0
-    posts = deck.points(
-        np.array([[side * (x - 0.1), t] for t in np.linspace(-y + 0.8, y - 0.8, 4)])
-    )
-    for post in posts:
-        builder.geom("rail_post", waterside.PILE, capsule=0.03,
-                     fromto=[*post, 0.0, *post, 1.05], rgba=[0.86, 0.86, 0.84, 1])  # fmt: skip
-        _square_shadow(builder, post, 0.03, 0.0, 1.05)
-    for height in (0.55, 1.05):
-        builder.geom("rail", waterside.PILE, capsule=0.025, rgba=[0.86, 0.86, 0.84, 1],
-                     fromto=[*posts[0], height, *posts[-1], height])  # fmt: skip
-    for index in range(int(rng.integers(1, 4))):
-        spot = deck.points(np.array([[-side * (x - 0.8), -y + 1.0 + 1.3 * index]]))[0]
-        half = rng.uniform([0.35, 0.3, 0.25], [0.5, 0.45, 0.45])
-        builder.geom("crate", waterside.PILE, box=half, pos=[*spot, half[2]],
-                     heading=deck.angle + rng.uniform(-0.3, 0.3),
-                     rgba=[0.30, 0.36 + 0.08 * index, 0.46, 1])  # fmt: skip
-
-
-def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Image:
-    """Slabs with joints and rust, a yellow edge and a white ring in the middle."""
-    px = 96.0
-    width, height = (round(s * px) for s in size_m)
-    y, x = np.mgrid[0:height, 0:width].astype(np.float32) / px
-    tone = 150.0 + 7.0 * fractal_noise(rng, (height, width), 1.2 * px, 4, 0.6)
-    tone += 5.0 * rng.standard_normal((height, width), dtype=np.float32)
-    pitch = size_m[0] / round(size_m[0] / 2.5)
-    tone[((x % pitch) < 0.025) | (np.abs(y - 0.5 * size_m[1]) < 0.012)] *= 0.6
-    image = tone[..., None] * np.array([1.0, 0.985, 0.955], np.float32)
-    rust = np.clip(fractal_noise(rng, (height, width), 0.7 * px, 4, 0.6) - 1.5, 0.0, 0.8)
-    image += rust[..., None] * (np.array([132.0, 84.0, 56.0], np.float32) - image)
-    edge = np.minimum(np.minimum(x, size_m[0] - x), np.minimum(y, size_m[1] - y))
-    worn = fractal_noise(rng, (height, width), 0.15 * px, 3, 0.6) > -1.1
-    image[(edge > 0.12) & (edge < 0.27) & worn] = (206.0, 170.0, 48.0)
-    ring = np.abs(np.hypot(x - 0.5 * size_m[0], y - 0.5 * size_m[1]) - 1.9) < 0.1
-    image[ring & worn] = (224.0, 224.0, 220.0)
-    return to_texture(image)
-
-
 def _flagpole(builder: SceneBuilder, xy_m: Array) -> None:
     builder.geom("flagpole", waterside.PILE, cylinder=0.03,
                  fromto=[*xy_m, 0.0, *xy_m, 2.8], rgba=[0.92, 0.92, 0.92, 1])  # fmt: skip
@@ -119,7 +64,7 @@ def _flagpole(builder: SceneBuilder, xy_m: Array) -> None:
     flag = xy_m + 0.38 * unit(turn)
     builder.geom("flag", waterside.PILE, box=[0.36, 0.01, 0.22], pos=[*flag, 2.55],
                  heading=turn, rgba=[0.86, 0.16, 0.12, 1])  # fmt: skip
-    _square_shadow(builder, xy_m, 0.03, 0.0, 2.8)
+    square_shadow(builder, xy_m, 0.03, 0.0, 2.8)
 
 
 def _ladder(builder: SceneBuilder, deck: waterside.Deck, x: float) -> None:
@@ -128,14 +73,6 @@ def _ladder(builder: SceneBuilder, deck: waterside.Deck, x: float) -> None:
         foot = deck.points(np.array([[x - 0.05, y]]))[0]
         builder.geom("ladder", waterside.PILE, capsule=0.025,
                      fromto=[*foot, -0.9, *foot, 0.75], rgba=[0.75, 0.77, 0.78, 1])  # fmt: skip
-
-
-def _square_shadow(
-    builder: SceneBuilder, xy_m: Array, half_m: float, low_m: float, top_m: float
-) -> None:
-    corners = [[sx * half_m, sy * half_m, z] for sx in (-1, 1) for sy in (-1, 1)
-               for z in (low_m, top_m)]  # fmt: skip
-    builder.cast(np.array([*xy_m, 0.0]) + np.array(corners))
 
 
 ISLET_HALF_M = 16.0
@@ -334,23 +271,10 @@ def _spread_water(builder: SceneBuilder, level_m: float, depth: water.Float32) -
     bed = fractal_noise(rng, (_DEPTH_PX, _DEPTH_PX), 20.0, 4, 0.6)
     coarse = np.clip(_SAND * (1.0 + 0.08 * bed[..., None]), 0.0, 255.0).astype(np.uint8)
     image = np.asarray(cv2.resize(coarse, (TEXELS, TEXELS)), np.uint8)
-    water.lay_water(rng, image, depth, HALF_M, water.varied(draw_look(rng)), builder.sun)
+    water.lay_water(rng, image, depth, HALF_M, water.varied(water.draw_look(rng)), builder.sun)
     # A shadow takes the sun from the water's body but leaves the mirrored sky.
     dim = (0.35 + 0.65 * light) / (0.35 + 0.65 * light.max())
     shade = cv2.resize((255.0 * dim[::-1]).astype(np.uint8), (TEXELS, TEXELS))
     for channel in range(3):
         image[..., channel] = cv2.multiply(image[..., channel], shade, scale=1.0 / 255.0)
     fill_texture(spec.texture("water"), image)
-
-
-def draw_look(rng: np.random.Generator) -> water.WaterLook:
-    """Returns the look of blue, green or grey water with waves of some metres."""
-    colours = np.array([[18.0, 66.0, 96.0], [22.0, 80.0, 84.0], [46.0, 76.0, 88.0]])
-    red, green, blue = rng.dirichlet(np.ones(3)) @ colours
-    return water.WaterLook(
-        body=(red, green, blue),
-        clarity_m=(0.7, 1.5, 1.4),
-        wave_m=float(rng.uniform(2.5, 5.0)),
-        ripple=float(rng.uniform(0.45, 0.75)),
-        wind_angle=draw_heading(rng),
-    )
